@@ -9,7 +9,7 @@ help:
 	@echo "make demo      simulate a small Falcon and LWR course, ingest it, write reports/*.html (FULL=1: thesis size)"
 	@echo "make test      lint, type check and the fast tests"
 	@echo "make test-all  the slow tests too"
-	@echo "make bench     speed and memory of ingest, estimates, theory, reports and watch, at thesis size; trials that the planner needs"
+	@echo "make bench     speed and memory of ingest, theory, comparisons and watch, at thesis size; trials that the planner needs"
 	@echo "make docs      regenerate schemas/*.json, the figure in the README and the gallery"
 	@echo "make site      build the documentation as pages with a search that needs no network: build/site"
 	@echo "make clean     remove environment, caches and the demo's logs and tables (what you recorded and ingested, and reports/, are kept)"
@@ -43,15 +43,10 @@ test-all: lint
 	@touch $@
 
 bench: .venv/.bench
-	$(BIN)/python benchmarks/ingest.py
 	$(BIN)/python benchmarks/spine.py
-	$(BIN)/python benchmarks/measured.py
 	$(BIN)/python benchmarks/theory.py
-	$(BIN)/python benchmarks/loop.py
-	$(BIN)/python benchmarks/ladder.py
 	$(BIN)/python benchmarks/watch.py
 	$(BIN)/python benchmarks/growth.py
-	$(BIN)/python benchmarks/report.py --verify
 	$(BIN)/python benchmarks/plan.py
 
 docs: .venv/.dev

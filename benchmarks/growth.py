@@ -21,7 +21,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from ingest import BARE, write_logs
+from logs import BARE, write_logs
 from timing import PIPELINE, Spent, run
 
 

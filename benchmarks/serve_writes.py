@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ingest import write_logs
+from logs import write_logs
 from serving import Server, get, on_one_core, read_together, serving, until
 
 from pipeline.device_data.devices import load_device

@@ -1,6 +1,6 @@
 """Speed and memory of the way from logs to a report: thesis-size Falcon experiment 1, each stage as a whole process.
 
-Prints a table beside the limits and writes JSON to benchmarks/results/. Nothing here fails on a slow machine.
+Prints a table beside the limits. Nothing here fails on a slow machine.
 
     python benchmarks/spine.py [--rows 400 --rows 1000]
 """
@@ -9,17 +9,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import platform
 import sys
 import tempfile
-import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from timing import PIPELINE, run
 
-RESULTS = Path(__file__).parent / "results"
 ROWS = (400, 1000)
 PERIOD_S = 1e-3
 
@@ -135,20 +131,6 @@ def main() -> None:
             f"{rows:>5}  {size['logs']:.0f} logs, {size['logs_mb']:.0f} MB; report {size['report_mb']:.2f} MB "
             f"(limit {REPORT_MB:g}){over}"
         )
-    from pipeline import __version__
-
-    RESULTS.mkdir(exist_ok=True)
-    document = {
-        "version": __version__,
-        "python": platform.python_version(),
-        "processors": os.cpu_count(),
-        "measurements": [asdict(m) for m in measurements],
-        "sizes": {str(rows): size for rows, size in sizes.items()},
-        "limits": {"seconds": SECONDS, "memory_mib": MEMORY_MIB, "report_mb": REPORT_MB},
-    }
-    file = RESULTS / f"spine-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}.json"
-    file.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    print(f"{file}")
 
 
 if __name__ == "__main__":

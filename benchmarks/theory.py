@@ -21,20 +21,14 @@ import pyarrow.parquet as pq
 from timing import fastest, once, run
 
 from pipeline.loop.loop import Loop
-from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.theory_map import CostMap, bounding_box
+from pipeline.theory.device.plain_branches import first_branch
 from pipeline.theory.stability.boundary import boundary
-from pipeline.theory.stability.region import is_inside, region, stiffness_limit
+from pipeline.theory.stability.region import is_inside, stiffness_limit
 from pipeline.theory.stability.stability import spectral_radius
 
 ENDED = 64
 """Points that settle into 2 % before this sample: what the peer leaves out after 512 is then below rounding."""
-
-CONTROL_POINTS = 60
-"""Stable points that python-control computes, at some milliseconds each."""
-
-DECAYED = 0.96
-"""Spectral radius below which a response of 512 samples has ended: 0.96^1024 is 1e-18."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +69,7 @@ def boundary_of_five_delays() -> Row:
         return [bisected_limits(loop, beta, top, 1e-8) for loop, beta, top in cases]
 
     def ours() -> list[np.ndarray]:
-        region.cache_clear()
+        first_branch.cache_clear()
         return [stiffness_limit(Loop(0.0, 0.0, loop.delay), beta) for loop, beta, _ in cases]
 
     difference = max(float(np.abs(a - b).max()) for a, b in zip(other(), ours(), strict=True))
@@ -94,7 +88,7 @@ def verdicts_of_a_map() -> Row:
         return (spectral_radius(Loop(0.0, 0.0, 4), alpha, beta) < 1) & (alpha > 0)
 
     def ours() -> np.ndarray:
-        region.cache_clear()
+        first_branch.cache_clear()
         return is_inside(Loop(0.0, 0.0, 4), alpha, beta)
 
     difference = float(np.count_nonzero(other() != ours()))
@@ -124,56 +118,6 @@ def map_as_a_process() -> Row:
     return Row("map 251 x 251, d = 4, process", times[0], times[1], 1 / 0.8, difference, inside)
 
 
-def map_by_python_control() -> Row:
-    """The same map from python-control: poles, a step response of 512 samples, `step_info` and energies of each point.
-
-    Run for `CONTROL_POINTS` stable points of the map and scaled to all, unstable points with their poles alone; the
-    plant and its delay are made once.
-    """
-    import control
-
-    loop, steps = Loop(0.0, 0.0, 4), 512
-    box = bounding_box(loop)
-    alpha, beta = (g.ravel() for g in np.meshgrid(np.linspace(*box[:2], 251), np.linspace(*box[2:], 251)))
-    stable = np.flatnonzero(is_inside(loop, alpha, beta))
-    points = np.random.default_rng(251).choice(stable, CONTROL_POINTS, replace=False)
-    double_integrator = control.ss([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], [[0]])
-    plant = control.sample_system(double_integrator, 1.0, "zoh")
-    delay = control.ss(np.eye(4, k=-1), np.eye(4, 1), np.eye(1, 4, k=3), [[0]], 1.0)
-    time = np.arange(float(steps))
-    energies = np.empty((3, CONTROL_POINTS))
-
-    def closed(a: float, b: float) -> control.StateSpace:
-        wall = control.ss([[0]], [[1]], [[-b]], [[a + b]], 1.0)
-        return control.feedback(plant, control.series(wall, delay))
-
-    def poles() -> None:
-        for a, b in zip(alpha[points].tolist(), beta[points].tolist(), strict=True):
-            if np.abs(closed(a, b).poles()).max() >= 1:
-                raise AssertionError(f"python-control calls alpha = {a}, beta = {b} unstable.")
-
-    def costs() -> None:
-        for i, (a, b) in enumerate(zip(alpha[points].tolist(), beta[points].tolist(), strict=True)):
-            system = closed(a, b)
-            if np.abs(system.poles()).max() < 1:
-                x = np.ravel(control.forced_response(system, time, np.ones(steps)).outputs) * a
-                control.step_info(x, time, SettlingTimeThreshold=0.02)
-                energy = (x - 1) ** 2 + np.diff(x, prepend=x[0]) ** 2 / a
-                energies[:, i] = [time**w @ energy for w in range(3)]
-
-    poles_s, costs_s = once(poles) / CONTROL_POINTS, fastest(costs, 2) / CONTROL_POINTS
-    other_s = len(stable) * costs_s + (alpha.size - len(stable)) * poles_s
-    with tempfile.TemporaryDirectory() as folder:
-        table = str(Path(folder) / "map.parquet")
-        ours_s = fastest(
-            partial(run, [sys.executable, "-m", "pipeline", "theory", "map", "--delay", "4", "--out", table]), 3
-        )
-    ended = spectral_radius(loop, alpha[points], beta[points]) < DECAYED
-    exact = energy_costs(loop, alpha[points], beta[points])["energy_step_w0_discrete"]
-    difference = float(np.abs(energies[0] / exact - 1)[ended].max())
-    return Row("map, python-control (60 points)", other_s, ours_s, 100, difference)
-
-
 @dataclass(frozen=True)
 class Limit:
     """One absolute number: what is reached and what is wanted, as printed, and whether it holds."""
@@ -191,41 +135,29 @@ assert rows == 171, rows
 """
 
 
-def tables_c_as_a_process(quick: bool) -> Limit:
+def tables_c_as_a_process() -> Limit:
     """All 171 rows of Tables C.1 to C.3 in one process."""
     seconds = once(partial(run, [sys.executable, "-c", TABLES_C]))
     return Limit("Tables C.1 to C.3, 171 rows, process", f"{seconds:.1f} s", "60 s", seconds <= 60)
 
 
-def boundary_as_a_process(quick: bool) -> Limit:
+def boundary_as_a_process() -> Limit:
     """The command `theory boundary` with all of its start."""
     command = [sys.executable, "-m", "pipeline", "theory", "boundary", "--delay", "8"]
     seconds = fastest(partial(run, command))
     return Limit("theory boundary --delay 8, process", f"{seconds:.2f} s", "0.6 s", seconds <= 0.6)
 
 
-LIMITS: list[Callable[[bool], Limit]] = [tables_c_as_a_process, boundary_as_a_process]
+LIMITS: list[Callable[[], Limit]] = [tables_c_as_a_process, boundary_as_a_process]
 
 COMPARISONS: list[Callable[[], Row]] = [
     boundary_of_five_delays,
     verdicts_of_a_map,
     map_as_a_process,
-    map_by_python_control,
 ]
 
-SLOW = (map_as_a_process, map_by_python_control, tables_c_as_a_process)
+SLOW = (map_as_a_process, tables_c_as_a_process)
 """Left out of a quick run."""
-
-PACKAGES = {"control": "python-control"}
-"""Packages that are known by another name than that of their module."""
-
-
-def reason(missing: ModuleNotFoundError) -> str:
-    """Say why a row is left out; a missing module of this project is a defect and raised."""
-    name = (missing.name or "").partition(".")[0]
-    if name not in ("control", "mpmath", "scipy"):
-        raise missing
-    return f"left out: {PACKAGES.get(name, name)} not installed"
 
 
 def main() -> None:
@@ -242,11 +174,7 @@ def main() -> None:
     if comparisons:
         print(f"{'comparison':32} {'other [ms]':>11} {'ours [ms]':>11} {'ratio':>8} {'wanted':>8} {'difference':>11}")
     for comparison in comparisons:
-        try:
-            row = comparison()
-        except ModuleNotFoundError as missing:
-            print(f"{comparison.__name__:32} {reason(missing)}", flush=True)
-            continue
+        row = comparison()
         times = f"{1e3 * row.other_s:11.2f} {1e3 * row.ours_s:11.2f} {row.ratio:8.1f} {row.wanted:8.1f}"
         inside = "" if row.inside_s is None else f"  (of ours {1e3 * row.inside_s:.0f} ms inside the process)"
         print(f"{row.name:32} {times} {row.difference:11.1e}{inside}", flush=True)
@@ -255,11 +183,7 @@ def main() -> None:
     if limits:
         print(f"\n{'limit':52} {'wanted':>11}  {'holds':5}  reached")
     for function in limits:
-        try:
-            limit = function(arguments.quick)
-        except ModuleNotFoundError as missing:
-            print(f"{function.__name__:52} {reason(missing)}", flush=True)
-            continue
+        limit = function()
         print(f"{limit.name:52} {limit.wanted:>11}  {'yes' if limit.holds else 'NO':5}  {limit.reached}", flush=True)
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import resource
 import shutil
 import signal
@@ -23,7 +22,6 @@ from typing import Any
 
 from timing import MIB, PIPELINE
 
-RESULTS = Path(__file__).parent / "results"
 LOGS, IDLE_S = 2200, 10.0
 LIMITS = {"idle share [%]": 1.0}
 """Share of one processor that a watch may take while nothing happens."""
@@ -95,13 +93,6 @@ def main() -> None:
         limit = LIMITS.get(name)
         over = "" if limit is None else f"  (limit {limit:g}){' over' if value > limit else ''}"
         print(f"{name:<42} {value:10.4g}{over}")
-    from pipeline import __version__
-
-    RESULTS.mkdir(exist_ok=True)
-    document = {"version": __version__, "python": platform.python_version(), "processors": os.cpu_count()}
-    file = RESULTS / f"watch-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}.json"
-    file.write_text(json.dumps({**document, "rows": rows, "limits": LIMITS}, indent=1) + "\n", encoding="utf-8")
-    print(file)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
@@ -68,6 +69,11 @@ class Source(Record):
     provenance: str = ""
 
     @property
+    def in_file(self) -> bool:
+        """Whether the file has such a column."""
+        return self.name is not None or self.column is not None
+
+    @property
     def key(self) -> str:
         """Name of the column in a `Frame`."""
         return str(self.column) if self.name is None else self.name
@@ -131,7 +137,7 @@ class Fraction(Record):
     """Second part of a time stamp, such as nanoseconds beside seconds; both are whole numbers."""
 
     name: Name
-    unit: Name
+    unit: Literal["s", "ms", "us", "ns"]
 
 
 class TimeSource(Source):
@@ -152,16 +158,12 @@ class TimeSource(Source):
         What becomes of rows with one and the same stamp.
     """
 
+    blanks: Literal["refuse", "skip"] = "refuse"  # a stamp cannot hold on
     kind: Literal["absolute", "steps", "counter", "sampled"] = "absolute"
     wrap: Annotated[Number, Field(gt=0)] | None = None
     fraction: Fraction | None = None
     order: Literal["file", "sort"] = "file"
     duplicates: Literal["refuse", "keep first", "keep last"] = "refuse"
-
-    @property
-    def has_stamps(self) -> bool:
-        """Whether the file has a column of time stamps."""
-        return self.name is not None or self.column is not None
 
 
 class Columns(Record):
@@ -203,86 +205,50 @@ def factor(key: str, source: Source, motion: Motion) -> float:
     return sign * factor_to_si(unit, (quantity_of(key, source, motion),)) / (source.counts_per_unit or 1.0)
 
 
-def column_problems(columns: Columns, motion: Motion, position_allowed: bool) -> list[Problem]:
-    """Return what is missing or wrong in the columns; units are held against the motion of the device."""
-    problems: list[Problem] = []
+def column_problems(columns: Columns, motion: Motion) -> Iterator[Problem]:
+    """Yield what is missing or wrong in the columns; units are held against the motion of the device."""
     for key in ("time", "command", "position"):
         if getattr(columns, key) is None:
-            problems.append((("columns", key), f"missing. Add [columns.{key}] with name and unit"))
+            yield ("columns", key), f"missing. Add [columns.{key}] with name and unit"
     taken: dict[tuple[str, str], str] = {}
     for key, source in columns.sources().items():
-        problems += _source_problems(key, source, motion, position_allowed)
-        if source.name is None and source.column is None:
-            continue
-        other = taken.setdefault((source.file, source.key), key)
+        yield from ((("columns", key, part), words) for part, words in _source_problems(key, source, motion))
+        other = taken.setdefault((source.file, source.key), key) if source.in_file else key
         if other != key:
-            place = "column" if source.name is None else "name"
             text = f"{source.key!r} is columns.{other}, too; expected another column"
             if "velocity" in (key, other) and columns.position is not None and columns.position.integrate:
                 text = f"{source.key!r} is columns.position, which is integrated and kept as velocity. Remove this one"
-            problems.append((("columns", key, place), text))
-    if columns.time is not None:
-        problems += _time_problems(columns.time)
-    return problems
+            yield ("columns", key, "column" if source.name is None else "name"), text
 
 
-def _source_problems(key: str, source: Source, motion: Motion, position_allowed: bool) -> list[Problem]:
-    place = ("columns", key)
-    problems: list[Problem] = []
+def _source_problems(key: str, source: Source, motion: Motion) -> Iterator[tuple[str, str]]:
+    """Yield key and words of what is missing or wrong in one column."""
     sampled = isinstance(source, TimeSource) and source.kind == "sampled"
-    if isinstance(source, ColumnSource) and source.sign is None:
-        text = f"missing; add the line sign = 1 or sign = -1 (-1 where {_NEGATED[key]})"
-        problems.append(((*place, "sign"), text))
-    if source.name is not None and source.column is not None:
-        problems.append(((*place, "column"), "given beside name; expected one of them"))
     stated = isinstance(source, CommandSource) and source.value is not None
+    if isinstance(source, ColumnSource) and source.sign is None:
+        yield "sign", f"missing; add the line sign = 1 or sign = -1 (-1 where {_NEGATED[key]})"
+    if source.name is not None and source.column is not None:
+        yield "column", "given beside name; expected one of them"
     if isinstance(source, CommandSource) and stated == (source.from_row is None and source.from_s is None):
-        problems.append(((*place, "value"), "give value and one of from_row, from_s, or none of them"))
-    if stated and (source.name is not None or source.column is not None):
-        problems.append(((*place, "value"), "given beside the column; expected one of them"))
-    if source.name is None and source.column is None and not sampled and not stated:
+        yield "value", "give value and one of from_row, from_s, or none of them"
+    if stated and source.in_file:
+        yield "value", "given beside the column; expected one of them"
+    if not source.in_file and not sampled and not stated:
         more = " (without such a column: value and from_row, or from_s)" if key == "command" else ""
-        problems.append(((*place, "name"), f'missing. Add name = "<column in the file>" or column = <position>{more}'))
-    if source.column is not None and not position_allowed:
-        problems.append(((*place, "column"), "for delimited text; in other formats columns have names: give name"))
-    if sampled and not (isinstance(source, TimeSource) and source.has_stamps):
-        return problems
+        yield "name", f'missing. Add name = "<column in the file>" or column = <position>{more}'
+    if sampled and not source.in_file:
+        return
     quantity = quantity_of(key, source, motion)
-    example = EXAMPLE_UNITS.get(quantity, "deg/s")
     if source.unit is None:
-        text = f'missing; a unit is never guessed. Add unit = "{example}" with the unit of column {source.key!r}'
-        return [*problems, ((*place, "unit"), text)]
+        example = EXAMPLE_UNITS.get(quantity, "deg/s")
+        yield "unit", f'missing; a unit is never guessed. Add unit = "{example}" with the unit of column {source.key!r}'
+        return
     try:
         factor(key, source, motion)
     except ParameterError as error:
-        at = "stands_for" if getattr(source, "stands_for", None) else "unit"
         hint = "; for counts give counts_per_unit and the unit" if source.unit in ("count", "counts") else ""
         unit = find_unit(source.unit)
         if key == "position" and unit is not None and unit.quantity in QUANTITIES["velocity"].values():
-            hint = (
-                '; a velocity becomes a position with the line integrate = "difference" (of an encoder) or "trapezoid"'
-            )
-        problems.append(((*place, at), f"{error} (motion is {motion}){hint}"))
-    return problems
-
-
-def _time_problems(time: TimeSource) -> list[Problem]:
-    place = ("columns", "time")
-    problems: list[Problem] = []
-    if time.wrap is not None and time.kind != "counter":
-        problems.append(((*place, "wrap"), f'for kind = "counter"; kind is {time.kind!r}'))
-    if time.order == "sort" and time.kind not in ("absolute", "counter"):
-        problems.append(((*place, "order"), f'"sort" needs stamps; kind is {time.kind!r}'))
-    if time.order == "sort" and time.wrap is not None:
-        problems.append(((*place, "order"), '"sort" cannot be told from a wrap of the counter; remove one of both'))
-    if time.blanks == "hold":
-        problems.append(((*place, "blanks"), 'a time stamp cannot hold on; expected "refuse" or "skip"'))
-    if time.fraction is not None:
-        if time.kind not in ("absolute", "counter") or time.wrap is not None or time.counts_per_unit is not None:
-            text = 'for kind "absolute" or "counter" without wrap and counts_per_unit'
-            problems.append(((*place, "fraction"), text))
-        try:
-            factor_to_si(time.fraction.unit, ("time",))
-        except ParameterError as error:
-            problems.append(((*place, "fraction", "unit"), str(error)))
-    return problems
+            hint = '; a velocity becomes a position with integrate = "difference" (of an encoder) or "trapezoid"'
+        at = "stands_for" if getattr(source, "stands_for", None) else "unit"
+        yield at, f"{error} (motion is {motion}){hint}"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import tomllib
+import re
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
@@ -33,8 +34,12 @@ _WORDS = {
     "tuple_type": "Input should be a list in brackets",
     "model_type": "Input should be a table of keys",
     "dict_type": "Input should be a table of keys",
+    "string_pattern_mismatch": "must be part of a file name in the same folder",
 }
 """Kinds of values in the words of TOML, not of Python."""
+
+_STATEMENT = re.compile(r"""\s*(\[{0,2})\s*([\w"'. -]+?)\s*[\]=]""")
+"""Head of a table, or a key."""
 
 _ROUNDS = 5
 """Times a profile is checked again without its mistakes; each round removes what the one before found, and nothing in a
@@ -172,57 +177,32 @@ def _remove(values: dict[str, Any], place: Place) -> None:
 def key_lines(text: str) -> dict[Place, int]:
     """Return the line, counted from 1, on which each key and each table of a TOML text begins.
 
-    A statement may go over several lines: it ends where it is valid TOML on its own.
+    Keys of a table in braces stand on the line of that table.
     """
     lines: dict[Place, int] = {(): 1}
     table: Place = ()
-    waiting: list[str] = []
-    start = 1
-    arrays: dict[Place, int] = {}
+    entries: Counter[Place] = Counter()
+
+    def placed(name: str) -> Place:
+        place: Place = ()
+        for part in name.split("."):
+            place = (*place, part.strip(" \"'"))
+            place = (*place, entries[place] - 1) if place in entries else place
+        return place
+
     for number, line in enumerate(text.splitlines(), start=1):
-        if not waiting and (not line.strip() or line.lstrip().startswith("#")):
+        if (statement := _STATEMENT.match(line)) is None:
             continue
-        if not waiting:
-            start = number
-        waiting.append(line)
-        try:
-            parsed = tomllib.loads("\n".join(waiting))
-        except tomllib.TOMLDecodeError:
-            continue
-        if line.lstrip().startswith("[") and len(waiting) == 1:
-            table = _table(parsed, arrays)
-            found = [table]
-        else:
-            found = [(*table, *place) for place in _places(parsed)]
-        for place in found:
-            # a table that is named in parts only begins with its first part
-            for length in range(1, len(place) + 1):
-                lines.setdefault(place[:length], start)
-        waiting = []
+        brackets, name = statement.groups()
+        if brackets == "[[":
+            above, _, last = name.rpartition(".")
+            entries[(*(placed(above) if above else ()), last.strip(" \"'"))] += 1
+        table = placed(name) if brackets else table
+        place = table if brackets else (*table, *(part.strip(" \"'") for part in name.split(".")))
+        # a table that is named in parts only begins with its first part
+        for length in range(1, len(place) + 1):
+            lines.setdefault(place[:length], number)
     return lines
-
-
-def _table(parsed: Mapping[str, Any], arrays: dict[Place, int]) -> Place:
-    """Return the place of a table header, with the number of its entry in an array of tables."""
-    place: Place = ()
-    here: Any = parsed
-    while here:
-        if isinstance(here, list):
-            arrays[place] = arrays.get(place, -1) + 1
-            place, here = (*place, arrays[place]), here[0]
-            continue
-        key, here = next(iter(here.items()))
-        place = (*place, key)
-        if place in arrays and not isinstance(here, list):
-            place = (*place, arrays[place])
-    return place
-
-
-def _places(values: Any) -> Iterator[Place]:
-    pairs = values.items() if isinstance(values, dict) else enumerate(values) if isinstance(values, list) else ()
-    for key, value in pairs:
-        yield (key,)
-        yield from ((key, *place) for place in _places(value))
 
 
 def _line(lines: Mapping[Place, int], place: Place) -> int:

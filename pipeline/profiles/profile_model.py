@@ -50,7 +50,7 @@ class Partner(Record):
     """Second file of a log, beside the first: its name is the first one's with a text replaced."""
 
     replace: Name
-    by: Name
+    by: Annotated[Name, Field(pattern=r"^[^/\\\x00]+$")]
 
 
 class Conditions(Record):
@@ -93,18 +93,6 @@ class Window(Record):
     from_row: Count | None = None
     to_row: Count | None = None
 
-    def window_problems(self, place: tuple[str | int, ...]) -> list[Problem]:
-        """Return what is wrong in the limits."""
-        problems: list[Problem] = []
-        for low, high in (("from_s", "to_s"), ("from_row", "to_row")):
-            start, end = getattr(self, low), getattr(self, high)
-            if start is not None and end is not None and end <= start:
-                problems.append(((*place, high), f"{end} is not above {low} = {start}"))
-        by_time, by_row = (self.from_s, self.to_s), (self.from_row, self.to_row)
-        if any(v is not None for v in by_time) and any(v is not None for v in by_row):
-            problems.append(((*place, "from_row"), "limits by row stand beside limits by time; expected one of them"))
-        return problems
-
 
 class StepTime(Record):
     """When the step happens: found in the command, or declared by row (from 0), by time [s], or the first row."""
@@ -118,18 +106,17 @@ class StepTime(Record):
         """Whether something is said about the step."""
         return (self.step_row, self.step_time_s, self.step_at) != (None, None, None)
 
-    def step_missing(self, place: tuple[str | int, ...]) -> Problem:
-        """Return what to add where nothing is said about the step."""
-        return (
-            (*place, "step_at"),
-            'missing; add the line step_at = "command edge" (the step is found in the command, and rows before it are '
-            'recorded), step_at = "first row", step_row = <row, counted from 0> or step_time_s = <seconds>',
-        )
-
-    def step_problems(self, place: tuple[str | int, ...]) -> list[Problem]:
-        """Return whether the step is declared twice."""
+    def step_problems(self, place: tuple[str | int, ...] = ()) -> Iterator[Problem]:
+        """Yield whether the step is declared twice."""
         given = [key for key in ("step_row", "step_time_s", "step_at") if getattr(self, key) is not None]
-        return [] if len(given) < 2 else [((*place, given[1]), f"given beside {given[0]}; expected one of them")]
+        if len(given) > 1:
+            yield (*place, given[1]), f"given beside {given[0]}; expected one of them"
+
+
+STEP_MISSING = (
+    'missing; add the line step_at = "command edge" (the step is found in the command, and rows before it are '
+    'recorded), step_at = "first row", step_row = <row, counted from 0> or step_time_s = <seconds>'
+)
 
 
 class FileEntry(Conditions, StepTime):
@@ -215,112 +202,86 @@ class Profile(TextLayout, StepTime):
 
     def _problems(self) -> Iterator[Problem]:
         if self.format == "native":
-            foreign = self.model_fields_set - {"name", "title", "format", "files"}
-            if foreign:
+            if foreign := self.model_fields_set - {"name", "title", "format", "files"}:
                 yield ("format",), f"a native log brings all of {sorted(foreign)}. Remove them, or correct the format"
             return
-        text = self.format == "delimited"
-        if text:
+        given = {key for key in self.model_fields_set if getattr(self, key) is not None}
+        for form, keys in (("delimited", set(TextLayout.model_fields)), ("json", {"records"})):
+            for key in sorted(keys & given) if form != self.format else ():
+                yield (key,), f"for format {form}, found {self.format}. Remove it"
+        if self.format == "delimited":
             yield from self.layout_problems()
-        else:
-            for key in sorted(self.model_fields_set & set(TextLayout.model_fields)):
-                yield (key,), f"for format delimited, found {self.format}. Remove it"
-        if self.records is not None and self.format != "json":
-            yield ("records",), f"for format json, found {self.format}. Remove it"
         if self.columns is None:
             yield ("columns",), "missing. Add [columns.time], [columns.command], [columns.position]"
         else:
-            yield from column_problems(self.columns, self.constants.motion, text)
-        for key, source in self.column_sources().items():
-            if text and not self.header and source.name is not None:
-                yield ("columns", key, "name"), "the table has no names (header is false). Give column = <position>"
-        yield from self._partner_problems()
+            yield from column_problems(self.columns, self.constants.motion)
         yield from self._part_problems()
+        yield from self._undeclared_steps()
         yield from self._condition_problems()
 
-    def _partner_problems(self) -> Iterator[Problem]:
-        if self.partner is None:
-            for key, source in self.column_sources().items():
-                if source.file == "partner":
-                    yield (
-                        ("partner",),
-                        f"missing, but columns.{key} is of the partner. Add [partner] with replace, by",
-                    )
-        elif self.partner.replace in self.partner.by or self.partner.by in self.partner.replace:
-            found = f"found {self.partner.replace!r}, {self.partner.by!r}"
-            yield ("partner", "by"), f"'replace' and 'by' must not contain each other, {found}"
-        elif any(sign in self.partner.by for sign in "/\\\0"):
-            yield ("partner", "by"), f"must be part of a file name in the same folder, found {self.partner.by!r}"
-
     def _part_problems(self) -> Iterator[Problem]:
-        yield from self.step_problems(())
-        yield from self._undeclared_steps()
-        if self.window is not None:
-            yield from self.window.window_problems(("window",))
-        for index, entry in enumerate(self.file):
-            yield from entry.step_problems(("file", index))
-            if entry.window is not None:
-                yield from entry.window.window_problems(("file", index, "window"))
+        """Yield what is wrong in the partner, and in entries of [[file]] and [[steps]]."""
+        partners = [key for key, source in self.column_sources().items() if source.file == "partner"]
+        if self.partner is None and partners:
+            yield ("partner",), f"missing, but columns.{partners[0]} is of the partner. Add [partner] with replace, by"
+        if self.partner and (self.partner.replace in self.partner.by or self.partner.by in self.partner.replace):
+            yield ("partner", "by"), "'replace' and 'by' must not contain each other"
+        yield from self.step_problems()
+        for key, entries in self._entries().items():
+            for index, entry in enumerate(entries):
+                yield from entry.step_problems((key, index))
         labels = [step.label for step in self.steps]
         for index, step in enumerate(self.steps):
-            yield from step.step_problems(("steps", index))
-            yield from step.window_problems(("steps", index))
             if step.sampling_period_s is not None:
-                yield (
-                    ("steps", index, "sampling_period_s"),
-                    "one for the whole file is expected. Move it to [constants]",
-                )
+                words = "one for the whole file is expected. Move it to [constants]"
+                yield ("steps", index, "sampling_period_s"), words
             if labels.index(step.label) != index:
                 yield ("steps", index, "label"), f"{step.label!r} is given twice; expected a name of its own"
-        windows = self.window is not None or any(entry.window for entry in self.file)
-        if self.steps and (self.trial_column is not None or windows):
+        if self.steps and (self.trial_column or self.window or any(entry.window for entry in self.file)):
             yield ("steps",), "given beside trial_column or a window; expected one of them"
 
     def _undeclared_steps(self) -> Iterator[Problem]:
         """Yield where it is not said when the step happens: at the top, or in entries of [[steps]] or [[file]]."""
-        groups = frozenset[str]() if pattern_problem(self.name_pattern) else self.name_groups()
-        varies = "step" in groups | set(self.attributes) | set(self.condition_columns)
-        given = {key for part in (self.constants, *self.file, *self.steps) for key in part.given()}
-        free = given.isdisjoint(FREE) and not varies
-        constant = 0.0 if free else None if varies else self.constants.step
-
-        def silent(entry: FileEntry | StepEntry) -> bool:
-            return not entry.declared and (constant if entry.step is None else entry.step) != 0
-
-        entries: dict[str, tuple[FileEntry | StepEntry, ...]] = {"steps": self.steps, "file": self.file}
-        if self.declared or (constant == 0 and not any(silent(entry) for part in entries.values() for entry in part)):
+        varies = "step" in {*self.name_groups(), *self.attributes, *self.condition_columns}
+        constant = 0.0 if self.conditions().isdisjoint(FREE) else None if varies else self.constants.step
+        silent = {
+            key: [i for i, e in enumerate(part) if not e.declared and (constant if e.step is None else e.step) != 0]
+            for key, part in self._entries().items()
+        }
+        if self.declared or (constant == 0 and not any(silent.values())):
             return
-        told = {key: part for key, part in entries.items() if any(entry.declared for entry in part)}
+        told = [key for key, part in self._entries().items() if any(entry.declared for entry in part)]
         if not told:
-            yield self.step_missing(())
+            yield ("step_at",), STEP_MISSING
         # steps whose file says it need not say it again, nor the other way round
-        elif all(any(silent(entry) for entry in part) for part in told.values()):
-            for key, part in told.items():
-                yield from (self.step_missing((key, index)) for index, entry in enumerate(part) if silent(entry))
+        elif all(silent[key] for key in told):
+            yield from (((key, index, "step_at"), STEP_MISSING) for key in told for index in silent[key])
+
+    def _entries(self) -> dict[str, tuple[FileEntry | StepEntry, ...]]:
+        return {"steps": self.steps, "file": self.file}
+
+    def conditions(self) -> set[str]:
+        """Return the conditions that anything gives."""
+        tables = {key for table in (self.constants, *self.file, *self.steps) for key in table.given()}
+        return tables | {*self.name_groups(), *self.attributes, *self.condition_columns}
 
     def _condition_problems(self) -> Iterator[Problem]:
-        for key, quantities in CONDITION_QUANTITIES.items():
-            if (unit := getattr(self.units, key)) is None:
-                continue
+        for key in CONDITION_QUANTITIES:
             try:
-                factor_to_si(unit, (quantities[self.constants.motion],))
+                self.condition_factor(key)
             except ParameterError as error:
                 yield ("units", key), f"{error} (motion is {self.constants.motion})"
         problem = pattern_problem(self.name_pattern)
         if problem is None and self.name_pattern is not None and not self.name_groups():
-            problem = (
-                "has no named group, so that it gives no condition. Write (?P<stiffness>[0-9.]+) in place of (...)"
-            )
+            problem = "has no named group, so that it gives no condition. Write (?P<stiffness>[0-9.]+) for (...)"
+        if unknown := sorted(self.name_groups() - set(CONDITIONS)):
+            problem = f"unknown groups {unknown}; known are {list(CONDITIONS)}"
         if problem:
             yield ("name_pattern",), problem
-        groups = frozenset[str]() if problem else self.name_groups()
-        if unknown := sorted(groups - set(CONDITIONS)):
-            yield ("name_pattern",), f"unknown groups {unknown}; known are {list(CONDITIONS)}"
-        everywhere = groups | set(self.attributes) | set(self.condition_columns) | set(self.constants.given())
-        everywhere |= {key for entry in (*self.file, *self.steps) for key in entry.given()}
+        given = self.conditions()
         for key in REQUIRED_CONDITIONS:
             # a log of motion without wall and step leaves out all that speaks of them
-            if key not in everywhere and not (key in FREE and everywhere.isdisjoint(FREE)):
+            if key not in given and not (key in FREE and given.isdisjoint(FREE)):
                 line = f"{key} = {_EXAMPLES.get(key, '<number>')}"
                 others = "or give it by name_pattern, attributes, condition_columns, [[file]] or [[steps]]"
                 yield ("constants", key), f"missing. Add {line} to [constants], {others}"
@@ -332,7 +293,7 @@ class Profile(TextLayout, StepTime):
 
     def name_groups(self) -> frozenset[str]:
         """Return the conditions that the file name gives."""
-        return group_names(self.name_pattern or "")
+        return frozenset() if pattern_problem(self.name_pattern) else group_names(self.name_pattern or "")
 
     def column_sources(self) -> dict[str, Source]:
         """Return the columns by SI name: time, command, position, and what else there is."""
@@ -343,7 +304,7 @@ class Profile(TextLayout, StepTime):
         found = {
             f"columns.{key}": source.key
             for key, source in self.column_sources().items()
-            if source.file == file and (source.name is not None or source.column is not None)
+            if source.file == file and source.in_file
         }
         time = self.columns.time if self.columns else None
         if time is not None and time.fraction is not None and time.file == file:

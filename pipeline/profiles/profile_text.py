@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -72,24 +73,14 @@ class TextLayout(Record):
         """Decimal sign of numbers in texts; a point in formats that keep numbers as such, where none is stated."""
         return self.decimal or "."
 
-    def layout_problems(self) -> list[Problem]:
-        """Return what does not fit together in the layout."""
-        problems: list[Problem] = []
+    def layout_problems(self) -> Iterator[Problem]:
+        """Yield what does not fit together in the layout."""
         if len(self.delimiter) != 1 and self.delimiter != BLANKS:
-            found = f"found {self.delimiter!r}"
-            problems.append((("delimiter",), f"expected one character or {BLANKS!r}, {found}"))
+            yield ("delimiter",), f"expected one character or {BLANKS!r}, found {self.delimiter!r}"
         if self.decimal is None:
-            problems.append(
-                (("decimal",), """missing; add the line decimal = "." or decimal = ",", as the file has it""")
-            )
+            yield ("decimal",), """missing; add the line decimal = "." or decimal = ",", as the file has it"""
         if self.delimiter == self.decimal:
-            problems.append((("decimal",), f"{self.decimal!r} as the delimiter is; expected different characters"))
+            yield ("decimal",), f"{self.decimal!r} as the delimiter is; expected different characters"
         for key in ("header_after", "header_at"):
-            problem = pattern_problem(getattr(self, key))
-            if problem:
-                problems.append(((key,), problem))
-        if self.header_after is not None and self.header_at is not None:
-            problems.append((("header_at",), "given beside header_after; expected one of them"))
-        if self.unit_line and not self.header:
-            problems.append((("unit_line",), "there is no line of column names above it (header is false)"))
-        return problems
+            if problem := pattern_problem(getattr(self, key)):
+                yield (key,), problem

@@ -20,6 +20,9 @@ from pipeline.readers.refusals import refusal
 from pipeline.records.batch import Integers
 from pipeline.records.native import FREE, NativeHeader, parse_header
 
+Part = tuple[FileEntry | None, StepEntry | None]
+"""What a profile says of a file, and of a step in it."""
+
 _QUANTITY = re.compile(r"([^\s\[\]()]+)\s*[\[(]?\s*([^\d\s\[\]()][^\[\]()]*?)?\s*[\])]?")
 """A number and, behind it, a unit, which may stand in brackets."""
 
@@ -35,31 +38,52 @@ def entry_of(profile: Profile, name: str) -> FileEntry | None:
     entries = [entry for entry in profile.file if fnmatchcase(name.lower(), entry.match.lower())]
     if len(entries) > 1:
         found = f"fits {len(entries)} entries [[file]] of profile {profile.name}, match = {[e.match for e in entries]}"
-        raise refusal("profile-wrong", name, found, "one", "Narrow the patterns.")
+        raise refusal("profile-wrong", name, found, "one")
     return entries[0] if entries else None
+
+
+def statements(profile: Profile, name: str, part: Part) -> dict[str, tuple[str, Any]]:
+    """Return the place of the profile that gives each condition of a trial, and its value; None where the file has it.
+
+    The most special place counts: that of the step, of the file, then columns, attributes, the file name, constants.
+
+    Raises
+    ------
+    LogError
+        If the file name does not fit the profile.
+    """
+    entry, step = part
+    found = {key: ("constants", value) for key, value in profile.constants.given().items()}
+    found |= {key: ("name_pattern", value) for key, value in _of_name(profile, name).items()}
+    found |= {key: (f"attributes: {attribute!r}", None) for key, attribute in profile.attributes.items()}
+    found |= {key: (f"condition_columns: {column!r}", None) for key, column in profile.condition_columns.items()}
+    if entry is not None:
+        found |= {key: (f"file, match = {entry.match!r}", value) for key, value in entry.given().items()}
+    if step is not None:
+        found |= {key: (f"steps, label = {step.label!r}", value) for key, value in step.given().items()}
+    return found
 
 
 def conditions_of(
     profile: Profile,
-    name: str,
-    where: str,
+    names: tuple[str, str],
     frame: Frame,
     rows: Integers,
-    special: Mapping[str, Any],
+    part: Part,
     required: Sequence[str] = REQUIRED_CONDITIONS,
 ) -> dict[str, Any]:
-    """Return the conditions of a trial in SI, from the most special place that gives each.
+    """Return the conditions of a trial in SI.
 
     Parameters
     ----------
     profile : Profile
-    name, where : str
+    names : tuple of str
         File name; and file with trial, for messages.
     frame : Frame
     rows : int64
         Rows of the trial, for conditions that stand in a column.
-    special : mapping
-        What holds for this file or step and goes before all else.
+    part : FileEntry or None, StepEntry or None
+        What the profile says of the file and of the step.
     required : sequence of str
         Conditions without which the trial is refused.
 
@@ -69,57 +93,25 @@ def conditions_of(
         If the file name, an attribute or a column does not give what the profile takes from it, or a condition is
         missing.
     """
-    given: dict[str, Any] = dict(profile.constants.given()) | _of_name(profile, name)
-    for key, attribute in profile.attributes.items():
-        if key in special or key in profile.condition_columns:
-            continue
-        if attribute not in frame.attributes:
-            found = (
-                f"has no attribute {attribute!r}, which profile {profile.name} takes the {key} from (attributes.{key}"
-            )
-            raise refusal("condition-missing", where, f"{found}); found {sorted(frame.attributes)[:40]}")
-        given[key] = frame.attributes[attribute]
-    for key, column in profile.condition_columns.items():
-        if key not in special:
-            given[key] = _of_column(where, frame, rows, key, column)
-    given |= special
-    if not any(key in given for key in FREE):
+    name, where = names
+    given: dict[str, Any] = {}
+    columns, attributes = dict[str, str](**profile.condition_columns), dict[str, str](**profile.attributes)
+    for key, (_, value) in statements(profile, name, part).items():
+        inside = value is None
+        if inside and key in columns:
+            value = _of_column(where, frame, rows, key, columns[key])
+        elif inside and (value := frame.attributes.get(attributes[key])) is None:
+            found = f"has no attribute {attributes[key]!r} (the {key}); found {sorted(frame.attributes)[:40]}"
+            raise refusal("condition-missing", where, found)
+        given[key] = _in_si(profile, where, key, value, inside)
+    if given.keys().isdisjoint(FREE):
         given |= dict.fromkeys(FREE, 0.0)
     for condition in required:
         if condition not in given:
             line = f'[[file]]\nmatch = "{name}"\n{condition} = <value>'
             found = f"profile {profile.name} does not give the {condition} of this file"
-            raise refusal("condition-missing", where, found, cure=f"Add to it:\n{line}", line=line)
-    # names of files have points also where the numbers in them have commas
-    inside = (set(profile.attributes) | set(profile.condition_columns)) - set(special)
-    return {key: _in_si(profile, where, key, value, key in inside) for key, value in given.items()}
-
-
-def places_of(profile: Profile, name: str, entry: FileEntry | None, step: StepEntry | None) -> dict[str, str]:
-    """Return the key of the profile that gives each condition of a trial, in the order of `conditions_of`.
-
-    Parameters
-    ----------
-    profile : Profile
-    name : str
-        File name.
-    entry, step : FileEntry, StepEntry, optional
-        What the profile says of the file and of the step.
-
-    Raises
-    ------
-    LogError
-        If the file name does not fit the profile.
-    """
-    places = dict.fromkeys(profile.constants.given(), "constants")
-    places |= dict.fromkeys(_of_name(profile, name), "name_pattern")
-    places |= {key: f"attributes: {attribute!r}" for key, attribute in profile.attributes.items()}
-    places |= {key: f"condition_columns: {column!r}" for key, column in profile.condition_columns.items()}
-    if entry is not None:
-        places |= dict.fromkeys(entry.given(), f"file, match = {entry.match!r}")
-    if step is not None:
-        places |= dict.fromkeys(step.given(), f"steps, label = {step.label!r}")
-    return places
+            raise refusal("condition-missing", where, found, line=line)
+    return given
 
 
 def header_of(profile: Profile, where: str, given: Mapping[str, Any], extra: dict[str, str]) -> NativeHeader:
@@ -138,9 +130,8 @@ def header_of(profile: Profile, where: str, given: Mapping[str, Any], extra: dic
         # the row is that of the lines made here, which the file does not have
         raise LogError(reason, code=error.code) from error
     if (header.device, header.experiment) != (str(given["device"]), str(given["experiment"])):
-        found = f"device {given['device']!r} or experiment {given['experiment']!r} would be stored as "
-        found += f"{header.device!r}, {header.experiment!r}"
-        raise refusal("condition-wrong", where, found, cure="Choose names without brackets.")
+        found = f"device {given['device']!r} or experiment {given['experiment']!r} has a part in brackets"
+        raise refusal("condition-wrong", where, found, "names without brackets")
     return replace(header, extra=extra)
 
 
@@ -150,7 +141,7 @@ def _of_name(profile: Profile, name: str) -> dict[str, str]:
     found = find_groups(profile.name_pattern, name)
     if found is None:
         text = f"file name {name!r} does not fit name_pattern {profile.name_pattern!r} of {profile.name}"
-        raise refusal("profile-wrong", "", text, cure="Rename the file or correct the profile.")
+        raise refusal("profile-wrong", "", text)
     return found
 
 
@@ -162,8 +153,7 @@ def _of_column(where: str, frame: Frame, rows: Integers, key: str, column: str) 
     if other.any():
         at = int(np.argmax(other))
         found = f"column {column!r} gives the {key} and changes from {values[0]} to {values[at]}"
-        cure = "Give trial_column to tell trials apart, or correct condition_columns."
-        raise refusal("condition-wrong", where, found, "one value for a trial", cure, int(frame.row[rows[at]]))
+        raise refusal("condition-wrong", where, found, "one value for a trial", row=int(frame.row[rows[at]]))
     value: Scalar = values[0].item()
     return value
 
@@ -185,8 +175,7 @@ def _in_si(profile: Profile, where: str, key: str, value: Scalar, inside: bool =
     number, unit = match.groups() if match else (text, None)
     if inside and profile.decimal_sign == "," and "." in number:
         found = f"the {key} is {text[:200]!r}, but the decimal sign is ',': the point may part thousands"
-        cure = "Write the number with a comma, or give the condition elsewhere (name_pattern, [[file]], [constants])."
-        raise refusal("condition-wrong", where, found, cure=cure)
+        raise refusal("condition-wrong", where, found)
     try:
         magnitude = float(number.replace(profile.decimal_sign, ".").replace("_", "?"))
     except ValueError:
@@ -198,8 +187,7 @@ def _in_si(profile: Profile, where: str, key: str, value: Scalar, inside: bool =
         except ParameterError as error:
             raise refusal("condition-wrong", where, f"the {key} is {text[:200]!r}: {error}") from error
         if getattr(profile.units, key) is not None and stated != factor:
-            found = f"the {key} is {text[:200]!r}, but units.{key} of profile {profile.name} is "
-            found += repr(getattr(profile.units, key))
-            raise refusal("condition-wrong", where, found, cure="Correct one of both.")
+            found = f"the {key} is {text[:200]!r}, but units.{key} is {getattr(profile.units, key)!r}"
+            raise refusal("condition-wrong", where, found)
         factor = stated
     return magnitude * factor

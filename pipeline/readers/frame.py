@@ -193,6 +193,12 @@ class Contents:
         if isinstance(value, str | int | float):
             self.attributes[key] = value[:LONGEST_ATTRIBUTE] if isinstance(value, str) else value
 
+    def cut_row(self, text: str, row: int) -> None:
+        """Say that the last row is cut and left out, and keep it verbatim."""
+        self.note("cut_last_row", text)
+        said = f"last row is cut: {text[:200]!r} (line {row}) was left out and is kept verbatim"
+        self.warnings.append(said)
+
     def lacks(self) -> bool:
         """Return whether a wanted column is not there."""
         try:

@@ -30,7 +30,6 @@ from pipeline.readers.limits import (
     EXPANSION,
     GRACE_SECONDS,
     LARGEST_LOG,
-    MEMORY,
     SLACK,
     SMALL_FILE,
     WALL_FACTOR,
@@ -110,7 +109,6 @@ def allowed_bytes(size: int) -> int:
 def serve() -> None:
     """Work on calls from standard input; the main loop of a worker process, which ends when its parent does."""
     begin_alone()
-    _bound_memory()
     pipe, results = sys.stdin.fileno(), os.fdopen(os.dup(1), "wb")
     # whatever a library prints must not get between the results
     os.dup2(2, 1)
@@ -180,14 +178,6 @@ def _alarm(seconds: float) -> None:
         signal.setitimer(signal.ITIMER_PROF, seconds)
 
 
-def _bound_memory() -> None:
-    with contextlib.suppress(ImportError, OSError, ValueError):
-        resource = import_module("resource")
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
-        # a crash is expected here and its image of no use
-        resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
-
-
 @contextlib.contextmanager
 def memory_for(claimed: int) -> Iterator[None]:
     """Let a library take no more memory than what it says that it will unpack needs; only on Linux, in a worker.
@@ -205,8 +195,7 @@ def memory_for(claimed: int) -> Iterator[None]:
         yield
         return
     most = pages * resource.getpagesize() + COPIES * claimed + SLACK
-    # the process that asks workers has no limit, and gets none
-    resource.setrlimit(resource.RLIMIT_AS, (soft if soft == resource.RLIM_INFINITY else min(most, soft), hard))
+    resource.setrlimit(resource.RLIMIT_AS, (most if soft == resource.RLIM_INFINITY else min(most, soft), hard))
     try:
         yield
     finally:

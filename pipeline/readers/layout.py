@@ -15,6 +15,7 @@ from pipeline.profiles.profile_model import Format
 from pipeline.profiles.profile_text import BLANKS, TextLayout
 from pipeline.readers.formats import FORMATS, HDF5
 from pipeline.readers.formats.delimited import plain_text
+from pipeline.readers.refusals import refusal
 
 PROBE_LINES = 400
 """Lines that are looked at: banners have some dozens, and a table shows its form in a hundred rows."""
@@ -150,17 +151,13 @@ def _table(lines: list[str], name: str) -> tuple[str, list[int]]:
     if len(best[1]) < FEWEST_ROWS:
         alone = sum(_is_number(line.strip().rstrip(";,").strip()) for line in lines)
         if alone >= FEWEST_ROWS:
-            raise LogError(
-                f"{name}: has one column of numbers ({alone} of the first {len(lines)} lines); a log needs the command "
-                "and the position, or the velocity, in each row. Export them together, or write a profile with "
-                "[partner] for a file each.",
-                code="column-missing",
+            found = (
+                f"has one column of numbers ({alone} of the first {len(lines)} lines); a log needs the command and the"
             )
-        raise LogError(
-            f"{name}: no table of numbers was found among the first {len(lines)} lines. Expected rows of the same "
-            "number of cells, parted by semicolons, tabs, commas or blanks. Export other formats as CSV.",
-            code="header-missing",
-        )
+            found += " position, or the velocity, in each row"
+            raise refusal("column-missing", name, found, cure="Export them together, or describe them by [partner].")
+        found, expected = f"no table of numbers was found among the first {len(lines)} lines", "rows of as many cells"
+        raise refusal("header-missing", name, found, expected, "Export other formats as CSV.")
     return best
 
 
@@ -171,18 +168,12 @@ def _decimal(cells: list[str], delimiter: str, layout: Layout) -> None:
         return
     numbers = [cell for cell in cells if _is_number(cell)]
     points, commas = [n for n in numbers if "." in n], [n for n in numbers if "," in n]
-    if points and commas:
-        shown = f"{points[0]!r} and {commas[0]!r}"
-        layout.questions["decimal"] = f'the table has {shown}. Which is the decimal sign, "." or ","?'
-    elif (points or commas) and all(_GROUPED.fullmatch(number) for number in points or commas):
-        shown = repr((points or commas)[0])
-        layout.questions["decimal"] = f'is the sign in {shown} decimal ("." or ","), or does it part thousands?'
-    elif points or commas:
+    seen = points[:1] + commas[:1]
+    if len(seen) == 1 and not all(_GROUPED.fullmatch(number) for number in points or commas):
         layout.keys["decimal"] = "." if points else ","
-    else:
-        layout.questions["decimal"] = (
-            'the first rows have whole numbers only. Which decimal sign do its logs have: "." or ","?'
-        )
+        return
+    shown = f"the table has {' and '.join(map(repr, seen))}" if seen else "the first rows have whole numbers only"
+    layout.questions["decimal"] = f'{shown}. Which is the decimal sign of its logs, "." or ","?'
 
 
 def _head(above: list[str], width: int, delimiter: str, layout: Layout) -> None:

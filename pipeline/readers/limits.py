@@ -20,9 +20,6 @@ EXPANSION = 30
 COPIES = 3
 """Times that reading may hold what its file may unpack to, and the file itself: as read, as numbers, as columns."""
 
-MEMORY = 4 << 30
-"""Address space of a worker [byte]: file, unpacked arrays, their columns and the libraries themselves."""
-
 SLACK = 32 << 20
 """Memory that a library takes for itself [byte]: caches, buffers, pieces that its allocator asks for."""
 
@@ -58,9 +55,6 @@ LISTED_ELEMENTS = 64
 
 LISTED_NAMES = 40
 """Names that a message lists."""
-
-DEEPEST = 32
-"""Lists and objects inside each other: what robots log has two to five."""
 
 EXACT = 1 << 53
 """Whole numbers up to this one are floats without loss."""

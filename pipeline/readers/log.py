@@ -16,6 +16,8 @@ GAP = 30.0
 """Distance of a reading from the middle of its log, relative to the farthest of all nearer ones and to their range,
 from which on no motion gives it: an unstable loop that grows tenfold a sample leaves gaps of ten."""
 
+_LARGE = "Does it mean a missing value (then declare it by `sentinels`), or is the unit another? Else repair the row."
+
 OUTSIDE = 20
 """Part of the readings (a twentieth) at either end that their range leaves out: a few bad ones do not move it."""
 
@@ -114,12 +116,8 @@ def check_samples(
             raise refusal("not-finite", "", f"{name} is {values[at]}", "a finite number", row=place(at))
         if (beyond := np.abs(values) > LARGEST.get(name, np.inf)).any():
             at = int(np.argmax(beyond))
-            cure = (
-                "Is it a sign of a missing value (then declare it by `sentinels`), or is the unit another? Repair the "
-                "row, or leave this log out."
-            )
             expected = f"at most {LARGEST[name]:g} [SI], no reading is larger"
-            raise refusal("out-of-range", "", f"{name} is {values[at]:.6g}", expected, cure, place(at))
+            raise refusal("out-of-range", "", f"{name} is {values[at]:.6g}", expected, _LARGE, place(at))
     for name in ("stiffness", "damping", "step"):
         if abs(value := getattr(header, name)) > LARGEST_CONDITION:
             expected = f"at most {LARGEST_CONDITION:g} [SI]"
@@ -138,11 +136,8 @@ def check_samples(
     pause = np.diff(time)
     if pause.max() > LONGEST_PAUSE * header.sampling_period_s:
         at = int(np.argmax(pause)) + 1
-        found = (
-            f"time is {time[at]:.9g} s after {time[at - 1]:.9g} s, more than {LONGEST_PAUSE:g} sampling periods later"
-        )
-        cure = "One response has no such pause. Repair the row, or leave this log out."
-        raise refusal("time-wrong", "", found, cure=cure, row=place(at))
+        found = f"time is {time[at]:.9g} s after {time[at - 1]:.9g} s, a pause of {LONGEST_PAUSE:g} sampling periods"
+        raise refusal("time-wrong", "", f"{found} and more, which one response has not", row=place(at))
     _check_period(header.sampling_period_s, float(time[0]), float(time[-1]), place(0))
     return Log(header, time, command, position, force, velocity)
 
@@ -173,6 +168,5 @@ def _check_period(period: float, first: float, last: float, row: int | None) -> 
     span = last - first  # infinite where it has no number
     countable = span <= MOST_PERIODS * period and period <= MOST_PERIODS * span
     if not countable or max(abs(first), abs(last), period) > LONGEST_S:
-        found = f"time runs from {first:.9g} s to {last:.9g} s, which is not to be counted in sampling periods of "
-        cure = "Correct sampling_period_s, or the time of the first or last row."
-        raise refusal("time-wrong", "", f"{found}{period:.9g} s", cure=cure, row=row)
+        found = f"time from {first:.9g} s to {last:.9g} s is not to be counted in sampling periods of {period:.9g} s"
+        raise refusal("time-wrong", "", found, row=row)

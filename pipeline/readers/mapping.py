@@ -17,7 +17,7 @@ from pipeline.base.errors import LogError, ProfileError
 from pipeline.base.file_names import storable
 from pipeline.base.units import factor_to_si
 from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, CommandSource, PositionSource
-from pipeline.profiles.profile_model import REQUIRED_CONDITIONS, Profile, StepTime, Window
+from pipeline.profiles.profile_model import REQUIRED_CONDITIONS, STEP_MISSING, Profile, StepTime, Window
 from pipeline.readers.conditions import conditions_of, entry_of, header_of
 from pipeline.readers.file_kind import refuse_other_kind
 from pipeline.readers.formats.files import read_file
@@ -108,9 +108,8 @@ def _check_units(profile: Profile, name: str, role: str, frame: Frame) -> None:
         stated = factor_to_si(source.unit, tuple(QUANTITIES[key].values())) / (source.counts_per_unit or 1.0)
         if not isclose(stated, factor_to_si(typed, ("time",))):
             line = f'[columns.{key}]\nunit = "{typed}"'
-            found = f"{source.key!r} holds times, which are read in {typed}; profile {profile.name} says unit = "
-            cure = f'Write unit = "{typed}", whatever the file shows.'
-            raise refusal("profile-wrong", name, f"{found}{source.unit!r} for columns.{key}", cure=cure, line=line)
+            found = f"{source.key!r} holds times, which are read in {typed}; columns.{key}.unit is {source.unit!r}"
+            raise refusal("profile-wrong", name, found, line=line)
 
 
 def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Frame]) -> list[Log]:
@@ -133,12 +132,10 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Frame]) -> 
     for other, other_name in zip(frames[1:], names[1:], strict=False):
         if len(other) != len(frame):
             row = frame.row if len(frame) > len(other) else other.row
-            found = f"the files {' and '.join(names)} have different numbers of rows ({len(frame)} in {name}, "
-            found += f"{len(other)} in {other_name})"
+            found = f"the files have different numbers of rows ({len(frame)} in {name}, {len(other)} in {other_name})"
             at, cure = int(row[min(len(frame), len(other))]), "Were they recorded together?"
-            raise refusal("lengths-differ", "", found, "the same, row for row", cure, at)
+            raise refusal("lengths-differ", "", found, cure=cure, row=at)
     entry = entry_of(profile, name)
-    special = entry.given() if entry else {}
     step: StepTime = entry if entry is not None and entry.declared else profile
     window = entry.window if entry is not None and entry.window is not None else profile.window
     logs = []
@@ -146,15 +143,14 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Frame]) -> 
         where = name if label is None else f"{name}, trial {label!r}"
         # what several steps differ in is asked for step by step
         required = ("sampling_period_s",) if profile.steps else REQUIRED_CONDITIONS
-        given = conditions_of(profile, name, where, frame, index, special, required)
+        given = conditions_of(profile, (name, where), frame, index, (entry, None), required)
         rows = rows_of(profile, where, names, frames, index, _period(where, given))
         if not profile.steps:
             log = _log(profile, where, frame, rows, given, step, window, label)
             logs += _steps_of(log) if step.step_at == "command edge" else [log]
         for part in profile.steps:
-            special_part = special | part.given()
             place = f"{where}, step {part.label!r}"
-            of_part = conditions_of(profile, name, place, frame, index, special_part)
+            of_part = conditions_of(profile, (name, place), frame, index, (entry, part))
             logs.append(_log(profile, place, frame, rows, of_part, part if part.declared else step, part, part.label))
     return logs
 
@@ -200,10 +196,8 @@ def _trials(profile: Profile, name: str, frame: Frame) -> Iterator[tuple[str | N
     values = frame.columns[profile.trial_column]
     blank = np.isnan(values) if values.dtype.kind == "f" else np.char.strip(values.astype(np.str_)) == ""
     if blank.any():
-        found = f"column {profile.trial_column!r} (trial_column) is blank"
-        cure = "Fill it in, or correct trial_column."
-        row = int(frame.row[int(np.argmax(blank))])
-        raise refusal("no-value", name, found, "the label of the trial in each row", cure, row)
+        found, row = f"column {profile.trial_column!r} (trial_column) is blank", int(frame.row[int(np.argmax(blank))])
+        raise refusal("no-value", name, found, "the label of the trial in each row", row=row)
     labels, first, which = np.unique(values, return_index=True, return_inverse=True)
     order = np.argsort(which, kind="stable")
     parts = np.split(order, np.cumsum(np.bincount(which))[:-1])
@@ -226,19 +220,15 @@ def _log(
     """Return the part of a trial inside a window as a log."""
     if not step.declared and given["step"] != 0:
         found = f"profile {profile.name} does not say when the step of this file happens"
-        cure = 'Add to it step_at = "command edge" (found in the command), step_at = "first row", step_row = <row, '
-        cure += "counted from 0> or step_time_s = <seconds>: at the top, or in the [[file]] or [[steps]] that fits."
+        cure = f"At the top, or in the [[file]] or [[steps]] that fits: {STEP_MISSING}."
         raise refusal("condition-missing", where, found, cure=cure, line='step_at = "command edge"')
     period = _period(where, given)
     inside = slice(None) if window is None else _inside(window, rows, period)
     time, number, row = rows.time[inside], rows.number[inside], rows.row[inside]
     if len(time) < 2:
-        limits = "" if window is None else " inside its window"
-        remedy = "Was the recording cut off? Record it again" if window is None else "Correct the window in the profile"
-        limits += f", of {_span(rows.time)}" if window is not None and len(rows.time) else ""
+        limits = "" if window is None else f" inside its window, of {_span(rows.time)}"
         at = int(frame.row[0]) if len(frame) else None
-        found, remedy = f"has {len(time)} samples{limits}", f"{remedy}, or leave this log out."
-        raise refusal("too-short", where, found, "at least 2", remedy, at)
+        raise refusal("too-short", where, f"has {len(time)} samples{limits}", "at least 2", row=at)
     factors = profile.factors()
     columns = {key: values[inside] * factors[key] for key, values in rows.columns.items()}
     command = profile.column_sources()["command"]
@@ -273,10 +263,7 @@ def _integral(where: str, rule: str, time: Floats, velocity: Floats, row: Intege
     steps = np.diff(time)
     if (lost := steps > LONGEST_STEP * period).any():
         at = int(np.argmax(lost)) + 1
-        found = f"rows are missing before {time[at]:.9g} s ({steps[at - 1]:.3g} s after the row before; the sampling "
-        found += (
-            f"period is {period:.3g} s), so that the position, the integral of a velocity, is not known from there on"
-        )
+        found = f"rows are missing before {time[at]:.9g} s, so that the integral of the velocity is not known"
         raise refusal("time-wrong", where, found, cure="Cut the log by a window, or leave it out.", row=int(row[at]))
     mean = velocity[1:] if rule == "difference" else 0.5 * (velocity[1:] + velocity[:-1])
     return np.concatenate([[0.0], np.cumsum(mean * steps)])
@@ -294,21 +281,16 @@ def _other_pace(time: Floats, period: float) -> list[str]:
 
 
 def _span(time: Floats) -> str:
-    return f"{len(time)} from {time[0]:.9g} s to {time[-1]:.9g} s"
+    return f"{len(time)} from {time[0]:.9g} s to {time[-1]:.9g} s" if len(time) else "none"
 
 
 def _inside(window: Window, rows: Rows, period: float) -> Booleans:
     """Return which rows lie inside, both ends included."""
-    slack = WINDOW_TOLERANCE * period
     inside = np.ones(len(rows.time), dtype=np.bool_)
-    if window.from_s is not None:
-        inside &= rows.time >= window.from_s - slack
-    if window.to_s is not None:
-        inside &= rows.time <= window.to_s + slack
-    if window.from_row is not None:
-        inside &= rows.number >= window.from_row
-    if window.to_row is not None:
-        inside &= rows.number <= window.to_row
+    by_time, by_row = (window.from_s, window.to_s), (window.from_row, window.to_row)
+    for values, (low, high), slack in ((rows.time, by_time, WINDOW_TOLERANCE * period), (rows.number, by_row, 0.0)):
+        inside &= values >= (-np.inf if low is None else low - slack)
+        inside &= values <= (np.inf if high is None else high + slack)
     return inside
 
 
@@ -316,20 +298,18 @@ def _step_row(where: str, step: StepTime, time: Floats, number: Integers, row: I
     """Return the declared row of the step among the stored ones, or None where it is to be found in the command."""
     if step.step_at == "first row":
         return 0
+    slack = WINDOW_TOLERANCE * period
     if step.step_row is not None:
-        found = np.flatnonzero(number == step.step_row)
-        if not len(found):
-            text = f"step_row is {step.step_row}, which is not among the {len(time)} samples (rows {number[0]} to "
-            text += f"{number[-1]}, counted from 0, without those left out)"
-            raise refusal("profile-wrong", where, text, cure="Correct it, or the window.", row=int(row[0]))
-        return int(found[0])
-    if step.step_time_s is not None:
-        slack = WINDOW_TOLERANCE * period
-        if not time[0] - slack <= step.step_time_s <= time[-1] + slack:
-            text = f"step_time_s is {step.step_time_s:g}, outside the samples ({time[0]:.9g} to {time[-1]:.9g} s)"
-            raise refusal("profile-wrong", where, text, cure="Correct it, or the window.", row=int(row[0]))
-        return int(np.searchsorted(time, step.step_time_s - slack))
-    return None
+        found, text = np.flatnonzero(number == step.step_row), f"step_row = {step.step_row}"
+    elif step.step_time_s is not None:
+        begun = (time >= step.step_time_s - slack) & (time[0] - slack <= step.step_time_s)
+        found, text = np.flatnonzero(begun), f"step_time_s = {step.step_time_s:g}"
+    else:
+        return None
+    if not len(found):
+        text += f" is not among the samples, {_span(time)} rows {number[0]} to {number[-1]} counted from 0"
+        raise refusal("profile-wrong", where, text, cure="Correct it, or the window.", row=int(row[0]))
+    return int(found[0])
 
 
 def _extra(profile: Profile, frame: Frame, step_row: int | None) -> dict[str, str]:

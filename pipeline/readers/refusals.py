@@ -7,6 +7,7 @@ from pipeline.base.errors import Code, LogError
 CURES: dict[Code, str] = {
     "empty": "Record the log again.",
     "too-short": "Was the recording cut off? Record it again.",
+    "encoding": 'Save it as UTF-8, or state its encoding in the profile, such as encoding = "latin-1".',
     "header-missing": "Correct the layout in the profile, or export the file again.",
     "column-missing": "Correct the name in the profile, or the file.",
     "row-length": "Repair the row, or leave this log out.",
@@ -50,8 +51,9 @@ def refusal(
     row : int, optional
         Row of the file, counted from 1.
     line : str
-        Line of a profile by which the log might be read.
+        Line (or lines) of a profile by which the log might be read; the message ends with it.
     """
     text = f"{where}: {found}" if where else found
     text += f"; expected {expected}." if expected else "" if text.endswith((".", "?")) else "."
-    return LogError(f"{text} {cure or CURES[code]}", row, code=code, profile_line=line or None)
+    helps = f" This might help in the profile: {'; '.join(line.splitlines())}" if line else ""
+    return LogError(f"{text} {cure or CURES[code]}{helps}", row, code=code, profile_line=line or None)

@@ -18,7 +18,7 @@ from pipeline.base.errors import LogError
 from pipeline.profiles.profile_columns import Source, TimeSource
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.frame import Frame
-from pipeline.readers.refusals import CURES, refusal
+from pipeline.readers.refusals import refusal
 from pipeline.readers.time_axis import distinct, in_order, read_stamps
 from pipeline.records.batch import Booleans, Floats, Integers
 
@@ -72,10 +72,6 @@ class _Column:
     values: NDArray[Any]
     missing: Booleans
 
-    @property
-    def name(self) -> str:
-        return f"column {self.source.key!r}"
-
 
 def rows_of(
     profile: Profile, where: str, names: Sequence[str], frames: Sequence[Frame], index: Integers, period: float
@@ -112,7 +108,7 @@ def rows_of(
             keep &= ~column.missing
     for key, column in everything.items():
         if column.source.blanks == "refuse" and (column.missing & keep).any():
-            raise _no_value(profile, key, column, row, int(np.argmax(column.missing & keep)))
+            raise _no_value(key, column, row, int(np.argmax(column.missing & keep)))
 
     # a row without a stamp is nowhere in time; other rows that are left out still tell what holds on
     stamped = np.arange(len(index)) if stamps_column is None else np.flatnonzero(~stamps_column.missing)
@@ -158,7 +154,7 @@ def _columns(
     """Return the columns of the trial by SI name, without the time where there are no stamps."""
     columns = {}
     for key, source in profile.column_sources().items():
-        if source.name is None and source.column is None:  # rows are counted, or the value is stated
+        if not source.in_file:  # rows are counted, or the value is stated
             continue
         file = 0 if source.file == "source" else 1
         place, frame = where if file == 0 else names[1], frames[file]
@@ -170,12 +166,8 @@ def _columns(
         whole = values.dtype.kind in "iub" and not large.any()
         if key == "time" and large.any():
             row = int(frame.row[index[int(np.argmax(large))]])
-            found = f"the stamp {values[large][0]} (column {source.key!r}{_called(frame, row)}) is above "
-            expected, cure = (
-                "whole numbers of 63 bits, which are kept exactly",
-                "Export stamps from the start of the log.",
-            )
-            raise refusal("time-wrong", place, f"{found}{np.iinfo(np.int64).max}", expected, cure, row)
+            found = f"the stamp {values[large][0]} (column {source.key!r}{_called(frame, row)}) has more than 63 bits"
+            raise refusal("time-wrong", place, found, cure="Export stamps from the start of the log.", row=row)
         values = values.astype(np.int64) if whole else values.astype(np.float64)
         missing = np.zeros(len(values), dtype=np.bool_) if whole else np.isnan(values)
         for sentinel in source.sentinels:
@@ -195,30 +187,18 @@ def _no_number(
 ) -> LogError:
     """Return the refusal that names the first cell of a text column that is no number."""
     cells = [str(value).strip() for value in values.tolist()]
-    at = next((i for i, cell in enumerate(cells) if not _reads_as_number(cell, profile)), len(cells) - 1)
-    cell, row = cells[at], int(frame.row[index[at]])
-    if profile.format != "delimited":
-        if _reads_as_number(cell, profile):
-            cell, row = cells[0], int(frame.row[index[0]])
-        found = f"{key} must be a number, but column {source.key!r} holds texts, such as {cell[:200]!r}"
-        cure = "Export its values as numbers, or take another column."
-        return refusal("not-a-number", where, found + _called(frame, row), cure=cure, row=row)
-    found = (
-        f"{key} must be a number (column {source.key!r}, decimal sign {profile.decimal_sign!r}), found {cell[:200]!r}"
-    )
+    at = next((i for i, cell in enumerate(cells) if not _reads_as_number(cell, profile)), 0)
+    cell, row, sign = cells[at], int(frame.row[index[at]]), profile.decimal_sign
+    found = f"{key} must be a number (column {source.key!r}, decimal sign {sign!r}), found {cell[:200]!r}"
+    line, other = "", "," if sign == "." else "."
     if key == "time" and _CLOCK.search(cell):
-        cure = 'Export seconds, or give kind = "sampled" in [columns.time] with no column.'
         found, line = f"{found}: dates and times of day are not read", '[columns.time]\nkind = "sampled"'
-        return refusal("not-a-number", where, found, cure=cure, row=row, line=line)
-    other, line, hint = "," if profile.decimal_sign == "." else ".", "", ""
-    if other in cell:
+    elif profile.format == "delimited" and other in cell:
         line = f'decimal = "{other}"'
-        hint = f"Write {line} in profile {profile.name} if that is its decimal sign. "
     # a cell with digits is a number written in another way, such as "1 234" or "5 N", which must not get lost
-    elif not any(sign.isdigit() for sign in cell):
+    elif profile.format == "delimited" and not any(sign.isdigit() for sign in cell):
         line = f"missing = [{json.dumps(cell[:40], ensure_ascii=False)}]"
-        hint = f'If it means "no value", add missing = ["{cell[:40]}"]. '
-    return refusal("not-a-number", where, found, cure=hint + CURES["not-a-number"], row=row, line=line)
+    return refusal("not-a-number", where, found + _called(frame, row), row=row, line=line)
 
 
 def _reads_as_number(cell: str, profile: Profile) -> bool:
@@ -229,17 +209,14 @@ def _reads_as_number(cell: str, profile: Profile) -> bool:
     return not ("." in cell and profile.decimal_sign == ",")
 
 
-def _no_value(profile: Profile, key: str, column: _Column, row: Integers, at: int) -> LogError:
+def _no_value(key: str, column: _Column, row: Integers, at: int) -> LogError:
     """Return the refusal that names the first cell that is blank or a sentinel."""
     found = column.values[at]
     what = "is blank, or no number" if np.isnan(found) else f"is {found}, a sentinel"
-    choices = 'blanks = "skip" (such rows are left out)'
-    if key != "time":
-        choices += ' or blanks = "hold" (the value before it holds on)'
-    found = f"{key} has no value: {column.name} {what}{_called(column.frame, int(row[at]))}"
-    cure = f"Repair the row, or add {choices} to [columns.{key}] of profile {profile.name}."
-    line = f'[columns.{key}]\nblanks = "skip"'
-    return refusal("no-value", column.where, found, "a number", cure, int(row[at]), line)
+    found = f"{key} has no value: column {column.source.key!r} {what}{_called(column.frame, int(row[at]))}"
+    hold = "" if key == "time" else ', or "hold" for the value before it'
+    line = f'[columns.{key}]\nblanks = "skip" # leaves such rows out{hold}'
+    return refusal("no-value", column.where, found, row=int(row[at]), line=line)
 
 
 def _called(frame: Frame, row: int) -> str:

@@ -25,6 +25,16 @@ ROUNDING = 1e-3
 """Part of a sampling period by which two stamps that are one period apart may differ from it: two dates in floats, the
 coarsest stamps, by 2.4e-7 s."""
 
+_BACKWARDS = (
+    'Add to [columns.time] kind = "counter" and wrap = <counts> if a counter starts again, order = "sort" if rows are '
+    "out of order; or give trial_column or [[steps]] if several trials follow each other."
+)
+_STANDS = (
+    'Add to [columns.time] kind = "sampled" (one row each sampling period) if stamps are printed coarsely, '
+    'duplicates = "keep first" or "keep last" if rows are doubled.'
+)
+_TWO_PARTS = "whole numbers where a stamp has two parts (columns.time.fraction)"
+
 FractionValues = NDArray[Any] | None
 
 
@@ -119,10 +129,7 @@ def _joined(source: TimeSource, values: NDArray[Any], fraction: FractionValues, 
     for part in (values, fraction):
         if part.dtype.kind not in "iu" and not (part == np.rint(part)).all():
             at = int(np.argmax(part != np.rint(part)))
-            found = f"{part[at]} is no whole number"
-            expected = f"whole numbers of {source.unit} and {source.fraction.unit} where a stamp has two parts"
-            cure = "Remove columns.time.fraction if it has one."
-            raise refusal("time-wrong", place, found, expected, cure, int(row[at]))
+            raise refusal("time-wrong", place, f"{part[at]} is no whole number", _TWO_PARTS, row=int(row[at]))
     return values.astype(np.int64) * round(ratio) + fraction.astype(np.int64)
 
 
@@ -130,8 +137,8 @@ def _unwrapped(raw: NDArray[Any], wrap: float, place: str, row: Integers) -> tup
     outside = (raw < 0) | (raw >= wrap)
     if outside.any():
         at = int(np.argmax(outside))
-        found, expected = f"the counter is {raw[at]}", f"0 to {wrap:.17g}, where it starts again"
-        raise refusal("time-wrong", place, found, expected, "Correct wrap in [columns.time].", int(row[at]))
+        expected = f"0 to {wrap:.17g}, where it starts again"
+        raise refusal("time-wrong", place, f"the counter is {raw[at]}", expected, row=int(row[at]))
     # half a turn back is a turn forward: a shorter way back is a row out of order
     again = np.diff(raw) < -wrap / 2
     turns = np.concatenate(([0], np.cumsum(again)))[: len(raw)]
@@ -150,10 +157,7 @@ def _sampled(stamps: Floats, period: float, place: str, row: Integers) -> Floats
     apart = np.abs(stamps - stamps[:1] - time) > allowed - ROUNDING * period
     if apart.any():
         at = int(np.argmax(apart))
-        found = (
-            f"the stamp is {stamps[at] - stamps[0]:.9g} s after the first, but row {at} lies at {time[at]:.9g} s by "
-        )
-        found += f"the sampling period {period:.9g} s"
+        found = f"the stamp is {stamps[at] - stamps[0]:.9g} s after the first, by its row it were {time[at]:.9g} s"
         cure = 'Correct sampling_period_s, or use kind = "absolute": samples may be missing.'
         raise refusal("time-wrong", place, found, cure=cure, row=int(row[at]))
     return time
@@ -174,13 +178,8 @@ def in_order(source: TimeSource, time: Floats, place: str, row: Integers) -> tup
         return np.argsort(time, kind="stable"), int(late.sum())
     at = int(np.argmax(late))
     found = f"time runs backwards, {time[at]:.17g} s after {time[at - 1]:.17g} s"
-    cure = (
-        'If a counter starts again, add kind = "counter" and wrap = <its number of counts> to [columns.time] of the '
-        'profile; if rows are out of order, add order = "sort"; if several trials follow each other, give trial_column '
-        "or [[steps]]."
-    )
     line = '[columns.time]\norder = "sort"'
-    raise refusal("time-backwards", place, found, "it to increase row by row", cure, int(row[at]), line)
+    raise refusal("time-backwards", place, found, "", _BACKWARDS, int(row[at]), line)
 
 
 def distinct(source: TimeSource, time: Floats, place: str, row: Integers) -> Booleans:
@@ -194,12 +193,8 @@ def distinct(source: TimeSource, time: Floats, place: str, row: Integers) -> Boo
     same = np.diff(time) == 0
     if source.duplicates == "refuse" and same.any():
         at = int(np.argmax(same)) + 1
-        cure = (
-            'If stamps are printed coarsely, add kind = "sampled" to [columns.time] of the profile (one row each '
-            'sampling period); if rows are doubled, duplicates = "keep first" or "keep last".'
-        )
         found, line = f"time is {time[at]:.17g} s in two rows", '[columns.time]\nkind = "sampled"'
-        raise refusal("time-backwards", place, found, "it to increase row by row", cure, int(row[at]), line)
+        raise refusal("time-backwards", place, found, "", _STANDS, int(row[at]), line)
     edge = np.ones(min(len(time), 1), dtype=np.bool_)
     return np.concatenate((edge, ~same) if source.duplicates != "keep last" else (~same, edge))
 

@@ -142,6 +142,36 @@ def parse_header(lines: Iterable[str]) -> NativeHeader:
     LogError
         If a required key is missing or given twice, or a value is not legal; with the line number.
     """
+    values, extra = _statements(lines)
+    missing = [key for key in _REQUIRED if key not in values]
+    if values and set(FREE) <= set(missing):
+        values |= dict.fromkeys(FREE, ("0", 1))
+        extra["wall"] = NOT_STATED
+        missing = [key for key in missing if key not in FREE]
+    if missing:
+        raise _incomplete(missing, values, extra)
+    if "step_row" in extra:
+        _count("step_row", extra["step_row"], 1)
+    simulated = extra.get("origin") == "simulated"
+    if simulated:
+        del extra["origin"]
+    return NativeHeader(
+        device=_name("device", *values["device"]),
+        experiment=_name("experiment", *values["experiment"]),
+        stiffness=_number("stiffness", *values["stiffness"]),
+        damping=_number("damping", *values["damping"]),
+        step=_number("step", *values["step"]),
+        sampling_period_s=_period(*values["sampling_period_s"]),
+        added_delay_samples=_count("added_delay_samples", *values.get("added_delay_samples", ("0", 0))),
+        grip=cast(Grip, _choice("grip", get_args(Grip), *values.get("grip", ("none", 0)))),
+        motion=cast(Motion, _choice("motion", get_args(Motion), *values["motion"])) if "motion" in values else None,
+        simulated=simulated,
+        extra=extra,
+    )
+
+
+def _statements(lines: Iterable[str]) -> tuple[dict[str, tuple[str, int]], dict[str, str]]:
+    """Return values with their line by the keys that are known, and the values of all other keys."""
     values: dict[str, tuple[str, int]] = {}
     extra: dict[str, str] = {}
     for row, line in enumerate(lines, start=1):
@@ -165,43 +195,24 @@ def parse_header(lines: Iterable[str]) -> NativeHeader:
             value = _NOTE_BEHIND_TEXT.sub("", value).strip()
             # the same remark on several lines is common in logs; nothing of it gets lost
             extra[key] = f"{extra[key]}; {value}" if key in extra else value
-    missing = [key for key in _REQUIRED if key not in values]
-    if values and set(FREE) <= set(missing):
-        values |= dict.fromkeys(FREE, ("0", 1))
-        extra["wall"] = NOT_STATED
-        missing = [key for key in missing if key not in FREE]
-    if missing:
-        found = ", ".join([*values, *extra]) or "no `# key: value` line"
-        if not values:
-            raise LogError(
-                f"header has none of {', '.join(_REQUIRED)}; found {found}. Add a line `# key: <value>` for each, or "
-                "describe the file by a profile.",
-                1,
-                code="header-missing",
-            )
-        raise LogError(
-            f"header has no {' and no '.join(repr(key) for key in missing)}; found {found}. "
-            + " ".join(f"Add a line `# {key}: <value>` with {_REQUIRED[key]}." for key in missing),
+    return values, extra
+
+
+def _incomplete(missing: list[str], values: dict[str, tuple[str, int]], extra: dict[str, str]) -> LogError:
+    """Return the refusal of a header that lacks keys."""
+    found = ", ".join([*values, *extra]) or "no `# key: value` line"
+    if not values:
+        return LogError(
+            f"header has none of {', '.join(_REQUIRED)}; found {found}. Add a line `# key: <value>` for each, or "
+            "describe the file by a profile.",
             1,
-            code="condition-missing",
+            code="header-missing",
         )
-    if "step_row" in extra:
-        _count("step_row", extra["step_row"], 1)
-    simulated = extra.get("origin") == "simulated"
-    if simulated:
-        del extra["origin"]
-    return NativeHeader(
-        device=_name("device", *values["device"]),
-        experiment=_name("experiment", *values["experiment"]),
-        stiffness=_number("stiffness", *values["stiffness"]),
-        damping=_number("damping", *values["damping"]),
-        step=_number("step", *values["step"]),
-        sampling_period_s=_period(*values["sampling_period_s"]),
-        added_delay_samples=_count("added_delay_samples", *values.get("added_delay_samples", ("0", 0))),
-        grip=cast(Grip, _choice("grip", get_args(Grip), *values.get("grip", ("none", 0)))),
-        motion=cast(Motion, _choice("motion", get_args(Motion), *values["motion"])) if "motion" in values else None,
-        simulated=simulated,
-        extra=extra,
+    return LogError(
+        f"header has no {' and no '.join(repr(key) for key in missing)}; found {found}. "
+        + " ".join(f"Add a line `# {key}: <value>` with {_REQUIRED[key]}." for key in missing),
+        1,
+        code="condition-missing",
     )
 
 

@@ -25,20 +25,16 @@ from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.records.results import TheoryParameters
 from pipeline.theory.cost.maps import costs_at
-from pipeline.theory.device.outline import outline
 from pipeline.theory.device.passive_walls import passive_outline
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.optimum.search import OptimalPoint
-from pipeline.theory.stability.boundary import Boundary, boundary
+from pipeline.theory.stability.boundary import Boundary, boundary, stabilises
 
 _TURN = {"overshoot": 0, "energy": 2}
 """Families whose optima take the most time, and the least; all others are 1."""
 
 BOUNDARY_POINTS = 160
 """Points of a boundary that is drawn."""
-
-_FEWEST = 8
-"""Points of one that is only looked for."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +68,7 @@ class Theory:
     @cached_property
     def stabilised(self) -> bool:
         """Whether any damping stabilises a soft wall; there is neither boundary nor optimum otherwise."""
-        return not self.loop.has_parts or len(outline(self.loop, _FEWEST).beta) > 0
+        return stabilises(self.loop)
 
     @property
     def wall_damping(self) -> float:

@@ -13,9 +13,10 @@ import pytest
 from folders import DIRECTLY, MAY_IMPORT
 
 from pipeline import readers
-from pipeline.base.provenance import CODE, PACKAGE_FOLDER, code_digest, schema_folder
+from pipeline.base.provenance import CODE, PACKAGE_FOLDER, code_digest, digest, digest_all, schema_folder
 from pipeline.comparison.compare import report_code
 from pipeline.intake import ingest
+from pipeline.intake.trialstore import trial_id
 from pipeline.measured.device import friction
 from pipeline.measured.stages.stages import STAGES
 from pipeline.records import models
@@ -106,3 +107,11 @@ def test_an_installed_copy_computes_again_what_an_edit_can_have_changed(lwr, tmp
     append(optimum)
     assert "report" in planned()
     assert not planned() & set(STAGES)
+
+
+def test_hashes_are_as_long_as_many_results_and_trials_need() -> None:
+    """Of 16 hexadecimal digits two are equal among a million trials with a chance of 3e-8."""
+    sha = "0123456789abcdef" * 4
+    assert len(digest({"a": 1})) == len(digest_all(["a", "b"])) == 16
+    assert trial_id(sha, None) == sha[:16]
+    assert len(trial_id(sha, "second")) == 16

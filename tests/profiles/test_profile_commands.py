@@ -151,7 +151,7 @@ def test_check_shows_what_ingest_stores(call, lab):
 @pytest.mark.parametrize(
     ("name", "text", "row", "words"),
     [
-        ("K300.csv", LOG.replace("8;0,25", "8;0.25"), 5, 'Write decimal = "."'),
+        ("K300.csv", LOG.replace("8;0,25", "8;0.25"), 5, 'help in the profile: decimal = "."'),
         ("K300.csv", LOG.replace("8;0,25", ";0,25"), 5, 'blanks = "skip"'),
         ("run.csv", LOG, None, "fits none of files = ['K*.csv']"),
         ("Kx.csv", LOG, None, "does not fit name_pattern"),
@@ -402,18 +402,6 @@ def test_a_native_log_needs_no_draft(call, tmp_path):
     assert (status, out) == (1, "")
     assert "needs no profile" in err
     assert call("profile", "draft", "none.csv")[0] == 2
-
-
-def test_time_that_is_not_plain_is_asked(tmp_path):
-    def questions(stamps):
-        path = tmp_path / "a.csv"
-        path.write_text("time,x\n" + "".join(f"{t},1.5\n" for t in stamps), encoding="utf-8")
-        return {".".join(map(str, q.place)) for q in find_questions(draft_profile(path))}
-
-    rising = questions([1, 2, 3, 4])
-    assert questions([1, 2, 0, 1]) - rising == {"columns.time.kind"}
-    assert questions([1, 2, 2, 3]) - rising == {"columns.time.duplicates"}
-    assert questions([1, 2, "", 3]) - rising == {"columns.time.blanks"}
 
 
 # quarantine

@@ -11,7 +11,7 @@ import pytest
 from command_lines import commands, every_command, fault
 from places import ROOT
 
-PAGES = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")]
+PAGES = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")]
 PAGES += sorted((ROOT / "docs").glob("*.md"))
 MODULES = sorted(".".join(path.relative_to(ROOT).with_suffix("").parts) for path in (ROOT / "pipeline").rglob("*.py"))
 LARGEST_IMAGE = 150_000
@@ -67,11 +67,19 @@ def test_make_targets_exist(page: Path) -> None:
     assert set(named) <= targets
 
 
+def headings_of(page: Path) -> set[str]:
+    """Anchors of the headings of a page, as MyST and others make them."""
+    titles = re.findall(r"^#+ (.*)$", read(page), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title).strip().lower().replace(" ", "-") for title in titles}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
-def test_links_lead_to_files(page: Path) -> None:
+def test_links_lead_to_files_and_headings(page: Path) -> None:
     links = re.findall(r"\]\(([^)]+)\)", read(page))
-    local = [link.split("#")[0] for link in links if "://" not in link]
-    assert [link for link in local if not (page.parent / link).exists()] == []
+    local = [link.partition("#") for link in links if "://" not in link]
+    assert [file for file, _, _ in local if not (page.parent / file).exists()] == []
+    headings = {file: headings_of(page.parent / file if file else page) for file, _, anchor in local if anchor}
+    assert [f"{file}#{anchor}" for file, _, anchor in local if anchor and anchor not in headings[file]] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
@@ -156,6 +164,20 @@ def test_every_command_and_option_is_documented() -> None:
         missing += [name] * (name not in text)
         missing += [f"{name} {option}" for option in options if not re.search(rf"{option}(?![\w-])", text)]
     assert [word for word in missing if not word.endswith(" --help")] == []
+
+
+def test_every_criterion_and_format_is_documented() -> None:
+    from typing import get_args
+
+    from pipeline.profiles.profile_model import Format
+    from pipeline.records.criteria import CRITERIA
+    from pipeline.theory.optimum.rules import POINT_CRITERIA
+
+    text = read(ROOT / "docs" / "definitions.md")
+    names = {name.removesuffix("_discrete") for name in (*CRITERIA, *POINT_CRITERIA)}
+    assert len(names) > 15
+    assert [name for name in sorted(names) if f"`{name}`" not in text] == []
+    assert [name for name in get_args(Format) if f"`{name}`" not in read(ROOT / "docs" / "logs.md")] == []
 
 
 def test_every_setting_is_documented() -> None:

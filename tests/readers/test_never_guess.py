@@ -16,7 +16,6 @@ from pipeline.profiles.profile_files import read_profile
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.readers.formats.files import read_file
-from pipeline.shell.cli import run
 from pipeline.shell.profile.profile_check import check_samples
 from pipeline.shell.profile.profile_draft import draft_profile
 
@@ -100,7 +99,7 @@ def test_the_declared_time_of_the_step_is_met_by_the_row_that_bears_it():
     for k in range(495, 510):
         log = read(profile(TEXT, micro, step_time_s=float(f"{k}e-6")), table(rows))
         assert log.header.extra["step_row"] == str(k - 495)
-    assert "outside the samples" in reason(profile(TEXT, micro, step_time_s=510e-6), table(rows))
+    assert "is not among the samples" in reason(profile(TEXT, micro, step_time_s=510e-6), table(rows))
 
 
 def stamps(kind) -> bytes:
@@ -143,7 +142,7 @@ def test_times_whose_type_states_the_unit_take_no_other(which):
     refusal = read(of(wrong), data)
     assert isinstance(refusal, LogError)
     assert refusal.code == "profile-wrong"
-    assert f"which are read in {right}; profile lab says unit = '{wrong}'" in refusal.reason
+    assert f"which are read in {right}; columns.time.unit is '{wrong}'" in refusal.reason
     assert refusal.profile_line == f'[columns.time]\nunit = "{right}"'
     log = read(of(right), data)
     assert isinstance(log, Log), log
@@ -213,7 +212,7 @@ def test_a_cut_last_json_line_is_kept_whole():
         (
             json.dumps([{"t": "0", "F": 0, "x": 0}, {"t": "1", "F": 8, "x": 1}]),
             {"format": "json"},
-            "'t' holds texts, such as '0'",
+            "time must be a number (column 't', decimal sign '.'), found '0'",
         ),
         ("t,F,x\n2024-05-01 12:00:00.001,0,0\n", TEXT, "dates and times of day are not read"),
     ],
@@ -227,7 +226,7 @@ def test_only_words_are_said_to_be_no_value(cell, listed):
     outcome = read(profile(TEXT), f"t,F,x\n0,0,{cell}\n1,8,2\n")
     assert isinstance(outcome, LogError)
     assert outcome.profile_line == (f'missing = ["{cell}"]' if listed else None)
-    assert ("add missing" in outcome.reason) == listed
+    assert ("missing = [" in outcome.reason) == listed
 
 
 def test_a_delimiter_behind_the_names_alone_has_its_remedy():
@@ -312,13 +311,3 @@ def test_labels_in_remarks_are_read_by_the_draft(tmp_path):
     draft = draft_profile(tmp_path / "a.csv")
     assert 'labels = "="\ncomment = "#"' in draft
     assert '#   "K": "300"' in draft
-
-
-def test_a_draft_shows_steps_of_long_stamps_exactly(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    rows = ((1_700_000_000_000_000_000 + 1_000_000 * k, force, x) for k, force, x in RUN)
-    (tmp_path / "a.csv").write_text(table(rows), encoding="utf-8")
-    with pytest.raises(SystemExit) as end:
-        run(["profile", "draft", "a.csv"])
-    assert end.value.code in (0, None)
-    assert "# stamps rise by 1e+06 in the median, 1e+06 to 1e+06" in capsys.readouterr().out

@@ -305,6 +305,6 @@ def test_other_samples_are_held_against_the_first(tmp_path):
     done = pipeline("profile", "draft", *files, semicolons)
     assert done.exit_code == 0
     assert "# K200_B1.csv" not in done.output
-    assert '# K300_B1.csv is laid out otherwise: columns ["t", "F", "x", "note"]' in done.output
+    assert '# K300_B1.csv is laid out otherwise: columns = ["t", "F", "x", "note"]' in done.output
     assert "# K400_B1.csv is laid out otherwise: " in done.output
     assert 'delimiter = ";"' in done.output

@@ -81,7 +81,7 @@ def test_records_without_names_and_lists_beside_each_other():
         ("", (), None, "is empty", 1),
         ('[{"t": 1}, {"t"', (), None, "cut or damaged", 1),
         ('[{"t": 1},\n{"t" 2}]', (), None, "column 6", 2),
-        ('{"a": [{"t": 1}], "b": {"c": [{"t": 1}, {"t": 2}]}}', ["t"], None, 'Add records = "b.c"', 1),
+        ('{"a": [{"t": 1}], "b": {"c": [{"t": 1}, {"t": 2}]}}', ["t"], None, 'help in the profile: records = "b.c"', 1),
         ('{"a": [{"t": 1}]}', (), "b", "'a' .1 records.*`records`", 1),
         ('[{"t": 1}]', (), "b", "remove records", 1),
         ('[{"time": 1}]', ["tine"], None, "Nearest: time", None),
@@ -89,8 +89,7 @@ def test_records_without_names_and_lists_beside_each_other():
         ('[{"t": 1}, 2]', (), None, "expected an object", 2),
         ("[]", (), None, "no records with values", 1),
         ("3", (), None, "single value", 1),
-        ('[{"a.b": 1, "a": {"b": 2}}]', (), None, "'a.b' stands twice", 1),
-        ("[" * 40 + "1" + "]" * 40, (), None, "more than 32 deep", None),
+        ('[{"a.b": 1, "a": {"b": 2}}]', (), None, "'a.b' stands twice", None),
         ("[" * 100_000, (), None, "nested too deep", None),
         ('[{"n": ' + "9" * 5000 + "}]", (), None, "integer string", None),
     ],
@@ -106,7 +105,7 @@ def test_refusals_say_what_to_do(text, wanted, records, words, row):
     [
         ('[{"t": 0}, {"t": 1, "x": 2, "t": 3}]', None, "key 't' stands twice in one object", None),
         ('{"a": [{"t": 0, "m": {"q": 1, "q": 1}}]}', "a", "key 'q' stands twice in one object", None),
-        ('{"t": 0}\n{"t": 1, "t": 1}\n', None, "key 't' stands twice in one object of line 2", 2),
+        ('{"t": 0}\n{"t": 1, "t": 1}\n', None, "key 't' stands twice in one object", 2),
         ('{"kp": 3, "a": [{"t": 0}], "kp": 4}', "a", "key 'kp' stands twice in one object", None),
         ('{"K": {"x": 1, "x": 2}, "t": [0, 1]}', None, "key 'x' stands twice in one object", None),
     ],
@@ -132,7 +131,7 @@ def test_columns_are_listed_with_the_line_to_add():
     assert [(i.name, i.dtype, i.rows) for i in infos][:2] == [("t", "number", 40), ("q[0]", "number", 40)]
     assert infos[0].first == ("0.0", "0.001", "0.002")
     mixed = list_columns("json", "log.json", b'[{"a": 1}, {"a": "x"}]')
-    assert (mixed[0].dtype, mixed[0].first) == ("text", ("1", "x"))
+    assert (mixed[0].rows, "mixes texts and numbers, such as 1" in mixed[0].hint) == (0, True)
 
 
 @pytest.mark.skipif(not SERVO.is_dir(), reason="recorded logs in ../shared are not there")

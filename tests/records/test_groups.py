@@ -28,9 +28,10 @@ from pipeline.intake.ingest import ingest
 from pipeline.measured.cost import energy_intervals, settling_overshoot
 from pipeline.measured.experiment import known_delay
 from pipeline.measured.signal.verdict import judge
-from pipeline.measured.stages import stage_groups, stage_mass, stage_settling, stage_tables, stages
-from pipeline.measured.stages.stage_columns import stage_rows
+from pipeline.measured.stages import stage_groups, stage_tables, stages
+from pipeline.measured.stages import stage_rows as rows_of
 from pipeline.measured.stages.stage_groups import TrialGroup
+from pipeline.measured.stages.stage_rows import stage_rows
 from pipeline.measured.stages.stages import STAGES
 from pipeline.records import groups
 from pipeline.records.groups import LENGTHS, TrialGroups, group_trials, padded_length
@@ -190,7 +191,7 @@ def test_no_row_outlives_what_it_rests_on(lab, tmp_path, monkeypatch, edit, chan
         edit(settling_overshoot)
     elif changed == "given":
         other = of.delay_estimate.model_copy(update={"value": 5.0, "high": 7.0})
-        for module in (known_delay, stage_settling):
+        for module in (known_delay, rows_of):
             monkeypatch.setattr(module, "delay_estimate", lambda _: other)
     else:
         moved = [replace(part, position=part.position + 1e-9 * (part.position > 0)) for part in of.samples.parts]
@@ -213,8 +214,8 @@ def test_masses_are_corrected_with_the_damping_of_now(lab, tmp_path, monkeypatch
     other = lab.stages("1", tmp_path)
     estimate = other.damping_estimate
     more = estimate.model_copy(update={"value": estimate.value + 1.0})
-    monkeypatch.setattr(stage_mass, "damping_estimate", lambda *_: more)
-    found = stage_mass.corrected(other, masses)["mass"]
+    monkeypatch.setattr(rows_of, "damping_estimate", lambda *_: more)
+    found = rows_of.corrected(other, masses)["mass"]
     np.testing.assert_allclose(found, masses.column("mass").to_numpy() - share, rtol=1e-12)
 
 

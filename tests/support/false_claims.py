@@ -160,7 +160,6 @@ def main() -> None:
     files = [(kind, form, data) for kind, (form, make) in FORMATS.items() for data in make()]
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
-    isolation.MEMORY = ADDRESS_SPACE
     claims = dict.fromkeys(FORMATS, 0)
     for kind, form, data in files:
         name = f"log.{'db3' if kind == 'db3' else kind}"

@@ -16,7 +16,7 @@ from pipeline.measured.signal.verdict import judge
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate as simulate_trials
 from pipeline.theory.cost.pointcosts import point_costs_by_name
-from pipeline.theory.stability.extent import damping_range
+from pipeline.theory.stability.boundary import boundary
 from pipeline.theory.stability.region import stiffness_limit
 from pipeline.theory.stability.stability import spectral_radius as exact_radius
 
@@ -61,7 +61,7 @@ def shipped(name, experiment, count):
     e = find_experiment(device, experiment)
     units = Normalised(e.mass, device.sampling_period_s)
     loop, random = units.loop(e.stiffness, e.damping, e.delay_samples), np.random.default_rng(4001)
-    beta = random.uniform(0.03, 1.0, 8 * count) * damping_range(loop)[1]
+    beta = random.uniform(0.03, 1.0, 8 * count) * boundary(loop).beta_max
     alpha = stiffness_limit(loop, beta) * random.uniform(0.1, 0.95, 8 * count)
     inside = np.flatnonzero((alpha > 0) & (exact_radius(loop, np.maximum(alpha, 1e-9), beta) <= 0.985))[:count]
     alpha, beta = alpha[inside], beta[inside]

@@ -19,9 +19,8 @@ from pipeline.records.loop_parts import LoopParts
 from pipeline.records.loop_records import Parameter
 from pipeline.records.models import Experiment
 from pipeline.records.results import ExperimentResult, TheoryParameters
-from pipeline.theory.device.outline import outline
 from pipeline.theory.predictions import Theory
-from pipeline.theory.stability.extent import stiffest_point
+from pipeline.theory.stability.boundary import boundary, stabilises
 from pipeline.theory.stability.region import stiffness_limit
 
 MATTERS = 0.02
@@ -70,11 +69,7 @@ class LoopPoint:
     def stiffest(self) -> float:
         """Damping B [Ns/m, Nms/rad] of the stiffest stable wall; 0 where there is none."""
         loop = self.loop
-        if loop.has_parts:
-            # nan where no damping stabilises a soft wall
-            damping = max(0.0, outline(loop, _OUTLINE).beta_at_alpha_max)
-        else:
-            damping = max(0.0, stiffest_point(loop)[1])
+        damping = max(0.0, boundary(loop, _OUTLINE).beta_at_alpha_max) if stabilises(loop) else 0.0
         return damping * wall_units(self.mass, self.sampling_period_s, self.parts).damping
 
 

@@ -16,7 +16,7 @@ from pipeline.base.file_names import path_of_text
 from pipeline.base.provenance import digest, sha256
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.device_data.devices import digest_of
-from pipeline.measured.stages.stage_windows import WINDOWS_S
+from pipeline.measured.stages.stage_rows import WINDOWS_S
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.criteria import REPORTED
 from pipeline.records.findings import ExcludedTrial

@@ -1,1 +1,1 @@
-"""What an experiment stores: one module a stage, and what stores and reuses them."""
+"""What an experiment stores: what each stage makes, the table of them, and what stores and reuses them."""

@@ -22,9 +22,9 @@ from pipeline.base.disk import if_writable, write_kept
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import code_digest, digest, stamp
 from pipeline.measured.signal.verdict import Verdicts
-from pipeline.measured.stages.stage_columns import stage_rows
 from pipeline.measured.stages.stage_given import Experiment, nothing
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
+from pipeline.measured.stages.stage_rows import Sources, stage_rows
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.groups import TrialGroups
 from pipeline.records.table_files import parquet_bytes, read_metadata, read_table
@@ -66,7 +66,7 @@ class Stage:
     """
 
     needs: tuple[str, ...] = ()
-    rows: Callable[[TrialGroup, Given], Columns] | None = None
+    rows: Callable[[TrialGroup, Given], Sources] | None = None
     given: Callable[[Experiment], Given] = nothing
     whole: Callable[[Experiment], Columns] | None = None
     derived: Callable[[Experiment, pa.Table], Columns] | None = None

@@ -10,55 +10,37 @@ import numpy as np
 from pipeline.base.wording import commonest
 from pipeline.measured.cost.families import FAMILIES, Measure
 from pipeline.measured.experiment import aggregate, estimates, known_delay
-from pipeline.measured.stages import (
-    stage_boundary,
-    stage_damping,
-    stage_delay,
-    stage_energy,
-    stage_ladder,
-    stage_mass,
-    stage_model,
-    stage_outcome,
-    stage_overshoot,
-    stage_response,
-    stage_settling,
-    stage_wall_law,
-    stage_windows,
-)
+from pipeline.measured.stages import stage_ladder
+from pipeline.measured.stages import stage_rows as rows
 from pipeline.measured.stages.stage_tables import SAMPLED, Stage, StageTables
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import ENERGY, Family, criterion_of, members
 from pipeline.records.criteria import FAMILIES as CRITERION_FAMILIES
 from pipeline.records.findings import BoundaryPoint, Estimate, ModelCheck, Optimum
 
-MEASURES: dict[str, Measure] = {**FAMILIES, "energy": stage_energy.energy}
+MEASURES: dict[str, Measure] = {**FAMILIES, "energy": rows.energy}
 """What computes the costs of each family of criteria."""
 
 
 def _cost_stage(family: Family) -> Stage:
-    needs = stage_energy if "mass" in family.needs else stage_settling if "delay" in family.needs else stage_overshoot
+    mass, delay = "mass" in family.needs, "delay" in family.needs
+    given = rows.given_to_energy if mass else rows.given_to_timed if delay else rows.given_to_costs
     timed = tuple(c.column for c in members(family)) if family.unit == "samples" or family is ENERGY else ()
-    rows = partial(stage_overshoot.columns, measure=MEASURES[family.name], names=timed)
-    return Stage(family.needs, rows, needs.given_of, sprung=True)
+    return Stage(family.needs, partial(rows.costs, measure=MEASURES[family.name], names=timed), given, sprung=True)
 
 
 STAGES: dict[str, Stage] = {
-    "response": Stage(rows=stage_response.columns),
-    "wall_law": Stage(("response",), stage_wall_law.columns),
-    "outcome": Stage(("response",), stage_outcome.columns, stage_outcome.given_of),
-    "boundary": Stage(("response", "wall_law"), whole=stage_boundary.columns),
-    "delay": Stage(("response",), stage_delay.columns),
-    "model": Stage(("response",), stage_model.columns),
+    "response": Stage(rows=rows.response),
+    "wall_law": Stage(("response",), rows.wall_law),
+    "outcome": Stage(("response",), rows.outcomes, rows.given_to_outcome),
+    "boundary": Stage(("response", "wall_law"), whole=rows.boundary),
+    "delay": Stage(("response",), rows.delays),
+    "model": Stage(("response",), rows.model),
     "ladder": Stage(("response", "wall_law", "model"), whole=stage_ladder.columns),
-    "damping": Stage(("response", "delay", "model"), stage_damping.columns, stage_damping.given_of),
-    "mass": Stage(
-        ("response", "delay", "model", "damping"),
-        stage_mass.columns,
-        stage_mass.given_of,
-        derived=stage_mass.corrected,
-    ),
+    "damping": Stage(("response", "delay", "model"), rows.dampings, rows.given_to_damping),
+    "mass": Stage(("response", "delay", "model", "damping"), rows.masses, rows.given_to_mass, derived=rows.corrected),
     **{name: _cost_stage(family) for name, family in CRITERION_FAMILIES.items()},
-    "windows": Stage(("response", "delay"), whole=stage_windows.columns),
+    "windows": Stage(("response", "delay"), whole=rows.windows),
 }
 """Stages in the order in which they can be computed; the plan is made backwards along what they need."""
 

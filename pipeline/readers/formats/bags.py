@@ -6,19 +6,18 @@ when the message was recorded. ``@stamp`` and ``@received`` without a topic are 
 
 from __future__ import annotations
 
-import re
 import sys
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.typesys import Stores, get_typestore
 
-from pipeline.base.errors import LogError
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers.frame import Array, Contents, with_gaps
+from pipeline.readers.formats.records import columns_of
+from pipeline.readers.frame import Contents, with_gaps
 from pipeline.readers.limits import LISTED_ELEMENTS
 from pipeline.readers.refusals import refusal
 from pipeline.records.batch import Integers
@@ -27,9 +26,7 @@ zstd = import_module("compression.zstd" if sys.version_info >= (3, 14) else "bac
 
 STAMP, RECEIVED = "@stamp", "@received"
 _ZSTD = b"\x28\xb5\x2f\xfd"
-_HEADER = "header.stamp"
-_ENDINGS = ((b"#ROSBAG", ".bag"), (b"SQLite", ".db3"), (b"\x89MCAP", ".mcap"))
-_STEP = re.compile(r"\.?([^.\[\]]+)|\[(\d+)\]")
+_ENDINGS = {b"#ROS": ".bag", b"SQLi": ".db3", b"\x89MCA": ".mcap"}
 _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _CLOSE = (
     "A recording that was not closed is mended by `rosbag reindex`, `ros2 bag reindex` or `mcap recover`; others are "
@@ -37,14 +34,17 @@ _CLOSE = (
 )
 
 
-class _Topic:
-    """Messages of a topic: number in the bag, time of reception, and the message."""
+class Nanoseconds(int):
+    """A time or duration."""
 
-    def __init__(self, kind: str) -> None:
-        self.kind = kind
-        self.number: list[int] = []
-        self.received: list[int] = []
-        self.messages: list[Any] = []
+
+class _Topic(NamedTuple):
+    """Messages of a topic: their type, number in the bag, time of reception [ns], and fields."""
+
+    kind: str
+    number: list[int]
+    received: list[Nanoseconds]
+    messages: list[Any]
 
 
 def read(path: Path, settings: Profile, contents: Contents) -> None:
@@ -54,67 +54,47 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
     their times, in order of time, with NaN (an empty text) where a topic has no message; nothing is interpolated.
     """
     contents.row_name = "message"
-    if STAMP in contents.wanted and RECEIVED in contents.wanted:
-        text = f"both {STAMP!r} and {RECEIVED!r} are wanted; rows have one time"
-        raise refusal("profile-wrong", contents.name, text, cure="Choose one of them.")
-    topics = _recorded(contents, [_named(file) for file in sorted(path.parent.iterdir())])
-    fields: dict[str, list[str]] = {}
-    for key in contents.wanted or topics:
-        topic = max((t for t in topics if key == t or key.startswith(f"{t}.")), key=len, default=None)
-        if topic is not None and topics[topic].messages:
-            part = key[len(topic) + 1 :]
-            fields.setdefault(topic, []).extend([part] if part else [RECEIVED, *_paths(topics[topic].messages[0])])
-        elif key not in (STAMP, RECEIVED) and contents.wanted:
-            listing = ", ".join(f"{t!r} ({one.kind}, {len(one.number)} messages)" for t, one in topics.items())
-            text = f"has no topic with messages for the column {key!r}; it has {listing}"
-            raise refusal("column-missing", contents.name, text, cure="A column is called '/topic.field'.")
-    if not fields:
-        raise refusal("profile-wrong", contents.name, f"no column of a topic is wanted; topics are {sorted(topics)}")
-    for topic, paths in fields.items():
-        for one in paths:
-            times, values = _column(topics[topic], one)
-            if values is None:
-                continue
-            contents.add(f"{topic}.{one}", values, topics[topic].kind, "ns" if times else "")
-    if contents.wanted:
-        _join(contents, {topic: topics[topic] for topic in fields})
-
-
-def _named(path: Path) -> Path:
-    """Give a file the ending by which the library knows it."""
-    with path.open("rb") as file:
-        head = file.read(8)
-    return path.rename(path.with_suffix(next((end for magic, end in _ENDINGS if head.startswith(magic)), path.suffix)))
+    paths = sorted(path.parent.iterdir())
+    paths = [one.rename(one.with_suffix(_ENDINGS.get(one.read_bytes()[:4], one.suffix))) for one in paths]
+    topics = _recorded(contents, paths)
+    for name, topic in topics.items():
+        contents.note(f"{name}@type", topic.kind)
+        records = [{RECEIVED: at, **fields} for at, fields in zip(topic.received, topic.messages, strict=False)]
+        for key, cells in columns_of(records).items():
+            if contents.asks(column := f"{name}.{key}"):
+                unit = "ns" if isinstance(cells.values[0], Nanoseconds) else ""
+                array = cells.array(f"{contents.name}: column {column!r}", len(records))
+                contents.add(column, array, topic.kind, unit)
+    if contents.wanted and contents.columns:
+        _join(contents, topics)
 
 
 def _recorded(contents: Contents, paths: list[Path]) -> dict[str, _Topic]:
+    """Return the topics of a bag, with the messages of those that are asked for."""
     topics: dict[str, _Topic] = {}
     try:
         with AnyReader(paths, default_typestore=get_typestore(Stores.LATEST)) as bag:
-            for connection in bag.connections:
-                known = topics.setdefault(connection.topic, _Topic(connection.msgtype))
-                if known.kind != connection.msgtype:
-                    text = (
-                        f"topic {connection.topic!r} has messages of two types, {known.kind} and {connection.msgtype}"
-                    )
-                    raise refusal("unsupported", contents.name, text, "one", "Filter the bag to one publisher.")
-                contents.attributes[f"{connection.topic}@type"] = connection.msgtype
+            topics |= {one.topic: _Topic(one.msgtype, [], [], []) for one in bag.connections}
+            asked = {
+                name for name in topics if not contents.wanted or any(k.startswith(f"{name}.") for k in contents.wanted)
+            }
             for number, (connection, received, data) in enumerate(bag.messages(), start=1):
                 topic = topics[connection.topic]
                 topic.number.append(number)
-                topic.received.append(received)
-                if not contents.wanted or any(key.startswith(f"{connection.topic}.") for key in contents.wanted):
-                    try:
-                        # no message begins so: CDR begins with two bytes that say how it is written
-                        data = zstd.decompress(data) if data.startswith(_ZSTD) else data
-                        topic.messages.append(bag.deserialize(data, connection.msgtype))
-                    except (AnyReaderError, KeyError) as error:
-                        reason = f"has messages of type {connection.msgtype!r} that cannot be read ({error}). {_CLOSE}"
-                        if contents.wanted:
-                            raise LogError(
-                                f"{contents.name}: topic {connection.topic!r} {reason}", code="unsupported"
-                            ) from error
-                        contents.refused[connection.topic] = reason
+                topic.received.append(Nanoseconds(received))
+                if connection.topic not in asked:
+                    continue
+                try:
+                    # no message begins so: CDR begins with two bytes that say how it is written
+                    data = zstd.decompress(data) if data.startswith(_ZSTD) else data
+                    message = bag.deserialize(data, connection.msgtype)
+                except (AnyReaderError, KeyError) as error:
+                    asked.discard(connection.topic)
+                    topic.messages.clear()
+                    reason = f"has messages of type {topic.kind!r} that cannot be read ({error}). {_CLOSE}"
+                    contents.refused[connection.topic] = reason
+                else:
+                    topic.messages.append(_plain(message, None if contents.wanted else LISTED_ELEMENTS))
     except AnyReaderError as error:
         raise refusal("damaged", contents.name, f"cannot be read as a bag: {error}", cure=_CLOSE) from error
     if not topics:
@@ -122,77 +102,61 @@ def _recorded(contents: Contents, paths: list[Path]) -> dict[str, _Topic]:
     return topics
 
 
-def _plain(value: Any) -> Any:
-    """Return a time or duration as whole nanoseconds, anything else as it is."""
-    return value.sec * 10**9 + value.nanosec if getattr(value, "__msgtype__", None) in _TIMES else value
-
-
-def _paths(message: Any, path: str = "") -> list[str]:
-    """Return the fields of a message that are numbers or texts."""
-    value = _plain(message)
-    if isinstance(value, bool | int | float | str | np.generic):
-        return [path]
-    if isinstance(value, list | np.ndarray):
-        return [p for i, part in enumerate(value[:LISTED_ELEMENTS]) for p in _paths(part, f"{path}[{i}]")]
-    names = [name for name in getattr(value, "__dataclass_fields__", ()) if not name.startswith("__")]
-    return [p for name in names for p in _paths(getattr(value, name), f"{path}.{name}" if path else name)]
-
-
-def _column(topic: _Topic, path: str) -> tuple[bool, Any]:
-    """Return whether a field holds times, and its values."""
-    if path == RECEIVED:
-        return True, np.array(topic.received, np.int64)
-    steps = [(name, int(index or 0)) for name, index in _STEP.findall(path)]
-
-    def part(message: Any) -> Any:
-        for name, index in steps:
-            message = getattr(message, name) if name else message[index]
-        return message
-
-    try:
-        values = [part(message) for message in topic.messages]
-        return getattr(values[0], "__msgtype__", None) in _TIMES, np.array([_plain(value) for value in values])
-    except (AttributeError, IndexError, TypeError, ValueError):
-        return False, None
+def _plain(value: Any, most: int | None) -> Any:
+    """Return a message as dicts and lists, of which the first elements are taken."""
+    if getattr(value, "__msgtype__", None) in _TIMES:
+        return Nanoseconds(value.sec * 10**9 + value.nanosec)
+    if hasattr(value, "__dataclass_fields__"):
+        return {key: _plain(getattr(value, key), most) for key in value.__dataclass_fields__ if key[:2] != "__"}
+    if isinstance(value, np.ndarray):
+        return value[:most].tolist()
+    return [_plain(part, most) for part in value[:most]] if isinstance(value, list) else value
 
 
 def _join(contents: Contents, topics: dict[str, _Topic]) -> None:
-    """Put the columns of topics on the union of their times."""
-    axis = STAMP if STAMP in contents.wanted else RECEIVED
-    times: dict[str, Integers] = {}
-    for name, topic in topics.items():
-        found = _column(topic, _HEADER if axis == STAMP else RECEIVED)[1]
-        if found is None or found.dtype.kind != "i":
+    """Put columns of several topics on the union of their times, and give the rows a time."""
+    axis, times = STAMP if STAMP in contents.wanted else RECEIVED, {}
+    for name in dict.fromkeys(_topic_of(topics, key) for key in contents.columns):
+        stamps = [
+            message["header"]["stamp"] for message in topics[name].messages if axis == STAMP and "header" in message
+        ]
+        if axis == STAMP and not stamps:
             text = f"{STAMP!r} is wanted, but messages of {name!r} have no header"
             raise refusal("column-missing", contents.name, text, cure=f"Take time from {RECEIVED!r}.")
-        times[name] = found
-    keys = {name: np.stack([found, _repetition(found)], axis=1) for name, found in times.items()}
-    union, inverse = np.unique(np.concatenate(list(keys.values())), axis=0, return_inverse=True)
-    place = dict(zip(keys, np.split(inverse.reshape(-1), np.cumsum([len(k) for k in keys.values()])[:-1]), strict=True))
-    time, rows = union[:, 0], np.full(len(union), np.iinfo(np.int64).max)
-    if len(topics) == 1:
-        ((name, found),) = times.items()
-        place, time, rows = {name: np.arange(len(found))}, found, np.array(topics[name].number)
+        times[name] = np.array(stamps or topics[name].received, np.int64)
+    if len(times) == 1:
+        ((name, time),) = times.items()
+        place, rows = {name: np.arange(len(time))}, np.array(topics[name].number)
     else:
-        for name, topic in topics.items():
-            if (back := np.diff(times[name]) < 0).any():
-                at = topic.number[int(np.argmax(back)) + 1]
-                contents.warnings.append(
-                    f"{axis} of {name!r} goes back at message {at}; rows were put in order of time"
-                )
-            np.minimum.at(rows, place[name], topic.number)
+        keys = np.concatenate([_numbered(found) for found in times.values()])
+        union, inverse = np.unique(keys, axis=0, return_inverse=True)
+        parts = np.split(inverse.reshape(-1), np.cumsum([len(found) for found in times.values()])[:-1])
+        place, time, rows = (
+            dict(zip(times, parts, strict=True)),
+            union[:, 0],
+            np.full(len(union), np.iinfo(np.int64).max),
+        )
+        for name, found in times.items():
+            number = topics[name].number
+            if (back := np.diff(found) < 0).any():
+                at = number[int(np.argmax(back)) + 1]
+                text = f"{axis} of {name!r} goes back at message {at}; rows were put in order of time"
+                contents.warnings.append(text)
+            np.minimum.at(rows, place[name], number)
     contents.row = rows
     for key in contents.columns:
-        name = max((t for t in topics if key.startswith(f"{t}.")), key=len)
         where = f"{contents.name}: {key!r} (take time from {axis!r} or, for stamps of headers, {STAMP!r})"
-        contents.columns[key] = with_gaps(where, contents.columns[key], place[name], len(rows))
+        contents.columns[key] = with_gaps(where, contents.columns[key], place[_topic_of(topics, key)], len(rows))
     contents.add(axis, time, unit="ns")
 
 
-def _repetition(stamps: Array) -> Integers:
-    """Return for each time how many equal ones stand before it."""
-    order = np.argsort(stamps, kind="stable")
-    starts = np.flatnonzero(np.diff(stamps[order], prepend=stamps[order][:1] - 1))
-    result = np.empty(len(stamps), np.int64)
-    result[order] = np.arange(len(stamps)) - np.repeat(starts, np.diff(np.append(starts, len(stamps))))
-    return result
+def _topic_of(topics: dict[str, _Topic], column: str) -> str:
+    return max((name for name in topics if column.startswith(f"{name}.")), key=len)
+
+
+def _numbered(times: Integers) -> Integers:
+    """Return times beside the number of equal ones before each: equal times of one topic are rows of their own."""
+    order = np.argsort(times, kind="stable")
+    number = np.empty_like(times)
+    number[order] = np.arange(len(times)) - np.searchsorted(times[order], times[order])
+    return np.stack([times, number], axis=1)

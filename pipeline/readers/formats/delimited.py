@@ -63,8 +63,7 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
         cut, kept, cells = True, kept[:-1], {place: values[:-1] for place, values in cells.items()}
         columns = {place: _values(settings, values) for place, values in cells.items()}
     if cut:
-        contents.note("cut_last_row", last)
-        contents.warnings.append(f"last row is cut: {last[:200]!r} (line {row[-1]}) was left out and is kept verbatim")
+        contents.cut_row(last, int(row[-1]))
     elif not whole:
         contents.warnings.append(f"line {row[-1]} is the last one and has no line end: its last value may be cut")
     contents.row = row[kept]
@@ -128,11 +127,8 @@ def plain_text(layout: TextLayout, name: str, data: bytes) -> tuple[str, bool]:
 def _decoded(layout: TextLayout, name: str, data: bytes) -> str:
     marked = next((encoding for mark, encoding in _MARKS.items() if data.startswith(mark)), None)
     if marked is not None and marked != layout.encoding:
-        found, line = (
-            f"begins with the byte order mark of {marked}, the profile reads {layout.encoding}",
-            f'encoding = "{marked}"',
-        )
-        raise refusal("encoding", name, found, "", f"Add {line} to the profile.", 1, line)
+        found = f"begins with the byte order mark of {marked}, the profile reads {layout.encoding}"
+        raise refusal("encoding", name, found, row=1, line=f'encoding = "{marked}"')
     codec = "utf-8-sig" if layout.encoding == "utf-8" else layout.encoding
     try:
         return data.decode(codec)
@@ -141,9 +137,8 @@ def _decoded(layout: TextLayout, name: str, data: bytes) -> str:
             # the recording was cut inside a character; its row is found to be cut, too
             return data[: error.start].decode(codec)
         found = f"is no {layout.encoding.upper()} text ({error.reason}, byte {data[error.start]:#04x} at {error.start})"
-        cure = 'If it was written on Windows or by an older tool, add encoding = "latin-1" (or "cp1252", "utf-16").'
         row = data.count(b"\n", 0, error.start) + 1
-        raise refusal("encoding", name, found, "", cure, row, 'encoding = "latin-1"') from error
+        raise refusal("encoding", name, found, row=row, line='encoding = "latin-1"') from error
 
 
 def _top(layout: Profile, contents: Contents, lines: list[str]) -> int:
@@ -161,10 +156,8 @@ def _top(layout: Profile, contents: Contents, lines: list[str]) -> int:
             _take_label(layout, contents, line, number + 1)
         elif layout.labels is None or (line.strip() and not _take_label(layout, contents, line, number + 1)):
             return number
-    key = "header_at" if at else "header_after"
-    looked = f" or has no line that fits {key} = {at or below!r}" if at or below else ""
-    looked = looked or (f" below skip_rows = {layout.skip_rows}" if layout.skip_rows else "")
-    raise refusal("empty", contents.name, f"is empty{looked}", "a line of column names and samples", row=1)
+    looked = f"below skip_rows = {layout.skip_rows}, header_at = {at!r} and header_after = {layout.header_after!r}"
+    raise refusal("empty", contents.name, f"is empty {looked}", "a line of column names and samples", row=1)
 
 
 def _is_comment(layout: TextLayout, line: str) -> bool:
@@ -185,8 +178,7 @@ def _take_label(layout: Profile, contents: Contents, line: str, row: int) -> boo
     key = next((key for key, wanted in layout.attributes.items() if wanted == label), None)
     if key is not None and contents.attributes.get(label, value) != value:
         found = f"the label {label!r}, which gives the {key}, is {contents.attributes[label]!r} and here {value!r}"
-        cure = "Give the condition by [[file]] or [[steps]] and remove it from [attributes], or part the file."
-        raise refusal("condition-wrong", contents.name, found, "one value for a log", cure, row)
+        raise refusal("condition-wrong", contents.name, found, "one value for a log", row=row)
     contents.note(label, value)
     return True
 
@@ -210,8 +202,8 @@ def _rows(layout: TextLayout, contents: Contents, lines: list[str], first: int) 
         line = lines[number]
         if not line.strip(" \t"):
             if layout.blank_lines == "refuse":
-                cure, line = 'Remove it, or add blank_lines = "skip".', 'blank_lines = "skip"'
-                raise refusal("row-length", contents.name, "a blank line between rows", "a row", cure, number + 1, line)
+                found, line = "a blank line between rows", 'blank_lines = "skip"'
+                raise refusal("row-length", contents.name, found, "a row", row=number + 1, line=line)
         elif not _is_comment(layout, line):
             row.append(number + 1)
             if layout.delimiter == BLANKS:
@@ -227,25 +219,15 @@ def _places(profile: Profile, contents: Contents, names: list[str], row: int) ->
         return {label if names.index(label) == i else f"{label} ({i + 1})": i for i, label in enumerate(names)}
     by_position = {str(source.column) for source in profile.column_sources().values() if source.column is not None}
     keys = {column: key for file in ("source", "partner") for key, column in profile.wanted(file).items()}
-    places, delimiter = {}, f"Correct the delimiter ({profile.delimiter!r}), or the name."
+    places, cure = {}, f"Correct the delimiter ({profile.delimiter!r}) or the name, or give column = <position>."
     for column in contents.wanted:
-        wants = f"profile {profile.name} wants column {column!r} for {keys.get(column, column)}"
-        if column in by_position or not profile.header:
-            if not column.isdecimal() or not 1 <= int(column) <= len(names):
-                found = f"{wants}, found {len(names)} columns"
-                raise refusal("column-missing", contents.name, found, cure=delimiter, row=row)
-            places[column] = int(column) - 1
-        elif len(names) == 1 < len(contents.wanted):
-            found = f"has one column, {names[0]!r}, but profile {profile.name} wants {', '.join(contents.wanted)}"
-            cure = f"{delimiter} A log needs command and position, or velocity, in each row."
+        numbered = column in by_position or not profile.header
+        fits = [i for i, name in enumerate(names) if (str(i + 1) if numbered else name) == column]
+        if len(fits) != 1:
+            wants = f"profile {profile.name} wants column {column!r} for {keys.get(column, column)}"
+            found = f"{wants} once, found it {len(fits)} times among {len(names)} columns: {names}"
             raise refusal("column-missing", contents.name, found, cure=cure, row=row)
-        elif names.count(column) != 1:
-            found = f"{wants} once, found it {names.count(column)} times among {names}"
-            raise refusal(
-                "column-missing", contents.name, found, cure=f"{delimiter} Or give column = <position>.", row=row
-            )
-        else:
-            places[column] = names.index(column)
+        places[column] = fits[0]
     return places
 
 
@@ -291,9 +273,9 @@ def _cells(
             more = width == len(names) + 1 and text.rstrip().endswith(layout.delimiter)
             more |= width == len(names) - 1 and not names[-1]  # of the line of names
             line = "trailing_delimiter = true" if more else ""
-            cure = f"Repair the row, or add {line}." if more else "Repair the row, or leave this log out."
+            cure = ""
             if layout.delimiter == "," and width > len(names):
-                cure += ' If these are decimal commas, write decimal = "," and another delimiter.'
+                cure = 'If these are decimal commas, write decimal = "," and another delimiter.'
             found = f"expected {len(names)} values, found {width} ({text[:200]!r})"
             raise refusal("row-length", contents.name, found, "", cure, int(row[number]), line)
     kept = np.delete(np.arange(len(lines)), [number for number, _, _ in bad])

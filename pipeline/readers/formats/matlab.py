@@ -16,7 +16,6 @@ import numpy as np
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.frame import Array, Contents
 from pipeline.readers.isolation import library
-from pipeline.readers.limits import DEEPEST
 from pipeline.readers.refusals import refusal
 
 _SERIES = "s = struct('time', ts.Time, 'data', ts.Data)"
@@ -47,7 +46,7 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
     for name, value in variables.items():
         # insides of objects have a name with # or __
         if not name.startswith(("#", "__")):
-            _add(contents, name, value, 0)
+            _add(contents, name, value)
     for name, label in contents.attributes.items():
         # Simulink writes what a signal is beside its values
         if name.endswith(".label") and (stem := name.removesuffix("label") + "values") in contents.columns:
@@ -102,12 +101,10 @@ def _advice(kind: str) -> str:
     )
 
 
-def _add(contents: Contents, path: str, value: Any, depth: int) -> None:
+def _add(contents: Contents, path: str, value: Any) -> None:
     """Add a variable, a field of a struct, an element of a cell or what an object holds."""
-    if depth > DEEPEST:
-        raise refusal("too-deep", contents.name, f"structs more than {DEEPEST} deep", "recorded signals")
     if hasattr(value, "properties"):
-        _add_object(contents, path, value, depth)
+        _add_object(contents, path, value)
     elif hasattr(value, "columns"):  # a table or timetable
         frame = value.reset_index() if value.index.name else value
         for name in frame.columns:
@@ -115,7 +112,7 @@ def _add(contents: Contents, path: str, value: Any, depth: int) -> None:
             contents.add(f"{path}.{name}", column, unit="ns" if column.dtype.kind in "mM" else "")
     elif type(value).__name__ == "MatlabOpaque":  # as scipy has it
         own, _, kind, _ = (part.decode("utf-8", "replace") if isinstance(part, bytes) else "" for part in value.flat[0])
-        contents.refused[path if depth else own] = _advice(kind)
+        contents.refused[own if path == "None" else path] = _advice(kind)
     elif hasattr(value, "classname"):
         contents.refused[path] = _advice(str(value.classname))
     elif type(value).__name__ == "MatlabFunction":
@@ -127,10 +124,10 @@ def _add(contents: Contents, path: str, value: Any, depth: int) -> None:
         for number, element in enumerate(value.reshape(-1, order="F")):
             place = path if value.size == 1 else f"{path}[{number}]"
             for key in value.dtype.names:
-                _add(contents, f"{place}.{key}", element[key], depth + 1)
+                _add(contents, f"{place}.{key}", element[key])
     elif value.dtype.kind == "O" and not (texts := _texts(value)).size:
         for number, element in enumerate(value.reshape(-1, order="F")):
-            _add(contents, f"{path}[{number}]", element, depth + 1)
+            _add(contents, f"{path}[{number}]", element)
     else:
         text = value.dtype.kind in "UTO"
         values = texts if value.dtype.kind == "O" else value if value.size or not text else np.array([""])
@@ -145,7 +142,7 @@ def _texts(value: Array) -> Array:
     return np.array(texts if 1 < len(texts) == value.size else [])
 
 
-def _add_object(contents: Contents, path: str, value: Any, depth: int) -> None:
+def _add_object(contents: Contents, path: str, value: Any) -> None:
     """Add times and values of a timeseries; of other objects, those of the timeseries in them."""
     known, inner = value.properties, {}
     if value.classname == "timeseries" and isinstance(known, dict):
@@ -163,7 +160,7 @@ def _add_object(contents: Contents, path: str, value: Any, depth: int) -> None:
     elif isinstance(known, dict):
         inner = {key: part for key, part in known.items() if hasattr(part, "properties")}
     for key, part in inner.items():
-        _add_object(contents, f"{path}.{key}", part, depth + 1)
+        _add_object(contents, f"{path}.{key}", part)
     if not any(key.startswith(f"{path}.") for key in contents.columns):
         for key in [key for key in contents.refused if key.startswith(f"{path}.")]:
             del contents.refused[key]

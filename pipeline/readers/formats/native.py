@@ -21,7 +21,7 @@ from pipeline.profiles.profile_model import Profile
 from pipeline.readers.file_kind import refuse_other_kind
 from pipeline.readers.limits import LONGEST_HEADER, LONGEST_HEADER_LINE, LONGEST_LINE
 from pipeline.readers.log import Log, RawLog, check_samples
-from pipeline.readers.refusals import CURES, refusal
+from pipeline.readers.refusals import refusal
 from pipeline.records.batch import Floats
 from pipeline.records.native import COLUMN_LINE, NativeHeader, parse_header
 
@@ -115,13 +115,12 @@ def _split(data: bytes) -> tuple[NativeHeader, int, int]:
         row = len(lines) + 1
         if end - start > LONGEST_HEADER_LINE:
             found = f"line has more than {LONGEST_HEADER_LINE} bytes"
-            expected = f"header lines `# key: value` and the column line {COLUMN_LINE!r}"
-            raise refusal("too-long-line", "", found, expected, "Shorten it, or describe the file by a profile.", row)
+            raise refusal("too-long-line", "", found, f"header lines and the column line {COLUMN_LINE!r}", row=row)
         try:
             text = head[start:end].decode("utf-8-sig" if start == 0 else "utf-8").strip()
         except UnicodeDecodeError as error:
             found = f"line is no UTF-8 text ({error.reason})"
-            raise refusal("encoding", "", found, cure="Save the log as UTF-8.", row=row) from error
+            raise refusal("encoding", "", found, row=row) from error
         start = end
         if text and not text.startswith("#"):
             header = parse_header(lines)
@@ -167,8 +166,7 @@ def _parse_alone(body: _Body) -> Columns:
     for row, line in enumerate(BytesIO(body.text), start=body.first_row):
         if len(line) > LONGEST_LINE:
             found = f"line has more than {LONGEST_LINE} characters"
-            cure = CURES["row-length"]
-            raise refusal("too-long-line", "", found, f"3 values ({COLUMN_LINE})", cure, row)
+            raise refusal("too-long-line", "", found, f"3 values ({COLUMN_LINE})", row=row)
         text = line.decode("utf-8", "replace").removesuffix("\n")
         cells = [cell.strip() for cell in text.split(",")]
         if len(cells) != 3:

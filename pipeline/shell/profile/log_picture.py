@@ -109,12 +109,12 @@ def _trial(log: Log, motion: Motion) -> tuple[str, tuple[RecordedColumn, ...], l
 def _as_it_stands(log: Path) -> tuple[str, tuple[RecordedColumn, ...]]:
     """Return the columns of numbers of a file of which nothing is known."""
     sample = open_sample(log)
-    names = [info.name for info in sample.infos if info.dtype != "text"][:MOST_COLUMNS]
-    if not names:
+    shown = sample.numbers[:MOST_COLUMNS]
+    if not shown:
         raise LogError(f"{log}: no columns of numbers are found in it.", code="empty")
-    frame, units = sample.frame(tuple(names)), {info.name: info.hint for info in sample.infos}
+    frame, units = sample.frame(*shown), {info.name: info.hint for info in shown}
     rows = np.arange(len(frame), dtype=np.float64)
-    columns = {name: np.asarray(frame.columns[name], dtype=np.float64) for name in names if name in frame.columns}
+    columns = {name: np.asarray(frame.columns[name], dtype=np.float64) for name in units}
     # a column that rises in every row is a clock or a counter: its gaps are those of the log
     clock = next((values for values in columns.values() if len(values) > 1 and (np.diff(values) > 0).all()), rows)
     return sample.name, tuple(_column(name, units[name], rows, each, clock, None) for name, each in columns.items())

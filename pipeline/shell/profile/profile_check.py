@@ -6,8 +6,7 @@ Nothing is stored. A file that would be refused is shown with the reason that `p
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +17,10 @@ from pipeline.device_data.devices import known_devices
 from pipeline.intake.reading import logs_of, motion_of
 from pipeline.intake.sources import find_sources
 from pipeline.measured.signal.response import NO_ROW, find_response
-from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, CommandSource, PositionSource, TimeSource
+from pipeline.profiles.profile_columns import QUANTITIES, CommandSource
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Profile
 from pipeline.readers import Log, RawLog
-from pipeline.readers.conditions import entry_of, places_of
+from pipeline.readers.conditions import entry_of, statements
 from pipeline.readers.formats.files import read_file
 from pipeline.readers.obeyed import cure, obeyed
 from pipeline.readers.time_axis import step_flags
@@ -29,14 +28,7 @@ from pipeline.records.batch import TrialBatch
 from pipeline.records.findings import Record
 from pipeline.records.models import Motion
 from pipeline.shell.console import grouped
-from pipeline.shell.profile.profile_warnings import (
-    PLAUSIBLE,
-    facts,
-    implausible,
-    late_velocity,
-    other_step,
-    other_units,
-)
+from pipeline.shell.profile.profile_warnings import PLAUSIBLE, facts, implausible, other_step, other_units
 
 NOTHING = 1e-15
 """Size [SI] up to which a number is what rounding leaves of 0."""
@@ -149,12 +141,11 @@ def _hints(profile: Profile, raw: RawLog) -> dict[str, str]:
 
 
 def _trial(profile: Profile, name: str, log: Log, motion: Motion, hints: dict[str, str]) -> CheckedTrial:
-    rows = np.array([len(log.time)])
-    (flags,) = step_flags(log.time, rows, np.array([log.header.sampling_period_s]))
-    batch = _batch(log)
-    step_row, step = _step(log, batch)
+    (flags,) = step_flags(log.time, np.array([len(log.time)]), np.array([log.header.sampling_period_s]))
+    step_row, step = step_of(log)
     columns = tuple(_columns(profile, log, motion, hints))
     said = {column.column: column.file_says for column in columns}
+    other = obeyed(log)
     return CheckedTrial(
         label=log.label,
         conditions=_conditions(profile, name, log, motion),
@@ -163,72 +154,63 @@ def _trial(profile: Profile, name: str, log: Log, motion: Motion, hints: dict[st
         time=flags | dict(log.counts),
         step_row=step_row,
         step=step,
-        other_gains=None if (other := obeyed(log)) is None else f"{other.sentence}. To cure it: {cure(profile, other)}",
+        other_gains=None if other is None else f"{other.sentence}. To cure it: {cure(profile, other)}",
         plausible=tuple(facts(log).items()),
         warnings=(
             *log.warnings,
             *implausible(log, motion),
             *other_units(profile, said),
-            *other_step(log, step_row, batch),
-            *late_velocity(batch),
+            *other_step(log, step_row),
         ),
     )
 
 
 def _conditions(profile: Profile, name: str, log: Log, motion: Motion) -> tuple[CheckedCondition, ...]:
-    places: dict[str, str] = {}
-    if profile.format != "native":
-        part = next((step for step in profile.steps if step.label == log.label), None)
-        places = places_of(profile, name, entry_of(profile, name), part)
-    found = []
-    for key in CONDITIONS:
-        quantities = CONDITION_QUANTITIES.get(key)
-        unit = si_unit(quantities[motion]) if quantities else ""
-        place = places.get(key, "header" if profile.format == "native" else "default")
-        found.append(CheckedCondition(name=key, value=getattr(log.header, key), unit=unit, place=place))
-    place = "constants" if "motion" in profile.constants.model_fields_set else "default"
-    place = "header" if profile.format == "native" and log.header.motion else place
-    return (*found, CheckedCondition(name="motion", value=motion, unit="", place=place))
+    native = profile.format == "native"
+    part = next((step for step in profile.steps if step.label == log.label), None)
+    stated = {} if native else statements(profile, name, (entry_of(profile, name), part))
+    places = {key: place for key, (place, _) in stated.items()}
+    moving = log.header.motion if native else "motion" in profile.constants.model_fields_set
+    places |= {"motion": "header" if native else "constants"} if moving else {}
+    units = {key: si_unit(quantities[motion]) for key, quantities in CONDITION_QUANTITIES.items()}
+    values = {key: getattr(log.header, key) for key in CONDITIONS} | {"motion": motion}
+    default = {key: "header" if native and key != "motion" else "default" for key in values}
+    return tuple(
+        CheckedCondition(name=key, value=value, unit=units.get(key, ""), place=(default | places)[key])
+        for key, value in values.items()
+    )
 
 
-def _columns(profile: Profile, log: Log, motion: Motion, hints: dict[str, str]) -> list[CheckedColumn]:
-    sources = profile.column_sources()
-    columns = []
+def _columns(profile: Profile, log: Log, motion: Motion, hints: dict[str, str]) -> Iterator[CheckedColumn]:
     for key in ("time", "command", "position", "force", "velocity"):
-        values = getattr(log, key)
+        values, unit, source = getattr(log, key), si_unit(QUANTITIES[key][motion]), profile.column_sources().get(key)
         if values is None:
             continue
-        source, unit = sources.get(key), si_unit(QUANTITIES[key][motion])
         name, written = (key, unit) if source is None else (source.key, source.unit or "")
-        if isinstance(source, TimeSource) and not source.has_stamps:
-            name, written = "(one row each sampling period)", ""
         if isinstance(source, CommandSource) and source.value is not None:
             start = f"row {source.from_row}" if source.from_s is None else f"{source.from_s:g} s"
             name = f"(stated: {source.value:g} from {start} on)"
-        if isinstance(source, ColumnSource):
-            stands = f", stands for {source.stands_for}" if source.stands_for else ""
-            if isinstance(source, PositionSource) and source.integrate:
-                written += f", integrated ({source.integrate})"
-            written += stands + (", sign -1" if source.sign == -1 else "")
+        elif source is not None and not source.in_file:
+            name, written = "(one row each sampling period)", ""
+        rule, stands = getattr(source, "integrate", None), getattr(source, "stands_for", None)
+        written += f", integrated ({rule})" if rule else ""
+        written += f", stands for {stands}" if stands else ""
+        written += ", sign -1" if getattr(source, "sign", 1) == -1 else ""
         if source is not None and source.counts_per_unit is not None:
             written = f"counts, {source.counts_per_unit:g} a {written}"
-        columns.append(
-            CheckedColumn(
-                column=key,
-                source=name,
-                unit=written,
-                first=float(values[0]),
-                last=float(values[-1]),
-                unit_si=unit,
-                file_says=hints.get(name, ""),
-            )
+        first, last = float(values[0]), float(values[-1])
+        yield CheckedColumn(
+            column=key, source=name, unit=written, first=first, last=last, unit_si=unit, file_says=hints.get(name, "")
         )
-    return columns
 
 
-def _batch(log: Log) -> TrialBatch:
+def step_of(log: Log) -> tuple[int | None, str]:
+    """Return the row of the step of a log, None where it is not known, and how it is known or why not."""
+    if "step_row" in log.header.extra:
+        row = int(log.header.extra["step_row"])
+        return row, f"declared, at {log.time[row]:.9g} s"
     header = log.header
-    return TrialBatch(
+    batch = TrialBatch(
         ("sample",),
         stiffness=np.array([header.stiffness]),
         damping=np.array([header.damping]),
@@ -238,31 +220,14 @@ def _batch(log: Log) -> TrialBatch:
         time=log.time[None],
         command=log.command[None],
         position=log.position[None],
-        velocity=None if log.velocity is None else log.velocity[None],
-        integrated=np.array([log.header.extra.get("integrated") == "trapezoid"]),
     )
-
-
-def step_of(log: Log) -> tuple[int | None, str]:
-    """Return the row of the step of a log, None where it is not known, and how it is known or why not."""
-    return _step(log, _batch(log))
-
-
-def _step(log: Log, batch: TrialBatch) -> tuple[int | None, str]:
-    """Return the row of the step, and how it is known."""
-    if "step_row" in log.header.extra:
-        row = int(log.header.extra["step_row"])
-        return row, f"declared, at {log.time[row]:.9g} s"
     found = find_response(batch)
     row = int(found.edge_row[0])
     if row == NO_ROW:
         return None, found.edge_reason[0]
-    if found.steps[0] > 1:
-        return row, (
-            f"found in the command, at {log.time[row]:.9g} s; it has {int(found.steps[0])} steps. Declare each by "
-            "[[steps]] (label, from_s, to_s), or the first alone by window = { to_s = ... }"
-        )
-    return row, f"found in the command, at {log.time[row]:.9g} s"
+    several = f"; it has {int(found.steps[0])} steps. Declare each by [[steps]] (label, from_s, to_s), or the first "
+    several += "alone by window = { to_s = ... }"
+    return row, f"found in the command, at {log.time[row]:.9g} s{several if found.steps[0] > 1 else ''}"
 
 
 def si_unit(quantity: str) -> str:
@@ -277,21 +242,18 @@ def si_unit(quantity: str) -> str:
 def check_lines(profile: Profile, samples: Sequence[CheckedSample]) -> list[str]:
     """Return samples as lines for a reader: the first that is read in full, of the others a line each."""
     read = [sample for sample in samples if sample.reason is None]
-    lines = _full_lines(read[0]) if read else []
-    for sample in read[1:]:
-        lines.append(f"{sample.path}: {_stored_words(sample)}; {'; '.join(map(_short, sample.trials[:SHORT]))}")
+    lines = [line for trial in read[0].trials for line in _full_lines(trial)] if read else []
+    for number, sample in enumerate(read):
+        stored = "1 trial" if len(sample.trials) == 1 else f"{len(sample.trials)} trials"
+        shown = "".join(f"; {_short(trial)}" for trial in sample.trials[:SHORT]) if number else ""
+        lines.insert(len(lines) if number else 0, f"{sample.path}: {stored} would be stored{shown}")
     told = [(sample.path, text) for sample in read[1:] for trial in sample.trials for text in trial.warnings]
     lines += [f"warning: {line}" for line in grouped(told)]
     rows = {sample.path: "" if sample.row is None else f", row {sample.row}" for sample in samples}
     refused = ((sample.path + rows[sample.path], sample.reason) for sample in samples if sample.reason is not None)
     lines += grouped((place, f"would be refused: {reason}") for place, reason in refused)
     others = [(sample.path, trial.other_gains) for sample in read for trial in sample.trials if trial.other_gains]
-    lines += [f"error: {line}" for line in grouped(others)]
-    return lines
-
-
-def _stored_words(sample: CheckedSample) -> str:
-    return f"{'1 trial' if len(sample.trials) == 1 else f'{len(sample.trials)} trials'} would be stored"
+    return lines + [f"error: {line}" for line in grouped(others)]
 
 
 def _short(trial: CheckedTrial) -> str:
@@ -300,49 +262,31 @@ def _short(trial: CheckedTrial) -> str:
     return f"K = {value['stiffness']:.9g}, B = {value['damping']:.9g}, {trial.rows} rows, {step}"
 
 
-def _full_lines(sample: CheckedSample) -> list[str]:
-    lines = [f"{sample.path}: {_stored_words(sample)}"]
-    for trial in sample.trials:
-        lines += [] if trial.label is None else [f"trial {trial.label!r}"]
-        motion: Motion = "rotation" if any(c.value == "rotation" for c in trial.conditions) else "translation"
-        shown = {
-            c.name: (f"{c.value if isinstance(c.value, str) else f'{c.value:.9g}'} {c.unit}", c.place)
-            for c in trial.conditions
-        }
-        derived = {
-            "displacement": next((c.unit_si for c in trial.columns if c.column == "position"), ""),
-            "duration_s": "s",
-        }
-        shown |= {key: (f"{value:.4g} {derived[key]}", "") for key, value in trial.plausible if key in derived}
-        for key, (text, place) in shown.items():
-            low, high = PLAUSIBLE[key][motion] if key in PLAUSIBLE else (0.0, 0.0)
-            usual = f"usual {low:g} to {high:g}" if high else ""
-            origin = f"from {place}" if place else ""
-            lines.append(f"  {key:<20} {text.strip():<20} {origin:<24} {usual}".rstrip())
-        for column in trial.columns:
-            said = f" (the file says {column.file_says})" if column.file_says else ""
-            name = f"{column.source} [{column.unit}]{said}" if column.unit else f"{column.source}{said}"
-            values = f"{_shown(column.first):.9g} to {_shown(column.last):.9g} {column.unit_si}"
-            lines.append(f"  {column.column:<20} {values:<32} from {name}")
-        settled = ", ".join(f"{key} {value:.6g}" for key, value in trial.time.items() if value and abs(value) > NOTHING)
-        row = "not known" if trial.step_row is None else f"row {trial.step_row}"
-        last = {"rows": str(trial.rows), "quality of time": settled, "step": f"{row}: {trial.step}"}
-        lines += [f"  {key:<20} {text}" for key, text in last.items()]
-        lines += [f"  {'warning':<20} {text}" for text in trial.warnings]
-    return lines
-
-
-def _shown(value: float) -> float:
-    """Return a number without what rounding leaves of 0, and without its sign."""
-    return value if abs(value) > NOTHING else 0.0
+def _full_lines(trial: CheckedTrial) -> Iterator[str]:
+    if trial.label is not None:
+        yield f"trial {trial.label!r}"
+    motion: Motion = "rotation" if any(c.value == "rotation" for c in trial.conditions) else "translation"
+    length = next((column.unit_si for column in trial.columns if column.column == "position"), "")
+    facts_ = dict(trial.plausible)
+    rows = [(c.name, c.value, c.unit, f"from {c.place}") for c in trial.conditions]
+    rows += [("displacement", facts_["displacement"], length, ""), ("duration_s", facts_["duration_s"], "s", "")]
+    for key, value, unit, origin in rows:
+        text = value if isinstance(value, str) else f"{value:.9g}" if origin else f"{value:.4g}"
+        usual = "usual {:g} to {:g}".format(*PLAUSIBLE[key][motion]) if key in PLAUSIBLE else ""
+        yield f"  {key:<20} {f'{text} {unit}'.strip():<20} {origin:<24} {usual}".rstrip()
+    for column in trial.columns:
+        said = f" (the file says {column.file_says})" if column.file_says else ""
+        name = f"{column.source} [{column.unit}]{said}" if column.unit else f"{column.source}{said}"
+        # neither what rounding leaves of 0, nor its sign
+        first, last = (value if abs(value) > NOTHING else 0.0 for value in (column.first, column.last))
+        yield f"  {column.column:<20} {f'{first:.9g} to {last:.9g} {column.unit_si}':<32} from {name}"
+    settled = ", ".join(f"{key} {value:.6g}" for key, value in trial.time.items() if value and abs(value) > NOTHING)
+    row = "not known" if trial.step_row is None else f"row {trial.step_row}"
+    last_lines = [("rows", str(trial.rows)), ("quality of time", settled), ("step", f"{row}: {trial.step}")]
+    yield from (f"  {key:<20} {text}" for key, text in [*last_lines, *(("warning", text) for text in trial.warnings)])
 
 
 def check_document(profile: Profile, samples: Sequence[CheckedSample]) -> dict[str, object]:
     """Return what was found as a JSON document."""
     refused = sum(sample.reason is not None for sample in samples)
-    dumped = [json.loads(sample.model_dump_json()) for sample in samples]
-    return {
-        "profile": profile.name,
-        "samples": dumped,
-        "refused": refused,
-    }
+    return {"profile": profile.name, "samples": [s.model_dump(mode="json") for s in samples], "refused": refused}

@@ -12,8 +12,9 @@ import json
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,19 +26,37 @@ from pipeline.profiles.profile_lines import QUESTION
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Format, Profile
 from pipeline.readers.formats.delimited import PACKED, unpacked
 from pipeline.readers.formats.files import read_file
-from pipeline.readers.frame import ColumnInfo, Frame
+from pipeline.readers.frame import ColumnInfo, Contents, Frame
 from pipeline.readers.layout import Layout, format_of, text_layout
 from pipeline.readers.obeyed import Law, law_of
 from pipeline.records.models import Motion
 
-LISTED_CHOICES = 10
-"""Columns that a question names; with more it points to the list."""
+ROLES = ("time", "command", "position")
 
-LONGEST_FIRST = 80
-"""Characters of the first values of a column that are shown."""
+KEYS: dict[str, tuple[Any, str]] = {
+    "step_at": ("command edge", 'when does the step happen: "command edge", "first row", or step_row or step_time_s?'),
+    "name_pattern": (None, "does the file name hold these conditions? Else put them into [constants]."),
+    "columns.time.name": (None, 'which column holds the time stamps (without any: kind = "sampled")?'),
+    "columns.time.unit": ("s", ""),
+    "columns.command.name": (None, "which column holds the total force or torque that the controller commands?"),
+    "columns.command.unit": ("N", ""),
+    "columns.command.sign": (1, "does a positive command push towards greater positions (1), or against them (-1)?"),
+    "columns.position.name": (None, "which column holds the position that the controller measures?"),
+    "columns.position.integrate": (None, 'a velocity: is the position its integral by differences, or by "trapezoid"?'),
+    "columns.position.unit": ("m", ""),
+    "columns.position.sign": (1, "do its numbers rise in the direction that counts as positive (1), or fall (-1)?"),
+    "constants.device": ("bench", "what is the device called?"),
+    "constants.experiment": ("1", "what is the experiment called?"),
+    "constants.motion": ("translation", 'is it a "translation" or a "rotation"?'),
+    "constants.stiffness": (0, "virtual stiffness K of the wall [N/m, Nm/rad, or as in [units]]; 0 without a wall?"),
+    "constants.damping": (0, "virtual damping B of the wall [Ns/m, Nms/rad]?"),
+    "constants.step": (0, "size of the external step [N, Nm]; 0 where none was commanded?"),
+    "constants.sampling_period_s": (0.001, "sampling period T of the controller [s]?"),
+}
+"""Keys of a draft in their order: what is proposed where nothing is seen, and the question."""
 
-LISTED_COLUMNS = 24
-"""Columns that the draft lists as comments; a robot with seven joints has some thirty, a bag hundreds."""
+LISTED = 24
+"""Columns, and values beside them, that the draft lists as comments; a bag has hundreds."""
 
 MOST_TRIED = 8
 """Columns of numbers that are tried as command and position."""
@@ -45,61 +64,51 @@ MOST_TRIED = 8
 SAME = 0.1
 """Part by which a number may differ from what the command obeys: names are rounded."""
 
-_RANGES = {"time": (2e-5, 0.1), "command": (1e-3, 1e4), "position": (1e-6, 0.8)}
-"""Sampling period [s], and range of command [N, Nm] and position [m, rad] in one log of a device."""
-
-_USUAL = {
-    "time": ("s", "ms", "us", "ns"),
-    "command": ("N", "mN", "Nm", "mNm"),
-    "position": ("m", "mm", "um", "rad", "deg"),
+_UNITS = {
+    "time": (("s", "ms", "us", "ns"), 2e-5, 0.1),
+    "command": (("N", "mN", "Nm", "mNm"), 1e-3, 1e4),
+    "position": (("m", "mm", "um", "rad", "deg"), 1e-6, 0.8),
 }
-"""Units in the order in which they are proposed."""
+"""Units as they are proposed, and the range [SI] of sampling period, command and position in one log of a device."""
 
-_ROLES = {
-    "time": r"t|time|times?tamps?|stamp|zeit|zeitstempel|tout|@stamp|@time",
-    "command": r"command|cmd|force[ _-]?(?:command|cmd|desired)|(?:tau|torque)[ _-]?(?:command|cmd|desired)",
-    "position": r"position|pos|weg|lage|winkel|angle",
+_NAMES = {
+    "time": (r"t|time|times?tamps?|stamp|zeit|zeitstempel|tout|@stamp|@time", r"(?!)"),
+    "command": (
+        r"command|cmd|force[ _-]?(?:command|cmd|desired)|(?:tau|torque)[ _-]?(?:command|cmd|desired)",
+        r"f|u|tau|m|kraft|moment|force|torque|(?:f|u)[ _-]?(?:cmd|soll|des)",
+    ),
+    "position": (
+        r"position|pos|weg|lage|winkel|angle",
+        r"x|q|s|phi|theta|pos.*|x[ _-]?(?:ist|act|meas)|v|vel|velocity|speed|omega|dx|dq",
+    ),
 }
-"""Names that say beyond doubt what a column is, without their unit; symbols such as x or F do not."""
-
-_LIKELY = {
-    "time": r"(?!)",
-    "command": r"f|u|tau|m|kraft|moment|force|torque|(?:f|u)[ _-]?(?:cmd|soll|des)",
-    "position": r"x|q|s|phi|theta|pos.*|x[ _-]?(?:ist|act|meas)|v|vel|velocity|speed|omega|dx|dq",
-}
-"""Names that a question gives as its possible answer."""
+"""Names that say beyond doubt what a column is, without their unit, and names that a question proposes."""
 
 _NAMED_WALL = re.compile(r"(?<![A-Za-z])([KB])([_=]?)(-?)\d+\.?\d*", re.IGNORECASE)
 """Stiffness or damping in the name of a file."""
 
 _SPEEDS = frozenset(QUANTITIES["velocity"].values())
 
-_SIGN_QUESTIONS = {
-    "command": "does a positive command push towards greater positions (1), or against them (-1)?",
-    "position": "do its numbers rise in the direction that counts as positive (1), or fall (-1)?",
-}
-
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """A log of which nothing is known: its bytes, format, how its text is laid out, and its columns."""
+    """A log of which nothing is known: its format, layout of text, contents, columns, and what of it is not read."""
 
     name: str
-    data: bytes
     kind: Format
     layout: Layout
+    contents: Contents
     infos: list[ColumnInfo]
-    refused: tuple[str, ...] = ()
-    """What of it is not read, why, and how it is exported."""
+    refused: list[str]
 
-    def frame(self, wanted: tuple[str, ...]) -> Frame:
-        """Return columns by name as they stand in the file; raises LogError where they do not go together."""
-        return read_file(self.profile, (self.name,), (self.data,), wanted).frame()
+    def frame(self, *infos: ColumnInfo) -> Frame:
+        """Return columns as they stand in the file; raises LogError where they do not go together."""
+        return replace(self.contents, wanted=tuple(info.name for info in infos)).frame()
 
     @property
-    def profile(self) -> Profile:
-        """What reads the file as it is."""
-        return Profile.model_construct(name="draft", format=self.kind, files=("*",), **self.layout.to_read())
+    def numbers(self) -> list[ColumnInfo]:
+        """Columns of numbers."""
+        return [info for info in self.infos if info.dtype != "text"]
 
 
 def open_sample(path: Path) -> Sample:
@@ -120,21 +129,28 @@ def open_sample(path: Path) -> Sample:
     if kind == "delimited" and data.startswith(tuple(PACKED)):
         kind = format_of(path.name, unpacked(path.name, data))
     layout = text_layout(path.name, data) if kind == "delimited" else Layout()
-    sample = Sample(path.name, data, kind, layout, [])
     if kind == "native":
-        return sample
-    contents = read_file(sample.profile, (path.name,), (data,))
+        return Sample(path.name, kind, layout, Contents(path.name), [], [])
+    settings = Profile.model_construct(name="draft", format=kind, files=("*",), **layout.to_read())
+    contents = read_file(settings, (path.name,), (data,))
     layout.keys |= contents.keys
     infos = contents.listed()
     refused = [f"{info.name} {info.hint}" for info in infos if not info.rows and info.hint]
-    infos = [info for info in infos if info.rows > 1 and info.name]
-    if all(info.dtype == "text" for info in infos):
-        raise LogError(
-            "it holds no columns of numbers with several rows. "
-            + ("; ".join(refused) or "Export the recorded signals as plain columns."),
-            code="empty",
-        )
-    return replace(sample, infos=infos, refused=tuple(refused))
+    sample = Sample(path.name, kind, layout, contents, [i for i in infos if i.rows > 1 and i.name], refused)
+    if not sample.numbers:
+        cure = "; ".join(refused) or "Export the recorded signals as plain columns."
+        raise LogError(f"it holds no columns of numbers with several rows. {cure}", code="empty")
+    return sample
+
+
+@dataclass
+class Findings:
+    """Keys of a profile that a sample tells, answers that it proposes, and what it says of them."""
+
+    known: dict[str, Any] = field(default_factory=dict)
+    proposed: dict[str, Any] = field(default_factory=dict)
+    said: dict[str, str] = field(default_factory=dict)
+    remarks: list[str] = field(default_factory=list)
 
 
 def draft_profile(path: Path, *others: Path) -> str:
@@ -151,27 +167,124 @@ def draft_profile(path: Path, *others: Path) -> str:
         sample = open_sample(path)
         if sample.kind == "native":
             raise ProfileError(f"{path} is a native log, which needs no profile: `pipeline ingest {path}` reads it.")
-        lines = [*_lines(sample, path, others), *(text for other in others if (text := _difference(sample, other)))]
-        return "".join(f"{_printable(line)}\n" for line in lines)
+        lines = [*_lines(sample, _findings(sample, path, others)), *(_difference(sample, other) for other in others)]
     except LogError as error:
         raise ProfileError(f"{path}: no profile can be drafted: {error.reason}") from error
+    # what TOML does not allow, or nobody sees, is escaped
+    shown = ("".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in line) for line in lines if line is not None)
+    return "".join(f"{line}\n" for line in shown)
 
 
-def _difference(sample: Sample, path: Path) -> str:
-    """Return a comment on how another file differs from the sample; empty where one profile reads both."""
+def _difference(sample: Sample, path: Path) -> str | None:
+    """Return a comment on how another file differs from the sample; None where one profile reads both."""
     try:
         other = open_sample(path)
     except LogError as error:
         return f"# {path.name} is not of this form: {error.reason}"
-    if other.kind != sample.kind:
-        return f"# {path.name} is of format {other.kind}, not {sample.kind}: it needs a profile of its own"
-    layouts = {**other.layout.keys, **{f"{key} (asked)": "" for key in other.layout.questions}}
-    own = {**sample.layout.keys, **{f"{key} (asked)": "" for key in sample.layout.questions}}
-    keys = sorted(key for key in layouts.keys() | own.keys() if layouts.get(key) != own.get(key))
-    names, mine = [info.name for info in other.infos], [info.name for info in sample.infos]
-    columns = [] if names == mine else [f"columns {_toml(names[:LISTED_CHOICES])}"]
-    found = [f"{key} = {_toml(layouts.get(key, 'absent'))}" for key in keys] + columns
-    return f"# {path.name} is laid out otherwise: {', '.join(found)}" if found else ""
+    forms = [
+        {"format": s.kind, **s.layout.keys, **s.layout.questions, "columns": [info.name for info in s.infos]}
+        for s in (sample, other)
+    ]
+    own, found = forms
+    told = [f"{key} = {_toml(found.get(key))}" for key in own | found if own.get(key) != found.get(key)]
+    return f"# {path.name} is laid out otherwise: {', '.join(told)}" if told else None
+
+
+def _lines(sample: Sample, found: Findings) -> Iterator[str]:
+    """Yield the lines of the draft: the keys that are known or asked, by table."""
+    yield f"# Draft for {_toml(sample.name)}. Where a question stands: set the key below it."
+    short = re.sub(r"[^a-z0-9]+", "_", Path(sample.name).stem.lower()).strip("_")
+    yield from (f"name = {_toml(short or 'lab')}", f"format = {_toml(sample.kind)}")
+    yield f"files = [{_toml(_files(sample.name))}] # names of the logs"
+    yield from (f"{key} = {_toml(value)}" for key, value in sample.layout.keys.items())
+    asked = {key: (None, words) for key, words in sample.layout.questions.items()}
+    found.proposed |= {key: "," if key == "decimal" else "latin-1" for key in asked}
+    table = ""
+    for place, (default, words) in (asked | KEYS).items():
+        above, _, key = place.rpartition(".")
+        value = found.known.get(place, found.proposed.get(place, default))
+        if value is None:
+            continue
+        if above != table:
+            yield from ("", *(found.remarks if not table else ()), f"[{above}]")
+            table = above
+        key = "column" if isinstance(value, int) and key == "name" else key
+        place = f"{above}.{key}" if above else key
+        if f"{above}.name" in found.known if key == "column" else place in found.known:
+            yield f"{key} = {_toml(value)}"
+        else:
+            yield from (f"{QUESTION} {place}: {found.said.get(place, '')}{words}", f"# {key} = {_toml(value)}")
+    if units := {key: value for key, value in found.known.items() if key.startswith("units.")}:
+        yield from ("", "[units] # the command obeys the numbers in the file name in these units")
+        yield from (f"{key.removeprefix('units.')} = {_toml(value)}" for key, value in units.items())
+
+
+def _findings(sample: Sample, path: Path, others: Sequence[Path]) -> Findings:
+    """Return what a sample tells: its columns, the law that its command obeys, conditions in its name."""
+    found = Findings()
+    named, likely = _roles(sample)
+    by_position = not sample.layout.keys.get("header", True)
+    speed = _bare(likely["position"], "position")[1] if "position" in likely else ""
+    moving = getattr(find_unit(speed), "quantity", "") in _SPEEDS
+    seen = None if by_position or moving else _evidence(sample, likely)
+    if seen:
+        named = likely = seen.columns
+    for role in ROLES:
+        _column(found, sample, role, named.get(role), likely.get(role), by_position)
+    wall = _wall_in_name(Path(sample.name).stem)
+    groups = {key: float(value) for key, value in (find_groups(wall, sample.name) or {}).items()} if wall else {}
+    if moving:
+        found.proposed["columns.position.integrate"] = "difference"
+        found.said["columns.position.integrate"] = f"{likely['position'].name!r} is "
+    if wall:
+        sure = others and seen and all(find_groups(wall, other.name) for other in others)
+        (found.known if sure else found.proposed)["name_pattern"] = wall
+    if seen:
+        _by_law(found, seen, groups)
+        found.known["constants.experiment"] = path.absolute().parent.name or "1"
+    found.remarks += _remarks(sample, seen)
+    # what the name gives is no constant
+    found.known |= dict.fromkeys((f"constants.{key}" for key in groups), None)
+    return found
+
+
+def _remarks(sample: Sample, seen: Evidence | None) -> Iterator[str]:
+    yield "# Columns of the file:"
+    for info in sample.infos[:LISTED]:
+        hint = f", the file says {info.hint!r}" if info.hint else ""
+        yield f"#   {_toml(info.name)}: {info.dtype}, {info.rows} rows, {', '.join(info.first)[:80]}{hint}"
+    if len(sample.infos) > LISTED:
+        yield f"#   and {len(sample.infos) - LISTED} more"
+    yield from (f"# Not read: {text}" for text in sample.refused)
+    if attributes := sample.contents.attributes:
+        yield "# Values beside the table, which [attributes] may take conditions from:"
+        yield from (f"#   {_toml(key)}: {_toml(str(value)[:80])}" for key, value in list(attributes.items())[:LISTED])
+    yield "# Conditions that differ from file to file may come from name_pattern, [attributes], [condition_columns] or"
+    yield "# [[file]]. A log of motion without wall and step has no stiffness, damping and step."
+    if seen:
+        told = ", ".join(f"{key} {seen.si(key):.4g}" for key in ("stiffness", "damping", "step"))
+        yield "# The command obeys a wall law in the columns below, which tells them, the step and the signs (but for"
+        yield f"# the direction that counts as positive): {told} in SI, if the units are right."
+
+
+def _column(
+    found: Findings, sample: Sample, role: str, named: ColumnInfo | None, likely: ColumnInfo | None, by_position: bool
+) -> None:
+    """Put name and unit of a column into the findings."""
+    place, unit = f"columns.{role}", f"columns.{role}.unit"
+    likely = likely or sample.numbers[0]
+    name: str | int = int(likely.name) if by_position and likely.name.isdecimal() else likely.name
+    (found.known if named else found.proposed)[f"{place}.name"] = name
+    stated = _bare(likely, role)[1]
+    quantity = getattr(find_unit(stated), "quantity", None)
+    allowed = {*QUANTITIES[role].values()}
+    if role == "position" and quantity in _SPEEDS:
+        allowed = {str(quantity)}
+    known = [symbol for symbol, one in UNITS.items() if one.quantity in allowed]
+    found.proposed[unit] = stated if quantity in allowed else known[0]
+    said = f"the file says {stated!r}; is it right? " if stated else "the file does not say it. "
+    counts = " For counts give counts_per_unit, too." if role == "position" else ""
+    found.said[unit] = f"{said}One of {', '.join(known)}.{counts}"
 
 
 @dataclass(frozen=True)
@@ -190,123 +303,98 @@ class Evidence:
 
     def si(self, key: str) -> float:
         """Return stiffness, damping or step in SI, in the units that are proposed."""
-        factor = UNITS[self.units["command"]].factor
-        return (
-            float(abs(getattr(self.law, key))) * factor / (1 if key == "step" else UNITS[self.units["position"]].factor)
-        )
+        length = 1.0 if key == "step" else UNITS[self.units["position"]].factor
+        return float(abs(getattr(self.law, key))) * UNITS[self.units["command"]].factor / length
+
+
+def _by_law(found: Findings, seen: Evidence, groups: dict[str, float]) -> None:
+    """Put what the law of the command tells into the findings."""
+    found.known |= {
+        "step_at": "first row" if seen.first_row else "command edge",
+        "columns.command.sign": 1,
+        "columns.position.sign": -1 if seen.law.stiffness < 0 else 1,
+        "constants.step": _round(math.copysign(seen.si("step"), seen.law.step)),
+    }
+    motion: Motion = "rotation" if UNITS[seen.units["position"]].quantity == "angle" else "translation"
+    found.proposed |= {f"constants.{key}": _round(seen.si(key)) for key in ("stiffness", "damping")}
+    found.proposed |= {f"columns.{role}.unit": unit for role, unit in seen.units.items()} | {"constants.motion": motion}
+    sure = found.known if seen.time_is_sure else found.proposed
+    sure |= {"columns.time.unit": seen.units["time"], "constants.sampling_period_s": float(f"{seen.period_s:.9g}")}
+    for key, value in groups.items():
+        factor = seen.si(key) / abs(value) if value else 1.0
+        base = next(symbol for symbol, unit in UNITS.items() if unit == (CONDITION_QUANTITIES[key][motion], 1.0))
+        if abs(factor - 1) > SAME and (unit := unit_between(base, factor, SAME)):
+            found.known[f"units.{key}"] = "N/mm" if unit == "kN/m" else unit
 
 
 def _evidence(sample: Sample, likely: dict[str, ColumnInfo]) -> Evidence | None:
     """Return what the numbers show; None where no columns obey a wall law with a stiffness."""
-    time, *rest = [likely.get("time"), *_numbers(sample.infos)[:MOST_TRIED]]
-    pairs = [(a, b) for a in rest for b in rest if a is not b and time is not None and time not in (a, b)]
-    own = (likely.get("command"), likely.get("position"))
-    for command, position in sorted(pairs, key=lambda pair: pair != own):
+    time, own = likely.get("time"), (likely.get("command"), likely.get("position"))
+    tried = [info for info in sample.numbers[:MOST_TRIED] if info is not time]
+    pairs = [(a, b) for a in tried for b in tried if a is not b and time is not None]
+    for pair in sorted(pairs, key=lambda pair: pair != own):
         assert time is not None
+        columns = dict(zip(ROLES, (time, *pair), strict=True))
         try:
-            values = sample.frame((time.name, command.name, position.name)).columns.values()
+            values = sample.frame(*columns.values()).columns.values()
             stamps, force, place = (np.asarray(column, dtype=np.float64) for column in values)
         except (LogError, ValueError):
             return None
-        columns = {"time": time, "command": command, "position": position}
         pace = float(np.median(np.diff(stamps)))
-        spans = {"time": pace, "command": float(np.ptp(force)), "position": float(np.ptp(place))}
-        units = {key: _plausible(key, columns[key], span) for key, span in spans.items()}
+        spans = dict(zip(ROLES, (pace, float(np.ptp(force)), float(np.ptp(place))), strict=True))
+        units = {role: _plausible(role, columns[role], span) for role, span in spans.items()}
         if not all(units.values()):
             continue
         factor = UNITS[units["time"][0]].factor
         law = law_of(stamps * factor, force, place)
         if law is not None and law.stiffness and law.step:
-            chosen = {key: found[0] for key, found in units.items()}
-            return Evidence(
-                law, columns, chosen, len(units["time"]) == 1, pace * factor, abs(force[0]) > abs(law.step) / 2
-            )
+            chosen, begun = {role: found[0] for role, found in units.items()}, abs(force[0]) > abs(law.step) / 2
+            return Evidence(law, columns, chosen, len(units["time"]) == 1, pace * factor, bool(begun))
     return None
 
 
-def _plausible(key: str, info: ColumnInfo, span: float) -> list[str]:
+def _plausible(role: str, info: ColumnInfo, span: float) -> list[str]:
     """Return the units in which the numbers of a column are those of a device; the stated one alone where it is."""
-    low, high = _RANGES[key]
-    fits = [unit for unit in _USUAL[key] if low <= span * UNITS[unit].factor <= high]
-    stated = _bare(info, key)[1].translate(str.maketrans("µμ", "uu"))
+    units, low, high = _UNITS[role]
+    fits = [unit for unit in units if low <= span * UNITS[unit].factor <= high]
+    stated = _bare(info, role)[1].translate(str.maketrans("µμ", "uu"))
     return [stated] if stated in fits else fits
 
 
-def _lines(sample: Sample, path: Path, others: Sequence[Path]) -> Iterator[str]:
-    """Yield the lines of the draft."""
-    name, kind, layout, infos = sample.name, sample.kind, sample.layout, sample.infos
-    packed = name.lower().endswith((".gz", ".zst"))
-    suffix = "".join(Path(name).suffixes[-2 if packed else -1 :])
-    short = re.sub(r"[^a-z0-9]+", "_", Path(name).stem.lower()).strip("_")
-    by_position = kind == "delimited" and not layout.keys.get("header", True)
-    roles = {} if by_position else _roles(infos)
-    likely = _likely(sample, roles)
-    seen = None if by_position or _speed(likely.get("position")) else _evidence(sample, likely)
-    if seen:
-        roles = likely = seen.columns
-    yield f"# Draft for {_toml(name)}. Where a question stands: set the key below it."
-    yield f"name = {_toml(short or 'lab')}"
-    yield f"format = {_toml(kind)}"
-    yield f"files = [{_toml(_files(name, suffix))}] # names of the logs"
-    for key, value in layout.keys.items():
-        yield f"{key} = {_toml(value)}"
-    for key, words in layout.questions.items():
-        yield from _question(key, words, f"{key} = {_toml(',' if key == 'decimal' else 'latin-1')}")
-    if seen:
-        yield f'step_at = "{"first row" if seen.first_row else "command edge"}"'
-    else:
-        words = 'when does the step happen: "command edge" (found in the command; rows before it are recorded) or '
-        words += '"first row"? Or give step_row or step_time_s in its place.'
-        yield from _question("step_at", words, 'step_at = "command edge"')
-    wall = _wall_in_name(name.removesuffix(suffix))
-    groups = {key: float(value) for key, value in (find_groups(wall, name) or {}).items()} if wall else {}
-    if wall and others and seen and all(find_groups(wall, other.name) for other in others):
-        yield f"name_pattern = {_toml(wall)}"
-    elif wall:
-        given = " and ".join(groups)
-        words = f"does the file name hold {given}? Else put it into [constants]."
-        yield from _question("name_pattern", words, f"name_pattern = {_toml(wall)}")
-    yield ""
-    yield "# Columns of the file:"
-    for info in infos[:LISTED_COLUMNS]:
-        hint = f", the file says {info.hint!r}" if info.hint else ""
-        first = ", ".join(info.first)[:LONGEST_FIRST]
-        yield f"#   {_toml(info.name)}: {info.dtype}, {info.rows} rows, {first}{hint}"
-    yield from (f"# Not read: {text}" for text in sample.refused)
-    if len(infos) > LISTED_COLUMNS:
-        yield f"#   and {len(infos) - LISTED_COLUMNS} more"
-    if seen:
-        told = ", ".join(f"{key} {seen.si(key):.4g}" for key in ("stiffness", "damping", "step"))
-        yield "# The command obeys a wall law in the columns below, which tells them, the step and the signs (but for"
-        yield f"# the direction that counts as positive): {told} in SI, if the units are right."
-    frame = _frame(sample, roles)
-    for key in ("time", "command", "position"):
-        yield from _column(key, roles.get(key), likely.get(key), infos, by_position, frame, seen)
-    yield from _units(seen, groups)
-    yield from _constants(path, frame, groups, seen)
+def _roles(sample: Sample) -> tuple[dict[str, ColumnInfo], dict[str, ColumnInfo]]:
+    """Return the columns whose name says what they are, and for each role one that is likely."""
+    sure: dict[str, ColumnInfo] = {}
+    for role, (certain, _) in _NAMES.items():
+        fits = [info for info in sample.numbers if re.fullmatch(certain, _bare(info, role)[0])]
+        sure |= {role: fits[0]} if len(fits) == 1 else {}
+    likely = dict(sure)
+    for role, patterns in _NAMES.items():
+        left = [info for info in sample.numbers if info not in likely.values()]
+        good = [info for pattern in patterns for info in left if re.fullmatch(pattern, _bare(info, role)[0])]
+        if role not in likely and (choice := [*(_clocks(sample, left) if role == "time" else good), *left]):
+            likely[role] = choice[0]
+    return sure, likely
 
 
-def _units(seen: Evidence | None, groups: dict[str, float]) -> Iterator[str]:
-    """Yield the unit of conditions in file names, where the command tells it."""
-    found = {}
-    for key, value in groups.items():
-        factor = seen.si(key) / abs(value) if seen and value else 1.0
-        base = next(symbol for symbol, unit in UNITS.items() if unit == (CONDITION_QUANTITIES[key][_motion(seen)], 1.0))
-        if abs(factor - 1) > SAME and (unit := unit_between(base, factor, SAME)):
-            found[key] = "N/mm" if unit == "kN/m" else unit
-    if found:
-        yield ""
-        yield "[units] # the command obeys the numbers in the file name in these units"
-        yield from (f"{key} = {_toml(unit)}" for key, unit in found.items())
+def _clocks(sample: Sample, numbers: list[ColumnInfo]) -> list[ColumnInfo]:
+    """Return the columns whose numbers rise in every row."""
+    try:
+        columns = sample.frame(*numbers[:LISTED]).columns
+    except LogError:
+        return []
+    rising = {name for name, values in columns.items() if (np.diff(values.astype(np.float64)) > 0).all()}
+    return [info for info in numbers if info.name in rising]
 
 
-def _motion(seen: Evidence | None) -> Motion:
-    turns = seen is not None and UNITS[seen.units["position"]].quantity == "angle"
-    return "rotation" if turns else "translation"
+def _bare(info: ColumnInfo, role: str) -> tuple[str, str]:
+    """Return the last part of a name without its unit, and the unit that the file states there or in its hint."""
+    name, unit = unit_in_heading(info.name, [*QUANTITIES[role].values(), *(_SPEEDS if role == "position" else ())])
+    return re.split(r"[./]", name)[-1].strip().lower(), unit or info.hint
 
 
-def _files(name: str, suffix: str) -> str:
+def _files(name: str) -> str:
     """Return the pattern of the names of a file and of those beside it, which differ in their numbers."""
+    suffix = "".join(Path(name).suffixes[-2 if name.lower().endswith((".gz", ".zst")) else -1 :])
     pattern = re.sub(r"-?\d+(?:[.,]\d+)*", "*", re.sub(r"[\[*?]", "?", name.removesuffix(suffix)))
     return (pattern if "*" in pattern else "*") + suffix
 
@@ -319,205 +407,13 @@ def _wall_in_name(stem: str) -> str:
         return ""
     groups = {"K": "stiffness", "B": "damping"}
     # a dash behind both letters parts them from their numbers; behind one alone it is its sign
-    dashed = len(found) > 1 and all(minus for *_, minus in found)
-    return ".*".join(
-        f"{letter}{sign}{'-' if dashed else ''}(?P<{groups[letter.upper()]}>-?[0-9]+[.]?[0-9]*)"
-        for letter, sign, _ in found
-    )
+    dash = "-" if len(found) > 1 and all(minus for *_, minus in found) else ""
+    return ".*".join(f"{k}{sign}{dash}(?P<{groups[k.upper()]}>-?[0-9]+[.]?[0-9]*)" for k, sign, _ in found)
 
 
-def _printable(line: str) -> str:
-    """Return a line with what TOML does not allow, or nobody sees, escaped."""
-    return "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in line)
+def _round(value: float) -> float:
+    return float(f"{value:.4g}")
 
 
 def _toml(value: object) -> str:
     return json.dumps(value, ensure_ascii=False)
-
-
-def _question(key: str, words: str, answer: str) -> Iterator[str]:
-    yield f"{QUESTION} {key}: {words}"
-    yield f"# {answer}"
-
-
-def _bare(info: ColumnInfo, role: str) -> tuple[str, str]:
-    """Return the last part of a name without its unit, and the unit that the file states there or in its hint."""
-    name, unit = unit_in_heading(info.name, [*QUANTITIES[role].values(), *(_SPEEDS if role == "position" else ())])
-    return re.split(r"[./]", name)[-1].strip().lower(), unit or info.hint
-
-
-def _speed(info: ColumnInfo | None) -> str | None:
-    """Return the quantity of a column that states the unit of a velocity."""
-    unit = None if info is None else find_unit(unit_in_heading(info.name, _SPEEDS)[1] or info.hint)
-    return None if unit is None or unit.quantity not in _SPEEDS else unit.quantity
-
-
-def _numbers(infos: list[ColumnInfo]) -> list[ColumnInfo]:
-    return [info for info in infos if info.dtype != "text"]
-
-
-def _fitting(role: str, pattern: str, infos: list[ColumnInfo]) -> list[ColumnInfo]:
-    return [info for info in _numbers(infos) if re.fullmatch(pattern, _bare(info, role)[0])]
-
-
-def _roles(infos: list[ColumnInfo]) -> dict[str, ColumnInfo]:
-    """Return the columns whose name says what they are, where one alone does."""
-    fitting = {role: _fitting(role, pattern, infos) for role, pattern in _ROLES.items()}
-    return {role: fits[0] for role, fits in fitting.items() if len(fits) == 1}
-
-
-def _likely(sample: Sample, roles: dict[str, ColumnInfo]) -> dict[str, ColumnInfo]:
-    """Return a column of its own for each role: the one that is known, else one whose name or numbers look like it."""
-    found, clocks = dict(roles), [] if "time" in roles else _clocks(sample)
-    for role, pattern in _LIKELY.items():
-        left = [info for info in _numbers(sample.infos) if info not in found.values()]
-        good = clocks if role == "time" else _fitting(role, _ROLES[role], left) + _fitting(role, pattern, left)
-        if role not in found and (choice := [*(info for info in good if info in left), *left]):
-            found[role] = choice[0]
-    return found
-
-
-def _clocks(sample: Sample) -> list[ColumnInfo]:
-    """Return the columns whose numbers rise in every row."""
-    numbers = _numbers(sample.infos)[:LISTED_COLUMNS]
-    try:
-        columns = sample.frame(tuple(info.name for info in numbers)).columns
-    except LogError:
-        return []
-    return [i for i in numbers if i.name in columns and (np.diff(columns[i.name].astype(np.float64)) > 0).all()]
-
-
-def _frame(sample: Sample, roles: dict[str, ColumnInfo]) -> Frame | None:
-    """Return the columns whose role is known, to look at their numbers; None where they do not go together."""
-    if not roles:
-        return None
-    try:
-        return sample.frame(tuple(info.name for info in roles.values()))
-    except LogError:
-        return None
-
-
-def _column(
-    key: str,
-    info: ColumnInfo | None,
-    likely: ColumnInfo | None,
-    infos: list[ColumnInfo],
-    by_position: bool,
-    frame: Frame | None,
-    seen: Evidence | None,
-) -> Iterator[str]:
-    yield ""
-    yield f"[columns.{key}]"
-    if info is not None:
-        yield f"name = {_toml(info.name)}"
-    else:
-        part = "column" if by_position else "name"
-        numbers = [i.name for i in _numbers(infos)]
-        short = len(numbers) <= LISTED_CHOICES
-        listed = f"One of 1 to {len(infos)}." if by_position else "One of those above."
-        if short and not by_position:
-            listed = f"One of {', '.join(map(_toml, numbers))}."
-        what = {
-            "time": 'the time stamps (without any, give kind = "sampled" in its place)',
-            "command": "the total force or torque that the controller commands",
-            "position": "the position that the controller measures",
-        }[key]
-        name = numbers[0] if likely is None else likely.name
-        shown = name if by_position else _toml(name)
-        yield from _question(f"columns.{key}.{part}", f"which column holds {what}? {listed}", f"{part} = {shown}")
-    quantities = set(QUANTITIES[key].values())
-    if key == "position" and likely is not None and (moving := _speed(likely)) is not None:
-        words = f"{likely.name!r} is a velocity: is the position its integral? By differences, or "
-        yield from _question(
-            "columns.position.integrate", words + 'by trapezoids ("trapezoid").', 'integrate = "difference"'
-        )
-        quantities = {moving}
-    stated = _bare(likely, key)[1] if likely is not None else ""
-    known = [symbol for symbol, unit in UNITS.items() if unit.quantity in quantities]
-    match = find_unit(stated) if stated else None
-    fits = match is not None and match.quantity in quantities
-    said = f"the file says {stated!r}; is it right? " if stated else "the file does not say it. "
-    counts = " For counts give counts_per_unit, too." if key == "position" else ""
-    answer = stated if fits else seen.units[key] if seen else known[0]
-    if seen and key == "time" and seen.time_is_sure:
-        yield f"unit = {_toml(answer)}"
-    else:
-        words = f"{said}One of {', '.join(known)}.{counts}"
-        yield from _question(f"columns.{key}.unit", words, f"unit = {_toml(answer)}")
-    if seen and key in _SIGN_QUESTIONS:
-        yield f"sign = {-1 if key == 'position' and seen.law.stiffness < 0 else 1}"
-    elif key in _SIGN_QUESTIONS:
-        yield from _question(f"columns.{key}.sign", _SIGN_QUESTIONS[key], "sign = 1")
-    if key == "time":
-        yield from _time_questions(info, frame)
-
-
-def _time_questions(info: ColumnInfo | None, frame: Frame | None) -> Iterator[str]:
-    """Ask what the numbers of the time column leave open."""
-    values = None if info is None or frame is None else frame.columns.get(info.name)
-    if values is None or values.dtype.kind not in "iuf" or len(values) < 2:
-        return
-    # whole numbers such as ns since 1970 lose digits as floats, their distances do not
-    steps = np.diff(values - values.min() if values.dtype.kind in "iu" else values).astype(np.float64)
-    if np.isnan(steps).any():
-        yield from _question(
-            "columns.time.blanks", 'some stamps are blank. Leave such rows out ("skip")?', 'blanks = "skip"'
-        )
-        return
-    if (steps > 0).all():
-        yield f"# stamps rise by {np.median(steps):.6g} in the median, {steps.min():.6g} to {steps.max():.6g}"
-        return
-    back, same = int((steps < 0).sum()), int((steps == 0).sum())
-    if back:
-        words = (
-            f'time runs backwards {back} times. Is it a counter that wraps (kind = "counter" and wrap), are they steps '
-            '(kind = "steps"), or rows out of order (kind = "absolute" and order = "sort")?'
-        )
-        yield from _question("columns.time.kind", words, 'kind = "counter"')
-    if same:
-        words = f'{same} stamps are doubled. Which row stays, "keep first" or "keep last"?'
-        words += ' Or were they printed coarsely (kind = "sampled")?'
-        yield from _question("columns.time.duplicates", words, 'duplicates = "keep first"')
-
-
-def _constants(path: Path, frame: Frame | None, groups: dict[str, float], seen: Evidence | None) -> Iterator[str]:
-    attributes = {} if frame is None else dict(frame.attributes)
-    yield ""
-    if attributes:
-        yield "# Values beside the table, which [attributes] may take conditions from:"
-        shown = list(attributes.items())[:LISTED_COLUMNS]
-        yield from (f"#   {_toml(key)}: {_toml(str(value)[:LONGEST_FIRST])}" for key, value in shown)
-    yield "# Conditions that differ from file to file may come from name_pattern, [attributes], [condition_columns] or"
-    yield "# [[file]]: then put the key there in place of the one below. A log of motion without wall and step has no"
-    yield "# stiffness, damping and step."
-    numbers = re.findall(r"([A-Za-z]+)[_=-]?(-?\d+(?:\.\d+)?)", path.stem)
-    if numbers and not groups:
-        pattern = ".*".join(f"{letters}(?P<...>[-0-9.]+)" for letters, _ in numbers)
-        yield f"# The file name has numbers; if they are conditions: name_pattern = {_toml(pattern)} (above all tables)"
-    yield "[constants]"
-    yield from _question("constants.device", "what is the device called?", 'device = "bench"')
-    if seen:
-        yield f"experiment = {_toml(path.absolute().parent.name or '1')}"
-    else:
-        yield from _question("constants.experiment", "what is the experiment called?", 'experiment = "1"')
-    words = 'is it a "translation" or a "rotation"?'
-    yield from _question("constants.motion", words, f"motion = {_toml(_motion(seen))}")
-    asked = {
-        "stiffness": "virtual stiffness K of the wall, in N/m or Nm/rad (or its unit in [units]); 0 without a wall",
-        "damping": "virtual damping B of the wall, in Ns/m or Nms/rad",
-        "step": "size of the external step, in N or Nm; 0 where none was commanded",
-        "sampling_period_s": "sampling period T of the controller, in s",
-    }
-    for key, words in asked.items():
-        if key in groups:
-            continue
-        if seen is None:
-            proposed = "0.001" if key == "sampling_period_s" else "0"
-            yield from _question(f"constants.{key}", f"{words}?", f"{key} = {proposed}")
-        elif key == "sampling_period_s" and seen.time_is_sure:
-            yield f"{key} = {seen.period_s:.9g} # as the stamps rise in the median"
-        elif key == "step":
-            yield f"step = {math.copysign(seen.si('step'), seen.law.step):.4g} # the command jumps by it"
-        else:
-            value = seen.period_s if key == "sampling_period_s" else seen.si(key)
-            yield from _question(f"constants.{key}", f"{words}?", f"{key} = {value:.4g}")

@@ -1,4 +1,4 @@
-"""Where logs that read without a fault speak against their profile: units, signs, step, a velocity that is late."""
+"""Where logs that read without a fault speak against their profile: units, signs."""
 
 from __future__ import annotations
 
@@ -7,13 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from pipeline.base.units import find_unit, unit_in_heading
-from pipeline.measured.intervals import NORMAL_95
-from pipeline.measured.signal.lag import lags_of
-from pipeline.measured.signal.response import external_force
 from pipeline.profiles.profile_columns import QUANTITIES
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
-from pipeline.records.batch import TrialBatch
 from pipeline.records.models import Motion
 
 FIRST_MOTION = 0.05
@@ -25,10 +21,6 @@ STEP_ROWS = 3
 
 STEP_TOLERANCE = 0.1
 """Part of the step by which its size may differ: a round number stands for what the controller commands."""
-
-LEAST_LAG = 0.5
-"""Lag of a velocity in sampling periods that any difference of two positions has."""
-
 
 PLAUSIBLE: dict[str, dict[Motion, tuple[float, float]]] = {
     "stiffness": {"translation": (1.0, 1e6), "rotation": (1e-2, 1e5)},
@@ -76,24 +68,13 @@ def other_units(profile: Profile, said: Mapping[str, str]) -> list[str]:
     return found
 
 
-def other_step(log: Log, step_row: int | None, batch: TrialBatch) -> list[str]:
-    """Return where the command jumps by another step than the profile says, or the position goes against it.
-
-    Parameters
-    ----------
-    log : Log
-    step_row : int or None
-        Row of the step, counted from 0; None where it is not known.
-    batch : TrialBatch
-        The same log.
-    """
-    step = log.header.step
+def other_step(log: Log, step_row: int | None) -> list[str]:
+    """Return where the command jumps by another step, or the position goes against it; rows are counted from 0."""
+    step, found = log.header.step, []
     if step_row is None or step == 0:
         return []
-    found = []
-    force = external_force(batch)[0]
-    before = force[:step_row] if step_row else np.zeros(1)
-    jump = float(np.median(force[step_row : step_row + STEP_ROWS]) - np.median(before))
+    before = log.command[:step_row] if step_row else np.zeros(1)
+    jump = float(np.median(log.command[step_row : step_row + STEP_ROWS]) - np.median(before))
     # chatter before the step, fed through a filter of the velocity, shows how well the jump is known
     if abs(jump - step) > STEP_TOLERANCE * abs(step) + float(np.ptp(before)):
         found.append(f"the command jumps by {jump:.4g} in row {step_row}, but the step is {step:.4g}: which is right?")
@@ -102,20 +83,5 @@ def other_step(log: Log, step_row: int | None, batch: TrialBatch) -> list[str]:
     noise = float(np.ptp(log.position[: step_row + 1]))
     clear = np.flatnonzero(np.abs(moved) > max(2 * noise, FIRST_MOTION * float(np.abs(moved).max(initial=0.0))))
     if len(clear) and moved[clear[0]] < 0:
-        found.append(
-            "the position moves against the step at first: check the signs of columns.command, columns.position and of "
-            "the step"
-        )
+        found.append("the position moves against the step at first: check the signs of command, position and step")
     return found
-
-
-def late_velocity(batch: TrialBatch) -> list[str]:
-    """Return by how much the logged velocity of a sample is later than its position, where that is seen."""
-    (found,) = lags_of(batch)
-    lag, error = found.lag_s or 0.0, found.standard_error_s or 0.0
-    if abs(lag) <= NORMAL_95 * error or abs(lag) <= LEAST_LAG * batch.sampling_period_s[0]:
-        return []
-    return [
-        f"the logged velocity is {1e3 * lag:.3g} ms later than the position (± "
-        f"{1e3 * NORMAL_95 * error:.2g}): a filter, or a reading of another time; no cost or estimate uses it"
-    ]

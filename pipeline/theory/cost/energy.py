@@ -2,8 +2,7 @@
 
 The energy of a sampling interval is a form of few numbers, the device's state at its start and the wall's forces in it;
 every energy cost follows from the sums of their products with the weights k^w. These are refined to the last digit
-(`refinement`); for many points they come from linear equations (`lagsums`, ideal loops) or from the modes, much faster,
-and are refined only where these lose digits.
+(`refinement`); for many points they come from the modes, much faster, and are refined only where these lose digits.
 """
 
 from __future__ import annotations
@@ -15,13 +14,15 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats
-from pipeline.theory.cost.lagsums import lag_sums
 from pipeline.theory.cost.refinement import refined_sums
 from pipeline.theory.device.modes import TOGETHER, Modes, modes
 from pipeline.theory.device.pieces import WEIGHTS, energy_forms
 
 _ENTRIES = 1 << 18
 """Entries of the matrices that are doubled at a time: of some ten arrays, 20 MB."""
+
+_CACHED = 1 << 15
+"""Pairs of modes that are summed at a time."""
 
 _FEW, _SHORT = 128, 12
 """Points and states up to which all sums are refined: that takes less time than the other ways."""
@@ -91,11 +92,11 @@ def _sums(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> Floats:
     law, n, q = loop.law(alpha, beta), len(alpha), len(loop.device[1]) + len(loop.segments)
     sums, rest = np.empty((len(WEIGHTS), n, q, q)), np.arange(n)
     if n > _FEW or loop.states > _SHORT:
-        if loop.has_parts:
-            sums, good = _by_modes(loop, law, modes(loop, alpha, beta, signal))
-        else:
-            found = lag_sums(loop, alpha, beta, signal)
-            sums, good = np.moveaxis(found.moments, 3, 1), found.trusted
+        found, size = modes(loop, alpha, beta, signal), max(1, _CACHED // loop.states**2)
+        good = np.zeros(n, np.bool_)
+        for first in range(0, n, size):
+            near = slice(first, first + size)
+            sums[:, near], good[near] = _by_modes(loop, law[near], found.part(near))
         rest = np.flatnonzero(~good)
     chunk = max(1, _ENTRIES // loop.states**2)
     for some in (rest[i : i + chunk] for i in range(0, len(rest), chunk)):

@@ -14,7 +14,6 @@ from pipeline.records.criteria import CRITERIA, REPORTED, with_discrete
 from pipeline.theory.cost.pointcosts import point_costs_by_name
 from pipeline.theory.stability.boundary import boundary
 from pipeline.theory.stability.region import is_inside, is_well_inside
-from pipeline.theory.stability.stability import boundary_points
 
 MAP_CRITERIA = tuple(c.name for c in CRITERIA.values() if not c.optimum_only)
 """Criteria of a map; those of a response also as ``_discrete``."""
@@ -39,9 +38,6 @@ MARGIN = 1e-9
 _FEWEST = 8
 """Points of a boundary whose extremes alone are asked for."""
 
-_NEAR_ZERO = 1e-5
-"""Angle that stands for theta -> 0: the boundary is off its limit by O(theta^2), rounding by 1e-16/theta."""
-
 
 def check_criteria(names: Sequence[str]) -> None:
     """Raise ParameterError if a name is none of `MAP_CRITERIA`, nor of those of a response with ``_discrete``."""
@@ -54,16 +50,9 @@ def check_criteria(names: Sequence[str]) -> None:
 
 
 def bounding_box(loop: Loop) -> tuple[float, float, float, float]:
-    """Return alpha_low, alpha_high, beta_low, beta_high of the stable region.
-
-    The region's lowest beta is often the limit of the boundary for theta -> 0, on the line alpha = -gamma.
-    """
-    if loop.has_parts:
-        border = boundary(loop, _FEWEST)  # its extremes are searched for whatever the points between
-        return -loop.gamma, border.alpha_max, float(border.beta[0]), border.beta_max
-    border = boundary(loop)
-    start = float(boundary_points(loop, np.array([_NEAR_ZERO]))[1][0])
-    return -loop.gamma, border.alpha_max, min(start, float(border.beta.min())), border.beta_max
+    """Return alpha_low, alpha_high, beta_low, beta_high of the stable region."""
+    border = boundary(loop, _FEWEST)  # its extremes are known whatever the points between
+    return -loop.gamma, border.alpha_max, border.beta_min, border.beta_max
 
 
 @dataclass(frozen=True, eq=False)

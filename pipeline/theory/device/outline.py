@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.loop.loop import Loop
-from pipeline.records.batch import Floats, Integers
+from pipeline.records.batch import Booleans, Floats, Integers
+from pipeline.theory.device.circle import angle_of
 from pipeline.theory.device.crossings import polished, stretches, turning_dampings
 
 _NODES = np.concatenate([[1e-9], 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, 9)[1:-1])), [1 - 1e-9]])
@@ -37,13 +38,21 @@ class Limits:
         Stiffest wall of the interval that begins at alpha -> 0; nan where there is none.
     angle : float64, shape (n,)
         Angle of the pole that leaves the unit circle there [rad/sample], pi of a real one.
+    low, low_angle : float64, shape (n,)
+        Its other end, -gamma where it begins on that line, and the angle there, nan on the line.
     islands : float64, shape (i, 3)
         Further stable intervals: beta, lowest and highest alpha > 0.
     """
 
     alpha: Floats
     angle: Floats
+    low: Floats
+    low_angle: Floats
     islands: Floats
+
+    def part(self, which: Booleans) -> Limits:
+        """Return those of some dampings, islands of all."""
+        return Limits(self.alpha[which], self.angle[which], self.low[which], self.low_angle[which], self.islands)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,22 +61,32 @@ class Outline:
 
     Parameters
     ----------
-    beta, alpha : float64, shape (n,)
-        In order of beta; empty where no soft wall is stable.
+    beta : float64, shape (n,)
+        In order; empty where no soft wall is stable.
+    limits : Limits
+        There.
     islands : float64, shape (i, 3)
         As of `Limits`: at these beta, and between the first and the last at which anything is stable.
     alpha_max, beta_at_alpha_max : float
         The stiffest wall of all, islands left out; nan where there is none.
+    ends : tuple of float
+        Infimum and supremum of beta, to the last bit, where a limit can only be told beside it.
     """
 
     beta: Floats
-    alpha: Floats
+    limits: Limits
     islands: Floats
     alpha_max: float
     beta_at_alpha_max: float
+    ends: tuple[float, float]
+
+    @property
+    def alpha(self) -> Floats:
+        """The limits themselves."""
+        return self.limits.alpha
 
 
-def limits(loop: Loop, beta: Floats, *, exact: bool = True) -> Limits:
+def limits(loop: Loop, beta: Floats, *, exact: bool = True, floor: float = 0.0) -> Limits:
     """Return the limit of walls at each beta.
 
     Parameters
@@ -75,25 +94,26 @@ def limits(loop: Loop, beta: Floats, *, exact: bool = True) -> Limits:
     loop : Loop
     beta : float64, shape (n,)
     exact : bool
-        Whether crossings are polished in many digits; some 11 digits else.
+        Whether crossings are polished in many digits; those of doubles else.
+    floor : float
+        Softest wall, -gamma to 0; only intervals that end above it count.
     """
     found = stretches(loop, beta)
-    above = np.flatnonzero(found.high > 0)
+    above = np.flatnonzero(found.high > floor)
     index, ends, at = found.index[above], np.stack([found.low, found.high])[:, above], (found.low_at, found.high_at)
     if exact:
         for end, place in zip(ends, at, strict=True):
-            known = np.flatnonzero(np.isfinite(place[above]) & (end > 0))
+            known = np.flatnonzero(np.isfinite(place[above]) & (end > floor))
             end[known] = polished(loop, beta[index[known]], place[above][known])
     low, high = ends
     soft = low <= 0
-    alpha = np.full(len(beta), np.nan)
-    alpha[index[soft]] = np.maximum(high[soft], 0.0)
-    angle = np.full(len(beta), np.nan)
-    angle[index[soft]] = np.nan_to_num(2 * np.arctan(np.exp(0.5 * found.high_at[above][soft])), nan=np.pi)
-    return Limits(alpha, angle, np.stack([beta[index], low, high], axis=1)[~soft])
+    ends = np.full((4, len(beta)), np.nan)
+    angle = np.nan_to_num(angle_of(found.high_at[above]), nan=np.pi)
+    ends[:, index[soft]] = np.array([np.maximum(high, floor), angle, low, angle_of(found.low_at[above])])[:, soft]
+    return Limits(ends[0], ends[1], ends[2], ends[3], np.stack([beta[index], low, high], axis=1)[~soft])
 
 
-def outline(loop: Loop, points: int = 400) -> Outline:
+def outline(loop: Loop, points: int = 400, floor: float = 0.0) -> Outline:
     """Return the limit of walls over all dampings at which there is one.
 
     Parameters
@@ -102,6 +122,8 @@ def outline(loop: Loop, points: int = 400) -> Outline:
     points : int
         Number of dampings of the outline, >= 8, spread over its parts and denser towards their ends; both sides of
         every corner and jump come beside these.
+    floor : float
+        As of `limits`.
 
     Notes
     -----
@@ -113,25 +135,25 @@ def outline(loop: Loop, points: int = 400) -> Outline:
     nodes = turning[:-1, None] + gaps[:, None] * _NODES
     marks = nodes[:, [0, -1]].ravel()
     marks = np.append(marks, _corners(loop, np.unique(nodes)))
-    known = limits(loop, np.unique(np.append(nodes, marks)), exact=False)
+    known = limits(loop, np.unique(np.append(nodes, marks)), exact=False, floor=floor)
     # what holds in the middle of a gap holds all over it
-    holds = np.isfinite(limits(loop, nodes[:, _MIDDLE], exact=False).alpha)
+    holds = np.isfinite(limits(loop, nodes[:, _MIDDLE], exact=False, floor=floor).alpha)
     inside = np.concatenate([[False], holds, [False]])
     low, high = turning[np.flatnonzero(inside[1:] > inside[:-1])], turning[np.flatnonzero(inside[1:] < inside[:-1])]
     if not len(low):
-        return Outline(np.zeros(0), np.zeros(0), known.islands, np.nan, np.nan)
+        return Outline(np.zeros(0), limits(loop, np.zeros(0)), known.islands, np.nan, np.nan, (np.nan, np.nan))
     counts = np.maximum(8, points * (high - low) / (high - low).sum()).astype(int)
     spread = [
         start + (end - start) * 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, count)[1:-1]))
         for start, end, count in zip(low, high, counts, strict=True)
     ]
     beta = np.unique(np.concatenate([marks, *spread]))
-    alpha = limits(loop, beta).alpha
-    beta, alpha = beta[np.isfinite(alpha)], alpha[np.isfinite(alpha)]
-    for end in (low, high):  # known to the last bit, where a limit can only be told beside it
-        beta[np.abs(beta[:, None] - end).argmin(axis=0)] = end
-    best = int(np.argmax(alpha))
-    return Outline(beta, alpha, known.islands, float(alpha[best]), float(beta[best]))
+    found = limits(loop, beta, floor=floor)
+    kept = np.isfinite(found.alpha)
+    beta, found = beta[kept], found.part(kept)
+    best = int(np.argmax(found.alpha))
+    peak, at = float(found.alpha[best]), float(beta[best])
+    return Outline(beta, found, known.islands, peak, at, (float(low[0]), float(high[-1])))
 
 
 def _corners(loop: Loop, levels: Floats) -> Floats:

@@ -36,7 +36,7 @@ from pipeline.theory.optimum.search import (
 )
 from pipeline.theory.stability.boundary import boundary
 from pipeline.theory.stability.region import stiffness_limit
-from pipeline.theory.stability.stability import boundary_points, spectral_radius
+from pipeline.theory.stability.stability import spectral_radius
 
 UNDAMPED_LOSS = 1e-9
 """Distance of a damping ratio from 1 that is rounding: a threefold pole is split by 1e-5, which costs 2e-10."""
@@ -99,11 +99,11 @@ def optimal_point(loop: Loop, criterion: str) -> OptimalPoint:
 
 def _least(loop: Loop, criterion: str) -> OptimalPoint:
     """Smallest cost inside the stable region or, as a limit, along its edge, where the cost must be continuous."""
-    longest, general = int(_ENDLESS * (loop.delay + 1)), loop.has_parts
+    longest = int(_ENDLESS * (loop.delay + 1))
 
     def at(place: Floats) -> tuple[Floats, Floats]:
-        """The edge by its angle, a general loop's by its damping."""
-        return (stiffness_limit(loop, place, islands=False), place) if general else boundary_points(loop, place)
+        """The edge by its damping."""
+        return stiffness_limit(loop, place, islands=False), place
 
     def cost(alpha: Floats, beta: Floats, _: float) -> Floats:
         return point_costs_by_name(loop, alpha, beta, (criterion,), longest)[criterion]
@@ -115,8 +115,7 @@ def _least(loop: Loop, criterion: str) -> OptimalPoint:
         found[steep] = cost(alpha[steep], beta[steep], best)
         return np.where(np.isnan(found), np.inf, found)
 
-    lowest, border = float(box(loop)[0][0]), boundary(loop)
-    ends = border.beta if general else border.theta
+    lowest, ends = float(box(loop)[0][0]), boundary(loop).beta
     edge = search_lines(along, ends.min(keepdims=True), ends.max(keepdims=True))
     inside = search(loop, cost, SMOOTH)
     if edge.cost[0] > inside.cost:

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
-from pipeline.theory.device.crossings import on_circle_response
+from pipeline.theory.device.circle import inverse_and_rate, place_of
 from pipeline.theory.stability.stability import bisect, is_stable, spectral_radius
 
 _PLACES = 4000
@@ -75,11 +75,11 @@ def margins(loop: Loop, alpha: float, beta: float) -> Margins:
         raise ParameterError("this wall is unstable: it has no margins.")
 
     def response(angle: Floats) -> np.ndarray:
-        inverse, rate = on_circle_response(loop, angle)
+        inverse, rate = inverse_and_rate(loop, place_of(angle))[0]
         return np.asarray(-(alpha + beta * rate) / inverse)
 
     def compliance(angle: Floats) -> Floats:
-        inverse, rate = on_circle_response(loop, angle)
+        inverse, rate = inverse_and_rate(loop, place_of(angle))[0]
         return np.asarray(np.abs((alpha + loop.gamma) / (alpha + beta * rate - inverse)))
 
     angle = _angles(loop)

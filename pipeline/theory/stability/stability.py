@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats
+from pipeline.theory.device.circle import circle_points, place_of
 
 _CHUNK = 8192
 """Points whose eigenvalues are computed at a time; bounds memory to about 40 MB at d = 16."""
@@ -116,8 +117,7 @@ def sampled_plant(loop: Loop) -> SampledPlant:
 def boundary_points(loop: Loop, theta: Floats) -> tuple[Floats, Floats]:
     """Return the points (alpha, beta) at which a pole pair lies on the unit circle at the angles +-theta.
 
-    On |z| = 1 the characteristic equation is linear in alpha and beta: with the delayed plant G and W = -1/G(z),
-    beta = Im W / sin theta and alpha = Re W - beta (1 - cos theta).
+    On |z| = 1 the characteristic equation is linear in alpha and beta: alpha + beta N = -1/G (`device.circle`).
 
     Parameters
     ----------
@@ -125,13 +125,8 @@ def boundary_points(loop: Loop, theta: Floats) -> tuple[Floats, Floats]:
     theta : float64, shape (n,)
         Angles, 0 < theta < pi.
     """
-    zeta = -2 * np.sin(theta / 2) ** 2 + 1j * np.sin(theta)
-    plant = sampled_plant(loop)
-    denominator = zeta**2 + zeta * plant.linear + plant.constant
-    response = sum(np.exp(-1j * theta * age) * (slope * zeta + offset) for age, slope, offset in plant.pushes)
-    w = -denominator / response
-    beta = w.imag / np.sin(theta)
-    return w.real - 2 * beta * np.sin(theta / 2) ** 2, beta
+    found = circle_points(loop, place_of(theta))
+    return found.alpha, found.beta
 
 
 def bisect(holds: Callable[[Floats], Booleans], good: Floats, bad: Floats, halvings: int = 60) -> tuple[Floats, Floats]:

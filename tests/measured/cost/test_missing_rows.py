@@ -31,7 +31,8 @@ def group(batch):
 
 def costs(batch):
     of = group(batch)
-    made = STAGES["settling"].rows(of, GIVEN) | STAGES["energy"].rows(of, GIVEN)
+    (made,), (energies,) = (STAGES[name].rows(of, GIVEN) for name in ("settling", "energy"))
+    made |= energies
     names = [*SETTLING_BANDS, *ENERGIES]
     return {
         key: np.array(made[key].to_pylist() if hasattr(made[key], "to_pylist") else made[key], dtype=float)

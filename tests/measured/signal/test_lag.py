@@ -8,7 +8,6 @@ import pytest
 from pipeline.base.errors import ParameterError
 from pipeline.measured.signal.lag import lags_of, velocity_lag
 from pipeline.records.batch import TrialBatch
-from pipeline.shell.profile.profile_warnings import late_velocity
 
 
 def swing(lag, *, n=400, seed=0, quantum=0.0, speed_quantum=0.0, jitter=0.2, gain=1.0, offset=0.0):
@@ -98,15 +97,3 @@ def test_trials_without_a_velocity_in_order_have_no_lag():
     assert first.lag_s == pytest.approx(0.018, abs=2e-6)
     assert second.lag_s is None
     assert lags_of(replace(batch, velocity=None))[0].lag_s is None
-
-
-def test_a_late_velocity_is_told_by_profile_check():
-    time, position, velocity = swing(0.018, speed_quantum=0.01)
-    one = np.ones(1)
-    batch = TrialBatch(
-        ("a",), one, one, one, 4.4e-3 * one, np.array([400]), time[None], position[None], position[None],
-        velocity=velocity[None],
-    )  # fmt: skip
-    (text,) = late_velocity(batch)
-    assert "18 ms later than the position" in text
-    assert late_velocity(replace(batch, velocity=swing(0.0005)[2][None])) == []

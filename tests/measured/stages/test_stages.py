@@ -16,7 +16,7 @@ from pipeline.measured.cost import settling_overshoot
 from pipeline.measured.device import damping, delay, mass
 from pipeline.measured.experiment import boundary
 from pipeline.measured.signal import response, verdict
-from pipeline.measured.stages import stage_energy, stage_tables
+from pipeline.measured.stages import stage_rows, stage_tables
 from pipeline.measured.stages.stage_tables import StageTables
 from pipeline.measured.stages.stages import STAGES, ExperimentStages, required
 from pipeline.records.table_files import read_table
@@ -309,7 +309,7 @@ def test_energy_without_a_mass_says_why(falcon, monkeypatch):
         falcon.stages("1").table(stage)
     of = falcon.stages("1")
     nothing = of.mass_estimate.model_copy(update={"value": None, "reason": "no trial moved"})
-    monkeypatch.setattr(stage_energy, "mass_estimate", lambda _: nothing)
+    monkeypatch.setattr(stage_rows, "mass_estimate", lambda _: nothing)
     monkeypatch.setattr(of, "is_stored", lambda stage: stage != "energy")
     monkeypatch.setattr(stage_tables, "write_kept", lambda *_: None)
     cost, why = of.cost("energy_step_w0")

@@ -121,7 +121,7 @@ def test_columns_without_names_are_taken_by_position():
     frame = read("7\t1.5 \t-3\n8\t2.5\t-4\n", ("1", "3"), header=False, delimiter="blanks")
     assert values(frame) == {"1": [7, 8], "3": [-3, -4]}
     assert frame.row.tolist() == [1, 2]
-    with pytest.raises(LogError, match=r"wants column '3' for columns\.command, found 2 columns") as error:
+    with pytest.raises(LogError, match=r"wants column '3' for columns\.command once, found it 0 times") as error:
         read("7 1\n8 2\n", ("1", "3"), header=False, delimiter="blanks")
     assert error.value.row == 1
 
@@ -194,20 +194,20 @@ def test_counters_of_64_bits_keep_their_integers():
         (b"", {}, 1, "is empty"),
         (b"\n \n", {}, 1, "is empty"),
         (b"a\nb\n", {"skip_rows": 5}, 1, "empty below skip_rows = 5"),
-        (b"a\nb\n", {"header_after": "^start"}, 1, "no line that fits header_after = '\\^start'"),
+        (b"a\nb\n", {"header_after": "^start"}, 1, "header_after = '\\^start'"),
         (b"t,x,F\n", {}, 2, "0 samples"),
         (
             PLAIN.encode(),
             {"delimiter": ";"},
             1,
-            "has one column, 't,x,F', but .* wants t, x, F. Correct the delimiter \\(';'\\)",
+            "among 1 columns: \\['t,x,F'\\]. Correct the delimiter \\(';'\\)",
         ),
         (b"t,x,F,F\n0,1,2,3\n", {}, 1, "'F' for columns.command once, found it 2 times"),
         (b"t,x,F\n0,1,2\n1,2\n2,3,4\n", {}, 3, "expected 3 values, found 2"),
         (b"t,x,F\n0,1,2\n1,2,3,\n2,3,4\n", {}, 3, "found 4.*trailing_delimiter = true"),
         (b"t,x,F\n0,5,1,5,2,5\n0,5,1,5,2,5\n", {}, 2, 'found 6.*decimal = ","'),
         (b"t,x,F\n0,1,2\n\n1,2,3\n", {}, 3, 'blank line.*blank_lines = "skip"'),
-        (PLAIN.encode("utf-16"), {}, 1, 'byte order mark of utf-16.*Add encoding = "utf-16"'),
+        (PLAIN.encode("utf-16"), {}, 1, 'byte order mark of utf-16.*help in the profile: encoding = "utf-16"'),
         ("t,x,F\n0,1,2\n1,2,µ\n2,3,4\n".encode("latin-1"), {}, 3, 'no UTF-8 text.*0xb5.*encoding = "latin-1"'),
     ],
 )

@@ -12,7 +12,7 @@ from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.loop.loop import Loop
 from pipeline.loop.many_digits import as_exact, many_digits, product
 from pipeline.records.loop_parts import Coefficients, LoopParts
-from pipeline.theory.device.crossings import right_half
+from pipeline.theory.device.ends import right_half
 from pipeline.theory.device.outline import limits, outline
 from pipeline.theory.device.real_roots import positive_roots
 from pipeline.theory.stability.boundary import boundary

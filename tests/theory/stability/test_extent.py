@@ -11,10 +11,7 @@ from independent import NYQUIST as STIFFEST
 from independent import characteristic, random_loops, stable_by_schur_cohn
 
 from pipeline.loop.loop import Loop
-from pipeline.theory.stability.extent import (
-    damping_range,
-    stiffest_point,
-)
+from pipeline.theory.stability.boundary import boundary
 from pipeline.theory.stability.region import is_inside, stable_intervals, stiffness_limit
 from pipeline.theory.stability.robust import robust_limits
 
@@ -51,6 +48,19 @@ def damping_below(loop: Loop, step: float) -> float:
     share = np.concatenate([[0.0], np.geomspace(1e-12, 1.0, 600)])
     beta = at + (high - low) * np.concatenate([-share, share])
     return float(np.median(beta[is_inside(loop, alpha - step, beta)]))
+
+
+def damping_range(loop: Loop) -> tuple[float, float]:
+    """Infimum and supremum of stable beta."""
+    border = boundary(loop, 8)
+    found = [border.beta_min, border.beta_max, *border.islands[:, 0]]
+    return min(found), max(found)
+
+
+def stiffest_point(loop: Loop) -> tuple[float, float]:
+    """Supremum of stable alpha and its beta."""
+    border = boundary(loop, 8)
+    return border.alpha_max, border.beta_at_alpha_max
 
 
 def check_extremes(loop: Loop) -> None:

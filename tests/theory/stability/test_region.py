@@ -8,15 +8,12 @@ import mpmath as mp
 import numpy as np
 import pytest
 from independent import characteristic, random_loops, stable_by_schur_cohn
-from test_extent import EXTREME
+from test_extent import EXTREME, damping_range, stiffest_point
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
-from pipeline.theory.stability.extent import (
-    damping_range,
-    stiffest_point,
-)
-from pipeline.theory.stability.region import is_inside, region, stable_intervals, stiffness_limit
+from pipeline.theory.device.plain_branches import first_branch
+from pipeline.theory.stability.region import is_inside, stable_intervals, stiffness_limit
 from pipeline.theory.stability.robust import robust_limits
 from pipeline.theory.stability.stability import spectral_radius
 
@@ -52,7 +49,7 @@ def test_verdicts_of_random_loops_against_eigenvalues() -> None:
         got = is_inside(loop, alpha, beta)
         np.testing.assert_array_equal(got[sure], radius[sure] < 1, str(loop))
         checked += int(sure.sum())
-        kinds |= {(region(loop).first is None, bool(value)) for value in got[sure]}
+        kinds |= {(first_branch(loop) is None, bool(value)) for value in got[sure]}
     assert checked > 4000
     assert len(kinds) == 4  # stable and unstable points, of ordinary loops and of those that need all branches
 
@@ -74,7 +71,7 @@ def test_limits_are_met_to_1e_10_by_polynomials_in_many_digits(record_property) 
     for loop, beta in zip(loops, shares_of_damping(loops, 15), strict=True):
         limit = float(stiffness_limit(loop, beta)[0])
         if limit == -math.inf:
-            assert region(loop).first is None  # regions of several parts have gaps
+            assert first_branch(loop) is None  # regions of several parts have gaps
             continue
         step = 1e-10 * (limit + loop.gamma)
         for place, stable in ((limit - step, True), (limit + step, False)):
@@ -167,8 +164,6 @@ def test_extremes_against_a_fine_grid_of_lines(values: tuple[float, float, float
     low, high = damping_range(loop)
     lines = 2001
     beta = low + (high - low) * (np.arange(lines) + 0.5) / lines
-    found = stable_intervals(loop, beta)
-    assert not len(found.doubtful)
     alpha, at = stiffest_point(loop)
     best = float(stiffness_limit(loop, beta).max())
     assert best <= alpha * (1 + 1e-12) + 1e-300

@@ -1,0 +1,162 @@
+"""How many wrong changes of the code the fast tests catch: `CHANGES`, one at a time, in a copy of the tree.
+
+    python benchmarks/mutants.py [--only WORD] [--first N] [--count N] [--seconds 240]
+
+For each change run the test files that touch its module, its own first, until one fails. Wanted: 57 of 60 caught.
+A change whose text is not there once is printed as stale and counts as not caught.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[1]
+COPIED = ("pipeline", "tests", "schemas", "docs", "README.md", "CHANGELOG.md", "pyproject.toml")
+WANTED = 57
+
+
+class Change(NamedTuple):
+    """A wrong change of a module below ``pipeline/``: the text there, what replaces it, and tests beside its own."""
+
+    module: str
+    old: str
+    new: str
+    tests: str = ""
+
+
+VERDICT, COMBINE = "measured/signal/verdict.py", "measured/experiment/combine.py"
+OUTCOME, DATABASE, SECURITY = "measured/signal/outcome.py", "service/database.py", "service/security.py"
+SETTLING, AGGREGATE = "measured/cost/settling_overshoot.py", "measured/experiment/aggregate.py"
+DAMPING, MASS, DELAY = "measured/device/damping.py", "measured/device/mass.py", "measured/device/delay.py"
+AGAINST, AGREEMENT = "comparison/against.py", "comparison/scores/agreement.py"
+
+CHANGES = (
+    Change(VERDICT, "TREND_FACTOR = 3.0", "TREND_FACTOR = 1.05"),
+    Change(VERDICT, "REST_FLOORS = 8.0", "REST_FLOORS = 2.0"),
+    Change(VERDICT, "LIMIT_SIGMAS = 3.0", "LIMIT_SIGMAS = 0.5"),
+    Change(VERDICT, "LEAST_FALL = 3.0", "LEAST_FALL = 30.0"),
+    Change(VERDICT, "SENSOR_SHARE = 0.5", "SENSOR_SHARE = 0.0"),
+    Change(VERDICT, "TONE = 7.0", "TONE = 0.1"),
+    Change(VERDICT, "AT_REST_FROM = 0.8", "AT_REST_FROM = 0.999"),
+    Change(VERDICT, "(2 * onset - start)", "(onset)"),
+    Change(VERDICT, "rate / batch.sampling_period_s, tuple(reason)", "rate, tuple(reason)"),
+    Change(VERDICT, "np.where(rate > 0, \"unstable\", \"stable\")", "np.where(rate < 0, \"unstable\", \"stable\")"),
+    Change(OUTCOME, "SETTLED_SAMPLES = 5", "SETTLED_SAMPLES = 1"),
+    Change(OUTCOME, "BAND = 0.02", "BAND = 0.2"),
+    Change(OUTCOME, "LASTING_RATIO = 0.6", "LASTING_RATIO = 0.05"),
+    Change(SETTLING, "SETTLED_SAMPLES = 5", "SETTLED_SAMPLES = 0"),
+    Change(SETTLING, "np.where(good, after - first, np.nan)", "np.where(good, after - first + 1, np.nan)"),
+    Change(SETTLING, "resolved = width >= response.floor", "resolved = width >= 0 * response.floor"),
+    Change(SETTLING, "(response.floor + response.baseline_motion)", "(response.floor)"),
+    Change(AGGREGATE, "float(known[n - rank])", "float(known[min(n - rank + 1, n - 1)])"),
+    Change(AGGREGATE, "0.5 * (1 - CONFIDENCE)", "1 - CONFIDENCE"),
+    Change(AGGREGATE, "np.isfinite(cost) & ~unstable", "np.isfinite(cost)"),
+    Change(AGGREGATE, "stiffness[free].max()", "stiffness[free].min()"),
+    Change(AGGREGATE, "int(index[np.argmin(distance)])", "int(index[0])"),
+    Change(COMBINE, "max(len(z) - 1, 1)", "max(len(z), 1)"),
+    Change(COMBINE, "int(inside.sum()) - 1", "int(inside.sum())"),
+    Change(COMBINE, "0.5 * t.slope", "0.0 * t.slope"),
+    Change(COMBINE, "/ NORMAL_QUARTILE - 1", "- 1"),
+    Change(COMBINE, "np.cumsum(w) - 0.5 * w", "np.cumsum(w)"),
+    Change("measured/intervals.py", "NORMAL_95 = 1.959963984540054", "NORMAL_95 = 1.645"),
+    Change("measured/intervals.py", "4.302652730", "2.302652730"),
+    Change(DAMPING, "(delay_samples + 1) * sampling_period_s", "delay_samples * sampling_period_s"),
+    Change(DAMPING, "student_95(n - 1) * each.std(ddof=1)", "student_95(n) * each.std(ddof=0)"),
+    Change(MASS, "SMALLEST_SIGNAL = 20.0", "SMALLEST_SIGNAL = 0.02"),
+    Change(MASS, "- viscous_damping * masses.damping_share", "+ viscous_damping * masses.damping_share"),
+    Change(MASS, "IRREGULARITY = 0.01", "IRREGULARITY = 1.0"),
+    Change(DELAY, "first - edge - 1, NO_DELAY", "first - edge, NO_DELAY"),
+    Change(DELAY, "RISE_ROWS, RISE = 2, 3.0", "RISE_ROWS, RISE = 2, 0.0"),
+    Change(DELAY, "found = seen & ~against &", "found = seen &"),
+    Change("measured/experiment/boundary_area.py", "(high - low) ** 2 / 12", "(high - low) ** 2 / 3"),
+    Change(AGREEMENT, "wall = stiffness > 0", "wall = stiffness >= 0"),
+    Change(AGREEMENT, "bounded & (low - limit[relative] > reach)", "bounded & (limit[relative] - low > reach)"),
+    Change(AGAINST, "len(values) / 2 - half)) - 1, 0)", "len(values) / 2 - half)), 0)"),
+    Change("base/units.py", "\"Ncm\": Unit(\"torque\", 1e-2)", "\"Ncm\": Unit(\"torque\", 1e-3)", "tests/readers"),
+    Change("base/units.py", "2 * pi / 60", "2 * pi"),
+    Change("store/names.py", "if safe.startswith((\".\", \"_\")) or", "if"),
+    Change("store/names.py", "choices[-1] if taken else choices[0]", "choices[0]"),
+    Change("base/provenance.py", "return sha256(text.encode())[:16]", "return sha256(text.encode())[:4]"),
+    Change("intake/trialstore.py", "else sha256[:16]", "else sha256[:4]"),
+    Change("records/batch.py", "joined.hexdigest()[:16]", "joined.hexdigest()[:4]"),
+    Change(DATABASE, "SESSION_S = 12 * 3600.0", "SESSION_S = 12e9 * 3600.0"),
+    Change(DATABASE, "sessions.expires > {time.time()} AND", "1 AND"),
+    Change(DATABASE, "(tokens.expires IS NULL OR tokens.expires > ?)", "(tokens.expires IS NULL OR ? > 0)"),
+    Change(SECURITY, "and _name(host) not in LOCAL:", "and False:"),
+    Change(SECURITY, "urlsplit(origin).netloc != host:", "False:"),
+    Change(SECURITY, "ROLES.index(role) < ROLES.index(needed)", "ROLES.index(role) > ROLES.index(needed)"),
+    Change(SECURITY, "return FORM in cookies and hmac.compare_digest(own.encode(), token.encode())", "return True"),
+    Change(SECURITY, "self._within(self.seen)", "pass"),
+    Change("service/rates.py", "if left < 1.0:", "if left < 0.0:"),
+    Change("simulation/simulate.py", "slots = in_force(delays) + 1", "slots = in_force(delays)"),
+    Change("theory/stability/passivity.py", "math.pi / (_checked(delay) + 1)", "math.pi / (_checked(delay) + 2)"),
+    Change("theory/stability/margins.py", "(factors > 0)], max)", "(factors > 0)], min)"),
+)  # fmt: skip
+
+
+def test_files(change: Change) -> list[str]:
+    """Return the test files that touch the module of a change: of its name, those given, and those that import it."""
+    module = Path(change.module)
+    dotted = "pipeline." + change.module.removesuffix(".py").replace("/", ".")
+    package, name = dotted.rsplit(".", 1)
+    folder = ROOT / "tests" / module.parent
+    files = {path: path.read_text(encoding="utf-8") for path in sorted((ROOT / "tests").rglob("test_*.py"))}
+    own = [path for path in files if path.parent == folder and module.stem in path.stem]
+    given = sorted((ROOT / change.tests).rglob("test_*.py")) if change.tests else []
+    imports = (f"{dotted} ", f"{dotted}\n", f"from {package} import {name}", f"{dotted}.")
+    importing = [path for path, text in files.items() if any(words in text for words in imports)]
+    near = sorted((path for path in importing if "project" not in path.parts), key=lambda path: path.parent != folder)
+    same = sorted(folder.glob("test_*.py"))
+    return [str(path.relative_to(ROOT)) for path in dict.fromkeys([*own, *given, *near, *same])]
+
+
+def outcome(change: Change, copy: Path, seconds: float) -> str:
+    """Return ``caught``, ``survived`` or ``stale`` for a change, made in the copy and taken back."""
+    file = copy / "pipeline" / change.module
+    text = file.read_text(encoding="utf-8")
+    if change.old not in text:
+        return "stale"
+    file.write_text(text.replace(change.old, change.new), encoding="utf-8")
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-m", "not slow"]
+    env = {**os.environ, "PYTHONPATH": str(copy), "OPENBLAS_NUM_THREADS": "1"}
+    try:
+        tests = test_files(change)
+        done = subprocess.run([*command, *tests], cwd=copy, env=env, capture_output=True, timeout=seconds, check=False)
+        return "caught" if done.returncode == 1 else "survived"
+    except subprocess.TimeoutExpired:
+        return "survived (time)"
+    finally:
+        file.write_text(text, encoding="utf-8")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", default="", help="changes of modules whose name holds this word")
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--count", type=int, default=len(CHANGES))
+    parser.add_argument("--seconds", type=float, default=240.0, help="longest time of the tests of one change")
+    given = parser.parse_args()
+    chosen = [change for change in CHANGES if given.only in change.module][given.first :][: given.count]
+    found = []
+    with tempfile.TemporaryDirectory() as name:
+        copy = Path(name)
+        for part in COPIED:
+            (shutil.copytree if (ROOT / part).is_dir() else shutil.copy)(ROOT / part, copy / part)
+        for change in chosen:
+            began = time.perf_counter()
+            found.append(outcome(change, copy, given.seconds))
+            words = f"{change.module}: {change.old} -> {change.new}"
+            print(f"{found[-1]:<16} {time.perf_counter() - began:6.1f} s  {words}", flush=True)
+    print(f"{found.count('caught')} of {len(found)} caught (wanted {WANTED} of {len(CHANGES)})")
+
+
+if __name__ == "__main__":
+    main()
