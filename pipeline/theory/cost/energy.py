@@ -110,12 +110,12 @@ def _by_modes(loop: Loop, law: Floats, found: Modes) -> tuple[Floats, Booleans]:
     seen = loop.seen(law, found.state)
     back = np.swapaxes(seen.conj(), 1, 2)
     ratio = found.pole[:, :, None] * found.pole[:, None, :].conj()
-    once = 1 / (1 - ratio)
-    first = ratio * once * once
-    weights = (once, first, (1 + ratio) * first * once)  # sum_k k^w ratio^k
-    sums = np.stack([((seen @ weight) @ back).real for weight in weights])
-    # poles are rounded by 1e-16 and more, and count by 1/(1 - ratio); modes that cancel magnify that
-    size, slowness = np.abs(seen), np.abs(once)
-    gross = ((size @ slowness) * size).sum(axis=2) / np.einsum("nii->ni", sums[0])
-    with np.errstate(invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # a pole on the circle leaves no sum, and is not good
+        once = 1 / (1 - ratio)
+        first = ratio * once * once
+        weights = (once, first, (1 + ratio) * first * once)  # sum_k k^w ratio^k
+        sums = np.stack([((seen @ weight) @ back).real for weight in weights])
+        # poles are rounded by 1e-16 and more, and count by 1/(1 - ratio); modes that cancel magnify that
+        size, slowness = np.abs(seen), np.abs(once)
+        gross = ((size @ slowness) * size).sum(axis=2) / np.einsum("nii->ni", sums[0])
         return sums, np.asarray(_EPS * slowness.max(axis=(1, 2)) * gross.max(axis=1) < _SKEW)

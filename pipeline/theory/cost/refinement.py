@@ -115,8 +115,9 @@ def _doubled(matrix: Floats, addends: Sums) -> Sums:
             add0 = power @ x0 @ turned
             x0, x1, x2 = x0 + add0, x1 + add1, x2 + add2
             total = _size(x2)
-            ended = (_size(add2) <= _CONVERGED * total) & (_size(add0) <= _CONVERGED * _size(x0))
-            if np.all(ended | ~np.isfinite(total)):
+            finite = np.isfinite(total)
+            ended = finite & (_size(add2) <= _CONVERGED * total) & (_size(add0) <= _CONVERGED * _size(x0))
+            if np.all(ended | ~finite):
                 break
             power = power @ power
             count *= 2

@@ -4,16 +4,15 @@ Settling time jumps where an extremum of the response crosses the band, and its 
 jump; pole radius and damping have kinks where poles meet. Methods that follow slopes stop at both. The search here only
 compares values.
 
-Why it finds the global optimum. The first grid covers the bounding box of the whole stable region; points outside
-have an infinite cost, so none is left out and none is found that does not exist. The region of a general loop may be a
-narrow horn in its box, so its grids are even along the outline and in the share of the limit (`chart`). Islands are
-left out: a wall is no optimum if a softer one at its damping is unstable. Several of the best grid points that
-lie apart are followed, so the valley of the optimum is found if one of them lies in it; costs of this loop vary on the
-scale of the region (their valleys are as long as the region, and about 0.1 of it wide), the first cells are 1/24 to
-1/60 of it. A corner looks the same at every scale, so a grid of 15 x 15 points around it always has points inside it,
-and the best of them is better than the centre: the sequence cannot stop in front of the corner. A best point at the
-rim moves the grid on instead of shrinking it. That no better point exists is not proved, but tested from 200 random
-starts for a criterion of each kind.
+Why it finds the global optimum. The first look runs along lines that cover the bounding box of the whole stable region;
+points outside have an infinite cost, so none is left out and none is found that does not exist. The region of a general
+loop may be a narrow horn in its box, so its lines are even along the outline, and the places on them in the root of the
+share of the limit (`chart`). Islands are left out: a wall is no optimum if a softer one at its damping is unstable. The
+lowest places of several lines that lie apart are followed; costs of this loop vary on the scale of the region (their
+valleys are as long as the region, and about 0.1 of it wide), the first cells are 1/24 to 1/60 of it. A corner looks the
+same at every scale, so a grid of 15 x 15 points around it always has points inside it, and the best of them is better
+than the centre: the sequence cannot stop in front of the corner. A best point at the rim moves the grid on instead of
+shrinking it. That no better point exists is not proved, but tested from 200 random starts for a criterion of each kind.
 """
 
 from __future__ import annotations
@@ -27,6 +26,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 from pipeline.theory.device.outline import limits
+from pipeline.theory.optimum.lines import search_lines
 from pipeline.theory.stability.boundary import boundary
 from pipeline.theory.stability.region import is_well_inside
 
@@ -52,18 +52,21 @@ class OptimalPoint:
 
 @dataclass(frozen=True)
 class Grids:
-    """Points along each axis of the first and of each following grid, and how many of the best cells are followed."""
+    """Lines of the first look and points on each, looks along each line at its best two dips, points along each axis of
+    each following grid, and how many of the best places are followed."""
 
     coarse: int
+    looks: int
     fine: int
     starts: int
 
 
-SMOOTH = Grids(coarse=25, fine=9, starts=1)
+SMOOTH = Grids(coarse=25, looks=0, fine=9, starts=1)
 """For costs that are smooth and have one minimum."""
 
-JUMPING = Grids(coarse=61, fine=15, starts=3)
-"""For costs with jumps: a corner must hold grid points at every scale, and a better valley must not be missed."""
+JUMPING = Grids(coarse=61, looks=8, fine=15, starts=3)
+"""For costs with jumps: a corner must hold grid points at every scale, and a better valley must not be missed. A valley
+ends in a cliff along a curve, on which many corners lie: only the floors of lines across it tell which is lowest."""
 
 SHRINK = 0.45
 """Size of a grid relative to the one before; with 15 (9) points, it spans 6 (4) cells of its predecessor."""
@@ -113,8 +116,9 @@ def region(loop: Loop, inset: float = _INSET) -> tuple[Floats, Floats]:
 def chart(loop: Loop) -> Chart:
     """Return the coordinates of a loop's searches: of an ideal one alpha and beta.
 
-    Of a general one the share of alpha + gamma in its limit, and the way along the outline as a share of its length,
-    with the region's height and width as units.
+    Of a general one the root of the share of alpha + gamma in its limit, which is even in the frequency that the wall
+    swings at, since a mode's limit may be many times the stiffness that settles soonest; and the way along the outline
+    as a share of its length, with the region's height and width as units.
     """
     if not loop.has_parts:
         return lambda alpha, beta: (alpha, beta)
@@ -123,11 +127,11 @@ def chart(loop: Loop) -> Chart:
     way = np.abs(np.diff(border.beta)) / reach[0] + np.abs(np.diff(border.alpha)) / reach[1]
     along = np.append(0.0, np.cumsum(way) / way.sum())
 
-    def place(share: Floats, way: Floats) -> tuple[Floats, Floats]:
+    def place(root: Floats, way: Floats) -> tuple[Floats, Floats]:
         rows, of = np.unique(way, return_inverse=True)
         beta = np.interp(rows, along, border.beta)
         limit = limits(loop, beta, exact=False).alpha
-        return share * (limit[of] + loop.gamma) - loop.gamma, beta[of]
+        return np.square(root) * (limit[of] + loop.gamma) - loop.gamma, beta[of]
 
     return place
 
@@ -155,18 +159,26 @@ def search(loop: Loop, cost: Cost, grids: Grids = JUMPING, bounds: tuple[Floats,
         return plain(*place(first, second), best)
 
     low, high = bounds or region(loop)
-    first, second = grid(low, high, grids.coarse)
-    values = guarded(first, second, np.inf)
+    second = np.linspace(low[1], high[1], grids.coarse)
+    found = search_lines(
+        lambda line, place, best: guarded(place, second[line], best),
+        np.full(grids.coarse, low[0]),
+        np.full(grids.coarse, high[0]),
+        coarse=grids.coarse,
+        starts=2,
+        levels=grids.looks,
+    )
+    first, values = found.place, found.cost
     cell = (high - low) / (grids.coarse - 1)
     best: OptimalPoint | None = None
-    left = np.ones(len(values), dtype=bool)
+    left = np.isfinite(values)
     for _ in range(grids.starts):
-        if not np.isfinite(values[left]).any():
+        if not left.any():
             break
         index = int(np.flatnonzero(left)[np.argmin(values[left])])
-        found = refine(guarded, np.array([first[index], second[index]]), float(values[index]), 2 * cell, grids.fine)
-        if best is None or found.cost < best.cost:
-            best = found
+        near = refine(guarded, np.array([first[index], second[index]]), float(values[index]), 2 * cell, grids.fine)
+        if best is None or near.cost < best.cost:
+            best = near
         left &= (np.abs(first - first[index]) > 3 * cell[0]) | (np.abs(second - second[index]) > 3 * cell[1])
     if best is None:
         raise ParameterError(f"{loop}: no point of the stable region has this cost.")

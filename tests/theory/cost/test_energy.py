@@ -23,8 +23,9 @@ from independent import (
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, Normalised
-from pipeline.theory.cost.energy import energy_costs
+from pipeline.theory.cost.energy import _by_modes, energy_costs
 from pipeline.theory.cost.refinement import weighted_sums
+from pipeline.theory.device.modes import Modes, modes
 from pipeline.theory.stability.boundary import boundary
 
 RANDOM = stable_walls(random_loops(60, seed=21), each=5, seed=22, slowest=0.85)
@@ -236,3 +237,23 @@ def test_unstable_points_have_no_energy_and_end_nothing(factor: float) -> None:
 def test_wrong_arguments_are_named(alpha: float, beta: float, signal: str, what: str) -> None:
     with pytest.raises(ParameterError, match=what):
         energy_costs(Loop(0, 0, 1), alpha, beta, signal)
+
+
+@pytest.mark.filterwarnings("error")
+def test_sums_that_do_not_converge_are_missing():
+    # beside a stable matrix, ones that grow slowly and until their powers overflow
+    for total in weighted_sums(np.array([0.5, 1.0, 1.5])[:, None, None], np.ones(1)):
+        assert np.isfinite(total[0]).all()
+        assert np.isnan(total[1:]).all()
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_pole_on_the_circle_is_left_to_other_sums():
+    loop = Loop(0.0, 0.0, 1)
+    alpha, beta = np.full(3, 0.01), np.full(3, 0.2)
+    found = modes(loop, alpha, beta, "step")
+    pole = found.pole.copy()
+    pole[1, 0] = 1.0
+    sums, good = _by_modes(loop, loop.law(alpha, beta), Modes(pole, found.state))
+    assert good.tolist() == [True, False, True]
+    assert np.isfinite(sums[:, [0, 2]]).all()
