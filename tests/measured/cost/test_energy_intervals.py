@@ -79,7 +79,7 @@ def test_intervals_hold_the_truth_of_500_trials(quantum, noise):
 
 @pytest.mark.parametrize("of", ["falcon 1", "falcon 4", "falcon 6", "lwr delay-2", "lwr delay-6", "lwr delay-8"])
 def test_95_of_100_intervals_of_shipped_devices_hold_the_exact_cost(of):
-    """93 to 97 %, 1,000 trials each: chance alone moves a share by 0.7 % (one standard error), and the largest of 18 more."""
+    """93 to 97 %, 1,000 trials each: chance moves a share by 0.7 % (standard error), the largest of 18 by more."""
     batch, experiment, costs = shipped(*of.split(), 1000)
     response, delay = find_response(batch), round(experiment.delay_samples)
     error = reading_error(batch, response, delay)
