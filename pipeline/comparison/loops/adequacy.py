@@ -46,10 +46,11 @@ _LOW = 0.25
 
 @dataclass(frozen=True)
 class Doubt:
-    """What speaks against a loop, and what would help."""
+    """What speaks against a loop, and what would help; a soft one does not where the replay is right."""
 
     text: str
     help: str = ""
+    soft: bool = False
 
 
 @dataclass(frozen=True)
@@ -226,7 +227,8 @@ def _changing(result: ExperimentResult, loop: LoopRange, units: Units, parts: Lo
         by_file = f" ({significant(stated, 2)} by the device file)" if stated else ""
         yield Doubt(
             f"there is Coulomb friction of {significant(friction.value or 0.0, 2)} {friction.unit}{by_file}, which "
-            "linear theory leaves out"
+            "linear theory leaves out",
+            soft=True,
         )
 
 
@@ -255,5 +257,6 @@ def _disagreeing(result: ExperimentResult, loop: LoopRange, units: Units) -> Ite
     yield Doubt(
         f"{int(far.sum())} of {counted(int(some.sum()), 'measured limit')} lie off those of the loop, "
         f"at B = {significant(float(damping[worst]), 3)} {units.damping} by {percent_text(100 * float(off[worst]))} % "
-        "beyond all intervals"
+        "beyond all intervals",
+        soft=True,
     )

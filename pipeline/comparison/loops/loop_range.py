@@ -202,7 +202,7 @@ def adequate_theory(result: ExperimentResult, sampling_period_s: float) -> Theor
     A damping below zero counts as zero: the theory asks for b >= 0. Parts that a device file declares are in it, and
     its stiffness where the estimates have none.
     """
-    if result.loop is None or not result.loop.adequate:
+    if result.loop is None or not result.loop.adequate or result.loop.has_friction:
         return None
     loop = estimated_range(result, sampling_period_s)
     if loop is None:
