@@ -231,15 +231,15 @@ def read_kept(folder: Path, stem: str, ending: str) -> bytes | None:
     return None
 
 
-def shared_mode(like: Iterable[os.stat_result], folder: Path) -> int:
-    """Return the mode that files have in common, for a new one in a folder that quotes all of them.
+def shared_mode(like: Sequence[os.stat_result], folder: Path) -> int:
+    """Return the mode that files of a folder have in common, for a new one that quotes all of them.
 
     Who may not read one of them may not read the new one: its group has no rights by a file of another group.
     """
-    there = next(here for here in (folder, *folder.absolute().parents) if here.is_dir()).stat()
-    group = there.st_gid if there.st_mode & stat.S_ISGID else getattr(os, "getegid", int)()
     mode = READABLE
+    there = os.stat(folder) if like else None
     for status in like:
+        group = there.st_gid if there and there.st_mode & stat.S_ISGID else getattr(os, "getegid", int)()
         mode &= status.st_mode if status.st_gid == group else status.st_mode & ~0o060
     return mode
 

@@ -33,7 +33,7 @@ from pipeline.records.findings import Estimate, Optimum
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.loop_records import LoopFindings
 from pipeline.records.models import Experiment, Motion
-from pipeline.records.results import ExperimentResult, MassWindow, OtherDefinitions, TheoryParameters
+from pipeline.records.results import ExperimentResult, OtherDefinitions, TheoryParameters
 from pipeline.rendering.labels import UNITS, Units
 from pipeline.theory.predictions import Theory
 
@@ -109,7 +109,6 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
         trials=stages.trials.num_rows,
         verdicts=dict(sorted(Counter(stages.verdicts.verdict.tolist()).items())),
         outcomes=dict(Counter(stages.texts("outcome", "outcome"))) if "outcome" in needed else {},
-        mass_windows=_mass_windows(stages) if "windows" in needed else (),
         other_definitions=_other_definitions(stages, optimum) if {"settling", "overshoot"} <= needed else (),
         model_check=stages.model_check if "model" in needed else None,
         estimates=_estimates(stages, needed, units),
@@ -146,7 +145,7 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
     loop = estimated_range(result, stages.sampling_period_s)
     if not findings.loop.adequate:
         device = stages.once(explaining_device)
-        if device is None or not device.is_nonlinear:
+        if device is None or not device.is_trusted:
             found |= {name: _doubted(found[name]) for name in _OF_A_LOOP if name in found}
         reason = "needs an adequate loop; the table of loops says why this one is not"
         found["implied_delay"] = _without("samples", reason)
@@ -194,14 +193,6 @@ def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) 
     if "ladder" in needed and (device := stages.once(explaining_device)) is not None:
         found |= fitted_estimates(found, device)
     return found
-
-
-def _mass_windows(stages: ExperimentStages) -> tuple[MassWindow, ...]:
-    rows = stages.table("windows").to_pylist()
-    return tuple(
-        MassWindow(window_s=r["window_s"], mass=r["mass_median"], scatter=r["mass_scatter"], trials=r["trials"])
-        for r in rows
-    )
 
 
 def _other_definitions(stages: ExperimentStages, optimum: Mapping[str, Optimum]) -> tuple[OtherDefinitions, ...]:

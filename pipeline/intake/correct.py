@@ -88,25 +88,20 @@ def move(processed: Path, wanted: str, to: str, wait_s: float = WAIT_S, say: Say
                     f"{wanted}: cannot become {place[0]}, experiment {experiment}: motion or sampling period differ "
                     f"({', '.join(f'{m}, {1e3 * t:.4g} ms' for m, t in sorted(found))}). Choose another name."
                 )
-        names = ("moved_device", "moved_experiment")
-        _correct(processed, [{n: row[n] for n in IDENTITY} for row in rows], dict(zip(names, place, strict=False)))
-    return len(rows)
+        return _correct(processed, rows, dict(zip(("moved_device", "moved_experiment"), place, strict=False)))
 
 
 def delete(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> int:
     """Put trials into the bin and return how many: they are kept, and seen nowhere else, until `empty_bin`."""
     with _changing(processed, wait_s, say):
-        rows = _meant(processed, wanted, _stored(processed), "stored")
-        _correct(processed, rows, {"deleted": True})
-    return len(rows)
+        return _correct(processed, _meant(processed, wanted, _stored(processed), "stored"), {"deleted": True})
 
 
 def restore(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> int:
     """Take trials out of the bin and return how many; those that are not stored any more come with their logs."""
     with _changing(processed, wait_s, say):
-        rows = _meant(processed, wanted, [one.model_dump() for one in deleted(processed)], "deleted")
-        _correct(processed, rows, {"deleted": False})
-    return len(rows)
+        rows = [one.model_dump() for one in deleted(processed)]
+        return _correct(processed, _meant(processed, wanted, rows, "deleted"), {"deleted": False})
 
 
 def deleted(processed: Path) -> list[Correction]:
@@ -117,7 +112,7 @@ def deleted(processed: Path) -> list[Correction]:
 
 def in_bin(processed: Path) -> list[Correction]:
     """Return the deleted trials that are still stored."""
-    stored = {row["trial_id"] for row in _all_rows(processed)}
+    stored = {trial for _, trial, _ in _keys(processed)}
     return [one for one in deleted(processed) if one.trial_id in stored]
 
 
@@ -128,15 +123,16 @@ def empty_bin(processed: Path, wait_s: float = WAIT_S, say: Say = None) -> int:
     """
     with _changing(processed, wait_s, say):
         gone = {one.trial_id for one in deleted(processed)}
-        rows = [row for row in _all_rows(processed) if row["trial_id"] in gone]
-        tidy(processed, {(row["source_path"], row["trial_id"], row["profile_sha256"]) for row in rows})
-    return len({row["trial_id"] for row in rows})
+        keys = {key for key in _keys(processed) if key[1] in gone}
+        tidy(processed, keys)
+    return len({trial for _, trial, _ in keys})
 
 
-def _all_rows(processed: Path) -> list[dict[str, str]]:
+def _keys(processed: Path) -> list[tuple[str, str, str]]:
+    """Return all that is stored, former versions too, as `tidy` takes it."""
     names = ["source_path", "trial_id", "profile_sha256"]
-    rows: list[dict[str, str]] = read_versions(processed, None, None, names, {})[0].select(names).to_pylist()
-    return rows
+    table, _, _ = read_versions(processed, None, None, names, {})
+    return list(zip(*(table.column(name).to_pylist() for name in names), strict=True))
 
 
 def _stored(processed: Path) -> list[dict[str, str]]:
@@ -144,11 +140,12 @@ def _stored(processed: Path) -> list[dict[str, str]]:
     return rows
 
 
-def _correct(processed: Path, rows: Sequence[Mapping[str, str]], change: Mapping[str, object]) -> None:
-    """Change what is corrected of trials; they are given by rows of the trials table, with their present place."""
+def _correct(processed: Path, rows: Sequence[Mapping[str, str]], change: Mapping[str, object]) -> int:
+    """Change what is corrected of trials, by rows of the trials table, with their present place; return how many."""
     known = read_corrections(processed)
     ones = (known.get(row["trial_id"]) or Correction(**{name: row[name] for name in IDENTITY}) for row in rows)
     write_corrections(processed, [one.model_copy(update=change) for one in ones])
+    return len(rows)
 
 
 @contextmanager
@@ -173,17 +170,15 @@ def _meant(processed: Path, wanted: str, rows: Sequence[dict[str, str]], state: 
     if own := [row for row in rows if (row["device"], row["experiment"])[: len(place)] == place]:
         return own
     path = wanted if path_of_text(wanted) != Path(wanted) else path_text(os.path.abspath(wanted))
-    tests: tuple[Callable[[Mapping[str, str]], bool], ...] = (
-        lambda row: row["trial_id"] == wanted,
-        lambda row: row["source_path"] in (wanted, path),
-        lambda row: bool(wanted) and row["trial_id"].startswith(wanted),
-    )
-    for test in tests:
-        found = [row for row in rows if test(row)]
-        if len(found) == 1:
-            return found
-        if found:
+    for found in (
+        [row for row in rows if row["trial_id"] == wanted],
+        [row for row in rows if row["source_path"] in (wanted, path)],
+        [row for row in rows if wanted and row["trial_id"].startswith(wanted)],
+    ):
+        if len(found) > 1:
             raise UsageError(f"{wanted}: fits {len(found)} {state} trials: {_shown(found)}. Give one id.")
+        if found:
+            return found
     names = [row["trial_id"] for row in rows] + [row["source_path"] for row in rows]
     near = dict.fromkeys(get_close_matches(wanted, names, NEAREST, 0.5) + get_close_matches(path, names, NEAREST, 0.8))
     nearest = _shown([row for name in near for row in rows if name in (row["trial_id"], row["source_path"])])

@@ -13,7 +13,6 @@ from contextlib import nullcontext, suppress
 from functools import partial
 from pathlib import Path
 
-from pipeline.base.disk import remove_all, remove_temporary
 from pipeline.base.errors import LogError, StoreError, UsageError
 from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.lock import WAIT_S, writing
@@ -161,10 +160,7 @@ class _Ingest(Tally):
         self.stored = StoredSources(processed, claims, self.damaged)
         self.writer = TrialWriter(processed, PENDING_BYTES, claims, self.stored.latest)
         if not dry_run:
-            for name in ("trials", "quarantine", "corrections"):
-                remove_temporary(processed / name, deep=True)
-            remove_all(self.stored.replaced)
-            self.stored.tidy()
+            tidy(processed, read=(self.stored.table, self.stored.files, self.stored.replaced))
         self.refused = {record.path: record for record in list_quarantine(processed, self.damaged)}
         self.replaced: set[tuple[str, str, str]] = set()
         self.present: set[str] = set()

@@ -13,7 +13,6 @@ from pipeline.base.regular_files import is_gone
 from pipeline.intake.bags import ENDINGS
 from pipeline.intake.sources import Source, told_by_name
 from pipeline.intake.trialstore import Accepted, trial_id
-from pipeline.store.batch_files import drop
 from pipeline.store.storage import each_once, newest_versions, read_versions
 
 
@@ -119,13 +118,6 @@ class StoredSources(Mapping[str, StoredSource]):
     def latest(self) -> int:
         """Highest version."""
         return int(np.max(self.table.column("version").to_numpy(), initial=0))
-
-    def tidy(self) -> bool:
-        """Drop former versions that an interrupted writer left; return whether there were any."""
-        if self._newest.all():
-            return False
-        drop(self.processed, self.table, self.files, ())
-        return True
 
     @property
     def states(self) -> dict[str, tuple[int, int]]:

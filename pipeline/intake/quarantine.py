@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 
-from pipeline.base.disk import each, kept_files, said_content, write_kept
+from pipeline.base.disk import each, kept_files, read_kept, write_kept
 from pipeline.base.errors import OTHER_COLUMNS, REMEDY, Code, LogError, StoreError, UsageError
 from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.provenance import digest
@@ -99,23 +99,16 @@ def list_quarantine(processed: Path, damaged: dict[Path, str] | None = None) -> 
     except FileNotFoundError:
         return []
     for name in names:
-        for file in kept_files(quarantine_folder(processed) / name, RECORD, ".json")[:1]:
-            try:
-                records.append(_read_record(file))
-            except FileNotFoundError:  # its log was accepted meanwhile
-                continue
-            except StoreError as error:
-                if damaged is None:
-                    raise
-                damaged[file] = str(error)
+        folder = quarantine_folder(processed) / name
+        if (data := read_kept(folder, RECORD, ".json")) is not None:
+            records.append(QuarantineRecord.model_validate_json(data))
+            continue
+        for file in kept_files(folder, RECORD, ".json")[:1]:  # none where its log was accepted meanwhile
+            fault = f"{file}: is no quarantine record (its content is not that of its name). {REMEDY}"
+            if damaged is None:
+                raise StoreError(fault)
+            damaged[file] = fault
     return sorted(records, key=lambda record: record.path)
-
-
-def _read_record(file: Path) -> QuarantineRecord:
-    data = file.read_bytes()
-    if sha256_of(data) != said_content(file.name):
-        raise StoreError(f"{file}: is no quarantine record (its content is not that of its name). {REMEDY}")
-    return QuarantineRecord.model_validate_json(data)
 
 
 def record_id(record: QuarantineRecord) -> str:

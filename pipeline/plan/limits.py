@@ -106,11 +106,31 @@ class Expected:
     ``adequate`` is whether it may propose; ``beyond`` whether softer dampings have shown that the region has ended.
     """
 
+    damping: float
     limit: float
     error: float
     adequate: bool
     explains: bool = False
     beyond: bool = False
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is to be known of each damping, how long a log goes on after its step [s], and the largest limit."""
+
+    aim: Aim
+    trial_s: float
+    largest: float
+
+    @property
+    def half(self) -> float:
+        """Wanted largest error of a limit [N/m, Nm/rad]."""
+        return self.aim.accuracy * self.largest
+
+    @property
+    def width(self) -> float:
+        """Width of a bracket at which a damping is done [N/m, Nm/rad]."""
+        return CLOSE * self.aim.accuracy * self.largest
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,17 +189,17 @@ def state(
         # limits that are known to the accuracy of the mean one make an area that is
         mean = float(np.trapezoid(np.clip(value, ends[:, 0], ends[:, 1]), wanted)) / max(float(np.ptp(wanted)), 1e-300)
         largest = min(max(mean, LEAST * largest), largest) if len(wanted) > 1 else largest
-    width = CLOSE * aim.accuracy * largest
-    found |= {b: bracket(rows[b].stiffness, rows[b].verdict, width) for b in aim.dampings}
+    task = Task(aim, around.trial_s, largest)
+    found |= {b: bracket(rows[b].stiffness, rows[b].verdict, task.width) for b in aim.dampings}
     ended = region_ended(wanted, ends)
     expected = [
-        Expected(float(v), float(e), ahead.adequate, ahead.explains, bool(b))
-        for v, e, b in zip(value, error, ended, strict=True)
+        Expected(b, float(v), float(e), ahead.adequate, ahead.explains, bool(after))
+        for b, v, e, after in zip(aim.dampings, value, error, ended, strict=True)
     ]
     by_rig = requests.by_damping([found[b] for b in aim.dampings], aim.dampings, tried.stiffness)
     columns = tuple(
-        _column(b, found[b], rows[b], told, aim, around.trial_s, largest, rig)
-        for b, told, rig in zip(wanted.tolist(), expected, by_rig, strict=True)
+        _column(found[told.damping], rows[told.damping], told, task, rig)
+        for told, rig in zip(expected, by_rig, strict=True)
     )
     if start is not None and not len(tried):
         share = GENTLE_START if aim.gentle else START
@@ -235,24 +255,15 @@ def region_ended(dampings: Floats, ends: Floats) -> Booleans:
     return np.asarray((dampings > dampings[none].min(initial=inf)) & (ends[:, 0] == 0))
 
 
-def _column(
-    damping: float,
-    of: Bracket,
-    own: Tried,
-    told: Expected,
-    aim: Aim,
-    trial_s: float,
-    largest: float,
-    rig: Answers,
-) -> Column:
-    value = told.limit
+def _column(of: Bracket, own: Tried, told: Expected, task: Task, rig: Answers) -> Column:
+    damping, value, aim = told.damping, told.limit, task.aim
     top = min(of.top, aim.highest, own.stiffness[own.force > aim.force].min(initial=inf))
-    width, half = CLOSE * aim.accuracy * largest, aim.accuracy * largest
+    width, half = task.width, task.half
     of = replace(of, again=tuple(wall for wall in of.again if rig.sets(wall)))
     if of.again:
         return Column(damping, of, float(np.clip(value, of.bottom, top)), None, of.again[0], "contradiction")
     if of.high is not None and of.high - of.bottom <= width:
-        doubted = doubtful_ends(own, of, trial_s, gentle=aim.gentle, explains=told.explains)
+        doubted = doubtful_ends(own, of, task.trial_s, gentle=aim.gentle, explains=told.explains)
         doubted = tuple(wall for wall in doubted if rig.sets(wall))
         if doubted:
             again = replace(of, again=doubted)
@@ -270,7 +281,7 @@ def _column(
         return Column(damping, of, estimate, None, None, "beyond the region")
     if aim.gentle and from_below(own, of, half, told):
         return Column(damping, of, estimate, None, None, "from below")
-    edges = walls(max(of.bottom, aim.lowest), top, estimate, told.error, width, largest)
+    edges = walls(max(of.bottom, aim.lowest), top, estimate, told.error, width, task.largest)
     # neither walls next to undecided ones, nor what a rig that rounds made another wall of
     away = ASIDE * width
     rounded = rig.rounded(of, half, away)

@@ -92,6 +92,49 @@ class Foreseen:
 
 
 @dataclass(frozen=True, eq=False)
+class Target:
+    """What is looked for, and where.
+
+    Parameters
+    ----------
+    criterion : str
+    dampings, highest : float64, shape (n,)
+        Dampings B, rising, and the largest stiffness that is thought to be stable at each.
+    by : Foreseen or None
+        What foretells costs.
+    requests : Requests
+        What was asked for so far: only walls that the rig sets are looked at.
+    """
+
+    criterion: str
+    dampings: Floats
+    highest: Floats
+    by: Foreseen | None
+    requests: Requests = NOTHING_ASKED
+
+    @property
+    def offset(self) -> float:
+        """Added to costs that may be zero."""
+        return OFFSET if criterion_of(self.criterion).family.levels else 0.0
+
+    @property
+    def scale(self) -> Floats:
+        """Largest damping and stiffness, by which places are counted."""
+        return np.array([float(self.dampings[-1]) or 1.0, max(float(self.highest.max()), 1e-300)])
+
+    def highest_at(self, damping: Floats) -> Floats:
+        """Return the largest stiffness that is thought to be stable at dampings."""
+        return np.interp(damping, self.dampings, self.highest)
+
+    def foretold(self, K: Floats, B: Floats) -> Floats:
+        """Return the logarithm of foretold costs; 0 without a loop, NaN where it has none."""
+        if self.by is None:
+            return np.zeros(len(K))
+        found = self.by.costs(K, B, self.criterion) + self.offset
+        return np.asarray(np.log(np.where(found > 0, found, np.nan)))
+
+
+@dataclass(frozen=True, eq=False)
 class Search:
     """What is known of the best cost.
 
@@ -116,32 +159,17 @@ class Search:
     region: tuple[float, float, float, float] | None
 
 
-def look_for(
-    tried: Tried,
-    dampings: Floats,
-    highest: Floats,
-    criterion: str,
-    by: Foreseen | None,
-    accuracy: float,
-    count: int,
-    requests: Requests = NOTHING_ASKED,
-) -> Search:
+def look_for(tried: Tried, target: Target, accuracy: float, count: int) -> Search:
     """Return walls to try and whether the best cost is found.
 
     Parameters
     ----------
     tried : Tried
         With the costs.
-    dampings, highest : float64, shape (n,)
-        Dampings B, rising, and the largest stiffness that is thought to be stable at each.
-    criterion : str
-    by : Foreseen or None
-        What foretells costs.
+    target : Target
     accuracy : float
         By which the best trial may be worse than the best wall, relative.
     count : int
-    requests : Requests
-        What was asked for so far: only walls that the rig sets are looked at.
 
     Notes
     -----
@@ -149,13 +177,12 @@ def look_for(
     the largest expected improvement is tried (Jones 1998). Of a batch, each wall is taken as tried with the expected
     cost.
     """
-    offset = OFFSET if criterion_of(criterion).family.levels else 0.0
-    scale = np.array([float(dampings[-1]) or 1.0, max(float(highest.max()), 1e-300)])
-    K, B, ahead = _places(dampings, highest, criterion, by, offset, requests)
-    seen, value = _seen(tried, dampings, highest, criterion, by, offset)
+    by, offset, scale = target.by, target.offset, target.scale
+    K, B, ahead = _places(target)
+    seen, value = _seen(tried, target)
     cost = np.log(tried.cost + offset)
     known = np.isfinite(cost)
-    best = _best(tried, cost, criterion, by)
+    best = _best(tried, cost, target)
     place, seen = np.column_stack([B, K]) / scale, seen / scale
     walls_tried = np.column_stack([tried.damping, tried.stiffness]) / scale
     walls, done = [], False
@@ -166,7 +193,7 @@ def look_for(
         record = float(cost[best]) if best is not None else np.inf
         gain = _gain(record - mean, spread) if best is not None else _hope(mean, spread, place)
         top = np.argsort(-np.where(_known(place, walls_tried), -np.inf, gain), kind="stable")[:FINALISTS]
-        around = mean[top] + _beside(K[top], B[top], ahead[top], criterion, by, offset)
+        around = mean[top] + _beside(K[top], B[top], ahead[top], target)
         again = _gain(record - around, spread[top]) if best is not None else _hope(around, spread[top], place[top])
         pick = int(top[np.argmax(np.where(_known(place[top], walls_tried), -np.inf, again))])
         if number == 0:
@@ -194,36 +221,35 @@ def _is_done(costs: int, record: float, lowest: float, accuracy: float, by: Fore
     return bool(costs >= enough and record <= np.log1p(accuracy) + lowest)
 
 
-def _best(tried: Tried, cost: Floats, criterion: str, by: Foreseen | None) -> int | None:
+def _best(tried: Tried, cost: Floats, target: Target) -> int | None:
     """Return the trial of least cost; of those alike the one for which the least is foretold."""
     if not np.isfinite(cost).any():
         return None
     alike = np.flatnonzero(cost == np.nanmin(cost))
-    if by is None or len(alike) == 1:
+    if target.by is None or len(alike) == 1:
         return int(alike[0])
-    foretold = by.costs(tried.stiffness[alike], tried.damping[alike], criterion)
+    foretold = target.by.costs(tried.stiffness[alike], tried.damping[alike], target.criterion)
     return int(alike[np.argmin(np.nan_to_num(foretold, nan=np.inf))])
 
 
-def _places(
-    dampings: Floats, highest: Floats, criterion: str, by: Foreseen | None, offset: float, requests: Requests
-) -> tuple[Floats, Floats, Floats]:
+def _places(target: Target) -> tuple[Floats, Floats, Floats]:
     """Return K, B and the logarithm of the foretold cost of walls that may be tried: a grid, denser at its best."""
+    dampings, requests = target.dampings, target.requests
     B = np.linspace(dampings[0], dampings[-1], DAMPINGS) if len(dampings) > 1 else dampings
-    K, B = np.outer(np.interp(B, dampings, highest), SHARES).ravel(), np.repeat(B, len(SHARES))
+    K, B = np.outer(target.highest_at(B), SHARES).ravel(), np.repeat(B, len(SHARES))
     K, B = requests.as_set(K[K > 0], B[K > 0])
-    cost = _foretold(K, B, criterion, by, offset)
+    cost = target.foretold(K, B)
     cell = float(np.ptp(dampings)) / (DAMPINGS - 1)
-    for reach, starts in ZOOMS if by is not None and np.isfinite(cost).any() else ():
+    for reach, starts in ZOOMS if target.by is not None and np.isfinite(cost).any() else ():
         more_K, more_B = [], []
         for best in _lowest(K, B, cost, starts):
             more_B.append(B[best] + reach * cell * np.repeat(ZOOM, len(ZOOM)))
-            more_K.append(K[best] + reach * np.interp(B[best], dampings, highest) * SPACING * np.tile(ZOOM, len(ZOOM)))
+            more_K.append(K[best] + reach * target.highest_at(B[best]) * SPACING * np.tile(ZOOM, len(ZOOM)))
         near_B = np.clip(np.concatenate(more_B), dampings[0], dampings[-1])
         near_K, near_B = requests.as_set(np.concatenate(more_K), near_B)
-        some = (near_K > 0) & (near_K <= HIGHEST * np.interp(near_B, dampings, highest))
+        some = (near_K > 0) & (near_K <= HIGHEST * target.highest_at(near_B))
         K, B = np.append(K, near_K[some]), np.append(B, near_B[some])
-        cost = np.append(cost, _foretold(near_K[some], near_B[some], criterion, by, offset))
+        cost = np.append(cost, target.foretold(near_K[some], near_B[some]))
     good = np.isfinite(cost)
     return K[good], B[good], cost[good]
 
@@ -239,34 +265,24 @@ def _lowest(K: Floats, B: Floats, cost: Floats, count: int) -> list[int]:
     return found
 
 
-def _foretold(K: Floats, B: Floats, criterion: str, by: Foreseen | None, offset: float) -> Floats:
-    """Return the logarithm of foretold costs; 0 without a loop, NaN where it has none."""
-    if by is None:
-        return np.zeros(len(K))
-    found = by.costs(K, B, criterion) + offset
-    return np.asarray(np.log(np.where(found > 0, found, np.nan)))
-
-
-def _seen(
-    tried: Tried, dampings: Floats, highest: Floats, criterion: str, by: Foreseen | None, offset: float
-) -> tuple[Floats, Floats]:
+def _seen(tried: Tried, target: Target) -> tuple[Floats, Floats]:
     """Return B and K of the trials, and by how much the logarithm of their costs differs from the foretold one."""
     K, B = tried.stiffness, tried.damping
-    inside = HIGHEST * np.interp(B, dampings, highest) > K
+    inside = HIGHEST * target.highest_at(B) > K
     foretold = np.full(len(K), np.nan)
-    foretold[inside] = _foretold(K[inside], B[inside], criterion, by, offset)
-    value = np.log(tried.cost + offset) - foretold
+    foretold[inside] = target.foretold(K[inside], B[inside])
+    value = np.log(tried.cost + target.offset) - foretold
     usual = float(np.nanmean(value)) if np.isfinite(value).any() else 0.0
     value = np.where(inside & np.isnan(tried.cost), usual + NO_COST, value)
     told = np.isfinite(value)
     return np.column_stack([B, K])[told], value[told]
 
 
-def _beside(K: Floats, B: Floats, ahead: Floats, criterion: str, by: Foreseen | None, offset: float) -> Floats:
+def _beside(K: Floats, B: Floats, ahead: Floats, target: Target) -> Floats:
     """Return by how much walls beside others are foretold to be worse, as logarithm: the best ones stand at a jump."""
-    if by is None:
+    if target.by is None:
         return np.zeros(len(K))
-    off = [_foretold(K * (1 + k), B * (1 + b), criterion, by, offset) - ahead for k, b in BESIDE]
+    off = [target.foretold(K * (1 + k), B * (1 + b)) - ahead for k, b in BESIDE]
     return np.asarray(np.mean([np.where(np.isnan(each), NO_COST, each) for each in off], axis=0))
 
 

@@ -14,7 +14,7 @@ from pipeline.base.lock import holder
 from pipeline.plan.answer import Area, Best, Limit, Next, Plan
 from pipeline.plan.course import Course, Wish, beginning, open_course, stated_loop, wanted_dampings
 from pipeline.plan.limits import GENTLE_START, START, Aim, Column, State, order, state
-from pipeline.plan.optimum import Foreseen, Search, look_for
+from pipeline.plan.optimum import Foreseen, Search, Target, look_for
 from pipeline.plan.requests import Requests, requests_folder, snapped, write_requests
 
 NOTES = {
@@ -251,8 +251,8 @@ def _search(course: Course, wish: Wish, found: State, aim: Aim) -> Search:
         raise UsageError(f"device {course.name!r}: no wall is expected to be stable, so that none has a cost.")
     if not len(course.tried):
         limits *= GENTLE_START if aim.gentle else START
-    about = wish.criterion, by, OPTIMUM_ACCURACY, wish.count
-    return look_for(course.tried, np.array(aim.dampings), limits, *about, course.requests)
+    target = Target(wish.criterion, np.array(aim.dampings), limits, by, course.requests)
+    return look_for(course.tried, target, OPTIMUM_ACCURACY, wish.count)
 
 
 def _walls_of(search: Search, course: Course, wish: Wish, found: State, aim: Aim) -> tuple[Next, ...]:

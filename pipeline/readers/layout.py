@@ -151,10 +151,8 @@ def _table(lines: list[str], name: str) -> tuple[str, list[int]]:
     if len(best[1]) < FEWEST_ROWS:
         alone = sum(_is_number(line.strip().rstrip(";,").strip()) for line in lines)
         if alone >= FEWEST_ROWS:
-            found = (
-                f"has one column of numbers ({alone} of the first {len(lines)} lines); a log needs the command and the"
-            )
-            found += " position, or the velocity, in each row"
+            found = f"has one column of numbers ({alone} of the first {len(lines)} lines); a log needs the command and "
+            found += "the position, or the velocity, in each row"
             raise refusal("column-missing", name, found, cure="Export them together, or describe them by [partner].")
         found, expected = f"no table of numbers was found among the first {len(lines)} lines", "rows of as many cells"
         raise refusal("header-missing", name, found, expected, "Export other formats as CSV.")

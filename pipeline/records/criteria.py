@@ -37,8 +37,8 @@ class Family:
         Whether measured costs are whole numbers.
     smooth : bool
         Whether costs are a smooth function of stiffness and damping.
-    needs, beside : tuple of str
-        Stages that its stage takes results from, and others that are worth showing with it.
+    needs : tuple of str
+        Stages that its stage takes results from.
     figure : str
         Figure of the thesis that maps of its costs are drawn like.
     term, definition : str
@@ -55,7 +55,6 @@ class Family:
     whole: bool = False
     smooth: bool = False
     needs: tuple[str, ...] = ("response",)
-    beside: tuple[str, ...] = ()
     figure: str = "6.5"
     term: str = ""
     definition: str = ""
@@ -132,7 +131,6 @@ ENERGY = Family(
     "energy cost",
     smooth=True,
     needs=("response", "delay", "model", "ladder", "damping", "mass"),
-    beside=("windows",),
     figure="6.6",
     term="Energy cost <i>C</i><sub>E<i>w</i></sub> [1], (5.7) and (5.14)",
     definition="Integral of <i>E</i>(<i>t</i>) <i>t</i><sup><i>w</i></sup> over the response, divided by "

@@ -12,6 +12,7 @@ CauseCode = Literal[
     "other_gains",
     "coulomb_friction",
     "velocity_filter",
+    "adaptive_velocity",
     "actuator_lag",
     "vibration_mode",
     "operator",
@@ -34,6 +35,13 @@ CauseCode = Literal[
     "no_unstable_trial",
     "few_trials",
 ]
+
+
+LIMITS_WITHIN = 5.0
+"""Error of predicted limits [%] up to which a device is right: a course brackets a limit by 4 %."""
+
+VERDICTS_RIGHT = 0.95
+"""Share of the verdicts that a device must predict."""
 
 
 class Parameter(Record):
@@ -68,9 +76,15 @@ class LoopResult(Record):
 
     @property
     def parts_beside(self) -> list[str]:
-        """Linear parts that it has beside mass, damping, stiffness and delay, in words."""
+        """Parts that it has beside mass, damping, stiffness and delay, in words."""
         found = {"velocity filter": self.velocity, "actuator lag": self.actuator_lag_s, "vibration mode": self.mode}
-        return [name for name, part in found.items() if part is not None]
+        friction = ["friction"] if self.has_friction else []
+        return [*(name for name, part in found.items() if part is not None), *friction]
+
+    @property
+    def has_friction(self) -> bool:
+        """Whether it surely has friction, which linear theory leaves out."""
+        return self.friction is not None and self.friction.low > 0
 
 
 class LoopLimit(Record):
@@ -85,6 +99,30 @@ class LoopLimit(Record):
     low: float
     high: float
     stiffness_large_motion: float | None = None
+
+
+class WallReplay(Record):
+    """How the found device, friction and scatter included, predicts tested walls that it was not fitted to.
+
+    ``fit_percent`` of the position behind stable walls, median; ``verdicts_same`` share of the decided verdicts;
+    ``limits_off_percent`` and ``costs_off_percent`` median errors of limits and settling times. None where there is
+    nothing to compare. ``trials`` were replayed.
+    """
+
+    fit_percent: float | None
+    verdicts_same: float | None
+    limits_off_percent: float | None
+    costs_off_percent: float | None
+    trials: int
+
+    @property
+    def is_right(self) -> bool:
+        """Whether limits are within 5 %, and 95 % of the verdicts are right."""
+        limits = self.limits_off_percent is None or self.limits_off_percent <= LIMITS_WITHIN
+        if self.verdicts_same is None:
+            return False
+        # of few trials one may be chance
+        return limits and round((1 - self.verdicts_same) * self.trials) <= max((1 - VERDICTS_RIGHT) * self.trials, 1)
 
 
 class PassiveWall(Record):
@@ -109,4 +147,5 @@ class LoopFindings(Record):
     loop_boundary: tuple[LoopLimit, ...] | None = None
     passive: PassiveWall | None = None
     passive_reason: str | None = None
+    replay: WallReplay | None = None
     causes: tuple[Cause, ...] = Field(default=())

@@ -13,20 +13,11 @@ from pydantic import Field
 from pipeline.records.accuracy import AccuracyReport
 from pipeline.records.figure_records import Figure
 from pipeline.records.findings import BoundaryPoint, Estimate, ExcludedTrial, ModelCheck, Note, Optimum, Record
-from pipeline.records.loop_records import Cause, LoopLimit, LoopResult, PassiveWall
+from pipeline.records.loop_records import Cause, LoopLimit, LoopResult, PassiveWall, WallReplay
 from pipeline.records.models import ComparisonRow, Motion
 from pipeline.records.score_records import Scores
 from pipeline.records.score_records import TheoryParameters as TheoryParameters
 from pipeline.records.trial_codec import TrialPage
-
-
-class MassWindow(Record):
-    """Mass by the momentum balance of the thesis for one window: median and scatter of the trials that have one."""
-
-    window_s: float
-    mass: float | None
-    scatter: float | None
-    trials: int
 
 
 class OtherDefinitions(Record):
@@ -194,7 +185,6 @@ class ExperimentResult(Record):
     verdicts: dict[str, int]
     outcomes: dict[str, int] = Field(default_factory=dict)
     model_check: ModelCheck | None = None
-    mass_windows: tuple[MassWindow, ...] = ()
     other_definitions: tuple[OtherDefinitions, ...] = ()
     estimates: dict[str, Estimate]
     boundary: tuple[BoundaryPoint, ...]
@@ -206,6 +196,7 @@ class ExperimentResult(Record):
     loop_boundary: tuple[LoopLimit, ...] | None = None
     passive: PassiveWall | None = None
     passive_reason: str | None = None
+    replay: WallReplay | None = None
     causes: tuple[Cause, ...] = ()
     header: tuple[HeaderLine, ...] = ()
     sampling_period_s: float | None = None

@@ -188,10 +188,6 @@ COLUMNS: dict[str, Column] = {
     ),
     "settle_python_control": _same(_F, "samples", "settling time, 2 %, as python-control's step_info", True),
     "overshoot_last_sample": _same(_F, "1", "overshoot about the last sample, as both tools take it", True),
-    # windows stage
-    "window_s": _same(_F, "s", "time from the command edge to the end of the momentum balance"),
-    "mass_median": Column(_F, "kg", "kg m^2", "median mass by (6.4) with that window", True),
-    "mass_scatter": Column(_F, "kg", "kg m^2", "scatter of the trials: interquartile range over 1.349", True),
     # ladder stage
     "role": _same(_S, "", "best, next best, or alike: as many parts and not to be told apart from the best"),
     "parts": _same(_S, "", "what the device has beside mass, damper and delay, comma separated"),
@@ -248,7 +244,6 @@ _NAMES = {
         for name, family in FAMILIES.items()
     },
     "ladder": "role parts explained held_out score numbers",
-    "windows": "window_s mass_median mass_scatter trials reason",
     "boundary": "damping stable unstable censored estimate low high trials undecided",
 }
 

@@ -31,10 +31,10 @@ def value_tables(result: ComparisonResult) -> tuple[Table, ...]:
         _table("estimates", units, _estimates(result)),
         _table("boundary", units | limits, _listed(result, "boundary")),
         _table("optima", units, _optima(result)),
-        _table("windows", units, _listed(result, "mass_windows")),
         _table("definitions", units, _listed(result, "other_definitions")),
         _table("scores", {}, _scores(result)),
-        _table("loop_boundary", units, _limits(result)),
+        _table("loop_boundary", units, _listed(result, "loop_boundary")),
+        _table("replay", {}, _listed(result, "replay")),
         _table("causes", {}, _listed(result, "causes")),
         _table("header", {}, _header(result)),
         _table("trials", {}, _counts(result)),
@@ -107,12 +107,9 @@ def _header(result: ComparisonResult) -> Iterator[Row]:
 
 def _listed(result: ComparisonResult, field: str) -> Iterator[Row]:
     for e in result.experiments:
-        yield from ({"experiment": e.experiment, **_fields(item)} for item in getattr(e, field))
-
-
-def _limits(result: ComparisonResult) -> Iterator[Row]:
-    for e in result.experiments:
-        yield from ({"experiment": e.experiment, **_fields(item)} for item in e.loop_boundary or ())
+        found = getattr(e, field) or ()
+        items = found if isinstance(found, tuple) else (found,)
+        yield from ({"experiment": e.experiment, **_fields(item)} for item in items)
 
 
 def _optima(result: ComparisonResult) -> Iterator[Row]:

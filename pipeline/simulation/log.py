@@ -10,10 +10,10 @@ from pipeline.simulation.setup import Setup
 
 
 def logged(
-    setup: Setup, stiffness: Floats, damping: Floats, rows: Integers, command: Floats, position: Floats, chance: Chance
+    setup: Setup, walls: tuple[Floats, Floats], rows: Integers, command: Floats, position: Floats, chance: Chance
 ) -> TrialBatch:
-    """Return trials of so many rows each as a batch; command and position have the shape (rows, n)."""
-    trials, T = len(stiffness), setup.sampling_period_s
+    """Return trials at walls (K, B) of so many rows each; command and position have the shape (rows, n)."""
+    trials, T = len(rows), setup.sampling_period_s
     longest = int(rows.max(initial=0))
     if chance.repeated is not None:
         before = np.vstack((position[:1], position[:-1]))
@@ -35,8 +35,8 @@ def logged(
         )
     return TrialBatch(
         trial_id=tuple(str(i) for i in range(trials)),
-        stiffness=stiffness,
-        damping=damping,
+        stiffness=walls[0],
+        damping=walls[1],
         step=np.full(trials, setup.step),
         sampling_period_s=np.full(trials, T),
         rows=rows,

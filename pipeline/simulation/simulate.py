@@ -123,7 +123,7 @@ def simulate(
             state[0] = reached
     if setup.hidden.clipped_command_logged:
         command = np.clip(command, -limit, limit)
-    return logged(setup, K, B, rows, command[1:], position, chance)
+    return logged(setup, (K, B), rows, command[1:], position, chance)
 
 
 def external_force(setup: Setup) -> Floats:

@@ -166,7 +166,11 @@ def copy(file: Path, kept: Booleans | None, new: NewBatch) -> None:
                 new.write(group if some is None or some.all() else group.filter(pa.array(some)))
 
 
-def tidy(processed: Path, removed: Collection[tuple[str, str, str]] = ()) -> None:
+def tidy(
+    processed: Path,
+    removed: Collection[tuple[str, str, str]] = (),
+    read: tuple[pa.Table, Sequence[Path], Sequence[Path]] | None = None,
+) -> None:
     """Remove what interrupted writers left, replaced files, and former versions of trials; hold the lock.
 
     Damaged files are left alone; `check` tells of them.
@@ -176,16 +180,13 @@ def tidy(processed: Path, removed: Collection[tuple[str, str, str]] = ()) -> Non
     processed : Path
     removed : collection of (source_path, trial_id, profile_sha256)
         Trials that go although no newer version is stored: what stood there is now that of another log.
+    read : optional
+        What `read_versions` has read of all since the lock was taken.
     """
     for name in ("trials", "quarantine", "corrections"):
         remove_temporary(processed / name, deep=True)
-    table, files, replaced = read_versions(processed, None, None, list(VERSION_COLUMNS), {})
+    table, files, replaced = read or read_versions(processed, None, None, list(VERSION_COLUMNS), {})
     remove_all(replaced)
-    drop(processed, table, files, removed)
-
-
-def drop(processed: Path, table: pa.Table, files: Sequence[Path], removed: Collection[tuple[str, str, str]]) -> None:
-    """Rewrite the files that hold former versions of trials, or such that are removed; takes what `tidy` has read."""
     keep = newest_versions(table)
     if removed:
         names = ("source_path", "trial_id", "profile_sha256")

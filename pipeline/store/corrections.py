@@ -119,15 +119,12 @@ def carry(processed: Path, ids: Mapping[str, str]) -> None:
 
 def read_exclusions(processed: Path) -> dict[Key, Exclusion]:
     """Return the exclusions of a store; order and errors as those of `read_corrections`."""
-    fields = list(Exclusion.model_fields)
-    found = (one for one in read_corrections(processed).values() if one.exclusion_reason and not one.deleted)
-    return {one.key: _shown(one, fields) for one in found}
-
-
-def _shown(one: Correction, fields: list[str]) -> Exclusion:
-    device, experiment = one.place
-    values = {name: getattr(one, name) for name in fields}
-    return Exclusion(**values | {"device": device, "experiment": experiment})
+    found = {}
+    for key, one in read_corrections(processed).items():
+        if one.exclusion_reason and not one.deleted:
+            values = one.model_dump(include=set(Exclusion.model_fields))
+            found[key] = Exclusion(**values | dict(zip(("device", "experiment"), one.place, strict=True)))
+    return found
 
 
 def split_trials(trials: pa.Table, exclusions: Mapping[Key, Exclusion]) -> tuple[pa.Table, tuple[Exclusion, ...]]:
@@ -164,8 +161,8 @@ def applied(
         index = trials.schema.get_field_index(name)
         trials = trials.set_column(index, trials.schema.field(index), pa.array(moved, pa.string()))
     places = zip(*(trials.column(name).to_pylist() for name in ("device", "experiment")), strict=True)
-    own = (
-        all(asked in (None, is_) for asked, is_ in zip((device, experiment), place, strict=True)) for place in places
-    )
-    keep = [is_own and (one is None or not one.deleted) for is_own, one in zip(own, found, strict=True)]
+    keep = [
+        (one is None or not one.deleted) and device in (None, place[0]) and experiment in (None, place[1])
+        for place, one in zip(places, found, strict=True)
+    ]
     return trials.filter(pa.array(keep, pa.bool_()))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -34,10 +35,9 @@ class Gone(Record):
     @property
     def sentence(self) -> str:
         """What is gone, and what to do."""
-        named = {"trial": self.trials, "exclusion": self.exclusions}
         said = [
-            f"{counted(len(ids), name)} ({', '.join(ids[:3])}{', ...' * (len(ids) > 3)})"
-            for name, ids in named.items()
+            f"{counted(len(ids), name)} ({', '.join(ids[:MOST])}{', ...' * (len(ids) > MOST)})"
+            for name, ids in (("trial", self.trials), ("exclusion", self.exclusions))
             if ids
         ]
         return (
@@ -55,22 +55,22 @@ def gone(processed: Path, device: str | None = None) -> tuple[Gone, ...]:
     found = []
     damaged: dict[Path, str] = {}
     stored, files, _ = read_versions(processed, None, None, ["trial_id"], damaged)
-    known, written = set(stored.column("trial_id").to_pylist()), [file.stat().st_mtime_ns for file in files]
+    known = set(stored.column("trial_id").to_pylist())
+    written = np.array([file.stat().st_mtime_ns for file in files], dtype=np.int64)[stored.column(FILE).to_numpy()]
     try:
         corrections = read_corrections(processed)
     except StoreError:  # damaged, and named as such
         return ()
     for file in sorted((processed / "stages").glob(f"*/*/{FIRST_STAGE}-*{TABLE}")):
-        place = name_of_folder(file.parent.parent.name), name_of_folder(file.parent.name)
-        if device not in (None, place[0]):
+        of, experiment = map(name_of_folder, file.parts[-3:-1])
+        if device not in (None, of):
             continue
         with suppress(OSError, pa.ArrowException):
             ids = pq.read_table(file, columns=["trial_id"]).column("trial_id").to_pylist()
-            since = file.stat().st_mtime_ns
-            newer = sum(written[number] > since for number in stored.column(FILE).to_pylist())
             lost = sorted({*ids} - known - corrections.keys())
             excluded = sorted({*read_metadata(file).get("pipeline.excluded", "").split()} - corrections.keys())
-            lost = [] if damaged or len(lost) <= newer else lost
+            if damaged or len(lost) <= np.count_nonzero(written > file.stat().st_mtime_ns):
+                lost = []
             if lost or excluded:
-                found.append(Gone(device=place[0], experiment=place[1], trials=tuple(lost), exclusions=tuple(excluded)))
+                found.append(Gone(device=of, experiment=experiment, trials=tuple(lost), exclusions=tuple(excluded)))
     return tuple(found)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 from pathlib import Path
@@ -191,6 +192,18 @@ def test_chance_is_called_significant_in_one_of_twenty_runs():
         hits += found.significant
     # by ranks at most 5 %, less for a discrete distribution: 3.9 % here; standard error 0.5 %
     assert 0.02 < hits / 2000 < 0.055
+
+
+@pytest.mark.parametrize("count", [6, 20, 61])
+def test_costs_of_the_first_against_the_second_are_the_mirror_image(count):
+    k, b = np.arange(float(count)), np.zeros(count)
+    difference = np.random.default_rng(9).normal(0.1, 0.05, count)
+    trials = {"overshoot": (k, b, np.full(count, 0.3))}, {"overshoot": (k, b, 0.3 + difference)}
+    (there,), (back,) = compare_costs(*trials), compare_costs(*trials[::-1])
+    assert (back.low, back.high) == pytest.approx((-there.high, -there.low), abs=1e-12)
+    # ranks of the ends by the binomial distribution: outside of them lie less than 2.5 % on each side
+    below = sum(math.comb(count, i) for i in range(int((np.sort(difference) < there.low - 1e-12).sum()) + 1))
+    assert below / 2.0**count < 0.025
 
 
 def test_optima_give_place_and_cost():

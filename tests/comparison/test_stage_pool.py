@@ -67,7 +67,7 @@ def test_the_groups_of_a_large_experiment_are_shared(lwr, tmp_path, monkeypatch)
     own = lwr.stages("delay-2", tmp_path)
     assert len(own.samples.parts) > 2
     assert own.count_new_trials() == own.trials.num_rows
-    needed = {*NEEDED, "model", "damping", "mass", "outcome", "overshoot", "settling", "energy", "windows"}
+    needed = {*NEEDED, "model", "damping", "mass", "outcome", "overshoot", "settling", "energy"}
     compute_stages([own], needed)
     assert len(set(cut)) > len(own.samples.parts), "groups are cut"
     assert len(cut) > len(set(cut)), "each part is used for several stages"

@@ -129,12 +129,16 @@ def test_a_corrected_name_gives_its_conditions(named):
 
 
 def test_a_rename_that_is_interrupted_is_finished(named, monkeypatch):
+    def end_when_removing(processed, removed=(), read=None):
+        if removed:
+            raise KeyboardInterrupt
+
     log = named.logs / "K100_a.csv"
     log.write_text(body(1))
     named.ingest()
     log.rename(named.logs / "K900_a.csv")
     with monkeypatch.context() as patch:
-        patch.setattr("pipeline.intake.ingest.tidy", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr("pipeline.intake.ingest.tidy", end_when_removing)
         with pytest.raises(KeyboardInterrupt):
             named.ingest()
     assert len(named.rows()) == 2, "both stand there for a moment"

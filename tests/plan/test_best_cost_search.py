@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.loop.loop import Loop, Normalised
-from pipeline.plan.optimum import Foreseen, look_for
+from pipeline.plan.optimum import Foreseen, Target, look_for
 from pipeline.plan.verdicts import Tried
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.stability.region import stiffness_limit
@@ -25,7 +25,7 @@ def search(costs_of, by, most=40):
         K, B = np.array(walls).reshape(-1, 2).T
         said = np.where(np.isfinite(costs), "stable", "unstable")
         tried = Tried(K, B, said, np.full(len(K), np.nan), cost=np.array(costs)) if walls else Tried(*[np.empty(0)] * 4)
-        found = look_for(tried, DAMPINGS, LIMITS, "settle_2pct", by, 0.05, 1)
+        found = look_for(tried, Target("settle_2pct", DAMPINGS, LIMITS, by), 0.05, 1)
         if found.done or len(walls) == most:
             return found, walls, costs
         walls.append(found.walls[0][:2])
@@ -60,12 +60,12 @@ def test_a_wrong_loop_is_corrected_by_costs():
 def test_no_search_is_done_before_some_costs_are_known():
     K, B = np.array([1500.0]), np.array([40.0])
     tried = Tried(K, B, np.array(["stable"]), np.array([np.nan]), cost=np.array([1.0]))
-    assert not look_for(tried, DAMPINGS, LIMITS, "settle_2pct", BY, 0.05, 1).done
+    assert not look_for(tried, Target("settle_2pct", DAMPINGS, LIMITS, BY), 0.05, 1).done
 
 
 def test_a_batch_names_different_walls():
     tried = Tried(*[np.empty(0)] * 4)
-    walls = look_for(tried, DAMPINGS, LIMITS, "settle_2pct", None, 0.05, 4).walls
+    walls = look_for(tried, Target("settle_2pct", DAMPINGS, LIMITS, None), 0.05, 4).walls
     assert len({wall[:2] for wall in walls}) == 4
 
 

@@ -124,13 +124,13 @@ def test_a_limit_is_told_from_below_only_by_a_line_and_a_loop_that_agree():
     # the line through both rates ends at 6000
     own = walls_at((5600.0, "stable", -4.0), (5900.0, "stable", -1.0))
     ends = Bracket(low=5900.0)
-    assert from_below(own, ends, 200.0, Expected(6000.0, 20.0, adequate=True, explains=True))
-    assert not from_below(own, ends, 200.0, Expected(6000.0, 20.0, adequate=True, explains=False)), (
+    assert from_below(own, ends, 200.0, Expected(50.0, 6000.0, 20.0, adequate=True, explains=True))
+    assert not from_below(own, ends, 200.0, Expected(50.0, 6000.0, 20.0, adequate=True, explains=False)), (
         "friction bends lines"
     )
-    assert not from_below(own, ends, 200.0, Expected(6300.0, 20.0, adequate=True, explains=True)), "the loop disagrees"
+    assert not from_below(own, ends, 200.0, Expected(50.0, 6300.0, 20.0, True, True)), "the loop disagrees"
     flat = walls_at((5600.0, "stable", -40.0), (5900.0, "stable", -35.0))
-    assert not from_below(flat, ends, 200.0, Expected(6000.0, 20.0, adequate=True, explains=True)), "the line disagrees"
+    assert not from_below(flat, ends, 200.0, Expected(50.0, 6000.0, 20.0, True, True)), "the line disagrees"
 
 
 def test_weak_verdicts_are_repeated_and_a_rig_is_spared_the_unstable_one():

@@ -233,3 +233,17 @@ def test_a_packed_list_may_be_longer_than_the_file():
     data = bag_file("mcap", fill, "zstd")
     assert len(data) < 50_000
     assert frame("mcap", data, "/zeros.data[49999]").columns["/zeros.data[49999]"].tolist() == [0.0]
+
+
+def test_lists_of_several_lengths_have_gaps():
+    def fill(writer, store, is_ros1):
+        floats, layout = store.types["std_msgs/msg/Float64MultiArray"], store.types["std_msgs/msg/MultiArrayLayout"]
+        connection = writer.add_connection("/q", floats.__msgtype__, typestore=store)
+        for n in range(3):
+            message = floats(layout=layout(dim=[], data_offset=0), data=np.arange(3.0 - n))
+            writer.write(connection, n, store.serialize_cdr(message, floats.__msgtype__))
+
+    read = frame("mcap", bag_file("mcap", fill), "/q.data[0]", "/q.data[1]", "/q.@received")
+    assert read.columns["/q.data[0]"].tolist() == [0.0, 0.0, 0.0]
+    np.testing.assert_array_equal(read.columns["/q.data[1]"], [1.0, 1.0, np.nan])
+    assert read.columns["/q.@received"].dtype == np.int64

@@ -46,7 +46,7 @@ def test_waveforms_that_disagree_have_no_time():
             ChannelObject("g", name, np.zeros(4), {"wf_increment": dt}) for name, dt in (("a", 0.1), ("b", 0.2))
         ]
         writer.write_segment(channels)
-    with pytest.raises(LogError, match=r"increments '/g/a': 0\.1, '/g/b': 0\.2"):
+    with pytest.raises(LogError, match=r"found '/g/a': 0\.1, '/g/b': 0\.2"):
         frame(buffer.getvalue(), "@time", "/g/a", "/g/b")
     assert frame(buffer.getvalue(), "@time", "/g/b").columns["@time"].tolist() == [0.0, 0.2, 0.4, 0.2 * 3]
 

@@ -13,6 +13,7 @@ from stored import stored_rows
 
 from pipeline.intake.ingest import ingest
 from pipeline.service.database import Database
+from pipeline.service.jobs import results
 from pipeline.service.jobs.worker import work
 from pipeline.service.settings import Settings
 
@@ -120,6 +121,18 @@ def test_a_job_that_cannot_be_done_says_why(tmp_path):
     found = database.job(job)
     assert found["state"] == "failed"
     assert "nobody" in found["problem"]["detail"]
+
+
+def test_a_defect_fails_its_job_and_ends_the_worker(tmp_path, monkeypatch):
+    settings = Settings(tmp_path / "processed", tmp_path / "reports")
+    database = Database(settings.data)
+    job = database.add_job("stages", {})
+    monkeypatch.setitem(results.KINDS, "stages", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        work(settings, database, "worker")
+    found = database.job(job)
+    assert (found["state"], found["problem"]["status"]) == ("failed", 500)
+    assert not work(settings, database, "worker"), "it is not tried again"
 
 
 def test_what_was_never_acknowledged_is_removed(tmp_path):

@@ -13,12 +13,11 @@ import numpy as np
 
 from pipeline.base.wording import counted, listed
 from pipeline.comparison.loops.log_evidence import OF_NO_LOOP, LawDeparture, rest_words
-from pipeline.comparison.loops.loop_range import MATTERS, LoopRange, loop_delay
+from pipeline.comparison.loops.loop_range import MATTERS, LoopRange, explains, loop_delay
 from pipeline.comparison.loops.other_gains import OtherGains
 from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.measured.experiment.fitted_device import FittedDevice
 from pipeline.measured.experiment.rest_forces import RestForces
-from pipeline.measured.explained import EXPLAINED
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Estimate
 from pipeline.records.loop_parts import LoopParts, VelocityFilter
@@ -47,10 +46,11 @@ _LOW = 0.25
 
 @dataclass(frozen=True)
 class Doubt:
-    """What speaks against a loop, and what would help."""
+    """What speaks against a loop, and what would help; a soft one does not where the replay is right."""
 
     text: str
     help: str = ""
+    soft: bool = False
 
 
 @dataclass(frozen=True)
@@ -151,6 +151,7 @@ _HELP = {
     "sampling_period": "the sampling period by which the stamps are apart, in the header",
     "saturation": "a smaller step, or the command before it is clipped in the log",
     "velocity_filter": "a device file that declares the filter",
+    "adaptive_velocity": "a velocity over a constant number of samples, which theory can hold",
 }
 _UNIT = "the unit of the position, or of K, B and the step, corrected in the profile (see `pipeline profile check`)"
 
@@ -177,7 +178,7 @@ def _unexplained(result: ExperimentResult, fitted: FittedDevice | None, would_he
     if check is None:
         yield Doubt("no model was fitted to the logs, since nothing that was asked for needs one")
         return
-    if check.explained < EXPLAINED * check.trials or not check.trials:
+    if not explains(result):
         more = ""
         if fitted is not None and fitted.parts:
             what = f"{listed(list(fitted.parts))} {fitted.explained} of {fitted.held_out}"
@@ -226,7 +227,8 @@ def _changing(result: ExperimentResult, loop: LoopRange, units: Units, parts: Lo
         by_file = f" ({significant(stated, 2)} by the device file)" if stated else ""
         yield Doubt(
             f"there is Coulomb friction of {significant(friction.value or 0.0, 2)} {friction.unit}{by_file}, which "
-            "linear theory leaves out"
+            "linear theory leaves out",
+            soft=True,
         )
 
 
@@ -255,5 +257,6 @@ def _disagreeing(result: ExperimentResult, loop: LoopRange, units: Units) -> Ite
     yield Doubt(
         f"{int(far.sum())} of {counted(int(some.sum()), 'measured limit')} lie off those of the loop, "
         f"at B = {significant(float(damping[worst]), 3)} {units.damping} by {percent_text(100 * float(off[worst]))} % "
-        "beyond all intervals"
+        "beyond all intervals",
+        soft=True,
     )

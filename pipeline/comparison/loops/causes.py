@@ -63,7 +63,7 @@ def direct_causes(
     departures, fitted = shown.departures, shown.fitted
     found = [] if shown.gains is None or shown.gains.few else [shown.gains.cause]
     found += law_causes(departures, stages)[:MOST]
-    if fitted is not None and fitted.tells:
+    if fitted is not None and fitted.tells and "delay_samples" not in fitted.open:
         parts = part_causes(stages, fitted, shown.velocity, units)
         found += [cause for cause in parts if all(cause.code != other.code for other in found)]
     elif not departures:  # a command that is not the wall law's tells of no force beside it

@@ -9,17 +9,20 @@ import numpy as np
 from pipeline.base.wording import listed
 from pipeline.comparison.loops.adequacy import Doubt, Shown, doubts
 from pipeline.comparison.loops.causes import direct_causes
-from pipeline.comparison.loops.fitted_loop import loop_range, mode_parameters, with_filter
-from pipeline.comparison.loops.log_evidence import LawDeparture, filters_of_logs, found_filter, law_departures
-from pipeline.comparison.loops.loop_range import LoopRange, estimated_range, stated_range
+from pipeline.comparison.loops.fitted_loop import found_loop, mode_parameters, velocity_of
+from pipeline.comparison.loops.large_motion import TYPICAL, limits_for_step
+from pipeline.comparison.loops.log_evidence import filters_of_logs, law_departures
+from pipeline.comparison.loops.loop_range import LoopRange, stated_range
 from pipeline.comparison.loops.loop_record import exact, filter_parameters, stated_parameters
 from pipeline.comparison.loops.other_gains import other_gains
 from pipeline.comparison.loops.passive_wall import passive_wall
-from pipeline.measured.experiment.fitted_device import explaining_device, fitted_device
+from pipeline.comparison.loops.wall_replay import replay_words, wall_replay
+from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.experiment.rest_forces import rest_forces
+from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.loop_parts import LoopParts, VelocityFilter
-from pipeline.records.loop_records import LoopFindings, LoopLimit, LoopResult, Parameter
+from pipeline.records.loop_parts import LoopParts
+from pipeline.records.loop_records import Cause, LoopFindings, LoopLimit, LoopResult, Parameter, WallReplay
 from pipeline.records.models import Device
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.labels import Units
@@ -58,45 +61,73 @@ def loop_findings(
     parts = device.loop_of(entry) if device and entry else None
     loop = estimated if entry is None or parts is None else stated_range(entry, parts, estimated, period)
     against = doubts(result, loop, shown, parts, units)
-    record = _loop_result(result, loop, against, shown, parts)
+    hard = [doubt for doubt in against if not doubt.soft]
     stated = loop.mass.value if parts and loop else None
-    causes = direct_causes(result, stages, estimated, shown, stated, units, adequate=not against)
+    causes = direct_causes(result, stages, estimated, shown, stated, units, adequate=not hard)
+    # a file that the logs contradict foretells no limit
+    loops = (estimated if hard and estimated is not None else loop, estimated)
+    limits, replay = _predicted(result, stages, loops, shown, causes)
+    if replay is not None and replay.verdicts_same is not None:
+        against = hard if replay.is_right else against or [Doubt(replay_words(replay))]
+    record = _loop_result(result, loop, against, shown, parts)
+    if replay is not None and "friction" in record.parts_beside and not against:
+        record = record.model_copy(update={"reason": replay_words(replay)})
+    limits = _widened(limits, replay) if against else limits
+    findings = LoopFindings(loop=record, loop_boundary=limits or None, replay=replay, causes=causes)
     if loop is None or against:
         why = f"needs an adequate loop, and this one is not: {record.reason}"
-        return LoopFindings(loop=record, passive_reason=why, causes=causes)
+        return findings.model_copy(update={"passive_reason": why})
     held = entry is None and fitted is not None and "spring" in fitted.parts
     # a hand that is let go of takes its damping with it
     wall, why_none = (None, _HELD) if held else passive_wall(loop, result)
-    return LoopFindings(
-        loop=record,
-        loop_boundary=_limits(loop, result),
-        passive=wall,
-        passive_reason=why_none,
-        causes=causes,
-    )
+    return findings.model_copy(update={"passive": wall, "passive_reason": why_none})
+
+
+def _predicted(
+    result: ExperimentResult,
+    stages: ExperimentStages,
+    loops: tuple[LoopRange | None, LoopRange | None],
+    shown: Shown,
+    causes: tuple[Cause, ...],
+) -> tuple[tuple[LoopLimit, ...], WallReplay | None]:
+    """Return the limits of the loop, for the step that was used where there is friction, and the found one's replay.
+
+    ``loops`` are that of the statements and the one found.
+    """
+    loop, estimated = loops
+    if loop is None or not result.boundary or (shown.gains is not None and shown.gains.most):
+        return (), None
+    friction = result.estimates.get("friction")
+    rubs = any(cause.code == "coulomb_friction" for cause in causes) and friction is not None and bool(friction.value)
+    if rubs and estimated is not None and friction is not None:
+        limits = limits_for_step(result, stages, estimated, friction)
+    else:
+        limits = _limits(loop, result)
+    if estimated is None:
+        return limits, None
+    own = limits if rubs or loop is estimated else _limits(estimated, result)
+    fitted = shown.fitted if shown.explained else None
+    return limits, wall_replay(result, stages, estimated, fitted, own)
+
+
+def _widened(limits: tuple[LoopLimit, ...], replay: WallReplay | None) -> tuple[LoopLimit, ...]:
+    """Return limits whose intervals hold the error of the replay: 95 % of a normal one with its median."""
+    off = (replay.limits_off_percent or 0.0) / 100 if replay is not None else 0.0
+    share = NORMAL_95 * TYPICAL * off
+
+    def wider(each: LoopLimit) -> LoopLimit:
+        reach = share * each.stiffness
+        low = each.stiffness - float(np.hypot(each.stiffness - each.low, reach))
+        high = each.stiffness + float(np.hypot(each.high - each.stiffness, reach))
+        return each.model_copy(update={"low": max(low, 0.0), "high": high})
+
+    return tuple(wider(each) for each in limits)
 
 
 _HELD = (
     "a spring holds the device, perhaps a hand: how much of the damping is the device's own is not known, and a wall "
     "is passive by that alone; a device file, or trials without it, would tell"
 )
-
-
-def velocity_of(stages: ExperimentStages, departures: list[LawDeparture]) -> VelocityFilter | None:
-    """Return the velocity filter of the wall law; one that few logs show is none."""
-    # a controller filters the velocity in all trials or in none; single logs can imitate it
-    if not any(each.code == "velocity_filter" and each.logs > 0.5 * each.of for each in departures):
-        return None
-    found = found_filter(stages)
-    return found.declared if found is not None else None
-
-
-def found_loop(result: ExperimentResult, stages: ExperimentStages, velocity: VelocityFilter | None) -> LoopRange | None:
-    """Return the linear loop of the device that explains the logs, with their filter; else that of the estimates."""
-    fitted = stages.once(explaining_device)
-    if fitted is not None:
-        return loop_range(fitted, stages.sampling_period_s, velocity)
-    return with_filter(estimated_range(result, stages.sampling_period_s), velocity)
 
 
 def _loop_result(
@@ -129,12 +160,14 @@ def _loop_result(
 def _reason(result: ExperimentResult, against: list[Doubt], shown: Shown, parts: LoopParts | None) -> str:
     fitted, stated = shown.fitted, parts.words() if parts else ""
     if not against and stated:
-        held_out = f"{fitted.explained} of {fitted.held_out} logs that it was not fitted to" if fitted else ""
+        held_out = (
+            f"{fitted.explained} of {fitted.held_out} logs that it was not fitted to" if fitted and fitted.holds else ""
+        )
         return (
             f"the loop of the device file ({stated}) has the measured limits and those of the loop that the logs show, "
             f"which explains {held_out or _explained(result)}"
         )
-    if not against and fitted is not None:
+    if not against and fitted is not None and fitted.holds:
         alike = f"; {' or '.join(fitted.alike)} cannot be told apart from it" if fitted.alike else ""
         return (
             f"one device with mass, damping, delay and {listed(list(fitted.parts))} explains {fitted.explained} of "

@@ -7,14 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.comparison.loops.loop_range import LoopPoint, LoopRange
+from pipeline.comparison.loops.log_evidence import LawDeparture, found_filter
+from pipeline.comparison.loops.loop_range import LoopPoint, LoopRange, estimated_range
 from pipeline.comparison.loops.loop_record import exact
-from pipeline.measured.experiment.fitted_device import METHOD, FittedDevice
+from pipeline.measured.experiment.fitted_device import FittedDevice, explaining_device
 from pipeline.measured.intervals import NORMAL_95
+from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Estimate
 from pipeline.records.loop_parts import LoopParts, Mode, VelocityFilter
 from pipeline.records.loop_records import Parameter
+from pipeline.records.results import ExperimentResult
 
 LOAD = "mode at the load"
 
@@ -100,16 +103,23 @@ def fitted_estimates(found: Mapping[str, Estimate], device: FittedDevice) -> dic
     """
     result = {}
     for name, term in _TERMS.items():
-        if name not in found:
+        # how a delay changes within a log no likelihood of these numbers tells
+        if name not in found or (device.likely and term == "jitter"):
             continue
-        before, number = found[name], device.parameter(term)
+        before, told = found[name], device.estimate(term, found[name].unit)
         methods = {**before.by_method, "before": before.model_copy(update={"by_method": {}})}
-        some = number.model_dump() if number else {"value": None, "reason": f"{METHOD} explains the logs without it"}
-        result[name] = Estimate(
-            **some, unit=before.unit, method=METHOD, trials=device.held_out, by_method=methods if number else {}
+        without = Estimate(
+            value=None,
+            reason=f"{device.method} explains the logs without it",
+            unit=before.unit,
+            method=device.method,
+            trials=device.held_out,
         )
+        result[name] = told.model_copy(update={"by_method": methods}) if told else without
     delay, by_ladder = found["delay_samples"], device.estimate("delay_samples", "samples")
     assert by_ladder is not None, "each device has a delay"
+    if by_ladder.value is None:
+        return result
     result["delay_samples"] = delay.model_copy(update={"by_method": {**delay.by_method, "ladder": by_ladder}})
     return result
 
@@ -119,3 +129,22 @@ def with_filter(loop: LoopRange | None, velocity: VelocityFilter | None) -> Loop
     if loop is None or velocity is None:
         return loop
     return replace(loop, parts=loop.parts.model_copy(update={"velocity": velocity}))
+
+
+def velocity_of(stages: ExperimentStages, departures: list[LawDeparture]) -> VelocityFilter | None:
+    """Return the velocity filter of the wall law; one that few logs show is none."""
+    # a controller filters the velocity in all trials or in none; single logs can imitate it
+    if not any(each.code == "velocity_filter" and each.logs > 0.5 * each.of for each in departures):
+        return None
+    found = found_filter(stages)
+    return found.declared if found is not None else None
+
+
+def found_loop(result: ExperimentResult, stages: ExperimentStages, velocity: VelocityFilter | None) -> LoopRange | None:
+    """Return the linear loop of the device that explains the logs, with their filter; else that of the estimates."""
+    fitted = stages.once(explaining_device)
+    if fitted is not None and "delay_samples" in fitted.open:
+        return None
+    if fitted is not None:
+        return loop_range(fitted, stages.sampling_period_s, velocity)
+    return with_filter(estimated_range(result, stages.sampling_period_s), velocity)

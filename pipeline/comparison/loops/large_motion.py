@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.comparison.loops.findings import found_loop, velocity_of
+from pipeline.comparison.loops.fitted_loop import found_loop, velocity_of
 from pipeline.comparison.loops.log_evidence import law_departures
 from pipeline.comparison.loops.loop_range import LoopRange
+from pipeline.comparison.loops.wall_replay import Replayed, setup_of_found
 from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
-from pipeline.records.loop_parts import Friction
-from pipeline.records.loop_records import LoopLimit, Parameter
-from pipeline.records.models import Experiment
+from pipeline.records.findings import Estimate
+from pipeline.records.loop_records import LoopLimit
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.labels import significant
-from pipeline.simulation.plants import plant_of
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import simulate
 
@@ -30,9 +29,6 @@ WALLS = 17
 """Walls of one round between a stable and an unstable one: three rounds tell a limit to 1/2700 of the largest."""
 
 ROUNDS = 3
-
-LONGEST = 2000
-"""Samples of a simulated log: what neither grows nor decays in them is as near the limit as any log tells."""
 
 TYPICAL = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
@@ -55,9 +51,6 @@ def with_large_motion(result: ExperimentResult, stages: ExperimentStages) -> Exp
         for point, limit in zip(result.boundary, linear, strict=True)
     )
     result = result.model_copy(update={"boundary": points})
-    friction = result.loop.friction if result.loop else None
-    if friction is not None:
-        result = result.model_copy(update={"loop_boundary": _limits(result, stages, loop, friction)})
     if (use := result.use) is None:
         return result
     limit = float(loop.at_values(np.array([use.point.damping]))[0])
@@ -72,8 +65,8 @@ def with_large_motion(result: ExperimentResult, stages: ExperimentStages) -> Exp
     return result.model_copy(update={"use": None, "use_reason": why})
 
 
-def _limits(
-    result: ExperimentResult, stages: ExperimentStages, loop: LoopRange, friction: Parameter
+def limits_for_step(
+    result: ExperimentResult, stages: ExperimentStages, loop: LoopRange, friction: Estimate
 ) -> tuple[LoopLimit, ...]:
     """Return the limits of the found device for the step; none where it is stable as far as is looked.
 
@@ -84,9 +77,11 @@ def _limits(
     linear = loop.at_values(damping)
     tried, at = stages.column("response", "stiffness"), stages.column("response", "damping")
     softest = np.array([tried[(tried > 0) & (at == B)].min() for B in damping])
-    value = step_limits(_setup(loop, friction.value, stages), damping, linear, 0.5 * softest)
+    coulomb = friction.value or 0.0
+    setup = setup_of_found(Replayed(loop.point, coulomb), stages)
+    value = step_limits(setup, damping, linear, 0.5 * softest)
     low, high = loop.band(damping)
-    shares = [end / friction.value for end in (friction.low, friction.high)]
+    shares = [(coulomb if end is None else end) / coulomb for end in (friction.low, friction.high)]
     low, high = (np.minimum(low, linear), np.maximum(high, linear))
     low, high = (end + share * (value - linear) for end, share in zip((low, high), shares, strict=True))
     measured = np.array([p.estimate if p.estimate and p.high else np.nan for p in result.boundary])
@@ -130,30 +125,3 @@ def step_limits(setup: Setup, damping: Floats, linear: Floats, softest: Floats) 
         first, step = np.argmax(grows, axis=0), (high - low) / WALLS
         low, high = low + first * step, low + (first + 1) * step
     return np.where(ends & (low > np.where(begin > linear, begin, -1.0)), 0.5 * (low + high), np.nan)
-
-
-def _setup(loop: LoopRange, friction: float, stages: ExperimentStages) -> Setup:
-    """Return the found device before a step of the usual size, without sensor and travel."""
-    point = loop.point
-    parts = point.parts.model_copy(update={"friction": Friction(coulomb=friction)})
-    device = Experiment(
-        name=stages.experiment,
-        mass=point.mass,
-        damping=max(point.damping, 0.0),
-        stiffness=max(point.stiffness, 0.0),
-        delay_samples=max(point.delay_samples, 0.0),
-        damping_last=0.0,
-        damping_step=1.0,
-        stiffness_step=1.0,
-    )
-    rows = int(np.median(stages.trials.column("rows").to_numpy()))
-    return Setup(
-        plant=plant_of(device, parts),
-        sampling_period_s=point.sampling_period_s,
-        step=float(np.median(stages.step_sizes)),
-        rows=min(rows, LONGEST),
-        edge_row=1,
-        delay_samples=device.delay_samples,
-        velocity=parts.velocity,
-        force_gain=parts.force_gain,
-    )

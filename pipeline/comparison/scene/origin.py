@@ -14,9 +14,8 @@ from importlib.metadata import version
 from pipeline import __version__
 from pipeline.base.file_names import path_of_text
 from pipeline.base.provenance import digest, sha256
-from pipeline.comparison.scene.scene import SceneData, needed_stages
+from pipeline.comparison.scene.scene import SceneData
 from pipeline.device_data.devices import digest_of
-from pipeline.measured.stages.stage_rows import WINDOWS_S
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.criteria import REPORTED
 from pipeline.records.findings import ExcludedTrial
@@ -150,11 +149,7 @@ def _command(data: SceneData, processed: str, output: Sequence[str]) -> str:
 
 
 def _parameters(data: SceneData) -> str:
-    scene = data.scene
-    parts = ["; ".join(map(criterion_name, scene.criteria))]
-    if "windows" in needed_stages(data):
-        parts.append(f"mass over windows of {', '.join(f'{1e3 * w:g}' for w in WINDOWS_S)} ms")
-    return "; ".join(parts)
+    return "; ".join(map(criterion_name, data.scene.criteria))
 
 
 def _time(nanoseconds: int) -> str:

@@ -127,7 +127,7 @@ def open_scene(
 def _wanted(criteria: Sequence[str]) -> set[str]:
     """Stages that produce what is asked for."""
     families = [criterion_of(c).family for c in criteria]
-    return {"boundary", *(stage for family in families for stage in (family.name, *family.beside))}
+    return {"boundary", *(family.name for family in families)}
 
 
 def needed_stages(data: SceneData) -> set[str]:
@@ -149,7 +149,6 @@ _LEFT_OUT = {  # but for what a report holds only by name
     "damping": "damping enters no measured cost, and no theory is drawn from estimates",
     "mass": "only energy costs need the mass",
     **{name: f"no {family.title} is asked for" for name, family in FAMILIES.items() if members(family, REPORTED)},
-    "windows": "only energy costs need the mass",
 }
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from statistics import median
 
 from pipeline.base.wording import counted
+from pipeline.comparison.loops.wall_replay import replay_words
 from pipeline.comparison.summary.advice import passive_choice
 from pipeline.comparison.summary.answer import MOST_CAUSES
 from pipeline.comparison.summary.causes import causes
@@ -92,6 +93,9 @@ def _loops(results: Sequence[ExperimentResult], units: Units) -> list[Sentence]:
             f"The loop of experiment {doubtful[0].experiment}{others} is not adequate: {first.reason}. So nothing "
             "is said that needs its mass, damping and delay: theory by the estimates, a passive wall, an implied delay."
         )
+    shown = next(((r.experiment, r.replay) for r in results if r.replay and r.replay.verdicts_same is not None), None)
+    if shown is not None:
+        said.append(f"Experiment {shown[0]}: {replay_words(shown[1])}.")
     seen = next((r for r in results if r.causes), None)
     if seen is not None:
         told = " ".join(f"{cause.sentence} ({cause.evidence})" for cause in seen.causes[:MOST_CAUSES])

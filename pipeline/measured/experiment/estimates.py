@@ -102,8 +102,7 @@ def jitter_estimate(of: Stored) -> Estimate:
     the model lacks looks like a jitter.
     """
     found = _by_model(of, "jitter", "samples")
-    gain = of.column("model", "friction_gain")
-    fall = float(np.nanmedian(gain)) if np.isfinite(gain).any() else 0.0
+    fall = friction_gain(of)
     explained = found.trials + len(found.outliers)
     if found.value is None or (_explains(found, EXPLAINED) and fall <= FRICTION_GAIN):
         return found
@@ -114,6 +113,19 @@ def jitter_estimate(of: Stored) -> Estimate:
             f"the command (deviance of the median trial lower by {fall:.3g}, allowed {FRICTION_GAIN:g})"
         )
     return Estimate(value=None, unit=found.unit, method=found.method, reason=reason, refused=found.refused)
+
+
+def explains_itself(of: Stored) -> bool:
+    """Return whether the model of each trial explains nearly all, without friction that it takes for a jitter."""
+    check = model_check(of)
+    explained = check.trials > 0 and check.explained >= EXPLAINED * check.trials
+    return explained and friction_gain(of) <= FRICTION_GAIN
+
+
+def friction_gain(of: Stored) -> float:
+    """Return the median fall of the deviance by friction beside the jitter of the model."""
+    gain = of.column("model", "friction_gain")
+    return float(np.nanmedian(gain)) if np.isfinite(gain).any() else 0.0
 
 
 def damping_estimate(of: Stored) -> Estimate:

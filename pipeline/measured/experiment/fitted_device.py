@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,8 +17,10 @@ from pipeline.records.loop_records import Parameter
 
 METHOD = "one device fitted to all trials"
 
+LIKELIEST = "likeliest device of all trials, friction and scatter included"
+
 TOLD = 0.5
-"""Share of the held-out trials that a device must explain for its parts to be named as causes."""
+"""Share of the held-out trials that a device must explain, or follow, for its parts to be named as causes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +43,17 @@ class FittedDevice:
         Parts of the likeliest other device, and in how many trials it holds; empty where there is none.
     saturated : float
         Share of the stable trials that command more force than it has.
+    likely : bool
+        Whether it is the likeliest one of all logs: what it does not explain is in its covariance, and ``explained``
+        counts the trials that its free runs follow.
+    open : tuple of str
+        Names of its numbers that the logs leave open.
+    scatter : dict of str to float
+        Standard deviations from run to run by name.
+    folds : tuple of dict of str to float
+        Its values by the trials but every fifth from the first, the second ... on; empty where they are not known.
+    trials : tuple of str
+        That it was fitted to, in the order of these folds.
     """
 
     parts: tuple[str, ...]
@@ -50,11 +64,26 @@ class FittedDevice:
     alike: tuple[str, ...]
     next_best: str
     saturated: float
+    likely: bool = False
+    open: tuple[str, ...] = ()
+    scatter: Mapping[str, float] = field(default_factory=dict)
+    folds: tuple[Mapping[str, float], ...] = ()
+    trials: tuple[str, ...] = ()
 
     @property
     def holds(self) -> bool:
-        """Whether it explains nearly all trials that it was not fitted to."""
-        return holds(self.explained, self.held_out)
+        """Whether it explains nearly all trials that it was not fitted to, or widens its intervals by what is left."""
+        return self.likely or holds(self.explained, self.held_out)
+
+    @property
+    def method(self) -> str:
+        """How it was found, in words."""
+        return LIKELIEST if self.likely else METHOD
+
+    @property
+    def is_trusted(self) -> bool:
+        """Whether its intervals stand where its loop is no linear one."""
+        return self.tells if self.likely else self.is_nonlinear
 
     @property
     def is_nonlinear(self) -> bool:
@@ -81,7 +110,10 @@ class FittedDevice:
         number = self.parameter(name)
         if number is None:
             return None
-        return Estimate(**number.model_dump(), unit=unit, method=METHOD, trials=self.held_out)
+        found = number.model_dump()
+        if name in self.open:
+            found |= {"value": None, "low": max(number.low, 0.0), "reason": "the logs leave it open"}
+        return Estimate(**found, unit=unit, method=self.method, trials=self.held_out)
 
 
 def fitted_device(of: Stored) -> FittedDevice | None:
@@ -101,6 +133,11 @@ def fitted_device(of: Stored) -> FittedDevice | None:
         tuple(part for role, part in zip(roles, parts, strict=True) if role == "alike"),
         "" if after is None else f"{_words(parts[after])}: {explained[after]} of {held_out[after]}",
         numbers["saturated"],
+        "scatter" in numbers,
+        tuple(numbers.get("open", ())),
+        numbers.get("scatter", {}),
+        tuple(numbers.get("folds", ())),
+        tuple(numbers.get("trials", ())),
     )
 
 

@@ -25,7 +25,6 @@ LIMITS = {
     "turn": (-6.0, 1.6),
     "ratio": (-9.0, 0.0),
     "share": (-3.5, 3.5),
-    "coulomb": (0.0, np.inf),
     "bound": (-np.inf, np.inf),
 }
 """Least and largest value of each number. ``gain``, ``turn`` (of the mode [rad] a sample), ``ratio`` (its damping

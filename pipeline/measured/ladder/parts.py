@@ -30,7 +30,7 @@ LIGHT, HEAVY = {"share": -1.7}, {"share": 0.0}
 """A far mass to start from, a seventh of all, or a half: what is heavy delays, and the delay is less."""
 
 START_TRIALS, STARTS = 10, 3
-"""Trials by which starts are compared, and how many are followed to their end; one where friction takes time."""
+"""Trials by which starts are compared, and how many are followed to their end."""
 
 
 def _spring(trials: LadderTrials, device: Device) -> list[Device]:
@@ -46,11 +46,6 @@ def _lag(trials: LadderTrials, device: Device) -> list[Device]:
     return [device.having(delay=max(delay - lag, 0.0), lag=lag) for lag in LAGS]
 
 
-def _friction(trials: LadderTrials, device: Device) -> list[Device]:
-    typical = float(np.median(np.abs(trials.command).max(axis=1)))
-    return [device.having(coulomb=0.02 * typical)]
-
-
 def _saturation(trials: LadderTrials, device: Device) -> list[Device]:
     largest = np.abs(trials.command).max(axis=1)
     bounds = BELOW * np.quantile(largest[largest > 0], BOUNDS)
@@ -59,8 +54,8 @@ def _saturation(trials: LadderTrials, device: Device) -> list[Device]:
 
 def _mode(sensor: Sensor, turns: Floats = TURNS) -> Callable[[LadderTrials, Device], list[Device]]:
     def starts(trials: LadderTrials, device: Device) -> list[Device]:
-        """Return the likeliest of many starts, found without the friction that takes time."""
-        numbers = device.without("coulomb").numbers
+        """Return the likeliest of many starts."""
+        numbers = device.numbers
         tried = [
             Device(
                 numbers | {"turn": float(np.log(turn)), "ratio": -3.5, **far, "delay": late * numbers["delay"]}, sensor
@@ -68,26 +63,24 @@ def _mode(sensor: Sensor, turns: Floats = TURNS) -> Callable[[LadderTrials, Devi
             for turn in turns
             for far, late in ((LIGHT, 1.0), (HEAVY, 0.5))
         ]
-        return [Device(device.numbers | quick.numbers, sensor) for quick in likeliest(trials, tried)]
+        return likeliest(trials, tried)
 
     return starts
 
 
 def likeliest(trials: LadderTrials, starts: list[Device]) -> list[Device]:
     """Return the best of some starts, after a few steps of their search with few trials."""
-    most = 1 if any("coulomb" in start.numbers for start in starts) else STARTS
-    if len(starts) <= most:
+    if len(starts) <= STARTS:
         return starts
     some = trials.select(np.unique(np.linspace(0, len(trials) - 1, START_TRIALS).astype(np.int64)))
     quick = [search(some, start, FEW_STEPS) for start in starts]
-    return [fit.device for fit in sorted(quick, key=lambda fit: fit.cost)[:most]]
+    return [fit.device for fit in sorted(quick, key=lambda fit: fit.cost)[:STARTS]]
 
 
 PARTS: dict[str, tuple[tuple[str, ...], Callable[[LadderTrials, Device], list[Device]]]] = {
     "spring": (("gamma",), _spring),
     "force": (("force",), _force),
     "lag": (("lag",), _lag),
-    "friction": (("coulomb",), _friction),
     "saturation": (("bound",), _saturation),
     "mode at the motor": (("turn", "ratio", "share"), _mode("motor")),
     "mode at the load": (("turn", "ratio", "share"), _mode("load")),
@@ -97,7 +90,7 @@ PARTS: dict[str, tuple[tuple[str, ...], Callable[[LadderTrials, Device], list[De
 RIVALS = (_mode("motor", FAST),)
 """Starts of what a lag may be the likeness of, for a device without the lag."""
 
-GROUPS = (("spring", "force", "lag"), ("saturation",), ("mode at the motor", "mode at the load"), ("friction",))
+GROUPS = (("spring", "force", "lag"), ("saturation",), ("mode at the motor", "mode at the load"))
 """Parts by the time that they take to look for."""
 
 

@@ -36,7 +36,7 @@ def in_si(device: Device, covariance: Floats, sampling_period_s: float) -> Numbe
     Notes
     -----
     Names are those of a device file, as far as they are in one: ``mass`` and ``damping`` of all that moves, per unit of
-    command, ``stiffness``, ``delay_samples``, ``actuator_lag_s``, ``constant_force``, ``coulomb``; of a mode
+    command, ``stiffness``, ``delay_samples``, ``actuator_lag_s``, ``constant_force``; of a mode
     ``frequency_hz`` (free-free), ``damping_ratio``, ``far_mass``; ``force_limit`` of the drive.
     """
     values = _in_si(device, sampling_period_s)
@@ -60,8 +60,6 @@ def _in_si(device: Device, T: float) -> dict[str, float]:
         found["actuator_lag_s"] = n["lag"] * T
     if "force" in n:
         found["constant_force"] = n["force"]
-    if "coulomb" in n:
-        found["coulomb"] = n["coulomb"]
     if "bound" in n:
         found["force_limit"] = float(np.exp(n["bound"]))
     if device.sensor:

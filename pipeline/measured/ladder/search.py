@@ -12,7 +12,6 @@ from pipeline.measured.fit.fit import LEAST_WHITENESS
 from pipeline.measured.fit.fit_noise import portmanteau
 from pipeline.measured.ladder.device import LARGEST_STEP, LIMITS, Device
 from pipeline.measured.ladder.open_loop import Commands
-from pipeline.measured.ladder.sliding import sliding
 from pipeline.measured.ladder.trials import LadderTrials
 from pipeline.records.batch import Booleans, Floats
 
@@ -60,17 +59,10 @@ class Fit:
 
 def _motions(trials: LadderTrials, devices: list[Device]) -> Iterator[Floats]:
     """Yield the motion of each of some devices with the same parts, shape (n, N)."""
-    gains = [np.exp(device.numbers["gain"]) for device in devices]
-    if "coulomb" not in devices[0].numbers:
-        for device, gain in zip(devices, gains, strict=True):
-            commands = Commands.of(device.obeyed(trials.command)) if "bound" in device.numbers else trials.commands
-            answer = commands.response(device.loop)
-            yield gain * (answer[:-1] + device.numbers.get("force", 0.0) * answer[-1])
-        return
-    coulomb, force = (np.array([device.numbers.get(name, 0.0) for device in devices]) for name in ("coulomb", "force"))
-    obeyed = np.stack([device.obeyed(trials.command) for device in devices])
-    slid = sliding([device.loop for device in devices], coulomb, obeyed, force)
-    yield from (gain * motion for gain, motion in zip(gains, slid, strict=True))
+    for device in devices:
+        commands = Commands.of(device.obeyed(trials.command)) if "bound" in device.numbers else trials.commands
+        answer = commands.response(device.loop)
+        yield np.exp(device.numbers["gain"]) * (answer[:-1] + device.numbers.get("force", 0.0) * answer[-1])
 
 
 def _about_start(trials: LadderTrials, values: Floats) -> Floats:
@@ -82,7 +74,6 @@ def _about_start(trials: LadderTrials, values: Floats) -> Floats:
 
 def fit_of(trials: LadderTrials, device: Device) -> Fit:
     """Return a device as it is, beside trials."""
-    # with friction several devices take hardly longer than one
     others, spans = [device], []
     for i, name in enumerate(device.names):
         step = DIFFERENCE * (0.1 if name in ("delta", "gamma") else 1.0)

@@ -14,6 +14,7 @@ from pipeline.measured.model.recordings import SHORTEST, Recording, Scales, stre
 from pipeline.measured.model.replay import Replay, replayed
 from pipeline.measured.model.scatter import FEWEST, inverse
 from pipeline.measured.model.told import Combination, Recorded, combinations, is_told
+from pipeline.records.batch import Floats
 
 FOLDS = 5
 
@@ -31,7 +32,8 @@ class Identified:
     ``parameters``: intervals in SI by name. ``untold``: names among them whose value is not told; ``parts``: gain of
     held-out log-likelihood by part; ``assumed``: what had to be taken as none, by name; ``noise``: standard deviation
     of a reading [m, rad]; ``disturbance``: of the random force, held over a sample [N, Nm]; ``scatter``: standard
-    deviations from trial to trial by name.
+    deviations from trial to trial by name. ``covariance`` of the parameters, in their order; ``folds``: their values
+    by the logs but every fifth from the first, the second ... on; empty below `FEWEST` logs.
     """
 
     parameters: dict[str, Interval]
@@ -46,6 +48,8 @@ class Identified:
     replay_names: list[str]
     scales: Scales
     trials: int
+    covariance: Floats
+    folds: list[dict[str, float]]
 
 
 def identified(recordings: list[Recording]) -> Identified:
@@ -98,6 +102,10 @@ def identified(recordings: list[Recording]) -> Identified:
         replay_names,
         choice.scales,
         len(recordings),
+        errors.covariance([quantities[name] for name in names]),
+        [{name: quantities[name](device.numbers) for name in names} for device in _without_folds(choice.fit)]
+        if len(recordings) >= FEWEST
+        else [],
     )
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.model.estimation import Fit
 from pipeline.measured.model.recordings import Scales
 from pipeline.measured.model.scatter import inverse
@@ -77,7 +78,7 @@ class Errors:
     """What intervals rest on: numbers and their covariance, those without each unit, and degrees of freedom."""
 
     numbers: Numbers
-    covariance: Floats
+    covariance_of_numbers: Floats
     without: Floats
     freedom: float
 
@@ -99,10 +100,31 @@ class Errors:
         """Return a quantity's value and interval; one that is not negative by its profile likelihood at 0."""
         from scipy.special import stdtrit
 
+        value, slope = quantity(self.numbers), self._slope(quantity)
+        error = float(np.sqrt(self._spread(slope[None])[0]))
+        reach = float(stdtrit(self.freedom, 0.5 + CONFIDENCE / 2)) * error
+        if bounded and value - reach < 0:
+            # from the likeliest value that is allowed the likelihood falls by as much as it does inside
+            top = value + reach if value >= 0 else value + float(np.hypot(value, reach))
+            return Interval(max(value, 0.0), 0.0, max(top, 0.0), error)
+        return Interval(value, value - reach, value + reach, error)
+
+    def covariance(self, quantities: Sequence[Quantity]) -> Floats:
+        """Return the covariance (Q, Q) of quantities, as large as their intervals of 95 % are for a normal one."""
+        from scipy.special import stdtrit
+
+        slopes = np.stack([self._slope(quantity) for quantity in quantities])
+        known = slopes @ self.covariance_of_numbers @ slopes.T
+        size = np.sqrt(np.maximum(np.diagonal(known), 1e-300))
+        reach = float(stdtrit(self.freedom, 0.5 + CONFIDENCE / 2)) / NORMAL_95
+        wide = reach * np.sqrt(self._spread(slopes)) / size
+        return np.asarray(known * wide[:, None] * wide[None, :])
+
+    def _slope(self, quantity: Quantity) -> Floats:
+        """Return the derivative of a quantity along each number, (p,)."""
         names = list(self.numbers)
         base = np.array([self.numbers[name] for name in names])
-        value = quantity(self.numbers)
-        sizes = np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
+        sizes = np.sqrt(np.maximum(np.diagonal(self.covariance_of_numbers), 0.0))
         slope = np.zeros(len(names))
         for i, size in enumerate(np.minimum(sizes, np.abs(base) + 1e-6) * 1e-3):
             ends = [
@@ -110,14 +132,11 @@ class Errors:
                 for sign in (1, -1)
             ]
             slope[i] = (ends[0] - ends[1]) / (2 * size) if size > 0 else 0.0
-        variance = float(slope @ self.covariance @ slope)
+        return slope
+
+    def _spread(self, slopes: Floats) -> Floats:
+        """Return the variance along slopes (Q, p): of the information, or of the jackknife where that is larger."""
+        variance = np.einsum("qi,ij,qj->q", slopes, self.covariance_of_numbers, slopes)
         count = len(self.without)
-        spread = (self.without - self.without.mean(axis=0)) @ slope
-        jackknife = float((count - 1) / count * (spread**2).sum())
-        error = float(np.sqrt(max(variance, jackknife)))
-        reach = float(stdtrit(self.freedom, 0.5 + CONFIDENCE / 2)) * error
-        if bounded and value - reach < 0:
-            # from the likeliest value that is allowed the likelihood falls by as much as it does inside
-            top = value + reach if value >= 0 else value + float(np.hypot(value, reach))
-            return Interval(max(value, 0.0), 0.0, max(top, 0.0), error)
-        return Interval(value, value - reach, value + reach, error)
+        spread = (self.without - self.without.mean(axis=0)) @ slopes.T
+        return np.asarray(np.maximum(variance, (count - 1) / count * (spread**2).sum(axis=0)))

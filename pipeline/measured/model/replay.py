@@ -16,7 +16,7 @@ PARTS = 4
 """Pieces of an interval between which friction may change direction: a turn is off by an eighth of a row."""
 
 STARTS = 3
-"""Newton's steps to the start of a log, which all but friction leaves linear."""
+"""Newton's steps to the start of a log, in which all but friction is linear."""
 
 NUDGE = 1e-4
 """Change of a start for the slope of the response, in units of the position's range."""
@@ -42,27 +42,30 @@ def replayed(held: Stretches, device: Device) -> Replay:
     few = np.minimum(held.rows - 1, 5)
     start[:, 1] = (held.position[few, np.arange(count)] - held.position[0]) / np.maximum(few, 1)
     start[held.rests, 1] = 0.0
-    found = free_run(held, device, start)
-    for _ in range(STARTS):
-        slopes = []
-        for state in range(states):
-            moved = start.copy()
-            moved[:, state] += NUDGE
-            slopes.append((free_run(held, device, moved) - found) / NUDGE)
-        columns = np.stack(slopes, axis=-1).transpose(1, 0, 2) * held.valid.T[..., None]
-        left = ((held.position - found) * held.valid).T
-        better = start + np.einsum("scn,sn->sc", np.linalg.pinv(columns, rcond=1e-6), left)
-        tried = free_run(held, device, better)
-        kept = np.sum((held.position - tried) ** 2 * held.valid, 0) < np.sum(
-            (held.position - found) ** 2 * held.valid, 0
-        )
-        start, found = np.where(kept[:, None], better, start), np.where(kept[None], tried, found)
+    tried, found, least = start, held.position, np.full(count, np.inf)
+    for _ in range(STARTS + 1):
+        # the run itself, and one beside it for each state
+        runs = _runs(held, device, np.stack([tried, *(tried + NUDGE * unit for unit in np.eye(states))]))
+        left = (held.position - runs[:, 0]) * held.valid
+        better = (left**2).sum(axis=0) < least
+        least = np.where(better, (left**2).sum(axis=0), least)
+        start, found = np.where(better[:, None], tried, start), np.where(better[None], runs[:, 0], found)
+        columns = ((runs[:, 1:] - runs[:, :1]) / NUDGE * held.valid[:, None]).transpose(2, 0, 1)
+        step = np.einsum("scn,sn->sc", np.linalg.pinv(columns, rcond=1e-6), left.T)
+        tried = start + np.where(better[:, None], step, 0.0)
     mean = (held.position * held.valid).sum(axis=0) / held.rows
     error = np.sqrt(((held.position - found) ** 2 * held.valid).sum(axis=0))
     size = np.sqrt(((held.position - mean) ** 2 * held.valid).sum(axis=0))
     with np.errstate(divide="ignore", invalid="ignore"):
         fit = np.where(size > 1e-3, 100 * (1 - error / size), np.nan)
     return Replay(held, found, fit)
+
+
+def _runs(held: Stretches, device: Device, starts: Floats) -> Floats:
+    """Return the free runs (N, V, S) from several starts (V, S, n) of each stretch."""
+    versions, count, states = starts.shape
+    wide = held.chosen(np.tile(np.arange(count), versions))
+    return free_run(wide, device, starts.reshape(-1, states)).reshape(-1, versions, count)
 
 
 def free_run(held: Stretches, device: Device, start: Floats) -> Floats:

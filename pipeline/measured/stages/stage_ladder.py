@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.measured.experiment.estimates import FRICTION_GAIN, explains_itself, friction_gain
+from pipeline.measured.experiment.rest_forces import rest_forces
 from pipeline.measured.explained import EXPLAINED
 from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.ladder.device import LIMITS, Device
@@ -16,15 +18,33 @@ from pipeline.measured.ladder.physical import in_si
 from pipeline.measured.ladder.trials import LadderTrials, spread_over_plane, windowed
 from pipeline.measured.stages.stage_given import Experiment
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
+from pipeline.measured.stages.stage_likelihood import likeliest
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.tables import TABLES
 
-OF_NO_MATTER = {"velocity_filter", "constant_force", "step_not_a_step", "several_steps", "scattered_stamps"}
+OF_NO_MATTER = {
+    *("velocity_filter", "adaptive_velocity", "constant_force"),
+    *("step_not_a_step", "several_steps", "scattered_stamps"),
+}
 """Departures from the wall law that leave command and readings what they are."""
 
 
 def columns(of: Experiment) -> Columns:
     """Return the columns of the stage: a row for the best device, and for each like it; none where it is the ideal one.
+
+    Where no linear device explains the trials, the best one is the likeliest, friction and scatter included.
+    """
+    rest = of.once(rest_forces)
+    # what holds a device beside its place against its motion, and is no constant force, no linear device explains
+    rubs = rest.tells and not (rest.constant or rest.spring) and friction_gain(of) > FRICTION_GAIN
+    found = {"role": []} if rubs else _climbed(of)
+    if found["role"]:
+        return found
+    return {name: [] for name in TABLES["ladder"]} if explains_itself(of) else likeliest(of)
+
+
+def _climbed(of: Experiment) -> Columns:
+    """Return the columns for a device that explains nearly all trials; no row where none does.
 
     Where the ideal device explains each trial by itself, it may be another one in each: a part that looks like mass,
     damping or delay is looked for then, others are not. Delays longer than those of a search are left alone.
@@ -41,7 +61,7 @@ def columns(of: Experiment) -> Columns:
         return {name: [] for name in TABLES["ladder"]}
     start = {"gain": float(np.log(T**2 / mass)), "delta": max(damping, 0.0) * T / mass, "delay": max(delay, 0.0)}
     found = climb(trials, Device(start), GROUPS[:1] if explained else GROUPS)
-    if explained and (found.ideal.holds or not found.best.parts or not found.best.holds):
+    if not found.best.holds or (explained and (found.ideal.holds or not found.best.parts)):
         return {name: [] for name in TABLES["ladder"]}
     numbers = in_si(found.best.device, _covering(found), T)
     others = [("alike", rung) for rung in found.alike]

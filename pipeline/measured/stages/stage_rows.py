@@ -14,7 +14,6 @@ from dataclasses import asdict, replace
 import numpy as np
 import pyarrow as pa
 
-from pipeline.base.wording import commonest
 from pipeline.measured.cost.energy_intervals import HORIZON_PARTS, energy_interval
 from pipeline.measured.cost.families import Measure, joined
 from pipeline.measured.cost.reading_error import (
@@ -54,12 +53,6 @@ BALANCE_TERMS = ("damping", "friction")
 OPEN_LOOP_TERMS = ("damping", "friction", "start")
 """As `BALANCE_TERMS` for logs without a wall: their delay is uncertain, so that momentum may be missing at the start.
 A rotating device in the open loop may be a pendulum, for which gravity is added."""
-
-WINDOWS_S = (0.005, 0.010, 0.015, 0.020, 0.030, 0.040, 0.060, 0.080)
-"""Windows of the momentum balance [s] whose masses are compared; the thesis took 15 ms (6.1.2)."""
-
-QUARTILES = 1.349
-"""Distance of the quartiles of a normal distribution in standard deviations."""
 
 
 def stage_rows(
@@ -249,32 +242,6 @@ def corrected(of: Experiment, rows: pa.Table) -> Columns:
     return {"mass": np.full(rows.num_rows, np.nan) if b is None else mass.correct(mass.Masses(plain, share, ()), b)}
 
 
-def windows(of: Experiment) -> Columns:
-    """Return the mass of an experiment over the window of the momentum balance."""
-    given = with_delay(of)
-    if "missing" in given:
-        return {name: [] for name in TABLES["windows"]}
-    found = of.of_each(_window_masses, **given)
-    each = np.concatenate([values for values, _ in found])
-    trials = np.isfinite(each).sum(axis=0)
-    median, scatter = np.full((2, len(WINDOWS_S)), np.nan)
-    for i in np.flatnonzero(trials > 1):
-        low, median[i], high = np.nanquantile(each[:, i], (0.25, 0.5, 0.75))
-        scatter[i] = (high - low) / QUARTILES
-    return {
-        "window_s": np.array(WINDOWS_S),
-        "mass_median": median,
-        "mass_scatter": scatter,
-        "trials": trials,
-        "reason": [commonest([t for _, texts in found for t in texts[i]]) or None for i in range(len(WINDOWS_S))],
-    }
-
-
-def _window_masses(of: TrialGroup, given: Given) -> tuple[Floats, list[tuple[str, ...]]]:
-    found = [mass.by_momentum(of.batch, of.found, given["delay"], window_s=window) for window in WINDOWS_S]
-    return np.stack([f.mass_momentum for f in found], axis=1), [f.reason for f in found]
-
-
 def given_to_costs(of: Experiment) -> Given:
     """Return what costs take from the whole experiment that need nothing of the device."""
     return _sensor(of, 0, rest_spring(of))
@@ -302,7 +269,8 @@ def given_to_energy(of: Experiment) -> Given:
 
 def _sensor(of: Experiment, samples: int, spring: float) -> Given:
     """What a cost and the error of a reading take from all trials: a spring, the sensor, the usual gain."""
-    sensor = sensor_error(*(of.column("response", f"sensor_{name}") for name in ("noise", "quantum")))
+    noise, quantum, rows = (of.column("response", name) for name in ("sensor_noise", "sensor_quantum", "edge_row"))
+    sensor = sensor_error(noise, quantum, rows.astype(np.int64))
     if not np.isfinite(sensor):
         return {"delay": samples, "sensor": None, "gain": 1.0, "spring": spring}
     gain = np.concatenate(of.of_each(_gain_at_rest, delay=samples, sensor=sensor, spring=spring))

@@ -40,7 +40,6 @@ STAGES: dict[str, Stage] = {
     "damping": Stage(("response", "delay", "model"), rows.dampings, rows.given_to_damping),
     "mass": Stage(("response", "delay", "model", "damping"), rows.masses, rows.given_to_mass, derived=rows.corrected),
     **{name: _cost_stage(family) for name, family in CRITERION_FAMILIES.items()},
-    "windows": Stage(("response", "delay"), whole=rows.windows),
 }
 """Stages in the order in which they can be computed; the plan is made backwards along what they need."""
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from array import array
 from collections.abc import Sequence
-from dataclasses import replace
 from io import BytesIO
 
 import numpy as np
@@ -91,15 +90,7 @@ def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[tu
             outcomes[index] = (check_samples(body.header, time, command, position, body.first_row),)
         except LogError as error:
             outcomes[index] = error
-    accepted = [outcome[0] for outcome in outcomes if isinstance(outcome, tuple)]
-    if 2 * sum(len(log.time) for log in accepted) < end:
-        # the columns of a log are parts of those of all, which would stay in memory for the sake of few
-        outcomes = [tuple(map(_copied, o)) if isinstance(o, tuple) else o for o in outcomes]
     return [outcome for outcome in outcomes if outcome is not None]
-
-
-def _copied(log: Log) -> Log:
-    return replace(log, time=log.time.copy(), command=log.command.copy(), position=log.position.copy())
 
 
 def _split(data: bytes) -> tuple[NativeHeader, int, int]:

@@ -62,9 +62,9 @@ def _add_time(contents: Contents) -> None:
         contents.add(TIME, offset + np.arange(rows) * increment, "s", "s")
     elif contents.wanted:
         listing = ", ".join(f"{key!r}: {increment}" for key, (increment, _) in list(found.items())[:10])
-        text = f"{TIME!r} needs one wf_increment and wf_start_offset for all wanted channels; found the increments "
+        text = f"{TIME!r} needs one wf_increment and wf_start_offset for all wanted channels, found {listing or 'none'}"
         cure = "Name a channel of times in columns.time.name instead."
-        raise refusal("time-wrong", contents.name, text + (listing or "of no channel"), cure=cure)
+        raise refusal("time-wrong", contents.name, text, cure=cure)
 
 
 def _note(contents: Contents, prefix: str, properties: dict[str, Any]) -> None:

@@ -47,7 +47,6 @@ TABLES: dict[str, Callable[[ComparisonResult, TrialPage], Table | list[Table] | 
     "causes": report_estimates.cause_table,
     "model": report_estimates.model_table,
     "outcomes": report_estimates.outcome_table,
-    "windows": report_estimates.window_table,
     "truth": report_truth.truth_table,
     "use": report_answer.use_table,
     "definitions": report_estimates.definition_table,

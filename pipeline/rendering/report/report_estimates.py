@@ -7,7 +7,7 @@ from typing import Any
 
 from pipeline.base.wording import counted
 from pipeline.records.findings import DRIFTS, Estimate
-from pipeline.records.loop_records import Parameter
+from pipeline.records.loop_records import Parameter, WallReplay
 from pipeline.records.models import Motion
 from pipeline.records.results import ComparisonResult, TheoryParameters
 from pipeline.records.trial_codec import NO_TRIALS, TrialPage
@@ -137,7 +137,7 @@ def loop_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table
     columns = [words("experiment"), words("adequate", "adequate loop"), words("reason", "why")]
     columns += [words("source", "parameters by"), words("delay", "delay d [samples]")]
     columns += [words("mass", f"mass m [{units.mass}]"), words("damping", f"damping b [{units.damping}]")]
-    columns += [words("passive", "stiffest passive wall")]
+    columns += [words("replay", "behind walls it was not fitted to"), words("passive", "stiffest passive wall")]
     table = Table("loops", "The loop that all statements about a device rest on, with 95 % intervals", columns)
     for e in result.experiments:
         if e.loop is None:
@@ -150,6 +150,7 @@ def loop_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table
             "delay": _parameter_text(e.loop.delay_samples),
             "mass": _parameter_text(e.loop.mass),
             "damping": _parameter_text(e.loop.damping),
+            "replay": _replay_text(e.replay),
             "passive": (
                 f"K = {e.passive.stiffness:.4g} {units.stiffness}, B = {e.passive.damping:.4g} {units.damping}"
                 if e.passive
@@ -158,6 +159,15 @@ def loop_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table
         }
         table.add(e.experiment, values)
     return table.filled
+
+
+def _replay_text(replay: WallReplay | None) -> str:
+    if replay is None or replay.verdicts_same is None:
+        return "no wall to replay"
+    told = {"limits": replay.limits_off_percent, "settling times": replay.costs_off_percent}
+    off = [f"{name} within {percent:.2g} %" for name, percent in told.items() if percent is not None]
+    fit = [] if replay.fit_percent is None else [f"motion to {replay.fit_percent:.3g} %"]
+    return ", ".join([f"{100 * replay.verdicts_same:.3g} % of {replay.trials} verdicts right", *off, *fit])
 
 
 def _parameter_text(parameter: Parameter | None) -> str:
@@ -213,26 +223,6 @@ def method_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Tab
             for name, value in _methods(best).items():
                 block = f"experiment {e.experiment}: {quantity_name(quantity)} [{unit_text(value.unit)}]"
                 table.add(f"{e.experiment}/{quantity}/{name}", _method_cells(name, value), block)
-    return table.filled
-
-
-def window_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
-    """Return the mass over the window of the momentum balance, or None where no mass was asked for."""
-    shown = [e for e in result.experiments if e.mass_windows]
-    columns = [Column("window", unit="ms", show="{:g}".format)]
-    for e in shown:
-        column = partial(Column, group=f"experiment {e.experiment}", why="fewer than two trials allow it")
-        columns += [column(f"{e.experiment}/{name}", name, show=_USUAL) for name in ("mass", "scatter")]
-        columns.append(column(f"{e.experiment}/trials", "trials"))
-    unit = UNITS[result.motion].mass
-    caption = f"Mass [{unit}] by the momentum balance (6.4) over its window: median and scatter of the trials"
-    table = Table("windows", caption, columns)
-    for window in sorted({w.window_s for e in shown for w in e.mass_windows}):
-        values: dict[str, Any] = {"window": 1e3 * window, **{f"{e.experiment}/trials": 0 for e in shown}}
-        for e in shown:
-            found = next((dict(w) for w in e.mass_windows if w.window_s == window), {})
-            values |= {f"{e.experiment}/{name}": value for name, value in found.items()}
-        table.add(f"{1e3 * window:g}", values)
     return table.filled
 
 

@@ -8,7 +8,6 @@ they can be run again.
 
 from __future__ import annotations
 
-import logging
 import os
 import secrets
 import sys
@@ -62,17 +61,18 @@ def work(settings: Settings, database: Database, owner: str, urgent: bool | None
 
     shown = database.job(job["id"])
     assert shown is not None, "jobs are never removed"
+    result, problem = None, None
     with _Beats(database, job["id"], owner) as beats:
-        problem: dict[str, object] | None = None
         try:
             result = KINDS[job["kind"]](settings, database, shown["request"], beats.say)
         except (PipelineError, OSError) as error:
             problem = {"title": "The job could not be done", "status": 422, "detail": str(error)}
         except Exception:
-            logging.getLogger("pipeline.service").exception("job %s", job["id"])
-            detail = f"A defect of the program; its log has the details of job {job['id']}."
-            problem = {"title": "The job failed", "status": 500, "detail": detail}
-    database.finish(job["id"], owner, None if problem else result, problem)
+            # a defect ends this process with its traceback, in the server's log; another one does what waits
+            detail = f"A defect of the program; the server's log has the details of job {job['id']}."
+            database.finish(job["id"], owner, problem={"title": "The job failed", "status": 500, "detail": detail})
+            raise
+    database.finish(job["id"], owner, result, problem)
     return True
 
 

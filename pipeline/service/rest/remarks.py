@@ -19,6 +19,7 @@ remarks = APIRouter(prefix="/api/v1", responses=answers.EVERYWHERE)
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 STALE = answers.problems(404, 412)
+IfMatch = Annotated[str | None, Header(alias="If-Match", max_length=100)]
 
 
 class Notes(BaseModel):
@@ -102,33 +103,33 @@ def keep_words(service: Service, kind: str, of: list[str], value: object, who: s
             service.database.note(who, f"wrote {kind}", {"of": of})
 
 
-def _add_words(owner: str, of: Callable[..., list[str]]) -> None:
-    """Add the routes of notes and tags of trials or experiments."""
+def _add_words(path: str, of: Callable[..., list[str]], form: type[Notes | Tags], answer: type[BaseModel]) -> None:
+    """Add the routes of notes or tags, of which the path ends with the kind and the form has one field."""
     owned = Annotated[list[str], Depends(of)]
-    known = Annotated[str | None, Header(alias="If-Match", max_length=100)]
+    kind, (name,) = path.rpartition("/")[2], form.model_fields
 
-    def told(service: Service, kind: str, name: str, of: list[str]) -> Response:
+    def told(service: Service, of: list[str]) -> Response:
         found = service.database.words(kind, of)
         shown = {name: found["value"], "author": found["author"], "changed": found["changed"]}
         return JSONResponse(shown, headers={"ETag": tag_of(found)})
 
-    @remarks.get(f"{owner}/notes", response_model=answers.WrittenNotes, responses=answers.NAMED)
-    def notes(service: Shared, of: owned) -> Response:
-        return told(service, "notes", "text", of)
+    @remarks.get(path, response_model=answer, responses=answers.NAMED)
+    def words(service: Shared, of: owned) -> Response:
+        return told(service, of)
 
-    @remarks.put(f"{owner}/notes", response_model=answers.WrittenNotes, responses=STALE)
-    def put_notes(service: Shared, request: Request, of: owned, notes: Notes, match: known = None) -> Response:
-        keep_words(service, "notes", of, notes.text, request.state.who, match)
-        return told(service, "notes", "text", of)
+    def put_words(service: Shared, request: Request, of: owned, asked: Any, match: IfMatch = None) -> Response:
+        keep_words(service, kind, of, getattr(asked, name), request.state.who, match)
+        return told(service, of)
 
-    @remarks.get(f"{owner}/tags", response_model=answers.WrittenTags, responses=answers.NAMED)
-    def tags(service: Shared, of: owned) -> Response:
-        return told(service, "tags", "tags", of)
+    put_words.__annotations__["asked"] = form  # by which the framework reads the body
+    remarks.put(path, response_model=answer, responses=STALE)(put_words)
 
-    @remarks.put(f"{owner}/tags", response_model=answers.WrittenTags, responses=STALE)
-    def put_tags(service: Shared, request: Request, of: owned, tags: Tags, match: known = None) -> Response:
-        keep_words(service, "tags", of, tags.tags, request.state.who, match)
-        return told(service, "tags", "tags", of)
+
+def _add_remarks(owner: str, of: Callable[..., list[str]]) -> None:
+    """Add the routes of what is said of trials or experiments."""
+    _add_words(f"{owner}/notes", of, Notes, answers.WrittenNotes)
+    _add_words(f"{owner}/tags", of, Tags, answers.WrittenTags)
+    owned = Annotated[list[str], Depends(of)]
 
     @remarks.get(f"{owner}/exclusion", response_model=answers.Excluded, responses=answers.NAMED)
     def excluded(service: Shared, of: owned) -> dict[str, Any]:
@@ -154,7 +155,7 @@ def _add_words(owner: str, of: Callable[..., list[str]]) -> None:
 
 
 for owner, of in (("/trials/{trial}", of_trial), ("/experiments/{device}/{experiment}", of_experiment)):
-    _add_words(owner, of)
+    _add_remarks(owner, of)
 
 
 @remarks.patch("/devices/{device}", response_model=answers.Count, responses=answers.NAMED)

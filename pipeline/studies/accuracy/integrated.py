@@ -132,7 +132,8 @@ def followed(loop: HardLoop, band: float = 0.01, tolerance: float = 1e-13) -> di
             largest = max(largest, max(e for _, e in found))
             state, start = path[:, -1], start + duration
     if np.isnan(settled) and entry is not None:
-        settled = _entered(matrix, *entry, tolerance)
+        last, start, low, high, level = entry
+        settled = start + _root(lambda t: float(_moved(matrix, last, t, tolerance)[0] - 1 - level), low, high)
     e, weight = np.array(sampled), np.arange(loop.samples)
     energy = e**2 + np.diff(e, prepend=e[0]) ** 2 / step
     return {"settle": settled, "overshoot": largest, **{f"energy_w{w}": float(weight**w @ energy) for w in range(3)}}
@@ -162,12 +163,6 @@ def _extreme(matrix: Floats, path: Floats, places: Floats, i: int, tolerance: fl
         return float(places[i]), float(start[0] - 1)
     time = _root(lambda t: float(_moved(matrix, start, t, tolerance)[1]), 0.0, width)
     return float(places[i] + time), float(_moved(matrix, start, time, tolerance)[0] - 1)
-
-
-def _entered(
-    matrix: Floats, state: Floats, start: float, low: float, high: float, level: float, tolerance: float
-) -> float:
-    return start + _root(lambda t: float(_moved(matrix, state, t, tolerance)[0] - 1 - level), low, high)
 
 
 def _root(function: Callable[[float], float], low: float, high: float) -> float:

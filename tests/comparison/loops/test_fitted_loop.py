@@ -12,7 +12,8 @@ from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.loop_parts import Butterworth
+from pipeline.records.batch import TrialBatch
+from pipeline.records.loop_parts import Butterworth, Friction
 from pipeline.records.models import Device
 from pipeline.simulation.course import Course, write_course
 from pipeline.simulation.radius import spectral_radius
@@ -35,7 +36,19 @@ def true_limits(setup, damping):
     return low
 
 
-def soft_course(parts: dict, folder, **experiment) -> tuple[ExperimentStages, Course, np.ndarray]:
+def simulated(setup, K, B, scatter: float) -> TrialBatch:
+    """Trials of one device whose friction is another one in each."""
+    if not scatter:
+        return simulate(setup, K, B, seed=91)
+    coulomb = setup.plant.friction.coulomb * (1 + scatter * np.random.default_rng(91).standard_normal(len(K)))
+    plants = [replace(setup.plant, friction=Friction(coulomb=max(c, 0.0))) for c in coulomb]
+    each = zip(plants, K, B, strict=True)
+    return TrialBatch.joined(
+        [simulate(replace(setup, plant=p), np.array([k]), np.array([b]), seed=91) for p, k, b in each]
+    )
+
+
+def soft_course(parts: dict, folder, scatter=0.0, **experiment) -> tuple[ExperimentStages, Course, np.ndarray]:
     """Trials of a Falcon with other parts against walls below 60 % of the limit at five dampings, ingested."""
     base = load_device("falcon").model_copy(update={"tables": (), "name": "soft"})
     known = base.model_dump(mode="json", by_alias=True, exclude_unset=True)
@@ -49,7 +62,7 @@ def soft_course(parts: dict, folder, **experiment) -> tuple[ExperimentStages, Co
     damping = np.linspace(0.05, 0.8, 5) * highest
     limit = true_limits(setup, damping)
     K, B = np.outer(SHARES, limit).ravel(), np.tile(damping, len(SHARES))
-    batch = simulate(setup, K, B, seed=91)
+    batch = simulated(setup, K, B, scatter)
     batch = replace(batch, trial_id=tuple(f"soft{i}" for i in range(len(batch))))
     course = Course(device, one, setup, 91, batch, np.ones(len(K), int), np.full(len(K), "stable"))
     write_course(course, folder / "raw")
@@ -89,6 +102,17 @@ def test_no_device_is_fitted_where_the_ideal_one_explains_the_logs(tmp_path):
     stages, _, _ = soft_course({}, tmp_path)
     assert stages.table("ladder").num_rows == 0
     assert fitted_device(stages) is None
+
+
+def test_mass_and_friction_are_told_where_friction_differs_from_run_to_run(tmp_path):
+    stages, _, _ = soft_course({"friction": {"coulomb": 0.6}}, tmp_path, scatter=0.2)
+    device = fitted_device(stages)
+    assert device.likely
+    assert device.parts == ("friction",)
+    for name, true, most in (("mass", 0.47, 0.02), ("damping", 3.1, 0.1), ("coulomb", 0.6, 0.2)):
+        number = device.known(name)
+        assert number.low <= true <= number.high, (name, number)
+        assert number.high - number.low < 2 * most * true
 
 
 @pytest.mark.parametrize("lag", [0.001, 0.0023])

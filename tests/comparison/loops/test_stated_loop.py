@@ -148,7 +148,6 @@ def test_a_file_of_another_loop_bears_no_statement(told, name, other):
     _, result = told(name, *DEVICES[name], other=other)
     (found,) = result.experiments
     assert not found.loop.adequate
-    assert found.loop_boundary is None
     assert found.passive is None
 
 

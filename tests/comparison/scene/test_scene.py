@@ -14,7 +14,7 @@ NEEDED = {
     ("overshoot",): ALWAYS | {"overshoot"},
     ("settle_2pct",): ALWAYS | {"wall_law", "delay", "model", "ladder", "settling"},
     ("settle_1pct", "overshoot"): ALWAYS | {"wall_law", "delay", "model", "ladder", "settling", "overshoot"},
-    ("energy_step_w1",): ALWAYS | {"wall_law", "delay", "model", "ladder", "energy", "mass", "damping", "windows"},
+    ("energy_step_w1",): ALWAYS | {"wall_law", "delay", "model", "ladder", "energy", "mass", "damping"},
 }
 
 
@@ -37,7 +37,7 @@ def test_unknown_device_needs_its_estimates_for_any_theory(unknown):
 
 def test_all_criteria_need_all_stages(falcon):
     data = open_scene("falcon", falcon.processed, None, None)
-    assert len(needed_stages(data)) == 13
+    assert len(needed_stages(data)) == 12
     assert data.overlay
     assert len(data.scene.criteria) == 7
 

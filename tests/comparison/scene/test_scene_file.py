@@ -155,7 +155,7 @@ def test_what_the_scene_leaves_out_is_not_computed(falcon, tmp_path, monkeypatch
     real_stage = StageTables._computed
 
     def compute(self, stage):
-        assert stage not in ("outcome", "mass", "damping", "energy", "windows", "overshoot")
+        assert stage not in ("outcome", "mass", "damping", "energy", "overshoot")
         return real_stage(self, stage)
 
     monkeypatch.setattr(StageTables, "_computed", compute)

@@ -125,3 +125,25 @@ def test_a_position_that_counts_the_other_way_has_no_delay():
     assert set(found.delay_samples.tolist()) == {-1}
     words = [text for text in found.reason if "against the step at first; check the signs of position" in text]
     assert len(words) > 30
+
+
+def test_three_rows_off_by_a_quantum_are_no_response():
+    """A response goes on to rise; a sensor that flickers does not, however often."""
+    batch = simulate([3000.0], [50.0], **{**FALCON, "delay": 9}, quantum=2e-6)
+    flickering = batch.position.copy()
+    flickering[0, 23:26] += 2e-6
+    plain, found = (
+        first_change(one, find_response(batch)).delay_samples.tolist()
+        for one in (batch, dataclasses.replace(batch, position=flickering))
+    )
+    assert plain == found == [9]
+
+
+def test_a_response_against_the_step_gives_no_delay():
+    # behind an unstable wall the motion swings back across the start
+    batch = simulate([18000.0], [10.0], **FALCON, quantum=2e-6)
+    mirrored = dataclasses.replace(batch, position=2 * batch.position[:, :1] - batch.position)
+    response = dataclasses.replace(find_response(mirrored), edge_row=np.array([20]), edge_reason=("",))
+    found = first_change(mirrored, response)
+    assert found.delay_samples.tolist() == [-1]
+    assert "moves against the step" in found.reason[0]

@@ -242,3 +242,10 @@ def test_an_error_that_all_trials_share_and_half_of_a_drift_are_in_the_interval(
     assert np.mean(shared) > 0.9
     # a mass that seems to grow by 10 % with the wall may be that of a soft one, and not the middle one
     assert np.mean(drifting) > 0.9
+
+
+def test_the_interval_of_five_trials_that_scatter_is_students_with_four_degrees_of_freedom():
+    values = np.array([1.0, 1.1, 1.25, 1.3, 1.55])
+    found = combine(values, np.full(5, 1e-6), tuple("abcde"), "kg", "mass", "none")
+    error = np.sqrt(np.pi / 2) * found.spread / np.sqrt(5)  # of the median of normal values
+    assert (found.high - found.low) / 2 == pytest.approx(2.776445 * error, rel=3e-3)

@@ -40,7 +40,6 @@ def start(mass: float = 1.2 * MASS, delay: float = DELAY + 1) -> Device:
         ({"most": 7.0}, ("saturation",), {"force_limit": 7.0}),
         ({"most": 8.1}, ("saturation",), {"force_limit": 8.1}),
         pytest.param({"mode": MODE}, ("mode at the motor",), MODE_NUMBERS, marks=pytest.mark.slow),
-        pytest.param({"friction": 0.15}, ("friction",), {"coulomb": 0.15}, marks=pytest.mark.slow),
         pytest.param(
             {"mode": MODE, "lag": 0.003},
             ("lag", "mode at the motor"),
@@ -71,8 +70,7 @@ def test_a_command_that_is_clipped_as_logged_is_no_part_of_the_device():
 
 @pytest.mark.slow
 def test_friction_and_a_lag_together_do_not_hold_as_something_else():
-    found = climb(trials_of(seed=4, friction=0.1, lag=0.002), start())
-    assert not found.best.holds or set(found.best.parts) == {"lag", "friction"}
+    assert not climb(trials_of(seed=4, friction=0.1, lag=0.002), start()).best.holds
 
 
 @pytest.mark.slow

@@ -267,3 +267,18 @@ def test_stop_of_the_simulator_is_never_passed_and_holds_against_the_force() -> 
     # 8 N on 0.58 kg go 10 mm in sqrt(2 m x/F) = 38 ms, some more with b = 4 N s/m and the delay of 4 ms
     assert 38 + 4 <= reached - FALCON.edge_row <= 38 + 4 + 6
     assert (batch.position[0, reached:] == batch.position[0, -1]).all()
+
+
+@pytest.mark.parametrize(("more", "outcome"), [(3, "moving"), (8, "settled"), (40, "settled")])
+def test_a_log_has_settled_once_some_samples_lie_within_the_band(more: int, outcome: str) -> None:
+    whole = run(IDEAL, [3000.0], [90.0])
+    response = find_response(whole)
+    entry = int(classify(whole, response, judge(whole, response)).first_row[0])
+    log = run(replace(IDEAL, rows=entry + more), [3000.0], [90.0])
+    assert outcomes(log).outcome.tolist() == [outcome]
+    found = settling_overshoot.settling(log, find_response(log), judge(log), 4, bands={"2 %": 0.02})
+    settled = found.samples["2 %"][0]
+    assert np.isnan(settled) if more < 5 else settled == entry - 24
+    # the band is 2 % of the final displacement
+    error = np.abs(whole.position[0] - response.position_final_expected[0]) * 3000.0 / IDEAL.step
+    assert error[entry:].max() <= 0.02 < error[entry - 1]

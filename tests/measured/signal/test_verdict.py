@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from simulated import FALCON, LWR, simulate, spectral_radius
 
+from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 
 FIRM = {**FALCON, "mass": 1.0, "b": 34.0}
@@ -142,3 +145,47 @@ def test_a_log_that_ends_in_its_first_swing_tells_nothing(rows, verdict):
     found = judge(log)
     assert found.verdict.tolist() == [verdict]
     assert ("before the motion turns" in found.reason[0]) == (verdict == "undecided")
+
+
+def moved(rest):
+    """A trial of the Falcon whose free motion after the first delay is another one [m], as its sensor shows it."""
+    batch = simulate([2000.0], [20.0], **FALCON, quantum=2e-6)
+    position = batch.position.copy()
+    position[0, 24:] = position[0, 0] + 8 / 2000 + rest(np.arange(position.shape[1] - 24))
+    return dataclasses.replace(batch, position=np.round(position / 2e-6) * 2e-6)
+
+
+@pytest.mark.parametrize("change", [0.5, 0.7, 1.3])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_motion_without_modes_decides_nothing_unless_it_changes_threefold(change, seed):
+    chance = np.random.default_rng(seed)
+    batch = moved(lambda k: 2e-3 * chance.normal(size=len(k)) * change ** (k / len(k)))
+    assert judge(batch).verdict.tolist() == ["undecided"]
+
+
+@pytest.mark.parametrize("quanta", [3, 5, 7])
+def test_an_oscillation_of_some_quanta_that_is_left_of_a_far_larger_motion_is_stable(quanta):
+    batch = moved(lambda k: 4e-4 * np.exp(-k / 12) * np.cos(0.5 * k) + quanta * 2e-6 * np.sin(0.9 * k))
+    assert judge(batch).verdict.tolist() == ["stable"]
+
+
+def test_chance_decides_nothing_at_the_limit_of_zero_stiffness():
+    # three standard errors: 0.3 of 100 trials are decided by chance
+    found = judge(simulate(np.zeros(100), np.full(100, -FALCON["b"]), **FALCON, quantum=2e-6, noise=1e-6, seed=3))
+    assert (found.verdict == "undecided").sum() >= 97
+
+
+def test_errors_of_a_sensor_are_no_vibration_of_a_device_without_a_wall():
+    """White errors that the baseline does not show, as of a sensor that is moved: their largest power is no tone."""
+    batch = simulate(np.zeros(60), np.zeros(60), **FALCON, quantum=2e-6, noise=5e-7, seed=4)
+    position = batch.position.copy()
+    position[:, 21:] += np.random.default_rng(5).normal(size=position[:, 21:].shape) * 2e-5
+    assert set(judge(dataclasses.replace(batch, position=position)).verdict) == {"stable"}
+
+
+def test_a_motion_that_falls_tenfold_to_a_flicker_of_the_sensor_is_stable():
+    # a mode of a third of it would be left where it had not decayed
+    batch = moved(lambda k: 2e-6 * (10 * np.exp(-k / 40) * np.cos(0.3 * k) + np.sin(0.9 * k)))
+    position = np.where(np.arange(400) < 24, batch.position[0, 30], batch.position)
+    alone = dataclasses.replace(batch, position=position)
+    assert judge(alone, find_response(batch)).verdict.tolist() == ["stable"]

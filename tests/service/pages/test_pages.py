@@ -251,3 +251,37 @@ def test_pages_in_a_browser(served, tmp_path):
                 assert [(path, rule["id"], rule["nodes"][0]["html"]) for rule in found] == []
         browser.close()
     assert problems == []
+
+
+@pytest.mark.browser
+def test_a_folder_that_is_dropped_comes_in_with_all_below_it(empty, logs, tmp_path):
+    """As the file manager drops it: the browser reads the folder itself."""
+    sync = pytest.importorskip("playwright.sync_api")
+
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("no chromium")
+    for place, (name, data) in zip(("monday", "monday/late"), logs[:2], strict=True):
+        (tmp_path / "course" / place).mkdir(parents=True)
+        (tmp_path / "course" / place / name).write_bytes(data)
+    (tmp_path / "course" / ".hidden").write_text("no log")
+    with sync.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        page = browser.new_page()
+        page.goto(f"http://127.0.0.1:{empty.port}/upload")
+        box = page.locator("#upload .drop").bounding_box()
+        drop = {"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2}
+        drop["data"] = {"items": [], "files": [str(tmp_path / "course")], "dragOperationsMask": 1}
+        session = page.context.new_cdp_session(page)
+        for kind in ("dragEnter", "dragOver", "drop"):
+            session.send("Input.dispatchDragEvent", {"type": kind, **drop})
+        page.get_by_text("2 files are ready.").wait_for()
+        page.locator("#upload button").first.click()
+        page.wait_for_url("**/jobs/*")
+        job = empty.done(page.url.rpartition("/")[2])
+        browser.close()
+    assert (job["state"], job["result"]["ingested"], job["result"]["quarantined"]) == ("done", 2, [])
+    names = [file.relative_to(tmp_path).as_posix() for file in (tmp_path / "processed-service" / "logs").rglob("*.csv")]
+    assert sorted(name.partition("/course/")[2] for name in names) == sorted(
+        f"{place}/{name}" for place, (name, _) in zip(("monday", "monday/late"), logs[:2], strict=True)
+    )
