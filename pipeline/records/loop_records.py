@@ -12,6 +12,7 @@ CauseCode = Literal[
     "other_gains",
     "coulomb_friction",
     "velocity_filter",
+    "adaptive_velocity",
     "actuator_lag",
     "vibration_mode",
     "operator",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
@@ -224,18 +224,9 @@ class Loop:
 
         Source: Hulin 2017, ch. 5.
         """
-        found = optimum_document(self._normalised, criterion)
-        K, B = self._scale.stiffness, self._scale.damping
-        box = found.get("box")
-        return LoopOptimum(
-            criterion=found["criterion"],
-            stiffness=found["alpha"] * K,
-            damping=found["beta"] * B,
-            cost=found["cost"],
-            reason=found.get("reason"),
-            note=found.get("note"),
-            box=box and (box["alpha_low"] * K, box["alpha_high"] * K, box["beta_low"] * B, box["beta_high"] * B),
-        )
+        found = optimum_document(self._normalised, criterion, units=self._scale)
+        box = tuple(found["box"].values()) if "box" in found else None
+        return LoopOptimum(**{f.name: found.get(f.name) for f in fields(LoopOptimum)} | {"box": box})
 
     def best_damping(self, stiffness: object, criterion: str) -> pd.DataFrame:
         """Return the best damping for each stiffness by a criterion.

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop
+from pipeline.loop.loop import Loop, Normalised
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, criterion_of, with_discrete
 from pipeline.theory.cost.pointcosts import point_costs_by_name
@@ -27,6 +27,9 @@ from pipeline.theory.optimum.rules import POINT_CRITERIA, marked_point
 from pipeline.theory.stability.boundary import boundary, has_islands
 from pipeline.theory.stability.robust import robust_outline
 from pipeline.theory.stability.stability import spectral_radius, stable_by_radius
+
+WALL_COLUMNS = ("stiffness", "damping")
+"""Columns of a CSV file of walls in SI."""
 
 CASE_COLUMNS = ("alpha", "beta", "gamma", "delta", "delay")
 
@@ -239,7 +242,9 @@ def boundary_document(loop: Loop, robust: bool = False, points: int = 400) -> di
     }
 
 
-def optimum_document(loop: Loop, criterion: str, signal: str | None = None) -> dict[str, Any]:
+def optimum_document(
+    loop: Loop, criterion: str, signal: str | None = None, units: Normalised | None = None, **names: Any
+) -> dict[str, Any]:
     """Return the optimal point of a criterion as the document that `theory optimum` prints.
 
     Parameters
@@ -249,6 +254,10 @@ def optimum_document(loop: Loop, criterion: str, signal: str | None = None) -> d
         One of `CRITERIA` or `POINT_CRITERIA`; for the sampled response with ``_discrete`` appended, or by `signal`.
     signal : {"continuous", "discrete"}, optional
         Which response the cost is taken from; by default as the criterion's name says.
+    units : Normalised, optional
+        Of the wall, where it is to be told in SI.
+    names
+        What else is said of the loop; its normalised parameters by default.
 
     Raises
     ------
@@ -265,24 +274,27 @@ def optimum_document(loop: Loop, criterion: str, signal: str | None = None) -> d
         raise ParameterError(f"signal {signal!r}: expected continuous or discrete.")
     if signal == "continuous" and criterion.endswith(DISCRETE):
         raise ParameterError(f"criterion {criterion!r} is a discrete one, but the signal is continuous.")
-    document: dict[str, Any] = {"criterion": criterion, **_plant(loop)}
+    scale = (1.0, 1.0) if units is None else (units.stiffness, units.damping)
+    axes = WALL_COLUMNS if units is not None else CASE_COLUMNS[:2]
+    names = names or _plant(loop)
     if criterion in POINT_CRITERIA:
         mark = marked_point(loop, criterion)
-        reason = (
-            "a tuning rule has no cost"
-            if criterion == "ziegler_nichols"
-            else "a point of the stability boundary has no cost"
-        )
-        return {**document, "alpha": mark.alpha, "beta": mark.beta, "cost": None, "reason": reason}
+        rule = criterion == "ziegler_nichols"
+        reason = "a tuning rule has no cost" if rule else "a point of the stability boundary has no cost"
+        wall = dict(zip(axes, (mark.alpha * scale[0], mark.beta * scale[1]), strict=True))
+        return {"criterion": criterion, **names, **wall, "cost": None, "reason": reason}
     # criteria of the poles have no sampled response
     name = sampled if signal == "discrete" and (sampled := f"{criterion}{DISCRETE}") in known else criterion
     point = optimal_point(loop, name)
-    document["criterion"] = name
-    document |= {"alpha": point.alpha, "beta": point.beta, "cost": point.cost}
+    wall = dict(zip(axes, (point.alpha * scale[0], point.beta * scale[1]), strict=True))
+    document = {"criterion": name, **names, **wall, "cost": point.cost}
     if not point.attained:
         document["reason"] = "a limit at the edge of the stable region, which no stable point reaches"
     if has_islands(loop):
         document["note"] = _ISLANDS
     if point.box is not None:
-        document["box"] = dict(zip(("alpha_low", "alpha_high", "beta_low", "beta_high"), point.box, strict=True))
+        ends = [f"{axis}_{end}" for axis in axes for end in ("low", "high")]
+        document["box"] = {
+            end: value * scale[i // 2] for i, (end, value) in enumerate(zip(ends, point.box, strict=True))
+        }
     return document

@@ -16,16 +16,13 @@ from pipeline.loop.loop import Loop, Normalised
 from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import Device, Experiment
-from pipeline.theory.cases import POINT_COSTS, Cases, optimum_document, points_of_loop
+from pipeline.theory.cases import POINT_COSTS, Cases, points_of_loop
 from pipeline.theory.cost.theory_map import check_criteria
 from pipeline.theory.device.outline import outline
 from pipeline.theory.device.slowest_pole import slowest_poles
 
 GRID_DAMPINGS, GRID_STIFFNESSES = 12, 30
 """Grid of walls where a device file states none: dampings over half of the stable ones, stiffnesses up to the limit."""
-
-WALL_COLUMNS = ("stiffness", "damping")
-"""Columns of a CSV file of walls."""
 
 
 @dataclass(frozen=True)
@@ -163,17 +160,3 @@ def wall_documents(case: DeviceCase, walls: Cases, criteria: Sequence[str] = POI
         }
         for (stiffness, damping), pole, document in zip(walls.values, slowest, found, strict=True)
     ]
-
-
-def device_optimum(case: DeviceCase, criterion: str, signal: str | None = None) -> dict[str, Any]:
-    """Return the optimal wall of a criterion, as the document that `theory optimum --device` prints."""
-    document, k, b = optimum_document(case.loop, criterion, signal), case.units.stiffness, case.units.damping
-    result = {"criterion": document["criterion"], **case.names}
-    result |= {"stiffness": document["alpha"] * k, "damping": document["beta"] * b, "cost": document["cost"]}
-    if "box" in document:
-        box = document["box"]
-        result["box"] = {
-            name.replace("alpha", "stiffness").replace("beta", "damping"): value * (k if "alpha" in name else b)
-            for name, value in box.items()
-        }
-    return result | {name: document[name] for name in ("reason", "note") if name in document}

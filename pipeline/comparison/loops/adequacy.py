@@ -13,12 +13,11 @@ import numpy as np
 
 from pipeline.base.wording import counted, listed
 from pipeline.comparison.loops.log_evidence import OF_NO_LOOP, LawDeparture, rest_words
-from pipeline.comparison.loops.loop_range import MATTERS, LoopRange, loop_delay
+from pipeline.comparison.loops.loop_range import MATTERS, LoopRange, explains, loop_delay
 from pipeline.comparison.loops.other_gains import OtherGains
 from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.measured.experiment.fitted_device import FittedDevice
 from pipeline.measured.experiment.rest_forces import RestForces
-from pipeline.measured.explained import EXPLAINED
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Estimate
 from pipeline.records.loop_parts import LoopParts, VelocityFilter
@@ -152,6 +151,7 @@ _HELP = {
     "sampling_period": "the sampling period by which the stamps are apart, in the header",
     "saturation": "a smaller step, or the command before it is clipped in the log",
     "velocity_filter": "a device file that declares the filter",
+    "adaptive_velocity": "a velocity over a constant number of samples, which theory can hold",
 }
 _UNIT = "the unit of the position, or of K, B and the step, corrected in the profile (see `pipeline profile check`)"
 
@@ -178,7 +178,7 @@ def _unexplained(result: ExperimentResult, fitted: FittedDevice | None, would_he
     if check is None:
         yield Doubt("no model was fitted to the logs, since nothing that was asked for needs one")
         return
-    if check.explained < EXPLAINED * check.trials or not check.trials:
+    if not explains(result):
         more = ""
         if fitted is not None and fitted.parts:
             what = f"{listed(list(fitted.parts))} {fitted.explained} of {fitted.held_out}"

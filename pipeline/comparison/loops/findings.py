@@ -160,12 +160,14 @@ def _loop_result(
 def _reason(result: ExperimentResult, against: list[Doubt], shown: Shown, parts: LoopParts | None) -> str:
     fitted, stated = shown.fitted, parts.words() if parts else ""
     if not against and stated:
-        held_out = f"{fitted.explained} of {fitted.held_out} logs that it was not fitted to" if fitted else ""
+        held_out = (
+            f"{fitted.explained} of {fitted.held_out} logs that it was not fitted to" if fitted and fitted.holds else ""
+        )
         return (
             f"the loop of the device file ({stated}) has the measured limits and those of the loop that the logs show, "
             f"which explains {held_out or _explained(result)}"
         )
-    if not against and fitted is not None:
+    if not against and fitted is not None and fitted.holds:
         alike = f"; {' or '.join(fitted.alike)} cannot be told apart from it" if fitted.alike else ""
         return (
             f"one device with mass, damping, delay and {listed(list(fitted.parts))} explains {fitted.explained} of "

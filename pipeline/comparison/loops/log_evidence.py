@@ -38,6 +38,7 @@ _SENTENCES = {
     "missing_rows": "Rows are missing in the logs.",
     "repeated_rows": "Rows or readings of the position are repeated.",
     "velocity_filter": "The velocity of the wall law is filtered.",
+    "adaptive_velocity": "The velocity of the wall law is taken over a window that adapts to the motion.",
     "command_shifted": "The logged command is that of another row than its position.",
     "rate_limit": "The rate of the command is limited.",
     "sampling_period": "The sampling period is another one than the header states.",

@@ -12,7 +12,7 @@ from pipeline.comparison.scores.theory_band import ParameterBox, theory_band
 from pipeline.loop.device_loop import longest_delay, loop_of, wall_units
 from pipeline.loop.loop import LARGEST_DELAY, Loop
 from pipeline.measured.experiment.known_delay import whole_delay
-from pipeline.measured.explained import EXPLAINED
+from pipeline.measured.explained import holds
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Estimate
 from pipeline.records.loop_parts import LoopParts
@@ -183,7 +183,7 @@ def loop_delay(result: ExperimentResult) -> Estimate:
 def explains(result: ExperimentResult) -> bool:
     """Return whether the fitted model explains nearly all logs of an experiment."""
     check = result.model_check
-    return check is not None and check.trials > 0 and check.explained >= EXPLAINED * check.trials
+    return check is not None and holds(check.explained, check.trials)
 
 
 def estimated_range(result: ExperimentResult, sampling_period_s: float) -> LoopRange | None:

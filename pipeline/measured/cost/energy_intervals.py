@@ -290,11 +290,25 @@ def _sensor_error(sums: _Sums) -> Floats:
         square = (1 - error.lasting) * free + error.lasting * bound
         result.append(np.nan_to_num(error.sensor) ** 2 * square)
     # slopes that errors made steeper count their squares twice over: of 4 (x + e)^2 s^2 the mean is 4 x^2 s^2 + 4 s^4,
-    # but (x + e)^2 has the variance 4 x^2 s^2 + 2 s^4
+    # but (x + e)^2 has the variance 4 x^2 s^2 + 2 s^4; what the wall answers to errors that do not last depends on them
     variance = np.stack(result, axis=1)
     squares = np.stack([((k * sums.noise) ** 2).sum(axis=1) for k in sums.weight], axis=1)
+    squares *= 1 + ((1 - error.lasting) * (_dependence(answer, sums) - 1))[:, None]
     total: Floats = np.sqrt(np.maximum(variance - 2 * squares, 0.5 * variance))
     return total
+
+
+def _dependence(answer: np.ndarray[tuple[int, ...], np.dtype[np.complex128]], sums: _Sums) -> Floats:
+    """Sum of the squared covariances of the energies of all errors, relative to that of each one's own, shape (n,).
+
+    Their spectrum is that of the wall's answer, of springs and inertias; Parseval's theorem makes sums of it.
+    """
+    frequency = np.linspace(0.0, np.pi, answer.shape[1])
+    power = sums.spring[:, None] + sums.inertia[:, None] * (2 * np.sin(0.5 * frequency)) ** 2
+    spectrum = np.abs(answer) ** 2 * power
+    mean = spectrum.mean(axis=1)
+    result: Floats = np.divide((spectrum**2).mean(axis=1), mean**2, out=np.ones(len(mean)), where=mean > 0)
+    return result
 
 
 def _shifted(value: Floats, shift: int) -> Floats:

@@ -10,18 +10,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 
 from pipeline.base.errors import ParameterError
 from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.verdict import REST_FLOORS
-from pipeline.records.batch import Booleans, Floats, TrialBatch
+from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
 NOISES = np.linspace(1e-3, 1.0, 200)
 """Noise relative to the quantum: with more of it the rounding is independent from reading to reading."""
 
 HARMONICS = np.arange(1, 201)[:, None]
-"""Harmonics of the sawtooth of rounding, those left out have 0.3 % of its variance; and steps of rounded noise."""
+"""Harmonics of the sawtooth of rounding, those left out have 0.3 % of its variance."""
 
 READING = NOISES**2 + 1 / 12
 """Variance of the error of a rounded reading [squared quanta], for `NOISES`."""
@@ -29,9 +28,15 @@ READING = NOISES**2 + 1 / 12
 LASTING = np.sum(np.exp(-((2 * np.pi * HARMONICS * NOISES) ** 2)) / HARMONICS**2, axis=0) / (2 * np.pi**2)
 """Part of it that lasts while a device rests, as the mean over all places on the grid, and so is not seen there."""
 
-SEEN = 0.5 * (READING - LASTING) + np.sum((2 * HARMONICS - 1) * ndtr((0.5 - HARMONICS) / NOISES), axis=0)
-"""Scatter of the readings of a device at rest [squared quanta]: the mean of one anywhere on the grid and of one that
-the wall holds where its first reading lies; a baseline is between the two."""
+WANDERING = READING - LASTING
+"""Scatter of the readings of a device that rests anywhere on the grid [squared quanta]."""
+
+PULLED_ROWS = 25
+"""Rows within which a wall has pulled half of the devices at rest away from the edge of a quantum, on which they
+chatter: simulated baselines of the shipped devices, 20 to 200 rows long."""
+
+BLURRED = 0.25
+"""Noise relative to the quantum at which it moves most devices over the next edge all the same (as `PULLED_ROWS`)."""
 
 POOLED = 4.0
 """Noise of a baseline relative to the median, or to the quantum, up to which it is the sensor's: that of ten rows
@@ -112,7 +117,7 @@ class _Variances:
     gain: Floats
 
 
-def sensor_error(noise: Floats, quantum: Floats) -> float:
+def sensor_error(noise: Floats, quantum: Floats, rows: Integers) -> float:
     """Return the standard deviation of the error of one reading [m, rad], one for all trials of an experiment.
 
     Parameters
@@ -120,6 +125,8 @@ def sensor_error(noise: Floats, quantum: Floats) -> float:
     noise, quantum : float64, shape (n,)
         Of each trial [m, rad]; NaN where not known. Pooled over many short baselines it is far surer than in each; of
         several quanta, which a trial that hardly moves does not show, the usual one counts.
+    rows : int64, shape (n,)
+        Of the baselines: the longer it is the more of the rounding the wall has hidden.
     """
     seen = np.isfinite(noise) & np.isfinite(quantum)
     if not seen.any():
@@ -129,7 +136,9 @@ def sensor_error(noise: Floats, quantum: Floats) -> float:
     scatter = float(np.mean(square[square <= POOLED**2 * max(float(np.median(square)), step)]))
     if step > 0:
         # what a device at rest does not show of noise^2 + quantum^2/12
-        scatter += step * np.interp(scatter / step, SEEN, np.maximum(READING - SEEN, 0.0))
+        pulled = float(np.median(rows[seen] / (rows[seen] + PULLED_ROWS)))
+        visible = WANDERING * (1 - pulled * np.exp(-((NOISES / BLURRED) ** 2)))
+        scatter += step * np.interp(scatter / step, visible, np.maximum(READING - visible, 0.0))
     return as_known(float(np.sqrt(scatter)))
 
 
@@ -226,7 +235,7 @@ def reading_error(
     if delay_samples < 0:
         raise ParameterError(f"delay of {delay_samples} samples: expected an integer >= 0.")
     n, columns = batch.position.shape
-    one = sensor_error(response.sensor_noise, response.sensor_quantum) if sensor is None else sensor
+    one = sensor_error(response.sensor_noise, response.sensor_quantum, response.edge_row) if sensor is None else sensor
     reason = tuple(
         ("" if edge >= 0 else f"no start of the response: {why}")
         or ("" if np.isfinite(one) else "noise of the sensor not known: too few rows before the step in all trials")

@@ -15,10 +15,14 @@ from pipeline.measured.law.log_rows import LogRows
 from pipeline.measured.law.lost_rows import EQUAL, PLATEAU, hidden_rows, is_equal
 from pipeline.measured.law.velocity_filter import VelocityFilterFound, find_filter
 from pipeline.measured.law.wall_scale import fit, power_of_ten, scale_in
-from pipeline.records.batch import Booleans
+from pipeline.records.batch import Booleans, Floats
 
 LONGEST_RAMP = 0.25
 """Part of the rows after the edge that a ramped step may take."""
+
+LONGEST_WINDOW, ADAPTS = 32, 0.1
+"""Samples of the longest adaptive window, and share of the rows of a motion from which on the velocity is not the last
+change: of the rows behind a lost one, a few percent, some window fits by chance."""
 
 LEVEL_ROWS = 5
 """Rows for which the external force must stay on a level to be a step of its own."""
@@ -212,13 +216,17 @@ def _other_unit(log: LogRows) -> tuple[Departure, ...] | None:
     return (Departure("other_unit", evidence, len(log.command), scale.wall, obeyed=obeyed),)
 
 
+def _velocity(log: LogRows) -> tuple[Floats, Floats]:
+    """Return the velocity [m, rad a sample] that the command holds, and what is open of it."""
+    output = (log.step * log.after - log.stiffness * log.displacement - log.command) * (log.period / log.damping)
+    return output, log.rounding * log.period / abs(log.damping) + EXPLAINED * float(np.abs(output - log.change).max())
+
+
 def _filtered(log: LogRows, clipped: Booleans | None = None) -> tuple[Departure, ...] | None:
     """A filter of the velocity: over N samples, else recursive, of the lowest order; some rows may be clipped."""
     if log.damping == 0:
         return None
-    force = log.step * log.after - log.stiffness * log.displacement
-    output = (force - log.command) * (log.period / log.damping)
-    tolerance = log.rounding * log.period / abs(log.damping) + EXPLAINED * float(np.abs(output - log.change).max())
+    output, tolerance = _velocity(log)
     free = log.kept if clipped is None else log.kept & ~clipped
     found = find_filter(log.change, output, free, tolerance, log.period)
     if found is None:
@@ -226,6 +234,22 @@ def _filtered(log: LogRows, clipped: Booleans | None = None) -> tuple[Departure,
     mean = f"is the mean over {found.difference} samples"
     how = mean if found.difference else f"has a filter of order {len(found.a) - 1}"
     return (Departure("velocity_filter", f"the velocity of the wall law {how}", len(output), filter=found),)
+
+
+def _adaptive(log: LogRows) -> tuple[Departure, ...] | None:
+    """A velocity over a window that another length has from row to row (Janabi-Sharifi, Hayward and Chen 2000)."""
+    if log.damping == 0:
+        return None
+    output, tolerance = _velocity(log)
+    lengths = np.arange(1, LONGEST_WINDOW + 1)[:, None]
+    rows = np.maximum(np.arange(len(output)) - lengths, 0)
+    fits = np.abs(output * lengths - (log.position - log.position[rows])) <= lengths * tolerance
+    moves = log.kept & (np.abs(output) > tolerance)
+    if not fits.any(axis=0)[log.kept].all() or (~fits[0, moves]).sum() <= ADAPTS * moves.sum():
+        return None
+    longest = int(np.argmax(fits[:, log.kept], axis=0).max()) + 1
+    text = f"the velocity of the wall law is taken over 1 to {longest} samples, over others from row to row"
+    return (Departure("adaptive_velocity", text, len(output), float(longest)),)
 
 
 def _filtered_and_clipped(log: LogRows) -> tuple[Departure, ...] | None:
@@ -267,6 +291,7 @@ CANDIDATES: tuple[Callable[[LogRows], tuple[Departure, ...] | None], ...] = (
     _slow,
     _other_wall,
     _filtered,
+    _adaptive,
     _filtered_and_clipped,
     _filtered_and_late,
 )

@@ -35,6 +35,7 @@ CODES = (
     "sampling_period",
     "scattered_stamps",
     "velocity_filter",
+    "adaptive_velocity",
     "other_wall",
     "other_unit",
     "unknown",

@@ -22,9 +22,6 @@ RISEN = 1.5
 SLOWER = 1.5
 """By what the second half may exceed the size that its slowest mode allows after the first."""
 
-BRAKED = 0.5
-"""Size of the last quarter relative to the first up to which a motion that falls ever faster decays."""
-
 DEPARTURE = 1e-3
 """Smallest departure of the command from the wall law, relative to the step, that is no rounding of a log."""
 
@@ -78,10 +75,8 @@ class Course:
     @property
     def brakes(self) -> Booleans:
         """Where the motion falls ever faster, as under friction: the size of a sum of modes falls ever slower."""
-        result: Booleans = (
-            self.falls & (self._ratio(3, 2) <= self._ratio(2, 1)) & (self._ratio(2, 1) <= self._ratio(1, 0))
-        )
-        return result & (self.trend <= BRAKED)
+        result: Booleans = self.falls & (self._ratio(3, 2) <= self._ratio(2, 1))
+        return result & (self._ratio(2, 1) <= self._ratio(1, 0))
 
     @property
     def risen(self) -> Booleans:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.signal.disturbance import Device, LargestForce, find_disturbance
+from pipeline.measured.signal.disturbance import Device, Disturbance, LargestForce, find_disturbance
 from pipeline.measured.signal.events import (
     UNMOVED_SAMPLES,
     first_clipped,
@@ -24,19 +24,6 @@ from pipeline.measured.signal.modes import FEWEST_SAMPLES
 from pipeline.measured.signal.response import NO_ROW, Response
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
-
-OUTCOMES = (
-    "no_step",
-    "travel_limit",
-    "too_short",
-    "saturated",
-    "disturbed",
-    "diverged",
-    "limit_cycle",
-    "moving",
-    "settled",
-)
-"""Outcomes by precedence: what ends a log or makes it useless comes before what the loop did in it."""
 
 BAND = 0.02
 """Half width of the band relative to the final displacement: the settling criterion that the tables use."""
@@ -123,6 +110,95 @@ class _End:
     amplitude: Floats
 
 
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """What tells an outcome, shape (n,) each, and the sentence on one trial for every outcome."""
+
+    batch: TrialBatch
+    response: Response
+    growth_per_s: Floats
+    unstable: Booleans
+    band: Floats
+    end: _End
+    clipped: Integers
+    limit: Floats
+    push: Disturbance
+    stop: Integers
+    left: Integers
+    free: Integers
+    unmoved: Booleans
+    short: Booleans
+
+    def growth(self, i: int) -> str:
+        """The growth rate as the end of a sentence; nothing where none is told."""
+        rate = self.growth_per_s[i]
+        return "" if np.isnan(rate) else f"; {'grows' if rate > 0 else 'decays'} by {abs(rate):.3g} per second"
+
+    def no_step(self, i: int) -> str:
+        return self.response.edge_reason[i]
+
+    def travel_limit(self, i: int) -> str:
+        row = self.stop[i] if self.stop[i] >= 0 else self.left[i]
+        place = f"{self.batch.position[i, row]:.6g}"
+        if self.stop[i] >= 0:
+            return f"held by a stop at {place}, first in row {row}, reached at speed"
+        text = f"the log ends in row {row}, before the others, at {place}, farther out than ever and moving outwards"
+        return text + self.growth(i)
+
+    def too_short(self, i: int) -> str:
+        samples = self.batch.rows[i] - self.response.edge_row[i]
+        return f"{samples} samples from the step on, {self.free[i]} of free motion: {FEWEST_SAMPLES} are needed"
+
+    def saturated(self, i: int) -> str:
+        clipped = f"command clipped at {self.limit[i]:.4g} from row {self.clipped[i]} on, against the wall law"
+        return clipped + self.growth(i)
+
+    def disturbed(self, i: int) -> str:
+        if self.push.first_row[i] >= 0:
+            force = f"a force of {self.push.force[i]:.3g} beside the command, first about row {self.push.first_row[i]}"
+            return f"{force}; the step is {self.batch.step[i]:.4g}"
+        offset = f"rests {self.end.offset[i]:.3g} from x_0 + F_0/K, outside +-{self.band[i]:.3g}"
+        return f"{offset}: another force holds it"
+
+    def diverged(self, i: int) -> str:
+        return f"grows to an amplitude of {self.end.amplitude[i]:.3g} in the last fifth{self.growth(i)}"
+
+    def limit_cycle(self, i: int) -> str:
+        cycle = f"oscillates with an amplitude of {self.end.amplitude[i]:.3g} that lasts, outside +-{self.band[i]:.3g}"
+        return cycle + self.growth(i)
+
+    def moving(self, i: int) -> str:
+        if np.isnan(self.band[i]):
+            return f"no final position with K = {self.batch.stiffness[i]:g}; does not run away{self.growth(i)}"
+        return f"not inside +-{self.band[i]:.3g} for good by sample {self.batch.rows[i] - 1}{self.growth(i)}"
+
+    def settled(self, i: int) -> str:
+        wide = "" if self.band[i] > self.response.floor[i] else ", which is the sensor floor"
+        entry = f"inside +-{self.band[i]:.3g} from sample {self.end.entry[i]} of the log on"
+        return f"{entry}{wide}{self.growth(i)}"
+
+
+def _without_row(holds: Booleans) -> tuple[Booleans, Integers]:
+    return holds, np.full(len(holds), NO_ROW)
+
+
+RULES: dict[str, Callable[[_Evidence], tuple[Booleans, Integers]]] = {
+    "no_step": lambda of: _without_row(~of.response.has_edge),
+    "travel_limit": lambda of: (np.maximum(of.stop, of.left) >= 0, np.where(of.stop >= 0, of.stop, of.left)),
+    "too_short": lambda of: _without_row(of.short),
+    "saturated": lambda of: (of.clipped >= 0, of.clipped),
+    "disturbed": lambda of: ((of.push.first_row >= 0) | of.end.rests_elsewhere | of.unmoved, of.push.first_row),
+    "diverged": lambda of: _without_row(of.unstable & ~of.end.settled & ~of.end.lasting),
+    "limit_cycle": lambda of: _without_row(of.end.lasting & ~of.end.settled),
+    "moving": lambda of: _without_row(~of.end.settled),
+    "settled": lambda of: (of.end.settled, of.end.entry),
+}
+"""Where each outcome holds, and the first row of its evidence, by precedence: what ends a log or makes it useless comes
+before what the loop did in it."""
+
+OUTCOMES = tuple(RULES)
+
+
 def classify(
     batch: TrialBatch,
     response: Response,
@@ -163,86 +239,25 @@ def classify(
     with np.errstate(divide="ignore", invalid="ignore"):
         travel = np.where(batch.stiffness > 0, np.abs(batch.step / batch.stiffness), np.nan)
     band = np.where(batch.stiffness > 0, np.maximum(BAND * travel, response.floor), np.nan)
-    end = _end(batch, response, verdicts, band)
-    clipped, limit = first_clipped(batch)
     push = find_disturbance(batch, response, device, largest)
-    stop, left = (
-        first_stop(batch, response, push),
-        left_travel(batch, response, usual_length(batch.rows) if usual_rows is None else usual_rows),
-    )
     free = free_samples(batch, response)
-    waiting = (free == 0) & (batch.rows - response.edge_row <= UNMOVED_SAMPLES)
-    unmoved = (free == 0) & ~waiting & ~(travel <= band)
-    rate = verdicts.growth_per_s
-    growth = ["" if np.isnan(r) else f"; {'grows' if r > 0 else 'decays'} by {abs(r):.3g} per second" for r in rate]
-    outside = np.where(stop >= 0, stop, left)
-    moved = (push.first_row >= 0) | end.rests_elsewhere | unmoved
-    grows = verdicts.verdict == "unstable"
-    since = np.where(push.first_row >= 0, push.first_row, NO_ROW)
-
-    def edge_text(i: int) -> str:
-        return response.edge_reason[i]
-
-    def travel_text(i: int) -> str:
-        if stop[i] >= 0:
-            return f"held by a stop at {batch.position[i, stop[i]]:.6g}, first in row {stop[i]}, reached at speed"
-        return (
-            f"the log ends in row {left[i]}, before the others, at {batch.position[i, left[i]]:.6g}, "
-            f"farther out than ever and moving outwards{growth[i]}"
-        )
-
-    def short_text(i: int) -> str:
-        return (
-            f"{batch.rows[i] - response.edge_row[i]} samples from the step on, {free[i]} of free motion: "
-            f"{FEWEST_SAMPLES} are needed"
-        )
-
-    def clipped_text(i: int) -> str:
-        return f"command clipped at {limit[i]:.4g} from row {clipped[i]} on, against the wall law{growth[i]}"
-
-    def moved_text(i: int) -> str:
-        if push.first_row[i] >= 0:
-            return (
-                f"a force of {push.force[i]:.3g} beside the command, first about row {push.first_row[i]}; "
-                f"the step is {batch.step[i]:.4g}"
-            )
-        return f"rests {end.offset[i]:.3g} from x_0 + F_0/K, outside +-{band[i]:.3g}: another force holds it"
-
-    def grows_text(i: int) -> str:
-        return f"grows to an amplitude of {end.amplitude[i]:.3g} in the last fifth{growth[i]}"
-
-    def lasting_text(i: int) -> str:
-        return f"oscillates with an amplitude of {end.amplitude[i]:.3g} that lasts, outside +-{band[i]:.3g}{growth[i]}"
-
-    def moving_text(i: int) -> str:
-        if np.isnan(band[i]):
-            return f"no final position with K = {batch.stiffness[i]:g}; does not run away{growth[i]}"
-        return f"not inside +-{band[i]:.3g} for good by sample {batch.rows[i] - 1}{growth[i]}"
-
-    def settled_text(i: int) -> str:
-        wide = "" if band[i] > response.floor[i] else ", which is the sensor floor"
-        return f"inside +-{band[i]:.3g} from sample {end.entry[i]} of the log on{wide}{growth[i]}"
-
-    none = np.full(n, NO_ROW)
-    rules: tuple[tuple[str, Booleans, Integers, Callable[[int], str]], ...] = (
-        ("no_step", ~response.has_edge, none, edge_text),
-        ("travel_limit", outside >= 0, outside, travel_text),
-        ("too_short", (free < FEWEST_SAMPLES) & ~unmoved & ~(travel <= band), none, short_text),
-        ("saturated", clipped >= 0, clipped, clipped_text),
-        ("disturbed", moved, since, moved_text),
-        ("diverged", grows & ~end.settled & ~end.lasting, none, grows_text),
-        ("limit_cycle", end.lasting & ~end.settled, none, lasting_text),
-        ("moving", ~end.settled, none, moving_text),
-        ("settled", end.settled, end.entry, settled_text),
+    within = travel <= band
+    waiting = batch.rows - response.edge_row <= UNMOVED_SAMPLES
+    unmoved = (free == 0) & ~waiting & ~within
+    evidence = _Evidence(
+        *(batch, response, verdicts.growth_per_s, verdicts.verdict == "unstable", band),
+        *(_end(batch, response, verdicts, band), *first_clipped(batch), push, first_stop(batch, response, push)),
+        left_travel(batch, response, usual_length(batch.rows) if usual_rows is None else usual_rows),
+        *(free, unmoved, (free < FEWEST_SAMPLES) & ~unmoved & ~within),
     )
-    which = np.argmax(np.stack([holds for _, holds, _, _ in rules]), axis=0)
-    first_row = np.stack([row for _, _, row, _ in rules])[which, np.arange(n)]
+    holds, rows = (np.stack(each) for each in zip(*(tells(evidence) for tells in RULES.values()), strict=True))
+    outcome = np.array(OUTCOMES)[np.argmax(holds, axis=0)]
     return Outcomes(
-        outcome=np.array([name for name, _, _, _ in rules])[which],
-        first_row=first_row.astype(np.int64),
-        evidence=tuple(rules[r][3](i) for i, r in enumerate(which.tolist())),
+        outcome=outcome,
+        first_row=rows[np.argmax(holds, axis=0), np.arange(n)].astype(np.int64),
+        evidence=tuple(getattr(evidence, str(name))(i) for i, name in enumerate(outcome)),
         band=band,
-        amplitude_end=end.amplitude,
+        amplitude_end=evidence.end.amplitude,
     )
 
 

@@ -22,7 +22,10 @@ from pipeline.measured.stages.stage_likelihood import likeliest
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.tables import TABLES
 
-OF_NO_MATTER = {"velocity_filter", "constant_force", "step_not_a_step", "several_steps", "scattered_stamps"}
+OF_NO_MATTER = {
+    *("velocity_filter", "adaptive_velocity", "constant_force"),
+    *("step_not_a_step", "several_steps", "scattered_stamps"),
+}
 """Departures from the wall law that leave command and readings what they are."""
 
 

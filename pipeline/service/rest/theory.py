@@ -98,6 +98,7 @@ def of_device(what: str, device: str, experiment: str | None, *values: Any) -> A
     if what == "boundary":
         return device_cases.boundary_document(case)
     if what == "optimum":
-        return device_cases.device_optimum(case, *values)
+        criterion, signal = values
+        return optimum_document(case.loop, criterion, signal, case.units, **case.names)
     walls = np.array(values[0], dtype=np.float64)
     return device_cases.wall_documents(case, Cases(Path("points"), walls, tuple(range(1, len(walls) + 1))))

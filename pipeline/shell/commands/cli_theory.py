@@ -73,7 +73,7 @@ def points(
     if device is not None:
         from pipeline.theory import device_cases
 
-        columns = device_cases.WALL_COLUMNS
+        columns = theory.WALL_COLUMNS
         documents = device_cases.wall_documents(_case(device, experiment), theory.read_cases(cases, columns), names)
     else:
         columns = theory.CASE_COLUMNS
@@ -149,15 +149,13 @@ def optimum(
     Example: pipeline theory optimum --criterion settle_2pct --delay 1 --signal discrete --json
     """
     response = signal.value if signal else None
-    names: tuple[str, ...] = ("alpha", "beta")
+    from pipeline.theory import cases as theory
+
+    names = theory.CASE_COLUMNS[:2] if device is None else theory.WALL_COLUMNS
     if device is not None:
-        from pipeline.theory.device_cases import WALL_COLUMNS, device_optimum
-
-        names = WALL_COLUMNS
-        document = device_optimum(_case(device, experiment), criterion, response)
+        case = _case(device, experiment)
+        document = theory.optimum_document(case.loop, criterion, response, case.units, **case.names)
     else:
-        from pipeline.theory import cases as theory
-
         document = theory.optimum_document(_loop(delay, gamma, delta), criterion, response)
     if as_json:
         console.print_json(document)

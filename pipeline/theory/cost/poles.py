@@ -10,9 +10,10 @@ from numpy.polynomial import Polynomial
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
+from pipeline.loop.many_digits import as_floats
 from pipeline.records.batch import Booleans, Floats
 from pipeline.theory.cost.settling_overshoot import transient_costs
-from pipeline.theory.stability.stability import poles, sampled_plant
+from pipeline.theory.stability.stability import poles
 
 _TIME_CONSTANTS = 4.0
 """Time constants of the slowest pole in a settling time (5.4): exp(-4) = 1.8 %."""
@@ -121,13 +122,13 @@ def threefold_pole(loop: Loop, near: float) -> tuple[float, float, float] | None
 
 
 def _delayed_plant(loop: Loop) -> tuple[Polynomial, Polynomial, int]:
-    """Return P, q and n of the delayed plant G = u^n q(s)/P(s), u = 1/z, s = 1 - u."""
-    plant = sampled_plant(loop)
-    s, u = Polynomial([0.0, 1.0]), Polynomial([1.0, -1.0])
-    top = s * s + plant.linear * s * u + plant.constant * u * u
-    whole = loop.segments[-1].age
-    parts = (u ** (age - whole) * (slope * s + offset * u) for age, slope, offset in plant.pushes)
-    return top, sum(parts, Polynomial([0.0])), whole + 1
+    """Return P, q and n of the delayed plant G = u^n q(s)/P(s), u = 1/z, s = 1 - u; w is s/(2 - s)."""
+    near, far, none = Polynomial([0.0, 1.0]), Polynomial([2.0, -1.0]), Polynomial([0.0])
+    top, bottom = (
+        sum((c * near**k * far ** (2 - k) for k, c in enumerate(as_floats(part))), none)
+        for part in (loop.sampled.motion, loop.sampled.force)
+    )
+    return top, bottom, loop.oldest_force
 
 
 def never_overshoots(loop: Loop, alpha: object, beta: object, *, continuous: bool = True) -> Booleans:

@@ -58,6 +58,7 @@ class Outlook:
     def __init__(self, run: Motion, past: Modes) -> None:
         off = np.abs(past.at(run.sample) - run.state)[: len(run.scale)]
         known = (off * run.scale).sum(axis=0) <= _REPRODUCED * run.size()  # nan compares false
+        known &= (past.rate > 0).all(axis=1)  # one that rounding leaves no decay never ends
         self.run, self.unknown, self.past = run.part(known), run.part(~known), past.part(known)
         self.pole, self.rate = self.past.pole, self.past.rate
         seen = run.loop.seen(run.loop.law(self.run.alpha, self.run.beta), self.past.state)

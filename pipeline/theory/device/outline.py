@@ -96,7 +96,7 @@ def limits(loop: Loop, beta: Floats, *, exact: bool = True, floor: float = 0.0) 
     exact : bool
         Whether crossings are polished in many digits; those of doubles else.
     floor : float
-        Softest wall, -gamma to 0; only intervals that end above it count.
+        Softest wall, -gamma to 0: intervals that begin there, or hold it, are no islands; none below it counts.
     """
     found = stretches(loop, beta)
     above = np.flatnonzero(found.high > floor)
@@ -106,7 +106,7 @@ def limits(loop: Loop, beta: Floats, *, exact: bool = True, floor: float = 0.0) 
             known = np.flatnonzero(np.isfinite(place[above]) & (end > floor))
             end[known] = polished(loop, beta[index[known]], place[above][known])
     low, high = ends
-    soft = low <= 0
+    soft = (low <= floor) | ((low <= 0) & (high > 0))
     ends = np.full((4, len(beta)), np.nan)
     angle = np.nan_to_num(angle_of(found.high_at[above]), nan=np.pi)
     ends[:, index[soft]] = np.array([np.maximum(high, floor), angle, low, angle_of(found.low_at[above])])[:, soft]

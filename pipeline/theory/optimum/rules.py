@@ -60,7 +60,8 @@ def marked_point(loop: Loop, name: str) -> MarkedPoint:
         return MarkedPoint(border.alpha_max, border.beta_at_alpha_max)
     if name == "beta_max":
         return MarkedPoint(border.alpha_at_beta_max, border.beta_max)
-    period = 2 * np.pi / float(border.theta[np.argmax(border.beta)])
+    top = np.nanargmax(np.where(np.isnan(border.theta), np.nan, border.beta))
+    period = 2 * np.pi / float(border.theta[top])
     return MarkedPoint(0.54 * border.beta_max / period, 0.45 * border.beta_max)
 
 

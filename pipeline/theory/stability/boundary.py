@@ -27,8 +27,8 @@ class Boundary:
     Parameters
     ----------
     alpha, beta, theta : float64, shape (n,)
-        Points in order of beta, then back along what bounds the region from below; the angle of the pole that
-        leaves the unit circle there.
+        Points in order of beta, then back along what bounds the region from below, then those of islands; the angle
+        of the pole that leaves the unit circle there, nan where that is not told.
     alpha_max, beta_at_alpha_max : float
         Largest stable alpha and its beta.
     beta_max, alpha_at_beta_max : float
@@ -111,13 +111,11 @@ def _over_dampings(loop: Loop, points: int) -> Boundary:
     if loop.has_parts:
         return Boundary(f.alpha, b, f.angle, *extremes[0], *top, lowest, found.islands)
     extremes += [(high, beta) for beta, _, high in found.islands.tolist()]
-    # back along what bounds it from below
-    below = np.flatnonzero(f.low > -loop.gamma)[::-1]
-    alpha, beta, theta = (
-        np.append(f.alpha, f.low[below]),
-        np.append(b, b[below]),
-        np.append(f.angle, f.low_angle[below]),
-    )
+    # back along what bounds it from below; what is stable beyond gaps follows
+    below, (at, ends) = np.flatnonzero(f.low > -loop.gamma)[::-1], (found.islands[:, 0], found.islands[:, 1:].T)
+    alpha = np.concatenate([f.alpha, f.low[below], ends[1], ends[0][::-1]])
+    beta = np.concatenate([b, b[below], at, at[::-1]])
+    theta = np.concatenate([f.angle, f.low_angle[below], np.full(2 * len(at), np.nan)])
     lowest = min([lowest, *found.islands[:, 0].tolist()])
     top = max([top, *((b, high) for b, _, high in found.islands.tolist())])
     return Boundary(alpha, beta, theta, *max(extremes), *top, lowest, found.islands)

@@ -6,7 +6,6 @@ Source: Hulin 2017, secs. 3.4 and 3.5; the boundary by the closed form on |z| = 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -73,45 +72,6 @@ def stable_by_radius(loop: Loop, alpha: Floats, radius: Floats) -> Booleans:
     it: there the sign of alpha + gamma decides and not the last bit of an eigenvalue.
     """
     return np.asarray((radius < 1) & (alpha + loop.gamma > 0))
-
-
-@dataclass(frozen=True)
-class SampledPlant:
-    """The plant behind its delay, G = sum of z^-age (slope zeta + offset) / (zeta^2 + linear zeta + constant).
-
-    Parameters
-    ----------
-    linear, constant : float
-        Of the denominator in zeta = z - 1.
-    pushes : tuple of (int, float, float)
-        Age [samples], slope and offset of each part of a sampling interval.
-    """
-
-    linear: float
-    constant: float
-    pushes: tuple[tuple[int, float, float], ...]
-
-
-def sampled_plant(loop: Loop) -> SampledPlant:
-    """Return the transfer function from the wall's force to the sampled position.
-
-    Notes
-    -----
-    With velocity gain S and position gain G of a sampling interval, zeta = z - 1, the denominator is zeta^2 +
-    zeta (2 gamma G + delta S) + gamma (G (gamma G + delta S) + S^2): a sum without cancellation for small zeta and
-    stiffness.
-
-    Source: Hulin 2017, eqs. 3.9 and 3.11, in another form; modified z-transform for fractional d.
-    """
-    gain, impulse = (float(entry) for entry in loop.period.gain)
-    slip = loop.gamma * gain + loop.delta * impulse  # 1 - transition[1, 1]
-    pushes = []
-    for index, (segment, motion) in enumerate(zip(loop.segments, loop.flows, strict=True)):
-        push = motion.gain
-        for later in loop.flows[index + 1 :]:
-            push = later.transition @ push
-        pushes.append((segment.age, float(push[0]), float(push[0] * slip + impulse * push[1])))
-    return SampledPlant(loop.gamma * gain + slip, loop.gamma * (gain * slip + impulse**2), tuple(pushes))
 
 
 def boundary_points(loop: Loop, theta: Floats) -> tuple[Floats, Floats]:

@@ -77,15 +77,15 @@ def test_intervals_hold_the_truth_of_500_trials(quantum, noise):
     assert min(held(found, known_truth(500))) >= (0.92 if noise else 0.90)
 
 
-@pytest.mark.parametrize("of", ["falcon 1", "falcon 4", "lwr delay-2", "lwr delay-6", "lwr delay-8"])
+@pytest.mark.parametrize("of", ["falcon 1", "falcon 4", "falcon 6", "lwr delay-2", "lwr delay-6", "lwr delay-8"])
 def test_95_of_100_intervals_of_shipped_devices_hold_the_exact_cost(of):
-    """Not fewer and not many more, 1,000 trials each: chance alone moves the share by 0.7 % (one standard error)."""
+    """93 to 97 %, 1,000 trials each: chance moves a share by 0.7 % (standard error), the largest of 18 by more."""
     batch, experiment, costs = shipped(*of.split(), 1000)
     response, delay = find_response(batch), round(experiment.delay_samples)
     error = reading_error(batch, response, delay)
     found = energy_interval(batch, response, judge(batch, response), error, delay, experiment.mass)
     shares = held(found, np.stack(list(costs.values()), axis=1))
-    assert 0.93 <= min(shares) <= max(shares) <= 0.985
+    assert 0.93 <= min(shares) <= max(shares) <= 0.982
 
 
 def test_a_coarse_sensor_is_refused_rather_than_guessed():

@@ -102,11 +102,12 @@ def test_what_a_logger_does_is_named(rig, what):
 
 
 @pytest.mark.parametrize("rig", ["falcon", *(pytest.param(r, marks=pytest.mark.slow) for r in ("motor", "robot"))])
-def test_other_velocities_and_signals_are_no_departure_with_a_name(rig):
+def test_an_adaptive_window_is_named_and_a_position_loop_is_not(rig):
     device = RIGS[rig]
     coarse = replace(device, quantum=10 * device.quantum)
     adaptive = lab(coarse, 16, seed=505, window=15, band=coarse.quantum)
-    assert set(named(adaptive)) <= {"unknown"}
+    assert named(adaptive) == {"adaptive_velocity": 16}
+    assert named(written(adaptive, "%.6g"))["adaptive_velocity"] >= 12
     setpoint = device.step / float(sorted(adaptive.stiffness)[8])
     error = lab(device, 16, seed=505, error_of=setpoint)
     for sign in (1, -1):

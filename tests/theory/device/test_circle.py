@@ -15,7 +15,6 @@ from pipeline.theory.device.circle import circle_points, place_of
 from pipeline.theory.device.crossings import branches, counted_stretches, exact_branches, stretches
 from pipeline.theory.device.ends import ends
 from pipeline.theory.device.plain_branches import first_branch, is_sampled
-from pipeline.theory.stability.boundary import boundary
 
 NYQUIST = math.pi**2
 
@@ -143,23 +142,3 @@ def test_sampled_branches_are_those_of_polynomials(values) -> None:
     assert sampled.index.tolist() == exact.index.tolist()
     np.testing.assert_allclose(sampled.high, exact.high, rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(sampled.low, exact.low, rtol=1e-12, atol=1e-14)
-
-
-@pytest.mark.parametrize(
-    "loop",
-    [
-        Loop(0.11088747614118255, 0.007415654839155998, 5),
-        Loop(0.06212016989352451, 0.39703419797576445, 28.282591748854514),
-        Loop(0.12617174685976956, 1.1303816323042108, 4.605959410859267),
-    ],
-    ids=str,
-)
-def test_the_boundary_of_several_branches_is_one_line_around_what_is_stable(loop):
-    """Upper ends with the damping, and back along lower ones."""
-    border = boundary(loop, 200)
-    height, width = border.alpha_max + loop.gamma, border.beta_max - border.beta.min()
-    steps = np.hypot(np.diff(border.alpha) / height, np.diff(border.beta) / width)
-    assert np.sort(steps)[-2] < 0.15  # one gap on the line alpha = -gamma
-    back = int(np.argmax(border.beta))
-    assert (np.diff(border.beta[: back + 1]) >= 0).all()
-    assert (np.diff(border.beta[back + 1 :]) <= 0).all()

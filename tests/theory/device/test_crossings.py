@@ -104,13 +104,6 @@ def test_gain_and_operator_leave_the_loop_ideal():
     assert (loop.gamma, loop.delta) == pytest.approx((310 * 1e-6 / 0.65, 8 * 1e-3 / 0.65))
 
 
-def test_ideal_closed_forms_refuse_a_general_loop():
-    from pipeline.theory.stability.stability import sampled_plant
-
-    with pytest.raises(ParameterError, match="ideal loops only"):
-        sampled_plant(Loop(0.0, 0.01, 2.0, lag=1.0))
-
-
 def test_a_loop_that_nothing_stabilises_has_an_empty_outline():
     of_change = Coefficients(kind="coefficients", b=(1.0, -1.0), a=(1.0,))  # no damping at low frequencies
     found = outline(Loop(0.0, 0.0, 5.0, lag=3.0, velocity=of_change))
