@@ -109,7 +109,8 @@ def _modes(loop: Loop, alpha: bytes, beta: bytes, signal: str) -> Modes:
         zeta, known = _poles(loop, a, b)
         pole, chunk = zeta.T + 1, max(_NEIGHBOURS, _CACHED // states**2)
         for some in (slice(i, i + chunk) for i in range(0, len(a), chunk)):
-            state[some] = _states(loop, a[some], b[some], zeta[:, some], start[some])
+            with np.errstate(all="ignore"):  # what is no number is left to eigenvectors
+                state[some] = _states(loop, a[some], b[some], zeta[:, some], start[some])
             rest[some] = ~(known[some] & np.isfinite(state[some]).all(axis=(1, 2)))
     last = np.flatnonzero(rest)
     pole[last], state[last] = _by_eigenvectors(loop.matrix(a[last], b[last]), start[last])
