@@ -114,8 +114,8 @@ def _modes(loop: Loop, alpha: bytes, beta: bytes, signal: str) -> Modes:
             rest[some] = ~(known[some] & np.isfinite(state[some]).all(axis=(1, 2)))
     last = np.flatnonzero(rest)
     pole[last], state[last] = _by_eigenvectors(loop.matrix(a[last], b[last]), start[last])
-    # written so that what is no number is not apart
-    apart = np.linalg.norm(state, axis=1).sum(axis=1) <= _CANCELLED * np.linalg.norm(start, axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is no number, or too large for one, is not apart
+        apart = np.linalg.norm(state, axis=1).sum(axis=1) <= _CANCELLED * np.linalg.norm(start, axis=1)
     state[~apart] = np.nan
     return Modes(pole, state)
 
