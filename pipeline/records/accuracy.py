@@ -25,7 +25,9 @@ STORED = "accuracy"
 class Rung(Record):
     """One method at one setting: its largest error, and the least time [s] of repeated runs.
 
-    ``error`` is None where the method gave no number at all (division by zero, no convergence).
+    ``error`` is None where the method gave no number at all (division by zero, no convergence). Rungs of the measured
+    branch also have ``missing``, the share of trials without a value, and those of an experiment the number of its
+    ``trials``.
     """
 
     quantity: str
@@ -33,6 +35,8 @@ class Rung(Record):
     setting: str
     error: float | None
     seconds: float
+    missing: float | None = None
+    trials: int | None = None
 
 
 class LeftOut(Record):
@@ -58,8 +62,19 @@ class Sweep(Record):
     wrong_verdicts: int | None = None
 
 
+class MeasuredAccuracy(Record):
+    """The part of the measured branch: errors of estimators and costs on simulated truth."""
+
+    rungs: tuple[Rung, ...]
+    seconds: float
+
+
 class AccuracyReport(Record):
-    """All that `pipeline accuracy` found; ``key`` says for which code and machine it holds."""
+    """All that `pipeline accuracy` found; ``key`` says for which code and machine it holds.
+
+    ``rungs``, ``sweeps`` and what is made of them concern the theory, and are empty where it was left out;
+    ``measured_branch`` is None where that was.
+    """
 
     key: str
     quick: bool
@@ -69,6 +84,7 @@ class AccuracyReport(Record):
     sweeps: tuple[Sweep, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
     seconds: float = 0.0
+    measured_branch: MeasuredAccuracy | None = None
 
 
 def machine() -> dict[str, str]:

@@ -35,7 +35,7 @@ COMMANDS = {
     "theory boundary": ["--delay", "--gamma", "--delta", "--device", "--experiment", "--robust", "--json"],
     "theory optimum": ["--criterion", "--delay", "--gamma", "--delta", "--device", "--signal", "--json"],
     "theory tables": ["--table", "--json"],
-    "accuracy": ["--quick", "--out", "--processed", "--json"],
+    "accuracy": ["--only", "--quick", "--out", "--processed", "--json"],
     "theory map": ["--delay", "--gamma", "--delta", "--device", "--size", "--criteria", "--out", "--json"],
 }
 

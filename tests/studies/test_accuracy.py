@@ -39,7 +39,7 @@ CASE = methods.Case(0.001, 0.02, 4)
 
 @pytest.fixture(scope="module")
 def report() -> AccuracyReport:
-    return measure(quick=True)
+    return measure(quick=True, measured=False)
 
 
 # reference values, by methods that share nothing with their script
@@ -312,9 +312,9 @@ def test_command_writes_page_and_json(tmp_path: Path, monkeypatch: pytest.Monkey
     from pipeline.shell import cli
     from pipeline.studies.accuracy import run
 
-    monkeypatch.setattr(run, "measure", lambda quick, say: report)
+    monkeypatch.setattr(run, "measure", lambda quick, say, theory, measured: report)
     out, processed = tmp_path / "page.html", tmp_path / "processed"
-    arguments = ["accuracy", "--quick", "--json", "--out", str(out), "--processed", str(processed)]
+    arguments = ["accuracy", "--only", "theory", "--quick", "--json", "--out", str(out), "--processed", str(processed)]
     result = CliRunner().invoke(cli.app, arguments)
     assert result.exit_code == 0
     assert AccuracyReport.model_validate(json.loads(result.stdout)) == report
@@ -336,7 +336,7 @@ def test_reports_of_comparisons_show_the_stored_measurement(report: AccuracyRepo
 
 @pytest.mark.slow
 def test_full_measurement_holds_up_to_the_largest_delay() -> None:
-    report = measure()
+    report = measure(measured=False)
     assert report.seconds < 120  # a minute on a quiet core
     longest = {s.sweep: s for s in report.sweeps if s.method == OURS and s.sweep.startswith("delay")}
     assert all(s.x[-1] == 256 and s.starts is None for s in longest.values())

@@ -19,7 +19,8 @@ DIRECTLY: dict[str, tuple[str, ...]] = {
     "comparison": ("profiles", "rendering", "plan", "simulation"),
     "surface": ("intake", "simulation", "comparison"),
     "rig": ("surface",),
-    "studies": ("theory", "simulation", "rendering"),
+    # they hold estimators against simulated truth, whose exact costs and limits are those of theory
+    "studies": ("measured", "theory", "simulation", "rendering"),
 }
 """Folders that the modules of a folder may import from, as in docs/architecture.md; and all that these may."""
 

@@ -25,6 +25,13 @@ class DampingRange(StrEnum):
     full = "full"
 
 
+class AccuracyPart(StrEnum):
+    """Which part of the accuracy page is measured."""
+
+    theory = "theory"
+    measured = "measured"
+
+
 def demo(
     full: Annotated[bool, typer.Option("--full", help="Thesis size: all experiments, all trials.")] = False,
 ) -> None:
@@ -128,6 +135,9 @@ def accuracy(
     out: Annotated[Path, typer.Option("--out", help="HTML file to write, with the JSON document beside it.")] = Path(
         "reports/accuracy.html"
     ),
+    only: Annotated[
+        AccuracyPart | None, typer.Option("--only", help="This part alone; the page then has no other.")
+    ] = None,
     quick: Annotated[
         bool, typer.Option("--quick", help="Fewer settings and repetitions: seconds, not two minutes.")
     ] = False,
@@ -136,7 +146,7 @@ def accuracy(
 ) -> None:
     """Measure error against run time of each numerical method.
 
-    Reports of comparisons show the results while code and machine are unchanged.
+    Reports of comparisons show the part on the theory while code and machine are unchanged.
 
     Example: pipeline accuracy --quick
     """
@@ -146,14 +156,17 @@ def accuracy(
 
     check_output(out, "--out", document_beside=True)
     say = (lambda _: None) if as_json else console.note
-    report = run.measure(quick, say)
+    parts = {"theory": only != AccuracyPart.measured, "measured": only != AccuracyPart.theory}
+    report = run.measure(quick, say, **parts)
     page.write(report, out)
     write_text(out.with_suffix(".json"), report.model_dump_json(indent=1) + "\n")
-    results.store(report, processed)
+    if report.rungs:
+        results.store(report, processed)
     if as_json:
         console.print_json(report.model_dump(mode="json"))
         return
-    for line in console.table(page.summary_rows(report), ("quantity", "error", "time", "other", "other time")):
-        console.say(line)
+    if report.rungs:
+        for line in console.table(page.summary_rows(report), ("quantity", "error", "time", "other", "other time")):
+            console.say(line)
     console.say(f"{report.machine['processor']}, Python {report.machine['python']}, numpy {report.machine['numpy']}")
     console.say(f"report: {out}")

@@ -12,6 +12,7 @@ from pipeline.base.wording import duration, error_text, power_of_ten
 from pipeline.records.accuracy import OURS, WRONG, AccuracyReport, Rung, Sweep
 from pipeline.rendering.report.page_template import fill_template
 from pipeline.studies.accuracy.ladder import grouped
+from pipeline.studies.accuracy.names import RECOMMENDED
 from pipeline.studies.accuracy.run import words
 
 COLUMNS = 3
@@ -26,13 +27,17 @@ SMALLEST = 1e-17
 
 def render(report: AccuracyReport) -> str:
     """Return the page as one HTML document."""
+    measured = report.measured_branch.rungs if report.measured_branch else ()
     return fill_template(
         "accuracy.html.j2",
         report=report,
         summary=summary_rows(report),
         paths=list(_paths(report.sweeps)),
-        svg=picture(report.rungs),
-        rows=[(r.quantity, r.method, r.setting, error_text(r.error), duration(r.seconds)) for r in report.rungs],
+        parts=[
+            {"name": name, "title": title, "svg": picture(rungs, f"picture-{name}"), "rows": list(map(_row, rungs))}
+            for name, title, rungs in (("theory", "Theory", report.rungs), ("measured", "Measured branch", measured))
+            if rungs
+        ],
         wrong=error_text(WRONG),
         meaning=words()["meaning"],
     )
@@ -62,7 +67,7 @@ def summary_rows(report: AccuracyReport) -> tuple[dict[str, str], ...]:
     return tuple(rows)
 
 
-def picture(rungs: Sequence[Rung]) -> str:
+def picture(rungs: Sequence[Rung], identifier: str) -> str:
     """Return error (abscissa) against run time, a panel a quantity and a line a method, as one ``<svg>``."""
     import matplotlib  # takes half a second that other commands do without
     from matplotlib.figure import Figure
@@ -80,8 +85,9 @@ def picture(rungs: Sequence[Rung]) -> str:
         for axes, (quantity, of) in zip(panels, quantities.items(), strict=False):
             axes.set(xscale="log", yscale="log", title=quantity, xlabel="error", ylabel="run time [s]")
             for number, (method, known) in enumerate(grouped((r for r in of if r.error is not None), "method").items()):
+                leading = method == OURS or method in RECOMMENDED
                 error = np.maximum([r.error or 0.0 for r in known], SMALLEST)
-                look = {"color": style.INK, "marker": "*", "ms": 9} if method == OURS else {"marker": "o", "ms": 3}
+                look = {"color": style.INK, "marker": "*", "ms": 9} if leading else {"marker": "o", "ms": 3}
                 look.setdefault("color", style.SERIES[number % (len(style.SERIES) - 1)])
                 axes.plot(error, [r.seconds for r in known], label=method, **look)
             for axis in (axes.xaxis, axes.yaxis):
@@ -90,7 +96,7 @@ def picture(rungs: Sequence[Rung]) -> str:
             axes.minorticks_off()
             axes.legend()
         text = "; ".join(f"{r.quantity} by {r.method}, {r.setting}: {r.error} in {r.seconds:.1e} s" for r in rungs)
-        return style.svg(drawing, "picture", "Error against run time of every method", text)
+        return style.svg(drawing, identifier, "Error against run time of every method", text)
 
 
 def _paths(sweeps: Sequence[Sweep]) -> Iterator[dict[str, object]]:
@@ -109,3 +115,8 @@ def _paths(sweeps: Sequence[Sweep]) -> Iterator[dict[str, object]]:
         ]
         if rows:
             yield {"path": path, "rows": rows}
+
+
+def _row(rung: Rung) -> tuple[str, ...]:
+    missing = "" if rung.missing is None else f"{rung.missing:.0%}"
+    return rung.quantity, rung.method, rung.setting, error_text(rung.error), duration(rung.seconds), missing

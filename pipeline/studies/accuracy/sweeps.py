@@ -115,7 +115,7 @@ def _transfers() -> dict[str, methods.TransferOf]:
 
 def _plant_error(transfer: methods.TransferOf, row: Row) -> float | None:
     found, exact = np.array(transfer(row["gamma"], row["delta"])[:2]), np.array(row["numerator"])
-    return largest((found - exact) / exact) if np.isfinite(found).all() else None
+    return largest((found - exact) / exact)[0] if np.isfinite(found).all() else None
 
 
 def _radii() -> dict[str, Callable[[Row], Verdict]]:
