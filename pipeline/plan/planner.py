@@ -225,16 +225,18 @@ def _next(column: Column, found: State, aim: Aim, course: Course) -> Next:
     chance = column.split.unstable
     known = f"stable at {bracket.low:g} {K}" if bracket.low is not None else "no stable wall yet"
     known += f", unstable at {bracket.high:g} {K}" if bracket.high is not None else ", no unstable wall yet"
+    if bracket.low is None and bracket.high is None:
+        known = "no verdict at this damping yet"
     basis = (
-        f"limit expected at {column.estimate:.4g} {K}"
-        if found.forecast.adequate
+        f"limit expected at {rounded(column.estimate, aim.accuracy * found.largest):g} {K}"
+        if found.forecast.adequate and column.estimate is not None
         else f"bisection alone: no loop explains the limits (misfit {found.forecast.misfit:.0%})"
     )
     lasting = "; stable walls lie above unstable ones, the lowest limit counts" if bracket.lasting else ""
     expected = "unstable" if chance > SURE else "stable" if chance < 1 - SURE else "undecided"
     if aim.gentle and wall < (column.estimate or 0):
         expected = "stable"
-    return Next(stiffness=wall, damping=column.damping, expected=expected, why=f"{at}: {known}; {basis}{lasting}")
+    return Next(stiffness=wall, damping=column.damping, expected=expected, why=f"{known}; {basis}{lasting}")
 
 
 def _search(course: Course, wish: Wish, found: State, aim: Aim) -> Search:

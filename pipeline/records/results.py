@@ -128,7 +128,9 @@ class UseRegion(Record):
 class AnswerEstimate(Record):
     """A quantity of the first screen with its 95 % interval; an end is null where nothing bounds it.
 
-    ``large_motion`` is the linear limit of a device with friction, from which on a harder push is unstable.
+    ``large_motion`` is the linear limit of a device with friction, from which on a harder push is unstable. Of the
+    replay, the value is the share of verdicts that it has right behind walls that it was not fitted to, and
+    ``limits_off_percent`` the median error of its limits.
     """
 
     name: Literal["delay_samples", "mass", "damping", "friction", "stiffness_max", "replay"]
@@ -137,6 +139,7 @@ class AnswerEstimate(Record):
     high: float | None
     unit: str
     large_motion: float | None = None
+    limits_off_percent: float | None = None
 
 
 class Prediction(Record):

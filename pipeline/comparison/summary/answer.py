@@ -91,7 +91,7 @@ def _spacing(result: ExperimentResult, rows: Sequence[ComparisonRow], stages: Ex
 
 
 def _estimates(result: ExperimentResult, units: Units, *, limit: bool) -> tuple[AnswerEstimate, ...]:
-    """Return delay, mass, damping, friction and the largest limit, those of a device fitted to all trials first."""
+    """Return delay, mass, damping, friction, largest limit and replay; of a device fitted to all trials first."""
     found = []
     for name in ("delay_samples", "mass", "damping", "friction"):
         estimate = result.estimates.get(name)
@@ -114,6 +114,10 @@ def _estimates(result: ExperimentResult, units: Units, *, limit: bool) -> tuple[
                 large_motion=point.stiffness_large_motion,
             )
         )
+    if result.replay is not None and result.replay.verdicts_same is not None and limit:
+        right, off = 100 * result.replay.verdicts_same, result.replay.limits_off_percent
+        told = AnswerEstimate(name="replay", value=right, low=None, high=None, unit="%", limits_off_percent=off)
+        found.append(told)
     return tuple(found)
 
 

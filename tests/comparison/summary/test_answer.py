@@ -33,8 +33,11 @@ def test_an_ideal_course_has_all_answers(result):
     assert list(found.model_dump())[1] == "wall"
     assert found.wall == result.experiments[0].use.point
     names = [each.name for each in found.estimates]
-    assert names == ["delay_samples", "mass", "damping", "friction", "stiffness_max"]
-    assert all(each.low <= each.value <= each.high for each in found.estimates)
+    assert names == ["delay_samples", "mass", "damping", "friction", "stiffness_max", "replay"]
+    assert all(each.low <= each.value <= each.high for each in found.estimates[:-1])
+    replay = result.experiments[0].replay
+    assert found.estimates[-1].value == 100 * replay.verdicts_same > 90
+    assert found.estimates[-1].limits_off_percent == replay.limits_off_percent
     assert found.predicts.code == "yes"
     assert abs(found.predicts.percent) < 2
     assert found.causes == ()
@@ -136,7 +139,7 @@ def test_intervals_are_left_out_where_the_loop_does_not_hold(data, result):
     found = told(data, result, loop=loop, estimates=without)
     assert {(e.low, e.high) for e in found.estimates[:3]} == {(None, None)}
     assert found.estimates_reason == "No interval where the loop does not hold: the mass drifts."
-    assert found.estimates[-1].low is not None
+    assert found.estimates[4].low is not None
 
 
 def test_without_limits_the_answers_say_why(data, result):
