@@ -139,7 +139,7 @@ def _loop_result(
     numbers: dict[str, Any] = {"velocity": filter_parameters(shown.velocity, shown.of_logs) if shown.velocity else None}
     told = friction is not None and None not in (friction.value, friction.low, friction.high)
     if fitted is not None and fitted.holds:
-        explained = fitted.explained / fitted.held_out
+        explained = fitted.explained / fitted.held_out if fitted.held_out else None
         numbers |= {name: fitted.parameter(name) for name in ("stiffness", "actuator_lag_s")}
         numbers["mode"] = mode_parameters(fitted)
     if parts is not None:

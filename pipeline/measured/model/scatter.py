@@ -21,6 +21,12 @@ OWN_ROWS = 20.0
 ROUNDS = 4
 """Rounds of weights and variances between trials, of which each rests on the other."""
 
+ROUNDED = 1e-16
+"""Share of the motion below which what is left of it is rounding."""
+
+LEAST_NOISE = 1e-100
+"""Noise of logs without any motion, of which everything is told."""
+
 RIDGE = 1e-12
 """Share of a number's information that is added to it: directions without any get a step of 0."""
 
@@ -81,7 +87,9 @@ def solve(moments: Moments, random: Integers) -> Solved:
     rows = np.maximum(moments.rows, 1.0)
     # at first by what each unit leaves at its own best numbers
     rest = _Mixed(products).rest
-    noise = float(np.median(rest / rows))
+    # numbers are rounded by as much, and of readings that never change nothing is left
+    least = max(float(products[:, p, p].sum()) * ROUNDED**2 / float(rows.sum()), LEAST_NOISE)
+    noise = max(float(np.median(rest / rows)), least)
     weight, variances = (rows + OWN_ROWS) / (OWN_ROWS + rest / noise), np.zeros(p)
     for count in range(ROUNDS):
         mixed = _Mixed(products * (weight / noise)[:, None, None])
@@ -91,7 +99,7 @@ def solve(moments: Moments, random: Integers) -> Solved:
         squares = found.squares * noise / weight
         for _ in range(20):
             weight = (rows + OWN_ROWS) / (OWN_ROWS + squares / noise)
-            noise = float((weight * squares).sum() / rows.sum())
+            noise = max(float((weight * squares).sum() / rows.sum()), least)
     likelihood = found.determinants.sum() - 0.5 * float(
         (rows * np.log(noise) + (rows + OWN_ROWS) * np.log1p(squares / (OWN_ROWS * noise))).sum()
     )

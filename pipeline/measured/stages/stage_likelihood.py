@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.ladder.trials import spread_over_plane
 from pipeline.measured.model.identified import Identified, identified
 from pipeline.measured.model.recordings import GAP, Recording
@@ -70,28 +71,37 @@ def likeliest(of: Experiment) -> Columns:
     if device is None or "mass" in device.untold:
         return {name: [] for name in TABLES["ladder"]}
     fits = device.replay.fit[np.isfinite(device.replay.fit)]
+    fit = float(np.median(fits)) if len(fits) else np.nan
+    if not fit >= FOLLOWS:  # its free runs say nothing of logs that it was not fitted to
+        return {name: [] for name in TABLES["ladder"]}
     return {
         "role": ["best"],
         "parts": [",".join(PARTS[name] for name, gain in device.parts.items() if gain > 0)],
         "explained": [int((fits >= FOLLOWS).sum())],
         "held_out": [len(fits)],
-        "score": [float(np.median(fits)) if len(fits) else np.nan],
-        "numbers": [json.dumps(_numbers(device, chosen))],
+        "score": [fit],
+        "numbers": [json.dumps(_numbers(device, chosen, 1 - fit / 100))],
     }
 
 
-def _numbers(device: Identified, chosen: list[str]) -> dict[str, Any]:
-    """Return the numbers of a device in SI as the stage holds them, with their scatter and those without each fold."""
+def _numbers(device: Identified, chosen: list[str], left: float) -> dict[str, Any]:
+    """Return the numbers of a device in SI as the stage holds them, with their scatter and those without each fold.
+
+    What is ``left`` of the motion by free runs may be an error of each number by the same share: the model lacks
+    something then, which its own likelihood does not know of.
+    """
     unit = {name: 1 / device.scales.period if name == "delay" else 1.0 for name in device.parameters}
     units = np.array(list(unit.values()))
     folds = [{NAMES[name]: value * unit[name] for name, value in fold.items()} for fold in device.folds]
     # a delay that nothing tells is none
     late = set() if "delay" in unit else {"delay_samples"}
     values = {NAMES[name]: each.value * unit[name] for name, each in device.parameters.items()}
+    error = left * np.array([*values.values()]) / NORMAL_95
+    covariance = device.covariance * np.outer(units, units) + np.diag(error**2)
     return {
         "names": [*values, *late],
         "values": [*values.values(), *(0.0 for _ in late)],
-        "covariance": np.pad(device.covariance * np.outer(units, units), (0, len(late))).tolist(),
+        "covariance": np.pad(covariance, (0, len(late))).tolist(),
         "saturated": 0.0,
         "scatter": {NAMES[name]: value * unit.get(name, 1.0) for name, value in device.scatter.items()},
         "open": sorted({NAMES[name] for name in device.untold} | late),

@@ -270,7 +270,8 @@ def given_to_energy(of: Experiment) -> Given:
 def _sensor(of: Experiment, samples: int, spring: float) -> Given:
     """What a cost and the error of a reading take from all trials: a spring, the sensor, the usual gain."""
     noise, quantum, rows = (of.column("response", name) for name in ("sensor_noise", "sensor_quantum", "edge_row"))
-    sensor = sensor_error(noise, quantum, rows.astype(np.int64))
+    begun = np.isfinite(rows)
+    sensor = sensor_error(noise[begun], quantum[begun], rows[begun].astype(np.int64))
     if not np.isfinite(sensor):
         return {"delay": samples, "sensor": None, "gain": 1.0, "spring": spring}
     gain = np.concatenate(of.of_each(_gain_at_rest, delay=samples, sensor=sensor, spring=spring))
