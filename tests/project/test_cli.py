@@ -453,7 +453,10 @@ def test_wrong_comparisons_are_refused(call, course, arguments, status, message,
 )
 def test_a_file_that_cannot_be_written_is_told_before_the_work(call, words, tmp_path):
     (tmp_path / "file").touch()
-    refused = ((".", 2, "--out .: is a folder"), ("file/a.html", 1, "since file takes no files (Not a directory)"))
+    refused = (
+        *((".", 2, f"{words[-1]} .: is a folder"),),
+        *(("file/a.html", 1, "since file takes no files (Not a directory)"),),
+    )
     for place, expected, message in refused:
         status, out, err = call(*words, place)
         assert (status, out) == (expected, "")

@@ -91,7 +91,7 @@ def test_from_a_foreign_csv_to_a_report(capsys):
     report = Path("reports/bench.html").read_text(encoding="utf-8")
     assert "<svg" in report
     assert "tability boundar" in report
-    assert "largest stable stiffness" in outputs["pipeline compare --device bench"]
+    assert "stability limit" in outputs["pipeline compare --device bench"]
     assert "lab/K100_B1.csv, row 4: " in outputs["pipeline ingest lab --profile lab.toml"]
     assert ">      4  1;--;0;" in outputs["pipeline quarantine lab/K100_B1.csv"]
     assert "1 tried, 1 accepted, 0 refused, 0 gone" in outputs["pipeline quarantine --retry --profile lab.toml"]

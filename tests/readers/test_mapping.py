@@ -368,7 +368,7 @@ def test_one_refused_trial_refuses_its_file(lab):
 
 def test_trials_of_a_former_version_are_not_read_even_before_they_are_removed(lab, monkeypatch):
     lab.ingest(LONG_TOML, {"long.txt": LONG})
-    monkeypatch.setattr(ingest_module, "tidy", lambda *_: None)
+    monkeypatch.setattr(ingest_module, "tidy", lambda *_, **__: None)
     shorter = "".join(line for line in LONG.splitlines(keepends=True) if not line.startswith("c"))
     lab.ingest(LONG_TOML, {"long.txt": shorter})
     assert sum(read_table(file).num_rows for file in lab.processed.glob("trials/**/*.parquet")) == 5

@@ -170,7 +170,7 @@ def _reason(result: ExperimentResult, against: list[Doubt], shown: Shown, parts:
     if not against and fitted is not None and fitted.holds:
         alike = f"; {' or '.join(fitted.alike)} cannot be told apart from it" if fitted.alike else ""
         return (
-            f"one device with mass, damping, delay and {listed(list(fitted.parts))} explains {fitted.explained} of "
+            f"one device with {listed(['mass', 'damping', 'delay', *fitted.parts])} explains {fitted.explained} of "
             f"{fitted.held_out} logs that it was not fitted to, and the measured limits (next best: "
             f"{fitted.next_best}){alike}. What changes force per command alone shows in the mass"
         )

@@ -37,6 +37,8 @@ def replayed(held: Stretches, device: Device) -> Replay:
     The fit is 100 (1 - |y - found| / |y - mean y|), that of system identification; NaN where a log does not move.
     """
     count, states = len(held), len(device.shape.system[1])
+    if not count:
+        return Replay(held, held.position, np.empty(0))
     start = np.zeros((count, states))
     start[:, 0] = held.position[0]
     few = np.minimum(held.rows - 1, 5)

@@ -9,6 +9,17 @@ from pipeline.rendering import labels
 TEMPLATES = Path(__file__).parents[1] / "templates"
 """Folder of templates, style sheets, scripts and the vendored plot library."""
 
+FILTERS = {
+    "stiffness": labels.stiffness_text,
+    "damping": labels.damping_text,
+    "digits": labels.significant,
+    "capitalised": lambda text: text[:1].upper() + text[1:],
+    "size": labels.size_text,
+    "cost": lambda cost, criterion: labels.cost_range_text(criterion, cost, cost),
+    "rounded": labels.estimate_texts,
+}
+"""How templates write quantities."""
+
 
 def fill_template(name: str, **content: object) -> str:
     """Return a template of `TEMPLATES` with its names replaced by their content, as text of the page.
@@ -34,13 +45,5 @@ def fill_template(name: str, **content: object) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {
-        "stiffness": labels.stiffness_text,
-        "damping": labels.damping_text,
-        "digits": labels.significant,
-        "capitalised": lambda text: text[:1].upper() + text[1:],
-        "size": labels.size_text,
-        "cost": lambda cost, criterion: labels.cost_range_text(criterion, cost, cost),
-        "rounded": labels.estimate_texts,
-    }
+    environment.filters |= FILTERS
     return environment.get_template(name).render(**content)

@@ -16,7 +16,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from pipeline.rendering.labels import cost_text, criterion_label, criterion_name, significant
-from pipeline.rendering.report.page_template import TEMPLATES
+from pipeline.rendering.report.page_template import FILTERS, TEMPLATES
 from pipeline.rendering.report.report_against import value_name
 from pipeline.service.database import ENDED
 from pipeline.service.problems import Problem
@@ -31,18 +31,18 @@ HERE = Path(__file__).parent
 @cache
 def _environment() -> Environment:
     found = Environment(
-        loader=FileSystemLoader([HERE / "templates"]),
+        loader=FileSystemLoader([HERE / "templates", TEMPLATES]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    found.filters |= {
+    found.filters |= FILTERS | {
         "short": _short,
         "name": criterion_name,
         "value_name": value_name,
         "when": _when,
-        "cost": cost_text,
+        "cost_of": cost_text,
         "label": criterion_label,
         "etag": tag_of,
         "ago": _ago,

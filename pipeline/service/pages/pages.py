@@ -20,6 +20,8 @@ from starlette.concurrency import run_in_threadpool
 from pipeline.intake.correct import in_bin
 from pipeline.intake.quarantine import list_quarantine
 from pipeline.records.criteria import REPORTED
+from pipeline.records.models import Motion
+from pipeline.records.results import Answer
 from pipeline.rendering.labels import UNITS
 from pipeline.service import profiles
 from pipeline.service.catalogue import WORDS, Selection
@@ -63,10 +65,9 @@ def home(service: Shared, request: Request) -> Response:
         by_device: dict[str, list[dict[str, Any]]] = {}
         for e in all_.experiments:
             document = service.peek(e["device"], e["experiment"])
-            told = (document or {}).get("answer") or {}
             shown = {
                 "picture": bool(document and document["figures"].get("limits")),
-                "verdict": told.get("verdict", ""),
+                "answer": answer_of(document),
             }
             by_device.setdefault(e["device"], []).append(
                 {**e, **shown, "tags": tags.get((e["device"], e["experiment"]), [])}
@@ -103,19 +104,27 @@ def one_experiment(service: Shared, request: Request, device: Segment, experimen
     trials, _ = service.catalogue.page(chosen, "stiffness", PLOTTED, None)
     found = document["experiments"][0] if document else None
     drawn = document["figures"].get("limits") if document else None
+    motion: Motion = trials[0]["motion"] if trials else "translation"
     next_, planning = None, job
     if found:
         next_, planning, _ = kept(service, lambda: service.plan(device, experiment, "boundary"))
-    of = ["experiment", device, experiment]
+    of, told = ["experiment", device, experiment], (document or {}).get("told")
     return page_of(
         service, request, "experiment.html.j2", device=device, experiment=experiment, trials=trials[:LISTED],
-        total=total, facets=facets, units=UNITS[trials[0]["motion"] if trials else "translation"],
+        total=total, facets=facets, motion=motion, units=UNITS[motion],
+        period=told["sampling_period_s"] if told else None,
         plot=clickable(drawn, trials) if drawn else None, caption=drawn["caption"] if drawn else "",
-        found=found, answer=(document or {}).get("answer"), job=job or planning, problem=problem, plan=next_,
+        found=found, answer=answer_of(document), job=job or planning, problem=problem, plan=next_,
         causes=document["causes"][experiment] if document else [],
         excluded=service.excluded(of), words=words_of(service, of), of=of,
         remarks=[note for note in service.notes(device, experiment) if note.trial_id],
     )  # fmt: skip
+
+
+def answer_of(document: Mapping[str, Any] | None) -> Answer | None:
+    """Return the answer of a document of the service, None before there is one."""
+    told = (document or {}).get("answer")
+    return Answer.model_validate(told) if told else None
 
 
 def words_of(service: Service, of: list[str]) -> dict[str, Any]:

@@ -118,4 +118,5 @@ def _by_modes(loop: Loop, law: Floats, found: Modes) -> tuple[Floats, Booleans]:
         # poles are rounded by 1e-16 and more, and count by 1/(1 - ratio); modes that cancel magnify that
         size, slowness = np.abs(seen), np.abs(once)
         gross = ((size @ slowness) * size).sum(axis=2) / np.einsum("nii->ni", sums[0])
-        return sums, np.asarray(_EPS * slowness.max(axis=(1, 2)) * gross.max(axis=1) < _SKEW)
+        good = (_EPS * slowness.max(axis=(1, 2)) * gross.max(axis=1) < _SKEW) & (np.abs(found.pole) < 1).all(axis=1)
+        return sums, np.asarray(good)

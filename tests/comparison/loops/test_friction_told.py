@@ -17,7 +17,9 @@ from pipeline.rendering.labels import UNITS
 RESTS = RestForces(-0.501, 35, 42, False)
 
 
-@pytest.mark.parametrize(("coulomb", "told"), [(0.9, "0.90 N, 11 % of the step: settling times"), (0.1, "0.10 N.")])
+@pytest.mark.parametrize(
+    ("coulomb", "told"), [(0.9, "0.90 N, 11 % of the step: it rests off target, and settling times"), (0.1, "0.10 N.")]
+)
 def test_friction_of_more_than_a_band_is_told_with_what_it_does(coulomb, told):
     stages = SimpleNamespace(trials=pa.table({"step": [8.0, -8.0, 8.0]}))
     assert told in friction_words(coulomb, "N", stages)

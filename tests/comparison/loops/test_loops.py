@@ -82,7 +82,6 @@ def test_an_adequate_loop_is_the_true_one_and_its_passive_wall_is_stable(compare
         ("lost rows", "missing_rows"),
         pytest.param("hidden rows", "missing_rows", marks=pytest.mark.slow),
         ("repeated rows", "repeated_rows"),
-        ("several steps", "several_steps"),
         ("jitter", "delay_jitter"),
         pytest.param("friction strong", "coulomb_friction", marks=pytest.mark.slow),
         pytest.param("clipping", "saturation", marks=pytest.mark.slow),
@@ -115,6 +114,18 @@ def test_what_logs_show_is_named_and_no_other_loop_bears_a_statement(compared, n
         assert result.answer.estimates_reason.startswith("No interval where the loop does not hold")
     else:
         assert "ladder" in found.estimates["delay_samples"].by_method
+
+
+def test_a_force_of_several_steps_leaves_the_loop_as_it_is(compared):
+    course, result = compared("several steps")
+    (found,) = result.experiments
+    assert found.loop.adequate
+    assert found.replay.is_right
+    assert {cause.code for cause in found.causes} - {"coarse_sensor"} == {"several_steps"}
+    assert found.loop.delay_samples.value == pytest.approx(course.setup.delay_samples, abs=0.01)
+    for quantity in ("mass", "damping"):
+        estimate, truth = found.estimates[quantity], getattr(course.experiment, quantity)
+        assert estimate.low <= truth <= estimate.high
 
 
 @pytest.mark.parametrize("seed", [SEED, pytest.param(810, marks=pytest.mark.slow)])
