@@ -134,7 +134,10 @@ class TrialWriter:
         """Make all that was collected visible and return its sources; after an error all that is stored is valid."""
         batches = list(self._batches.values())
         for start in range(0, len(batches), OPEN_FILES):
-            self.folders.update(path.parent for path in each(_Batch.publish, batches[start : start + OPEN_FILES]))
+            some = batches[start : start + OPEN_FILES]
+            for batch in some:  # one after the other: the name of a folder depends on those that are there
+                batch.write_pending()
+            self.folders.update(path.parent for path in each(_Batch.publish, some))
         self._batches.clear()
         publish(self.processed)
         sources, self._sources, self._bytes = self._sources, [], 0
@@ -170,9 +173,8 @@ class _Batch:
         self.pending, self.bytes = [], 0
 
     def publish(self) -> Path:
-        """Make all logs visible."""
-        self.write_pending()
-        assert self.file is not None, "a batch is made for a log"
+        """Make all that was written visible."""
+        assert self.file is not None, "a batch is made for a log, and written before"
         return self.file.publish()
 
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.ladder.trials import spread_over_plane
 from pipeline.measured.model.identified import Identified, identified
 from pipeline.measured.model.recordings import GAP, Recording
+from pipeline.measured.model.scatter import FEWEST
 from pipeline.measured.stages.stage_given import Experiment
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 from pipeline.records.batch import TrialBatch
@@ -27,6 +27,9 @@ MOST_ROWS = 600
 
 AHEAD = 40
 """Rows before the step that are kept."""
+
+LEAST = 1e-300
+"""Variance of a number that is known exactly."""
 
 FOLLOWS = 50.0
 """Fit of a free run [%] from which on it follows a log: more than half of the motion is predicted."""
@@ -72,7 +75,7 @@ def likeliest(of: Experiment) -> Columns:
         return {name: [] for name in TABLES["ladder"]}
     fits = device.replay.fit[np.isfinite(device.replay.fit)]
     fit = float(np.median(fits)) if len(fits) else np.nan
-    if not fit >= FOLLOWS:  # its free runs say nothing of logs that it was not fitted to
+    if len(found) < FEWEST and not fit >= FOLLOWS:  # no trial without which it was fitted, and none that it follows
         return {name: [] for name in TABLES["ladder"]}
     return {
         "role": ["best"],
@@ -80,24 +83,22 @@ def likeliest(of: Experiment) -> Columns:
         "explained": [int((fits >= FOLLOWS).sum())],
         "held_out": [len(fits)],
         "score": [fit],
-        "numbers": [json.dumps(_numbers(device, chosen, 1 - fit / 100))],
+        "numbers": [json.dumps(_numbers(device, chosen))],
     }
 
 
-def _numbers(device: Identified, chosen: list[str], left: float) -> dict[str, Any]:
-    """Return the numbers of a device in SI as the stage holds them, with their scatter and those without each fold.
-
-    What is ``left`` of the motion by free runs may be an error of each number by the same share: the model lacks
-    something then, which its own likelihood does not know of.
-    """
+def _numbers(device: Identified, chosen: list[str]) -> dict[str, Any]:
+    """Return the numbers of a device in SI as the stage holds them, with their scatter and those without each fold."""
     unit = {name: 1 / device.scales.period if name == "delay" else 1.0 for name in device.parameters}
     units = np.array(list(unit.values()))
     folds = [{NAMES[name]: value * unit[name] for name, value in fold.items()} for fold in device.folds]
     # a delay that nothing tells is none
     late = set() if "delay" in unit else {"delay_samples"}
     values = {NAMES[name]: each.value * unit[name] for name, each in device.parameters.items()}
-    error = left * np.array([*values.values()]) / NORMAL_95
-    covariance = device.covariance * np.outer(units, units) + np.diag(error**2)
+    # an interval may be wider than the likelihood alone says
+    told = np.sqrt(np.maximum(device.covariance.diagonal(), LEAST))
+    wider = units * np.maximum([each.error for each in device.parameters.values()] / told, 1.0)
+    covariance = device.covariance * np.outer(wider, wider)
     return {
         "names": [*values, *late],
         "values": [*values.values(), *(0.0 for _ in late)],
