@@ -40,8 +40,8 @@ def test_an_interrupted_ingest_says_what_is_stored(tmp_path, monkeypatch):
 
 def test_ctrl_c_is_answered_on_stderr(tmp_path):
     (tmp_path / "logs").mkdir()
-    for number in range(400):
-        (tmp_path / "logs" / f"{number}.csv").write_text(log_text(float(number + 1), rows=900))
+    for number in range(1000):
+        (tmp_path / "logs" / f"{number}.csv").write_text(log_text(float(number + 1), rows=500))
     process = subprocess.Popen(COMMAND, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
     while not (tmp_path / "processed" / ".lock").exists() and time.monotonic() < deadline:
