@@ -30,7 +30,7 @@ from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
 from pipeline.simulation.simulate import simulate
 from pipeline.store.names import place_of
-from pipeline.theory.device_cases import tested_grid
+from pipeline.theory.cases import tested_grid
 
 LOWEST_DAMPING = 2.0
 """Largest -B tested at K = 0 in times the physical damping, where the tested B end before: the limit is at once."""
