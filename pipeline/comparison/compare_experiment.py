@@ -7,7 +7,6 @@ from collections.abc import Collection, Mapping, Sequence
 
 from pipeline.base.wording import listed
 from pipeline.comparison.loops.findings import loop_findings
-from pipeline.comparison.loops.fitted_loop import fitted_estimates
 from pipeline.comparison.loops.large_motion import with_large_motion
 from pipeline.comparison.loops.log_evidence import law_departures
 from pipeline.comparison.loops.loop_range import adequate_theory, estimated_range
@@ -20,14 +19,8 @@ from pipeline.comparison.scores.implied_slope import DeviceParameters
 from pipeline.comparison.summary.advice import region_to_use
 from pipeline.loop.device_loop import longest_delay
 from pipeline.measured.experiment.boundary_area import boundary_area
-from pipeline.measured.experiment.estimates import (
-    by_joint_balance,
-    standard_error,
-    stiffness_estimate,
-    velocity_lag,
-    with_model_delay,
-)
-from pipeline.measured.experiment.fitted_device import explaining_device
+from pipeline.measured.experiment.estimates import by_model, standard_error
+from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.records.findings import Estimate, Optimum
 from pipeline.records.loop_parts import LoopParts
@@ -127,7 +120,7 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
         use, why = region_to_use(result, stages)
     causes = () if gains is None or gains.few else (gains.cause,)
     result = result.model_copy(update={"use": use, "use_reason": why or None, "causes": causes})
-    return _with_loop(data, stages, result, units) if "delay" in needed else result
+    return _with_loop(data, stages, result, units) if "device" in needed else result
 
 
 _OF_A_LOOP = ("delay_samples", "mass", "damping", "device_stiffness")
@@ -144,8 +137,8 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
     found = dict(result.estimates)
     loop = estimated_range(result, stages.sampling_period_s)
     if not findings.loop.adequate:
-        device = stages.once(explaining_device)
-        if device is None or not device.is_trusted:
+        device = stages.once(fitted_device)
+        if device is None or not device.tells:
             found |= {name: _doubted(found[name]) for name in _OF_A_LOOP if name in found}
         reason = "needs an adequate loop; the table of loops says why this one is not"
         found["implied_delay"] = _without("samples", reason)
@@ -172,27 +165,21 @@ def _doubted(estimate: Estimate) -> Estimate:
 
 def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) -> dict[str, Estimate]:
     """Estimates of an experiment: delay, mass and damping, and what follows from its boundary."""
-    left_out = "left out: neither a criterion that was asked for nor a theory curve needs it"
-    found = {
-        "delay_samples": stages.delay_estimate if "delay" in needed else _without("samples", left_out),
-        "mass": stages.mass_estimate if "mass" in needed else _without(units.mass, left_out),
-        "damping": stages.damping_estimate if "damping" in needed else _without(units.damping, left_out),
-        "boundary_area": boundary_area(stages.boundary_points, f"{units.stiffness} {units.damping}"),
+    area = boundary_area(stages.boundary_points, f"{units.stiffness} {units.damping}")
+    if "device" not in needed:
+        why = "left out: neither a criterion that was asked for nor a theory curve needs it"
+        of = {"delay_samples": "samples", "mass": units.mass, "damping": units.damping}
+        return {name: _without(unit, why) for name, unit in of.items()} | {"boundary_area": area}
+    return {
+        "delay_samples": stages.delay_estimate,
+        "mass": stages.mass_estimate(by_thesis="mass" in needed),
+        "damping": stages.damping_estimate,
+        "boundary_area": area,
+        "friction": by_model(stages, "coulomb"),
+        "device_stiffness": by_model(stages, "stiffness"),
+        "constant_force": by_model(stages, "constant_force"),
+        "jitter_samples": stages.jitter_estimate,
     }
-    if "damping" in needed:
-        found |= {
-            "friction": by_joint_balance(stages, "friction"),
-            "device_stiffness": stiffness_estimate(stages),
-            "constant_force": by_joint_balance(stages, "constant_force"),
-        }
-    if "delay" in needed and (lag := velocity_lag(stages)) is not None:
-        found["velocity_lag"] = lag
-    if "model" in needed:
-        found["jitter_samples"] = stages.jitter_estimate
-        found["delay_samples"] = with_model_delay(stages, found["delay_samples"])
-    if "ladder" in needed and (device := stages.once(explaining_device)) is not None:
-        found |= fitted_estimates(found, device)
-    return found
 
 
 def _other_definitions(stages: ExperimentStages, optimum: Mapping[str, Optimum]) -> tuple[OtherDefinitions, ...]:

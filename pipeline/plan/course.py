@@ -15,7 +15,7 @@ from pipeline.base.errors import DeviceError, UsageError
 from pipeline.device_data.devices import declared_spring, find_experiment, known_devices, read_device
 from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.loop.loop import Loop, Normalised
-from pipeline.measured.ladder.trials import spread_over_plane
+from pipeline.measured.experiment.boundary import spread_over_plane
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.fitted import Climb, Fitted, at_once, learn
 from pipeline.plan.forecast import Forecast

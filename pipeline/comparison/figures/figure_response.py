@@ -7,9 +7,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pipeline.comparison.scene.scene import SceneData
-from pipeline.measured.device.delay import first_change
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.thesis import first_change
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.figure_records import Figure, Response
 from pipeline.records.models import Motion

@@ -8,7 +8,6 @@ import pyarrow.compute as pc
 from pipeline.base.errors import ParameterError
 from pipeline.comparison.figures.figure_response import LONGEST_SHOWN
 from pipeline.comparison.loops.loop_range import adequate_theory
-from pipeline.measured.fit.ghost import simulate_ghost
 from pipeline.measured.law.log_rows import LogRows
 from pipeline.measured.stages.stage_groups import TrialGroup
 from pipeline.measured.stages.stages import ExperimentStages
@@ -121,14 +120,6 @@ def _beside(
     if fitted is None:
         why = result.loop.reason if result.loop is not None else "no model was fitted to the logs"
         missing.append(f"No loop is fitted to all logs: {why}")
-    model = _model(stages, trial)
-    if model is not None:
-        ghost = simulate_ghost(batch, found, *(np.array([value]) for value in model))
-        units = UNITS["rotation" if stages.rotation else "translation"]
-        named = zip(("m", "b", "delay"), model, (units.mass, units.damping, "samples"), strict=True)
-        source = ", ".join(f"{name} = {significant(value, 3)} {unit}" for name, value, unit in named)
-        position = ghost.position[0, :rows] - batch.position[0, 0]
-        drawn.append(_compared("model of this log", source, position, measured, edge))
     return drawn, missing
 
 
@@ -138,16 +129,6 @@ def _compared(label: str, source: str, position: Floats, measured: Floats, edge:
     off = (measured - shown)[edge:]
     known = np.isfinite(off)
     return Beside(label, source, shown, float(np.sqrt(np.mean(off[known] ** 2))) if known.any() else np.nan)
-
-
-def _model(stages: ExperimentStages, trial: str) -> tuple[float, ...] | None:
-    """Return mass, damping and delay of the model fitted to one log; None where there is none."""
-    ids = stages.texts("response", "trial_id")
-    if trial not in ids or not stages.is_stored("model"):
-        return None
-    row = ids.index(trial)
-    found = tuple(float(stages.column("model", f"model_{name}")[row]) for name in ("mass", "damping", "delay"))
-    return found if np.isfinite(found).all() else None
 
 
 def _law(stages: ExperimentStages, trial: str, residual: Floats, rounding: float, unit: str) -> str:

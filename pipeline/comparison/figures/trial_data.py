@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 
 from pipeline.comparison.figures.boundary_curves import measured_curve, theory_curve
+from pipeline.comparison.loops.fitted_loop import found_loop, velocity_of
+from pipeline.comparison.loops.log_evidence import law_departures
+from pipeline.comparison.loops.wall_replay import beside
 from pipeline.comparison.scene.scene import SceneData, needed_stages
-from pipeline.measured.fit.ghost import simulate_ghost
 from pipeline.measured.signal.outcome import OUTCOMES
 from pipeline.measured.stages.stage_groups import TrialGroup
 from pipeline.measured.stages.stages import ExperimentStages, cost_column
@@ -226,10 +228,11 @@ class _Experiment:
             name: stages.column("model", f"model_{name}")[rows] if self.modelled else nothing
             for name in ("mass", "damping", "delay")
         }
-        beside = simulate_ghost(batch, found, model["mass"], model["damping"], model["delay"])
+        loop = found_loop(self.result, stages, velocity_of(stages, law_departures(stages))) if self.modelled else None
+        run = beside(stages, batch, found, loop.point if loop else None)
         texts = self._texts(rows, model)
         start = found.position_start[:, None]
-        position, ghost = batch.position - start, beside.position - start
+        position, ghost = batch.position - start, run - start
         final = found.position_final_expected - found.position_start
         return [
             {

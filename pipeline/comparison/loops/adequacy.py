@@ -24,13 +24,6 @@ from pipeline.records.loop_parts import LoopParts, VelocityFilter
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.labels import Units, percent_text, share_text, significant
 
-WHITE = 1e-3
-"""Median p-value of the test on whiteness below which what the model leaves is no noise."""
-
-EXACT = 1e-3
-"""Deviation of simulated from logged motion, relative to the displacement, below which what is left is rounding or the
-quantum's pattern, whatever its colour."""
-
 SCATTER = 3.0
 """Scatter between trials, in errors of one trial, from which on the device itself differs from trial to trial."""
 
@@ -86,7 +79,7 @@ class Shown:
     @property
     def explained(self) -> bool:
         """Whether one device explains the logs."""
-        return self.fitted is not None and self.fitted.holds
+        return self.fitted is not None and self.fitted.tells
 
 
 def doubts(
@@ -177,18 +170,9 @@ def _unexplained(result: ExperimentResult, fitted: FittedDevice | None, would_he
     check = result.model_check
     if check is None:
         yield Doubt("no model was fitted to the logs, since nothing that was asked for needs one")
-        return
-    if not explains(result):
-        more = ""
-        if fitted is not None and fitted.parts:
-            what = f"{listed(list(fitted.parts))} {fitted.explained} of {fitted.held_out}"
-            more = f", and with {what} that were held out"
-        yield Doubt(
-            f"mass, damping and delay explain {check.explained} of {counted(check.trials, 'log')} only{more}",
-            would_help,
-        )
-    elif (check.whiteness or 1.0) < WHITE and (check.ghost or 0.0) > EXACT:
-        yield Doubt(f"what the model leaves of the logs is no noise (p = {significant(check.whiteness or 0.0, 2)})")
+    elif not explains(result):
+        what = listed(["mass", "damping", "delay", *(fitted.parts if fitted else ())])
+        yield Doubt(f"{what} explain {check.explained} of {counted(check.trials, 'log')} only", would_help)
 
 
 def _changing(result: ExperimentResult, loop: LoopRange, units: Units, parts: LoopParts | None) -> Iterator[Doubt]:

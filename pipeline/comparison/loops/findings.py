@@ -138,8 +138,7 @@ def _loop_result(
     friction = result.estimates.get("friction")
     numbers: dict[str, Any] = {"velocity": filter_parameters(shown.velocity, shown.of_logs) if shown.velocity else None}
     told = friction is not None and None not in (friction.value, friction.low, friction.high)
-    if fitted is not None and fitted.holds:
-        explained = fitted.explained / fitted.held_out if fitted.held_out else None
+    if fitted is not None and fitted.tells:
         numbers |= {name: fitted.parameter(name) for name in ("stiffness", "actuator_lag_s")}
         numbers["mode"] = mode_parameters(fitted)
     if parts is not None:
@@ -160,24 +159,15 @@ def _loop_result(
 def _reason(result: ExperimentResult, against: list[Doubt], shown: Shown, parts: LoopParts | None) -> str:
     fitted, stated = shown.fitted, parts.words() if parts else ""
     if not against and stated:
-        held_out = (
-            f"{fitted.explained} of {fitted.held_out} logs that it was not fitted to" if fitted and fitted.holds else ""
-        )
         return (
             f"the loop of the device file ({stated}) has the measured limits and those of the loop that the logs show, "
-            f"which explains {held_out or _explained(result)}"
-        )
-    if not against and fitted is not None and fitted.holds:
-        alike = f"; {' or '.join(fitted.alike)} cannot be told apart from it" if fitted.alike else ""
-        return (
-            f"one device with {listed(['mass', 'damping', 'delay', *fitted.parts])} explains {fitted.explained} of "
-            f"{fitted.held_out} logs that it was not fitted to, and the measured limits (next best: "
-            f"{fitted.next_best}){alike}. What changes force per command alone shows in the mass"
+            f"which explains {_explained(result)}"
         )
     if not against:
         law = "with a filtered velocity, " if shown.velocity else ""
+        what = listed(["mass", "damping", "delay", *(fitted.parts if fitted else ())])
         logs = _explained(result)
-        return f"the logs obey the wall law, {law}and mass, damping and delay explain {logs} and the measured limits"
+        return f"the logs obey the wall law, {law}and {what} explain {logs} and the measured limits"
     told = "; ".join(doubt.text for doubt in against[:MOST_REASONS])
     helps = list(dict.fromkeys(doubt.help for doubt in against[:MOST_REASONS] if doubt.help))
     return told + (f"; what would help: {'; '.join(helps)}" if helps else "")

@@ -10,11 +10,10 @@ import numpy as np
 from pipeline.comparison.loops.log_evidence import LawDeparture, found_filter
 from pipeline.comparison.loops.loop_range import LoopPoint, LoopRange, estimated_range
 from pipeline.comparison.loops.loop_record import exact
-from pipeline.measured.experiment.fitted_device import FittedDevice, explaining_device
+from pipeline.measured.experiment.fitted_device import FittedDevice, fitted_device
 from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
-from pipeline.records.findings import Estimate
 from pipeline.records.loop_parts import LoopParts, Mode, VelocityFilter
 from pipeline.records.loop_records import Parameter
 from pipeline.records.results import ExperimentResult
@@ -85,45 +84,6 @@ def _within(number: Parameter, most: float) -> Parameter:
     return Parameter(value=number.value, low=max(number.low, 0.0), high=min(number.high, most))
 
 
-_TERMS = {
-    "mass": "mass",
-    "damping": "damping",
-    "friction": "coulomb",
-    "device_stiffness": "stiffness",
-    "constant_force": "constant_force",
-    "jitter_samples": "jitter",
-}
-"""Estimates of an experiment, and the names of the numbers of a device that they are."""
-
-
-def fitted_estimates(found: Mapping[str, Estimate], device: FittedDevice) -> dict[str, Estimate]:
-    """Return the estimates of an experiment whose trials a device explains: its numbers, the others by method.
-
-    Of a part that it does not have nothing is said: it would explain no more.
-    """
-    result = {}
-    for name, term in _TERMS.items():
-        # how a delay changes within a log no likelihood of these numbers tells
-        if name not in found or (device.likely and term == "jitter"):
-            continue
-        before, told = found[name], device.estimate(term, found[name].unit)
-        methods = {**before.by_method, "before": before.model_copy(update={"by_method": {}})}
-        without = Estimate(
-            value=None,
-            reason=f"{device.method} explains the logs without it",
-            unit=before.unit,
-            method=device.method,
-            trials=device.held_out,
-        )
-        result[name] = told.model_copy(update={"by_method": methods}) if told else without
-    delay, by_ladder = found["delay_samples"], device.estimate("delay_samples", "samples")
-    assert by_ladder is not None, "each device has a delay"
-    if by_ladder.value is None:
-        return result
-    result["delay_samples"] = delay.model_copy(update={"by_method": {**delay.by_method, "ladder": by_ladder}})
-    return result
-
-
 def with_filter(loop: LoopRange | None, velocity: VelocityFilter | None) -> LoopRange | None:
     """Return a loop whose wall law filters the velocity."""
     if loop is None or velocity is None:
@@ -142,7 +102,7 @@ def velocity_of(stages: ExperimentStages, departures: list[LawDeparture]) -> Vel
 
 def found_loop(result: ExperimentResult, stages: ExperimentStages, velocity: VelocityFilter | None) -> LoopRange | None:
     """Return the linear loop of the device that explains the logs, with their filter; else that of the estimates."""
-    fitted = stages.once(explaining_device)
+    fitted = stages.once(fitted_device)
     if fitted is not None and "delay_samples" in fitted.open:
         return None
     if fitted is not None:

@@ -11,7 +11,7 @@ from pipeline.comparison.loops.loop_record import parts_of
 from pipeline.comparison.scores.theory_band import ParameterBox, theory_band
 from pipeline.loop.device_loop import longest_delay, loop_of, wall_units
 from pipeline.loop.loop import LARGEST_DELAY, Loop
-from pipeline.measured.experiment.known_delay import whole_delay
+from pipeline.measured.experiment.estimates import whole_delay
 from pipeline.measured.explained import holds
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Estimate
@@ -165,16 +165,13 @@ class LoopRange:
 
 
 def loop_delay(result: ExperimentResult) -> Estimate:
-    """Return the delay that theory takes: the model's where it explains the logs, else the integer factor.
+    """Return the delay that theory takes: that of the model, not rounded, else the integer factor.
 
-    The model's is the whole number next to it where its interval holds that; see `known_delay.whole_delay`. Where a
-    device is fitted to all trials, it is that one's.
+    It is the whole number next to it where its interval holds that; see `estimates.whole_delay`.
     """
-    delay, check = result.estimates["delay_samples"], result.model_check
-    if "ladder" in delay.by_method:
-        return delay.by_method["ladder"]
+    delay = result.estimates["delay_samples"]
     model = delay.by_method.get("model")
-    if model is None or model.value is None or check is None or not explains(result):
+    if model is None or model.value is None:
         return delay
     return model.model_copy(update={"value": whole_delay(model)})
 
@@ -206,7 +203,7 @@ def adequate_theory(result: ExperimentResult, sampling_period_s: float) -> Theor
     loop = estimated_range(result, sampling_period_s)
     if loop is None:
         return None
-    fitted = "ladder" in result.estimates["delay_samples"].by_method
+    fitted = "model" in result.estimates["delay_samples"].by_method
     delay, stiffness, parts = loop.delay_samples.value, 0.0, parts_of(result.loop)
     if result.loop.source == "device file" and (p := result.theory) is not None:
         _, _, stiffness, parts = p.loop.felt(p.mass, p.damping, p.stiffness)

@@ -113,11 +113,8 @@ def _rest_effect(part: str, stages: ExperimentStages, fitted: FittedDevice) -> f
 def _cause(part: str, stages: ExperimentStages, fitted: FittedDevice, units: Units, shown: str) -> Cause:
     code, number, sentence = _named(part, stages, fitted, units)
     interval = f"95 %: {span(lambda value: significant(value, 4), number.low, number.high)}; "
-    alike = f"; {' or '.join(fitted.alike)} cannot be told apart from it" if fitted.alike else ""
-    evidence = (
-        f"{interval}the device with it explains {fitted.explained} of {counted(fitted.held_out, 'held-out log')}, next "
-        f"best ({fitted.next_best}); {shown}{alike}"
-    )
+    trials = counted(len(fitted.trials), "log")
+    evidence = f"{interval}the device with it explains {fitted.explained} of {trials}; {shown}"
     return Cause.model_validate({"code": code, "sentence": sentence, "evidence": evidence})
 
 

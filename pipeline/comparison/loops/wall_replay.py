@@ -13,9 +13,9 @@ from pipeline.comparison.loops.loop_range import LoopPoint, LoopRange
 from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.loop.motion import Mechanism
 from pipeline.measured.cost.settling_overshoot import settling
-from pipeline.measured.experiment.fitted_device import FittedDevice
-from pipeline.measured.ladder.trials import spread_over_plane
-from pipeline.measured.signal.response import find_response
+from pipeline.measured.experiment.boundary import spread_over_plane
+from pipeline.measured.experiment.fitted_device import FittedDevice, fitted_device
+from pipeline.measured.signal.response import Response, find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.stages.stage_groups import Given, TrialGroup
 from pipeline.measured.stages.stages import ExperimentStages
@@ -137,6 +137,26 @@ def wall_replay(
     )
 
 
+def beside(stages: ExperimentStages, batch: TrialBatch, found: Response, point: LoopPoint | None) -> Floats:
+    """Return the positions of the found device behind the walls of some logs, from their steps on; NaN without one."""
+    shown = np.full(batch.position.shape, np.nan)
+    device = stages.once(fitted_device)
+    if point is None or device is None:
+        return shown
+    coulomb = device.values.get("coulomb", 0.0) if "friction" in device.parts else 0.0
+    setup = setup_of_found(Replayed(point, coulomb, device.values.get("constant_force", 0.0)), stages)
+    moved = simulate(setup, batch.stiffness, batch.damping)
+    for i, edge in enumerate(found.edge_row.tolist()):
+        if edge < 0:
+            continue
+        rows = min(int(batch.rows[i]) - edge, int(moved.rows[i]) - 1)
+        shown[i, :edge] = found.position_start[i]
+        shown[i, edge : edge + rows] = (
+            found.position_start[i] + moved.displacement[i, 1 : rows + 1] * batch.step[i] / setup.step
+        )
+    return shown
+
+
 def replay_words(replay: WallReplay) -> str:
     """Return how a found device predicts walls, as a clause."""
     verdicts = share_text(replay.verdicts_same or 0.0, 0)
@@ -177,10 +197,7 @@ def _fold_of(fitted: FittedDevice | None, chosen: list[str]) -> Integers:
 
 
 def _without_each_fold(stages: ExperimentStages, loop: LoopRange, fitted: FittedDevice | None) -> list[Replayed]:
-    """Return the device by the logs of all folds but one.
-
-    That of the ladder stays as it is: it was judged by logs that it was not fitted to.
-    """
+    """Return the device by the logs of all folds but one."""
     if fitted is None:
         return [Replayed(point) for point in _of_single_logs(stages, loop)]
     folds = fitted.folds or ({},) * FOLDS

@@ -18,8 +18,7 @@ from pipeline.comparison.scores.overlap import MeasuredLimits, Overlap, Stretche
 from pipeline.comparison.scores.score_costs import map_scores, optimum_scores
 from pipeline.comparison.scores.theory_band import band_score, parameter_box
 from pipeline.comparison.scores.upper_bound import TheoryCurve, upper_bound
-from pipeline.measured.experiment.estimates import MODEL_SHARE
-from pipeline.measured.experiment.known_delay import LARGEST_OFFSET
+from pipeline.measured.experiment.estimates import LARGEST_OFFSET
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.results import ExperimentResult
@@ -230,7 +229,7 @@ def _why_no_delay(result: ExperimentResult) -> str:
 
 def _model_holds(result: ExperimentResult) -> bool:
     check = result.model_check
-    return check is not None and check.trials > 0 and check.explained >= MODEL_SHARE * check.trials
+    return check is not None and check.trials > 0 and check.explained >= 0.5 * check.trials
 
 
 def _bound(result: ExperimentResult, theory: Theory) -> tuple[BoundScore | None, str]:

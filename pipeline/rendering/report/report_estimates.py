@@ -63,16 +63,13 @@ _TWO = partial(significant, digits=2)
 _USUAL = partial(significant, digits=DIGITS)
 
 _count = partial(Column, group="trials")
-_median = partial(Column, group="median of the trials", show=_TWO, why="no sensor noise, or no fit")
+_median = partial(Column, group="median of the trials", show=_TWO, why="no log could be replayed")
 
 _MODEL = (
     words("experiment"),
     _count("trials", "all"),
     _count("explained", "explained by the model"),
-    _count("left", "leave its noise band"),
-    _median("misfit"),
-    _median("whiteness", "whiteness p"),
-    _median("ghost", "log \N{MINUS SIGN} simulated loop", "%"),
+    _median("fit_percent", "fit of free runs", "%"),
 )
 
 _METHODS = (
@@ -204,12 +201,11 @@ def outcome_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Ta
 
 def model_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return how well the fitted model explains the logs, or None where it was not fitted."""
-    caption = "Does the model (mass, damping, delay) explain the logs? Misfit is 1 where the sensor explains the errors"
+    caption = "Does one device explain the logs? Fit of its free runs under their commands, each by the others' device"
     table = Table("model", caption, _MODEL)
     for e in result.experiments:
         if e.model_check:
-            percent = None if e.model_check.ghost is None else 100 * e.model_check.ghost
-            table.add(e.experiment, {**dict(e.model_check), "experiment": e.experiment, "ghost": percent})
+            table.add(e.experiment, {**dict(e.model_check), "experiment": e.experiment})
     return table.filled
 
 
