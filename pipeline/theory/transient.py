@@ -348,7 +348,7 @@ def _advanced(run: Motion, found: _Found, bands: Sequence[float], samples: float
 def _last_true(values: Booleans) -> Integers:
     """Return the last row of each column that is true, shape (n,); -1 where none is."""
     rows = np.arange(1, len(values) + 1, dtype=np.int8 if len(values) < 1 << 7 else np.int32)[:, None]
-    return (values * rows).max(axis=0).astype(np.intp) - 1
+    return np.asarray((values * rows).max(axis=0).astype(np.intp) - 1)
 
 
 def _finished(run: Motion, found: _Found, size: Floats) -> Booleans:
