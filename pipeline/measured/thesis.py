@@ -180,8 +180,8 @@ class Masses:
     reason: tuple[str, ...]
 
 
-def by_momentum(batch: TrialBatch, response: Response, delay_samples: int) -> Masses:
-    """Return the mass of each trial from impulse over change of velocity, over `WINDOW_S` from the command edge.
+def by_momentum(batch: TrialBatch, response: Response, delay_samples: int, *, window_s: float = WINDOW_S) -> Masses:
+    """Return the mass of each trial from impulse over change of velocity, over a window from the command edge.
 
     Parameters
     ----------
@@ -190,6 +190,8 @@ def by_momentum(batch: TrialBatch, response: Response, delay_samples: int) -> Ma
         Of the same trials.
     delay_samples : int
         Integer delay factor by which the command is shifted.
+    window_s : float
+        Time from the command edge to t_2 [s]; t_1 is the rest before the first movement.
 
     Notes
     -----
@@ -200,7 +202,7 @@ def by_momentum(batch: TrialBatch, response: Response, delay_samples: int) -> Ma
     Source: Hulin 2017, eq. 6.4 and sec. 6.1.2.
     """
     rows, period = np.arange(len(batch)), batch.sampling_period_s
-    window = np.round(WINDOW_S / period).astype(np.int64)
+    window = np.round(window_s / period).astype(np.int64)
     last = response.edge_row + window - 1
     fits = response.has_edge & (window > delay_samples + 1) & (last + 1 < batch.rows)
     pick = np.where(fits, last, 0)
