@@ -514,7 +514,6 @@ def test_a_wall_without_a_step_has_no_verdict_and_no_costs(falcon):
     from pipeline.measured.cost import settling_overshoot
     from pipeline.measured.cost.energy_intervals import energy_interval
     from pipeline.measured.cost.reading_error import reading_error
-    from pipeline.measured.fit.ghost import simulate_ghost
     from pipeline.measured.signal import outcome, verdict
     from pipeline.measured.signal.response import find_response
     from pipeline.store.samples import load_batch
@@ -532,8 +531,6 @@ def test_a_wall_without_a_step_has_no_verdict_and_no_costs(falcon):
     assert np.isnan(energies.value[3]).all()
     assert "no step was commanded" in energies.reason[3]
     assert np.isnan(settling_overshoot.overshoot(batch, found, judged).overshoot[3])
-    ones = np.ones(8)
-    assert np.isnan(simulate_ghost(batch, found, 0.58 * ones, 4 * ones, 4 * ones).relative[3])
 
 
 def test_shipped_profiles_claim_no_file_twice():

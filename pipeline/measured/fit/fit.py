@@ -11,7 +11,6 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from pipeline.base.wording import percent
-from pipeline.measured.thesis import NO_DELAY, first_change
 from pipeline.measured.fit.fit_filter import DAMPING, DELAY, GAIN, START
 from pipeline.measured.fit.fit_jitter import JitterFit, fit_window
 from pipeline.measured.fit.fit_motion import LARGEST_RATE
@@ -19,6 +18,7 @@ from pipeline.measured.fit.fit_noise import portmanteau
 from pipeline.measured.fit.fit_search import SMALLEST_DAMPING, inverse, starting_values
 from pipeline.measured.fit.fit_window import FEWEST_ROWS, Window, cut, usable_rows
 from pipeline.measured.signal.response import NO_ROW, Response
+from pipeline.measured.thesis import NO_DELAY, first_change
 from pipeline.records.batch import Floats, Integers, TrialBatch
 
 READINGS_AT_ONCE = 1_200_000

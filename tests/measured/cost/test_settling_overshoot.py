@@ -11,7 +11,7 @@ from pipeline.device_data.devices import load_device
 from pipeline.measured.cost import settling_overshoot
 from pipeline.measured.cost.energy_intervals import energy_interval
 from pipeline.measured.cost.reading_error import reading_error
-from pipeline.measured.experiment.aggregate import choose_optimum
+from pipeline.measured.experiment.optimum import choose_optimum
 from pipeline.measured.signal.horizon import energy_terms
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
