@@ -172,7 +172,7 @@ def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) 
         return {name: _without(unit, why) for name, unit in of.items()} | {"boundary_area": area}
     return {
         "delay_samples": stages.delay_estimate,
-        "mass": stages.mass_estimate(by_thesis="mass" in needed),
+        "mass": stages.mass_estimate if "mass" in needed else by_model(stages, "mass"),
         "damping": stages.damping_estimate,
         "boundary_area": area,
         "friction": by_model(stages, "coulomb"),

@@ -25,7 +25,7 @@ from pipeline.shell import cli
 from pipeline.theory import optimum
 
 EDITS = [
-    (friction, {"stages", "report"}),
+    (thesis, {"stages", "report"}),
     (optimum, {"theory", "report"}),
     (labels, {"report"}),
     (cli, {"report"}),

@@ -136,18 +136,16 @@ def delay_estimate(of: Stored) -> Estimate:
     return model.model_copy(update={**ends, "by_method": methods})
 
 
-def mass_estimate(of: Stored, *, by_thesis: bool) -> Estimate:
-    """Return the mass of an experiment, beside that of the thesis's momentum balance (6.4) if asked for."""
+def mass_estimate(of: Stored) -> Estimate:
+    """Return the mass of an experiment, beside that of the thesis's momentum balance (6.4)."""
     model, unit = by_model(of, "mass"), UNITS["mass"][of.rotation]
-    methods = {"model": model}
-    if by_thesis:
-        methods["thesis_momentum_balance"] = thesis.estimate_median(
-            of.column("mass", "mass_momentum"),
-            unit,
-            "momentum balance (6.4), median of trials",
-            f"no trial allows a momentum balance{of_most(of.texts('mass', 'reason'))}",
-        )
-    return model.model_copy(update={"by_method": methods})
+    plain = thesis.estimate_median(
+        of.column("mass", "mass_momentum"),
+        unit,
+        "momentum balance (6.4), median of trials",
+        f"no trial allows a momentum balance{of_most(of.texts('mass', 'reason'))}",
+    )
+    return model.model_copy(update={"by_method": {"model": model, "thesis_momentum_balance": plain}})
 
 
 def damping_estimate(of: Stored) -> Estimate:

@@ -76,11 +76,14 @@ JITTERS = (0.02, 4.0)
 ROUGH = 0.7
 """Change of the logarithm of a variance that is near enough for a start: intervals grow with its root."""
 
+JITTERY_ROW = 0.01
+"""Gain of log-likelihood by a random force, a row, up to which it is rounding and no jitter is looked for."""
+
 LEAST_JITTER = 0.05
 """Jitter [samples] from which on one is believed: what rounding leaves may look like less."""
 
-NOISE_STRETCHES = 40
-"""Stretches by which the noise is found: a variance from 12,000 rows is known to 1 %."""
+NOISE_STRETCHES = 24
+"""Stretches by which the noise is found: a variance from 8,000 rows is known to 2 %."""
 
 WORTH = 5.0
 """Gain of log-likelihood from which on a part, of the device or of its noise, is one: odds of 150 to 1."""
@@ -182,7 +185,7 @@ def moments_of(held: Stretches, device: Device, trials: int) -> tuple[Moments, f
     return Moments(total, rows, float(np.median(held.least))), spreads
 
 
-def _errors(
+def errors_of(
     held: Stretches, passage: Passage, found: Filter, columns: list[Column]
 ) -> tuple[list[Floats], Floats, Floats]:
     """Return whitened columns (N, S) each, and a basis (S, N, c) of those of the unknown starts with its triangle."""
@@ -192,7 +195,7 @@ def _errors(
     return errors[: len(columns)], basis, triangle
 
 
-def _force_of(held: Stretches, device: Device) -> Column:
+def force_of(held: Stretches, device: Device) -> Column:
     """Return all that is logged of stretches and acts on a device, as one column."""
     gain, coulomb, force = (device.own(name, held.trial) for name in LINEAR)
     return Column(held.position, device.driven(held) * gain, force - coulomb * held.direction)
@@ -221,8 +224,8 @@ def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats]:
         clipped = np.sign(held.driven) * (np.abs(held.driven) > device.numbers["limit"])
         linear["limit"] = Column(command=clipped * device.own("gain", held.trial))
     asked = [name for name in device.names if name in linear]
-    whole = _force_of(held, device)
-    (left, *base), q, r = _errors(held, passage, found, [whole, *(linear[name] for name in asked)])
+    whole = force_of(held, device)
+    (left, *base), q, r = errors_of(held, passage, found, [whole, *(linear[name] for name in asked)])
     columns = {name: -each for name, each in zip(asked, base, strict=True)}
     common = left
     if device.effects is not None:
@@ -312,9 +315,9 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
         return Noise(force, (impulse * jitter) ** 2, jitter)
 
     def cost(noise: Noise) -> float:
-        found, whole = Filter.of(passage, noise), _force_of(some, replace(device, noise=noise))
+        found, whole = Filter.of(passage, noise), force_of(some, replace(device, noise=noise))
         # the constant force of each stretch is free, so that it is not taken for a random one
-        (left, push), q, r = _errors(some, passage, found, [whole, constant])
+        (left, push), q, r = errors_of(some, passage, found, [whole, constant])
         both = np.stack([left, push], axis=-1).transpose(1, 0, 2)
         both = both - q @ (q.transpose(0, 2, 1) @ both)
         products = both.transpose(0, 2, 1) @ both
@@ -336,6 +339,7 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
 
     none = cost(WHITE), WHITE
     alone = [likeliest(lambda force: of(force, 0.0), MEMORIES)]
+    jitters = jitters and none[0] - alone[0][0] > WORTH + JITTERY_ROW * float(some.rows.sum())
     if jitters:
         alone.append(likeliest(lambda jitter: of(0.0, jitter), JITTERS))
     # what rounding leaves may look like a little of either

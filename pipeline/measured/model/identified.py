@@ -18,7 +18,7 @@ from pipeline.records.batch import Floats
 
 FOLDS = 5
 
-MOST_REPLAYED = 100
+MOST_REPLAYED = 40
 """Logs that are replayed, spread over all."""
 
 EXPLAINS = 0.5

@@ -117,9 +117,9 @@ def chosen(recordings: list[Recording]) -> Choice:
     if "force" not in base:
         # a spring is then taken as relaxed where the logs begin
         scales = replace(scales, origin=float(np.median([each.position[0] for each in some])))
-    delay = _delay(some, scales, base, int(np.clip(rows // 8, 2, LONGEST_DELAY)))
-    lead, trials = int(np.ceil(delay)) + 3, len(some)
-    fit, held, parts, bounds = _first(some, scales, lead, (base, delay))
+    begin = _begin(some, scales, base, int(np.clip(rows // 8, 2, LONGEST_DELAY)))
+    lead, trials = int(np.ceil(begin.numbers.get("delay", 0.0))) + 3, len(some)
+    fit, held, parts, bounds = _first(some, scales, lead, begin)
     holding = None
     if parts.get("friction", 0.0) > 0:
         holding = _holding(fit, scales)
@@ -136,16 +136,14 @@ def chosen(recordings: list[Recording]) -> Choice:
 
 
 def _first(
-    recordings: list[Recording], scales: Scales, lead: int, start: tuple[tuple[str, ...], float]
+    recordings: list[Recording], scales: Scales, lead: int, begin: Device
 ) -> tuple[Fit, Stretches, dict[str, float], dict[str, float]]:
     """Return the fit with friction and spring where there are some or may be, its stretches, those parts, and bounds.
 
     Bounds are the upper ends of friction and spring [SI] with both in the fit.
     """
-    (base, delay), trials = start, len(recordings)
-    held, fit, bounds = stretches(recordings, scales, lead, True), None, {}
-    if len(held):
-        begin = begun(held, (*base, "gamma", "coulomb"), delay + 2)
+    trials, bounds, fit = len(recordings), {}, None
+    if "coulomb" in begin.numbers and len(held := stretches(recordings, scales, lead, True)):
         whole = refined(held, begin, trials)
         bounds = {name: _upper(whole, name, scales) for name in ("friction", "stiffness")}
         fit, parts = _worth(held, whole, trials)
@@ -153,11 +151,9 @@ def _first(
         if gain > WORTH or _upper(fit, "friction", scales) >= OPEN * scales.command:
             return fit, held, {"friction": gain if gain > WORTH else 0.0} | parts, bounds
     held = stretches(recordings, scales, lead, False)
-    if fit is None:
-        fit = refined(held, begun(held, (*base, "gamma"), delay + 2), trials)
-    else:
-        numbers = {name: value for name, value in fit.device.numbers.items() if name != "coulomb"}
-        fit = refined(held, Device({"gamma": 0.0} | numbers, fit.device.noise), trials, far=False)
+    near = begin if fit is None else fit.device
+    numbers = {"gamma": 0.0} | {name: value for name, value in near.numbers.items() if name != "coulomb"}
+    fit = refined(held, Device(numbers, near.noise), trials, far=fit is None)
     bounds["stiffness"] = _upper(fit, "stiffness", scales)
     fit, parts = _worth(held, fit, trials)
     return fit, held, parts, bounds
@@ -198,13 +194,12 @@ def _base(recordings: list[Recording]) -> tuple[tuple[str, ...], tuple[str, ...]
     return ("gain", "delta"), ("delay", "constant_force")
 
 
-def _delay(recordings: list[Recording], scales: Scales, base: tuple[str, ...], lead: int) -> float:
-    """Return the delay [samples] of the best start with a spring and friction."""
-    names = (*base, "gamma", "coulomb")
-    held = stretches(recordings, scales, lead, True)
+def _begin(recordings: list[Recording], scales: Scales, base: tuple[str, ...], lead: int) -> Device:
+    """Return a device from which a search starts, with a spring, and with friction where directions are seen."""
+    held, names = stretches(recordings, scales, lead, True), (*base, "gamma", "coulomb")
     if not len(held):
         names, held = (*base, "gamma"), stretches(recordings, scales, lead, False)
-    return begun(held, names, lead).numbers.get("delay", 0.0)
+    return begun(held, names, lead)
 
 
 def _pruned(

@@ -44,7 +44,7 @@ def found_device(of: Experiment) -> tuple[Identified | None, str]:
     usable &= np.isnan(of.column("wall_law", "obeyed_stiffness"))
     ids = of.texts("response", "trial_id")
     parts = of.of_each(recordings, chosen=[ids[i] for i in np.flatnonzero(usable)])
-    order = np.lexsort((ids, stiffness, of.column("response", "damping")))
+    order = np.lexsort((np.array(ids), stiffness, of.column("response", "damping")))
     rank = {ids[i]: number for number, i in enumerate(order.tolist())}
     found = sorted((one for part in parts for one in part), key=lambda one: rank[one.name])
     if not found:

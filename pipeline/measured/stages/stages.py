@@ -63,9 +63,10 @@ class ExperimentStages(StageTables):
         """Viscous damping of the experiment."""
         return self.once(estimates.damping_estimate)
 
-    def mass_estimate(self, *, by_thesis: bool) -> Estimate:
-        """Mass of the experiment, if asked for beside that of the thesis's momentum balance."""
-        return estimates.mass_estimate(self, by_thesis=by_thesis)
+    @cached_property
+    def mass_estimate(self) -> Estimate:
+        """Mass of the experiment, beside that of the thesis's momentum balance."""
+        return self.once(estimates.mass_estimate)
 
     @cached_property
     def jitter_estimate(self) -> Estimate:

@@ -5,6 +5,8 @@ import pytest
 
 from pipeline.measured.experiment.optimum import choose_optimum
 
+NONE = np.full(2, np.nan)
+
 
 def grid():
     K, B = (a.ravel() for a in np.meshgrid(np.arange(1.0, 8.0), np.arange(0.0, 7.0)))
