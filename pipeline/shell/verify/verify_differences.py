@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -25,9 +24,6 @@ MOST_CHARACTERS = 200
 """Characters of a part that are quoted."""
 
 MISSING = "(missing)"
-
-TRIAL_DATA = "trial-data"
-"""Data block with the trials of the page."""
 
 
 class Difference(Record):
@@ -110,15 +106,6 @@ def value_differences(
             continue
         if not comparison.equal(a, b, partial(same_value, place)):
             yield _difference("value", f"json{place}", str(a), str(b))
-
-
-def embedded_responses(found: Parts, experiments: int) -> list[int] | None:
-    """Return how many responses of each experiment a page holds; None where it does not say."""
-    try:
-        numbers = [int(e["shown"]) for e in json.loads(found.data[TRIAL_DATA])["experiments"]]
-    except (KeyError, TypeError, ValueError):
-        return None
-    return numbers if len(numbers) == experiments and min(numbers, default=0) >= 0 else None
 
 
 def leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
