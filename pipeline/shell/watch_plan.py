@@ -20,7 +20,7 @@ from pipeline.plan.course import Wish, open_course
 from pipeline.plan.fitted import Fitted, at_once
 from pipeline.plan.planner import BESIDE, asked_of, plan_of, with_remark
 from pipeline.plan.requests import Requests, requests_folder, write_requests
-from pipeline.shell.watch.watch_files import Arrivals, look_at
+from pipeline.shell.watch import Arrivals, look_at
 
 INTERVAL_S, SETTLE_S = 0.1, 0.3
 """Time between two looks, and for which a log must stay the same before it is read [s]: the next wall is told within
@@ -74,7 +74,7 @@ def watch_plan(
     with process_pool(1) as pool, ExitStack() as held:
         look = Beside(pool)
         arrivals = Arrivals(SETTLE_S)
-        arrivals.update(look_at(folders, (), (processed,)).states, time.monotonic() - SETTLE_S)
+        arrivals.update(look_at(folders, (), (processed,))[0], time.monotonic() - SETTLE_S)
         known: Fitted | None = None
         told: set[tuple[str, str]] = set()
         asked: Requests | None = None
@@ -82,7 +82,7 @@ def watch_plan(
         first = True
         while not stopped():
             now = time.monotonic()
-            arrivals.update(look_at(folders, (), (processed,)).states, now)
+            arrivals.update(look_at(folders, (), (processed,))[0], now)
             if not (first or arrivals.ready(now)):
                 time.sleep(INTERVAL_S)
                 continue

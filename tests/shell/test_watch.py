@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 from command_lines import fault
-from native_logs import FAULTS, log_text
+from native_logs import FAULTS, log_text, short_log
 from places import ROOT
 from report_data import document_without_places
 
@@ -28,17 +28,31 @@ from pipeline.device_data.devices import load_device
 from pipeline.intake.check import check
 from pipeline.intake.ingest import ingest
 from pipeline.intake.quarantine import list_quarantine
+from pipeline.intake.sources import find_sources
+from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.rendering.report.report_parts import take_apart
+from pipeline.shell import watch
 from pipeline.shell.cli import run
 from pipeline.shell.commands.cli_watch import line_of
-from pipeline.shell.watch import watch, watch_pass
-from pipeline.shell.watch.watch import Watch, Watched
-from pipeline.shell.watch.watch_pass import PASS_FOLDER, PassRequest, run_pass
+from pipeline.shell.watch import (
+    LONGEST_WAIT,
+    LOOK_SHARE,
+    PASS_FOLDER,
+    SHORTEST_WAIT_S,
+    Arrivals,
+    Watch,
+    Watched,
+    look_at,
+    run_pass,
+    wait_after,
+)
 from pipeline.simulation.course import run_course, write_course
 from pipeline.store.storage import read_trials
 
 INTERVAL_S, SETTLE_S, PAUSE_S = 0.1, 0.8, 0.25
 """A half-written log stands still for a pause of several looks, which is shorter than the time to settle."""
+
+A, B = (10, 1, 1), (20, 2, 2)
 
 SCENE = """
 device = "lwr"
@@ -204,9 +218,9 @@ def write_logs(folder: Path, count: int = 4, **more: object) -> None:
         os.utime(path, (1e9, 1e9))
 
 
-def request(folder: Path, **more: object) -> PassRequest:
-    places = {"processed": str(folder / "processed"), "reports": str(folder / "reports")}
-    return PassRequest(folders=(str(folder / "raw"),), **places, **more)
+def places(folder: Path, **more: object) -> Watched:
+    more = {"settle_s": 0.0} | more
+    return Watched((folder / "raw",), folder / "processed", folder / "reports", **more)
 
 
 @pytest.fixture
@@ -225,7 +239,7 @@ def compared(monkeypatch):
             raise answers[device]
         return Found
 
-    monkeypatch.setattr(watch_pass, "compare", fake)
+    monkeypatch.setattr("pipeline.comparison.compare.compare", fake)
     return asked, answers
 
 
@@ -241,7 +255,7 @@ def test_a_report_that_fails_stops_no_other(tmp_path, compared, capsys):
         write_logs(tmp_path / "raw", device=device)
     answers |= {"alpha": DeviceError("too few logs"), "bench": ZeroDivisionError("a defect")}
     events: list[dict] = []
-    outcome = run_pass(request(tmp_path), events.append)
+    status = run_pass(places(tmp_path), events.append)
     assert asked == ["alpha", "bench", "gamma"]
     assert kinds(events) == ["ingest", "failed", "failed", "report", "index"]
     assert [e["reason"] for e in events[1:3]] == [
@@ -249,18 +263,7 @@ def test_a_report_that_fails_stops_no_other(tmp_path, compared, capsys):
         "defect in the program: ZeroDivisionError('a defect'); please report it",
     ]
     assert "Traceback" in capsys.readouterr().err
-    assert (outcome.status, outcome.retry, set(outcome.failed)) == (1, False, {"alpha", "bench"})
-
-    # tried again when its logs change, and not before
-    again = request(tmp_path, failed=outcome.failed, quiet=True)
-    asked.clear()
-    assert run_pass(again, events.append).failed == outcome.failed
-    assert asked == ["gamma"]
-    (tmp_path / "raw" / "one-more.csv").write_text(log_text(77.0, device="alpha"))
-    asked.clear()
-    outcome = run_pass(again, events.append)
-    assert asked == ["alpha", "gamma"]
-    assert set(outcome.failed) == {"alpha", "bench"}
+    assert status == 1
 
 
 def test_every_device_has_a_report_of_its_own_beside_our_pages(tmp_path, monkeypatch):
@@ -276,18 +279,18 @@ def test_every_device_has_a_report_of_its_own_beside_our_pages(tmp_path, monkeyp
 
         return Found
 
-    monkeypatch.setattr(watch_pass, "compare", fake)
+    monkeypatch.setattr("pipeline.comparison.compare.compare", fake)
     devices = ["index", "Index", "accuracy", "theory", "arm", "ARM", "arm-1-against-2", "con"]
     for device in devices:
         write_logs(tmp_path / "raw", 1, device=device)
-    assert run_pass(request(tmp_path), lambda event: None).status == 0
+    assert run_pass(places(tmp_path), lambda event: None) == 0
     assert {device: path.read_text() for device, path in reports.items()} == {device: device for device in devices}
     names = [path.name.casefold() for path in reports.values()]
     assert len(set(names)) == len(devices)
     assert not {"index.html", "accuracy.html", "theory.html", "arm-1-against-2.html"} & set(names)
     assert "pipeline index" in (tmp_path / "reports" / "index.html").read_text()
     former = dict(reports)
-    run_pass(request(tmp_path), lambda event: None)
+    run_pass(places(tmp_path), lambda event: None)
     assert reports == former
 
 
@@ -298,8 +301,8 @@ def test_a_damaged_experiment_keeps_no_other_report_from_being_renewed(tmp_path)
     for name, experiments in scenes.items():
         text = SCENE.replace("reports/lwr", f"{tmp_path}/reports/{name}") + f"experiments = {json.dumps(experiments)}\n"
         (tmp_path / f"{name}.toml").write_text(text)
-    asked = request(tmp_path, scenes=tuple(str(tmp_path / f"{name}.toml") for name in scenes))
-    assert run_pass(asked, lambda event: None).status == 0
+    asked = places(tmp_path, scenes=tuple(tmp_path / f"{name}.toml" for name in scenes))
+    assert run_pass(asked, lambda event: None) == 0
     pages = {name: (tmp_path / "reports" / f"{name}.html").read_bytes() for name in scenes}
     (file,) = (tmp_path / "processed" / "trials" / "lwr" / "delay-2").iterdir()
     file.write_bytes(file.read_bytes()[:-8] + b"no table")
@@ -307,72 +310,44 @@ def test_a_damaged_experiment_keeps_no_other_report_from_being_renewed(tmp_path)
         log.rename(tmp_path / log.name)  # what is there would be stored again
     late.rename(logs[-1])
     events: list[dict] = []
-    outcome = run_pass(asked, events.append)
-    assert (outcome.status, outcome.retry, outcome.failed) == (1, True, {})
+    assert run_pass(asked, events.append) == 1
     failed = {event["what"]: event["reason"] for event in events if event["event"] == "failed"}
-    assert failed.keys() == {"store", asked.scenes[0]}
+    assert failed.keys() == {"store", str(asked.scenes[0])}
     assert all(str(file) in reason and "pipeline check --repair" in reason for reason in failed.values())
     assert [event["ingested"] for event in events if event["event"] == "ingest"] == [1]
     reports = [(event["what"], event["trials"]) for event in events if event["event"] == "report"]
-    assert reports == [(asked.scenes[1], read_trials(tmp_path / "processed", "lwr", "delay-4").num_rows)]
+    assert reports == [(str(asked.scenes[1]), read_trials(tmp_path / "processed", "lwr", "delay-4").num_rows)]
     now = {name: (tmp_path / "reports" / f"{name}.html").read_bytes() for name in scenes}
     assert (now["whole"], now["sound"] == pages["sound"]) == (pages["whole"], False)
     assert check(tmp_path / "processed", repair=True).damage[0].remedy == "set aside"
     for log in (path for path in logs if path.parent.name == "delay-2"):
         (tmp_path / log.name).rename(log)
     events.clear()
-    assert run_pass(asked, events.append).status == 0
+    assert run_pass(asked, events.append) == 0
     (renewed,) = (event for event in events if event["event"] == "report")
-    assert (renewed["what"], renewed["trials"]) == (asked.scenes[0], len(logs))
+    assert (renewed["what"], renewed["trials"]) == (str(asked.scenes[0]), len(logs))
 
 
-@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), "store"])
-def test_what_may_pass_without_a_change_is_to_be_tried_again(tmp_path, compared, error):
-    from pipeline.base.errors import StoreError
-
+def test_young_and_growing_logs_are_left_and_told(tmp_path, compared):
     write_logs(tmp_path / "raw")
-    compared[1]["bench"] = StoreError("damaged") if error == "store" else error
-    outcome = run_pass(request(tmp_path), lambda event: None)
-    assert (outcome.status, outcome.retry, outcome.failed) == (1, True, {})
-
-
-def test_what_did_not_change_is_told_once(tmp_path, compared):
-    write_logs(tmp_path / "raw")
-    (tmp_path / "raw" / "broken.csv").write_text(FAULTS["text cell"][0])
+    young, growing = (tmp_path / "raw" / name for name in ("young.csv", "growing.csv"))
+    young.write_text(log_text(99.0))
+    growing.write_text(log_text(98.0))
+    os.utime(growing, (1e9, 1e9))
     events: list[dict] = []
-    assert run_pass(request(tmp_path, quiet=True), events.append).status == 3
-    assert kinds(events) == ["ingest", "refused", "report", "index"]
-    assert (events[1]["path"], events[1]["row"]) == (str(tmp_path / "raw" / "broken.csv"), 17)
-    events.clear()
-    assert run_pass(request(tmp_path, quiet=True), events.append).status == 3
-    assert kinds(events) == ["report"]
-    # a log that was good is overwritten by a broken one
-    (tmp_path / "raw" / "bench0.csv").write_text(FAULTS["text cell"][0] + "\n")
-    for told in (["ingest", "refused", "changed", "report"], ["report"]):
-        events.clear()
-        run_pass(request(tmp_path, quiet=True), events.append)
-        assert kinds(events) == told
-
-
-def test_young_logs_are_left_and_told(tmp_path, compared):
-    write_logs(tmp_path / "raw")
-    (tmp_path / "raw" / "young.csv").write_text(log_text(99.0))
-    events: list[dict] = []
-    outcome = run_pass(request(tmp_path, settle_s=60.0), events.append)
-    assert (events[0]["ingested"], events[0]["waiting"]) == (4, [str(tmp_path / "raw" / "young.csv")])
-    assert outcome.late
-    assert not run_pass(request(tmp_path), events.append).late
-    assert read_trials(tmp_path / "processed").num_rows == 5
+    run_pass(places(tmp_path, settle_s=60.0), events.append, [str(growing)])
+    assert (events[0]["ingested"], sorted(events[0]["waiting"])) == (4, [str(growing), str(young)])
+    run_pass(places(tmp_path), lambda event: None)
+    assert read_trials(tmp_path / "processed").num_rows == 6
 
 
 def test_one_pass_at_a_time(tmp_path, compared):
     write_logs(tmp_path / "raw")
     events: list[dict] = []
     with lock.writing(tmp_path / "processed" / PASS_FOLDER):
-        outcome = run_pass(request(tmp_path, wait_s=0.0), events.append)
+        assert run_pass(places(tmp_path), events.append) == 1
     assert kinds(events) == ["busy"]
     assert f"process {os.getpid()}" in events[0]["reason"]
-    assert (outcome.status, outcome.retry) == (0, True)
     assert compared[0] == []
 
 
@@ -380,16 +355,13 @@ def test_one_pass_at_a_time(tmp_path, compared):
 
 
 def pass_of(monkeypatch, tmp_path: Path, body: str) -> Path:
-    """Have passes done by a script that notes each request in a file; returns that file."""
+    """Have passes done by a script that notes what grows in a file; returns that file."""
     notes = tmp_path / "passes.jsonl"
-    script = "import json, os, signal, sys, time\nrequest = json.loads(sys.stdin.readline())\n"
-    script += (
-        f"with open({str(notes)!r}, 'a') as f: f.write(json.dumps(request | {{'at': time.monotonic()}}) + '\\n')\n"
-    )
+    script = "import json, os, signal, sys, time\ngrowing = json.loads(sys.stdin.readline())\n"
+    script += f"with open({str(notes)!r}, 'a') as f:\n"
+    script += "    f.write(json.dumps({'growing': growing, 'at': time.monotonic()}) + '\\n')\n"
     script += "def tell(**event): print(json.dumps(event), flush=True)\n"
-    script += "def done(status=0, retry=False, late=False, failed={}):\n"
-    script += "    tell(event='outcome', status=status, retry=retry, late=late, failed=failed)\n"
-    monkeypatch.setattr(watch, "_PASS", script + body)
+    monkeypatch.setattr(watch, "_PROGRAM", script + body)
     return notes
 
 
@@ -436,15 +408,14 @@ def test_failures_are_told_again_after_they_were_gone(tmp_path, monkeypatch):
     body = f"n = len(open({str(tmp_path / 'passes.jsonl')!r}).readlines())\n"
     body += "if n != 3: tell(event='failed', what='bench', reason='too few')\n"
     body += "else: tell(event='report', what='bench')\n"
-    body += "done(status=int(n != 3), retry=True, failed={'other': 'x'})"
+    body += "sys.exit(1)"
     notes = pass_of(monkeypatch, tmp_path, body)
     events = follow(tmp_path, lambda events: len(passes(notes)) >= 6)
     assert [e["event"] for e in events if e["event"] in ("failed", "report")][:3] == ["failed", "report", "failed"]
-    assert [p["failed"] for p in passes(notes)][:2] == [{}, {"other": "x"}]
 
 
 def test_nothing_is_done_while_nothing_changes_and_growing_files_are_named(tmp_path, monkeypatch):
-    notes = pass_of(monkeypatch, tmp_path, "done()")
+    notes = pass_of(monkeypatch, tmp_path, "pass")
     (tmp_path / "raw").mkdir()
     (tmp_path / "raw" / "rests.csv").write_text("x")
     growing = tmp_path / "raw" / "grows.csv"
@@ -472,7 +443,7 @@ def test_nothing_is_done_while_nothing_changes_and_growing_files_are_named(tmp_p
 
 
 def test_a_device_file_that_changes_or_comes_has_a_pass_done(tmp_path, monkeypatch):
-    notes = pass_of(monkeypatch, tmp_path, "done()")
+    notes = pass_of(monkeypatch, tmp_path, "pass")
     (tmp_path / "devices").mkdir()
     (tmp_path / "devices" / "arm.toml").write_text("a")
     monkeypatch.setenv(USER_FOLDER_VARIABLE, str(tmp_path / "devices"))
@@ -490,7 +461,7 @@ def test_a_device_file_that_changes_or_comes_has_a_pass_done(tmp_path, monkeypat
 
 
 def test_a_scene_that_changes_and_a_folder_that_goes_and_comes(tmp_path, monkeypatch):
-    notes = pass_of(monkeypatch, tmp_path, "done()")
+    notes = pass_of(monkeypatch, tmp_path, "pass")
     scene = tmp_path / "scene.toml"
     scene.write_text("a")
     steps = iter(
@@ -625,12 +596,8 @@ def test_commands_of_the_service_and_of_cron_exist():
 
 
 def test_every_event_is_on_the_page_and_has_words():
-    sources = [
-        (ROOT / "pipeline" / "shell" / f"{name}.py").read_text()
-        for name in ("watch/watch", "watch/watch_pass", "commands/cli_watch")
-    ]
-    found = {kind for text in sources for kind in re.findall(r'"event": "(\w+)"', text)} - {"outcome"}
-    found |= {"report", "unchanged"}  # chosen by whether something changed
+    source = (ROOT / "pipeline" / "shell" / "watch.py").read_text()
+    found = set(re.findall(r'"event": "(\w+)"', source)) | {"unchanged"}
     page = (ROOT / "docs" / "plan.md").read_text(encoding="utf-8")
     assert [kind for kind in sorted(found) if f"`{kind}`" not in page] == []
     assert len(found) > 10
@@ -648,7 +615,117 @@ def test_the_process_that_looks_is_small():
         "pipeline.comparison.compare",
         "pipeline.intake.ingest",
     ]
-    script = "import sys, pipeline.shell.cli, pipeline.shell.watch.watch\n"
+    script = "import sys, pipeline.shell.cli, pipeline.shell.watch\n"
     script += f"print([name for name in {heavy} if name in sys.modules])"
     process = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert process.stdout.strip() == "[]"
+
+
+# Which files came to rest
+
+
+def test_a_file_is_ready_when_it_was_the_same_for_the_time_asked_for():
+    arrivals = Arrivals(settle_s=2.0)
+    assert arrivals.update({"a": A}, 100.0)
+    assert not arrivals.ready(101.9)
+    assert arrivals.restless(101.9) == {"a": 102.0}
+    assert not arrivals.update({"a": A}, 102.0)
+    assert arrivals.ready(102.0)
+    assert arrivals.restless(102.0) == {}
+    arrivals.take(102.0)
+    assert not arrivals.ready(200.0)
+
+
+def test_a_file_that_grows_is_not_ready_and_keeps_no_other_from_being_so():
+    arrivals = Arrivals(settle_s=2.0)
+    for second in range(10):
+        arrivals.update({"grows": (second, second, second), "rests": A}, float(second))
+        assert arrivals.ready(float(second)) == (second >= 2)
+        assert "grows" in arrivals.restless(float(second))
+    arrivals.take(9.0)
+    assert not arrivals.ready(9.0)
+    arrivals.update({"grows": (9, 9, 9), "rests": A}, 11.0)
+    assert arrivals.ready(11.0)
+
+
+@pytest.mark.parametrize("changed", [(11, 1, 1), (10, 2, 1), (10, 1, 2)], ids=["size", "content", "permissions"])
+def test_each_change_makes_a_file_new(changed):
+    arrivals = Arrivals(settle_s=0.0)
+    arrivals.update({"a": A}, 0.0)
+    arrivals.take(0.0)
+    assert arrivals.update({"a": changed}, 1.0)
+    assert arrivals.ready(1.0)
+
+
+def test_a_change_while_a_pass_runs_is_seen_to_by_the_next():
+    arrivals = Arrivals(settle_s=1.0)
+    arrivals.update({"a": A}, 0.0)
+    arrivals.update({"a": A}, 1.0)
+    arrivals.take(1.0)
+    arrivals.update({"a": B}, 40.0)
+    assert not arrivals.ready(40.5)
+    arrivals.update({"a": B}, 41.0)
+    assert arrivals.ready(41.0)
+
+
+def test_what_is_not_at_rest_is_not_taken():
+    arrivals = Arrivals(settle_s=1.0)
+    arrivals.update({"a": A}, 0.0)
+    arrivals.take(0.5)
+    assert arrivals.ready(1.0)
+
+
+def test_waits_stay_within_their_bounds():
+    for look_s in (0.0, 0.005, 0.02, 1.0):
+        for quiet_s in (0.0, 30.0, 1e6):
+            for until_s in (None, -1.0, 0.0, 0.7, 1e6):
+                wait = wait_after(look_s, 2.0, quiet_s, until_s)
+                # looking takes at most half a percent, whatever else is asked for
+                assert look_s <= wait / LOOK_SHARE * (1 + 1e-12)
+                assert wait >= SHORTEST_WAIT_S
+                if look_s <= 0.01:
+                    assert wait <= 2.0 * LONGEST_WAIT
+    assert wait_after(0.001, 2.0, 1e6, 0.7) == 0.7
+
+
+def test_a_look_sees_the_files_that_an_ingest_would_find(tmp_path):
+    logs = tmp_path / "logs"
+    processed = logs / "processed"
+    elsewhere = tmp_path / "elsewhere"
+    for folder in (logs, logs / "deep" / "deeper", logs / ".hidden", processed, elsewhere):
+        folder.mkdir(parents=True)
+    for number, folder in enumerate((logs, logs / "deep" / "deeper", logs / ".hidden", processed, elsewhere)):
+        (folder / f"{number}.csv").write_text(short_log(float(number)))
+    (logs / ".partial.csv").write_text("x")
+    (logs / "linked.csv").symlink_to(elsewhere / "4.csv")
+    (logs / "inside.csv").symlink_to("0.csv")
+    (logs / "dangling").symlink_to(elsewhere / "none.csv")
+    (logs / "linked-folder").symlink_to(elsewhere)
+    look, troubles = look_at([logs], exclude=[processed])
+    sources = find_sources([logs], shipped_profiles(), processed)
+    found = {source.key for source in sources if source.problem is None}
+    assert len(found) == 3
+    # a link that leads out is seen, and refused
+    assert found == {path for path in look if path.endswith(".csv")} - {str(logs / "linked.csv")}
+    assert troubles == {}
+    for path, (size, mtime_ns, _) in look.items():
+        status = os.stat(path)
+        assert (status.st_size, status.st_mtime_ns) == (size, mtime_ns)
+
+
+def test_single_files_and_what_is_not_there(tmp_path):
+    (tmp_path / "scene.toml").write_text("x")
+    look, troubles = look_at([tmp_path / "gone"], [tmp_path / "scene.toml", tmp_path / "none.toml"])
+    assert list(look) == [str(tmp_path / "scene.toml")]
+    assert list(troubles) == [str(tmp_path / "gone")]
+
+
+def test_an_ingest_leaves_alone_what_somebody_saw_grow(tmp_path):
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / name).write_text(short_log(float(ord(name[0]))))
+        os.utime(tmp_path / name, (1e9, 1e9))  # a copy that brought its time along
+    growing = str(tmp_path / "b.csv")
+    report = ingest([tmp_path], tmp_path / "processed", growing=[growing], settle_s=5)
+    assert (report.found, report.ingested, report.waiting) == (1, 1, (growing,))
+    report = ingest([tmp_path], tmp_path / "processed", settle_s=5)
+    assert (report.found, report.ingested, report.skipped, report.waiting) == (2, 1, 1, ())
