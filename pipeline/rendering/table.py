@@ -90,6 +90,7 @@ class Column:
         numeric = self.show is not None
         if value is None or value == "":
             why = self.why or row.get("reason") or "not available"
+            marks = marks or (table.mark(why) if why in table.notes else ())
             return Cell(MISSING, self.name, numeric=numeric, aside=beside, why=why, marks=marks)
         if self.show is None:
             return Cell(str(value), self.name, numeric=False, aside=beside, marks=marks)

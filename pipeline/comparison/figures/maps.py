@@ -265,7 +265,7 @@ def _contours(shown: CostMap, criterion: str, axes: Axes) -> None:
         lines = axes.contour(shown.stiffness, shown.damping, _without_steps(shown.cost, criterion), **look)
         factor = printed_scale(criterion)
         numbered = levels[levels > edge[0]][::2] if edge else levels[1::LINES_PER_DOUBLING]
-        axes.clabel(lines, numbered[:2], fmt=lambda level: significant(level * factor, 3), fontsize=8.5, colors=INK)
+        axes.clabel(lines, numbered[:2], fmt=lambda level: significant(level * factor, 3), fontsize=9.5, colors=INK)
     elif (triangles := _triangles(shown.stiffness, shown.damping)) is not None:
         axes.tricontour(triangles, shown.cost, **look)
 

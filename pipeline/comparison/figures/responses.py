@@ -167,7 +167,7 @@ def _response_figure(
     )
     caption = (
         f"Trial {batch.trial_id[0]} of experiment {stages.experiment}: {words}.{told} Right, the beginning: the "
-        f"position first changes at t_obs = {decimal(at, 3)} ms, so that the delay lies in the shaded sampling period (6.3)."
+        f"position first changes at t_obs = {decimal(at, 3)} ms, so that the delay lies in the shaded period (6.3)."
     )
     return Figure("response", "first-response", "Step response", caption, panels, size=(440.0, 290.0))
 

@@ -29,8 +29,8 @@ from pipeline.rendering.report.report import pack
 from pipeline.rendering.report.tables import TrialPage
 from pipeline.theory.predictions import Theory
 
-SAMPLES = 400_000
-"""Samples of responses that a report holds, some 250 kB: one of thesis size stays below 2 MB."""
+SAMPLES = 200_000
+"""Samples of responses that a report holds, some 280 kB: one of thesis size stays below 2 MB."""
 
 PORTION = 64
 """Responses that are prepared at once: the simulated loop takes about as long for one as for these."""

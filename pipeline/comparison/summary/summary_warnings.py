@@ -35,10 +35,8 @@ BAD_FITS = 0.2
 EXTRAPOLATED = 0.05
 """Share of an optimal energy cost beyond the horizon of the log from which on it is named."""
 
-_NUMBER = re.compile(r" \([^()]*\)|\d[\d.e+−-]*")
+_ASIDE, _NUMBER = re.compile(r" \([^()]*\)"), re.compile(r"\d[\d.e+−-]*")
 """What tells equal warnings of several experiments apart."""
-
-Warning_ = dict[str, Any]
 
 
 def warnings_of(data: SceneData, results: Sequence[ExperimentResult]) -> tuple[str, ...]:
@@ -48,7 +46,7 @@ def warnings_of(data: SceneData, results: Sequence[ExperimentResult]) -> tuple[s
     return tuple(" ".join(line.split()) for line in text.splitlines() if line.strip())
 
 
-def _of_trials(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator[Warning_]:
+def _of_trials(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator[dict[str, Any]]:
     simulated = [r.experiment for r in results if r.simulated]
     if 0 < len(simulated) < len(results):
         yield {"code": "mixed", "experiments": simulated}
@@ -84,7 +82,7 @@ def _extrapolated(data: SceneData, results: Sequence[ExperimentResult]) -> Itera
                     yield result.experiment, criterion.weight, 100 * abs(tail) / best.cost
 
 
-def _of_device(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator[Warning_]:
+def _of_device(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator[dict[str, Any]]:
     """Yield where the logs of a known device do not fit its device file, so that theory speaks of something else."""
     device = data.device
     if device is None:
@@ -111,7 +109,7 @@ def _too_late(device: Device, name: str) -> float:
     return longest if entry.delay_samples > longest else 0.0
 
 
-def _of_estimates(results: Sequence[ExperimentResult]) -> Iterator[Warning_]:
+def _of_estimates(results: Sequence[ExperimentResult]) -> Iterator[dict[str, Any]]:
     """Yield what is missing or doubtful among the estimates, the same of several experiments together.
 
     Single numbers stand as remarks in the table of methods.
@@ -132,7 +130,9 @@ def _of_estimates(results: Sequence[ExperimentResult]) -> Iterator[Warning_]:
                 drifts.setdefault(quantity, []).append(result.experiment)
             others = "; ".join(clause for clause in clauses if clause and not clause.startswith(DRIFTS))
             if others:
-                doubt = doubts.setdefault(_NUMBER.sub("", others), {"quantities": [], "experiments": [], "texts": []})
+                doubt = doubts.setdefault(
+                    _NUMBER.sub("", _ASIDE.sub("", others)), {"quantities": [], "experiments": [], "texts": []}
+                )
                 for key, value in (("quantities", quantity), ("experiments", result.experiment), ("texts", others)):
                     doubt[key] += [value] if value not in doubt[key] else []
     for (quantity, reason), names in missing.items():
@@ -140,7 +140,8 @@ def _of_estimates(results: Sequence[ExperimentResult]) -> Iterator[Warning_]:
     if drifts:
         yield {"code": "drifts", "drifts": drifts}
     for doubt in doubts.values():
-        yield {"code": "doubt", **doubt}
+        texts = list(dict.fromkeys(_ASIDE.sub("", text) for text in doubt["texts"]))
+        yield {"code": "doubt", **doubt, "texts": doubt["texts"] if len(doubt["texts"]) == 1 else texts}
 
 
 def too_late(result: ExperimentResult) -> bool:

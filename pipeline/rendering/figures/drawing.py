@@ -64,6 +64,7 @@ RC: Any = {
     "grid.color": FAINT,
     "grid.linewidth": 0.6,
     "font.size": 10.0,
+    "lines.solid_capstyle": "butt",
     "legend.frameon": False,
     **dict.fromkeys(("axes.edgecolor", "axes.labelcolor", "text.color", "xtick.color", "ytick.color"), INK),
 }
@@ -386,9 +387,22 @@ def dots(axes: Axes, x: Floats, y: Floats, colour: str, size: float, *, square: 
         axes.add_artist(PathPatch(outline, transform=axes.transData, label="_", **look))
 
 
-_JUNK = re.compile(r"<metadata>.*?</metadata>|<!--.*?-->|<defs>\s*<style.*?</style>\s*</defs>", re.DOTALL)
 _STYLE = re.compile(r'style="([^"]*)"')
-_LONG = re.compile(r"-?\d+\.\d{3,}(?:e-?\d+)?")
+_SHORTER = [
+    (re.compile(pattern, re.DOTALL), text)
+    for pattern, text in (
+        (r"<metadata>.*?</metadata>|<!--.*?-->|<defs>\s*<style.*?</style>\s*</defs>", ""),
+        (r'<g id="[^"]*"', "<g"),
+        (r' transform="rotate\(-0 [^)]*\)"', ""),
+        (r'<path d="[^"]*"(?: clip-path="[^"]*")? fill="none"/>', ""),  # areas of nothing
+        (r"M (\S+) (\S+)\s+L \1 \2\s", r"M\1 \2h0"),  # dots
+        (r"(?<=\d)\s+L (?=[-\d])", " "),
+        (r"\s*\n\s*", " "),
+        (r"> <", "><"),
+        (r' "(?=[ /])', '"'),
+    )
+]
+_NUMBER = re.compile(r"-?\d+\.\d{2,}(?:e-?\d+)?(?=[\s\"),z])")
 
 
 def _for_page(text: str, identifier: str, title: str, words: str) -> str:
@@ -396,14 +410,13 @@ def _for_page(text: str, identifier: str, title: str, words: str) -> str:
 
     Places are rounded to a tenth of a pixel; styles become attributes, which a policy of a page does not forbid.
     """
-    text = _JUNK.sub("", text[text.index("<svg ") :])
+    text = text[text.index("<svg ") :]
     box = re.search(r'viewBox="[^"]*"', text)
-    body = text[text.index(">") + 1 : text.rindex("</svg>")]
-    body = re.sub(r' id="(?:figure|axes|patch|text|line2d|matplotlib|legend|PathCollection|LineCollection|FillBetween|'
-                  r'Poly|Quad|xtick|ytick|\d)[^"]*"', "", body)  # fmt: skip
-    body = _STYLE.sub(_attributes, body)
-    body = _LONG.sub(lambda number: f"{float(number[0]):.1f}".removesuffix(".0"), body)
-    body = re.sub(r"\s*\n\s*", " ", body).replace("> <", "><").replace(' "/', '"/').replace(" z ", "z")
+    body = _STYLE.sub(_attributes, text[text.index(">") + 1 : text.rindex("</svg>")])
+    body = _NUMBER.sub(lambda number: f"{float(number[0]):.1f}".removesuffix(".0"), body)
+    for pattern, shorter in _SHORTER:
+        body = pattern.sub(shorter, body)
+    body = _without_plain_groups(body)
     for colour, variable in ON_PAGE.items():
         body = body.replace(colour, variable)
     return (
@@ -412,6 +425,19 @@ def _for_page(text: str, identifier: str, title: str, words: str) -> str:
         f'<title id="{identifier}-title">{escape(title)}</title><desc id="{identifier}-desc">{escape(words)}</desc>'
         f"{body}</svg>"
     )
+
+
+def _without_plain_groups(body: str) -> str:
+    """Return elements without the groups that say nothing."""
+    open_groups: list[bool] = []
+
+    def kept(tag: re.Match[str]) -> str:
+        if tag[0] == "</g>":
+            return "" if open_groups.pop() else tag[0]
+        open_groups.append(tag[0] == "<g>")
+        return "" if open_groups[-1] else tag[0]
+
+    return re.sub(r"<g(?: [^>]*)?>|</g>", kept, body)
 
 
 def _attributes(style: re.Match[str]) -> str:

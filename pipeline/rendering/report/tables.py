@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -379,8 +380,10 @@ def _optima(rows: Sequence[Row], units: Any, place: Callable[[Row], str]) -> dic
     for name in dict.fromkeys(row["table"] for row in rows):
         own = [dict(row) for row in rows if row["table"] == name]
         swept = is_sweep(own)
-        for row in own:
-            row |= {"reason": row["note"], "raw": row["condition"], "condition": condition_label(row["condition"])}
+        for row, after in zip(own, [*own[1:], own[-1]], strict=True):
+            # over delay, theory of each experiment stands before it
+            row |= {"reason": row["note"], "raw": row["condition"], "of": row["experiment"] or after["experiment"]}
+            row["condition"] = condition_label(row["condition"])
             if row["delay_samples"] is not None and (swept or not row["condition"].startswith("theory")):
                 row["condition"] += f" (d = {significant(row['delay_samples'], 3)})"
         here = "this report" if any(row["published_cost"] is not None for row in own) else ""
@@ -435,12 +438,10 @@ def _named(rows: Sequence[Row]) -> Callable[[Row], str]:
     def names(row: Row) -> list[str]:
         delay = "" if row["delay_samples"] is None else f"/d={significant(row['delay_samples'], 3)}"
         plain = f"{row['criterion']}/{row['raw']}"
-        return [plain, plain + delay, f"{plain}{delay}/{row['experiment']}"]
+        return [plain, plain + delay, f"{plain}{delay}/{row['of']}"] if delay else [plain, f"{plain}/{row['of']}"]
 
-    every = [names(row) for row in rows]
-    return lambda row: next(
-        (n for i, n in enumerate(names(row)) if sum(each[i] == n for each in every) == 1), names(row)[-1]
-    )
+    counts = Counter(name for row in rows for name in set(names(row)))
+    return lambda row: next((name for name in names(row) if counts[name] == 1), names(row)[0])
 
 
 def _parts(row: Row) -> str:
@@ -631,6 +632,7 @@ def _truth(result: ComparisonResult) -> Table | None:
                     "name": f"{quantity_name(name)} [{unit_text(one.unit)}]",
                 }
             )
+    reasons = [f"No limits: {e.truth.limit_reason}." for e in known if e.truth and e.truth.limit_reason]
     held = [e.truth_held for e in known if e.truth_held]
     total = sum(one.estimates + one.limits for one in held)
     kept = sum(one.estimates_held + one.limits_held for one in held)
@@ -640,9 +642,12 @@ def _truth(result: ComparisonResult) -> Table | None:
         Column("truth", show=_digits(4), notes=lambda row: [MISSED if row["outside"] else None]),
         Column("interval", "95 %", show=lambda text, _: str(text), why="no interval"),
     )
-    return table_of(
+    table = table_of(
         "truth", caption, columns, rows, lambda row: f"{row['experiment']}/{row['quantity']}", _of_experiment
     )
+    if table is not None:
+        table.mark(*reasons)
+    return table
 
 
 def _use(result: ComparisonResult, place: Callable[[Row], str]) -> Table | None:
