@@ -172,7 +172,7 @@ def test_every_criterion_and_format_is_documented() -> None:
 
     from pipeline.profiles.profile_model import Format
     from pipeline.records.criteria import CRITERIA
-    from pipeline.theory.optimum.rules import POINT_CRITERIA
+    from pipeline.theory.optimum import POINT_CRITERIA
 
     text = read(ROOT / "docs" / "definitions.md")
     names = {name.removesuffix("_discrete") for name in (*CRITERIA, *POINT_CRITERIA)}

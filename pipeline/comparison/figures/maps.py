@@ -20,7 +20,7 @@ from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.criteria import OVERSHOOT, criterion_of
 from pipeline.records.findings import Optimum
-from pipeline.records.models import Motion, TableLayout
+from pipeline.records.models import Motion
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.figures.boundaries import by_theory, measured
 from pipeline.rendering.figures.drawing import BLUE, GREEN, INK, PAPER, VERMILLION, Figure, Panel, Series, dots, reach
@@ -35,7 +35,7 @@ from pipeline.rendering.labels import (
     table_label,
     with_unit,
 )
-from pipeline.theory.cost.maps import cost_maps
+from pipeline.theory.costs import cost_maps
 from pipeline.theory.predictions import Predictions, Theory
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ def map_figures(
             own = [maps[criterion]] if theory else []
             own += [_measured_map(r, stages[r.experiment], criterion) for r in shown if criterion in r.optimum]
             if own:
-                figure = _map_figure(table, criterion, own, motion, theory=theory is not None)
+                figure = map_figure(table.name, criterion, own, motion)
                 # experiments "a b" and "a-b" would share an identifier
                 taken = f"-{len(found)}" if figure.identifier in found else ""
                 found[figure.identifier + taken] = replace(figure, identifier=figure.identifier + taken)
@@ -173,8 +173,9 @@ def _smoothed(K: Floats, B: Floats, cost: Floats, criterion: str) -> Floats:
     return np.asarray(np.exp(smooth_of(K, B, values, FEW_NEIGHBOURS).of(values)))
 
 
-def _map_figure(table: TableLayout, criterion: str, maps: Sequence[CostMap], motion: Motion, *, theory: bool) -> Figure:
-    family, label = criterion_of(criterion).family, table_label(table.name)
+def map_figure(table: str, criterion: str, maps: Sequence[CostMap], motion: Motion) -> Figure:
+    """Return maps of one criterion side by side, with the table that their optima stand in."""
+    family, label = criterion_of(criterion).family, table_label(table)
     edges = [s for each in maps for s in each.boundary]
     limits = (0.0, reach(*(s.x for s in edges), *(m.trials[0] for m in maps))[1]), reach(*(s.y for s in edges))
     lowest = [float(np.nanmin(m.least[1])) for m in maps if np.isfinite(m.least[1]).any()]
@@ -186,14 +187,15 @@ def _map_figure(table: TableLayout, criterion: str, maps: Sequence[CostMap], mot
     )
     tried = any(m.trials.size for m in maps)
     caption = (
-        f"{'Theory left. ' if theory else ''}Black: stability limit. Green: lines of equal cost, {lines}"
+        f"{'Theory left. ' if maps[0].cost.ndim == 2 else ''}Black: stability limit. Green: lines of equal cost, "
+        f"{lines}"
         f"{'; measured costs are smoothed over the trials around' if tried else ''}. Plus: optimum as in {label}"
         f"{', of experiments the best single trial' if tried else ''}. Below: least cost for each stiffness"
         f"{' and all trials' if tried else ''}."
     )
     panels = tuple(_map_panel(each, criterion, limits, top, motion) for each in maps)
     size = (350.0, 430.0) if len(maps) > 2 else (440.0, 500.0)
-    identifier = re.sub(r"[^A-Za-z0-9_-]", "-", f"{table.name}-{criterion}")
+    identifier = re.sub(r"[^A-Za-z0-9_-]", "-", f"{table}-{criterion}")
     title = f"Cost maps, {criterion_label(criterion)}"
     return Figure("maps", identifier, title, caption, panels, criterion_name(criterion), f"costs, {label}", size)
 

@@ -15,8 +15,8 @@ from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.results import ExperimentResult
 from pipeline.records.score_records import RegionScore, Scores, StiffnessScore
+from pipeline.theory.limits import is_inside, stable_intervals
 from pipeline.theory.predictions import Theory
-from pipeline.theory.stability.region import is_inside, stable_intervals
 
 
 def add_scores(

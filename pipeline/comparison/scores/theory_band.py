@@ -10,7 +10,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import LoopParts
-from pipeline.theory.stability.region import stiffness_limit
+from pipeline.theory.limits import stiffness_limit
 
 MASSES = 5
 """Masses that are tried: over m alone the limit may have an extremum inside the interval. It is flat there: for +-10 %

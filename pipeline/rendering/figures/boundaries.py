@@ -15,8 +15,8 @@ from pipeline.records.models import FigureKind, Motion, Overlay, Shown
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.figures.drawing import Figure, Panel, Series, reach
 from pipeline.rendering.labels import UNITS, damping_text, stiffness_text
+from pipeline.theory.limits import robust_outline
 from pipeline.theory.predictions import Theory
-from pipeline.theory.stability.robust import robust_outline
 
 SEEN = 0.01
 """Width of a passive region, relative to that of the stable one, from which it is more than a dot: three pixels."""

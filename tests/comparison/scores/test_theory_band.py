@@ -8,7 +8,7 @@ import pytest
 from pipeline.base.errors import ParameterError
 from pipeline.comparison.scores.theory_band import ParameterBox, theory_band
 from pipeline.loop.loop import Normalised
-from pipeline.theory.stability.region import stiffness_limit
+from pipeline.theory.limits import stiffness_limit
 
 BOX = ParameterBox((0.55, 0.61), (2.0, 6.0), (3.0, 5.0), 1e-3)
 FIRM = ParameterBox((0.9, 1.1), (30.0, 38.0), (3.5, 4.5), 1e-3)
