@@ -97,7 +97,7 @@ def test_parameters_of_a_file_outside_what_the_logs_tell_are_a_cause(data, resul
     heavy = experiment.scores[0].parameters.model_copy(update={"mass": 0.9})
     found = told(data, result, scores=scored(result, distance=distance, parameters=heavy)).causes
     assert [cause.code for cause in found] == ["parameter_range"]
-    assert found[0].evidence.startswith("m = 0.9 kg, logs 0.57")
+    assert found[0].evidence.startswith("m = 0.900 kg, logs 0.5")
     assert told(data, result, scores=scored(result, distance=distance)).causes == (), "those of the file are right"
     assert told(data, result, scores=scored(result, parameters=heavy)).causes == (), "theory predicts the limits"
 
