@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
-from pipeline.base.process_pool import process_pool
+from pipeline.base.process import process_pool
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.measured.stages.stage_groups import TrialGroup
 from pipeline.records.batch import Booleans, TrialBatch

@@ -11,7 +11,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.base.regular_files import open_regular
+from pipeline.base.paths import open_regular
 
 METADATA = "metadata.yaml"
 ENDINGS = (".db3", ".mcap")

@@ -16,10 +16,10 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from pipeline.base.errors import StoreError, UsageError
-from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.lock import WAIT_S, writing
-from pipeline.intake.periods import alike
-from pipeline.store.batch_files import tidy
+from pipeline.base.paths import path_of_text, path_text, storable
+from pipeline.intake.known import alike
+from pipeline.store.batch_files import KEY_COLUMNS, Key, rewrite, without
 from pipeline.store.corrections import (
     IDENTITY,
     Correction,
@@ -29,7 +29,7 @@ from pipeline.store.corrections import (
     write_corrections,
 )
 from pipeline.store.names import name_of_folder
-from pipeline.store.storage import read_trials, read_versions
+from pipeline.store.storage import read_rows, read_trials
 
 NEAREST = 5
 """Trials that a message shows."""
@@ -124,15 +124,15 @@ def empty_bin(processed: Path, wait_s: float = WAIT_S, say: Say = None) -> int:
     with _changing(processed, wait_s, say):
         gone = {one.trial_id for one in deleted(processed)}
         keys = {key for key in _keys(processed) if key[1] in gone}
-        tidy(processed, keys)
+        kept = without(processed, keys, {})
+        for file in kept:
+            rewrite(processed, [file], kept)
     return len({trial for _, trial, _ in keys})
 
 
-def _keys(processed: Path) -> list[tuple[str, str, str]]:
-    """Return all that is stored, former versions too, as `tidy` takes it."""
-    names = ["source_path", "trial_id", "profile_sha256"]
-    table, _, _ = read_versions(processed, None, None, names, {})
-    return list(zip(*(table.column(name).to_pylist() for name in names), strict=True))
+def _keys(processed: Path) -> list[Key]:
+    """Return all that is stored."""
+    return list(zip(*map(read_rows(processed, KEY_COLUMNS, {}).column, KEY_COLUMNS), strict=True))
 
 
 def _stored(processed: Path) -> list[dict[str, str]]:

@@ -15,10 +15,9 @@ from pathlib import Path
 
 from pipeline.base.disk import each, kept_files, read_kept, write_kept
 from pipeline.base.errors import OTHER_COLUMNS, REMEDY, Code, LogError, StoreError, UsageError
-from pipeline.base.file_names import path_of_text, path_text, storable
+from pipeline.base.paths import open_regular, path_of_text, path_text, storable
 from pipeline.base.provenance import digest
 from pipeline.base.provenance import sha256 as sha256_of
-from pipeline.base.regular_files import open_regular
 from pipeline.intake.sources import Source
 from pipeline.records.findings import Record
 

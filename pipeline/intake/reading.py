@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 from itertools import islice
 
 from pipeline.base.errors import LogError
-from pipeline.base.file_names import storable
-from pipeline.base.regular_files import open_regular
+from pipeline.base.paths import open_regular, storable
 from pipeline.intake.sources import Source
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log, RawLog, reader_of

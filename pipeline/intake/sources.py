@@ -15,8 +15,7 @@ from types import MappingProxyType
 
 from pipeline.base.disk import READABLE, shared_mode
 from pipeline.base.errors import Code, UsageError
-from pipeline.base.file_names import path_of_text, path_text, storable
-from pipeline.base.regular_files import OutsideError, is_gone, real_file
+from pipeline.base.paths import OutsideError, is_gone, path_of_text, path_text, real_file, storable
 from pipeline.intake.bags import bag_of
 from pipeline.profiles.patterns import find_groups
 from pipeline.profiles.profile_files import claim

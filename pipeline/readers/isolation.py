@@ -23,7 +23,7 @@ from queue import SimpleQueue
 from typing import IO, Any
 
 from pipeline.base.errors import LogError
-from pipeline.base.process import begin_alone, end_when, ended_through
+from pipeline.base.process import begin_alone, end_when, without_pandas
 from pipeline.readers.limits import (
     COPIES,
     CPU_SECONDS,
@@ -122,9 +122,11 @@ def serve() -> None:
             # the function itself says what is missing and how to install it
             with contextlib.suppress(ImportError):
                 import_module(needed)
+        if "pyarrow" in sys.modules:
+            without_pandas(sys.modules["pyarrow"])
         _alarm(seconds)
         size = len(arguments[1])
-        with ended_through(pipe), memory_for(allowed_bytes(size) + size):  # nothing is sent before there is a result
+        with memory_for(allowed_bytes(size) + size):
             try:
                 with reading(arguments[0], kind):
                     outcome: tuple[bool, Any] = (True, work(*arguments))

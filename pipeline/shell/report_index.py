@@ -19,8 +19,7 @@ from urllib.parse import quote
 from pydantic import BaseModel, ValidationError
 
 from pipeline.base.disk import replacing, write_text
-from pipeline.base.file_names import storable
-from pipeline.base.regular_files import open_regular
+from pipeline.base.paths import open_regular, storable
 from pipeline.base.wording import unbroken
 from pipeline.records.findings import BoundaryPoint
 from pipeline.records.models import Motion

@@ -20,7 +20,7 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.base.process_pool import process_pool
+from pipeline.base.process import process_pool
 from pipeline.device_data.published_theory import THEORY_TABLES, PrintedNumber, PublishedPoint, published_points
 from pipeline.loop.loop import Loop
 from pipeline.records.criteria import ENERGY, criterion_of

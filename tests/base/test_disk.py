@@ -13,7 +13,7 @@ from native_logs import FAULTS, log_text
 from stored import merge_all
 
 from pipeline.base import disk, lock
-from pipeline.base.disk import NewFile, kept_files, read_kept, remove_temporary, replacing, write_kept
+from pipeline.base.disk import kept_files, new_file, read_kept, remove_temporary, replacing, write_kept
 from pipeline.intake.ingest import ingest
 
 
@@ -46,9 +46,22 @@ def test_threads_may_write_one_file(tmp_path):
     assert os.listdir(tmp_path) == ["file"]
 
 
+def abandoned(folder, name):
+    """The temporary file of a writer that was killed."""
+    killed = new_file(folder, name=name)
+    file = killed.__enter__()
+    file.stream.close()
+    KILLED.append(killed)
+    return file.path
+
+
+KILLED = []
+"""Keeps writers from being ended by the collector, which would clean up."""
+
+
 def test_what_is_left_over_is_removed_whoever_wrote_it(tmp_path):
     for name in ("a", "b" * 300):
-        NewFile(tmp_path / "below", name).stream.close()
+        abandoned(tmp_path / "below", name)
     assert len(os.listdir(tmp_path / "below")) == 2
     remove_temporary(tmp_path, deep=True)
     assert os.listdir(tmp_path / "below") == []
@@ -56,10 +69,7 @@ def test_what_is_left_over_is_removed_whoever_wrote_it(tmp_path):
 
 @pytest.mark.parametrize("fails", ["nothing", "scandir", "unlink"])
 def test_what_killed_writers_left_is_removed_by_a_later_one(tmp_path, monkeypatch, fails):
-    new = [NewFile(tmp_path, name) for name in ("a", "line\nbreak", "b" * 300, "a")]
-    for file in new:
-        file.stream.close()
-    *killed, young = (file._temporary.name for file in new)
+    *killed, young = (abandoned(tmp_path, name).name for name in ("a", "line\nbreak", "b" * 300, "a"))
     others = [".a.tmp", ".a.0123.tmp", "a.0123456789abcdef.tmp", ".a.0123456789abcdef.tmp~", "a.html"]
     for name in others:
         (tmp_path / name).touch()
@@ -184,13 +194,13 @@ def test_what_a_link_leads_to_is_quoted_only_from_inside(tmp_path):
 
 
 def test_a_log_that_becomes_a_link_while_it_is_looked_at_is_not_followed(tmp_path, monkeypatch):
-    from pipeline.base import regular_files
+    from pipeline.base import paths
 
     (tmp_path / "secret").write_text("secret")
     (tmp_path / "log").symlink_to("secret")
-    monkeypatch.setattr(regular_files.os.path, "islink", lambda path: False)
+    monkeypatch.setattr(paths.os.path, "islink", lambda path: False)
     with pytest.raises(OSError, match="symbolic links"):
-        regular_files.open_regular(tmp_path / "log", str(tmp_path))
+        paths.open_regular(tmp_path / "log", str(tmp_path))
 
 
 def test_refused_logs_do_not_stay_in_memory(tmp_path):

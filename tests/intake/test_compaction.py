@@ -132,13 +132,14 @@ def test_translation_and_rotation_keep_their_own_files(tmp_path):
 def test_bytes_are_rewritten_once_for_each_factor(grow, monkeypatch):
     """Of 26 logs that come alone, with groups of 3, each is written at most 1 + log3(26) times: 26 = 2*9 + 2*3 + 2."""
     written: Counter[str] = Counter()
-    original = batch_files.NewBatch.write
+    original = batch_files._groups
 
-    def write(batch, trials):
-        written.update(trials.column("trial_id").to_pylist())
-        return original(batch, trials)
+    def groups(parts):
+        for group in original(parts):
+            written.update(group.column("trial_id").to_pylist())
+            yield group
 
-    monkeypatch.setattr(batch_files.NewBatch, "write", write)
+    monkeypatch.setattr(batch_files, "_groups", groups)
     processed, logs = grow(26, rows=3, most_small=3)
     assert len(written) == 26
     assert max(written.values()) == 1 + 2

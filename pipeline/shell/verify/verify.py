@@ -33,8 +33,7 @@ from pipeline.shell.verify.verify_differences import (
 )
 from pipeline.shell.verify.verify_logs import LogProblem, ReportedLogs, read_anew, store_of
 from pipeline.store.corrections import Exclusion
-from pipeline.store.mirror import opened
-from pipeline.store.objects import is_url
+from pipeline.store.objects import is_url, opened
 
 
 class Verification(Record):

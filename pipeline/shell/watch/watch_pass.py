@@ -18,8 +18,8 @@ from functools import partial
 from pathlib import Path
 
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, PipelineError, StoreError
-from pipeline.base.file_names import path_of_text, path_text
 from pipeline.base.lock import WAIT_S, holder, writing
+from pipeline.base.paths import path_of_text, path_text
 from pipeline.base.process import Ended, begin_alone, end_when, ending_on_signals
 from pipeline.base.provenance import digest
 from pipeline.comparison.compare import compare
