@@ -26,7 +26,7 @@ from pipeline.intake.ingest_report import Action, ChangedSource, IngestReport, L
 from pipeline.intake.known import Periods, StoredSource, StoredSources
 from pipeline.intake.quarantine import REFUSED_TOGETHER, QuarantineRecord, keep, list_quarantine, record_of, release
 from pipeline.intake.reading import Read, batches_of, in_order, read_and_check
-from pipeline.intake.sources import Source, by_rest, find_sources, is_settled, told_by_name
+from pipeline.intake.sources import Source, find_sources, is_settled, told_by_name
 from pipeline.intake.trialstore import LOG_BYTES, Accepted, accepted_logs, store_logs, trial_id
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
@@ -210,11 +210,14 @@ class _Run:
 
         found = find_sources(folders, self.profiles, self.processed, noticed, unchanged, self.present)
         self.unread = len(self.present)
-        self.sources, young = by_rest(found, settle_s, frozenset(growing))
         self.present |= {source.key for source in found}
-        for source in young:
-            self.waiting.append(source.shown)
-            self._note(source, "wait", f"modified less than {settle_s:g} s ago")
+        restless = frozenset(growing)
+        for source in found:
+            if is_settled(source.mtime_ns, settle_s) and restless.isdisjoint(map(os.path.abspath, source.files)):
+                self.sources.append(source)
+            else:
+                self.waiting.append(source.shown)
+                self._note(source, "wait", f"modified less than {settle_s:g} s ago")
 
     def work(self, jobs: int) -> None:
         """Decide on every source and store what is new."""
