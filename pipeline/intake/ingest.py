@@ -21,7 +21,6 @@ from pipeline.base.paths import is_gone, path_of_text, path_text, storable
 from pipeline.base.process import Ended
 from pipeline.base.provenance import digest
 from pipeline.base.wording import counted
-from pipeline.device_data.devices import known_devices
 from pipeline.intake.ingest_report import Action, ChangedSource, IngestReport, LogWarning, PlannedSource, Refusal
 from pipeline.intake.known import Periods, StoredSource, StoredSources
 from pipeline.intake.quarantine import REFUSED_TOGETHER, QuarantineRecord, keep, list_quarantine, record_of, release
@@ -31,7 +30,7 @@ from pipeline.intake.trialstore import LOG_BYTES, Accepted, accepted_logs, store
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
-from pipeline.records.models import Motion
+from pipeline.records.findings import Motion
 from pipeline.store.batch_files import Key, merge_small, remove_incomplete, tidy
 from pipeline.store.corrections import carry, read_corrections
 from pipeline.store.objects import publish, renewed
@@ -143,8 +142,8 @@ class _Run:
     waiting: list[str] = field(default_factory=list)
     plan: list[PlannedSource] = field(default_factory=list)
     sources: list[Source] = field(default_factory=list)
-    present: set[str] = field(default_factory=set)
-    """Paths of all sources that are there."""
+    missing: set[str] = field(default_factory=set)
+    """Paths of stored sources that were not found, or not searched for."""
     unread: int = 0
     """Sources that are known by size and time, which nobody looked at."""
 
@@ -153,7 +152,6 @@ class _Run:
     """Path under which each trial is stored now."""
     renamed: dict[str, str] = field(default_factory=dict)
     """Id of each trial whose log was renamed, and the one that it has now."""
-    former_names: set[str] = field(default_factory=set)
     pending: list[Accepted] = field(default_factory=list)
     pending_bytes: int = 0
     dropped: set[Key] = field(default_factory=set)
@@ -180,6 +178,8 @@ class _Run:
 
     @cached_property
     def _motions(self) -> dict[str, Motion]:
+        from pipeline.device_data.devices import known_devices  # whose models take longer than an ingest without news
+
         return {name: device.motion for name, device in known_devices().items()}
 
     @cached_property
@@ -192,27 +192,31 @@ class _Run:
     def _gone(self) -> dict[tuple[str, str], list[str]]:
         """Paths of stored sources that are not there any more, by content and profile."""
         found: dict[tuple[str, str], list[str]] = {}
-        for path in sorted(self.stored.keys() - self.present):
+        for path in sorted(self.missing):
             if is_gone(path_of_text(path)) and (one := self.stored.get(path)) is not None:
                 found.setdefault((one.sha256, one.profile_sha256), []).append(path)
         return found
 
     def look(self, folders: Sequence[Path], settle_s: float, growing: Collection[str]) -> None:
         """Find the sources; those that need no look are counted."""
-        unchanged = {} if self.dry_run or self.rehash else self.stored.states
+        known = {} if self.dry_run or self.rehash else self.stored.states
         for path in (*self.refused, *growing):
-            unchanged.pop(path, None)
+            known.pop(path, None)
         if settle_s:
-            unchanged = {path: state for path, state in unchanged.items() if is_settled(state[1], settle_s)}
+            known = {path: state for path, state in known.items() if is_settled(state[1], settle_s)}
+        left = dict(known)
 
         def noticed(folder: Path, text: str) -> None:
             self.warnings.append(LogWarning(path=path_text(folder), warning=text))
 
-        found = find_sources(folders, self.profiles, self.processed, noticed, unchanged, self.present)
-        self.unread = len(self.present)
-        self.present |= {source.key for source in found}
+        found = find_sources(folders, self.profiles, self.processed, noticed, left)
+        self.unread = len(known) - len(left)
+        present = {source.key for source in found}
+        self.missing = (self.stored.keys() - known.keys() | left.keys()) - present
         restless = frozenset(growing)
         for source in found:
+            if source.key in known and source.key not in left:
+                continue  # given twice
             if is_settled(source.mtime_ns, settle_s) and restless.isdisjoint(map(os.path.abspath, source.files)):
                 self.sources.append(source)
             else:
@@ -252,7 +256,7 @@ class _Run:
     def report(self, folders: Sequence[Path]) -> IngestReport:
         """Return what became of all sources, and which are stored and stand no more below some folders."""
         roots = tuple(os.path.join(path_text(os.path.abspath(folder)), "") for folder in folders if folder.is_dir())
-        missing = [key for key in self.stored.keys() - self.present - self.former_names if key.startswith(roots)]
+        missing = [key for key in self.missing if key.startswith(roots)]
         # what may not be looked at is told as such; a folder in the place of a log is none
         removed = [key for key in missing if is_gone(path := path_of_text(key)) or path.is_dir()]
         return IngestReport(
@@ -413,7 +417,7 @@ class _Run:
             if source.profile is not None and source.profile.reads_names and (gone := self._gone.get(told[:2])):
                 # a corrected name is no copy: its trials give way to those that are read by the present one
                 path = gone.pop(0)
-                self.former_names.add(path)
+                self.missing.discard(path)
                 self.renamed |= dict(zip(self.stored[path].trials, ids, strict=False))
                 told_now = f"is now {source.shown}; its trials were read anew"
                 self._drop(path, path, self.stored[path], told_now)

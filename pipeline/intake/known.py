@@ -6,8 +6,9 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,10 +20,10 @@ from pipeline.store.batch_files import Key
 from pipeline.store.names import name_of_folder
 from pipeline.store.storage import read_rows, trials_files
 
-SEEN = ("source_path", "trial_id", "source_size", "source_mtime_ns", "source_trials", "claims")
+SEEN = ("source_path", "source_size", "source_mtime_ns", "source_trials", "claims")
 """Columns that tell whether anything is new; with groups of 64 rows each column costs a tenth of the time."""
 
-MORE = ("source_sha256", "profile_sha256", "profile", "device")
+MORE = ("source_sha256", "profile_sha256", "profile", "device", "trial_id")
 """Columns that are read of a file when a log of it is asked for."""
 
 
@@ -68,35 +69,25 @@ class StoredSources(Mapping[str, StoredSource]):
     """
 
     def __init__(self, processed: Path, claims: str, damaged: dict[Path, str]) -> None:
-        self.claims, self.damaged = claims, damaged
+        self.processed, self.claims, self.damaged = processed, claims, damaged
         self.rows = read_rows(processed, SEEN, damaged)
-        self.paths, self.trials = self.rows.column("source_path"), self.rows.column("trial_id")
-        self.held = self.rows.table.column("source_trials").to_numpy()
+        self.paths: list[str] = self.rows.column("source_path")
+        self.size, self.time, self.held = (self.rows.table.column(name).to_numpy() for name in SEEN[1:4])
         self.last = dict(zip(self.paths, range(len(self.paths)), strict=True))
-        self._details: dict[int, list[tuple[Any, ...]]] = {}
-        self._missing: dict[str, int] = {}
-        if (self.held > 1).any():
-            stored = Counter(self.paths)
-            self._missing = {path: int(self.held[row]) - stored[path] for path, row in self.last.items()}
-
-    @property
-    def doubled(self) -> bool:
-        """Whether a trial stands there twice, or a log with two contents."""
-        if (self.held > 1).any():
-            return len(set(self.trials)) < len(self.trials) or min(self._missing.values()) < 0
-        return len(self.last) < len(self.paths) or len(set(self.trials)) < len(self.trials)
+        self._details: dict[int, list[tuple[str, str, str, str, str]]] = {}
+        stored = Counter(self.paths) if len(self.last) < len(self.paths) or (self.held > 1).any() else Counter()
+        self._missing = {path: int(self.held[self.last[path]]) - count for path, count in stored.items()}
+        self.doubled = min(self._missing.values(), default=0) < 0
+        """Whether a log stands there with two contents."""
 
     @property
     def states(self) -> dict[str, tuple[int, int]]:
         """Size [byte] and time [ns] of each source that is one file, stored as a whole, of a profile that is sure."""
-        states = zip(*map(self.rows.column, ("source_size", "source_mtime_ns")), strict=True)
-        found = dict(zip(self.paths, states, strict=True))
+        states = zip(self.size.tolist(), self.time.tolist(), strict=True)
+        sure = [claims == self.claims for claims in self.rows.column("claims")]
+        found = dict(zip(compress(self.paths, sure), compress(states, sure), strict=True))
         unsure = [path for path, lost in self._missing.items() if lost]
-        unsure += [path for path in found if path.endswith(ENDINGS)]
-        claims = self.rows.column("claims")
-        if set(claims) != {self.claims}:
-            unsure += [path for path, by in zip(self.paths, claims, strict=True) if by != self.claims]
-        for path in unsure:
+        for path in (*unsure, *(path for path in found if path.endswith(ENDINGS))):
             found.pop(path, None)
         return found
 
@@ -104,7 +95,7 @@ class StoredSources(Mapping[str, StoredSource]):
         """Return whether all trials of a stored source are there."""
         return not self._missing.get(path)
 
-    def _detail(self, row: int) -> tuple[Any, ...]:
+    def _detail(self, row: int) -> tuple[str, str, str, str, str]:
         """Return the values of `MORE`.
 
         Raises
@@ -115,25 +106,22 @@ class StoredSources(Mapping[str, StoredSource]):
         index = int(self.rows.file[row])
         if index not in self._details:
             with open_table(self.rows.files[index]) as stored:
-                columns = stored.read(list(MORE), use_threads=False).to_pydict()
-            self._details[index] = list(zip(*(columns[name] for name in MORE), strict=True))
-        first = int(np.searchsorted(self.rows.file, index))
-        return self._details[index][row - first]
+                columns = stored.read(list(MORE), use_threads=False)
+            self._details[index] = list(zip(*(columns.column(name).to_pylist() for name in MORE), strict=True))
+        return self._details[index][row - int(np.searchsorted(self.rows.file, index))]
 
     def __getitem__(self, path: str) -> StoredSource:
         last = self.last[path]
-        rows = [last]
-        if self.held[last] > 1:
-            rows = [row for row, other in enumerate(self.paths) if other == path]
+        rows = [last] if self.held[last] == 1 else [row for row, other in enumerate(self.paths) if other == path]
         try:
             details = [self._detail(row) for row in rows]
         except (StoreError, FileNotFoundError) as error:  # the log counts as new
             self.damaged[self.rows.files[int(self.rows.file[last])]] = str(error)
             raise KeyError(path) from error
-        size, time = (int(self.rows.table.column(f"source_{name}")[last].as_py()) for name in ("size", "mtime_ns"))
-        trials, devices = tuple(self.trials[row] for row in rows), tuple(detail[3] for detail in details)
-        sha256, profile_sha256, profile, _ = details[-1]
-        return StoredSource(sha256, profile_sha256, profile, size, time, devices, trials, self.is_whole(path))
+        sha256, profile_sha256, profile, _, _ = details[-1]
+        told = sha256, profile_sha256, profile, int(self.size[last]), int(self.time[last])
+        devices, trials = tuple(row[3] for row in details), tuple(row[4] for row in details)
+        return StoredSource(*told, devices, trials, self.is_whole(path))
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.last)
@@ -143,7 +131,8 @@ class StoredSources(Mapping[str, StoredSource]):
 
     def places(self, but: set[str]) -> dict[str, str]:
         """Return the path under which each trial is stored, but those of some sources and of such in part."""
-        pairs = zip(self.trials, self.paths, strict=True)
+        rows = read_rows(self.processed, ("trial_id", "source_path"), self.damaged)
+        pairs = zip(rows.column("trial_id"), rows.column("source_path"), strict=True)
         return {trial: path for trial, path in pairs if path not in but and self.is_whole(path)}
 
 

@@ -15,7 +15,7 @@ from pipeline.intake.sources import Source
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.readers.limits import LARGEST_LOG
-from pipeline.records.models import Motion
+from pipeline.records.findings import Motion
 from pipeline.store.names import folder_name
 
 BATCH_LOGS = 256

@@ -6,12 +6,11 @@ import json
 import os
 import stat
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from types import MappingProxyType
 
 from pipeline.base.disk import READABLE, shared_mode
 from pipeline.base.errors import Code, UsageError
@@ -77,8 +76,7 @@ def find_sources(
     profiles: tuple[Profile, ...],
     exclude: Path | None = None,
     notice: Notice = lambda folder, reason: None,
-    unchanged: Mapping[str, tuple[int, int]] = MappingProxyType({}),
-    present: set[str] | None = None,
+    unchanged: dict[str, tuple[int, int]] | None = None,
 ) -> list[Source]:
     """Return every log below the given folders and files, each once, in order of path.
 
@@ -95,10 +93,8 @@ def find_sources(
         Folder that is left out (`processed/`, which may lie inside a searched folder).
     notice : callable, optional
         Called with each folder that is not searched, and why: it is a link, or may not be read.
-    unchanged : mapping of str to (int, int), optional
-        Size [byte] and time [ns] of files, by absolute path, that are left out while they have these.
-    present : set of str, optional
-        Gets the paths of those.
+    unchanged : dict of str to (int, int), optional
+        Size [byte] and time [ns] of files, by absolute path; it loses those that have them, which are left out.
 
     Raises
     ------
@@ -122,16 +118,14 @@ def find_sources(
         folder = path if path.is_dir() else path.parent
         # a link that is given itself is the user's own choice
         within = None if folder != path and path.is_symlink() else os.path.realpath(folder)
-        look = _files(path, excluded, notice, unchanged, set() if present is None else present)
+        look = _files(path, excluded, notice, {} if unchanged is None else unchanged)
         for file in look if folder == path else [path]:
             source = _source(file, profiles, within)
             found.setdefault(source.key, source)
     return [found[key] for key in sorted(found)]
 
 
-def _files(
-    folder: Path, excluded: str | None, notice: Notice, unchanged: Mapping[str, tuple[int, int]], present: set[str]
-) -> Iterator[Path]:
+def _files(folder: Path, excluded: str | None, notice: Notice, unchanged: dict[str, tuple[int, int]]) -> Iterator[Path]:
     """Yield the files below a folder but hidden ones and `UNCOUNTED`; links to folders are not followed."""
     waiting = [os.fspath(folder)]
     while waiting:
@@ -140,14 +134,14 @@ def _files(
         try:
             with os.scandir(here) as entries:
                 for entry in entries:
-                    name = entry.name
-                    if name[0] == ".":
+                    path = below + entry.name
+                    known = unchanged.get(path)
+                    if known is not None and _state(entry) == known:
+                        del unchanged[path]
+                    elif entry.name[0] == ".":
                         continue
-                    path = below + name
-                    if path in unchanged and _state(entry) == unchanged[path]:
-                        present.add(path)
                     elif not _is_folder(entry):
-                        if name.lower() not in UNCOUNTED:
+                        if entry.name.lower() not in UNCOUNTED:
                             yield Path(entry.path)
                     elif entry.is_symlink():
                         text = "is a link to a folder, which is not followed. Give that folder if it has logs."

@@ -23,7 +23,7 @@ from pipeline.readers import Log
 from pipeline.readers.obeyed import cure, obeyed
 from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import Floats, Integers
-from pipeline.records.models import Motion
+from pipeline.records.findings import Motion
 from pipeline.records.tables import COLUMNS, to_arrow
 from pipeline.store.batch_files import (
     GROUP_BYTES,
@@ -44,7 +44,7 @@ OTHER_GAINS = "other_gains"
 OPEN_FILES = 8
 """Files that are written at once: each recording may be an experiment of its own, and open files are few."""
 
-LOG_BYTES = 4096
+LOG_BYTES = 2048
 """Memory of a log beside its samples [byte]."""
 
 

@@ -20,7 +20,7 @@ from pipeline.base.disk import READABLE, content_of, new_file, readers_of, remov
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import stamp
 from pipeline.records.batch import Booleans
-from pipeline.records.models import Motion
+from pipeline.records.findings import Motion
 from pipeline.records.table_files import WRITING, damaged_file, metadata_of, open_table
 from pipeline.records.tables import arrow_schema
 from pipeline.store.storage import TABLE, VERSION_COLUMNS, Rows, read_rows, trials_folder

@@ -19,6 +19,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -240,7 +241,7 @@ def read_rows(
         replaced = [file for file in files if file.stem in names]
         tables = [table.slice(0, 0) if file in replaced else table for file, table in zip(files, tables, strict=True)]
         index = np.repeat(np.arange(len(files)), [table.num_rows for table in tables])
-        return Rows(pa.concat_tables([_schema(columns).empty_table(), *tables]), index, files, replaced)
+        return Rows(pa.concat_tables([_schema(tuple(columns)).empty_table(), *tables]), index, files, replaced)
 
     rows = steadily(trials_folder(processed, *(name for name in (device, experiment) if name is not None)), read)
     if damaged is not None:
@@ -259,7 +260,7 @@ def _read(
     broken: dict[Path, str],
 ) -> pa.Table:
     """Return columns of a file; `replaced` gets the names of those in whose place it stands."""
-    schema = _schema(columns)
+    schema = _schema(tuple(columns))
     if file in left_out:
         return schema.empty_table()
     try:
@@ -277,7 +278,8 @@ def _read(
     return pa.Table.from_arrays(found, schema=schema)
 
 
-def _schema(columns: Sequence[str]) -> pa.Schema:
+@cache
+def _schema(columns: tuple[str, ...]) -> pa.Schema:
     whole = arrow_schema("trials", also=LOCATION)
     return pa.schema([whole.field(name) for name in columns])
 
