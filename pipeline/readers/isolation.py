@@ -109,6 +109,7 @@ def allowed_bytes(size: int) -> int:
 def serve() -> None:
     """Work on calls from standard input; the main loop of a worker process, which ends when its parent does."""
     begin_alone()
+    without_pandas(import_module("pyarrow"))
     pipe, results = sys.stdin.fileno(), os.fdopen(os.dup(1), "wb")
     # whatever a library prints must not get between the results
     os.dup2(2, 1)
@@ -122,8 +123,6 @@ def serve() -> None:
             # the function itself says what is missing and how to install it
             with contextlib.suppress(ImportError):
                 import_module(needed)
-        if "pyarrow" in sys.modules:
-            without_pandas(sys.modules["pyarrow"])
         _alarm(seconds)
         size = len(arguments[1])
         with memory_for(allowed_bytes(size) + size):
