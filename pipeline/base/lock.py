@@ -70,13 +70,15 @@ def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] 
     UsageError
         If `wait_s` is negative or not a number.
     StoreError
-        If another process still holds the lock after that time, or the file system has no locks.
+        If another process still holds the lock after that time, the file system has no locks, or the block fails to
+        write; what was stored stays valid.
     """
     if not wait_s >= 0:
         raise UsageError(f"wait must be 0 s or more, found {wait_s:g}. 0 does not wait for another command.")
-    make_folder(processed)
-    file = os.open(processed / LOCK_FILE, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o666)
+    file = -1
     try:
+        make_folder(processed)
+        file = os.open(processed / LOCK_FILE, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o666)
         if not _taken(file, _GRACE_S):
             if say is not None and wait_s:
                 say(f"{processed}: {_noted(file)} writes there; waiting up to {wait_s:g} s")
@@ -91,8 +93,14 @@ def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] 
         os.write(file, b" " * _LOCKED + json.dumps(vars(note)).encode())
         yield
         os.ftruncate(file, 0)
+    except OSError as error:
+        raise StoreError(
+            f"{processed}: cannot be written ({error}). What is stored is whole; make room or correct the permissions, "
+            "and run the command again."
+        ) from error
     finally:
-        os.close(file)  # lets the lock go
+        if file >= 0:
+            os.close(file)  # lets the lock go
 
 
 def holder(processed: Path) -> Holder | None:

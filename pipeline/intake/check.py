@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pipeline.base.disk import READABLE, content_of, make_folder, remove_all, said_content, sync_folder, write_text
-from pipeline.base.errors import ProfileError, StoreError
+from pipeline.base.errors import ProfileError
 from pipeline.base.lock import WAIT_S, writing
 from pipeline.base.paths import path_of_text
 from pipeline.intake.ingest import ingest
@@ -127,14 +127,11 @@ def check(
         if progress:
             progress(done, len(files))
     trials = {file: _rows_of(file) for file in faults if file.relative_to(processed).parts[0] == "trials"}
-    try:
-        if repair and trials:
-            _read_again(processed, trials, faults, profile, wait_s, say)
-        with writing(processed, wait_s, say) if repair and faults else nullcontext():
-            damage = [_of_trials(processed, file, rows, faults, repair) for file, rows in trials.items()]
-            damage += [_of_others(processed, file, faults, repair) for file in faults.keys() - trials.keys()]
-    except OSError as error:
-        raise StoreError(f"{processed}: cannot be written ({error}). Make room, and repair again.") from error
+    if repair and trials:
+        _read_again(processed, trials, faults, profile, wait_s, say)
+    with writing(processed, wait_s, say) if repair and faults else nullcontext():
+        damage = [_of_trials(processed, file, rows, faults, repair) for file, rows in trials.items()]
+        damage += [_of_others(processed, file, faults, repair) for file in faults.keys() - trials.keys()]
     damage.sort(key=lambda one: one.file)
     return CheckReport(files=len(files), bytes=size, damage=tuple(damage), repaired=repair, gone=lost)
 

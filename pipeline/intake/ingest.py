@@ -11,7 +11,6 @@ from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from pipeline.base.provenance import digest
 from pipeline.base.wording import counted
 from pipeline.intake.ingest_report import Action, ChangedSource, IngestReport, LogWarning, PlannedSource, Refusal
 from pipeline.intake.known import Periods, StoredSource, StoredSources
-from pipeline.intake.quarantine import REFUSED_TOGETHER, QuarantineRecord, keep, list_quarantine, record_of, release
+from pipeline.intake.quarantine import QuarantineRecord, Refused, keep, list_quarantine, record_of, release
 from pipeline.intake.reading import Read, batches_of, in_order, read_and_check
 from pipeline.intake.sources import Source, find_sources, is_settled, told_by_name
 from pipeline.intake.trialstore import LOG_BYTES, Accepted, accepted_logs, store_logs, trial_id
@@ -103,78 +102,61 @@ def ingest(
     check_version(processed)
     profiles = shipped_profiles() if profile is None else (load_profile(profile),)
     folders = [Path(path) for path in paths]
-    run = _Run(processed, profiles, dry_run, rehash, replace, progress, {} if damaged is None else dict(damaged))
-    try:
-        with nullcontext() if dry_run else writing(processed, wait_s, say):
-            run.begin()
-            run.look(folders, settle_s, growing)
-            run.work(jobs or min(4, os.cpu_count() or 1))
-            return run.report(folders)
-    except (KeyboardInterrupt, Ended) as error:
-        error.add_note(
-            f"{len(run.visible)} new logs are stored in {processed} and {run.kept} more are in quarantine. The same "
-            "command finds the rest again."
-        )
-        raise
-    except OSError as error:
-        raise StoreError(
-            f"{processed}: cannot be written ({error}). Logs stored so far are complete; "
-            "make room or correct the permissions and run the command again."
-        ) from error
+    with nullcontext() if dry_run else writing(processed, wait_s, say):
+        run = _Run(processed, profiles, dry_run, rehash, replace, progress, dict(damaged or {}))
+        run.look(folders, settle_s, growing)
+        run.work(jobs or min(4, os.cpu_count() or 1))
+        return run.report(folders)
 
 
-@dataclass
 class _Run:
-    """One ingest: what is stored already, what was decided so far, and what waits to be stored."""
+    """One ingest: what is stored already, what was decided so far, and what waits to be stored.
 
-    processed: Path
-    profiles: tuple[Profile, ...]
-    dry_run: bool
-    rehash: bool
-    replace: bool
-    progress: Callable[[int, int], None] | None
-    damaged: dict[Path, str]
+    Parameters
+    ----------
+    processed, profiles, dry_run, rehash, replace, progress, damaged
+        As for `ingest`.
+    """
 
-    counts: Counter[Action] = field(default_factory=Counter)
-    refusals: list[Refusal] = field(default_factory=list)
-    warnings: list[LogWarning] = field(default_factory=list)
-    changed: list[ChangedSource] = field(default_factory=list)
-    waiting: list[str] = field(default_factory=list)
-    plan: list[PlannedSource] = field(default_factory=list)
-    sources: list[Source] = field(default_factory=list)
-    missing: set[str] = field(default_factory=set)
-    """Paths of stored sources that were not found, or not searched for."""
-    unread: int = 0
-    """Sources that are known by size and time, which nobody looked at."""
-
-    taken: dict[str, StoredSource] = field(default_factory=dict)
-    places: dict[str, str] = field(default_factory=dict)
-    """Path under which each trial is stored now."""
-    renamed: dict[str, str] = field(default_factory=dict)
-    """Id of each trial whose log was renamed, and the one that it has now."""
-    pending: list[Accepted] = field(default_factory=list)
-    pending_bytes: int = 0
-    dropped: set[Key] = field(default_factory=set)
-    """Trials that give way to what is pending."""
-    folders: set[Path] = field(default_factory=set)
-    visible: set[str] = field(default_factory=set)
-    """Paths of the sources of trials that were made visible."""
-    refused_now: list[tuple[Source, QuarantineRecord]] = field(default_factory=list)
-    kept: int = 0
-    """Logs that were put into quarantine."""
-
-    def begin(self) -> None:
-        """See what is stored, and take away what interrupted writers left."""
-        self.digests = {profile: profile.digest() for profile in self.profiles}
+    def __init__(
+        self,
+        processed: Path,
+        profiles: tuple[Profile, ...],
+        dry_run: bool,
+        rehash: bool,
+        replace: bool,
+        progress: Callable[[int, int], None] | None,
+        damaged: dict[Path, str],
+    ) -> None:
+        self.processed, self.profiles, self.damaged = processed, profiles, damaged
+        self.dry_run, self.rehash, self.replace, self.progress = dry_run, rehash, replace, progress
+        self.digests = {profile: profile.digest() for profile in profiles}
         self.claims = digest(sorted(self.digests.values()))
-        self.stored = StoredSources(self.processed, self.claims, self.damaged)
-        if not self.dry_run:
-            remove_incomplete(self.processed)
+        self.stored = StoredSources(processed, self.claims, damaged)
+        if not dry_run:
+            remove_incomplete(processed)
             if self.stored.rows.replaced or self.stored.doubled:
-                tidy(self.processed, self.damaged)
-                self.stored = StoredSources(self.processed, self.claims, self.damaged)
-        self.refused = {record.path: record for record in list_quarantine(self.processed, self.damaged)}
-        self.periods = Periods(self.processed)
+                tidy(processed, damaged)
+                self.stored = StoredSources(processed, self.claims, damaged)
+        self.refused = {record.path: record for record in list_quarantine(processed, damaged)}
+        self.periods = Periods(processed)
+        self.sources = list[Source]()
+        self.unread = 0
+        """Sources that are known by size and time, which nobody looked at."""
+        self.missing = set[str]()
+        """Paths of stored sources that were not found, or not searched for."""
+        self.places = dict[str, str]()
+        """Path under which each trial is stored now."""
+        self.taken = dict[str, StoredSource]()
+        self.renamed = dict[str, str]()
+        """Id of each trial whose log was renamed, and the one that it has now."""
+        self.pending, self.pending_bytes, self.dropped = list[Accepted](), 0, set[Key]()
+        """Trials that are not visible yet, and those that give way to them."""
+        self.folders = set[Path]()
+        self.counts, self.visible, self.kept = Counter[Action](), 0, 0
+        """Sources by what becomes of them; those of them that were made visible, and put into quarantine."""
+        self.refusals, self.warnings, self.changed = list[Refusal](), list[LogWarning](), list[ChangedSource]()
+        self.waiting, self.plan = list[str](), list[PlannedSource]()
 
     @cached_property
     def _motions(self) -> dict[str, Motion]:
@@ -189,12 +171,12 @@ class _Run:
         return set()
 
     @cached_property
-    def _gone(self) -> dict[tuple[str, str], list[str]]:
-        """Paths of stored sources that are not there any more, by content and profile."""
-        found: dict[tuple[str, str], list[str]] = {}
+    def _gone(self) -> dict[tuple[str, str], list[tuple[str, StoredSource]]]:
+        """Stored sources that are not there any more, by content and profile."""
+        found: dict[tuple[str, str], list[tuple[str, StoredSource]]] = {}
         for path in sorted(self.missing):
             if is_gone(path_of_text(path)) and (one := self.stored.get(path)) is not None:
-                found.setdefault((one.sha256, one.profile_sha256), []).append(path)
+                found.setdefault((one.sha256, one.profile_sha256), []).append((path, one))
         return found
 
     def look(self, folders: Sequence[Path], settle_s: float, growing: Collection[str]) -> None:
@@ -212,7 +194,7 @@ class _Run:
         found = find_sources(folders, self.profiles, self.processed, noticed, left)
         self.unread = len(known) - len(left)
         present = {source.key for source in found}
-        self.missing = (self.stored.keys() - known.keys() | left.keys()) - present
+        self.missing = (self.stored.last.keys() - known.keys() | left.keys()) - present
         restless = frozenset(growing)
         for source in found:
             if source.key in known and source.key not in left:
@@ -230,17 +212,22 @@ class _Run:
             # a source that is looked at again enters after that
             self.places = self.stored.places({source.key for source in unsettled})
         # stored sources come first: a log that was copied and touched is recognised at its old place
-        unsettled.sort(key=lambda source: (source.key not in self.stored, source.key))
+        unsettled.sort(key=lambda source: (source.key not in self.stored.last, source.key))
 
         def read(sources: list[Source]) -> list[Read]:
             return read_and_check(sources, self._is_known, jobs > 2)
 
-        with ThreadPoolExecutor(jobs) if jobs > 1 and unsettled else nullcontext() as pool:
-            for batch in in_order(read, batches_of(unsettled), pool, jobs):
-                for done in batch:
-                    self._settle(done)
-                self._keep()
-            self._flush()
+        try:
+            with ThreadPoolExecutor(jobs) if jobs > 1 and unsettled else nullcontext() as pool:
+                for batch in in_order(read, batches_of(unsettled), pool, jobs):
+                    self._keep([record for done in batch if (record := self._settle(done)) is not None])
+                self._flush()
+        except (KeyboardInterrupt, Ended) as error:
+            error.add_note(
+                f"{self.visible} new logs are stored in {self.processed} and {self.kept} more are in quarantine. The "
+                "same command finds the rest again."
+            )
+            raise
         if self.dry_run:
             return
         if self.renamed:
@@ -327,20 +314,20 @@ class _Run:
         stored = None if path is None else self._at(path)
         return stored is not None and stored.profile_sha256 == self._digest(source)
 
-    def _settle(self, read: Read) -> None:
+    def _settle(self, read: Read) -> Refused | None:
+        """Decide on a source that was read; return what is to be put into quarantine."""
+        source = read.source
         try:
             if isinstance(read.result, LogError):
                 raise read.result
             assert read.sha256 is not None, "what was read has a hash"
-            self._accept(read.source, read.sha256, read.result)
+            self._accept(source, read.sha256, read.result)
         except LogError as error:
-            record = record_of(read.source, read.sha256, error, self._digest(read.source))
-            former = self.refused.get(read.source.key)
-            if not self.dry_run and record != former and not record.knows_less(former):
-                self.refused_now.append((read.source, record))
-                if len(self.refused_now) >= REFUSED_TOGETHER:
-                    self._keep()
-            self._tell_refused(read.source, record)
+            record, former = record_of(source, read.sha256, error, self._digest(source)), self.refused.get(source.key)
+            self._tell_refused(source, record)
+            if record != former and not record.knows_less(former):
+                return source, record
+        return None
 
     def _accept(self, source: Source, sha256: str, logs: tuple[Log, ...] | None) -> None:
         """Store a log, or skip one that is known, for which nobody made `logs` of it.
@@ -416,11 +403,10 @@ class _Run:
         if former is None:
             if source.profile is not None and source.profile.reads_names and (gone := self._gone.get(told[:2])):
                 # a corrected name is no copy: its trials give way to those that are read by the present one
-                path = gone.pop(0)
+                path, renamed = gone.pop(0)
                 self.missing.discard(path)
-                self.renamed |= dict(zip(self.stored[path].trials, ids, strict=False))
-                told_now = f"is now {source.shown}; its trials were read anew"
-                self._drop(path, path, self.stored[path], told_now)
+                self.renamed |= dict(zip(renamed.trials, ids, strict=False))
+                self._drop(path, path, renamed, f"is now {source.shown}; its trials were read anew")
                 reason = f"its name was {path}"
         elif not again:
             reason = "content changed"
@@ -468,16 +454,17 @@ class _Run:
             return
         self.folders |= store_logs(self.processed, self.pending, self.dropped, self.damaged)
         publish(self.processed)
-        for source in {one.source.key: one.source for one in self.pending}.values():
-            self.visible.add(source.key)
+        sources = {one.source.key: one.source for one in self.pending}
+        for source in sources.values():
             self._release(source)
+        self.visible += len(sources)
         self.pending, self.pending_bytes, self.dropped = [], 0, set()
 
-    def _keep(self) -> None:
+    def _keep(self, refused: Sequence[Refused]) -> None:
         """Put into quarantine what was refused."""
-        keep(self.processed, self.refused_now)
-        self.kept += len(self.refused_now)
-        self.refused_now = []
+        if not self.dry_run:
+            keep(self.processed, refused)
+            self.kept += len(refused)
 
     def _release(self, source: Source) -> None:
         if self.refused and not self.dry_run:

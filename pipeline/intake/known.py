@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
@@ -56,7 +55,7 @@ class StoredSource(NamedTuple):
         return {(path, trial, self.profile_sha256) for trial in self.trials}
 
 
-class StoredSources(Mapping[str, StoredSource]):
+class StoredSources:
     """What is stored of each source, by its path; a record is made when it is asked for, of 100,000 hardly any.
 
     Parameters
@@ -74,9 +73,12 @@ class StoredSources(Mapping[str, StoredSource]):
         self.paths: list[str] = self.rows.column("source_path")
         self.size, self.time, self.held = (self.rows.table.column(name).to_numpy() for name in SEEN[1:4])
         self.last = dict(zip(self.paths, range(len(self.paths)), strict=True))
+        self._several: dict[str, list[int]] = {}
+        if len(self.last) < len(self.paths) or (self.held > 1).any():
+            for row, path in enumerate(self.paths):
+                self._several.setdefault(path, []).append(row)
+        self._missing = {path: int(self.held[rows[-1]]) - len(rows) for path, rows in self._several.items()}
         self._details: dict[int, list[tuple[str, str, str, str, str]]] = {}
-        stored = Counter(self.paths) if len(self.last) < len(self.paths) or (self.held > 1).any() else Counter()
-        self._missing = {path: int(self.held[self.last[path]]) - count for path, count in stored.items()}
         self.doubled = min(self._missing.values(), default=0) < 0
         """Whether a log stands there with two contents."""
 
@@ -95,39 +97,29 @@ class StoredSources(Mapping[str, StoredSource]):
         """Return whether all trials of a stored source are there."""
         return not self._missing.get(path)
 
-    def _detail(self, row: int) -> tuple[str, str, str, str, str]:
-        """Return the values of `MORE`.
+    def get(self, path: str) -> StoredSource | None:
+        """Return what is stored under a path; of a file that is damaged nothing, so that its logs count as new."""
+        if path not in self.last:
+            return None
+        rows = self._several.get(path, [self.last[path]])
+        try:
+            details = [self._detail(row) for row in rows]
+        except (StoreError, FileNotFoundError) as error:
+            self.damaged[self.rows.files[int(self.rows.file[rows[-1]])]] = str(error)
+            return None
+        sha256, profile_sha256, profile, _, _ = details[-1]
+        told = sha256, profile_sha256, profile, int(self.size[rows[-1]]), int(self.time[rows[-1]])
+        devices, trials = tuple(row[3] for row in details), tuple(row[4] for row in details)
+        return StoredSource(*told, devices, trials, self.is_whole(path))
 
-        Raises
-        ------
-        StoreError
-            If the file is damaged there.
-        """
+    def _detail(self, row: int) -> tuple[str, str, str, str, str]:
+        """Return the values of `MORE`."""
         index = int(self.rows.file[row])
         if index not in self._details:
             with open_table(self.rows.files[index]) as stored:
                 columns = stored.read(list(MORE), use_threads=False)
             self._details[index] = list(zip(*(columns.column(name).to_pylist() for name in MORE), strict=True))
         return self._details[index][row - int(np.searchsorted(self.rows.file, index))]
-
-    def __getitem__(self, path: str) -> StoredSource:
-        last = self.last[path]
-        rows = [last] if self.held[last] == 1 else [row for row, other in enumerate(self.paths) if other == path]
-        try:
-            details = [self._detail(row) for row in rows]
-        except (StoreError, FileNotFoundError) as error:  # the log counts as new
-            self.damaged[self.rows.files[int(self.rows.file[last])]] = str(error)
-            raise KeyError(path) from error
-        sha256, profile_sha256, profile, _, _ = details[-1]
-        told = sha256, profile_sha256, profile, int(self.size[last]), int(self.time[last])
-        devices, trials = tuple(row[3] for row in details), tuple(row[4] for row in details)
-        return StoredSource(*told, devices, trials, self.is_whole(path))
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.last)
-
-    def __len__(self) -> int:
-        return len(self.last)
 
     def places(self, but: set[str]) -> dict[str, str]:
         """Return the path under which each trial is stored, but those of some sources and of such in part."""

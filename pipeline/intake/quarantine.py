@@ -27,9 +27,6 @@ RECORD = "reason"
 EXCERPT_ROWS, LONGEST_SHOWN = 3, 160
 """Lines shown before and behind the row at fault, and characters of each."""
 
-REFUSED_TOGETHER = 64
-"""Refused logs that go into quarantine at once."""
-
 
 class QuarantineRecord(Record):
     """Why a source was refused, and how to see whether it has changed since.
@@ -152,13 +149,16 @@ def record_of(source: Source, sha256: str | None, error: LogError, profile_sha25
     )
 
 
-def keep(processed: Path, refused: Sequence[tuple[Source, QuarantineRecord]]) -> None:
+Refused = tuple[Source, QuarantineRecord]
+
+
+def keep(processed: Path, refused: Sequence[Refused]) -> None:
     """Put refused sources into quarantine; files that are synced together take a twentieth of the time.
 
     A record quotes the log, and may be read by whom that may be read by.
     """
 
-    def write(one: tuple[Source, QuarantineRecord]) -> None:
+    def write(one: Refused) -> None:
         source, record = one
         text = record.model_dump_json() + "\n"
         write_kept(folder_of(processed, record.path), RECORD, ".json", text.encode(), source.mode)

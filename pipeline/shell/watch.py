@@ -360,11 +360,10 @@ def run_pass(watched: Watched, emit: Emit, growing: Sequence[str] = ()) -> int:
         try:
             held.enter_context(writing(lock, 0.0))
         except StoreError as error:
-            other = holder(lock)
-            emit({"event": "busy", "reason": f"{other} is at work on {watched.processed}" if other else str(error)})
-            return EXIT_ERROR
-        except OSError as error:
-            fail("pass", f"{watched.processed}: cannot be written ({error})")
+            if other := holder(lock):
+                emit({"event": "busy", "reason": f"{other} is at work on {watched.processed}"})
+            else:
+                fail("pass", str(error))
             return EXIT_ERROR
         quarantined = _ingest(watched, growing, emit, fail)
         _reports(watched, emit, fail)

@@ -14,6 +14,7 @@ from stored import merge_all
 
 from pipeline.base import disk, lock
 from pipeline.base.disk import kept_files, new_file, read_kept, remove_temporary, replacing, write_kept
+from pipeline.base.errors import StoreError
 from pipeline.intake.ingest import ingest
 
 
@@ -102,7 +103,7 @@ def test_no_file_is_written_through_a_link(tmp_path, monkeypatch):
         pass
     (tmp_path / "processed").mkdir()
     (tmp_path / "processed" / lock.LOCK_FILE).symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(OSError, match="symbolic links"), lock.writing(tmp_path / "processed"):
+    with pytest.raises(StoreError, match="symbolic links"), lock.writing(tmp_path / "processed"):
         pass
     assert (tmp_path / "elsewhere").read_text() == "kept"
 

@@ -160,7 +160,7 @@ def test_a_pass_on_a_disk_that_takes_nothing_is_told(store, logs, monkeypatch):
     def no_folder(*_):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(store / ".watch"))
 
-    monkeypatch.setattr("pipeline.base.lock.writing", no_folder)
+    monkeypatch.setattr("pipeline.base.lock.make_folder", no_folder)
     events = []
     assert run_pass(Watched((logs,), store, store.parent / "reports"), events.append) == 1
     (event,) = events
