@@ -16,7 +16,6 @@ import os
 import re
 import shlex
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
@@ -231,51 +230,40 @@ def read_rows(
     experiment: str | None = None,
 ) -> Rows:
     """Return columns of all rows of the files of trials; parameters and errors as those of `read_trials`."""
-    left_out = {} if damaged is None else dict(damaged)
+    schema, own = _schema(tuple(columns)), [name for name in columns if name not in LOCATION]
     broken: dict[Path, str] = {}
+
+    def rows_of(file: Path, replaced: set[str]) -> pa.Table:
+        try:
+            with open_table(file) as stored:
+                replaced.update(metadata_of(stored.schema_arrow).get("pipeline.replaces", "").split())
+                table = stored.read(own, use_threads=False)
+        except StoreError as error:
+            broken[file] = str(error)
+            return schema.empty_table()
+        found = dict(zip(own, table.columns, strict=True))
+        if len(own) < len(columns):
+            name = file.relative_to(processed).as_posix()
+            found |= {"sample_file": pa.array([name] * len(table)), "sample_row": pa.array(np.arange(len(table)))}
+        # the types are checked; a cast would import what takes longer than reading
+        return pa.Table.from_arrays([found[name] for name in columns], schema=schema)
 
     def read() -> Rows:
         broken.clear()
-        files, names = trials_files(processed, device, experiment), Counter[str]()
-        tables = [_read(file, processed, columns, names, left_out, broken) for file in files]
+        files, names = trials_files(processed, device, experiment), set[str]()
+        tables = {file: rows_of(file, names) for file in files if file not in (damaged or {})}
         replaced = [file for file in files if file.stem in names]
-        tables = [table.slice(0, 0) if file in replaced else table for file, table in zip(files, tables, strict=True)]
-        index = np.repeat(np.arange(len(files)), [table.num_rows for table in tables])
-        return Rows(pa.concat_tables([_schema(tuple(columns)).empty_table(), *tables]), index, files, replaced)
+        counts = [0 if file in replaced or file not in tables else len(tables[file]) for file in files]
+        kept = [tables[file] for file, count in zip(files, counts, strict=True) if count]
+        return Rows(
+            pa.concat_tables([schema.empty_table(), *kept]), np.repeat(np.arange(len(files)), counts), files, replaced
+        )
 
     rows = steadily(trials_folder(processed, *(name for name in (device, experiment) if name is not None)), read)
-    if damaged is not None:
-        damaged |= broken
-    elif broken:
+    if broken and damaged is None:
         raise StoreError(next(iter(broken.values())))
+    (damaged if damaged is not None else {}).update(broken)
     return rows
-
-
-def _read(
-    file: Path,
-    processed: Path,
-    columns: Sequence[str],
-    replaced: Counter[str],
-    left_out: dict[Path, str],
-    broken: dict[Path, str],
-) -> pa.Table:
-    """Return columns of a file; `replaced` gets the names of those in whose place it stands."""
-    schema = _schema(tuple(columns))
-    if file in left_out:
-        return schema.empty_table()
-    try:
-        with open_table(file) as stored:
-            replaced.update(metadata_of(stored.schema_arrow).get("pipeline.replaces", "").split())
-            table = stored.read([name for name in columns if name not in LOCATION], use_threads=False)
-    except StoreError as error:
-        broken[file] = str(error)
-        return schema.empty_table()
-    name, place = file.relative_to(processed).as_posix(), dict[str, Any]()
-    if not set(LOCATION).isdisjoint(columns):
-        place = {"sample_file": pa.array([name] * table.num_rows), "sample_row": pa.array(np.arange(table.num_rows))}
-    # the types are checked; a cast would import what takes longer than reading
-    found = [place[name] if name in LOCATION else table.column(name) for name in columns]
-    return pa.Table.from_arrays(found, schema=schema)
 
 
 @cache

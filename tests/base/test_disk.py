@@ -13,7 +13,7 @@ from native_logs import FAULTS, log_text
 from stored import merge_all
 
 from pipeline.base import disk, lock
-from pipeline.base.disk import kept_files, new_file, read_kept, remove_temporary, replacing, write_kept
+from pipeline.base.disk import kept_files, new_file, read_kept, replacing, write_kept
 from pipeline.base.errors import StoreError
 from pipeline.intake.ingest import ingest
 
@@ -58,14 +58,6 @@ def abandoned(folder, name):
 
 KILLED = []
 """Keeps writers from being ended by the collector, which would clean up."""
-
-
-def test_what_is_left_over_is_removed_whoever_wrote_it(tmp_path):
-    for name in ("a", "b" * 300):
-        abandoned(tmp_path / "below", name)
-    assert len(os.listdir(tmp_path / "below")) == 2
-    remove_temporary(tmp_path, deep=True)
-    assert os.listdir(tmp_path / "below") == []
 
 
 @pytest.mark.parametrize("fails", ["nothing", "scandir", "unlink"])
@@ -221,12 +213,3 @@ def test_refused_logs_do_not_stay_in_memory(tmp_path):
         tracemalloc.stop()
         gc.enable()
     assert left < 60 * 200_000 / 10
-
-
-def test_a_record_is_small_whatever_the_lines_are(tmp_path):
-    (tmp_path / "logs").mkdir()
-    lines = FAULTS["no stiffness"][0].replace("\n", " " + "x" * 1000 + "\n")
-    (tmp_path / "logs" / "a.csv").write_text(lines)
-    assert len(ingest([tmp_path / "logs"], tmp_path / "processed", jobs=1).quarantined) == 1
-    (record,) = (tmp_path / "processed" / "quarantine").rglob("reason-*.json")
-    assert record.stat().st_size < 2000

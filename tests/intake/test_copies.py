@@ -176,14 +176,6 @@ def test_a_copy_under_another_name_is_another_trial_where_the_name_tells_other_c
     assert (Path(warning.path).name, "K100_a.csv" in warning.warning) == ("K100_b.csv", True)
 
 
-def test_a_native_log_that_moved_is_not_read_again(native):
-    (native.logs / "a.csv").write_text(short_log(100))
-    native.ingest()
-    (native.logs / "a.csv").rename(native.logs / "b.csv")
-    report = native.ingest()
-    assert (report.skipped, report.removed, native.rows()) == (1, (str(native.logs / "a.csv"),), [("a.csv", 100.0)])
-
-
 def work(lab: Lab, rng: random.Random, new: int, named: bool) -> None:
     """Do something to the folder that people and their tools do."""
     logs = sorted(lab.logs.iterdir())

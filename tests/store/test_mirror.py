@@ -17,7 +17,7 @@ from pipeline.intake.correct import exclude
 from pipeline.intake.ingest import ingest
 from pipeline.store import batch_files
 from pipeline.store.corrections import read_exclusions
-from pipeline.store.objects import Objects, opened, publish, stored_by
+from pipeline.store.objects import Objects, opened, stored_by
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import list_experiments, read_trials
 
@@ -248,13 +248,6 @@ def test_a_device_that_is_not_there_is_told_with_those_that_are(s3, tmp_path):
 def test_errors_name_the_store_and_not_the_copy(s3, tmp_path):
     with pytest.raises(StoreError, match=f"^{s3}/trials/x is wrong$"), opened(s3) as processed:
         raise StoreError(f"{processed}/trials/x is wrong")
-
-
-def test_a_folder_is_itself(tmp_path):
-    with opened(str(tmp_path)) as processed:
-        assert processed == tmp_path
-        publish(processed)
-        assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow
