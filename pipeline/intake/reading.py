@@ -25,6 +25,9 @@ BATCH_BYTES = 6 << 20
 LONGEST_FOLDER = 200
 """Longest folder name made of a device or experiment; file systems allow 255 bytes."""
 
+SHORT_NAME = LONGEST_FOLDER // 12
+"""Characters of a name that is not too long, whatever they are: each makes twelve at most."""
+
 
 @dataclass(frozen=True, eq=False)
 class Read:
@@ -156,7 +159,7 @@ def motion_of(log: Log, known: Mapping[str, Motion]) -> Motion:
     header = log.header
     for key in ("device", "experiment"):
         name = getattr(header, key)
-        if len(folder_name(name)) > LONGEST_FOLDER:
+        if len(name) > SHORT_NAME and len(folder_name(name)) > LONGEST_FOLDER:
             raise LogError(
                 f"{key} {name!r} is too long for a folder name; shorten it or use ASCII letters.",
                 code="condition-wrong",
