@@ -8,13 +8,12 @@ import sys
 from pathlib import Path
 
 import pytest
-from native_logs import FAULTS, HEADER_LINES, log_text, short_log, with_cell
+from native_logs import HEADER_LINES, log_text, short_log, with_cell
 from stored import check_whole
 
 from pipeline.base import lock
 from pipeline.base.errors import StoreError, UsageError
 from pipeline.intake.ingest import ingest
-from pipeline.shell.status import status
 from pipeline.shell.watch import Watched, run_pass
 from pipeline.store.storage import list_experiments, read_trials, steadily
 
@@ -104,15 +103,6 @@ def test_what_a_writer_has_not_completed_is_not_told_as_left(store, capsys):
     words = capsys.readouterr().out
     assert "not complete, or left by interrupted commands" in words
     assert "pipeline ingest" not in words
-
-
-def test_refused_logs_that_are_gone_are_listed(store, logs):
-    bad = logs / "bad.csv"
-    bad.write_text(FAULTS["text cell"][0])
-    ingest([logs], store, jobs=1)
-    assert status(store).refused_gone == ()
-    bad.unlink()
-    assert status(store).refused_gone == (str(bad),)
 
 
 def test_a_pass_on_a_disk_that_takes_nothing_is_told(store, logs, monkeypatch):
