@@ -7,11 +7,9 @@ from functools import cache, partial
 
 import numpy as np
 
-from pipeline.measured.cost import settling_overshoot, step_metrics
-from pipeline.measured.cost.cost_intervals import overshoot_interval
-from pipeline.measured.cost.energy_intervals import energy_interval
+from pipeline.measured.cost import costs
+from pipeline.measured.cost.energy import WEIGHTS, energy_interval, energy_terms
 from pipeline.measured.cost.reading_error import reading_error
-from pipeline.measured.signal.horizon import WEIGHTS, energy_terms
 from pipeline.studies.accuracy.ladder import Ladder, Method, Values, mean
 from pipeline.studies.accuracy.names import COMPLETE, LARGEST, SETTLE, WHOLE, nth
 from pipeline.studies.accuracy.truth import SLOWEST_COST, USUAL_ROWS, Trials, draw_trials, truth_of
@@ -41,30 +39,11 @@ QUANTITIES = dict(zip(("settling time", "overshoot", *ENERGIES), NAMES, strict=T
 
 def settling(of: Trials) -> Values:
     """Return the settling time [samples], with the true delay."""
-    return {
-        CRITERION: settling_overshoot.settling(of.batch, of.response, of.verdicts, of.delay_samples).samples[CRITERION]
-    }
-
-
-def _settling_about_last(of: Trials) -> Values:
-    found = step_metrics.reconcile(of.batch, of.response, of.verdicts, of.delay_samples)
-    # this definition counts from the command edge; the delay is taken off to compare the bands alone
-    return {CRITERION: found.settling["python_control"].value - of.delay_samples}
+    return {CRITERION: costs.settling(of.batch, of.response, of.verdicts, of.delay_samples)[CRITERION].value}
 
 
 def _overshoot(of: Trials) -> Values:
-    return {"overshoot": settling_overshoot.overshoot(of.batch, of.response, of.verdicts).overshoot}
-
-
-def _overshoot_less_bias(of: Trials) -> Values:
-    found = settling_overshoot.overshoot(of.batch, of.response, of.verdicts)
-    interval = overshoot_interval(of.batch, of.response, reading_error(of.batch, of.response), found)
-    return {"overshoot": np.maximum(found.overshoot - interval.bias, 0.0)}
-
-
-def _overshoot_over_last(of: Trials) -> Values:
-    found = step_metrics.reconcile(of.batch, of.response, of.verdicts, of.delay_samples)
-    return {"overshoot": found.overshoot["python_control"].value}
+    return {"overshoot": costs.overshoot(of.batch, of.response, of.verdicts).value}
 
 
 def whole_sum(of: Trials) -> Values:
@@ -105,10 +84,7 @@ def _thinned(of: Trials) -> Values:
 
 METHODS = (
     (("settling time",), SETTLE, settling),
-    (("settling time",), "band about the last sample", _settling_about_last),
     (("overshoot",), LARGEST, _overshoot),
-    (("overshoot",), "largest reading less its bias", _overshoot_less_bias),
-    (("overshoot",), "over the last sample", _overshoot_over_last),
     (ENERGIES, WHOLE, whole_sum),
     (ENERGIES, "sum down to the sensor's floor", _floor),
     (ENERGIES, COMPLETE, complete_energy),
