@@ -13,21 +13,6 @@ from pipeline.records.score_records import Scores
 from pipeline.records.score_records import TheoryParameters as TheoryParameters
 
 
-class OtherDefinitions(Record):
-    """Settling time [samples] and overshoot [1] of one trial by this report and by other tools."""
-
-    criterion: str
-    trial_id: str
-    stiffness: float
-    damping: float
-    settle_2pct: float | None
-    settle_matlab_final_value: float | None
-    settle_matlab_peak_error: float | None
-    settle_python_control: float | None
-    overshoot: float | None
-    overshoot_last_sample: float | None
-
-
 class Truth(Record):
     """What was true of a simulated experiment: its loop, and beside that jitter [samples] and constant force [N, Nm].
 
@@ -220,7 +205,6 @@ class ExperimentResult(Record):
     verdicts: dict[str, int]
     outcomes: dict[str, int] = Field(default_factory=dict)
     model_check: ModelCheck | None = None
-    other_definitions: tuple[OtherDefinitions, ...] = ()
     estimates: dict[str, Estimate]
     boundary: tuple[BoundaryPoint, ...]
     optimum: dict[str, Optimum]

@@ -72,7 +72,6 @@ def frames(result: ComparisonResult) -> dict[str, pd.DataFrame]:
 
 
 _PLAIN = {
-    "definitions": "other_definitions",
     "loops": "loop",
     "replay": "replay",
     "causes": "causes",

@@ -52,7 +52,6 @@ QUANTITIES = {
     "device_stiffness": "stiffness of the device",
     "constant_force": "constant force on the device",
     "boundary_area": "area under the boundary",
-    "velocity_lag": "lag of the logged velocity",
 }
 
 

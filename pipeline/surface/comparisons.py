@@ -11,7 +11,7 @@ import pandas as pd
 from pydantic import ValidationError
 
 from pipeline.base.errors import UsageError
-from pipeline.base.outputs import check_output
+from pipeline.base.paths import check_output
 from pipeline.comparison.compare import compare as compare_stored
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.frames import boundary_frame, estimates_frame, frames, optima_frame

@@ -153,7 +153,6 @@ class _Experiment:
     def places(self) -> dict[str, str]:
         """References of the trials that tables name."""
         named = {str(best.trial_id) for best in self.result.optimum.values()}
-        named |= {other.trial_id for other in self.result.other_definitions}
         named |= {self.result.use.point.trial_id} if self.result.use else set()
         return {trial: reference(self.number, row) for row, trial in enumerate(self.ids) if trial in named}
 

@@ -45,10 +45,6 @@ PARTS = (
     "of single trials against theory's (95 %); selection, the best single trial against that."
 )
 DRIFT = "Drifts with the setting of the wall: the model does not hold for all trials."
-TOOLS = (
-    "Other tools count from the command edge and take the last sample for the final value; this report counts "
-    "from the first sample that the command can move, and takes x_0 + F_0/K."
-)
 OUTCOMES = {
     "settled": "settled",
     "moving": "still moving",
@@ -199,7 +195,6 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
         "outcomes": _outcomes(result),
         "truth": _truth(result),
         "use": _use(result, place),
-        "definitions": _definitions(f["definitions"], place),
         "missing": table_of(
             "missing",
             "Results that the logs do not allow",
@@ -694,36 +689,6 @@ def use_note(result: ExperimentResult) -> str:
     if not result.use_reason:
         return ""
     return f"{'None' if result.use is None else 'Chosen by stiffness'}: {result.use_reason}."
-
-
-def _definitions(rows: Sequence[Row], place: Callable[[Row], str]) -> Table | None:
-    why = "not settled, or not told by this definition"
-    settling = "settling time, 2 % [samples]"
-    times: tuple[tuple[str, str], ...] = (
-        ("settle_2pct", "this report"),
-        ("settle_matlab_final_value", "MATLAB"),
-        ("settle_matlab_peak_error", "MATLAB, peak error"),
-    )
-    times += (("settle_python_control", "python-control"),)
-    columns = (
-        Column("best", "best trial by", notes=lambda _: [TOOLS]),
-        *(Column(name, label, "", settling, lambda v, _: f"{v:.4g}", why=why, linked=True) for name, label in times),
-        *(
-            Column(name, label, "", "overshoot [%]", lambda v, _: f"{100 * v:.1f}", why=why, linked=True)
-            for name, label in (("overshoot", "this report"), ("overshoot_last_sample", "about the last sample"))
-        ),
-    )
-    shown = [dict(row) | {"best": criterion_label(row["criterion"])} for row in rows]
-    caption = "The best trials by the definitions of other tools"
-    return table_of(
-        "definitions",
-        caption,
-        columns,
-        shown,
-        lambda row: f"{row['experiment']}/{row['criterion']}",
-        _of_experiment,
-        place,
-    )
 
 
 def _header(result: ComparisonResult) -> Table | None:
