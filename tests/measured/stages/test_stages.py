@@ -13,7 +13,7 @@ from stored import batch_of, replace_table
 from pipeline.base.errors import StoreError
 from pipeline.loop.loop import Normalised
 from pipeline.measured import thesis
-from pipeline.measured.cost import settling_overshoot
+from pipeline.measured.cost import costs
 from pipeline.measured.experiment import boundary
 from pipeline.measured.signal import response, verdict
 from pipeline.measured.stages import stage_rows, stage_tables
@@ -222,7 +222,7 @@ def forbid(monkeypatch):
         raise AssertionError("was computed again")
 
     monkeypatch.setattr(StageTables, "_computed", refuse)
-    for module in (boundary, settling_overshoot, thesis, response, verdict):
+    for module in (boundary, costs, thesis, response, verdict):
         for name in ("measured_boundary", "settling", "overshoot", "energy", "from_trials", "first_change"):
             if hasattr(module, name):
                 monkeypatch.setattr(module, name, refuse)
