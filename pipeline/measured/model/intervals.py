@@ -16,6 +16,9 @@ from pipeline.records.batch import Floats
 CONFIDENCE = 0.95
 
 
+COMPUTED = 1e-9
+"""Error relative to a value that computing it leaves: the search ends there in logs without noise."""
+
 JITTERY = 2.0
 """Factor on errors where the delay jitters: what it does is neither independent from sample to sample nor normal. With
 delays of three samples, drawn alike, masses of 670 trials are off by 3e-4, three times what independent errors say."""
@@ -112,7 +115,7 @@ class Errors:
         from scipy.special import stdtrit
 
         value, slope = quantity(self.numbers), self._slope(quantity)
-        error = float(np.sqrt(self._spread(slope[None])[0]))
+        error = max(float(np.sqrt(self._spread(slope[None])[0])), COMPUTED * abs(value))
         reach = float(stdtrit(self.freedom, 0.5 + CONFIDENCE / 2)) * error
         if bounded and value - reach < 0:
             # from the likeliest value that is allowed the likelihood falls by as much as it does inside

@@ -58,6 +58,10 @@ OPEN = 0.02
 """Friction, relative to the largest command, that may act unseen before it must be taken along as unknown: a mass is
 too large by as much."""
 
+SLIGHT = 1e-6
+"""Force of a spring or of friction, relative to the largest command, below which it is none: exact logs tell rounding
+apart from nothing."""
+
 CONSTANT = 1e-3
 """Change of the commands, relative to the largest, below which they count as one constant command."""
 
@@ -148,7 +152,9 @@ def _first(
         bounds = {name: _upper(whole, name, scales) for name in ("friction", "stiffness")}
         fit, parts = _worth(held, whole, trials)
         gain = _loss(fit, "coulomb")
-        if gain > WORTH or _upper(fit, "friction", scales) >= OPEN * scales.command:
+        if (gain > WORTH and fit.device.numbers["coulomb"] / fit.device.numbers["gain"] > SLIGHT) or _upper(
+            fit, "friction", scales
+        ) >= OPEN * scales.command:
             return fit, held, {"friction": gain if gain > WORTH else 0.0} | parts, bounds
     held = stretches(recordings, scales, lead, False)
     near = begin if fit is None else fit.device
@@ -166,8 +172,9 @@ def _upper(fit: Fit, name: str, scales: Scales) -> float:
 
 def _worth(held: Stretches, fit: Fit, trials: int) -> tuple[Fit, dict[str, float]]:
     """Return the fit with its spring where there is one, else without."""
-    gain = _loss(fit, "gamma")
-    if gain > WORTH:
+    gain, numbers = _loss(fit, "gamma"), fit.device.numbers
+    # in units of the largest command, at the largest displacement
+    if gain > WORTH and abs(numbers["gamma"] / numbers["gain"]) > SLIGHT:
         return fit, {"stiffness": gain}
     left = {name: value for name, value in fit.device.numbers.items() if name != "gamma"}
     return refined(held, Device(left, fit.device.noise), trials, far=False, noisy=False), {}

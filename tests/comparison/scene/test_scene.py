@@ -37,7 +37,7 @@ def test_unknown_device_needs_its_estimates_for_any_theory(unknown):
 
 def test_all_criteria_need_all_stages(falcon):
     data = open_scene("falcon", falcon.processed, None, None)
-    assert len(needed_stages(data)) == 12
+    assert len(needed_stages(data)) == 11
     assert data.overlay
     assert len(data.scene.criteria) == 7
 
