@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from pipeline.base.errors import PipelineError as PipelineError
     from pipeline.rig.design import Design as Design
     from pipeline.rig.design import design as design
+    from pipeline.rig.published import published_limits as published_limits
     from pipeline.surface.comparisons import Comparison as Comparison
     from pipeline.surface.comparisons import compare as compare
     from pipeline.surface.comparisons import load as load
@@ -42,6 +43,7 @@ _PUBLIC = {
     "surface.physical_loop": ("Loop",),
     "surface.published": ("human_arms",),
     "rig.design": ("Design", "design"),
+    "rig.published": ("published_limits",),
 }
 """Public names by the module that defines them."""
 
@@ -63,6 +65,7 @@ __all__ = [
     "ingest",
     "load",
     "optima",
+    "published_limits",
     "read_log",
     "samples",
     "simulate",
