@@ -14,7 +14,8 @@ from native_logs import FAULTS, log_text
 from pipeline.base.errors import LogError, ParameterError, ProfileError
 from pipeline.profiles.profile_files import read_profile, shipped_profiles
 from pipeline.profiles.profile_lines import find_questions
-from pipeline.readers.layout import format_of, text_layout
+from pipeline.readers.file_kind import format_of
+from pipeline.readers.layout import text_layout
 from pipeline.shell.cli import run
 from pipeline.shell.profile.profile_draft import draft_profile
 

@@ -32,7 +32,7 @@ from pipeline.profiles.profile_files import load_profile
 from pipeline.readers import conditions
 from pipeline.readers.file_kind import refuse_other_kind
 from pipeline.readers.formats import native
-from pipeline.readers.formats.files import read_file
+from pipeline.readers.isolation import read_file
 from pipeline.shell.cli import run as run_cli
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import list_devices, read_trials

@@ -8,15 +8,20 @@ A Simulink "Structure with time" is such a struct: ``scope.time``, ``scope.signa
 from __future__ import annotations
 
 import warnings
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.io import loadmat
 
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.frame import Array, Contents
 from pipeline.readers.isolation import library
 from pipeline.readers.refusals import refusal
+
+if find_spec("matio"):  # here, where the time to import it does not count
+    import matio  # noqa: F401
 
 _SERIES = "s = struct('time', ts.Time, 'data', ts.Data)"
 _EXPORTS = {
@@ -47,15 +52,14 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
         # insides of objects have a name with # or __
         if not name.startswith(("#", "__")):
             _add(contents, name, value)
-    for name, label in contents.attributes.items():
+    for name in contents.columns:
         # Simulink writes what a signal is beside its values
-        if name.endswith(".label") and (stem := name.removesuffix("label") + "values") in contents.columns:
-            contents.hints[stem] = str(label)
+        stem, _, rest = name.rpartition(".values")
+        if stem and not rest.strip("[0123456789]") and (label := contents.attributes.get(f"{stem}.label")):
+            contents.hints[name] = str(label)
 
 
 def _by_scipy(path: Path) -> dict[str, Any]:
-    from scipy.io import loadmat
-
     with warnings.catch_warnings():
         warnings.simplefilter("error", np.exceptions.ComplexWarning)
         try:

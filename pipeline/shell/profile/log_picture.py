@@ -19,7 +19,7 @@ from pipeline.device_data.devices import known_devices
 from pipeline.intake.reading import logs_of, motion_of
 from pipeline.intake.sources import find_sources
 from pipeline.measured.signal.marks import gaps, jumps, rests
-from pipeline.profiles.profile_columns import QUANTITIES
+from pipeline.profiles.profile_columns import QUANTITIES, si_unit
 from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
@@ -29,7 +29,7 @@ from pipeline.records.models import Motion
 from pipeline.rendering.figures.log_drawing import recorded, words
 from pipeline.rendering.report.page_template import fill_template
 from pipeline.shell.console import draft_hint
-from pipeline.shell.profile.profile_check import si_unit, step_of
+from pipeline.shell.profile.profile_check import step_of
 from pipeline.shell.profile.profile_draft import open_sample
 
 MOST_COLUMNS = 24

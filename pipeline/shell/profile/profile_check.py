@@ -12,16 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import LogError
-from pipeline.base.units import UNITS
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.reading import logs_of, motion_of
 from pipeline.intake.sources import find_sources
 from pipeline.measured.signal.response import NO_ROW, find_response
-from pipeline.profiles.profile_columns import QUANTITIES, CommandSource
+from pipeline.profiles.profile_columns import QUANTITIES, CommandSource, si_unit
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Profile
 from pipeline.readers import Log, RawLog
 from pipeline.readers.conditions import entry_of, statements
-from pipeline.readers.formats.files import read_file
+from pipeline.readers.isolation import read_file
 from pipeline.readers.obeyed import cure, obeyed
 from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import TrialBatch
@@ -228,15 +227,6 @@ def step_of(log: Log) -> tuple[int | None, str]:
     several = f"; it has {int(found.steps[0])} steps. Declare each by [[steps]] (label, from_s, to_s), or the first "
     several += "alone by window = { to_s = ... }"
     return row, f"found in the command, at {log.time[row]:.9g} s{several if found.steps[0] > 1 else ''}"
-
-
-def si_unit(quantity: str) -> str:
-    """Return the SI unit of a physical quantity (`pipeline.base.units`).
-
-    >>> si_unit("rotational stiffness")
-    'Nm/rad'
-    """
-    return next(symbol for symbol, unit in UNITS.items() if unit.quantity == quantity and unit.factor == 1.0)
 
 
 def check_lines(profile: Profile, samples: Sequence[CheckedSample]) -> list[str]:

@@ -24,10 +24,11 @@ from pipeline.profiles.patterns import find_groups
 from pipeline.profiles.profile_columns import QUANTITIES
 from pipeline.profiles.profile_lines import QUESTION
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Format, Profile
-from pipeline.readers.formats.delimited import PACKED, unpacked
-from pipeline.readers.formats.files import read_file
-from pipeline.readers.frame import ColumnInfo, Contents, Frame
-from pipeline.readers.layout import Layout, format_of, text_layout
+from pipeline.readers.file_kind import PACKED, format_of
+from pipeline.readers.formats.delimited import unpacked
+from pipeline.readers.frame import ColumnInfo, Contents
+from pipeline.readers.isolation import read_file
+from pipeline.readers.layout import Layout, text_layout
 from pipeline.readers.obeyed import Law, law_of
 from pipeline.records.models import Motion
 
@@ -101,7 +102,7 @@ class Sample:
     infos: list[ColumnInfo]
     refused: list[str]
 
-    def frame(self, *infos: ColumnInfo) -> Frame:
+    def frame(self, *infos: ColumnInfo) -> Contents:
         """Return columns as they stand in the file; raises LogError where they do not go together."""
         return replace(self.contents, wanted=tuple(info.name for info in infos)).frame()
 
