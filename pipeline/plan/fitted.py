@@ -22,7 +22,7 @@ from pipeline.measured.signal.response import Response, find_response
 from pipeline.plan.forecast import Foretold
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.loop_parts import VelocityFilter
-from pipeline.theory.device.outline import limits
+from pipeline.theory.limits import limits
 
 MOST_TRIALS = 16
 """Trials that a device is fitted to: a number known to 1 % from one is known to 0.3 %, and a log waits for it."""

@@ -15,7 +15,7 @@ from pipeline.loop.loop import Loop
 from pipeline.plan.evidence import Evidence, told_by_rates
 from pipeline.plan.forecast import TAILS, Foretold, scale_of
 from pipeline.records.batch import Floats
-from pipeline.theory.stability.stability import boundary_points
+from pipeline.theory.poles import boundary_points
 
 SIZE, ROUNDS = 1200, 4
 """Loops in the set, and how often it is drawn anew around those that fit."""

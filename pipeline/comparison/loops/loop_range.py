@@ -19,9 +19,8 @@ from pipeline.records.loop_parts import LoopParts
 from pipeline.records.loop_records import Parameter
 from pipeline.records.models import Experiment
 from pipeline.records.results import ExperimentResult, TheoryParameters
+from pipeline.theory.limits import boundary, stabilises, stiffness_limit
 from pipeline.theory.predictions import Theory
-from pipeline.theory.stability.boundary import boundary, stabilises
-from pipeline.theory.stability.region import stiffness_limit
 
 MATTERS = 0.02
 """Change of the stability limit, relative to it, that is worth a word: a course brackets a limit no closer."""

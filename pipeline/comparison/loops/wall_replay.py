@@ -11,6 +11,7 @@ from pipeline.base.wording import counted
 from pipeline.comparison.loops.fitted_loop import loop_point
 from pipeline.comparison.loops.loop_range import LoopPoint, LoopRange
 from pipeline.comparison.scores.overlap import measured_limits
+from pipeline.loop.motion import Mechanism
 from pipeline.measured.cost.settling_overshoot import settling
 from pipeline.measured.experiment.fitted_device import FittedDevice
 from pipeline.measured.ladder.trials import spread_over_plane
@@ -24,7 +25,6 @@ from pipeline.records.loop_records import LoopLimit, WallReplay
 from pipeline.records.models import Experiment
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.labels import share_text, significant
-from pipeline.simulation.plants import plant_of
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import simulate
 
@@ -67,7 +67,9 @@ def setup_of_found(found: Replayed, stages: ExperimentStages) -> Setup:
         stiffness_step=1.0,
     )
     setup = Setup(
-        plant=plant_of(device, point.parts.model_copy(update={"friction": friction})),
+        plant=Mechanism.of(
+            device.mass, device.damping, device.stiffness, point.parts.model_copy(update={"friction": friction})
+        ),
         sampling_period_s=point.sampling_period_s,
         step=float(np.median(stages.step_sizes)),
         rows=min(int(np.median(stages.trials.column("rows").to_numpy())), LONGEST),
