@@ -86,8 +86,8 @@ class Contents:
         What was accepted and should be known, such as a last row that was cut.
     since_first : dict of str to float64 array, shape (rows,)
         Decimal stamps counted from the first row: of a date, the floats in ``columns`` are wrong by up to 0.12 us.
-    row : int64, shape (rows,), or None
-        Where each row stands in the file, counted from 1; None before it is known.
+    row : int64, shape (rows,)
+        Where each row stands in the file, counted from 1; empty before it is known.
     keys : dict of str to str
         Keys of a profile that this file needs, as TOML.
     """
@@ -103,7 +103,7 @@ class Contents:
     refused: dict[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     since_first: dict[str, Floats] = field(default_factory=dict)
-    row: Integers | None = None
+    row: Integers = field(default_factory=lambda: np.empty(0, np.int64))
     keys: dict[str, str] = field(default_factory=dict)
     values: int = 0
 
@@ -208,11 +208,11 @@ class Contents:
             text = f"columns have different lengths ({listing})"
             raise refusal("lengths-differ", self.name, text, "one length", row=min(rows.values()) + 1)
         units = {key: self.units[name] for key in columns if (name := self.find(key)) in self.units}
-        row = np.arange(1, next(iter(rows.values())) + 1) if self.row is None else self.row
+        row = self.row if len(self.row) else np.arange(1, next(iter(rows.values())) + 1)
         return replace(self, columns=columns, units=units, row=row)
 
     def __len__(self) -> int:
-        return 0 if self.row is None else len(self.row)
+        return len(self.row)
 
     def listed(self) -> list[ColumnInfo]:
         """Return what `frame` can take, with first values; what cannot be read has no rows, and the reason as hint."""
@@ -285,7 +285,9 @@ def plain_column(values: Array) -> Array:
     raise TypeError(f"is of type {values.dtype}; expected numbers or texts")
 
 
-def with_gaps(where: str, values: Array, place: Sequence[int] | Integers, rows: int, row: Integers | None) -> Array:
+def with_gaps(
+    where: str, values: Array, place: Sequence[int] | Integers, rows: int, row: Sequence[int] | Integers = ()
+) -> Array:
     """Return values at their places among so many rows, NaN or an empty text at the others.
 
     Raises
@@ -297,7 +299,7 @@ def with_gaps(where: str, values: Array, place: Sequence[int] | Integers, rows: 
     if not whole and values.dtype.kind in "iu" and np.any(np.abs(values.astype(np.float64)) > EXACT):
         at = int(np.setdiff1d(np.arange(rows), place)[0])
         text = f"{where} has whole numbers of more than 15 digits, and rows without a value"
-        raise refusal("no-value", "", text, "a value in each row", row=at + 1 if row is None else int(row[at]))
+        raise refusal("no-value", "", text, "a value in each row", row=int(row[at]) if len(row) else at + 1)
     text_column = values.dtype.kind == "U"
     result: Array = np.zeros(rows, values.dtype) if whole or text_column else np.full(rows, np.nan)
     result[place] = values

@@ -176,7 +176,7 @@ def _steps_of(log: Log) -> list[Log]:
         size = float(command[row] - command[row - 1])
         text = f"step {number} of {len(changes)} found in the command, by {size:.4g} in row {row}"
         own = replace(header, step=size, extra={**header.extra, "step_row": str(row - first)})
-        cut = {key: values[first:end] for key, values in vars(log).items() if isinstance(values, np.ndarray)}
+        cut: Any = {key: values[first:end] for key, values in vars(log).items() if isinstance(values, np.ndarray)}
         label = str(number) if log.label is None else f"{log.label}.{number}"
         parts.append(replace(log, header=own, label=label, warnings=(*log.warnings, text), **cut))
     return parts
@@ -242,8 +242,8 @@ def _log(
     if not period / PACE < median < period * PACE:
         text = f"rows are {median:.3g} s apart in the median, but sampling_period_s is {period:.3g} s"
         warnings.append(f"{text}; check the unit of time and the sampling period")
-    told = {"counts": counts | outside, "warnings": tuple(warnings), "label": label}
-    return replace(log, raw_time=table.get("raw_time"), **told)
+    raw = table.get("raw_time")
+    return replace(log, raw_time=raw, counts=counts | outside, warnings=tuple(warnings), label=label)
 
 
 def _integral(where: str, rule: str, table: Table, velocity: Floats, period: float) -> Floats:

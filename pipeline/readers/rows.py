@@ -236,7 +236,8 @@ def _unwrapped(raw: NDArray[Any], wrap: float, table: Table, place: str) -> tupl
 
 def _sampled(table: Table, period: float, place: str) -> Floats:
     """Return one row each sampling period if the stamps agree with it."""
-    stamps, time = table["time"], np.arange(len(table["row"])) * period
+    stamps: Floats = table["time"]
+    time = np.arange(len(stamps)) * np.float64(period)
     steps = np.abs(np.diff(stamps))
     # a sample is late by less than one period; a stamp that is printed so coarsely that several samples share it lies
     # up to its own last digit beside the true one. Where none is shared, each step is seen, and so is a lost sample

@@ -95,7 +95,10 @@ def test_equal_stamps_are_joined_and_doubled_ones_kept():
 @pytest.mark.parametrize(
     ("wanted", "words"),
     [
-        (["/arm/joint.position[0]"], r"no column '/arm/joint.position\[0\]'. Name one element .*: /arm/joints.position\[0\]"),
+        (
+            ["/arm/joint.position[0]"],
+            r"no column '/arm/joint.position\[0\]'. Nearest: /arm/joints.position\[0\]",
+        ),
         (["/arm/joints.positions[0]"], r"Nearest: /arm/joints\.position\[0\]"),
         (["/arm/joints.position[3]"], r"no column '/arm/joints\.position\[3\]'"),
         (["/arm/joints.position"], r"Name one element .*: /arm/joints.position\["),

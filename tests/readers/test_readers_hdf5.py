@@ -60,9 +60,8 @@ def test_the_longest_axis_is_time():
         frame(data, "t", "other")
     assert error.value.row == 4
     for wanted in ("wide[7]", "wide"):
-        with pytest.raises(
-            LogError, match=rf"no column '{re.escape(wanted)}'. Name one element .* /wide\[0\] to /wide\[6\]"
-        ):
+        words = rf"no column '{re.escape(wanted)}'. Name one element .* /wide\[0\] to /wide\[6\]"
+        with pytest.raises(LogError, match=words):
             frame(data, "t", wanted)
 
 

@@ -79,4 +79,4 @@ def _values(where: str, column: Any) -> Array:
         raise TypeError(f"is {kind}; expected numbers or texts")
     known = np.flatnonzero(column.is_valid().to_numpy(zero_copy_only=False))
     values = column.drop_null().to_numpy(zero_copy_only=False)
-    return with_gaps(where, np.array(values, np.str_) if values.dtype.kind == "O" else values, known, len(column), None)
+    return with_gaps(where, np.array(values, np.str_) if values.dtype.kind == "O" else values, known, len(column))

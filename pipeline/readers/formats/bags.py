@@ -137,7 +137,7 @@ def _join(contents: Contents, topics: dict[str, _Topic]) -> None:
             np.minimum.at(contents.row, place[name], number)
     for path, name in names.items():
         where = f"{contents.name}: {path!r} (take time from {axis!r} or, for stamps of headers, {STAMP!r})"
-        contents.columns[path] = with_gaps(where, contents.columns[path], place[name], len(contents.row), None)
+        contents.columns[path] = with_gaps(where, contents.columns[path], place[name], len(contents.row))
     contents.add(axis, time, unit="ns")
 
 

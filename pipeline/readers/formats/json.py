@@ -69,7 +69,7 @@ def columns_of(records: Sequence[Any]) -> dict[str, Cells]:
     return {path: cells for path, cells in columns.items() if cells}
 
 
-def column(where: str, cells: Cells, rows: int, row: Integers | None = None) -> Array:
+def column(where: str, cells: Cells, rows: int, row: Sequence[int] | Integers = ()) -> Array:
     """Return a value for each of so many rows, where ``row`` says where each stands in the file.
 
     Raises
@@ -81,7 +81,7 @@ def column(where: str, cells: Cells, rows: int, row: Integers | None = None) -> 
     texts = [isinstance(value, str) for value in found]
     if any(texts) != all(texts):
         at = texts.index(False)
-        at_row = number[at] + 1 if row is None else int(row[number[at]])
+        at_row = int(row[number[at]]) if len(row) else number[at] + 1
         raise refusal("not-a-number", where, f"mixes texts and numbers, such as {found[at]!r}", row=at_row)
     beyond = all(isinstance(value, int) for value in found) and max(found) >= 1 << 63
     values = np.array(found, np.uint64 if beyond else None)
@@ -101,10 +101,10 @@ def _flat(value: Any, path: str = "", lists: bool = True) -> Iterator[tuple[str,
 
 
 def _of_records(contents: Contents, records: list[Any]) -> dict[str, Cells]:
-    contents.row_name = "record" if contents.row is None else "line"
+    contents.row_name = "line" if len(contents.row) else "record"
     for number, record in enumerate(records):
         if not isinstance(record, dict | list):
-            row = number + 1 if contents.row is None else int(contents.row[number])
+            row = int(contents.row[number]) if len(contents.row) else number + 1
             raise refusal("row-length", contents.name, f"has {str(record)[:80]!r}", "an object", row=row)
     if columns := columns_of(records):
         return columns

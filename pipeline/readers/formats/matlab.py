@@ -8,6 +8,7 @@ A Simulink "Structure with time" is such a struct: ``scope.time``, ``scope.signa
 from __future__ import annotations
 
 import warnings
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from pipeline.readers.isolation import library
 from pipeline.readers.refusals import refusal
 
 if find_spec("matio"):  # here, where the time to import it does not count
-    import matio  # noqa: F401
+    import_module("matio")
 
 _SERIES = "s = struct('time', ts.Time, 'data', ts.Data)"
 _EXPORTS = {
