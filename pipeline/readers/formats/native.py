@@ -30,11 +30,8 @@ _AS_TEXT = {
     "format": "delimited",
     "files": ["*"],
     "decimal": ".",
-    "columns": {
-        "time": {"name": "time_s", "unit": "s"},
-        "command": {"name": "command", "unit": "N", "sign": 1},
-        "position": {"name": "position", "unit": "m", "sign": 1},
-    },
+    "columns": {key: {"name": key, "unit": unit, "sign": 1} for key, unit in (("command", "N"), ("position", "m"))}
+    | {"time": {"name": "time_s", "unit": "s"}},
     "constants": {"device": "native", "experiment": "1", "sampling_period_s": 1.0},
 }
 """Profile that reads the table of a native log."""

@@ -110,11 +110,10 @@ def _as_it_stands(log: Path) -> tuple[str, tuple[RecordedColumn, ...]]:
     """Return the columns of numbers of a file of which nothing is known."""
     sample = open_sample(log)
     shown = sample.numbers[:MOST_COLUMNS]
-    if not shown:
-        raise LogError(f"{log}: no columns of numbers are found in it.", code="empty")
-    frame, units = sample.frame(*shown), {info.name: info.hint for info in shown}
-    rows = np.arange(len(frame), dtype=np.float64)
-    columns = {name: np.asarray(frame.columns[name], dtype=np.float64) for name in units}
+    columns = dict(zip((info.name for info in shown), sample.columns(shown), strict=False))
+    if not columns:
+        raise LogError(f"{log}: its columns have different lengths; describe it by a profile.", code="lengths-differ")
+    rows, units = np.arange(shown[0].rows, dtype=np.float64), {info.name: info.hint for info in shown}
     # a column that rises in every row is a clock or a counter: its gaps are those of the log
     clock = next((values for values in columns.values() if len(values) > 1 and (np.diff(values) > 0).all()), rows)
     return sample.name, tuple(_column(name, units[name], rows, each, clock, None) for name, each in columns.items())

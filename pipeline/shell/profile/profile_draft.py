@@ -9,7 +9,6 @@ no questions: the law tells them, and `check` holds it against the answers.
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -66,30 +65,25 @@ SAME = 0.1
 
 
 class _Role(NamedTuple):
-    """Names that say beyond doubt that a column has a role, names that a question proposes, units in the order in which
-    they are, and the range [SI] of sampling period, command and position in one log of a device."""
+    """Names that a column of this role may have, units in the order in which they are proposed, and the range [SI] of
+    sampling period, command and position in one log of a device."""
 
-    sure: str
-    likely: str
+    names: str
     units: tuple[str, ...]
     low: float
     high: float
 
 
 _ROLES = {
-    "time": _Role(
-        r"t|time|times?tamps?|stamp|zeit|zeitstempel|tout|@stamp|@time", r"(?!)", ("s", "ms", "us", "ns"), 2e-5, 0.1
-    ),
+    "time": _Role(r"t|time|times?tamps?|stamp|zeit|zeitstempel|tout|@stamp|@time", ("s", "ms", "us", "ns"), 2e-5, 0.1),
     "command": _Role(
-        r"command|cmd|force[ _-]?(?:command|cmd|desired)|(?:tau|torque)[ _-]?(?:command|cmd|desired)",
-        r"f|u|tau|m|kraft|moment|force|torque|(?:f|u)[ _-]?(?:cmd|soll|des)",
+        r"command|f|u|tau|m|kraft|moment|force|torque|((f|u|force|tau|torque)[ _-]?)?(cmd|soll|des(ired)?|command)",
         ("N", "mN", "Nm", "mNm"),
         1e-3,
         1e4,
     ),
     "position": _Role(
-        r"position|pos|weg|lage|winkel|angle",
-        r"x|q|s|phi|theta|pos.*|x[ _-]?(?:ist|act|meas)|v|vel|velocity|speed|omega|dx|dq",
+        r"pos.*|weg|lage|winkel|angle|x|q|s|phi|theta|x[ _-]?(ist|act|meas)|v|vel|velocity|speed|omega|dx|dq",
         ("m", "mm", "um", "rad", "deg"),
         1e-6,
         0.8,
@@ -215,15 +209,14 @@ def _lines(sample: Sample, path: Path, others: Sequence[Path]) -> Iterator[str]:
     yield from (f"{key} = {_toml(value)}" for key, value in sample.layout.keys.items())
     for key, words in sample.layout.questions.items():
         yield from (f"{QUESTION} {key}: {words}", f"# {key} = {_toml(',' if key == 'decimal' else 'latin-1')}")
-    draft = _Draft(sample)
-    seen = _fill(draft, path, others)
-    table = ""
+    draft, table = _Draft(sample), ""
+    law = _fill(draft, path, others)
     for place, value in draft.values.items():
         above, _, key = place.rpartition(".")
         if value is None:
             continue
         if above != table:
-            yield from (*(() if table else _remarks(sample, seen)), f"[{above}]")
+            yield from (*(() if table else _remarks(sample, law)), f"[{above}]")
             table = above
         key = "column" if isinstance(value, int) and key == "name" else key
         if place in draft.asked:
@@ -231,7 +224,7 @@ def _lines(sample: Sample, path: Path, others: Sequence[Path]) -> Iterator[str]:
         yield f"{'# ' if place in draft.asked else ''}{key} = {_toml(value)}"
 
 
-def _remarks(sample: Sample, seen: Evidence | None) -> Iterator[str]:
+def _remarks(sample: Sample, law: str) -> Iterator[str]:
     yield "# Columns of the file:"
     for info in sample.infos[:LISTED]:
         hint = f", the file says {info.hint!r}" if info.hint else ""
@@ -244,88 +237,81 @@ def _remarks(sample: Sample, seen: Evidence | None) -> Iterator[str]:
         yield from (f"#   {_toml(key)}: {_toml(str(value)[:80])}" for key, value in list(attributes.items())[:LISTED])
     yield "# Conditions that differ from file to file may come from name_pattern, [attributes], [condition_columns] or"
     yield "# [[file]]. A log of motion without wall and step has no stiffness, damping and step."
-    if seen:
-        told = ", ".join(f"{key} {seen.si(key):.4g}" for key in ("stiffness", "damping", "step"))
+    if law:
         yield "# The command obeys a wall law in the columns below, which tells them, the step and the signs (but for"
-        yield f"# the direction that counts as positive): {told} in SI, if the units are right."
+        yield f"# the direction that counts as positive): {law} in SI, if the units are right."
 
 
-class Evidence(NamedTuple):
-    """What the numbers of a log show: the wall law that its command obeys, its columns by role, and their units.
-
-    ``units`` are those that the file states, else the first in which the numbers are plausible.
-    """
-
-    law: Law
-    columns: dict[str, ColumnInfo]
-    units: dict[str, str]
-    time_is_sure: bool
-    period_s: float
-    first_row: bool
-
-    def si(self, key: str) -> float:
-        """Return stiffness, damping or step in SI, in the units that are proposed."""
-        length = 1.0 if key == "step" else UNITS[self.units["position"]].factor
-        return float(f"{abs(getattr(self.law, key)) * UNITS[self.units['command']].factor / length:.4g}")
-
-
-def _fill(draft: _Draft, path: Path, others: Sequence[Path]) -> Evidence | None:
-    """Tell what a sample shows: its columns, the law that its command obeys, conditions in its name."""
+def _fill(draft: _Draft, path: Path, others: Sequence[Path]) -> str:
+    """Tell what a sample shows: columns, the law that the command obeys, conditions in the name; return the law."""
     sample = draft.sample
-    sure, likely = _roles(sample)
-    by_position = not sample.layout.keys.get("header", True)
+    likely, by_position = _roles(sample), not sample.layout.keys.get("header", True)
     speed = _quantity(likely["position"], "position") in _SPEEDS
-    seen = None if by_position or speed else _evidence(sample, likely)
-    if seen:
-        sure, likely = [*_ROLES], seen.columns
+    seen = None if by_position or speed else _seen(sample, likely)
+    likely, units = (seen.columns, seen.units) if seen else (likely, {})
     for role, info in likely.items():
         name = int(info.name) if by_position and info.name.isdecimal() else info.name
-        draft.tell(f"columns.{role}.name", name, role in sure)
+        draft.tell(f"columns.{role}.name", name, seen is not None)
         stated, quantity = _bare(info, role)[1], _quantity(info, role)
         allowed = {quantity} if role == "position" and speed else {*QUANTITIES[role].values()}
         known = [symbol for symbol, unit in UNITS.items() if unit.quantity in allowed]
         said = f"the file says {stated!r}; is it right? " if stated else "the file does not say it. "
         counts = " For counts give counts_per_unit, too." if role == "position" else ""
-        unit = stated if quantity in allowed else known[0]
-        draft.tell(f"columns.{role}.unit", unit, False, f"{said}One of {', '.join(known)}.{counts}")
+        proposed = units.get(role) or [stated if quantity in allowed else known[0]]
+        sure = role == "time" and len(units.get(role, ())) == 1
+        draft.tell(f"columns.{role}.unit", proposed[0], sure, f"{said}One of {', '.join(known)}.{counts}")
     integrated, said = ("difference", f"{likely['position'].name!r} is ") if speed else (None, "")
     draft.tell("columns.position.integrate", integrated, False, said)
     wall = _wall_in_name(Path(sample.name).stem)
     groups = {key: float(value) for key, value in (find_groups(wall, sample.name) or {}).items()} if wall else {}
     if wall:
         draft.tell("name_pattern", wall, bool(others and seen and all(find_groups(wall, o.name) for o in others)))
+    told = _by_law(draft, seen, groups) if seen else ""
     if seen:
-        _by_law(draft, seen, groups)
         draft.tell("constants.experiment", path.absolute().parent.name or "1")
     draft.values |= dict.fromkeys(f"constants.{key}" for key in groups)  # what the name gives is no constant
-    return seen
+    return told
 
 
-def _by_law(draft: _Draft, seen: Evidence, groups: dict[str, float]) -> None:
-    """Tell what the law of the command shows."""
+class _Seen(NamedTuple):
+    """The wall law that the command of a log obeys, its columns by role, and the units in which they are plausible.
+
+    ``first_row`` says whether the command is at its step from the first row on.
+    """
+
+    law: Law
+    columns: dict[str, ColumnInfo]
+    units: dict[str, list[str]]
+    period_s: float
+    first_row: bool
+
+
+def _by_law(draft: _Draft, seen: _Seen, groups: dict[str, float]) -> str:
+    """Tell what the law of the command shows, and return it in words."""
+    length, unit = UNITS[seen.units["position"][0]], UNITS[seen.units["command"][0]].factor
+    gains = {
+        key: float(f"{abs(getattr(seen.law, key)) * unit / length.factor:.4g}") for key in ("stiffness", "damping")
+    }
+    step = float(f"{seen.law.step * unit:.4g}")
     draft.tell("step_at", "first row" if seen.first_row else "command edge")
     draft.tell("columns.command.sign", 1)
     draft.tell("columns.position.sign", -1 if seen.law.stiffness < 0 else 1)
-    draft.tell("constants.step", math.copysign(seen.si("step"), seen.law.step))
-    draft.tell("constants.sampling_period_s", float(f"{seen.period_s:.9g}"), seen.time_is_sure)
-    for key in ("stiffness", "damping"):
-        draft.tell(f"constants.{key}", seen.si(key), False)
-    for role, unit in seen.units.items():
-        asked = draft.asked[f"columns.{role}.unit"]
-        draft.tell(f"columns.{role}.unit", unit, role == "time" and seen.time_is_sure, asked)
-    motion: Motion = "rotation" if UNITS[seen.units["position"]].quantity == "angle" else "translation"
+    draft.tell("constants.step", step)
+    draft.tell("constants.sampling_period_s", float(f"{seen.period_s:.9g}"), len(seen.units["time"]) == 1)
+    motion: Motion = "rotation" if length.quantity == "angle" else "translation"
     draft.tell("constants.motion", motion, False)
-    for key, value in groups.items():
-        factor = seen.si(key) / abs(value) if value else 1.0
-        unit = (
-            unit_between(si_unit(CONDITION_QUANTITIES[key][motion]), factor, SAME) if abs(factor - 1) > SAME else None
-        )
-        if unit:  # the command obeys the number in the file name in this unit
-            draft.tell(f"units.{key}", "N/mm" if unit == "kN/m" else unit)
+    for key, value in gains.items():
+        draft.tell(f"constants.{key}", value, False)
+        factor = value / abs(groups[key]) if groups.get(key) else 1.0
+        base = si_unit(CONDITION_QUANTITIES[key][motion])
+        if abs(factor - 1) > SAME and (stated := unit_between(base, factor, SAME)):
+            # the command obeys the number in the file name in this unit
+            draft.tell(f"units.{key}", "N/mm" if stated == "kN/m" else stated)
+    return ", ".join(f"{key} {abs(value):.4g}" for key, value in {**gains, "step": step}.items())
 
 
-def _evidence(sample: Sample, likely: dict[str, ColumnInfo]) -> Evidence | None:
-    """Return what the numbers show; None where no columns obey a wall law with a stiffness."""
+def _seen(sample: Sample, likely: dict[str, ColumnInfo]) -> _Seen | None:
+    """Return what the numbers of a log show; None where no columns obey a wall law with a stiffness."""
     time, own = likely["time"], (likely["command"], likely["position"])
     pairs = permutations([info for info in sample.numbers[:MOST_TRIED] if info is not time], 2)
     for pair in sorted(pairs, key=lambda pair: pair != own):
@@ -335,39 +321,34 @@ def _evidence(sample: Sample, likely: dict[str, ColumnInfo]) -> Evidence | None:
         stamps, force, place = values
         spans = float(np.median(np.diff(stamps))), float(np.ptp(force)), float(np.ptp(place))
         units = {role: _plausible(role, info, span) for (role, info), span in zip(columns.items(), spans, strict=True)}
-        if not all(units.values()):
-            continue
-        factor = UNITS[units["time"][0]].factor
-        law = law_of(stamps * factor, force, place)
-        if law is not None and law.stiffness and law.step:
-            chosen, begun = {role: found[0] for role, found in units.items()}, abs(force[0]) > abs(law.step) / 2
-            return Evidence(law, columns, chosen, len(units["time"]) == 1, spans[0] * factor, bool(begun))
+        counters = [column for column in (force, place) if (np.diff(column) > 0).all()]
+        if all(units.values()) and not counters:
+            factor = UNITS[units["time"][0]].factor
+            law = law_of(stamps * factor, force, place)
+            if law is not None and law.stiffness and law.step:
+                return _Seen(law, columns, units, spans[0] * factor, bool(abs(force[0]) > abs(law.step) / 2))
     return None
 
 
 def _plausible(role: str, info: ColumnInfo, span: float) -> list[str]:
     """Return the units in which the numbers of a column are those of a device; the stated one alone where it is."""
-    *_, units, low, high = _ROLES[role]
+    _, units, low, high = _ROLES[role]
     fits = [unit for unit in units if low <= span * UNITS[unit].factor <= high]
     stated = _bare(info, role)[1].translate(str.maketrans("µμ", "uu"))
     return [stated] if stated in fits else fits
 
 
-def _roles(sample: Sample) -> tuple[list[str], dict[str, ColumnInfo]]:
-    """Return the roles of columns whose name says what they are, and for each role a column that is likely."""
-    numbers, likely = sample.numbers, dict[str, ColumnInfo]()
-    for role, names in _ROLES.items():
-        fits = [info for info in numbers if re.fullmatch(names.sure, _bare(info, role)[0])]
-        likely |= {role: fits[0]} if len(fits) == 1 else {}
-    sure = [*likely]
-    for role, names in _ROLES.items():
-        left = [info for info in numbers if info not in likely.values()]
-        good = [info for name in names[:2] for info in left if re.fullmatch(name, _bare(info, role)[0])]
-        if role == "time" and role not in likely:  # a clock rises in every row
+def _roles(sample: Sample) -> dict[str, ColumnInfo]:
+    """Return for each role a column that is likely by its name; a clock rises in every row."""
+    likely: dict[str, ColumnInfo] = {}
+    for role, (names, *_) in _ROLES.items():
+        left = [info for info in sample.numbers if info not in likely.values()]
+        good = [info for info in left if re.fullmatch(names, _bare(info, role)[0])]
+        if role == "time" and not good:
             columns = zip(left, sample.columns(left[:LISTED]), strict=False)
             good = [info for info, values in columns if (np.diff(values) > 0).all()]
-        likely.setdefault(role, next(iter((*good, *left)), numbers[0]))
-    return sure, {role: likely[role] for role in _ROLES}
+        likely[role] = next(iter((*good, *left)), sample.numbers[0])
+    return likely
 
 
 def _bare(info: ColumnInfo, role: str) -> tuple[str, str]:
