@@ -15,8 +15,14 @@ PACKED = {b"\x1f\x8b": "gzip", b"\x28\xb5\x2f\xfd": "zstd"}
 """First bytes of packed files."""
 
 _KINDS = {
-    "a packed archive": (b"Rar!\x1a\x07", b"7z\xbc\xaf\x27\x1c", b"\xfd7zXZ\0", b"BZh9", b"\x04\x22\x4d\x18"),
-    "a picture": (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"GIF8"),
+    "a packed archive (TAR, RAR, 7z, xz, bzip2, lz4)": (
+        b"Rar!\x1a\x07",
+        b"7z\xbc\xaf\x27\x1c",
+        b"\xfd7zXZ\0",
+        b"BZh9",
+        b"\x04\x22\x4d\x18",
+    ),
+    "a picture (PNG, JPEG, GIF)": (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"GIF8"),
     "a document (PDF, RTF, old Excel or Word)": (b"%PDF-", b"{\\rtf", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"),
     "a program": (b"\x7fELF",),
     "a ZIP archive": (b"PK\x03\x04", b"PK\x05\x06"),
@@ -75,7 +81,7 @@ def refuse_other_kind(name: str, kind: Format, data: bytes) -> None:
     if what == "a ZIP archive":
         what = next((office for part, office in _OFFICE.items() if part in data[:_PROBE] + data[-_PROBE:]), what)
     elif data[257:262] == b"ustar":
-        what = "a packed archive"
+        what = "a packed archive (TAR)"
     elif data[:64].lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith(_PAGES):
         what = "a web page or other markup (HTML, XML)"
     if what:

@@ -217,7 +217,7 @@ def _places(profile: Profile, contents: Contents, names: list[str], row: int) ->
         fits = [i for i, name in enumerate(names) if (str(i + 1) if numbered else name) == column]
         if len(fits) != 1:
             wants = f"profile {profile.name} wants column {column!r} for {keys.get(column, column)}"
-            found = f"{wants} once, found it {len(fits)} times among {len(names)} columns: {names}"
+            found = f"{wants} once, found it {len(fits)} times among {len(names)} columns: {str(names)[:1000]}"
             raise refusal("column-missing", contents.name, found, cure=cure, row=row)
         places[column] = fits[0]
     return places

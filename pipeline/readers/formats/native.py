@@ -119,7 +119,8 @@ def _split(data: bytes) -> tuple[NativeHeader, int, int]:
         lines.append(text)
     parse_header(lines)
     found = f"column line {COLUMN_LINE!r} is missing below the header"
-    raise refusal("header-missing", "", found, cure="Add it and the samples.", row=len(lines) + 1)
+    row = len(lines) + (not head.endswith(b"\n"))
+    raise refusal("header-missing", "", found, cure="Add it and the samples.", row=row)
 
 
 def _parse(text: bytes, lines: int, use_threads: bool) -> Columns | None:
