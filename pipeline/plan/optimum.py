@@ -86,7 +86,7 @@ class Foreseen:
         cost = np.full(len(alpha), np.nan)
         inside = np.flatnonzero((alpha > 0) & (alpha < HIGHEST_OF_OWN * limit))
         if len(inside):
-            found = point_costs_by_name(self.loop, alpha[inside], beta[inside], [criterion], LONGEST, part=True)
+            found = point_costs_by_name(self.loop, alpha[inside], beta[inside], [criterion], LONGEST)
             cost[inside] = found[criterion]
         return cost
 
