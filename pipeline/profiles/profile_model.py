@@ -218,12 +218,11 @@ class Profile(TextLayout, StepTime):
 
     def _step_problems(self) -> Iterator[Problem]:
         """Yield what is wrong in [[steps]], and where it is not said when the step happens."""
-        entries: dict[str, tuple[FileEntry | StepEntry, ...]] = {"steps": self.steps, "file": self.file}
-        places: list[tuple[tuple[str | int, ...], StepTime]] = [((), self)]
-        places += [((key, index), entry) for key, part in entries.items() for index, entry in enumerate(part)]
+        entries = {(key, i): e for key in ("steps", "file") for i, e in enumerate(getattr(self, key))}
+        places: list[tuple[tuple[str | int, ...], StepTime]] = [((), self), *entries.items()]
         for place, entry in places:
-            if len(entry.declared) > 1:
-                yield (*place, entry.declared[1]), f"given beside {entry.declared[0]}; expected one of them"
+            if len(given := entry.declared) > 1:
+                yield (*place, given[1]), f"given beside {given[0]}; expected one of them"
         labels = [step.label for step in self.steps]
         for index, step in enumerate(self.steps):
             if step.sampling_period_s is not None:
@@ -235,18 +234,10 @@ class Profile(TextLayout, StepTime):
             yield ("steps",), "given beside trial_column or a window; expected one of them"
         varies = "step" in {*self.name_groups(), *self.attributes, *self.condition_columns}
         constant = 0.0 if self.conditions().isdisjoint(FREE) else None if varies else self.constants.step
-        silent = {
-            key: [i for i, e in enumerate(part) if not e.declared and (constant if e.step is None else e.step) != 0]
-            for key, part in entries.items()
-        }
-        if self.declared or (constant == 0 and not any(silent.values())):
-            return
-        told = [key for key, part in entries.items() if any(entry.declared for entry in part)]
-        if not told:
+        steps = [constant, *(entry.step for entry in entries.values() if entry.step is not None)]
+        # an entry that says nothing beside one that does is refused with the files that it reads
+        if not any(entry.declared for entry in (self, *entries.values())) and any(step != 0 for step in steps):
             yield ("step_at",), STEP_MISSING
-        # steps whose file says it need not say it again, nor the other way round
-        elif all(silent[key] for key in told):
-            yield from (((key, index, "step_at"), STEP_MISSING) for key in told for index in silent[key])
 
     def conditions(self) -> set[str]:
         """Return the conditions that anything gives."""

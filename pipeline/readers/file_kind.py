@@ -15,13 +15,7 @@ PACKED = {b"\x1f\x8b": "gzip", b"\x28\xb5\x2f\xfd": "zstd"}
 """First bytes of packed files."""
 
 _KINDS = {
-    "a packed archive (TAR, RAR, 7z, xz, bzip2, lz4)": (
-        b"Rar!\x1a\x07",
-        b"7z\xbc\xaf\x27\x1c",
-        b"\xfd7zXZ\0",
-        b"BZh9",
-        b"\x04\x22\x4d\x18",
-    ),
+    "a packed archive (RAR, 7z, xz, bzip2)": (b"Rar!\x1a\x07", b"7z\xbc\xaf\x27\x1c", b"\xfd7zXZ\0", b"BZh9"),
     "a picture (PNG, JPEG, GIF)": (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"GIF8"),
     "a document (PDF, RTF, old Excel or Word)": (b"%PDF-", b"{\\rtf", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"),
     "a program": (b"\x7fELF",),

@@ -132,7 +132,9 @@ class Contents:
             If the file holds more arrays or values than a log has.
         """
         try:
-            array = plain_column(np.asarray(values() if callable(values) else values))
+            array = np.asarray(values() if callable(values) else values)
+            unit = "ns" if array.dtype.kind in "mM" else unit
+            array = plain_column(array)
         except (LogError, MemoryError, OSError, TypeError, ValueError) as error:
             if self.wanted and self.asks(path) and not isinstance(error, TypeError | ValueError):
                 raise

@@ -299,7 +299,7 @@ def _by_law(draft: _Draft, seen: _Seen, groups: dict[str, float]) -> str:
     draft.tell("constants.step", step)
     draft.tell("constants.sampling_period_s", float(f"{seen.period_s:.9g}"), len(seen.units["time"]) == 1)
     motion: Motion = "rotation" if length.quantity == "angle" else "translation"
-    draft.tell("constants.motion", motion, False)
+    draft.tell("constants.motion", motion)  # another one is refused with the unit of the position
     for key, value in gains.items():
         draft.tell(f"constants.{key}", value, False)
         factor = value / abs(groups[key]) if groups.get(key) else 1.0
