@@ -164,10 +164,11 @@ def serve() -> None:
                     with reading(arguments[0], kind):
                         outcome = work(*arguments)
                 except LogError as error:
-                    outcome = error
+                    outcome = error.with_traceback(None)  # which would hold what was read until the next call
             _alarm(0.0)
             pickle.dump(outcome, results, pickle.HIGHEST_PROTOCOL)
             results.flush()
+            del arguments, outcome
 
 
 @contextlib.contextmanager

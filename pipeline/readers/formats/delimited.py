@@ -22,6 +22,9 @@ from pipeline.readers.refusals import refusal
 LONGEST_CHARACTER = 4
 """Bytes of the longest character in UTF-8 and UTF-16: a cut file lacks fewer than that."""
 
+_BLOCK = 1 << 22
+"""Bytes that are unpacked at once."""
+
 _MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 _INTEGER = r"^[+-]?[0-9]{1,20}$"
 _LABEL_BEGINS = re.compile(r"\s*[^\W\d]")
@@ -72,10 +75,11 @@ def unpacked(name: str, data: bytes) -> bytes:
     codec = next((codec for magic, codec in PACKED.items() if data.startswith(magic)), None)
     if codec is None:
         return data
-    most = allowed_bytes(len(data))
+    most, text = allowed_bytes(len(data)), bytearray()
     try:
         with pa.CompressedInputStream(pa.BufferReader(data), codec) as stream:
-            text = stream.read(most + 1)
+            while len(text) <= most and (part := stream.read(_BLOCK)):
+                text += part
     except (OSError, pa.ArrowException) as error:
         raise refusal("damaged", name, f"cannot be unpacked ({codec}): {error}") from error
     if len(text) > most:
