@@ -9,12 +9,12 @@ import numpy as np
 
 from pipeline.comparison.figures.boundary_curves import theory_curve
 from pipeline.device_data.devices import load_device
+from pipeline.measured.cost.energy import WEIGHTS, energy_terms
 from pipeline.measured.device.delay import first_change
 from pipeline.measured.device.onset import motion_onset, rounded
 from pipeline.measured.experiment.aggregate import choose_optimum
 from pipeline.measured.experiment.boundary import measured_boundary
 from pipeline.measured.experiment.known_delay import estimate_delay
-from pipeline.measured.signal.horizon import WEIGHTS, energy_terms
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.figure_records import CostMap, Curve, Figure

@@ -49,7 +49,7 @@ from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report.report import write as write_report
 from pipeline.rendering.report.report_answer import answer_lines
 from pipeline.store.gone import gone
-from pipeline.store.mirror import origin
+from pipeline.store.objects import origin
 from pipeline.theory.predictions import Predictions, Theory
 
 

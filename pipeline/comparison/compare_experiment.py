@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 
 from pipeline.base.wording import listed
 from pipeline.comparison.loops.findings import loop_findings
@@ -24,7 +24,6 @@ from pipeline.measured.experiment.estimates import (
     by_joint_balance,
     standard_error,
     stiffness_estimate,
-    velocity_lag,
     with_model_delay,
 )
 from pipeline.measured.experiment.fitted_device import explaining_device
@@ -33,7 +32,7 @@ from pipeline.records.findings import Estimate, Optimum
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.loop_records import LoopFindings
 from pipeline.records.models import Experiment, Motion
-from pipeline.records.results import ExperimentResult, OtherDefinitions, TheoryParameters
+from pipeline.records.results import ExperimentResult, TheoryParameters
 from pipeline.rendering.labels import UNITS, Units
 from pipeline.theory.predictions import Theory
 
@@ -109,7 +108,6 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
         trials=stages.trials.num_rows,
         verdicts=dict(sorted(Counter(stages.verdicts.verdict.tolist()).items())),
         outcomes=dict(Counter(stages.texts("outcome", "outcome"))) if "outcome" in needed else {},
-        other_definitions=_other_definitions(stages, optimum) if {"settling", "overshoot"} <= needed else (),
         model_check=stages.model_check if "model" in needed else None,
         estimates=_estimates(stages, needed, units),
         boundary=stages.boundary_points,
@@ -185,26 +183,12 @@ def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) 
             "device_stiffness": stiffness_estimate(stages),
             "constant_force": by_joint_balance(stages, "constant_force"),
         }
-    if "delay" in needed and (lag := velocity_lag(stages)) is not None:
-        found["velocity_lag"] = lag
     if "model" in needed:
         found["jitter_samples"] = stages.jitter_estimate
         found["delay_samples"] = with_model_delay(stages, found["delay_samples"])
     if "ladder" in needed and (device := stages.once(explaining_device)) is not None:
         found |= fitted_estimates(found, device)
     return found
-
-
-def _other_definitions(stages: ExperimentStages, optimum: Mapping[str, Optimum]) -> tuple[OtherDefinitions, ...]:
-    """Settling time and overshoot of the best trials by the definitions of other tools."""
-    settling = {row["trial_id"]: row for row in stages.table("settling").to_pylist()}
-    overshoot = {row["trial_id"]: row for row in stages.table("overshoot").to_pylist()}
-    found = []
-    for criterion, best in optimum.items():
-        both = settling[str(best.trial_id)] | overshoot[str(best.trial_id)]
-        values = {name: both[name] for name in OtherDefinitions.model_fields if name in both}
-        found.append(OtherDefinitions(criterion=criterion, **values))
-    return tuple(found)
 
 
 def _without(unit: str, reason: str) -> Estimate:

@@ -10,8 +10,7 @@ from pydantic import BeforeValidator, Field
 from pipeline.base.errors import ParameterError
 from pipeline.base.units import UNITS, factor_to_si, find_unit
 from pipeline.profiles.patterns import pattern_problem
-from pipeline.records.findings import Record
-from pipeline.records.models import Motion, Name
+from pipeline.records.findings import Motion, Name, Record
 
 QUANTITIES: dict[str, dict[Motion, str]] = {
     "time": {"translation": "time", "rotation": "time"},

@@ -11,6 +11,7 @@ import atexit
 import contextlib
 import os
 import pickle
+import select
 import signal
 import subprocess
 import sys
@@ -22,7 +23,7 @@ from tempfile import TemporaryDirectory
 from typing import IO, Any
 
 from pipeline.base.errors import LogError
-from pipeline.base.process import begin_alone, ended_through
+from pipeline.base.process import begin_alone, end_when, without_pandas
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.formats import FORMATS
 from pipeline.readers.frame import Contents
@@ -148,6 +149,9 @@ def library(module: str, extra: str) -> Any:
 def serve() -> None:
     """Work on calls from standard input; the main loop of a worker process, which ends when its parent does."""
     begin_alone()
+    without_pandas(import_module("pyarrow"))
+    if hasattr(select, "poll"):  # elsewhere the limit of processor time ends it
+        end_when(_parent_is_gone)
     calls, results = os.fdopen(0, "rb"), os.fdopen(os.dup(1), "wb")
     # whatever a library prints must not get between the results
     os.dup2(2, 1)
@@ -159,7 +163,7 @@ def serve() -> None:
             with contextlib.suppress(ImportError):  # the function itself says what is missing and how to install it
                 import_module(imports or module)
             _alarm(seconds)
-            with ended_through(0), _memory_for(arguments[1]):  # nothing is sent before there is a result
+            with _memory_for(arguments[1]):
                 try:
                     with reading(arguments[0], kind):
                         outcome = work(*arguments)
@@ -169,6 +173,13 @@ def serve() -> None:
             pickle.dump(outcome, results, pickle.HIGHEST_PROTOCOL)
             results.flush()
             del arguments, outcome
+
+
+def _parent_is_gone() -> None:
+    """Wait for the end of the only process that holds the other end of standard input."""
+    pipe = select.poll()
+    pipe.register(0, 0)
+    pipe.poll()
 
 
 @contextlib.contextmanager

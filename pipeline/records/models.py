@@ -13,12 +13,12 @@ from pydantic import ConfigDict, Field, model_validator
 
 from pipeline.records.criteria import MEASURED, REPORTED, SETTLING_BANDS
 from pipeline.records.findings import BoundaryPoint, Estimate, NonNegative, Record
+from pipeline.records.findings import Grip as Grip
+from pipeline.records.findings import Motion as Motion
+from pipeline.records.findings import Name as Name
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.simulation_parts import SimulationParts
 
-Motion = Literal["translation", "rotation"]
-Grip = Literal["none", "comfortable", "firm"]
-Name = Annotated[str, Field(min_length=1, max_length=200)]
 Positive = Annotated[float, Field(gt=0)]
 
 

@@ -20,21 +20,6 @@ from pipeline.records.score_records import TheoryParameters as TheoryParameters
 from pipeline.records.trial_codec import TrialPage
 
 
-class OtherDefinitions(Record):
-    """Settling time [samples] and overshoot [1] of one trial by this report and by other tools."""
-
-    criterion: str
-    trial_id: str
-    stiffness: float
-    damping: float
-    settle_2pct: float | None
-    settle_matlab_final_value: float | None
-    settle_matlab_peak_error: float | None
-    settle_python_control: float | None
-    overshoot: float | None
-    overshoot_last_sample: float | None
-
-
 class Truth(Record):
     """What was true of a simulated experiment: its loop, and beside that jitter [samples] and constant force [N, Nm].
 
@@ -236,7 +221,6 @@ class ExperimentResult(Record):
     verdicts: dict[str, int]
     outcomes: dict[str, int] = Field(default_factory=dict)
     model_check: ModelCheck | None = None
-    other_definitions: tuple[OtherDefinitions, ...] = ()
     estimates: dict[str, Estimate]
     boundary: tuple[BoundaryPoint, ...]
     optimum: dict[str, Optimum]

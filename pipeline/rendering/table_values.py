@@ -31,7 +31,6 @@ def value_tables(result: ComparisonResult) -> tuple[Table, ...]:
         _table("estimates", units, _estimates(result)),
         _table("boundary", units | limits, _listed(result, "boundary")),
         _table("optima", units, _optima(result)),
-        _table("definitions", units, _listed(result, "other_definitions")),
         _table("scores", {}, _scores(result)),
         _table("loop_boundary", units, _listed(result, "loop_boundary")),
         _table("replay", {}, _listed(result, "replay")),
@@ -56,12 +55,11 @@ def as_document(tables: Iterable[Table]) -> dict[str, Any]:
 
 def _units(units: Units) -> dict[str, str]:
     """Unit of each column that has one; words, counts and values without unit have none."""
-    settling = ("settle_2pct", "settle_matlab_final_value", "settle_matlab_peak_error", "settle_python_control")
     return {
         **dict.fromkeys(("stiffness", "published_stiffness"), units.stiffness),
         **dict.fromkeys(("damping", "published_damping"), units.damping),
         **dict.fromkeys(("mass", "scatter"), units.mass),
-        **dict.fromkeys(("delay_samples", *settling), "samples"),
+        **dict.fromkeys(("delay_samples", "settle_2pct"), "samples"),
         **dict.fromkeys(("deviation_percent", *(f"deviation_{part}" for part in Deviation.model_fields)), "%"),
         "window_s": "s",
     }

@@ -18,7 +18,7 @@ from urllib.parse import quote
 from pydantic import BaseModel, ValidationError
 
 from pipeline.base.disk import write_text
-from pipeline.base.file_names import storable
+from pipeline.base.paths import storable
 from pipeline.base.wording import unbroken
 from pipeline.records.findings import BoundaryPoint
 from pipeline.records.models import Motion

@@ -12,7 +12,7 @@ import pandas as pd
 from pydantic import ValidationError
 
 from pipeline.base.errors import UsageError
-from pipeline.base.outputs import check_output
+from pipeline.base.paths import check_output
 from pipeline.comparison.compare import compare as compare_stored
 from pipeline.records.findings import Record
 from pipeline.records.models import ComparisonRow, Deviation

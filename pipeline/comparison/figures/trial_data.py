@@ -163,7 +163,6 @@ class _Experiment:
     def places(self) -> dict[str, str]:
         """References of the trials that tables name."""
         named = {str(best.trial_id) for best in self.result.optimum.values()}
-        named |= {other.trial_id for other in self.result.other_definitions}
         named |= {self.result.use.point.trial_id} if self.result.use else set()
         ids = self.stages.texts("response", "trial_id")
         return {trial: reference(self.number, row) for row, trial in enumerate(ids) if trial in named}

@@ -12,7 +12,7 @@ from pipeline.comparison.loops.fitted_loop import loop_point
 from pipeline.comparison.loops.loop_range import LoopPoint, LoopRange
 from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.loop.motion import Mechanism
-from pipeline.measured.cost.settling_overshoot import settling
+from pipeline.measured.cost.costs import settling
 from pipeline.measured.experiment.fitted_device import FittedDevice
 from pipeline.measured.ladder.trials import spread_over_plane
 from pipeline.measured.signal.response import find_response
@@ -125,7 +125,7 @@ def wall_replay(
         said[some] = verdicts.verdict
         fits[some] = [_fit(logged[ids[chosen[i]]], batch, place) for place, i in enumerate(some)]
         delay = int(max(device.point.delay_samples, 0.0))
-        costs[some] = settling(batch, response, verdicts, delay).samples["settle_2pct"]
+        costs[some] = settling(batch, response, verdicts, delay)["settle_2pct"].value
     stable = (verdict[chosen] == "stable") & (said == "stable")
     decided = said != "undecided"
     return WallReplay(

@@ -31,7 +31,6 @@ REPORT_TABLES = {
     "trend": "limits and estimates beside header lines that differ",
     "model": "does the model explain the logs?",
     "outcomes": "what the logs show",
-    "definitions": "by the definitions of other tools",
 }
 """Tables that a report has beside those of optima, with what they hold."""
 

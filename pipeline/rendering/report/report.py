@@ -47,7 +47,6 @@ TABLES: dict[str, Callable[[ComparisonResult, TrialPage], Table | list[Table] | 
     "outcomes": report_estimates.outcome_table,
     "truth": report_truth.truth_table,
     "use": report_answer.use_table,
-    "definitions": report_estimates.definition_table,
     "missing": report_tables.missing_table,
     "excluded": report_tables.excluded_table,
     "notes": report_tables.notes_table,

@@ -11,7 +11,7 @@ from pipeline.records.loop_records import Parameter, WallReplay
 from pipeline.records.models import Motion
 from pipeline.records.results import ComparisonResult, TheoryParameters
 from pipeline.records.trial_codec import NO_TRIALS, TrialPage
-from pipeline.rendering.labels import DIGITS, UNITS, criterion_label, estimate_texts, significant
+from pipeline.rendering.labels import DIGITS, UNITS, estimate_texts, significant
 from pipeline.rendering.table import Cell, Column, Table, missing, number, words
 
 MAIN = ("delay_samples", "mass", "damping", "implied_delay")
@@ -27,7 +27,6 @@ NAMES = {
     "device_stiffness": "stiffness of the device",
     "constant_force": "constant force on the device",
     "boundary_area": "area under the boundary",
-    "velocity_lag": "lag of the logged velocity",
 }
 
 DRIFT_NOTE = (
@@ -53,11 +52,6 @@ OUTCOME_NOTES = {
     "disturbed": "Disturbed: a force of 5 % of the step or more acts that neither command nor mass and damping "
     "explain, such as a push or friction.",
 }
-
-TOOLS_NOTE = (
-    "Other tools count from the command edge and take the last sample for the final value; this report counts "
-    "from the first sample that the command can move, and takes x_0 + F_0/K."
-)
 
 _TWO = partial(significant, digits=2)
 _USUAL = partial(significant, digits=DIGITS)
@@ -86,21 +80,6 @@ _METHODS = (
     Column("left_out", "left out"),
     words("remark"),
 )
-
-_NOT_TOLD = "not settled, or not told by this definition"
-_settling = partial(Column, group="settling time, 2 % [samples]", show="{:.4g}".format, why=_NOT_TOLD)
-_overshoot = partial(Column, group="overshoot [%]", show=lambda share: f"{100 * share:.1f}", why=_NOT_TOLD)
-
-_DEFINITIONS = (
-    words("criterion", "best trial by"),
-    _settling("settle_2pct", "this report"),
-    _settling("settle_matlab_final_value", "MATLAB"),
-    _settling("settle_matlab_peak_error", "MATLAB, peak error"),
-    _settling("settle_python_control", "python-control"),
-    _overshoot("overshoot", "this report"),
-    _overshoot("overshoot_last_sample", "about the last sample"),
-)
-
 
 _WITH_INTERVAL = "estimated, with 95 % interval"
 
@@ -223,22 +202,6 @@ def method_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Tab
             for name, value in _methods(best).items():
                 block = f"experiment {e.experiment}: {quantity_name(quantity)} [{unit_text(value.unit)}]"
                 table.add(f"{e.experiment}/{quantity}/{name}", _method_cells(name, value), block)
-    return table.filled
-
-
-def definition_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
-    """Return the best trials by the definitions of other tools, or None where settling or overshoot is left out."""
-    table = Table("definitions", "The best trials by the definitions of other tools", _DEFINITIONS)
-    table.mark(TOOLS_NOTE)
-    for e in result.experiments:
-        for best in e.other_definitions:
-            trial = trials.place(e.experiment, best.trial_id)
-            values: dict[str, Any] = {
-                column.name: number(getattr(best, column.name), column.show, column.why, trial=trial)
-                for column in _DEFINITIONS[1:]
-            }
-            values["criterion"] = criterion_label(best.criterion)
-            table.add(f"{e.experiment}/{best.criterion}", values, f"experiment {e.experiment}")
     return table.filled
 
 

@@ -10,7 +10,7 @@ from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
-from pipeline.base.file_names import path_of_text
+from pipeline.base.paths import path_of_text
 from pipeline.intake.quarantine import excerpt_of, list_quarantine, record_id, release
 from pipeline.service import profiles
 from pipeline.service.jobs.documents import uploaded_name

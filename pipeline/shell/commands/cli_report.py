@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pipeline.base.errors import UsageError
-from pipeline.base.outputs import check_output
+from pipeline.base.paths import check_output
 from pipeline.shell import console
 from pipeline.shell.commands import cli_theory
 from pipeline.shell.commands.options import Criteria, ExecutorName, Experiments, Json, Store
@@ -71,8 +71,8 @@ def compare(
     from pipeline.comparison.scene.scene_file import read_scene
     from pipeline.rendering.table_export import export_tables, parse_formats, tables_folder
     from pipeline.shell.report_index import write_index
-    from pipeline.store.mirror import opened
     from pipeline.store.names import page_against_document, report_of
+    from pipeline.store.objects import opened
 
     earlier = Path(against) if against is not None and against.endswith(".json") else None
     two = against is not None and earlier is None
@@ -211,7 +211,7 @@ def _save_scene(device: str, processed: str, path: Path) -> None:
     """Write a scene file with all that is stored of a device, to be shortened."""
     from pipeline.base.disk import write_text
     from pipeline.comparison.scene.scene_file import draft_scene
-    from pipeline.store.mirror import opened
+    from pipeline.store.objects import opened
 
     check_output(path, "--save-scene")
     if path.exists():

@@ -26,8 +26,7 @@ from pipeline.records.results import ComparisonResult, Truth
 from pipeline.rendering.report.report_parts import Parts, digests_of, is_free_cell, page_digest, take_apart
 from pipeline.shell.verify.fresh_logs import LogProblem, ReportedLogs, read_anew, store_of
 from pipeline.store.corrections import Exclusion
-from pipeline.store.mirror import opened
-from pipeline.store.objects import is_url
+from pipeline.store.objects import is_url, opened
 
 ROUNDING = 1e-9
 """Relative difference of two values that counts as none: other processors and builds of numpy round the last digits of

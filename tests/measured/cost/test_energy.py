@@ -10,9 +10,8 @@ from sensor_trials import DELAY, EDGE, FEWEST, FREE, SENSORS, measured, shipped,
 from simulated import FALCON, simulate
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.cost.energy_intervals import HORIZON_PARTS, energy_interval
+from pipeline.measured.cost.energy import energy_interval, energy_terms
 from pipeline.measured.cost.reading_error import reading_error
-from pipeline.measured.signal.horizon import energy_terms
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 
@@ -103,7 +102,7 @@ def test_the_tail_is_carried_on():
     total, rest = energies(simulate(K, B, **FREE, rows=6000), K)
     assert (rest < 1e-12 * total).all()
     found = interval(simulate(K, B, **FREE, rows=420))
-    lost = total - found.by_horizon[:, :, -1]
+    lost = total - (found.value - found.tail)
     # without the tail the sum for w = 2 lacks 4 to 5 %
     assert (lost > [1e-3, 1e-2, 4e-2] * total).all()
     # the tail restores nine tenths of that at least: its swing is averaged
@@ -155,28 +154,6 @@ def test_an_uncertain_mass_widens_the_interval():
     np.testing.assert_allclose(up[told], 1.96 * 0.06 * kinetic[told], rtol=0.02)
 
 
-def test_dependence_on_the_horizon():
-    batch, response, verdicts, error = measured(2e-6, 5e-7)
-    found = energy_interval(batch, response, verdicts, error, DELAY, MASS)
-    assert found.by_horizon.shape == (len(batch), 3, len(HORIZON_PARTS))
-    told = np.isfinite(found.value).all(axis=1)
-    assert (np.diff(found.by_horizon[told], axis=2) >= 0).all()
-    np.testing.assert_allclose(
-        found.value[told], (found.by_horizon[:, :, -1] - found.bias + found.tail)[told], rtol=1e-12
-    )
-    i = int(np.flatnonzero(told)[0])
-    rows = int(found.horizon_samples[i])
-    x = batch.displacement[i, EDGE + DELAY : EDGE + DELAY + rows]
-    k = np.arange(rows)
-    K = batch.stiffness[i]
-    speed = np.diff(x, prepend=x[0]) / 1e-3
-    stored = (K / 2 * (x - 8 / K) ** 2 + MASS / 2 * speed**2) / (32 / K)
-    for n, part in enumerate(HORIZON_PARTS):
-        stop = int(np.ceil(part * rows))
-        expected = [(k**w * stored)[:stop].sum() for w in range(3)]
-        np.testing.assert_allclose(found.by_horizon[i, :, n], expected, rtol=1e-9)
-
-
 def test_a_motion_that_lasts_has_no_value():
     batch = simulate([4000.0], [80.0], **FALCON, quantum=2e-6, noise=5e-7)
     row = np.arange(400)
@@ -194,7 +171,6 @@ def test_reasons_and_wrong_arguments():
     found = interval(batch)
     assert [text.split(":")[0].split(" ")[0] for text in found.reason] == ["", "no", "unstable"]
     assert np.isnan(found.value).tolist() == [[False] * 3, [True] * 3, [True] * 3]
-    assert np.isnan(found.by_horizon[1:]).all()
     brief = interval(simulate([4000.0], [70.0], **FALCON, quantum=2e-6, noise=5e-7, rows=40))
     assert np.isnan(brief.value).all()
     assert brief.reason[0]
