@@ -11,7 +11,6 @@ import atexit
 import contextlib
 import os
 import pickle
-import select
 import signal
 import subprocess
 import sys
@@ -23,7 +22,7 @@ from tempfile import TemporaryDirectory
 from typing import IO, Any
 
 from pipeline.base.errors import LogError
-from pipeline.base.process import begin_alone, end_when, without_pandas
+from pipeline.base.process import begin_alone, without_pandas
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.formats import FORMATS
 from pipeline.readers.frame import Contents
@@ -150,8 +149,6 @@ def serve() -> None:
     """Work on calls from standard input; the main loop of a worker process, which ends when its parent does."""
     begin_alone()
     without_pandas(import_module("pyarrow"))
-    if hasattr(select, "poll"):  # elsewhere the limit of processor time ends it
-        end_when(_parent_is_gone)
     calls, results = os.fdopen(0, "rb"), os.fdopen(os.dup(1), "wb")
     # whatever a library prints must not get between the results
     os.dup2(2, 1)
@@ -162,24 +159,15 @@ def serve() -> None:
             work = getattr(import_module(module), function)
             with contextlib.suppress(ImportError):  # the function itself says what is missing and how to install it
                 import_module(imports or module)
-            _alarm(seconds)
-            with _memory_for(arguments[1]):
+            with _bounded(seconds, len(arguments[1])):
                 try:
                     with reading(arguments[0], kind):
                         outcome = work(*arguments)
                 except LogError as error:
                     outcome = error.with_traceback(None)  # which would hold what was read until the next call
-            _alarm(0.0)
             pickle.dump(outcome, results, pickle.HIGHEST_PROTOCOL)
             results.flush()
             del arguments, outcome
-
-
-def _parent_is_gone() -> None:
-    """Wait for the end of the only process that holds the other end of standard input."""
-    pipe = select.poll()
-    pipe.register(0, 0)
-    pipe.poll()
 
 
 @contextlib.contextmanager
@@ -212,27 +200,30 @@ def reading(name: str, kind: str) -> Iterator[None]:
         raise refusal("damaged", name, f"cannot be read as {kind}: {found}") from error
 
 
-def _alarm(seconds: float) -> None:
-    """Let the operating system end this process after so much processor time; 0 calls that off."""
-    if hasattr(signal, "setitimer"):
-        signal.setitimer(signal.ITIMER_PROF, seconds)
-
-
 @contextlib.contextmanager
-def _memory_for(data: bytes) -> Iterator[None]:
-    """Let a library take no more memory than what a file may unpack to needs; only on Linux, in a worker."""
+def _bounded(seconds: float, size: int) -> Iterator[None]:
+    """Bound what a library does with a file of so many bytes, even where it keeps the interpreter to itself.
+
+    The system ends this process after so much processor time, or with its parent (which closes the pipe of calls), and
+    gives it no more memory than what the file may unpack to needs; only on Linux.
+    """
     try:
-        resource = import_module("resource")
+        resource, fcntl = import_module("resource"), import_module("fcntl")
         pages = int(Path("/proc/self/statm").read_text().split()[0])
-        soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     except (ImportError, OSError):
         yield
         return
-    most = pages * resource.getpagesize() + COPIES * (allowed_bytes(len(data)) + len(data)) + SLACK
+    (soft, hard), flags = resource.getrlimit(resource.RLIMIT_AS), fcntl.fcntl(0, fcntl.F_GETFL)
+    most = pages * resource.getpagesize() + COPIES * (allowed_bytes(size) + size) + SLACK
     resource.setrlimit(resource.RLIMIT_AS, (most if soft == resource.RLIM_INFINITY else min(most, soft), hard))
+    fcntl.fcntl(0, fcntl.F_SETOWN, os.getpid())
+    fcntl.fcntl(0, fcntl.F_SETFL, flags | os.O_ASYNC)  # its signal, SIGIO, ends a process that does not handle it
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        fcntl.fcntl(0, fcntl.F_SETFL, flags)
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
