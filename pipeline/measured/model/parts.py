@@ -151,11 +151,10 @@ def _first(
         whole = refined(held, begin, trials)
         bounds = {name: _upper(whole, name, scales) for name in ("friction", "stiffness")}
         fit, parts = _worth(held, whole, trials)
-        gain = _loss(fit, "coulomb")
-        if (gain > WORTH and fit.device.numbers["coulomb"] / fit.device.numbers["gain"] > SLIGHT) or _upper(
-            fit, "friction", scales
-        ) >= OPEN * scales.command:
-            return fit, held, {"friction": gain if gain > WORTH else 0.0} | parts, bounds
+        gain, numbers = _loss(fit, "coulomb"), fit.device.numbers
+        rubs = gain > WORTH and numbers["coulomb"] / numbers["gain"] > SLIGHT
+        if rubs or _upper(fit, "friction", scales) >= OPEN * scales.command:
+            return fit, held, {"friction": gain if rubs else 0.0} | parts, bounds
     held = stretches(recordings, scales, lead, False)
     near = begin if fit is None else fit.device
     numbers = {"gamma": 0.0} | {name: value for name, value in near.numbers.items() if name != "coulomb"}
