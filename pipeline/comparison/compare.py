@@ -16,7 +16,6 @@ from pipeline.comparison.compare_experiment import estimated_theories, experimen
 from pipeline.comparison.executors import Executor
 from pipeline.comparison.figures.figure_data import FigureBuilder, requests_of_delay_figure
 from pipeline.comparison.figures.trial_data import trial_page
-from pipeline.comparison.savings import with_saving
 from pipeline.comparison.scene.origin import excluded_trials, log_list, provenance, request
 from pipeline.comparison.scene.scene import (
     LEAVE_OUT,
@@ -204,7 +203,7 @@ def _compute(
     rows = builder.rows(predictions, results)
     scored = add_scores(data, results, theories, predictions)
     known = [with_truth(result, data.truth.get(result.experiment)) for result in scored]
-    return _Found(with_saving(data, known), theories, rows)
+    return _Found(known, theories, rows)
 
 
 def _result(

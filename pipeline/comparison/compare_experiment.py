@@ -6,13 +6,11 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 
 from pipeline.base.wording import listed
+from pipeline.comparison.loops.departures import SHORT as OTHER_WALL
+from pipeline.comparison.loops.departures import law_departures, other_gains
 from pipeline.comparison.loops.findings import loop_findings
-from pipeline.comparison.loops.fitted_loop import fitted_estimates
-from pipeline.comparison.loops.large_motion import with_large_motion
-from pipeline.comparison.loops.log_evidence import law_departures
-from pipeline.comparison.loops.loop_range import adequate_theory, estimated_range
-from pipeline.comparison.loops.other_gains import SHORT as OTHER_WALL
-from pipeline.comparison.loops.other_gains import other_gains
+from pipeline.comparison.loops.replay import with_large_motion
+from pipeline.comparison.loops.told_loop import adequate_theory, fitted_estimates, found_device
 from pipeline.comparison.scene.origin import header_lines
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.comparison.scores.implied_delay import implied_delay
@@ -142,7 +140,7 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
         result = result.model_copy(update={"estimates": others})
     findings = loop_findings(result, stages, data.device, units)
     found = dict(result.estimates)
-    loop = estimated_range(result, stages.sampling_period_s)
+    loop = found_device(result, stages, None)
     if not findings.loop.adequate:
         device = stages.once(explaining_device)
         if device is None or not device.is_trusted:
@@ -155,7 +153,7 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
     elif loop is not None:
         mass, damping = found["mass"], found["damping"]
         known = DeviceParameters(
-            *(loop.mass.value, loop.damping.value, stages.sampling_period_s),
+            *(loop.point.mass, loop.point.damping, stages.sampling_period_s),
             *(standard_error(mass), standard_error(damping)),
         )
         found["implied_delay"] = implied_delay(stages.boundary_points, known)

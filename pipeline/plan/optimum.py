@@ -17,7 +17,7 @@ from pipeline.plan.verdicts import Tried
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.theory.cost.pointcosts import point_costs_by_name
-from pipeline.theory.device.outline import limits
+from pipeline.theory.stability.region import stiffness_limit
 
 LENGTHS = (0.12, 0.08)
 """Lengths over which the logarithm of a cost changes, relative to the ranges of B and K."""
@@ -82,7 +82,7 @@ class Foreseen:
         """Return the costs of walls [N/m, Nm/rad; Ns/m, Nms/rad]; NaN near and beyond the limit of its own walls."""
         alpha, beta = stiffness / self.units.stiffness, damping / self.units.damping
         levels, place = np.unique(beta, return_inverse=True)
-        limit = np.nan_to_num(limits(self.loop, levels, exact=False).alpha, nan=0.0)[place]
+        limit = stiffness_limit(self.loop, levels)[place]
         cost = np.full(len(alpha), np.nan)
         inside = np.flatnonzero((alpha > 0) & (alpha < HIGHEST_OF_OWN * limit))
         if len(inside):

@@ -25,7 +25,7 @@ from pipeline.comparison.figures.boundary_curves import (
     theory_curve,
     use_curve,
 )
-from pipeline.comparison.loops.loop_range import adequate_theory
+from pipeline.comparison.loops.told_loop import adequate_theory
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import NEAR_ZERO
 from pipeline.comparison.scores.overlap import measured_limits

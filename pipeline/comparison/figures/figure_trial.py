@@ -7,7 +7,7 @@ import pyarrow.compute as pc
 
 from pipeline.base.errors import ParameterError
 from pipeline.comparison.figures.figure_response import LONGEST_SHOWN
-from pipeline.comparison.loops.loop_range import adequate_theory
+from pipeline.comparison.loops.told_loop import adequate_theory
 from pipeline.measured.fit.ghost import simulate_ghost
 from pipeline.measured.law.log_rows import LogRows
 from pipeline.measured.stages.stage_groups import TrialGroup

@@ -9,8 +9,8 @@ import numpy as np
 
 from pipeline.base.wording import counted
 from pipeline.comparison.compare_experiment import estimated_theories
-from pipeline.comparison.loops.loop_range import loop_delay
-from pipeline.comparison.loops.other_gains import other_gains
+from pipeline.comparison.loops.departures import other_gains
+from pipeline.comparison.loops.told_loop import loop_delay
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import boundary_distance, verdict_agreement
 from pipeline.comparison.scores.implied_slope import limits_of

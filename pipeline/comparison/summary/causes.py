@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pipeline.base.wording import counted
 from pipeline.comparison.figures.boundary_curves import too_late
-from pipeline.comparison.loops.loop_range import MATTERS
+from pipeline.comparison.loops.departures import MATTERS
 from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.comparison.scores.theory_band import ParameterBox, band_score
 from pipeline.records.results import AnswerCause, ExperimentResult

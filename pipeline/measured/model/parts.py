@@ -119,6 +119,15 @@ def chosen(recordings: list[Recording]) -> Choice:
     return Choice(fit, held, scales, parts, assumed)
 
 
+def again(choice: Choice, recordings: list[Recording], steps: int) -> Choice:
+    """Return the fit of other recordings with the parts of an earlier choice, after so many steps from its numbers."""
+    found, scales = choice.fit, choice.scales
+    holding = _holding(found, scales) if choice.parts.get("friction", 0.0) > 0 else None
+    held = stretches(recordings, scales, choice.held.lead, choice.moving, holding)
+    fit = refined(held, replace(found.device, effects=None), len(recordings), steps)
+    return Choice(fit, held, scales, choice.parts, choice.assumed)
+
+
 def _holding(fit: Fit, scales: Scales) -> Holding:
     """Return what may hold the device in SI, friction a tenth larger than found."""
     found, numbers = physical(scales), fit.device.numbers

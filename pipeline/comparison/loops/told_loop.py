@@ -1,0 +1,276 @@
+"""The loop that statements rest on: the device that logs show, or that of its file where that has the same limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.loop.device_loop import longest_delay
+from pipeline.loop.loop import LARGEST_DELAY
+from pipeline.measured.experiment.fitted_device import FittedDevice, explaining_device
+from pipeline.measured.experiment.known_delay import whole_delay
+from pipeline.measured.explained import holds
+from pipeline.measured.intervals import NORMAL_95
+from pipeline.measured.law.velocity_filter import CUTOFF_DIGITS
+from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.plan.found_device import AT_LOAD, FoundDevice, LoopPoint, stated_device
+from pipeline.records.batch import Floats
+from pipeline.records.findings import Estimate
+from pipeline.records.loop_parts import Butterworth, Coefficients, Difference, LoopParts, Mode, VelocityFilter
+from pipeline.records.loop_records import LoopResult, Parameter
+from pipeline.records.models import Device, Experiment
+from pipeline.records.results import ExperimentResult, TheoryParameters
+from pipeline.theory.predictions import Theory
+
+
+@dataclass(frozen=True, eq=False)
+class ToldLoop:
+    """The loop by the logs, by the device file, or by both; ``error`` is that of its limits by replay, 95 %, relative.
+
+    ``held`` is the part of the damping that an operator has, by the file.
+    """
+
+    found: FoundDevice | None
+    stated: FoundDevice | None = None
+    error: float = 0.0
+    held: float = 0.0
+
+    @property
+    def devices(self) -> list[FoundDevice]:
+        """The device that statements rest on, and the other one."""
+        return [each for each in (self.stated, self.found) if each is not None]
+
+    @property
+    def point(self) -> LoopPoint:
+        """The device that statements rest on."""
+        return self.devices[0].point
+
+    @property
+    def points(self) -> list[LoopPoint]:
+        """All devices that the 95 % ranges hold, at their ends."""
+        return [p for each in self.devices for p in (each.point, *(end for both in each.ends for end in both))]
+
+    def band(self, wall_damping: Floats) -> tuple[Floats, Floats]:
+        """Return the least and the largest limit that numbers and replay leave open, a file's up to the found one."""
+        middle = self.point.limit(wall_damping)
+        limits = [(each.point.limit(wall_damping), each.reach(wall_damping)) for each in self.devices]
+        low = np.min([limit - reach for limit, reach in limits], axis=0)
+        high = np.max([limit + reach for limit, reach in limits], axis=0)
+        off = self.error * middle
+        return np.maximum(middle - np.hypot(middle - low, off), 0.0), middle + np.hypot(high - middle, off)
+
+    def parameter(self, name: str) -> Parameter:
+        """Return a number with its 95 % interval; that of a file reaches to what the logs show."""
+        found = self.found.fitted.known(name) if self.found else None
+        if self.stated is None:
+            assert found is not None, "a loop is found or stated"
+            return found
+        value, off = self.stated.fitted.values[name], 0.0
+        if name == "delay_samples" and self.found is not None:  # to a device that has no lag it is a delay
+            off = (
+                self.point.parts.actuator_lag_s - self.found.point.parts.actuator_lag_s
+            ) / self.point.sampling_period_s
+        ends = [value, *((found.low - off, found.high - off) if found else ())]
+        return Parameter(value=value, low=min(ends), high=max(ends))
+
+
+def found_device(
+    result: ExperimentResult, stages: ExperimentStages, velocity: VelocityFilter | None
+) -> FoundDevice | None:
+    """Return the device fitted to all logs, with their filter; else that of the estimates; None without one."""
+    fitted = stages.once(explaining_device) or _of_estimates(result)
+    if fitted is None or "delay_samples" in fitted.open:
+        return None
+    return FoundDevice(fitted, stages.sampling_period_s, velocity)
+
+
+def _of_estimates(result: ExperimentResult) -> FittedDevice | None:
+    """Return mass, damping and delay of single logs as a device; None where one is not known."""
+    found = {"mass": result.estimates["mass"], "damping": result.estimates["damping"]}
+    found["delay_samples"] = loop_delay(result)
+    values = {name: each.value for name, each in found.items() if each.value is not None}
+    if len(values) < len(found) or values["mass"] <= 0 or values["delay_samples"] > LARGEST_DELAY:
+        return None
+    ends = [
+        (v if e.low is None else e.low, v if e.high is None else e.high)
+        for v, e in zip(values.values(), found.values(), strict=True)
+    ]
+    reach = np.array([max(v - low, high - v) for v, (low, high) in zip(values.values(), ends, strict=True)])
+    count = result.trials
+    return FittedDevice((), count, count, values, np.diag((reach / NORMAL_95) ** 2), (), "", 0.0, likely=True)
+
+
+def told_loop(found: FoundDevice | None, device: Device | None, of: Experiment | None) -> ToldLoop | None:
+    """Return the loop by the file where there is one, and by the logs; None where there is neither."""
+    stated, held = None, 0.0
+    if device is not None and of is not None:
+        parts = device.loop_of(of)
+        stated = stated_device(device, of) if of.delay_samples <= longest_delay(parts) else None
+        held = parts.operator.damping / parts.force_gain if parts.operator else 0.0
+    return ToldLoop(found, stated, held=held) if found or stated else None
+
+
+def loop_delay(result: ExperimentResult) -> Estimate:
+    """Return the delay that theory takes: the model's where it explains the logs, else the integer factor.
+
+    The model's is the whole number next to it where its interval holds that; see `known_delay.whole_delay`. Where a
+    device is fitted to all trials, it is that one's.
+    """
+    delay, check = result.estimates["delay_samples"], result.model_check
+    if "ladder" in delay.by_method:
+        return delay.by_method["ladder"]
+    model = delay.by_method.get("model")
+    if model is None or model.value is None or check is None or not holds(check.explained, check.trials):
+        return delay
+    return model.model_copy(update={"value": whole_delay(model)})
+
+
+def adequate_theory(result: ExperimentResult, sampling_period_s: float) -> Theory | None:
+    """Return the theory by the estimates of an experiment whose loop is adequate and has stable walls, else None.
+
+    A damping below zero counts as zero: the theory asks for b >= 0. Parts that a device file declares are in it, and
+    its stiffness where the estimates have none.
+    """
+    loop, estimates = result.loop, result.estimates
+    if loop is None or not loop.adequate or loop.has_friction:
+        return None
+    device = _of_estimates(result)
+    if device is None:
+        return None
+    fitted = "ladder" in estimates["delay_samples"].by_method
+    delay, stiffness, parts = device.values["delay_samples"], 0.0, parts_of(loop)
+    if loop.source == "device file" and (p := result.theory) is not None:
+        _, _, stiffness, parts = p.loop.felt(p.mass, p.damping, p.stiffness)
+        # to a model that has none a lag is a delay
+        delay -= 0.0 if fitted else parts.actuator_lag_s / sampling_period_s
+    spring = estimates.get("device_stiffness") if fitted else None
+    theory = Theory(
+        TheoryParameters(
+            mass=device.values["mass"],
+            damping=max(device.values["damping"], 0.0),
+            stiffness=max(spring.value or 0.0, 0.0) if spring is not None else stiffness,
+            sampling_period_s=sampling_period_s,
+            delay_samples=max(delay, 0.0),
+            loop=parts,
+            source="estimated from the logs",
+        )
+    )
+    return theory if theory.stabilised else None
+
+
+TERMS = {
+    "mass": "mass",
+    "damping": "damping",
+    "friction": "coulomb",
+    "device_stiffness": "stiffness",
+    "constant_force": "constant_force",
+    "jitter_samples": "jitter",
+}
+"""Estimates of an experiment, and the names of the numbers of a device that they are."""
+
+
+def fitted_estimates(found: Mapping[str, Estimate], device: FittedDevice) -> dict[str, Estimate]:
+    """Return the estimates of an experiment whose trials a device explains: its numbers, the others by method.
+
+    Of a part that it does not have nothing is said: it would explain no more.
+    """
+    result = {}
+    for name, term in TERMS.items():
+        # how a delay changes within a log no likelihood of these numbers tells
+        if name not in found or (device.likely and term == "jitter"):
+            continue
+        before, told = found[name], device.estimate(term, found[name].unit)
+        methods = {**before.by_method, "before": before.model_copy(update={"by_method": {}})}
+        reason = f"{device.method} explains the logs without it"
+        without = Estimate(value=None, reason=reason, unit=before.unit, method=device.method, trials=device.held_out)
+        result[name] = told.model_copy(update={"by_method": methods}) if told else without
+    delay, by_ladder = found["delay_samples"], device.estimate("delay_samples", "samples")
+    assert by_ladder is not None, "each device has a delay"
+    if by_ladder.value is not None:
+        result["delay_samples"] = delay.model_copy(update={"by_method": {**delay.by_method, "ladder": by_ladder}})
+    return result
+
+
+def loop_numbers(told: ToldLoop, of_logs: Sequence[VelocityFilter], parts: LoopParts | None) -> dict[str, Any]:
+    """Return the numbers of a loop as fields of a result: of the logs with intervals, those of a file as stated."""
+    point = told.point
+    numbers: dict[str, Any] = {name: told.parameter(name) for name in ("mass", "damping", "delay_samples")}
+    numbers["velocity"] = filter_parameters(point.parts.velocity, of_logs) if point.parts.velocity else None
+    if told.stated is not None and parts is not None:
+        mode, held = parts.mode, parts.operator.model_dump() if parts.operator else {}
+        vibrates = mode.model_dump(exclude={"sensor"}) | {"sensor_at_load": mode.sensor == "load"} if mode else {}
+        return numbers | {
+            "stiffness": exact(point.stiffness),
+            "actuator_lag_s": exact(parts.actuator_lag_s) if parts.actuator_lag_s else None,
+            "mode": {name: exact(float(value)) for name, value in vibrates.items()} or None,
+            "operator": {name: exact(float(value)) for name, value in held.items()} or None,
+        }
+    fitted = told.devices[0].fitted
+    names = {"frequency_hz": "frequency_hz", "damping_ratio": "damping_ratio", "mass": "far_mass"}
+    found = {name: fitted.known(of) for name, of in names.items() if of in fitted.values}
+    most = {"mass": fitted.values["mass"]}
+    mode_found = {
+        name: Parameter(value=each.value, low=max(each.low, 0.0), high=min(each.high, most.get(name, np.inf)))
+        for name, each in found.items()
+    }
+    at_load = {"sensor_at_load": exact(float(AT_LOAD in fitted.parts))}
+    return numbers | {
+        "stiffness": fitted.parameter("stiffness"),
+        "actuator_lag_s": fitted.parameter("actuator_lag_s"),
+        "mode": mode_found | at_load if mode_found else None,
+    }
+
+
+def parts_of(loop: LoopResult) -> LoopParts:
+    """Return the parts of a loop beside mass, damping, stiffness and delay."""
+    velocity: VelocityFilter | None = None
+    mode = None
+    if loop.velocity is not None:
+        v = {name: each.value for name, each in loop.velocity.items()}
+        if "samples" in v:
+            velocity = Difference(kind="difference", samples=int(v["samples"]))
+        elif "cutoff_hz" in v:
+            velocity = Butterworth(kind="butterworth", order=int(v["order"]), cutoff_hz=v["cutoff_hz"])
+        else:
+            b, a = (tuple(value for name, value in v.items() if name[0] == side) for side in "ba")
+            velocity = Coefficients(kind="coefficients", b=b, a=a)
+    if loop.mode is not None:
+        m = {name: each.value for name, each in loop.mode.items()}
+        far = m.pop("sensor_at_load")
+        mode = Mode(**m, sensor="load" if far else "motor")
+    lag = loop.actuator_lag_s.value if loop.actuator_lag_s else 0.0
+    return LoopParts(velocity=velocity, actuator_lag_s=max(lag, 0.0), mode=mode)
+
+
+def filter_parameters(velocity: VelocityFilter, of_logs: Sequence[VelocityFilter] = ()) -> dict[str, Parameter]:
+    """Return a filter by the names of a device file, its numbers as far apart as those of single logs are.
+
+    A single log shows its filter to within the rounding of its commands, and may show a rounder number.
+    """
+    numbers = _filter_numbers(velocity)
+    kind = (numbers.keys(), numbers.get("order"))
+    others = [found for found in map(_filter_numbers, of_logs) if (found.keys(), found.get("order")) == kind]
+    result = {}
+    for name, value in numbers.items():
+        low, high = np.quantile([found[name] for found in (numbers, *others)], (0.025, 0.975))
+        # half of the last digit, as far as logs tell; a device file is exact
+        digit = 10.0 ** (np.floor(np.log10(value)) + 1 - CUTOFF_DIGITS) if of_logs and name == "cutoff_hz" else 0.0
+        result[name] = Parameter(value=value, low=min(low, value) - 0.5 * digit, high=max(high, value) + 0.5 * digit)
+    return result
+
+
+def _filter_numbers(velocity: VelocityFilter) -> dict[str, float]:
+    if isinstance(velocity, Difference):
+        return {"samples": float(velocity.samples)}
+    if isinstance(velocity, Butterworth):
+        return {"order": float(velocity.order), "cutoff_hz": velocity.cutoff_hz}
+    sides = (("b", velocity.b), ("a", velocity.a))
+    return {f"{name}{i}": value for name, values in sides for i, value in enumerate(values)}
+
+
+def exact(value: float) -> Parameter:
+    """Return a parameter that is its own interval."""
+    return Parameter(value=value, low=value, high=value)
