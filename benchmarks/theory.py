@@ -21,11 +21,10 @@ import pyarrow.parquet as pq
 from timing import fastest, once, run
 
 from pipeline.loop.loop import Loop
-from pipeline.theory.cost.theory_map import CostMap, bounding_box
-from pipeline.theory.device.plain_branches import first_branch
-from pipeline.theory.stability.boundary import boundary
-from pipeline.theory.stability.region import is_inside, stiffness_limit
-from pipeline.theory.stability.stability import spectral_radius
+from pipeline.theory.branches import first_branch
+from pipeline.theory.limits import boundary, is_inside, stiffness_limit
+from pipeline.theory.map import CostMap, bounding_box
+from pipeline.theory.poles import spectral_radius
 
 ENDED = 64
 """Points that settle into 2 % before this sample: what the peer leaves out after 512 is then below rounding."""

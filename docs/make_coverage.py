@@ -19,7 +19,6 @@ from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.measured.fit.fit import Fit, fit_trials
 from pipeline.measured.signal.response import find_response
 from pipeline.records.batch import Booleans, Floats, TrialBatch
-from pipeline.simulation.plants import MassSpringDamper
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, setup_of
 from pipeline.simulation.simulate import in_force, simulate
@@ -90,7 +89,7 @@ def sample(device: str, cell: Cell, trials: int = TRIALS, seed: int = SEED) -> S
     setup = replace(setup, quantum=cell.quantum * span, noise=cell.noise * span, jitter_samples=delays, rows=cell.rows)
     K, B = _draw(device, trials, seed)
     batch = simulate(setup, K, B, seed=seed, stream=f"coverage/{device}/{cell.name}")
-    plant = _plant(setup)
+    plant = setup.plant
     return Sample(batch, {"delay": mean_delay(setup), "mass": plant.mass, "damping": plant.damping})
 
 
@@ -131,13 +130,8 @@ def _setup(device: str) -> Setup:
     return setup_of(description, find_experiment(description, DEVICES[device]))
 
 
-def _plant(setup: Setup) -> MassSpringDamper:
-    assert isinstance(setup.plant, MassSpringDamper)
-    return setup.plant
-
-
 def _stable(setup: Setup, K: Floats, B: Floats) -> Booleans:
-    return spectral_radius(_plant(setup), setup, K, B) < 1
+    return spectral_radius(setup.plant, setup, K, B) < 1
 
 
 def _range(device: str) -> tuple[float, float, float, float]:

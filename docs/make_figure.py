@@ -23,8 +23,8 @@ from pipeline.records.results import TheoryParameters
 from pipeline.rendering.figures import figures
 from pipeline.rendering.figures.svg import UNIT
 from pipeline.simulation.course import Course, run_course
-from pipeline.theory.cost.maps import cost_maps
-from pipeline.theory.optimum.optimum import optimal_point
+from pipeline.theory.costs import cost_maps
+from pipeline.theory.optimum import optimal_point
 from pipeline.theory.predictions import Theory
 
 FILE = Path(__file__).parent / "img" / "cost-map.svg"

@@ -19,8 +19,8 @@ from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.findings import BoundaryPoint, Estimate
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.results import ExperimentResult, TheoryParameters, Truth, TruthHeld
+from pipeline.theory.limits import stiffness_limit
 from pipeline.theory.predictions import Theory
-from pipeline.theory.stability.region import stiffness_limit
 
 TRUTH_FILE = "truth.json"
 

@@ -68,7 +68,7 @@ class PublishedPoint(Record):
     table : str
         One of `THEORY_TABLES`. A row of B.1 to B.4 holds two points, which are two of these.
     criterion : str
-        As in `pipeline.theory.optimum.optimum`, or ``alpha_max``, ``beta_max``, ``ziegler_nichols``.
+        As in `pipeline.theory.optimum`, or ``alpha_max``, ``beta_max``, ``ziegler_nichols``.
     delay, gamma, delta : float
         Parameters of the loop, normalised.
     alpha, beta : str or None

@@ -25,7 +25,7 @@ from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.models import Device, Experiment
 from pipeline.store.samples import load_groups
 from pipeline.store.storage import list_experiments, read_trials
-from pipeline.theory.device_cases import tested_grid
+from pipeline.theory.cases import tested_grid
 
 DAMPINGS = 12
 """Dampings at which limits are looked for where none are named."""

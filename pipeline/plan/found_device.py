@@ -10,17 +10,16 @@ import numpy as np
 
 from pipeline.loop.device_loop import longest_delay, loop_of, wall_units
 from pipeline.loop.loop import Loop, Normalised
+from pipeline.loop.motion import Mechanism
 from pipeline.measured.experiment.fitted_device import FittedDevice
 from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.loop_parts import Friction, LoopParts, Mode, VelocityFilter
 from pipeline.records.models import Device, Experiment
-from pipeline.simulation.plants import plant_of
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import simulate
-from pipeline.theory.stability.boundary import boundary, stabilises
-from pipeline.theory.stability.region import stiffness_limit
+from pipeline.theory.limits import boundary, stabilises, stiffness_limit
 
 AT_LOAD = "mode at the load"
 """Part of a fitted device whose position is sensed beyond its vibration mode."""
@@ -91,24 +90,14 @@ class LoopPoint:
 
     def behind(self, K: Floats, B: Floats, trial: Trial) -> TrialBatch:
         """Return the device behind walls, without noise and travel."""
-        device = Experiment(
-            name="found",
-            mass=self.mass,
-            damping=max(self.damping, 0.0),
-            stiffness=max(self.stiffness, 0.0),
-            delay_samples=max(self.delay_samples, 0.0),
-            damping_last=0.0,
-            damping_step=1.0,
-            stiffness_step=1.0,
-        )
         earliest = round(max(self.delay_samples - 0.5 * (trial.delays - 1), 0.0))
         setup = Setup(
-            plant=plant_of(device, self.parts),
+            plant=Mechanism.of(self.mass, max(self.damping, 0.0), max(self.stiffness, 0.0), self.parts),
             sampling_period_s=self.sampling_period_s,
             step=trial.step,
             rows=min(trial.rows, LONGEST),
             edge_row=1,
-            delay_samples=device.delay_samples,
+            delay_samples=max(self.delay_samples, 0.0),
             velocity=self.parts.velocity,
             force_gain=self.parts.force_gain,
             quantum=trial.quantum,

@@ -16,8 +16,8 @@ from pipeline.plan.requests import NOTHING_ASKED, SAME, Requests
 from pipeline.plan.verdicts import Tried
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.criteria import criterion_of
-from pipeline.theory.cost.pointcosts import point_costs_by_name
-from pipeline.theory.stability.region import stiffness_limit
+from pipeline.theory.costs import point_costs_by_name
+from pipeline.theory.limits import stiffness_limit
 
 LENGTHS = (0.12, 0.08)
 """Lengths over which the logarithm of a cost changes, relative to the ranges of B and K."""

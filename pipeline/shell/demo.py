@@ -19,7 +19,7 @@ from pipeline.records.results import ComparisonResult
 from pipeline.rendering.labels import UNITS, size_text
 from pipeline.shell.report_index import INDEX_FILE, write_index
 from pipeline.simulation.course import run_course, write_course
-from pipeline.theory.stability.boundary import boundary
+from pipeline.theory.limits import boundary
 
 SEED = 1
 """Seed of the demo's logs; any would do."""

@@ -11,16 +11,14 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import unescape
-from itertools import count
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from pydantic import BaseModel, ValidationError
 
-from pipeline.base.disk import replacing, write_text
+from pipeline.base.disk import write_text
 from pipeline.base.file_names import storable
-from pipeline.base.regular_files import open_regular
 from pipeline.base.wording import unbroken
 from pipeline.records.findings import BoundaryPoint
 from pipeline.records.models import Motion
@@ -32,24 +30,14 @@ INDEX_FILE = "index.html"
 INDEX_MARK = '<meta name="generator" content="pipeline index">'
 """Tells our index from a page of somebody else, which is never replaced."""
 
-
-LARGEST_DOCUMENT = 256 << 20
-"""Bytes of JSON that are read at most: a report of 2,300 trials has 1.4 MB, so what is larger is something else."""
-
 MOST_NAMES = 4
 """Experiments that are named one by one: a list of all delays of a sweep says less than its ends."""
 
 _HEAD = 8192
-"""Bytes at the start of a page in which its title and marks stand."""
+"""Characters at the start of a page in which its title and marks stand."""
 
-_TAIL = 64
-"""Bytes at the end of a page that hold its last tag, with some white space behind."""
-
-_REPORT_MARK = b'name="pipeline-cells"'
+_REPORT_MARK = 'name="pipeline-cells"'
 """Part of the head of a report of `pipeline compare` (`report_parts.CELLS_META`)."""
-
-_ATTEMPTS = 5
-"""How often the page is made anew because a report came meanwhile; who writes more often renews the index himself."""
 
 
 class _Largest(BaseModel):
@@ -143,7 +131,8 @@ def read_reports(folder: Path) -> tuple[tuple[IndexEntry, ...], tuple[IndexEntry
 
     A page (``*.html``) with the JSON document of a comparison beside it is a report. Nothing is written.
     """
-    found = [entry for name in _pages(folder) if (entry := _entry(folder, name)) is not None]
+    pages = (p for p in folder.glob("*.html") if p.name != INDEX_FILE and not p.name.startswith(".") and p.is_file())
+    found = [_entry(page) for page in sorted(pages)]
     reports = [entry for entry in found if entry.document or entry.problem]
     reports.sort(key=lambda entry: (bool(entry.problem), entry.title.casefold(), entry.page))
     return tuple(reports), tuple(entry for entry in found if entry not in reports)
@@ -178,8 +167,7 @@ def write_index(folder: Path, only_renew: bool = False) -> Path | None:
     Returns
     -------
     Path or None
-        The page; None where it is as it was, or a page of somebody else has its name. A report that an earlier version
-        wrote there, of a device of that name, is kept beside it.
+        The page; None where it is as it was, or a page of somebody else has its name.
 
     Raises
     ------
@@ -187,123 +175,47 @@ def write_index(folder: Path, only_renew: bool = False) -> Path | None:
         If it cannot be written.
     """
     path = folder / INDEX_FILE
-    changed = False
-    for _ in range(_ATTEMPTS):
-        present = _former(path)
-        taken = present is not None and INDEX_MARK not in present
-        if (only_renew and (taken or present is None)) or (taken and not _keep_report(folder)):
-            return None
-        state = _state(folder)
-        page = render_index(*read_reports(folder))
-        if page != present:
-            write_text(path, page)
-            changed = True
-            if taken:
-                _document(path).unlink(missing_ok=True)
-        # another process may have written a report, and an index without ours
-        if _state(folder) == state:
-            break
-    return path if changed else None
-
-
-def _former(path: Path) -> str | None:
-    """Return the page that stands there; None where there is none. What cannot be read is a page of somebody else."""
-    try:
-        with open_regular(path) as stream:
-            return stream.read().decode("utf-8", "replace")
-    except FileNotFoundError:
+    present = _text(path) if path.exists() else None
+    if (present is None and only_renew) or (present is not None and INDEX_MARK not in present):
         return None
+    before = present
+    # another process may write a report, and an index without ours: looked at once more after each writing
+    while (page := render_index(*read_reports(folder))) != present:
+        write_text(path, page)
+        present = page
+    return None if present == before else path
+
+
+def _text(path: Path) -> str:
+    """Return the text of a page; empty where it cannot be read, as that of somebody else."""
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
     except OSError:
         return ""
 
 
-def _keep_report(folder: Path) -> bool:
-    """Copy the report of a device ``index`` from the index's place to a free name; return whether one is there.
-
-    Earlier versions wrote it there. That of any other device was put there by somebody.
-    """
-    report = folder / INDEX_FILE
-    entry = _entry(folder, INDEX_FILE)
-    if entry is None or entry.document is None or f"{entry.document.device.casefold()}.html" != INDEX_FILE:
-        return False
-    page = report.read_bytes()
-    # as `names.report_of` writes it now, which a newer report may have; no other device has such a name
-    names = (folder / f"%69ndex{f'-{number}' if number else ''}.html" for number in count())
-    kept = next(name for name in names if not name.exists() or name.read_bytes() == page)
-    # the page last: with it, all is kept
-    for file, data in ((_document(kept), _document(report).read_bytes()), (kept, page)):
-        with replacing(file) as stream:
-            stream.write(data)
-    return True
-
-
-def _document(page: Path) -> Path:
-    return page.with_suffix(".json")
-
-
-def _state(folder: Path) -> list[tuple[str, int, int]]:
-    """Return name, size and time of all pages and documents but the index."""
-    if not folder.is_dir():
-        return []
-    with os.scandir(folder) as entries:
-        found = [(e.name, e.stat(follow_symlinks=False)) for e in entries if e.name.endswith((".html", ".json"))]
-    return sorted((name, status.st_size, status.st_mtime_ns) for name, status in found if name != INDEX_FILE)
-
-
-def _pages(folder: Path) -> list[str]:
-    if not folder.is_dir():
-        return []
-    return sorted(n for n in os.listdir(folder) if n.endswith(".html") and n != INDEX_FILE and not n.startswith("."))
-
-
-def _entry(folder: Path, name: str) -> IndexEntry | None:
-    """Return what a page is; None where it vanished meanwhile."""
+def _entry(page: Path) -> IndexEntry:
+    """Return what a page is."""
+    text = _text(page)
+    found = re.search(r"<title>(.*?)</title>", text[:_HEAD], flags=re.DOTALL)
+    title = " ".join(unescape(found[1]).split()) if found else ""
+    document = page.with_suffix(".json")
+    name = storable(document.name)
+    if not text:
+        return IndexEntry(page.name, title, "the page cannot be read, or is empty")
+    if _REPORT_MARK not in text[:_HEAD]:  # a page beside another document, such as that on accuracy
+        return IndexEntry(page.name, title or storable(page.name))
+    if not text.rstrip().endswith("</html>"):
+        return IndexEntry(page.name, title, "the page is not complete; make the report again")
+    if not document.is_file():
+        return IndexEntry(page.name, title, f"{name} is missing beside it; make the report again")
     try:
-        head, tail = _ends(folder / name)
-    except FileNotFoundError:
-        return None
+        result = Document.model_validate_json(document.read_bytes())
     except OSError as error:
-        return IndexEntry(name, "", f"the page cannot be read ({error.strerror})")
-    is_report = _REPORT_MARK in head
-    title = _title(head)
-    other = IndexEntry(name, title or storable(name))
-    document = storable(name.removesuffix(".html") + ".json")
-    try:
-        with open_regular(folder / (name.removesuffix(".html") + ".json")) as stream:
-            text = stream.read(LARGEST_DOCUMENT + 1)
-    except FileNotFoundError:
-        problem = f"{document} is missing beside it; make the report again"
-        return IndexEntry(name, title, problem) if is_report else other
-    except OSError as error:
-        return IndexEntry(name, title, f"{document} cannot be read ({error.strerror})")
-    if len(text) > LARGEST_DOCUMENT:
-        return IndexEntry(name, title, f"{document} is larger than {LARGEST_DOCUMENT >> 20} MB")
-    try:
-        result = Document.model_validate_json(text)
+        return IndexEntry(page.name, title, f"{name} cannot be read ({error.strerror})")
     except ValidationError as error:
-        if not is_report and head:  # a page with another document, such as that on accuracy
-            return other
-        return IndexEntry(name, title, f"{document}: {_why(error)}; make the report again")
-    if not is_report or not tail.rstrip().endswith(b"</html>"):
-        return IndexEntry(name, result.title, "the page is not complete; make the report again")
-    return IndexEntry(name, result.title, document=result)
-
-
-def _ends(path: Path) -> tuple[bytes, bytes]:
-    """Return the beginning and the end of a file."""
-    with open_regular(path) as stream:
-        head = stream.read(_HEAD)
-        size = stream.seek(0, os.SEEK_END)
-        stream.seek(max(size - _TAIL, 0))
-        return head, stream.read()
-
-
-def _title(head: bytes) -> str:
-    found = re.search(r"<title>(.*?)</title>", head.decode("utf-8", "replace"), flags=re.DOTALL)
-    return " ".join(unescape(found[1]).split()) if found else ""
-
-
-def _why(error: ValidationError) -> str:
-    first = error.errors()[0]
-    place = ".".join(str(part) for part in first["loc"])
-    return f"{place}: {first['msg']}" if place else str(first["msg"])
+        first = error.errors()[0]
+        place = "".join(f"{part}." for part in first["loc"])[:-1]
+        why = f"{place}: {first['msg']}" if place else first["msg"]
+        return IndexEntry(page.name, title, f"{name}: {why}; make the report again")
+    return IndexEntry(page.name, result.title, document=result)

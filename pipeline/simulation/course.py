@@ -25,13 +25,12 @@ from pipeline.measured.signal.verdict import judge as judge_log
 from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.records.models import Device, Experiment
 from pipeline.records.native import NativeHeader, format_header
-from pipeline.simulation.plants import plant_of
 from pipeline.simulation.procedure import AT_ZERO_STIFFNESS, Climb, Strings
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
 from pipeline.simulation.simulate import simulate
 from pipeline.store.names import place_of
-from pipeline.theory.device_cases import tested_grid
+from pipeline.theory.cases import tested_grid
 
 LOWEST_DAMPING = 2.0
 """Largest -B tested at K = 0 in times the physical damping, where the tested B end before: the limit is at once."""
@@ -300,7 +299,7 @@ def _earlier_logs(target: Path, overwrite: bool) -> set[str]:
 def _truth(course: Course) -> dict[str, Any]:
     setup, experiment, batch = course.setup, course.experiment, course.batch
     parts = course.device.loop_of(experiment)
-    radius = spectral_radius(plant_of(experiment, parts), setup, batch.stiffness, batch.damping)
+    radius = spectral_radius(setup.plant, setup, batch.stiffness, batch.damping)
     rows = zip(batch.trial_id, batch.stiffness, batch.damping, course.verdict, radius, batch.rows, strict=True)
     return {
         "device": course.device.name,

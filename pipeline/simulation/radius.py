@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import floor
 
 import numpy as np
 
+from pipeline.loop.motion import Mechanism
 from pipeline.records.batch import Floats
-from pipeline.simulation.mechanism import Mechanism
-from pipeline.simulation.plants import MassSpringDamper
 from pipeline.simulation.setup import Setup
-from pipeline.simulation.velocity import coefficients
+from pipeline.simulation.simulate import coefficients
 
 
-def spectral_radius(plant: MassSpringDamper | Mechanism, setup: Setup, stiffness: Floats, damping: Floats) -> Floats:
+def spectral_radius(plant: Mechanism, setup: Setup, stiffness: Floats, damping: Floats) -> Floats:
     """Return the spectral radius of the linear loop (constant delay ``setup.delay_samples``), shape (n,).
 
     Parameters
     ----------
-    plant : MassSpringDamper or Mechanism
+    plant : Mechanism
         Its friction is left out.
     setup : Setup
         Sampling period, delay, gain and velocity filter are used.
@@ -40,7 +40,7 @@ def spectral_radius(plant: MassSpringDamper | Mechanism, setup: Setup, stiffness
     T, trials = setup.true_period_s, len(stiffness)
     whole = floor(setup.delay_samples)
     part = setup.delay_samples - whole
-    (early, early_gain), (late, late_gain) = (plant.transition(time) for time in (part * T, (1 - part) * T))
+    (early, early_gain), (late, late_gain) = (_transition(plant, time) for time in (part * T, (1 - part) * T))
     b, a = coefficients(setup.velocity, setup.sampling_period_s)
     taps = np.convolve(b, [1.0, -1.0]) / setup.sampling_period_s  # of x_k, x_{k-1}, ...
     n, past, poles = len(early), len(taps) - 1, len(a) - 1
@@ -69,3 +69,11 @@ def spectral_radius(plant: MassSpringDamper | Mechanism, setup: Setup, stiffness
     magnitude[free, nearest[free]] = 0.0
     result: Floats = magnitude.max(axis=1)
     return result
+
+
+def _transition(plant: Mechanism, time_s: float) -> tuple[Floats, Floats]:
+    """Return the matrix of the state, and what a unit of command adds to it, over a time [s]; without friction."""
+    n = plant.states
+    start = np.eye(n, n + 1)
+    moved = replace(plant, friction=None).advance(start, np.eye(n + 1)[n], 0.0, time_s) if time_s else start
+    return moved[:, :n], moved[:, n]

@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 from math import inf
 
 from pipeline.base.errors import ParameterError
+from pipeline.loop.motion import Mechanism
 from pipeline.records.loop_parts import VelocityFilter
 from pipeline.records.models import Device, Experiment
 from pipeline.records.simulation_parts import SimulationParts
-from pipeline.simulation.mechanism import Mechanism
-from pipeline.simulation.plants import Plant, plant_of
 
 NOTHING_HIDDEN = SimulationParts()
 """All as stated and complete."""
@@ -22,7 +21,7 @@ class Setup:
 
     Parameters
     ----------
-    plant : Plant
+    plant : Mechanism
     sampling_period_s : float
         T as stated, by which the controller differentiates [s]; ``hidden`` may hold that the true one differs.
     step : float
@@ -50,7 +49,7 @@ class Setup:
         force turns inwards. A start at or beyond a stop moves it outwards as it does the travel limit.
     """
 
-    plant: Plant
+    plant: Mechanism
     sampling_period_s: float
     step: float
     rows: int
@@ -95,7 +94,7 @@ def setup_of(device: Device, experiment: Experiment) -> Setup:
     """Return the setup of an experiment as its device file describes it."""
     period, parts = device.sampling_period_s, device.loop_of(experiment)
     return Setup(
-        plant=plant_of(experiment, parts),
+        plant=Mechanism.of(experiment.mass, experiment.damping, experiment.stiffness, parts),
         sampling_period_s=period,
         step=device.step,
         rows=round(device.duration_s / period),
@@ -115,5 +114,5 @@ def setup_of(device: Device, experiment: Experiment) -> Setup:
 
 def idealise(setup: Setup) -> Setup:
     """Return the loop of linear theory, with its limits: without noise, quantum, jitter, friction, and all hidden."""
-    plant = replace(setup.plant, friction=None) if isinstance(setup.plant, Mechanism) else setup.plant
+    plant = replace(setup.plant, friction=None)
     return replace(setup, plant=plant, quantum=0.0, noise=0.0, jitter_samples=(), hidden=NOTHING_HIDDEN)

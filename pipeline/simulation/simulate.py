@@ -14,11 +14,15 @@ from math import floor, inf
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.loop.many_digits import as_floats, many_digits
+from pipeline.loop.velocity_filter import filter_in_z, per_sample
 from pipeline.records.batch import Floats, Integers, TrialBatch
-from pipeline.simulation.chance import Streams, draw
-from pipeline.simulation.log import logged
+from pipeline.records.loop_parts import Difference, VelocityFilter
+from pipeline.simulation.chance import Chance, Streams, draw
 from pipeline.simulation.setup import Setup
-from pipeline.simulation.velocity import Velocity
+
+DIGITS = 40
+"""In which a filter is written in powers of 1/z: a low cut-off cancels many of them."""
 
 START_MARGIN = 1.1
 """Smallest travel limit relative to the distance of the start: noise must not end a trial where it starts."""
@@ -123,7 +127,7 @@ def simulate(
             state[0] = reached
     if setup.hidden.clipped_command_logged:
         command = np.clip(command, -limit, limit)
-    return logged(setup, (K, B), rows, command[1:], position, chance)
+    return _logged(setup, (K, B), rows, command[1:], position, chance)
 
 
 def external_force(setup: Setup) -> Floats:
@@ -185,3 +189,82 @@ def _route(setup: Setup, delays: Integers | None) -> Callable[[int], Sequence[tu
 
 def _measure(position: Floats, quantum: float) -> Floats:
     return np.rint(position / quantum) * quantum if quantum > 0 else position
+
+
+def coefficients(kind: VelocityFilter | None, sampling_period_s: float) -> tuple[Floats, Floats]:
+    """Return b and a of the filter b(z)/a(z) that acts on (x_k - x_{k-1})/T, in powers of 1/z, a[0] = 1."""
+    with many_digits(DIGITS):
+        b, a = filter_in_z(per_sample(kind, sampling_period_s))
+        return as_floats(b), as_floats(a)
+
+
+class Velocity:
+    """Velocity of many trials, sample after sample.
+
+    Parameters
+    ----------
+    kind : VelocityFilter or None
+        None for the backward difference.
+    sampling_period_s : float
+        T as the controller takes it [s].
+    trials : int
+    """
+
+    def __init__(self, kind: VelocityFilter | None, sampling_period_s: float, trials: int) -> None:
+        self.period = sampling_period_s
+        self.samples = kind.samples if isinstance(kind, Difference) else 1
+        b, a = (np.ones(1), np.ones(1)) if isinstance(kind, Difference) else coefficients(kind, sampling_period_s)
+        order = max(len(a), len(b)) - 1
+        self._b, self._a = np.pad(b, (0, order + 1 - len(b))), np.pad(a, (0, order + 1 - len(a)))
+        self._memory = np.zeros((order + 1, trials))
+        self._filtered = order > 0 or bool(b[0] != 1)
+
+    def after(self, position: Floats, row: int) -> Floats:
+        """Return the velocity of a row from the positions so far, shape (rows, n); rows in order, each once."""
+        difference: Floats = (position[row] - position[max(row - self.samples, 0)]) / self.period
+        if self.samples > 1:
+            return difference / self.samples
+        if not self._filtered:
+            return difference
+        result: Floats = self._b[0] * difference + self._memory[0]
+        # transposed direct form: the last row of the memory stays zero
+        for i in range(len(self._memory) - 1):
+            self._memory[i] = self._memory[i + 1] + self._b[i + 1] * difference - self._a[i + 1] * result
+        return result
+
+
+def _logged(
+    setup: Setup, walls: tuple[Floats, Floats], rows: Integers, command: Floats, position: Floats, chance: Chance
+) -> TrialBatch:
+    """Return the log that a lab keeps of trials at walls (K, B), from command and position of shape (rows, n)."""
+    trials, T = len(rows), setup.sampling_period_s
+    longest = int(rows.max(initial=0))
+    if chance.repeated is not None:
+        before = np.vstack((position[:1], position[:-1]))
+        position = np.where(chance.repeated, before, position)
+    padding = np.arange(longest)[None, :] >= rows[:, None]
+    time = np.where(padding, np.nan, T * np.arange(longest))
+    both = [np.where(padding, np.nan, values[:longest].T) for values in (command, position)]
+    if chance.lost is not None:
+        kept = ~(chance.lost[:longest].T | padding)
+        rows = kept.sum(axis=1)
+        longest = int(rows.max(initial=0))
+        order = np.argsort(~kept, axis=1, kind="stable")[:, :longest]
+        gone = np.arange(longest)[None, :] >= rows[:, None]
+        stamps = np.broadcast_to(T * np.arange(longest), gone.shape)
+        stamps = stamps if setup.hidden.lost_rows_hidden else np.take_along_axis(time, order, axis=1)
+        time, *both = (
+            np.where(gone, np.nan, values)
+            for values in (stamps, *(np.take_along_axis(values, order, axis=1) for values in both))
+        )
+    return TrialBatch(
+        trial_id=tuple(str(i) for i in range(trials)),
+        stiffness=walls[0],
+        damping=walls[1],
+        step=np.full(trials, setup.step),
+        sampling_period_s=np.full(trials, T),
+        rows=rows,
+        time=time,
+        command=both[0],
+        position=both[1],
+    )

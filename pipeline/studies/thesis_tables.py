@@ -24,11 +24,10 @@ from pipeline.base.process_pool import process_pool
 from pipeline.device_data.published_theory import THEORY_TABLES, PrintedNumber, PublishedPoint, published_points
 from pipeline.loop.loop import Loop
 from pipeline.records.criteria import ENERGY, criterion_of
-from pipeline.theory.cost.energy import energy_costs
-from pipeline.theory.cost.pointcosts import point_costs_by_name
-from pipeline.theory.optimum.optimum import impulse_energy_limit, optimal_point
-from pipeline.theory.optimum.rules import POINT_CRITERIA, marked_point, scaling_factor
-from pipeline.theory.optimum.search import where_stable
+from pipeline.theory.costs import point_costs_by_name
+from pipeline.theory.energy import energy_costs
+from pipeline.theory.optimum import POINT_CRITERIA, impulse_energy_limit, marked_point, optimal_point, scaling_factor
+from pipeline.theory.search import where_stable
 
 Mark = Literal["equal", "within", "erratum", "unexplained"]
 

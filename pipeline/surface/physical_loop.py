@@ -21,14 +21,14 @@ from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import Device, Experiment, Motion
 from pipeline.surface.frames import units_of
-from pipeline.theory.cases import POINT_COSTS, optimum_document, points_of_loop
-from pipeline.theory.cost.theory_map import MAP_DEFAULT, CostMap, check_criteria
-from pipeline.theory.device.passive_walls import passive_outline, required_damping
-from pipeline.theory.device_cases import islands_in_si
-from pipeline.theory.optimum.curves import Curve, best_damping, best_stiffness
-from pipeline.theory.stability.boundary import boundary
-from pipeline.theory.stability.margins import Margins, margins
-from pipeline.theory.stability.stability import spectral_radius
+from pipeline.theory.cases import POINT_COSTS, islands_in_si, optimum_document, points_of_loop
+from pipeline.theory.costs import MAP_DEFAULT, check_criteria
+from pipeline.theory.curves import Curve, best_damping, best_stiffness
+from pipeline.theory.limits import boundary
+from pipeline.theory.map import CostMap
+from pipeline.theory.margins import Margins, margins
+from pipeline.theory.passivity import passive_outline, required_damping
+from pipeline.theory.poles import spectral_radius
 
 if TYPE_CHECKING:  # takes longer to load than most answers to compute
     from scipy.signal import StateSpace

@@ -24,11 +24,11 @@ from pipeline.loop.loop import Loop, Normalised
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.records.results import TheoryParameters
-from pipeline.theory.cost.maps import costs_at
-from pipeline.theory.device.passive_walls import passive_outline
-from pipeline.theory.optimum.optimum import optimal_point
-from pipeline.theory.optimum.search import OptimalPoint
-from pipeline.theory.stability.boundary import Boundary, boundary, stabilises
+from pipeline.theory.costs import costs_at
+from pipeline.theory.limits import Boundary, boundary, stabilises
+from pipeline.theory.optimum import optimal_point
+from pipeline.theory.passivity import passive_outline
+from pipeline.theory.search import OptimalPoint
 
 _TURN = {"overshoot": 0, "energy": 2}
 """Families whose optima take the most time, and the least; all others are 1."""

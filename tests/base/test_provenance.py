@@ -22,7 +22,7 @@ from pipeline.measured.stages.stages import STAGES
 from pipeline.records import models
 from pipeline.rendering import labels
 from pipeline.shell import cli
-from pipeline.theory.optimum import optimum
+from pipeline.theory import optimum
 
 EDITS = [
     (friction, {"stages", "report"}),

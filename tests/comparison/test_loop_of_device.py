@@ -6,7 +6,7 @@ from pipeline.comparison.figures.boundary_curves import linear_curve, passive_cu
 from pipeline.loop.loop import Loop
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.results import TheoryParameters
-from pipeline.theory.optimum.optimum import optimal_point
+from pipeline.theory.optimum import optimal_point
 from pipeline.theory.predictions import Theory
 
 PARTS = LoopParts.model_validate(

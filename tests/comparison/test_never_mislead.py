@@ -16,7 +16,7 @@ from pipeline.intake.ingest import ingest
 from pipeline.records.loop_parts import Friction, LoopParts
 from pipeline.simulation.course import run_course, write_course
 from pipeline.theory import predictions
-from pipeline.theory.optimum.optimum import optimal_point
+from pipeline.theory.optimum import optimal_point
 
 
 def ingested(folder, device, **options):

@@ -19,12 +19,10 @@ from pipeline.measured.signal.verdict import judge
 from pipeline.records.criteria import MEASURED, REPORTED
 from pipeline.rendering.table_export import export_tables
 from pipeline.shell.cli import app
-from pipeline.theory.cost.maps import cost_maps
-from pipeline.theory.cost.pointcosts import point_costs_by_name
-from pipeline.theory.optimum.optimum import optimal_point
-from pipeline.theory.stability.boundary import boundary
-from pipeline.theory.stability.region import is_well_inside
-from pipeline.theory.stability.stability import spectral_radius
+from pipeline.theory.costs import cost_maps, point_costs_by_name
+from pipeline.theory.limits import boundary, is_well_inside
+from pipeline.theory.optimum import optimal_point
+from pipeline.theory.poles import spectral_radius
 
 NAMES = ("rise_time", "rise_time_discrete")
 LOOPS = [Loop(0, 0, 0), Loop(0.001, 0.02, 1.5), Loop(0, 0, 4), Loop(0.25, 1.0, 1)]

@@ -12,7 +12,7 @@ from pipeline import Loop
 from pipeline.base.errors import DeviceError
 from pipeline.base.provenance import USER_FOLDER_VARIABLE, schema_folder
 from pipeline.device_data.devices import find_experiment, known_devices, load_device, read_device
-from pipeline.theory import device_cases
+from pipeline.theory import cases as device_cases
 
 TABLES = SHARED / "reference" / "tables"
 FALCON = schema_folder() / "devices" / "falcon.toml"

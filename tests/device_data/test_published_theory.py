@@ -19,7 +19,7 @@ from pipeline.device_data.published_theory import (
     published_points,
 )
 from pipeline.records.criteria import CRITERIA, with_discrete
-from pipeline.theory.optimum.rules import POINT_CRITERIA
+from pipeline.theory.optimum import POINT_CRITERIA
 
 TABLES = SHARED / "reference" / "tables"
 needs_tables = pytest.mark.skipif(not TABLES.is_dir(), reason="published tables (../shared) are not here")

@@ -27,7 +27,6 @@ from pipeline.rendering.report.report_parts import take_apart
 from pipeline.shell.cli import application
 from pipeline.shell.status import status
 from pipeline.shell.verify.verify import verify
-from pipeline.shell.watch.watch_pass import _inputs
 from pipeline.store.corrections import read_exclusions
 from pipeline.store.storage import read_trials
 
@@ -196,16 +195,6 @@ def test_a_damaged_file_is_set_aside_and_never_ignored(store):
     assert read_exclusions(store) == {}
     exclude(store, ids(store)["2.csv"], WHY)
     assert set(read_exclusions(store)) == set(known)
-
-
-def test_watch_makes_the_report_anew(store):
-    before = _inputs(store, "bench", None)
-    exclude(store, ids(store)["2.csv"], "cable")
-    first = _inputs(store, "bench", None)
-    exclude(store, ids(store)["2.csv"], WHY)
-    assert len({before, first, _inputs(store, "bench", None)}) == 3
-    use_again(store, ids(store)["2.csv"])
-    assert _inputs(store, "bench", None) == before
 
 
 def test_the_command(store):

@@ -17,7 +17,7 @@ from pipeline.base.errors import StoreError, UsageError
 from pipeline.intake import quarantine
 from pipeline.intake.ingest import ingest
 from pipeline.shell.status import status
-from pipeline.shell.watch.watch_pass import PassRequest, run_pass
+from pipeline.shell.watch import Watched, run_pass
 from pipeline.store.storage import list_experiments, read_trials, steadily
 
 PIPELINE = [sys.executable, "-c", "from pipeline.shell.cli import run; run()"]
@@ -160,11 +160,9 @@ def test_a_pass_on_a_disk_that_takes_nothing_is_told(store, logs, monkeypatch):
     def no_folder(*_):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(store / ".watch"))
 
-    monkeypatch.setattr("pipeline.shell.watch.watch_pass.writing", no_folder)
+    monkeypatch.setattr("pipeline.base.lock.writing", no_folder)
     events = []
-    request = PassRequest((str(logs),), str(store), str(store.parent / "reports"))
-    outcome = run_pass(request, events.append)
-    assert (outcome.status, outcome.retry) == (1, True)
+    assert run_pass(Watched((logs,), store, store.parent / "reports"), events.append) == 1
     (event,) = events
     assert "Read-only file system" in event["reason"]
 

@@ -14,8 +14,8 @@ from pipeline.loop.loop import Normalised
 from pipeline.plan.course import Wish, beginning, open_course, wanted_dampings
 from pipeline.plan.planner import plan, plan_of
 from pipeline.records.loop_parts import LoopParts
-from pipeline.theory.device.outline import limits
-from pipeline.theory.optimum.optimum import optimal_point
+from pipeline.theory.limits import limits
+from pipeline.theory.optimum import optimal_point
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ import pytest
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.plan.optimum import Foreseen, Target, look_for
 from pipeline.plan.verdicts import Tried
-from pipeline.theory.optimum.optimum import optimal_point
-from pipeline.theory.stability.region import stiffness_limit
+from pipeline.theory.limits import stiffness_limit
+from pipeline.theory.optimum import optimal_point
 
 LOOP, UNITS = Loop(0.0, 0.007, 4.0), Normalised(0.5, 1e-3)
 BY = Foreseen(LOOP, UNITS)

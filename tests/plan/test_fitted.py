@@ -15,7 +15,7 @@ from pipeline.plan.fitted import Fitted, at_once, first_guess, learn
 from pipeline.plan.forecast import Foretold, found_misfit
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
-from pipeline.theory.device.outline import limits
+from pipeline.theory.limits import limits
 
 DAMPINGS = np.array([20.0, 60.0, 100.0])
 K, B = np.array([1500.0, 4000.0, 6000.0, 3000.0, 5000.0, 4500.0]), np.array([10.0, 30.0, 50.0, 70.0, 90.0, 60.0])

@@ -24,7 +24,7 @@ from pipeline.records.native import NativeHeader, format_header
 from pipeline.shell.commands.cli_plan import _print
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
-from pipeline.theory.device.outline import limits
+from pipeline.theory.limits import limits
 
 FALCON = load_device("falcon")
 EXPERIMENT = FALCON.experiments[0]

@@ -160,7 +160,8 @@ def test_every_command_and_option_is_documented() -> None:
     text = pages()
     missing = []
     for name, command in every_command():
-        options = [option for p in command.params for option in (*p.opts, *p.secondary_opts) if option.startswith("--")]
+        shown = [p for p in command.params if not getattr(p, "hidden", False)]
+        options = [option for p in shown for option in (*p.opts, *p.secondary_opts) if option.startswith("--")]
         missing += [name] * (name not in text)
         missing += [f"{name} {option}" for option in options if not re.search(rf"{option}(?![\w-])", text)]
     assert [word for word in missing if not word.endswith(" --help")] == []
@@ -171,7 +172,7 @@ def test_every_criterion_and_format_is_documented() -> None:
 
     from pipeline.profiles.profile_model import Format
     from pipeline.records.criteria import CRITERIA
-    from pipeline.theory.optimum.rules import POINT_CRITERIA
+    from pipeline.theory.optimum import POINT_CRITERIA
 
     text = read(ROOT / "docs" / "definitions.md")
     names = {name.removesuffix("_discrete") for name in (*CRITERIA, *POINT_CRITERIA)}

@@ -12,9 +12,9 @@ from places import ROOT
 FILES = [
     f"tests/{place}.py"
     for place in (
-        "theory/cost/test_poles",
-        "theory/cost/test_energy",
-        "theory/cost/test_maps_speed_paths",
+        "theory/test_poles",
+        "theory/test_energy",
+        "theory/test_maps_speed_paths",
         "measured/signal/test_modes",
         "measured/fit/test_fit",
     )

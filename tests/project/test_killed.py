@@ -282,7 +282,7 @@ def test_a_watch_goes_on_when_its_pass_dies(course, tmp_path):
     """Workers of the pass hold its output open, for which the watch would wait for ever."""
     run = begun("watch", course, tmp_path / "here")
     children = Path(f"/proc/{run.process.pid}/task/{run.process.pid}/children").read_text().split()
-    (one,) = (int(child) for child in children if "watch_pass" in run.left()[int(child)])
+    (one,) = (int(child) for child in children if "--held" in run.left()[int(child)])
     os.kill(one, signal.SIGKILL)
     assert run.settles(lambda: list(run.left()) == [run.process.pid]), run.left()
     assert run.settles(lambda: b"status -9" in run.out), run.out

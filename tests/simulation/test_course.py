@@ -13,13 +13,13 @@ from places import ROOT
 
 from pipeline.base.errors import DeviceError, ParameterError, PipelineError, UsageError
 from pipeline.device_data.devices import find_experiment, load_device, read_device
+from pipeline.loop.motion import Mechanism
 from pipeline.records.batch import TrialBatch
 from pipeline.records.models import Device
 from pipeline.records.native import parse_header
 from pipeline.simulation import course as course_module
 from pipeline.simulation import procedure
 from pipeline.simulation.course import TRUTH_FILE, Course, run_course, write_course
-from pipeline.simulation.plants import MassSpringDamper
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import idealise, setup_of
 from pipeline.simulation.simulate import simulate
@@ -51,7 +51,7 @@ def judge_by_noise(batch: TrialBatch) -> Judged:
 def judge_by_theory(device: Device, experiment: str) -> Judge:
     conditions = find_experiment(device, experiment)
     setup = setup_of(device, conditions)
-    plant = MassSpringDamper(conditions.mass, conditions.damping)
+    plant = Mechanism(conditions.mass, conditions.damping)
 
     def judge(batch: TrialBatch) -> Judged:
         # 1e-9: at K = 0 and B = -b the radius is 1 exactly, but for the rounding of an eigenvalue

@@ -9,18 +9,16 @@ import pytest
 from fine_loop import Body, run, velocity_filter
 from scipy.signal import butter
 
+from pipeline.loop.motion import Mechanism
 from pipeline.records.loop_parts import Butterworth, Difference, Friction
 from pipeline.records.simulation_parts import LaterStep, SimulationParts
-from pipeline.simulation.mechanism import Mechanism
-from pipeline.simulation.plants import MassSpringDamper
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup
-from pipeline.simulation.simulate import external_force, simulate
-from pipeline.simulation.velocity import coefficients
+from pipeline.simulation.simulate import coefficients, external_force, simulate
 
 T = 0.001
 ROWS = 60
-BASE = Setup(MassSpringDamper(0.5, 4.0), T, step=8.0, rows=ROWS, edge_row=3, delay_samples=2.0)
+BASE = Setup(Mechanism(0.5, 4.0), T, step=8.0, rows=ROWS, edge_row=3, delay_samples=2.0)
 MODE = {"load_mass": 0.1, "spring": 3000.0, "spring_damping": 0.8}
 FRICTION = Friction(coulomb=1.0)
 STRIBECK = Friction(coulomb=0.8, stiction=1.2, stribeck_velocity=0.02)
@@ -188,7 +186,7 @@ def friction_cycle(stiffness: float) -> float:
 
 def test_friction_holds_a_wall_that_linear_theory_calls_unstable_up_to_the_describing_function() -> None:
     # equivalent damping 4 c/(pi w A) with A = F_0/K: the limit at B = 20, d = 4 rises from about 4.6 to 7.5 kN/m
-    setup = replace(BASE, plant=MassSpringDamper(0.58, 4.0), delay_samples=4.0)
+    setup = replace(BASE, plant=Mechanism(0.58, 4.0), delay_samples=4.0)
     assert spectral_radius(setup.plant, setup, np.array([6000.0]), np.array([20.0]))[0] > 1
     assert friction_cycle(6000.0) < 1.0 / 6000
     assert friction_cycle(9500.0) > 8 / 9500

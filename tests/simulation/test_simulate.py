@@ -12,10 +12,10 @@ from scipy.linalg import expm
 
 from pipeline.base.errors import ParameterError
 from pipeline.device_data.devices import load_device
+from pipeline.loop.motion import Mechanism
 from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.records.loop_parts import Butterworth
 from pipeline.records.simulation_parts import SimulationParts
-from pipeline.simulation.plants import MassSpringDamper
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
 from pipeline.simulation.simulate import in_force, simulate
@@ -25,7 +25,7 @@ FALCON = setup_of(load_device("falcon"), load_device("falcon").experiments[0])
 IDEAL = idealise(FALCON)
 
 
-def fine_loop(setup: Setup, plant: MassSpringDamper, K: float, B: float, p: int, q: int) -> tuple[Floats, Floats]:
+def fine_loop(setup: Setup, plant: Mechanism, K: float, B: float, p: int, q: int) -> tuple[Floats, Floats]:
     """Displacement and command of the ideal loop with d = p/q: q matrix exponential steps per sample."""
     gamma, delta = plant.stiffness / plant.mass, plant.damping / plant.mass
     step = expm(np.array([[0, 1, 0], [-gamma, -delta, 1 / plant.mass], [0, 0, 0]]) * T / q)
@@ -48,7 +48,7 @@ def fine_loop(setup: Setup, plant: MassSpringDamper, K: float, B: float, p: int,
 @pytest.mark.parametrize(("k", "b"), [(0.0, 4.0), (0.0, 0.0), (300.0, 2.0)])
 @pytest.mark.parametrize(("p", "q"), [(0, 1), (1, 1), (4, 1), (9, 2), (1, 4), (7, 3)])
 def test_ideal_loop_equals_an_independent_loop(p: int, q: int, k: float, b: float) -> None:
-    plant = MassSpringDamper(0.58, b, k)
+    plant = Mechanism(0.58, b, k)
     setup = replace(IDEAL, plant=plant, delay_samples=p / q)
     K, B = np.array([400.0, 4400.0, 200.0]), np.array([4.0, 72.0, -1.0])
     batch = simulate(setup, K, B)
@@ -66,7 +66,7 @@ def test_ideal_loop_equals_an_independent_loop(p: int, q: int, k: float, b: floa
 def test_spectral_radius_is_the_growth_of_the_simulated_response(d: float, tau: float) -> None:
     low_pass = Butterworth(kind="butterworth", order=1, cutoff_hz=1 / (2 * np.pi * tau)) if tau else None
     setup = replace(IDEAL, delay_samples=d, travel=np.inf, rows=3000, velocity=low_pass)
-    plant = MassSpringDamper(0.58, 4.0)
+    plant = Mechanism(0.58, 4.0)
     # beyond the stability limit one pair of modes wins in the end: x_{k+2} = p x_{k+1} + q x_k, |z|^2 = -q
     K, B = np.array([60_000.0, 60_000.0]), np.array([0.0, -20.0])
     rho = spectral_radius(plant, setup, K, B)
@@ -79,7 +79,7 @@ def test_spectral_radius_is_the_growth_of_the_simulated_response(d: float, tau: 
 
 
 def test_spectral_radius_at_zero_stiffness_leaves_out_the_integrator() -> None:
-    rho = spectral_radius(MassSpringDamper(0.58, 4.0), IDEAL, np.zeros(3), np.array([0.0, -3.9, -4.1]))
+    rho = spectral_radius(Mechanism(0.58, 4.0), IDEAL, np.zeros(3), np.array([0.0, -3.9, -4.1]))
     assert rho[0] == pytest.approx(np.exp(-4.0 / 0.58 * T), rel=1e-9)  # only the device's own damping
     assert rho[1] < 1 < rho[2]
 
@@ -96,7 +96,7 @@ def test_trial_starts_at_rest_at_centre_minus_step_over_stiffness() -> None:
 
 
 def test_without_stiffness_the_travel_is_reached_after_85_ms() -> None:
-    setup = replace(IDEAL, plant=MassSpringDamper(0.58))
+    setup = replace(IDEAL, plant=Mechanism(0.58))
     batch = simulate(setup, np.zeros(1), np.zeros(1))
     arrival = np.sqrt(2 * 0.05 * 0.58 / 8)  # 85.1 ms
     assert batch.rows[0] - 1 == IDEAL.edge_row + 4 + np.ceil(arrival / T)
@@ -146,7 +146,7 @@ def felt_command(batch: TrialBatch, row: int, mass: float) -> float:
 
 def test_jitter_delays_lie_in_the_set_and_commands_do_not_overtake() -> None:
     # an undamped mass: the felt force follows from the positions alone, without the simulator's bookkeeping
-    setup = replace(IDEAL, plant=MassSpringDamper(0.58), jitter_samples=(3, 4, 5), rows=60, edge_row=2)
+    setup = replace(IDEAL, plant=Mechanism(0.58), jitter_samples=(3, 4, 5), rows=60, edge_row=2)
     setup = replace(setup, centre=0.0)
     batch = simulate(setup, np.array([3000.0]), np.array([60.0]), seed=7)
     command = batch.command[0]
@@ -248,7 +248,7 @@ class HalfSteps:
         return np.zeros((3, len(command)))
 
     def advance(self, state: Floats, command: Floats, push: Floats | float, time_s: float) -> Floats:
-        plant = MassSpringDamper(0.58, 4.0)
+        plant = Mechanism(0.58, 4.0)
         half = plant.advance(state[:2], command, push, time_s / 2)
         return np.vstack((plant.advance(half, command, push, time_s / 2), state[2:] + time_s))
 

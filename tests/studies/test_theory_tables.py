@@ -16,9 +16,9 @@ from pipeline.shell.cli import run
 from pipeline.shell.console import table
 from pipeline.studies.thesis_table_text import document, summary_line, table_lines
 from pipeline.studies.thesis_tables import FLAT, LIMIT, MARKS, ROUNDING, Entry, TheoryRow, count_marks, recompute
-from pipeline.theory.cost.energy import energy_costs
-from pipeline.theory.optimum.search import where_stable
-from pipeline.theory.stability.boundary import boundary
+from pipeline.theory.energy import energy_costs
+from pipeline.theory.limits import boundary
+from pipeline.theory.search import where_stable
 
 
 def printed(criterion: str, table: str, gamma: float = 0.0, delta: float = 0.0) -> PublishedPoint:

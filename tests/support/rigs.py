@@ -22,8 +22,8 @@ from pipeline.plan.verdicts import Tried, bracket
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
-from pipeline.theory.cost.pointcosts import point_costs_by_name
-from pipeline.theory.optimum.optimum import optimal_point
+from pipeline.theory.costs import point_costs_by_name
+from pipeline.theory.optimum import optimal_point
 
 KINDS = {
     "ideal": "ideal",

@@ -11,7 +11,7 @@ import pipeline
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop as Normalised
 from pipeline.records.loop_parts import LoopParts
-from pipeline.theory.optimum.optimum import optimal_point
+from pipeline.theory.optimum import optimal_point
 
 FALCON = pipeline.Loop(mass=0.58, damping=4.0, sampling_period_s=0.001, delay_samples=4)
 

@@ -12,7 +12,7 @@ import pytest
 from pipeline.loop.loop import Loop
 from pipeline.records.results import TheoryParameters
 from pipeline.theory import predictions
-from pipeline.theory.optimum.optimum import optimal_point
+from pipeline.theory.optimum import optimal_point
 from pipeline.theory.predictions import Predictions, Theory
 
 LOOP = Loop(0.0, 0.01, 1.0)

@@ -5,8 +5,8 @@ from simulated import plant, spectral_radius
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
+from pipeline.theory import ahead
 from pipeline.theory import cases as theory
-from pipeline.theory.device import ahead
 
 HEADER = "alpha,beta,gamma,delta,delay\n"
 

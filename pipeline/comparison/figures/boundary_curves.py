@@ -12,10 +12,10 @@ from pipeline.records.figure_records import Curve
 from pipeline.records.findings import Estimate
 from pipeline.records.models import Device
 from pipeline.records.results import ExperimentResult, UseRegion
-from pipeline.theory.device.overlays import quantum_limit, step_limits
+from pipeline.theory.friction import quantum_limit, step_limits
+from pipeline.theory.limits import robust_outline
+from pipeline.theory.passive_curve import boundary_angle, passive_boundary
 from pipeline.theory.predictions import Theory
-from pipeline.theory.stability.passivity import boundary_angle, passive_boundary
-from pipeline.theory.stability.robust import robust_outline
 
 FRICTION_POINTS = 48
 """Dampings at which a limit with friction is computed."""

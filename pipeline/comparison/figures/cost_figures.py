@@ -15,7 +15,7 @@ from pipeline.records.criteria import criterion_of
 from pipeline.records.figure_records import CostMap, Curve
 from pipeline.records.findings import Optimum
 from pipeline.records.results import ExperimentResult
-from pipeline.theory.cost.maps import cost_maps
+from pipeline.theory.costs import cost_maps
 from pipeline.theory.predictions import Predictions, Theory
 
 MAP_POINTS = 101

@@ -33,8 +33,8 @@ from pipeline.records.figure_records import Curve, Figure, Limits
 from pipeline.records.models import Experiment
 from pipeline.records.results import ExperimentResult, TheoryParameters
 from pipeline.rendering.labels import UNITS, Units, percent_text, stiffness_text
+from pipeline.theory.limits import stiffness_limit
 from pipeline.theory.predictions import Theory
-from pipeline.theory.stability.region import stiffness_limit
 
 ANSWER = "boundaries-answer"
 """Identifier of the figure beside the answer."""

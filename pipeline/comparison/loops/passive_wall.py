@@ -14,7 +14,7 @@ from pipeline.loop.device_loop import longest_delay
 from pipeline.plan.found_device import LoopPoint
 from pipeline.records.loop_records import PassiveWall
 from pipeline.records.results import ExperimentResult
-from pipeline.theory.device.passive_walls import required_damping, stiffest_passive
+from pipeline.theory.passivity import required_damping, stiffest_passive
 
 DIGITS = 4
 """Digits with which a passive wall is named; what is named is checked."""

@@ -21,7 +21,7 @@ from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.criteria import DISCRETE, criterion_of
 from pipeline.records.findings import Optimum
 from pipeline.records.models import Deviation
-from pipeline.theory.cost.maps import costs_at
+from pipeline.theory.costs import costs_at
 from pipeline.theory.predictions import Predictions, Theory
 
 NEIGHBOURS = 40

@@ -25,7 +25,7 @@ from pipeline.loop.loop import Normalised
 from pipeline.measured.intervals import NORMAL_95, student_95
 from pipeline.records.batch import Floats
 from pipeline.records.findings import BoundaryPoint, Estimate
-from pipeline.theory.stability.region import stiffness_limit
+from pipeline.theory.limits import stiffness_limit
 
 LONGEST = 64.0
 """Largest delay factor that a boundary is compared with, eight times that of any experiment of the thesis."""

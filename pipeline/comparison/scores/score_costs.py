@@ -18,10 +18,10 @@ from pipeline.records.criteria import criterion_of
 from pipeline.records.findings import Optimum
 from pipeline.records.results import ExperimentResult
 from pipeline.records.score_records import MapScore, OptimumScore
-from pipeline.theory.cost.pointcosts import point_costs_by_name
-from pipeline.theory.optimum.rules import approximate_cost
+from pipeline.theory.costs import point_costs_by_name
+from pipeline.theory.limits import is_well_inside
+from pipeline.theory.optimum import approximate_cost
 from pipeline.theory.predictions import Predictions, Theory
-from pipeline.theory.stability.region import is_well_inside
 
 CLOSE_TO_BOUNDARY = 1e-3
 """Distance from the theoretical boundary, relative to K, up to which costs are not compared: a response there lasts for

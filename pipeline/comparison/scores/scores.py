@@ -24,8 +24,8 @@ from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.results import ExperimentResult
 from pipeline.records.score_records import BoundScore, DelayScore, RegionScore, Scores, StiffnessScore
+from pipeline.theory.limits import is_inside, stable_intervals
 from pipeline.theory.predictions import Predictions, Theory
-from pipeline.theory.stability.region import is_inside, stable_intervals
 
 CURVE_POINTS = 801
 """Points of the theoretical curve that an upper bound is compared with: off by 1e-5 of the limit between them."""

@@ -14,7 +14,7 @@ from pipeline.records.batch import Booleans, Floats
 from pipeline.records.findings import Estimate
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.score_records import BandScore, Departure
-from pipeline.theory.stability.region import stiffness_limit
+from pipeline.theory.limits import stiffness_limit
 
 MASSES = 5
 """Masses that are tried: over m alone the limit may have an extremum inside the interval. It is flat there: for +-10 %

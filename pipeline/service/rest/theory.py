@@ -16,10 +16,9 @@ from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.loop.loop import Loop
 from pipeline.records.criteria import CRITERIA, with_discrete
 from pipeline.service.problems import Problem
-from pipeline.theory import device_cases
-from pipeline.theory.cases import Cases, boundary_document, optimum_document, point_costs
-from pipeline.theory.device_cases import DeviceCase
-from pipeline.theory.optimum.rules import POINT_CRITERIA
+from pipeline.theory import cases as device_cases
+from pipeline.theory.cases import Cases, DeviceCase, boundary_document, optimum_document, point_costs
+from pipeline.theory.optimum import POINT_CRITERIA
 
 LONGEST_DELAY = 64.0
 """Samples; longer delays are for the command line."""
@@ -96,7 +95,7 @@ def of_device(what: str, device: str, experiment: str | None, *values: Any) -> A
     known = load_device(device)
     case = DeviceCase(known, find_experiment(known, experiment) if experiment else known.experiments[0])
     if what == "boundary":
-        return device_cases.boundary_document(case)
+        return device_cases.device_boundary(case)
     if what == "optimum":
         criterion, signal = values
         return optimum_document(case.loop, criterion, signal, case.units, **case.names)

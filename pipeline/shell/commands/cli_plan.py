@@ -124,7 +124,7 @@ def _watch(
     profile: str | None,
     as_json: bool,
 ) -> None:
-    from pipeline.shell.watch.watch_plan import watch_plan
+    from pipeline.shell.watch_plan import watch_plan
 
     for folder in folders:
         if not folder.is_dir():

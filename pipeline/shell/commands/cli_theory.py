@@ -15,7 +15,7 @@ from pipeline.shell.commands.options import Criteria, Json
 
 if TYPE_CHECKING:
     from pipeline.loop.loop import Loop
-    from pipeline.theory.device_cases import DeviceCase
+    from pipeline.theory.cases import DeviceCase
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -71,7 +71,7 @@ def points(
     columns: tuple[str, ...]
     names = theory.POINT_COSTS if criteria is None else split(criteria)
     if device is not None:
-        from pipeline.theory import device_cases
+        from pipeline.theory import cases as device_cases
 
         columns = theory.WALL_COLUMNS
         documents = device_cases.wall_documents(_case(device, experiment), theory.read_cases(cases, columns), names)
@@ -192,8 +192,8 @@ def cost_map(
 
     Example: pipeline theory map --delay 1 --criteria settle_2pct,energy_step_w0 --out map.parquet
     """
-    from pipeline.theory.cost.map_file import write_map
-    from pipeline.theory.cost.theory_map import MAP_DEFAULT, MAP_LONGEST, CostMap
+    from pipeline.theory.costs import MAP_DEFAULT
+    from pipeline.theory.map import MAP_LONGEST, CostMap, write_map
 
     check_output(out, "--out")
     names = MAP_DEFAULT if criteria is None else split(criteria)
@@ -253,16 +253,16 @@ def _loop(delay: float | None, gamma: float, delta: float) -> Loop:
 def _case(device: str, experiment: str | None) -> DeviceCase:
     """Return the loop of a device by name or file."""
     from pipeline.device_data.devices import find_experiment, load_device, read_device
-    from pipeline.theory.device_cases import DeviceCase
+    from pipeline.theory.cases import DeviceCase
 
     known = read_device(Path(device)) if device.endswith(".toml") else load_device(device)
     return DeviceCase(known, find_experiment(known, experiment) if experiment else known.experiments[0])
 
 
 def _device_boundary(device: str, experiment: str | None, as_json: bool) -> None:
-    from pipeline.theory.device_cases import boundary_document
+    from pipeline.theory.cases import device_boundary
 
-    document = boundary_document(_case(device, experiment))
+    document = device_boundary(_case(device, experiment))
     if as_json:
         console.print_json(document)
         return

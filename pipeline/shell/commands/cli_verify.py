@@ -38,7 +38,7 @@ def verify(
     """Recompute the numbers of a report, and name those that differ.
 
     Reads the logs from where they lay (their stored samples where they are gone), from --logs, or from a bundle,
-    computes everything in a temporary folder, and compares each cell, figure, sentence and value. What no log
+    computes everything in a temporary folder, and compares each cell and value. What no log
     determines, such as run times, is held against hashes in the page. Exit status 1 where something differs.
 
     Example: pipeline verify reports/falcon.html

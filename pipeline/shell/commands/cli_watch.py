@@ -6,19 +6,20 @@ import json
 import os
 import sys
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pipeline.base.errors import EXIT_OK, UsageError
-from pipeline.base.process import on_stop_signals
+from pipeline.base.errors import UsageError
+from pipeline.base.process import end_when, on_stop_signals
 from pipeline.shell import console
 from pipeline.shell.commands.options import JsonLines, Processed, ProfileFile
 
 if TYPE_CHECKING:
-    from pipeline.shell.watch.watch import Watched
+    from pipeline.shell.watch import Watched
 
 INTERVAL_S, SETTLE_S = 2.0, 2.0
 
@@ -46,6 +47,7 @@ def watch(
     once: Annotated[
         bool, typer.Option("--once", help="One pass, which waits for nothing; logs that still settle are left.")
     ] = False,
+    held: Annotated[bool, typer.Option("--held", hidden=True, help="As a pass of a watch, and no longer.")] = False,
     as_json: JsonLines = False,
 ) -> None:
     """Keep reports and the index current while logs arrive.
@@ -59,9 +61,14 @@ def watch(
     Example: pipeline watch raw --once --processed processed --reports reports
     """
     watched = _watched(folders, processed, reports, profile, scene or [], interval, settle)
-    status = _once(watched, as_json) if once else _until_stopped(watched, interval, as_json)
-    if status != EXIT_OK:
-        raise typer.Exit(status)
+    if once:
+        from pipeline.shell.watch import run_pass
+
+        growing = json.loads(sys.stdin.readline()) if held else []
+        if held:
+            end_when(partial(os.read, sys.stdin.fileno(), 1))
+        raise typer.Exit(run_pass(watched, lambda event: _print(event, as_json), growing))
+    _until_stopped(watched, interval, as_json)
 
 
 def _watched(
@@ -73,7 +80,7 @@ def _watched(
     interval: float,
     settle: float,
 ) -> Watched:
-    from pipeline.shell.watch.watch import Watched
+    from pipeline.shell.watch import Watched
 
     if not 0 < interval < float("inf"):
         raise UsageError(f"--interval {interval:g}: expected a time above 0 s.")
@@ -95,8 +102,8 @@ def _watched(
     return Watched(tuple(folders), processed, reports, profile, tuple(scenes), settle)
 
 
-def _until_stopped(watched: Watched, interval: float, as_json: bool) -> int:
-    from pipeline.shell.watch.watch import Watch
+def _until_stopped(watched: Watched, interval: float, as_json: bool) -> None:
+    from pipeline.shell.watch import Watch
 
     running = Watch(watched, interval, lambda event: _print(event, as_json))
 
@@ -107,14 +114,6 @@ def _until_stopped(watched: Watched, interval: float, as_json: bool) -> int:
 
     with on_stop_signals(stop):
         running.run()
-    return EXIT_OK
-
-
-def _once(watched: Watched, as_json: bool) -> int:
-    from pipeline.shell.watch.watch_pass import PassRequest, run_pass
-
-    request = PassRequest(**watched.request(), wait_s=0.0)
-    return run_pass(request, lambda event: _print(event, as_json)).status
 
 
 def _print(event: dict[str, Any], as_json: bool) -> None:
@@ -136,7 +135,7 @@ def line_of(event: dict[str, Any]) -> str:
                 f"{event['settle_s']:g} s); tables in {event['processed']}, reports in {event['reports']}"
             )
         case "ingest":
-            waiting = f", {len(event['waiting'])} still settle and are left for later" if event["waiting"] else ""
+            waiting = f", {len(event['waiting'])} still settle" if event["waiting"] else ""
             refused = f", {event['quarantined']} in quarantine" if event["quarantined"] else ""
             return f"logs: {event['ingested']} new, {event['found']} in all{refused}{waiting}"
         case "refused":

@@ -92,8 +92,8 @@ def bundle(
     if document is None:
         raise UsageError(f"{notes[0]}. A bundle holds it, too: write the report anew, or lay its document beside it.")
     folder = stored_folder(report, request.processed, processed)
-    logs = _logs(folder, request, document, profiles)
-    files = {report.name: report, f"{report.stem}.json": report.with_suffix(".json"), **logs.files, **logs.profiles}
+    count, logs = _logs(folder, request, document, profiles)
+    files = {report.name: report, f"{report.stem}.json": report.with_suffix(".json"), **logs}
     if request.device_file:
         files[f"devices/{folder_name(request.scene.device)}.toml"] = _device_file(request)
     size = 0
@@ -104,7 +104,7 @@ def bundle(
             content = path.read_bytes()
             size += len(content)
             archive.writestr(_entry(name), content, zipfile.ZIP_DEFLATED)
-    return Bundle(bundle=str(target), logs=logs.count, files=len(files), bytes=size)
+    return Bundle(bundle=str(target), logs=count, files=len(files), bytes=size)
 
 
 def verify_bundle(path: Path, progress: Callable[[str], None] | None = None) -> Verification:
@@ -136,44 +136,34 @@ def verify_bundle(path: Path, progress: Callable[[str], None] | None = None) -> 
     return found.model_copy(update={"report": str(path)})
 
 
-class _Logs:
-    """Logs and profiles of a bundle by their names in it."""
-
-    def __init__(self) -> None:
-        self.files: dict[str, Path] = {}
-        self.profiles: dict[str, Path] = {}
-        self.count = 0
-
-
-def _logs(processed: Path, request: Request, document: ComparisonResult, profiles: Sequence[Path]) -> _Logs:
-    """Find the logs behind a report, excluded ones too, as they were when it was made."""
+def _logs(
+    processed: Path, request: Request, document: ComparisonResult, profiles: Sequence[Path]
+) -> tuple[int, dict[str, Path]]:
+    """Return how many logs are behind a report, excluded ones too, and their files and profiles by name in a bundle."""
     given = {load_profile(path).name: path for path in profiles}
     wanted = {sha for logs in document.logs for sha in logs.files.values()}
     wanted |= {one.source_sha256 for one in request.excluded}
-    columns = ["source_path", "source_sha256", "profile", "experiment"]
-    rows = read_trials(processed, request.scene.device, columns=columns).to_pylist()
+    columns = ["profile", "experiment", "source_path", "source_sha256"]
+    trials = read_trials(processed, request.scene.device, columns=columns)
+    rows = set(zip(*(trials.column(name).to_pylist() for name in columns), strict=True))
     groups: dict[tuple[str, str], dict[str, str]] = defaultdict(dict)
-    placed: set[str] = set()
-    for row in rows:
-        if row["source_sha256"] in wanted and row["source_path"] not in placed:
-            placed.add(row["source_path"])
-            groups[row["profile"], row["experiment"]][row["source_path"]] = row["source_sha256"]
+    for profile, experiment, path, sha in sorted(row for row in rows if row[3] in wanted):
+        groups[profile, experiment][path] = sha
     missing = len(wanted - {sha for group in groups.values() for sha in group.values()})
     if missing:
         raise StoreError(
             f"{processed}: {counted(missing, 'log')} of the report {'is' if missing == 1 else 'are'} not stored there "
             "as when it was made. Ingest them again, or write the report anew."
         )
-    found = _Logs()
-    found.count = len(placed)
+    files: dict[str, Path] = {}
     for (profile, experiment), sources in groups.items():
         file = given.get(profile) or _shipped_profile(profile)
-        found.profiles[f"profiles/{folder_name(profile)}.toml"] = file
-        top = os.path.commonpath([os.path.dirname(path) for path in sources])
+        files[f"profiles/{folder_name(profile)}.toml"] = file
+        top = path_of_text(os.path.commonpath([os.path.dirname(path) for path in sources]))
         place = f"logs/{folder_name(profile)}/{folder_name(experiment)}"
         for path in _files(sources, file):
-            found.files[f"{place}/{os.path.relpath(path, path_of_text(top)).replace(os.sep, '/')}"] = path
-    return found
+            files[f"{place}/{os.path.relpath(path, top).replace(os.sep, '/')}"] = path
+    return len({path for group in groups.values() for path in group}), files
 
 
 def _files(sources: Mapping[str, str], profile: Path) -> Iterator[Path]:
@@ -221,16 +211,13 @@ def _device_file(request: Request) -> Path:
 
 @contextmanager
 def _devices_of(folder: Path) -> Iterator[None]:
-    """Take device files from a folder, where it is there, for the time of a block; processes begun in it do, too."""
+    """Take device files from a folder for the time of a block; processes begun in it do, too."""
     before = os.environ.get(USER_FOLDER_VARIABLE)
-    if folder.is_dir():
-        os.environ[USER_FOLDER_VARIABLE] = str(folder)
-    else:
-        os.environ.pop(USER_FOLDER_VARIABLE, None)
+    os.environ[USER_FOLDER_VARIABLE] = str(folder)
     try:
         yield
     finally:
-        os.environ.pop(USER_FOLDER_VARIABLE, None)
+        os.environ.pop(USER_FOLDER_VARIABLE)
         if before is not None:
             os.environ[USER_FOLDER_VARIABLE] = before
 

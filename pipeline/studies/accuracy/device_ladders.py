@@ -20,10 +20,10 @@ from pipeline.studies.accuracy.integrated import HARD_LOOPS, HardLoop, followed
 from pipeline.studies.accuracy.ladder import Ladder, Method, Values
 from pipeline.studies.accuracy.searches import bisect_limit
 from pipeline.studies.accuracy.theory_ladders import reference, unknown
-from pipeline.theory.cost.pointcosts import point_costs_by_name
-from pipeline.theory.cost.settling_overshoot import LONGEST
-from pipeline.theory.stability.region import stiffness_limit
-from pipeline.theory.stability.stability import spectral_radius
+from pipeline.theory.costs import point_costs_by_name
+from pipeline.theory.limits import stiffness_limit
+from pipeline.theory.poles import spectral_radius
+from pipeline.theory.transient import LONGEST
 
 HIGH = 0.02
 """An alpha beyond all limits."""

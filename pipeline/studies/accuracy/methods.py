@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
+from scipy.linalg import expm
 
 from pipeline.records.batch import Booleans, Floats
-from pipeline.simulation.exponential import exponential
 
 _NODES = 24
 """Gauss points over a sample for the energy; exact to rounding for the plants of the ladder."""
@@ -57,7 +57,7 @@ def generator(gamma: float, delta: float) -> Floats:
 
 def plant_by_expm(gamma: float, delta: float) -> Sampled:
     """Return the sampled plant from a matrix exponential."""
-    return Sampled.of(exponential(generator(gamma, delta), 1.0))
+    return Sampled.of(expm(generator(gamma, delta)))
 
 
 def plant_by_runge_kutta(gamma: float, delta: float, steps: int) -> Sampled:
@@ -250,7 +250,7 @@ def response(case: Case, alpha: Floats, beta: Floats, samples: int) -> Floats:
 def dense(case: Case, alpha: Floats, beta: Floats, samples: int, fine: int) -> tuple[Floats, Floats]:
     """Return position and velocity of a step at ``fine`` points a sample, each of shape (samples fine, n)."""
     states = response(case, alpha, beta, samples)
-    one, row = exponential(generator(case.gamma, case.delta), 1 / fine), np.eye(3)
+    one, row = expm(generator(case.gamma, case.delta) / fine), np.eye(3)
     rows = []
     for _ in range(fine):
         rows.append(row[:2])
@@ -287,7 +287,7 @@ def forms(case: Case, w: int) -> tuple[Floats, Floats]:
     """Return the integrals of tau^w p p' over a sample, for position and velocity, by Gauss quadrature."""
     nodes, weights = leggauss(_NODES)
     time = 0.5 * (nodes + 1)
-    rows = np.array([exponential(generator(case.gamma, case.delta), t)[:2] for t in time])
+    rows = np.array([expm(generator(case.gamma, case.delta) * t)[:2] for t in time])
     weight = 0.5 * weights * time**w
     place, speed = (np.einsum("t,ti,tj->ij", weight, rows[:, i], rows[:, i]) for i in (0, 1))
     return place, speed

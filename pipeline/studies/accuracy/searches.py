@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.records.batch import Floats
 from pipeline.studies.accuracy.methods import Case, radius_by_roots
-from pipeline.theory.stability.stability import bisect
+from pipeline.theory.poles import bisect
 
 _GRID = 11
 """Grid points along an axis in each round of an iterative gridding; the next round spans two cells around the best."""

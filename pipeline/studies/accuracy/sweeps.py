@@ -17,8 +17,8 @@ from pipeline.studies.accuracy import methods
 from pipeline.studies.accuracy.ladder import FAILURES, largest
 from pipeline.studies.accuracy.methods import Case
 from pipeline.studies.accuracy.theory_ladders import case_of, loop_of, own_energies, own_plant, reference
-from pipeline.theory.stability.region import is_inside
-from pipeline.theory.stability.stability import is_stable, spectral_radius
+from pipeline.theory.limits import is_inside
+from pipeline.theory.poles import is_stable, spectral_radius
 
 PLANT_SWEEPS = ("gamma", "gamma_damped", "critical", "delta")
 RADIUS_SWEEPS = ("delay", "resonant")

@@ -21,12 +21,12 @@ from pipeline.records.accuracy import OURS, reference_file
 from pipeline.records.batch import Floats
 from pipeline.studies.accuracy import methods, searches
 from pipeline.studies.accuracy.ladder import Ladder, Method, Values
-from pipeline.theory.cost.energy import energy_costs
-from pipeline.theory.cost.maps import cost_maps
-from pipeline.theory.cost.settling_overshoot import transient_costs
-from pipeline.theory.optimum.optimum import optimal_point
-from pipeline.theory.stability.region import stiffness_limit
-from pipeline.theory.stability.stability import spectral_radius
+from pipeline.theory.costs import cost_maps
+from pipeline.theory.energy import energy_costs
+from pipeline.theory.limits import stiffness_limit
+from pipeline.theory.optimum import optimal_point
+from pipeline.theory.poles import spectral_radius
+from pipeline.theory.transient import transient_costs
 
 BAND = 0.02
 """Settling band of the ladder; that of the reference values."""

@@ -19,12 +19,11 @@ from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.models import Device, Experiment
 from pipeline.simulation.setup import Setup, setup_of
 from pipeline.simulation.simulate import simulate
-from pipeline.theory.cost.pointcosts import point_costs_by_name
-from pipeline.theory.optimum.optimum import optimal_point
-from pipeline.theory.optimum.search import OptimalPoint
-from pipeline.theory.stability.boundary import boundary
-from pipeline.theory.stability.region import stiffness_limit
-from pipeline.theory.stability.stability import spectral_radius
+from pipeline.theory.costs import point_costs_by_name
+from pipeline.theory.limits import boundary, stiffness_limit
+from pipeline.theory.optimum import optimal_point
+from pipeline.theory.poles import spectral_radius
+from pipeline.theory.search import OptimalPoint
 
 AREA_POINTS = 20001
 """Points of the integral of the limit over B: trapezoids err by 1e-6, a hundredth of any error that is measured."""

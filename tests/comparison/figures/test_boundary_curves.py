@@ -26,8 +26,8 @@ from pipeline.records.loop_parts import Friction, LoopParts
 from pipeline.records.models import Shown
 from pipeline.records.results import TheoryParameters
 from pipeline.records.score_records import BandScore, BoundScore, Scores
+from pipeline.theory.limits import stiffness_limit
 from pipeline.theory.predictions import Theory
-from pipeline.theory.stability.region import stiffness_limit
 
 
 def theory(mass: float = 0.58, damping: float = 4.0, delay: float = 4.0, period: float = 1e-3) -> Theory:

@@ -12,7 +12,7 @@ from pipeline.comparison.figures.cost_figures import _smoothed, measured_map, wi
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.loop.loop import Loop
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.theory.cost.maps import cost_maps
+from pipeline.theory.costs import cost_maps
 from pipeline.theory.predictions import Predictions
 
 pytestmark = pytest.mark.usefixtures("one_process")

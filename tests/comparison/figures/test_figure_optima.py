@@ -5,9 +5,8 @@ import pytest
 
 from pipeline.comparison.figures.figure_optima import optimal_curve
 from pipeline.loop.loop import Loop
-from pipeline.theory.cost.maps import cost_maps, costs_at
-from pipeline.theory.cost.pointcosts import point_costs_by_name
-from pipeline.theory.optimum.curves import best_damping, best_stiffness
+from pipeline.theory.costs import cost_maps, costs_at, point_costs_by_name
+from pipeline.theory.curves import best_damping, best_stiffness
 
 LOOP = Loop(0.0, 0.007, 4.0)
 

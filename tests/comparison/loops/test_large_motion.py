@@ -10,9 +10,8 @@ from fine_loop import Body, run
 
 from pipeline.comparison.loops.large_motion import step_limits
 from pipeline.comparison.loops.loop_range import LoopPoint
+from pipeline.loop.motion import Mechanism
 from pipeline.records.loop_parts import Friction, LoopParts
-from pipeline.records.models import Experiment
-from pipeline.simulation.plants import plant_of
 from pipeline.simulation.setup import Setup
 
 MASS, DAMPING, T, DELAY, COULOMB = 0.456, 4.6, 0.001, 4, 0.9
@@ -22,9 +21,7 @@ B = np.array([40.0, 100.0])
 @pytest.fixture(scope="module")
 def setup():
     parts = LoopParts(friction=Friction(coulomb=COULOMB))
-    known = {"mass": MASS, "damping": DAMPING, "delay_samples": DELAY}
-    grid = {"damping_last": 0.0, "damping_step": 1.0, "stiffness_step": 1.0}
-    plant = plant_of(Experiment(name="1", **known, **grid), parts)
+    plant = Mechanism.of(MASS, DAMPING, 0.0, parts)
     return Setup(plant, T, step=8.0, rows=400, edge_row=1, delay_samples=DELAY)
 
 

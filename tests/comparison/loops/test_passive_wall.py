@@ -10,9 +10,9 @@ import pytest
 
 from pipeline.comparison.loops.loop_range import LoopRange
 from pipeline.comparison.loops.passive_wall import passive_wall
+from pipeline.loop.motion import Mechanism
 from pipeline.records.findings import BoundaryPoint
 from pipeline.records.loop_records import Parameter
-from pipeline.simulation.plants import MassSpringDamper
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup
 
@@ -54,7 +54,7 @@ def test_the_named_wall_is_passive_and_stable_for_all_that_the_intervals_leave_o
     corners = product(*((p.low, p.high) for p in (found.mass, found.damping, found.delay_samples)))
     for mass, damping, late in corners:
         assert needed_damping(wall.stiffness, wall.damping, late) <= damping
-        setup = Setup(MassSpringDamper(mass, damping), T, 1.0, 100, 10, late)
+        setup = Setup(Mechanism(mass, damping), T, 1.0, 100, 10, late)
         assert spectral_radius(setup.plant, setup, np.array([wall.stiffness]), np.array([wall.damping]))[0] < 1
     if share < 0.01:  # and no softer than it need be: 3 % more is passive no longer
         assert needed_damping(1.03 * wall.stiffness, wall.damping, delay) > device[1]

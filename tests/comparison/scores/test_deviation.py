@@ -10,8 +10,8 @@ from pipeline.comparison.loops.loop_range import MATTERS
 from pipeline.comparison.scores.deviation import _least_in_range, deviation
 from pipeline.device_data.devices import load_device
 from pipeline.loop.loop import Loop
-from pipeline.theory.cost.maps import costs_at
-from pipeline.theory.optimum.optimum import optimal_point
+from pipeline.theory.costs import costs_at
+from pipeline.theory.optimum import optimal_point
 
 FREE, RANGED = 3.0, 3.3
 """Least cost of theory anywhere, and in the tested range."""

@@ -6,8 +6,8 @@ import pytest
 from pipeline.base.errors import ParameterError
 from pipeline.comparison.scores.implied_delay import implied_delay
 from pipeline.comparison.scores.implied_slope import DeviceParameters, implied_by_slope
+from pipeline.loop.motion import Mechanism
 from pipeline.records.findings import BoundaryPoint
-from pipeline.simulation.plants import MassSpringDamper
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup
 
@@ -18,7 +18,7 @@ LWR = DeviceParameters(mass=0.19, viscous_damping=0.0, sampling_period_s=1e-3)
 
 def limits(device, delay, damping):
     """Largest stable stiffness by bisection of the simulator's loop matrix, which shares no code with theory."""
-    plant = MassSpringDamper(device.mass, device.viscous_damping)
+    plant = Mechanism(device.mass, device.viscous_damping)
     setup = Setup(plant, device.sampling_period_s, 8.0, 100, 10, delay)
     low, high = np.zeros(len(damping)), np.full(len(damping), 4 * device.mass / device.sampling_period_s**2)
     for _ in range(50):

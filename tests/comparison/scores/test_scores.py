@@ -10,7 +10,7 @@ from pipeline.comparison.scene.scene import open_scene
 from pipeline.comparison.scores.scores import _scores
 from pipeline.records.criteria import REPORTED
 from pipeline.records.findings import BoundaryPoint
-from pipeline.theory.stability.region import stiffness_limit
+from pipeline.theory.limits import stiffness_limit
 
 
 @pytest.fixture(scope="module")

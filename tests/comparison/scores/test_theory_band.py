@@ -10,7 +10,7 @@ from pipeline.comparison.scores.overlap import MeasuredLimits, measured_limits
 from pipeline.comparison.scores.theory_band import ParameterBox, band_score, parameter_box, theory_band
 from pipeline.loop.loop import Normalised
 from pipeline.records.findings import Estimate
-from pipeline.theory.stability.region import stiffness_limit
+from pipeline.theory.limits import stiffness_limit
 
 BOX = ParameterBox((0.55, 0.61), (2.0, 6.0), (3.0, 5.0), 1e-3)
 FIRM = ParameterBox((0.9, 1.1), (30.0, 38.0), (3.5, 4.5), 1e-3)

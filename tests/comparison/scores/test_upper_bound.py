@@ -9,7 +9,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.comparison.scores.implied_slope import Limits
 from pipeline.comparison.scores.upper_bound import TheoryCurve, upper_bound
 from pipeline.loop.loop import Normalised
-from pipeline.theory.stability.region import stiffness_limit
+from pipeline.theory.limits import stiffness_limit
 
 B = np.arange(4.0, 184.0, 4.0)
 ERROR = 40.0  # N/m: a course's fine step

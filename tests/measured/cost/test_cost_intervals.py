@@ -12,6 +12,7 @@ from simulated import FALCON, plant, simulate
 
 from pipeline.base.errors import ParameterError
 from pipeline.device_data.devices import load_device
+from pipeline.loop.motion import Mechanism
 from pipeline.measured.cost.cost_intervals import _stays, overshoot_interval, settling_interval
 from pipeline.measured.cost.energy_intervals import energy_interval
 from pipeline.measured.cost.reading_error import reading_error, sensor_error
@@ -21,7 +22,6 @@ from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.batch import TrialBatch
 from pipeline.records.criteria import SETTLING_BANDS
-from pipeline.simulation.plants import MassSpringDamper
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import simulate as simulate_device
 
@@ -92,7 +92,7 @@ def test_a_wall_that_pulls_the_device_off_the_edge_of_a_quantum_hides_no_noise(o
 def test_jitter_magnifies_the_errors_and_that_is_seen():
     """Against the same trials with the same jitter and an ideal sensor."""
     K, B = trials()
-    setup = Setup(MassSpringDamper(FALCON["mass"], FALCON["b"]), 1e-3, 8.0, 400, EDGE, DELAY, (3, 4, 5), 0.12, 10.0)
+    setup = Setup(Mechanism(FALCON["mass"], FALCON["b"]), 1e-3, 8.0, 400, EDGE, DELAY, (3, 4, 5), 0.12, 10.0)
     ideal = simulate_device(setup, K, B, seed=2)
     batch = simulate_device(dataclasses.replace(setup, quantum=2e-6, noise=5e-7), K, B, seed=2)
     error = reading_error(batch, find_response(batch), DELAY)
@@ -111,7 +111,7 @@ def test_a_mode_that_decays_slowly_is_no_rest():
     """LWR at d = 7: the last fifths of the stiffly damped trials shrink by 0.65 to 0.75, far above the sensor."""
     K = np.array([1000.0, 800.0, 800.0, 600.0, 600.0, 480.0, 800.0, 800.0])
     B = np.array([30.0, 31.0, 32.0, 33.0, 34.0, 35.0, 20.0, 21.0])
-    plant_ = MassSpringDamper(0.19, 0.0)
+    plant_ = Mechanism(0.19, 0.0)
     batch = simulate_device(Setup(plant_, 1e-3, 15.0, 350, EDGE, 7.0, (), 0.0, 1.0, quantum=5e-6), K, B, seed=1)
     error = reading_error(batch, find_response(batch), 7)
     # the model of a constant delay explains the sensor's part: nothing exceeds it

@@ -15,9 +15,9 @@ from scipy.signal import cont2discrete, dlsim
 from simulated import FALCON, LWR, simulate
 
 from pipeline.device_data.devices import find_experiment, load_device
+from pipeline.loop.motion import Mechanism
 from pipeline.measured.fit.fit import fit_trials
 from pipeline.measured.signal.response import declare_edge, find_response
-from pipeline.simulation.plants import MassSpringDamper
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate as simulate_device
 
@@ -68,7 +68,7 @@ def test_random_devices(seed):
     device = load_device("falcon")
     setup = replace(
         setup_of(device, find_experiment(device, "1")),
-        plant=MassSpringDamper(mass, b),
+        plant=Mechanism(mass, b),
         delay_samples=delay,
         jitter_samples=(),
         quantum=0.0,
@@ -205,24 +205,22 @@ def test_jitter_is_found():
 
 
 @dataclass(frozen=True)
-class Coulomb(MassSpringDamper):
-    friction: float = 0.8
+class Coulomb(Mechanism):
+    against: float = 0.8
 
     def advance(self, state, command, push, time_s):
         force = command + push
         parts = 10
         for _ in range(parts):
             v = state[1]
-            against = np.where(
-                np.abs(v) > 1e-6, np.sign(v) * self.friction, np.clip(force, -self.friction, self.friction)
-            )
+            against = np.where(np.abs(v) > 1e-6, np.sign(v) * self.against, np.clip(force, -self.against, self.against))
             state = super().advance(state, force - against, 0.0, time_s / parts)
             state[1] = np.where(state[1] * v < 0, 0.0, state[1])
         return state
 
 
 @dataclass(frozen=True)
-class Saturated(MassSpringDamper):
+class Saturated(Mechanism):
     limit: float = 4.0
 
     def advance(self, state, command, push, time_s):
@@ -230,7 +228,7 @@ class Saturated(MassSpringDamper):
 
 
 @dataclass(frozen=True)
-class Pushed(MassSpringDamper):
+class Pushed(Mechanism):
     """A push of 1 N on all trials, from 90 to 110 ms, by a clock in the state."""
 
     def rest(self, command):
@@ -242,7 +240,7 @@ class Pushed(MassSpringDamper):
 
 
 @dataclass(frozen=True)
-class Resonant(MassSpringDamper):
+class Resonant(Mechanism):
     """A sixth of the mass hangs on a spring: resonance at 40 Hz."""
 
     part: float = 0.1
@@ -283,7 +281,7 @@ def test_a_wrong_model_has_no_interval(plant, share):
 
 
 def test_the_right_model_has_one():
-    fit = fitted(measured(MassSpringDamper(0.58, 4.0)))
+    fit = fitted(measured(Mechanism(0.58, 4.0)))
     assert fit.reason == ("",) * 40
     assert (fit.leaves_row == -1).all()
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pipeline.loop.motion import Mechanism
 from pipeline.measured.fit.ghost import simulate_ghost
 from pipeline.measured.signal.response import find_response
-from pipeline.simulation.plants import MassSpringDamper
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import simulate
 
@@ -16,7 +16,7 @@ B = np.array([20.0, 60.0, 90.0, 110.0, -2.0])
 
 
 def logs(delay, **sensor):
-    setup = Setup(MassSpringDamper(0.58, 4.0), 1e-3, 8.0, rows=300, edge_row=20, delay_samples=delay, **sensor)
+    setup = Setup(Mechanism(0.58, 4.0), 1e-3, 8.0, rows=300, edge_row=20, delay_samples=delay, **sensor)
     return simulate(setup, K, B, seed=3)
 
 

@@ -9,12 +9,12 @@ from scipy.linalg import solve_discrete_are
 from scipy.stats import multivariate_normal
 
 from pipeline.base.errors import ParameterError
+from pipeline.loop.motion import Mechanism
 from pipeline.measured.model.identified import identified
 from pipeline.measured.model.motion import Physics
 from pipeline.measured.model.recordings import Recording, Scales, motion_of, stretches
 from pipeline.measured.model.scatter import Moments, solve
 from pipeline.measured.model.whitening import Filter, Passage, passed
-from pipeline.simulation.mechanism import Mechanism
 
 T = 1e-3
 TURNING = {"mass": 1.1e-4, "damping": 7e-5, "friction": 0.034, "delay": 2.3e-3}

@@ -187,36 +187,23 @@ def test_rounding_is_allowed_only_in_a_page_that_is_as_it_was_written(desk, reco
         monkeypatch.setattr(verify, "compare", compare_again)
         return verify.verify(desk.report, desk.processed)
 
-    rounded = elsewhere(last)
-    assert rounded.equal
-    assert "1 part computed anew with other last digits" in rounded.notes[-1]
+    assert elsewhere(last).equal
     assert [d.name for d in elsewhere(far).differences] == [name]
     desk.report.write_text(page.replace('<html lang="en">', '<html lang="en" class="x">'), encoding="utf-8")
     assert [d.name for d in elsewhere(last).differences] == [name]
 
 
-def test_changed_sentences_and_the_rest_of_the_page_are_named(desk, quick):
+def test_changes_outside_the_cells_are_told(desk, quick):
     page = desk.page()
-    parts = take_apart(page)
-    drawing = next(iter(parts.figures.values()))
-    sentence, text = next(
-        (name, text)
-        for name, text in parts.texts.items()
-        if not report_parts.is_free_text(name)
-        and re.search(r"\d", text)
-        # on the page as read back, without spaces that do not break, and not in an attribute
-        and page.count(text) == page.count(f">{text}<") == 1
-    )
-    changes = (
-        ("page", page.replace(drawing, another_digit(drawing, -1))),
-        (sentence, page.replace(text, another_digit(text, 0))),
-        ("page", page.replace('<html lang="en">', '<html lang="en" class="x">')),
-    )
-    for name, changed in changes:
+    drawing = next(iter(take_apart(page).figures.values()))
+    for changed in (
+        page.replace(drawing, another_digit(drawing, -1)),
+        page.replace('lang="en"', 'lang="en" class="x"'),
+    ):
         assert changed != page
         desk.report.write_text(changed, encoding="utf-8")
         found = verify.verify(desk.report, desk.processed)
-        assert [d.name for d in found.differences] == [name]
+        assert [d.name for d in found.differences] == ["page"]
         assert not found.equal
 
 
@@ -248,18 +235,6 @@ def test_one_changed_sample_of_a_log_names_the_log_and_the_numbers_that_change_w
 
 
 @pytest.mark.slow
-def test_one_changed_stored_sample_names_the_log_and_the_sample(original, desk):
-    change_stored_sample(desk)
-    found = verify.verify(desk.report, desk.processed)
-    assert not found.equal
-    assert [p.path for p in found.logs] == [str(p) for p in original.logs() if str(p) == found.logs[0].path]
-    assert "stored position of sample" in found.logs[0].problem
-    assert float(found.logs[0].found or "nan") - float(found.logs[0].expected or "nan") == pytest.approx(1e-9, rel=1e-3)
-    # what was read from the logs is right, so that no number differs
-    assert found.differences == ()
-
-
-@pytest.mark.slow
 def test_without_logs_a_changed_stored_sample_is_told_of_its_experiment(original, desk):
     trials = next((desk.processed / "trials").rglob("*.parquet"))
     table = read_table(trials)
@@ -270,7 +245,7 @@ def test_without_logs_a_changed_stored_sample_is_told_of_its_experiment(original
     change_stored_sample(desk)
     found = verify.verify(desk.report, desk.processed)
     assert [p.path for p in found.logs] == ["experiment 1"]
-    assert any("180 logs are no longer where they were" in note for note in found.notes) or found.notes
+    assert found.notes == ("180 trials: the stored samples count, not the log",)
 
 
 @pytest.mark.slow

@@ -1,0 +1,235 @@
+"""Logs of a report read anew into a folder of their own, and what is not as it was when the report was made.
+
+Nothing that was computed from the logs is taken over: the folder gets trials and samples, no stages and no theory.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from pipeline.base.errors import UsageError
+from pipeline.base.wording import counted
+from pipeline.comparison.scene.origin import joint_sha256
+from pipeline.intake.ingest import ingest
+from pipeline.intake.sources import find_sources
+from pipeline.profiles.profile_files import load_profile, shipped_profiles
+from pipeline.records.findings import Record
+from pipeline.records.results import LogList
+from pipeline.records.tables import LOCATION
+from pipeline.store.batch_files import NewBatch, copy
+from pipeline.store.corrections import Correction, Exclusion, read_exclusions, split_trials, write_corrections
+from pipeline.store.samples import load_groups
+from pipeline.store.storage import read_trials
+
+
+class LogProblem(Record):
+    """A log, or what is stored of it, that is not the one behind the report; ``path`` may be an experiment."""
+
+    path: str
+    problem: str
+    expected: str | None = None
+    found: str | None = None
+
+
+class ReportedLogs(Record):
+    """What a page says of the logs of an experiment: number of files, their joint SHA-256, hash of their samples."""
+
+    files: int
+    sha256: str
+    samples: str
+
+
+@dataclass
+class FreshStore:
+    """A folder with the logs as they are now.
+
+    Parameters
+    ----------
+    folder : Path
+    problems : list of LogProblem
+    notes : list of str
+        What could not be looked at, and why.
+    read, kept : int
+        Trials that were read from their logs, and those of which only the stored samples are left.
+    """
+
+    folder: Path
+    problems: list[LogProblem] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    read: int = 0
+    kept: int = 0
+
+    def differs(self, path: str, problem: str, expected: str | None = None, found: str | None = None) -> None:
+        """Note a log that is not that of the report."""
+        self.problems.append(LogProblem(path=path, problem=problem, expected=expected, found=found))
+
+
+def read_anew(
+    device: str,
+    processed: Path,
+    reported: Mapping[str, ReportedLogs],
+    lists: Mapping[str, LogList],
+    folder: Path,
+    profiles: Sequence[Path],
+    excluded: Sequence[Exclusion],
+) -> FreshStore:
+    """Read the logs behind a report from where they lay; of those that are gone, take the stored samples over.
+
+    Parameters
+    ----------
+    device : str
+    processed : Path
+        Store that says where the logs lie.
+    reported : mapping of str to ReportedLogs
+        What the page says, by experiment.
+    lists : mapping of str to LogList
+        What its document says, by experiment, where it is there.
+    folder : Path
+        Gets the trials.
+    profiles : sequence of Path
+        Profile files of the lab; the shipped profiles are known.
+    excluded : sequence of Exclusion
+        Trials that the page says were excluded by hand.
+
+    Raises
+    ------
+    StoreError
+        If `processed` is damaged.
+    """
+    store = FreshStore(folder)
+    files = {load_profile(path).name: path for path in profiles}
+    shipped = {profile.name for profile in shipped_profiles()}
+    _exclude(folder, excluded)
+    for experiment in sorted({*reported, *(one.experiment for one in excluded)}):
+        every = read_trials(processed, device, experiment)
+        used, left_out = _of_the_report(store, every, excluded, lists.get(experiment))
+        if experiment in reported and not used.num_rows:
+            store.differs(f"experiment {experiment}", "none of its logs are stored")
+            continue
+        columns = (used.column(name).to_pylist() for name in ("source_path", "source_sha256", "profile"))
+        rows = list(zip(*columns, strict=True))
+        here = [os.path.isfile(path) and profile in {*files, *shipped} for path, _, profile in rows]
+        for profile in sorted({profile for _, _, profile in rows}):
+            paths = {path: sha for (path, sha, own), there in zip(rows, here, strict=True) if there and own == profile}
+            _read(store, experiment, paths, files.get(profile, profile))
+            if profile not in {*files, *shipped}:
+                store.notes.append(f"profile {profile!r} is not shipped: give it with --profile to read its logs again")
+        gone = used.filter(pc.invert(pa.array(here, pa.bool_())))
+        if gone.num_rows:
+            store.notes.append(f"{counted(gone.num_rows, 'trial')}: the stored samples count, not the log")
+        store.read += sum(here)
+        store.kept += gone.num_rows
+        _keep(store, device, experiment, processed, pa.concat_tables([gone, left_out]))
+        if experiment in reported:
+            _hold_samples(store, device, experiment, reported[experiment])
+    return store
+
+
+def store_of(logs: Sequence[tuple[Path | None, Path]], folder: Path, excluded: Sequence[Exclusion]) -> Path:
+    """Store what lies in folders of logs, as a lab's ``processed/`` would have it, and return the folder of that.
+
+    Parameters
+    ----------
+    logs : sequence of (Path or None, Path)
+        Profile file, or None for whichever shipped profile claims a log that is not stored by then; folder of logs.
+    folder : Path
+        Gets trials and samples.
+    excluded : sequence of Exclusion
+        Trials that were excluded by hand.
+
+    Raises
+    ------
+    UsageError
+        If a folder is not there, or no log is found.
+    """
+    for profile, place in logs:
+        if profile is not None:
+            ingest([place], folder, profile)
+            continue
+        stored = set(read_trials(folder, columns=["source_path"]).column("source_path").to_pylist())
+        sources = find_sources([place], shipped_profiles(), folder)
+        ingest([source.path for source in sources if source.key not in stored], folder)
+    if not read_trials(folder, columns=["source_path"]).num_rows:
+        places = ", ".join(str(place) for _, place in logs)
+        raise UsageError(f"{places}: found no log that can be read. Give the folder of the logs behind the report.")
+    _exclude(folder, excluded)
+    return folder
+
+
+def _exclude(folder: Path, excluded: Sequence[Exclusion]) -> None:
+    if excluded:
+        write_corrections(folder, [Correction(**one.model_dump()) for one in excluded])
+
+
+def _among(table: pa.Table, column: str, values: Collection[str]) -> pa.ChunkedArray:
+    return pc.is_in(table.column(column), value_set=pa.array(sorted(values), pa.string()))
+
+
+def _of_the_report(
+    store: FreshStore, trials: pa.Table, excluded: Sequence[Exclusion], listed: LogList | None
+) -> tuple[pa.Table, pa.Table]:
+    """Return the stored trials of the report's logs, and those that were excluded by hand; later ones are neither."""
+    used, _ = split_trials(trials, {one.key: one for one in excluded})
+    left_out = trials.filter(pc.invert(_among(trials, "trial_id", used.column("trial_id").to_pylist())))
+    if listed is None:
+        return used, left_out
+    stored = dict(zip(*(used.column(name).to_pylist() for name in ("source_path", "source_sha256")), strict=True))
+    expected = {os.path.join(listed.folder, name): sha for name, sha in listed.files.items()}
+    for path in sorted(path for path, sha in expected.items() if sha not in stored.values()):
+        text = "is not stored as it was when the report was made"
+        store.differs(path, text, expected=expected[path], found=stored.get(path))
+    # the log that stands where one of the report stood shows what its change does to the numbers
+    ours = pc.or_(_among(used, "source_sha256", set(expected.values())), _among(used, "source_path", set(expected)))
+    if later := used.num_rows - (pc.sum(ours).as_py() or 0):
+        store.notes.append(f"experiment {listed.experiment}: {later} trials were stored later and are left out")
+    return used.filter(ours), left_out
+
+
+def _read(store: FreshStore, experiment: str, sources: Mapping[str, str], profile: Path | str) -> None:
+    """Ingest logs from their sources, whose hashes are those of the report."""
+    if not sources:
+        return
+    report = ingest([Path(path) for path in sources], store.folder, profile)
+    for refusal in report.quarantined:
+        store.differs(refusal.path, f"is refused now: {refusal.reason}", expected=sources[refusal.path])
+    found = read_trials(store.folder, columns=["source_path", "source_sha256"])
+    for path, sha in set(zip(*(found.column(name).to_pylist() for name in found.column_names), strict=True)):
+        if sources.get(path, sha) != sha:
+            text = f"has changed since it was ingested (experiment {experiment})"
+            store.differs(path, text, expected=sources[path], found=sha)
+
+
+def _keep(store: FreshStore, device: str, experiment: str, processed: Path, trials: pa.Table) -> None:
+    """Take stored samples over."""
+    if not trials.num_rows:
+        return
+    files, rows = (np.array(trials.column(name).to_pylist()) for name in LOCATION)
+    new = NewBatch(store.folder, device, experiment, trials.column("motion")[0].as_py())
+    try:
+        for name in np.unique(files).tolist():
+            kept = np.isin(np.arange(pq.read_metadata(processed / name).num_rows), rows[files == name])
+            copy(processed / name, kept, new)
+        new.publish()
+    finally:
+        new.discard()
+
+
+def _hold_samples(store: FreshStore, device: str, experiment: str, said: ReportedLogs) -> None:
+    """Hold all samples against the hash in the page, where logs of the same hashes were found."""
+    trials = split_trials(read_trials(store.folder, device, experiment), read_exclusions(store.folder))[0]
+    if joint_sha256(trials.column("source_sha256").to_pylist()) != said.sha256:
+        if not store.problems:
+            store.differs(f"experiment {experiment}", "its logs are not those of the report", expected=said.sha256)
+        return
+    found = load_groups(store.folder, trials).digest
+    if found != said.samples:
+        text = "its samples are not those of the report"
+        store.differs(f"experiment {experiment}", text, expected=said.samples, found=found)

@@ -1,1 +1,0 @@
-"""Keeps reports current while logs arrive."""

@@ -1,0 +1,352 @@
+"""All positive real roots of a polynomial, none missed: Descartes' rule of signs on halved intervals, in integers.
+
+A polynomial has as many roots in (0, 1) as its transform (1 + x)^n p(1/(1 + x)) has changes of sign, or fewer by an
+even number: intervals are halved until there are one or none. Roots above 1 are those of the reversed polynomial.
+
+Source: Collins and Akritas 1976, Polynomial real root isolation using Descartes' rule of signs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from decimal import Decimal
+from functools import lru_cache
+from itertools import accumulate, pairwise
+
+import numpy as np
+
+from pipeline.loop.loop import Loop
+from pipeline.loop.many_digits import (
+    Digits,
+    as_exact,
+    derivative,
+    many_digits,
+    power,
+    product,
+    total,
+    value,
+)
+from pipeline.records.batch import Floats, Integers
+from pipeline.theory.branches import first_branch, is_sampled, sampled_cells, sampled_turns
+from pipeline.theory.circle import Cells, ends, inverse_and_rate, solved
+
+_DEEPEST = 200
+"""Halvings after which two roots count as one that is touched: they then differ by 1e-60."""
+
+_NOISE = 20
+"""Digits of the coefficients, relative to the largest, that are rounding."""
+
+_STEPS = 200
+"""More than the steps of any root."""
+
+_BESIDE = Decimal("1e-40")
+"""Share of a bracket by which its sign is looked at beside its ends."""
+
+_FINE = Decimal("1e-15")
+"""Relative width of a bracket at which a root is known: below the rounding of a double."""
+
+
+def positive_roots(polynomial: Digits, digits: int) -> list[Decimal]:
+    """Return the positive real roots of odd multiplicity in order, to the precision of a double.
+
+    Parameters
+    ----------
+    polynomial : Digits
+        Coefficients, lowest power first.
+    digits : int
+        Digits to which the coefficients hold; the decimal context has as many.
+    """
+    largest = max((abs(c) for c in polynomial), default=Decimal(0))
+    if largest == 0:
+        return []
+    scale = Decimal(10) ** (digits - largest.adjusted())
+    rounding = 10**_NOISE
+    whole = [w if abs(w) > rounding else 0 for w in (int(c * scale) for c in polynomial)]
+    while whole[-1] == 0:
+        whole.pop()
+    while whole[0] == 0:
+        whole.pop(0)
+    up, down = as_exact(whole), as_exact(whole[::-1])
+    roots = [_refined(up, *bracket) for bracket in _isolated(whole)]
+    roots += [1 / _refined(down, *bracket) for bracket in _isolated(whole[::-1])]
+    if sum(whole) == 0:
+        roots.append(Decimal(1))
+    return sorted(roots)
+
+
+def _isolated(polynomial: list[int]) -> list[tuple[Decimal, Decimal]]:
+    """Return intervals in (0, 1) with one root each."""
+    found, degree = [], len(polynomial) - 1
+    waiting = [(polynomial, 0, 0)]
+    while waiting:  # ends: depth is bounded, and each halving keeps the number of changes or splits it
+        p, depth, place = waiting.pop()
+        changes = _changes(_shifted(p[::-1]))
+        if changes == 0:
+            continue
+        if changes == 1:
+            found.append((place / Decimal(2) ** depth, (place + 1) / Decimal(2) ** depth))
+        elif depth < _DEEPEST:
+            left = [c << (degree - k) for k, c in enumerate(p)]
+            right = _shifted(left)
+            waiting += [(left, depth + 1, 2 * place), (right, depth + 1, 2 * place + 1)]
+            if right[0] == 0:
+                middle = (2 * place + 1) / Decimal(2) ** (depth + 1)
+                found.append((middle, middle))
+    return found
+
+
+def _shifted(polynomial: list[int]) -> list[int]:
+    """Return p(x + 1)."""
+    rest, result = polynomial[::-1], []
+    while rest:
+        rest = list(accumulate(rest))
+        result.append(rest.pop())
+    return result
+
+
+def _changes(polynomial: list[int]) -> int:
+    signs = [c > 0 for c in polynomial if c]
+    return sum(a != b for a, b in pairwise(signs))
+
+
+def _refined(polynomial: Digits, low: Decimal, high: Decimal) -> Decimal:
+    """Return the root between two places of different sign: false position, halved in turn."""
+    if low == high:
+        return low
+    # an end may be a root itself, which is another one
+    beside = (high - low) * _BESIDE
+    at_low, at_high = (value(polynomial, end) for end in (low + beside, high - beside))
+    for step in range(_STEPS):
+        middle = (low * at_high - high * at_low) / (at_high - at_low) if step % 3 else _between(low, high)
+        there = value(polynomial, middle)
+        if (there > 0) == (at_low > 0):
+            low, at_low, at_high = middle, there, at_high / 2
+        else:
+            high, at_high, at_low = middle, there, at_low / 2
+        if high - low <= _FINE * high or there == 0:
+            break
+    return middle
+
+
+def _between(low: Decimal, high: Decimal) -> Decimal:
+    return (low * high).sqrt() if low > 0 else high / 8
+
+
+_END = Decimal("1e-36")
+"""Smallest s and reciprocal of the largest: angles of 2e-18."""
+
+_POLISHINGS = 2
+
+_FARTHEST = Decimal("1e-4")
+"""Change of s that polishing may come to; where beta touches its value the slope is none."""
+
+_NEXT = 1 + Decimal("1e-20")
+"""Factor to a place beside another, to see whether beta rises."""
+
+
+@dataclass(frozen=True, eq=False)
+class Branches:
+    """Cells of a loop's crossings, and unstable poles that alpha gains (2) or loses (-2) by rising through each."""
+
+    cells: Cells
+    turn: Integers
+
+
+@dataclass(frozen=True, eq=False)
+class OnCircle:
+    """alpha + beta N = -1/G on the unit circle, over s; polynomials in s, as Decimal.
+
+    beta = -twist/((1 + s)^delay turn), turn = rate size, alpha = -stretch/((1 + s)^delay size) - beta level/filter,
+    which is rise/((1 + s)^delay turn).
+    """
+
+    delay: int
+    twist: Digits
+    rate: Digits
+    turn: Digits
+    rise: Digits
+    stretch: Digits
+    size: Digits
+    level: Digits
+    filter: Digits
+
+
+@lru_cache(maxsize=64)
+def on_circle(loop: Loop) -> OnCircle:
+    """Return a loop's condition on the unit circle."""
+    g = loop.sampled
+    with many_digits(loop.digits):
+        one_more, two_w = as_exact([1, 1]), as_exact([0, 2])
+        inverse = product(power(one_more, 2 * g.delay), g.motion, _mirrored(g.force))
+        top, bottom = product(two_w, g.velocity), product(one_more, g.filter)
+        rate = product(top, _mirrored(bottom))
+        size, square = _even(product(g.force, _mirrored(g.force))), _even(product(bottom, _mirrored(bottom)))
+        twist, turn, stretch, level = (
+            product(_odd(inverse), square),
+            product(_odd(rate), size),
+            _even(inverse),
+            _even(rate),
+        )
+        rise = total(product(_odd(inverse), level), -product(stretch, _odd(rate)))
+        return OnCircle(g.delay, twist, _odd(rate), turn, rise, stretch, size, level, square)
+
+
+@lru_cache(maxsize=64)
+def branches(loop: Loop) -> Branches:
+    """Return what is known of a loop's crossings once."""
+    if is_sampled(loop):
+        cells = sampled_cells(loop)
+        return Branches(cells, np.where(cells.beta_high > cells.beta_low, 2, -2))
+    return exact_branches(loop)
+
+
+def exact_branches(loop: Loop) -> Branches:
+    """Return them by real roots, of any loop."""
+    c = on_circle(loop)
+    with many_digits(loop.digits):
+        turning = positive_roots(_bend(c, c.twist), loop.digits)
+        inner = {root: _beta(c, root) for root in turning} | dict.fromkeys(positive_roots(c.rate, loop.digits))
+        edges = [_END, *sorted(root for root in inner if _END < root < 1 / _END), 1 / _END]
+        values = [inner[s] if s in inner else _beta(c, s) for s in edges]
+        low, high, turns = [], [], []
+        for (s, start), (t, end) in pairwise(zip(edges, values, strict=True)):
+            middle = (s * t).sqrt()
+            rises = _beta(c, middle * _NEXT) > _beta(c, middle)
+            # beta is infinite where it has no value: at its poles
+            low.append(start if start is not None else Decimal("-Infinity" if rises else "Infinity"))
+            high.append(end if end is not None else Decimal("Infinity" if rises else "-Infinity"))
+            turns.append(2 if rises == (value(c.rate, middle) > 0) else -2)
+        logs, at_low, at_high = (np.array([float(v) for v in row]) for row in ([s.ln() for s in edges], low, high))
+        return Branches(Cells(logs[:-1], logs[1:], at_low, at_high), np.array(turns))
+
+
+@lru_cache(maxsize=64)
+def turning_dampings(loop: Loop) -> Floats:
+    """Return every beta, in order, at which stable stretches may begin or end, join, or their ends have an extremum.
+
+    Between two of these each end of a stretch is monotone in beta, and soft walls (alpha -> 0 or -gamma) are all stable
+    or all not: along the branches alpha or beta turns there, or alpha passes 0 or -gamma. What is left are corners,
+    where two branches cross.
+    """
+    cells, known, levels = branches(loop).cells, ends(loop), sorted({0.0, -loop.gamma})
+    dampings = sampled_turns(loop, levels) if is_sampled(loop) else _exact_turns(loop, levels)
+    line = [(known.last - level) / known.slope for level in levels] if known.slope else []
+    found = np.concatenate([dampings, cells.beta_low, cells.beta_high, line])
+    return np.unique(found[np.isfinite(found)])
+
+
+def _exact_turns(loop: Loop, levels: list[float]) -> Floats:
+    c = on_circle(loop)
+    with many_digits(loop.digits):
+        whole = product(power(as_exact([1, 1]), c.delay), c.turn)
+        passing = [total(c.rise, -Decimal(level) * whole) for level in levels]
+        roots = [root for part in (_bend(c, c.rise), *passing) for root in positive_roots(part, loop.digits)]
+        return np.array([float(_beta(c, root)) for root in roots if value(c.turn, root) != 0])
+
+
+@dataclass(frozen=True, eq=False)
+class Stretches:
+    """Stable intervals of alpha, shape (n,): index of their beta, ends, and ln s of the crossings there.
+
+    ln s is nan at z = 1 and z = -1. ``outline`` is a number for the pair of branches that bound an interval.
+    """
+
+    index: Integers
+    low: Floats
+    high: Floats
+    low_at: Floats
+    high_at: Floats
+    outline: Integers
+
+
+def stretches(loop: Loop, beta: Floats) -> Stretches:
+    """Return the stable intervals of alpha above -gamma at each beta, upwards; ends to some 11 digits.
+
+    Parameters
+    ----------
+    loop : Loop
+    beta : float64, shape (n,)
+    """
+    first = first_branch(loop)
+    if first is not None:
+        index, place = first.met(beta)
+        high = _alpha(loop, place, beta[index])
+        on = np.flatnonzero(high > -loop.gamma)
+        low, unknown = np.full(len(on), -loop.gamma), np.full(len(on), np.nan)
+        return Stretches(index[on], low, high[on], unknown, place[on], np.zeros(len(on), np.intp))
+    return counted_stretches(loop, branches(loop), beta)
+
+
+def counted_stretches(loop: Loop, b: Branches, beta: Floats) -> Stretches:
+    """Return the same by counting the unstable poles over all crossings, downwards from an endlessly stiff wall."""
+    known, everyone = ends(loop), np.arange(len(beta))
+    below_low, below_high = (side[None, :] < beta[:, None] for side in (b.cells.beta_low, b.cells.beta_high))
+    which, cell = np.nonzero(below_low != below_high)
+    place = solved(loop, b.cells, cell, beta[which])
+    alpha, none = _alpha(loop, place, beta[which]), np.zeros(len(beta), np.intp)
+    i = np.concatenate([which, everyone, everyone])
+    a = np.concatenate([alpha, known.last - beta * known.slope, np.full(len(beta), -loop.gamma)])
+    jump = np.concatenate([b.turn[cell], known.outward(beta), none])
+    at = np.concatenate([place, np.full(2 * len(beta), np.nan)])
+    source = np.concatenate([cell + 2, none + 1, none])
+    kept = np.isfinite(a) & (a >= -loop.gamma)
+    order = np.flatnonzero(kept)[np.lexsort((a[kept], i[kept]))]
+    a, i, jump, at, source = a[order], i[order], jump[order], at[order], source[order]
+    total_jump = np.cumsum(jump)
+    last = np.searchsorted(i, everyone, side="right") - 1
+    above = known.unstable - (total_jump[last][i] - total_jump)
+    stable = np.flatnonzero((above[:-1] == 0) & (i[1:] == i[:-1]) & (a[1:] > a[:-1]))
+    outline = source[stable] * (len(b.turn) + 2) + source[stable + 1]
+    return Stretches(i[stable], a[stable], a[stable + 1], at[stable], at[stable + 1], outline)
+
+
+def polished(loop: Loop, beta: Floats, place: Floats) -> Floats:
+    """Return alpha of crossings at ln s near ``place``, shape (n,), to the last digit or two of a double."""
+    c, result = on_circle(loop), []
+    with many_digits(loop.digits):
+        twist, turn = derivative(c.twist), derivative(c.turn)
+        for b, start in zip(as_exact(beta), place, strict=True):
+            first = s = Decimal(float(np.exp(start)))
+            for _ in range(_POLISHINGS):
+                # of twist + beta (1 + s)^delay turn
+                pull, lever = b * (1 + s) ** c.delay, value(c.turn, s)
+                slope = value(twist, s) + pull * (value(turn, s) + c.delay * lever / (1 + s))
+                s -= (value(c.twist, s) + pull * lever) / slope
+            touches = abs(s - first) > _FARTHEST * first
+            result.append(_exact_alpha(c, first if touches else s, b))
+    return np.array([float(a) for a in result])
+
+
+def _alpha(loop: Loop, place: Floats, beta: Floats) -> Floats:
+    inverse, rate = inverse_and_rate(loop, place)[0]
+    return np.asarray(inverse.real - beta * rate.real)
+
+
+def _bend(c: OnCircle, over: Digits) -> Digits:
+    """Return the slope of over/((1 + s)^delay turn) without its positive factors."""
+    plain = total(product(derivative(over), c.turn), -product(over, derivative(c.turn)))
+    return total(product(as_exact([1, 1]), plain), -c.delay * product(over, c.turn))
+
+
+def _beta(c: OnCircle, s: Decimal) -> Decimal:
+    return Decimal(-value(c.twist, s) / ((1 + s) ** c.delay * value(c.turn, s)))
+
+
+def _exact_alpha(c: OnCircle, s: Decimal, beta: Decimal) -> Decimal:
+    stretch = value(c.stretch, s) / ((1 + s) ** c.delay * value(c.size, s))
+    return Decimal(-stretch - beta * value(c.level, s) / value(c.filter, s))
+
+
+def _mirrored(polynomial: Digits) -> Digits:
+    """Return p(-w): the conjugate on the imaginary axis."""
+    return np.asarray(polynomial * as_exact([(-1) ** k for k in range(len(polynomial))]), dtype=object)
+
+
+def _even(polynomial: Digits) -> Digits:
+    """Return the real part on w = j sqrt(s), as a polynomial in s."""
+    return _mirrored(polynomial[::2])
+
+
+def _odd(polynomial: Digits) -> Digits:
+    """Return the imaginary part on w = j sqrt(s) over sqrt(s), as a polynomial in s."""
+    return _mirrored(polynomial[1::2])

@@ -1,0 +1,341 @@
+"""Optimal curves: the best damping for each stiffness, and the best stiffness for each damping.
+
+All lines of a curve are searched at once (`theory.lines`). Each line is searched afresh and not from its neighbour's
+result, so a curve may jump where the optimum jumps (settling time and overshoot, Figs. 5.4 and 5.8).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.base.errors import ParameterError
+from pipeline.loop.loop import Loop
+from pipeline.records.batch import Booleans, Floats, Integers
+from pipeline.records.criteria import CRITERIA, DISCRETE, SETTLING_BANDS, criterion_of, with_discrete
+from pipeline.theory.energy import energy_costs
+from pipeline.theory.limits import boundary
+from pipeline.theory.optimum import (
+    UNDAMPED_LOSS,
+    impulse_energy_limit,
+    nearest_to_line,
+)
+from pipeline.theory.poles import damping_ratio, spectral_radius
+from pipeline.theory.search import LEVELS, Cost, LineCost, LineOptima, extents, search_lines, where_stable
+from pipeline.theory.transient import NO_OVERSHOOT, transient_costs
+
+_LONGEST = 1024
+"""Samples after which a response of a curve counts as not settled; the curves of Fig. 5.4 end at about 60."""
+
+_DECIDED = 60
+"""Samples, times d + 1, in which a response reaches its largest overshoot or deviation but for slow beats."""
+
+_MARGIN = 0.02
+"""Share by which a line reaches beyond the polygon of boundary points, which lies up to 1e-3 inside the boundary."""
+
+_BOUNDARY_POINTS = 400
+
+_STEP_LOOK = 121
+"""Points of the first look at the deviation, which has no jumps; late deviations of slow responses ripple, and half as
+many points missed a sample in 170 (found by a search along random lines)."""
+
+_STEP_LEVELS = 12
+"""0.35^12 = 3e-6 of a first step: it decides whether a number of samples can be had, not where a corner is."""
+
+_LINE = 1e-9
+"""Distance from alpha = -gamma, relative to a line, that stands for the limit on it."""
+
+_KINK_LEVELS = 30
+"""0.35^30 = 2e-14 of a first step: the cube root of that is how far the radius of a threefold pole is off."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Best values of one wall parameter for given values of the other.
+
+    Parameters
+    ----------
+    given : float64, shape (n,)
+        Values of the given parameter.
+    best, cost : float64, shape (n,)
+        Best value of the other and the cost there (damping ratio, not its negative); NaN where ``found`` is False.
+    low, high : float64, shape (n,)
+        Ends of the stretch of equally good values around it, of which ``best`` is the middle, for the discrete settling
+        time (steps), overshoot (region without) and damping ratio (region of 1); elsewhere equal to ``best``.
+    found : bool, shape (n,)
+        False where no point of the line is stable, or none settles within 1024 samples.
+    """
+
+    given: Floats
+    best: Floats
+    cost: Floats
+    low: Floats
+    high: Floats
+    found: Booleans
+
+
+def best_damping(loop: Loop, criterion: str, alpha: object) -> Curve:
+    """Return the best beta for each alpha.
+
+    Parameters
+    ----------
+    loop : Loop
+    criterion : str
+        One of `CURVE_CRITERIA`; those of a response also with ``_discrete`` appended.
+    alpha : array_like, shape (n,)
+        Normalised virtual stiffness; values outside of (-gamma, alpha_max) have no best damping.
+
+    Raises
+    ------
+    ParameterError
+        For an unknown criterion or values that are not finite.
+
+    Notes
+    -----
+    The solid curves of the thesis's figures. Accuracy: 1e-9 of the stable region.
+
+    Source: Hulin 2017, secs. 5.1 and 5.2, Figs. 5.2 to 5.4, 5.8, 5.10.
+    """
+    return _curve(loop, criterion, alpha, stiffness_given=True)
+
+
+def best_stiffness(loop: Loop, criterion: str, beta: object) -> Curve:
+    """Return the best alpha for each beta: the dashed curves of the thesis's figures.
+
+    Parameters and errors are those of `best_damping`, with alpha and beta exchanged. Where the best stiffness is a
+    limit at alpha = -gamma (E_0 of an impulse; damping ratio with delay), -gamma is given.
+    """
+    return _curve(loop, criterion, beta, stiffness_given=False)
+
+
+def _curve(loop: Loop, criterion: str, values: object, *, stiffness_given: bool) -> Curve:
+    given = np.atleast_1d(np.asarray(values, dtype=np.float64))
+    if given.ndim != 1 or not np.isfinite(given).all():
+        raise ParameterError("given values of a curve: expected a list of finite numbers.")
+    if criterion not in with_discrete(CURVE_CRITERIA):
+        raise ParameterError(
+            f"criterion {criterion!r} has no optimal curve; expected one of {list(CURVE_CRITERIA)}, those of a "
+            "response also with _discrete appended."
+        )
+    low, high = _ends(loop, given, stiffness_given)
+    inside = np.flatnonzero(np.isfinite(low))
+    lines = _Lines(loop, given[inside], low[inside], high[inside], stiffness_given)
+    result = np.full((4, len(given)), np.nan)
+    if len(inside):
+        result[:, inside] = _optima(lines, criterion)
+    best, cost, first, last = result
+    return Curve(given, best, cost, first, last, np.isfinite(best))
+
+
+@dataclass(frozen=True, eq=False)
+class _Lines:
+    """Lines through the stable region: value of the given parameter, ends of the other."""
+
+    loop: Loop
+    given: Floats
+    low: Floats
+    high: Floats
+    stiffness_given: bool
+
+    def cost(self, cost: Cost) -> LineCost:
+        """Cost along the lines, infinity where not stable."""
+        guarded = where_stable(self.loop, cost)
+
+        def along(line: Integers, place: Floats, best: float) -> Floats:
+            pair = (self.given[line], place) if self.stiffness_given else (place, self.given[line])
+            return guarded(*pair, best)
+
+        return along
+
+    def search(self, cost: Cost, levels: int = LEVELS) -> LineOptima:
+        return search_lines(self.cost(cost), self.low, self.high, levels=levels)
+
+    def some(self, which: Integers) -> _Lines:
+        return _Lines(self.loop, self.given[which], self.low[which], self.high[which], self.stiffness_given)
+
+    def late_deviation(self, first: Floats) -> LineCost:
+        """Largest deviation from a sample on, a number of its own for each line."""
+
+        def along(line: Integers, place: Floats, _: float) -> Floats:
+            pair = (self.given[line], place) if self.stiffness_given else (place, self.given[line])
+            result = np.full(len(place), np.inf)
+            stable = np.flatnonzero(np.isfinite(where_stable(self.loop, lambda a, b, _: np.zeros(len(a)))(*pair, 0.0)))
+            if len(stable):
+                alpha, beta = (values[stable] for values in pair)
+                result[stable] = _late_deviation(self.loop, alpha, beta, first[line[stable]])
+            return result
+
+        return along
+
+
+def _ends(loop: Loop, given: Floats, stiffness_given: bool) -> tuple[Floats, Floats]:
+    """Ends of the line at each given value inside the stable region, a little widened; NaN where it misses it."""
+    border = boundary(loop, _BOUNDARY_POINTS)
+    level, other = (border.alpha, border.beta) if stiffness_given else (border.beta, border.alpha)
+    level, other = np.append(level, level[0]), np.append(other, other[0])
+    value = given[:, None]
+    # one end included, so that a line through a corner meets one of its sides
+    meets = (np.minimum(level[:-1], level[1:]) <= value) & (value < np.maximum(level[:-1], level[1:]))
+    rise = np.where(level[1:] == level[:-1], 1.0, level[1:] - level[:-1])
+    at = other[:-1] + (value - level[:-1]) * (other[1:] - other[:-1]) / rise
+    low = np.where(meets, at, np.inf).min(axis=1)
+    high = np.where(meets, at, -np.inf).max(axis=1)
+    missed = ~meets.any(axis=1)
+    margin = np.where(missed, 0.0, _MARGIN * (high - low))
+    low, high = low - margin, high + margin
+    if not stiffness_given:
+        low = np.maximum(low, -loop.gamma)
+    return np.where(missed, np.nan, low), np.where(missed, np.nan, high)
+
+
+def _optima(lines: _Lines, criterion: str) -> Floats:
+    """Best place, cost and ends of the stretch of equally good places, shape (4, lines)."""
+    return OPTIMA[criterion_of(criterion).family.name](lines, criterion)
+
+
+def _poles(lines: _Lines, criterion: str) -> Floats:
+    loop = lines.loop
+    if criterion == "pole_radius":
+        return _plain(lines.search(lambda a, b, _: spectral_radius(loop, a, b), _KINK_LEVELS))
+
+    def oscillation(alpha: Floats, beta: Floats, _: float) -> Floats:
+        ratio = damping_ratio(loop, alpha, beta)
+        return np.where(ratio >= 1 - UNDAMPED_LOSS, -1.0, -ratio)
+
+    place, cost, low, high = _flat(lines, oscillation, _KINK_LEVELS)
+    if not lines.stiffness_given:
+        at_line = place + loop.gamma <= _LINE * (lines.high - lines.low)
+        place, low, high = (np.where(at_line, 0.0 - loop.gamma, v) for v in (place, low, high))
+    return np.array([place, -cost, low, high])
+
+
+def _overshoot(lines: _Lines, criterion: str) -> Floats:
+    loop = lines.loop
+
+    def overshoot(alpha: Floats, beta: Floats, _: float) -> Floats:
+        found = transient_costs(
+            loop,
+            alpha,
+            beta,
+            (),
+            continuous=not criterion.endswith(DISCRETE),
+            longest=int(_DECIDED * (loop.delay + 1)),
+            unfinished_overshoot=True,
+        )[criterion]
+        return np.where(found <= NO_OVERSHOOT, 0.0, found)
+
+    return _flat(lines, overshoot)
+
+
+def _energy(lines: _Lines, criterion: str) -> Floats:
+    base = criterion_of(criterion)
+    if base.name == "energy_impulse_w0":
+        return _impulse(lines, criterion)
+    return _plain(lines.search(lambda a, b, _: energy_costs(lines.loop, a, b, base.signal)[criterion]))
+
+
+def _settling(lines: _Lines, criterion: str) -> Floats:
+    band = SETTLING_BANDS[criterion_of(criterion).name]
+    if criterion.endswith(DISCRETE):
+        return _steps(lines, band, criterion)
+
+    def settling(alpha: Floats, beta: Floats, best: float) -> Floats:
+        costs = transient_costs(lines.loop, alpha, beta, (band,), overshoot=False, longest=_LONGEST, cutoff=best)
+        return costs[criterion]
+
+    return _plain(lines.search(settling))
+
+
+def _plain(found: LineOptima) -> Floats:
+    return np.array([found.place, np.where(np.isfinite(found.place), found.cost, np.nan), found.place, found.place])
+
+
+def _flat(lines: _Lines, cost: Cost, levels: int = LEVELS) -> Floats:
+    """Optima of a cost that is constant over a part of the region."""
+    found = lines.search(cost, levels)
+    low, high = extents(lines.cost(cost), found, lines.low, lines.high)
+    # off the plateau rounding alone would decide how far the stretch reaches
+    whole = np.isin(found.cost, (0.0, -1.0))
+    low, high = np.where(whole, low, found.place), np.where(whole, high, found.place)
+    return np.array([0.5 * (low + high), np.where(np.isfinite(found.place), found.cost, np.nan), low, high])
+
+
+def _impulse(lines: _Lines, criterion: str) -> Floats:
+    """Impulse energy w = 0, whose best stiffness may be the limit alpha -> -gamma."""
+    loop = lines.loop
+    nearest = nearest_to_line(loop)
+
+    def cost(alpha: Floats, beta: Floats, _: float) -> Floats:
+        if lines.stiffness_given:
+            return energy_costs(loop, alpha, beta, "impulse")[criterion]
+        return np.where(alpha >= nearest, energy_costs(loop, alpha, beta, "impulse")[criterion], np.inf)
+
+    found = lines.search(cost)
+    if lines.stiffness_given:
+        return _plain(found)
+    limit = impulse_energy_limit(loop, lines.given, criterion)
+    at_line = limit <= found.cost
+    place = np.where(at_line & np.isfinite(limit), 0.0 - loop.gamma, found.place)
+    return _plain(LineOptima(place, np.where(at_line, limit, found.cost)))
+
+
+def _steps(lines: _Lines, band: float, criterion: str) -> Floats:
+    """Discrete settling time: each line's number of samples is lowered as long as a place with one less exists.
+
+    A number of samples n can be had on a line where the largest deviation from sample n on, a continuous function of
+    the place, can be brought into the band.
+    """
+    loop = lines.loop
+
+    def samples(alpha: Floats, beta: Floats, _: float) -> Floats:
+        return transient_costs(loop, alpha, beta, (band,), overshoot=False, continuous=False, longest=_LONGEST)[
+            criterion
+        ]
+
+    first_look = search_lines(lines.cost(samples), lines.low, lines.high, levels=0)
+    place, count = first_look.place.copy(), first_look.cost.copy()
+    open_lines = np.flatnonzero(np.isfinite(count) & (count > 1))
+    while len(open_lines):  # ends: a line that stays open needs a sample less, down to 1
+        part = lines.some(open_lines)
+        deviation = part.late_deviation(count[open_lines] - 1)
+        found = search_lines(deviation, part.low, part.high, coarse=_STEP_LOOK, starts=3, levels=_STEP_LEVELS)
+        better = found.cost <= band
+        open_lines = open_lines[better]
+        place[open_lines] = found.place[better]
+        count[open_lines] -= 1
+        open_lines = open_lines[count[open_lines] > 1]
+    low, high = np.full_like(place, np.nan), np.full_like(place, np.nan)
+    which = np.flatnonzero(np.isfinite(count))
+    part = lines.some(which)
+    inside = LineOptima(place[which], np.full(len(which), band))
+    deviation = part.late_deviation(count[which])
+    low[which], high[which] = extents(deviation, inside, part.low, part.high, coarse=_STEP_LOOK, halvings=30)
+    return np.array([0.5 * (low + high), np.where(np.isfinite(place), count, np.nan), low, high])
+
+
+def _late_deviation(loop: Loop, alpha: Floats, beta: Floats, first: Floats) -> Floats:
+    """Largest deviation of the samples from ``first`` on, a number of its own for each point.
+
+    `transient.late_deviation` has one number for all points; called for each number, the curves would take
+    10 s.
+    """
+    largest = np.zeros(len(alpha))
+    octave = np.floor(np.log2(first))
+    for group in np.unique(octave):  # so that a slow line does not make all others be followed as long
+        which = np.flatnonzero(octave == group)
+        matrix, start = loop.matrix(alpha[which], beta[which]), first[which]
+        sensor, state = loop.open_loop[2], loop.starts(alpha[which], "step")[:, :, None]
+        most = np.zeros(len(which))
+        for k in range(1, max(2 * int(start.max()), int(_DECIDED * (loop.delay + 1))) + 1):
+            state = matrix @ state
+            most = np.where(k >= start, np.maximum(most, np.abs(sensor @ state)[:, 0]), most)
+        largest[which] = most
+    return largest
+
+
+OPTIMA = {"settling": _settling, "overshoot": _overshoot, "energy": _energy, "poles": _poles}
+"""What finds the optima along lines, by family."""
+
+CURVE_CRITERIA = tuple(c.name for c in CRITERIA.values() if c.family.name in OPTIMA and not c.optimum_only)
+"""Criteria with optimal curves; those of a response each also as ``_discrete``."""

@@ -1,1 +1,0 @@
-"""The general loop: boundary, costs and passivity of devices that are not ideal."""

@@ -1,0 +1,454 @@
+"""Limits of walls on a general loop: at given dampings, and along the whole region.
+
+The limit at a damping is the upper end of the stable interval that begins at alpha -> 0; what is stable beyond an
+unstable gap, or where soft walls are not, is an island.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pipeline.base.errors import ParameterError
+from pipeline.loop.loop import Loop, as_points
+from pipeline.records.batch import Booleans, Floats, Integers
+from pipeline.theory.branches import FirstBranch, first_branch
+from pipeline.theory.circle import angle_of, circle_points, place_of
+from pipeline.theory.crossings import Stretches, polished, stretches, turning_dampings
+
+_NODES = np.concatenate([[1e-9], 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, 9)[1:-1])), [1 - 1e-9]])
+"""Places between two dampings at which stretches change: next to both, where limits still have 11 digits, and where
+corners are noticed."""
+
+_MIDDLE = len(_NODES) // 2
+
+_HALVINGS = 60
+"""A gap between two dampings to the last bit of a double."""
+
+_MOST_CORNERS = 8
+"""Corners between two neighbours that are told apart; more than one is rare."""
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Limits at dampings, normalised.
+
+    Parameters
+    ----------
+    alpha : float64, shape (n,)
+        Stiffest wall of the interval that begins at alpha -> 0; nan where there is none.
+    angle : float64, shape (n,)
+        Angle of the pole that leaves the unit circle there [rad/sample], pi of a real one.
+    low, low_angle : float64, shape (n,)
+        Its other end, -gamma where it begins on that line, and the angle there, nan on the line.
+    islands : float64, shape (i, 3)
+        Further stable intervals: beta, lowest and highest alpha > 0.
+    """
+
+    alpha: Floats
+    angle: Floats
+    low: Floats
+    low_angle: Floats
+    islands: Floats
+
+    def part(self, which: Booleans) -> Limits:
+        """Return those of some dampings, islands of all."""
+        return Limits(self.alpha[which], self.angle[which], self.low[which], self.low_angle[which], self.islands)
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """The limit of walls over damping.
+
+    Parameters
+    ----------
+    beta : float64, shape (n,)
+        In order; empty where no soft wall is stable.
+    limits : Limits
+        There.
+    islands : float64, shape (i, 3)
+        As of `Limits`: at these beta, and between the first and the last at which anything is stable.
+    alpha_max, beta_at_alpha_max : float
+        The stiffest wall of all, islands left out; nan where there is none.
+    ends : tuple of float
+        Infimum and supremum of beta, to the last bit, where a limit can only be told beside it.
+    """
+
+    beta: Floats
+    limits: Limits
+    islands: Floats
+    alpha_max: float
+    beta_at_alpha_max: float
+    ends: tuple[float, float]
+
+    @property
+    def alpha(self) -> Floats:
+        """The limits themselves."""
+        return self.limits.alpha
+
+
+def limits(loop: Loop, beta: Floats, *, exact: bool = True, floor: float = 0.0) -> Limits:
+    """Return the limit of walls at each beta.
+
+    Parameters
+    ----------
+    loop : Loop
+    beta : float64, shape (n,)
+    exact : bool
+        Whether crossings are polished in many digits; those of doubles else.
+    floor : float
+        Softest wall, -gamma to 0: intervals that begin there, or hold it, are no islands; none below it counts.
+    """
+    found = stretches(loop, beta)
+    above = np.flatnonzero(found.high > floor)
+    index, ends, at = found.index[above], np.stack([found.low, found.high])[:, above], (found.low_at, found.high_at)
+    if exact:
+        for end, place in zip(ends, at, strict=True):
+            known = np.flatnonzero(np.isfinite(place[above]) & (end > floor))
+            end[known] = polished(loop, beta[index[known]], place[above][known])
+    low, high = ends
+    soft = (low <= floor) | ((low <= 0) & (high > 0))
+    ends = np.full((4, len(beta)), np.nan)
+    angle = np.nan_to_num(angle_of(found.high_at[above]), nan=np.pi)
+    ends[:, index[soft]] = np.array([np.maximum(high, floor), angle, low, angle_of(found.low_at[above])])[:, soft]
+    return Limits(ends[0], ends[1], ends[2], ends[3], np.stack([beta[index], low, high], axis=1)[~soft])
+
+
+def outline(loop: Loop, points: int = 400, floor: float = 0.0) -> Outline:
+    """Return the limit of walls over all dampings at which there is one.
+
+    Parameters
+    ----------
+    loop : Loop
+    points : int
+        Number of dampings of the outline, >= 8, spread over its parts and denser towards their ends; both sides of
+        every corner and jump come beside these.
+    floor : float
+        As of `limits`.
+
+    Notes
+    -----
+    Nothing is sampled to find where limits begin, end, jump or turn: `crossings.turning_dampings` are all of these but
+    corners, and corners are met where neighbours are bounded by other branches.
+    """
+    turning = turning_dampings(loop)
+    gaps = np.diff(turning)
+    nodes = turning[:-1, None] + gaps[:, None] * _NODES
+    marks = nodes[:, [0, -1]].ravel()
+    marks = np.append(marks, _corners(loop, np.unique(nodes)))
+    known = limits(loop, np.unique(np.append(nodes, marks)), exact=False, floor=floor)
+    # what holds in the middle of a gap holds all over it
+    holds = np.isfinite(limits(loop, nodes[:, _MIDDLE], exact=False, floor=floor).alpha)
+    inside = np.concatenate([[False], holds, [False]])
+    low, high = turning[np.flatnonzero(inside[1:] > inside[:-1])], turning[np.flatnonzero(inside[1:] < inside[:-1])]
+    if not len(low):
+        return Outline(np.zeros(0), limits(loop, np.zeros(0)), known.islands, np.nan, np.nan, (np.nan, np.nan))
+    counts = np.maximum(8, points * (high - low) / (high - low).sum()).astype(int)
+    spread = [
+        start + (end - start) * 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, count)[1:-1]))
+        for start, end, count in zip(low, high, counts, strict=True)
+    ]
+    beta = np.unique(np.concatenate([marks, *spread]))
+    found = limits(loop, beta, floor=floor)
+    kept = np.isfinite(found.alpha)
+    beta, found = beta[kept], found.part(kept)
+    best = int(np.argmax(found.alpha))
+    peak, at = float(found.alpha[best]), float(beta[best])
+    return Outline(beta, found, known.islands, peak, at, (float(low[0]), float(high[-1])))
+
+
+def _corners(loop: Loop, levels: Floats) -> Floats:
+    """Return both sides of each damping between levels, in order, at which other branches begin to bound."""
+    known = _bounds(loop, levels)
+    low, high, left, right = levels[:-1], levels[1:], known[:-1], known[1:]
+    corners = [np.zeros(0)]
+    for _ in range(_MOST_CORNERS):
+        differ = left != right
+        low, high, left, right = (values[differ] for values in (low, high, left, right))
+        if not len(low):
+            break
+        good, bad = low, high
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (good + bad)
+            same = _bounds(loop, middle) == left
+            good, bad = np.where(same, middle, good), np.where(same, bad, middle)
+        corners += [good, bad]
+        low, left = bad, _bounds(loop, bad)
+    return np.concatenate(corners)
+
+
+def _bounds(loop: Loop, beta: Floats) -> Integers:
+    """Return a number for the branches that bound what is stable at each beta."""
+    found, result = stretches(loop, beta), np.zeros(len(beta), np.intp)
+    np.add.at(result, found.index, (found.outline + 1) ** 2)
+    return result
+
+
+_FEWEST = 8
+"""Points of an outline of which only the islands are asked for: they are known whatever its points."""
+
+
+@dataclass(frozen=True, eq=False)
+class Boundary:
+    """Stability boundary: upper ends of the stable intervals that begin with the softest walls, over the damping.
+
+    Parameters
+    ----------
+    alpha, beta, theta : float64, shape (n,)
+        Points in order of beta, then back along what bounds the region from below, then those of islands; the angle
+        of the pole that leaves the unit circle there, nan where that is not told.
+    alpha_max, beta_at_alpha_max : float
+        Largest stable alpha and its beta.
+    beta_max, alpha_at_beta_max : float
+        Largest stable beta and its alpha.
+    beta_min : float
+        Infimum of stable beta.
+    islands : float64, shape (i, 3)
+        Other stable intervals, as of `Outline`.
+    """
+
+    alpha: Floats
+    beta: Floats
+    theta: Floats
+    alpha_max: float
+    beta_at_alpha_max: float
+    beta_max: float
+    alpha_at_beta_max: float
+    beta_min: float
+    islands: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+def boundary(loop: Loop, points: int = 400) -> Boundary:
+    """Return the boundary of the stable region.
+
+    Parameters
+    ----------
+    loop : Loop
+    points : int
+        About how many, >= 8.
+
+    Raises
+    ------
+    ParameterError
+        If fewer than 8 points are asked for, or nothing is stable.
+
+    Notes
+    -----
+    Mostly it is one branch: it starts at theta -> 0 on the line alpha = -gamma, and ends where it meets that line
+    again. Where several branches bound the region (a plant that resonates within the delay, damping above about 2 m/T
+    without delay, filters), it is followed over the damping, with both sides of each corner. Walls softer than none
+    count on a loop without parts only.
+
+    Source: Hulin 2017, sec. 3.4; reproduces Tables B.1 to B.4.
+    """
+    if points < 8:
+        raise ParameterError(f"points = {points}: expected at least 8.")
+    first = first_branch(loop)
+    return _along(first, points) if first is not None else _over_dampings(loop, points)
+
+
+def has_islands(loop: Loop) -> bool:
+    """Return whether walls are stable somewhere beyond an unstable stretch of softer ones, down to alpha -> 0."""
+    return first_branch(loop) is None and len(outline(loop, _FEWEST).islands) > 0
+
+
+def stabilises(loop: Loop) -> bool:
+    """Return whether any damping stabilises a soft wall."""
+    return first_branch(loop) is not None or len(outline(loop, _FEWEST).beta) > 0
+
+
+def _along(first: FirstBranch, points: int) -> Boundary:
+    """Boundary by the angle, whose largest damping is that of its end."""
+    # cosine spacing: dense at both ends, where the branch meets the line alpha = -gamma
+    share = 0.5 * (1 - np.cos(np.pi * (np.arange(points) + 0.5) / points))
+    place = np.minimum(place_of(float(angle_of(np.array(first.end))) * share), first.end)
+    place = np.append(np.sort(np.append(place, first.peak)), first.end)
+    p, peak = circle_points(first.loop, place), circle_points(first.loop, np.array([first.peak]))
+    p.alpha[-1] = 0.0 - first.loop.gamma  # by definition of the end
+    ends = float(p.beta[-1]), float(p.alpha[-1]), float(first.cells.beta_low[0])
+    return Boundary(p.alpha, p.beta, angle_of(place), float(peak.alpha[0]), float(peak.beta[0]), *ends)
+
+
+def _over_dampings(loop: Loop, points: int) -> Boundary:
+    floor = 0.0 if loop.has_parts else -loop.gamma
+    found = outline(loop, points, floor)
+    if not len(found.beta):
+        raise ParameterError(f"{loop}: no damping stabilises a soft wall. Check delay, lag and velocity filter.")
+    f, b, extremes = found.limits, found.beta, [(found.alpha_max, found.beta_at_alpha_max)]
+    lowest, top = found.ends[0], (found.ends[1], float(f.alpha[-1]))
+    if loop.has_parts:
+        return Boundary(f.alpha, b, f.angle, *extremes[0], *top, lowest, found.islands)
+    extremes += [(high, beta) for beta, _, high in found.islands.tolist()]
+    # back along what bounds it from below; what is stable beyond gaps follows
+    below, (at, ends) = np.flatnonzero(f.low > -loop.gamma)[::-1], (found.islands[:, 0], found.islands[:, 1:].T)
+    alpha = np.concatenate([f.alpha, f.low[below], ends[1], ends[0][::-1]])
+    beta = np.concatenate([b, b[below], at, at[::-1]])
+    theta = np.concatenate([f.angle, f.low_angle[below], np.full(2 * len(at), np.nan)])
+    lowest = min([lowest, *found.islands[:, 0].tolist()])
+    top = max([top, *((b, high) for b, _, high in found.islands.tolist())])
+    return Boundary(alpha, beta, theta, *max(extremes), *top, lowest, found.islands)
+
+
+def stable_intervals(loop: Loop, beta: object) -> Stretches:
+    """Return the intervals of alpha that are stable at each beta, array_like of shape (n,)."""
+    return stretches(loop, as_points(0.0, beta)[1])
+
+
+def is_inside(loop: Loop, alpha: object, beta: object) -> Booleans:
+    """Return which points are stable: all poles inside the unit circle.
+
+    Parameters
+    ----------
+    loop : Loop
+    alpha, beta : array_like, shape (n,)
+        Normalised virtual stiffness and damping.
+
+    Notes
+    -----
+    Right up to rounding of the boundary: nothing is promised for spectral radii nearer to 1 than 1e-12.
+
+    Source: Hulin 2017, sec. 3.4.
+    """
+    return np.asarray(_margins(loop, *as_points(alpha, beta)) > 0)
+
+
+def is_well_inside(loop: Loop, alpha: Floats, beta: Floats, share: float = 1e-9, *, islands: bool = True) -> Booleans:
+    """Return where points are stable and stay so when alpha is moved either way by a share of alpha + gamma, (n,).
+
+    Costs of points closer to the boundary are sums over billions of samples, and rounding errors. Without ``islands``
+    a wall counts only if every softer one at its damping is stable too, down to alpha -> 0.
+    """
+    away = share * (alpha + loop.gamma)
+    return np.asarray((away > 0) & (_margins(loop, alpha, beta, islands=islands) > away))
+
+
+def stiffness_limit(loop: Loop, beta: object, *, islands: bool = True) -> Floats:
+    """Return the largest stable alpha at each beta, -inf where there is none; both (n,), errors as of `is_inside`.
+
+    Without ``islands`` up to which every softer wall is stable too, down to alpha -> 0.
+
+    Source: Hulin 2017, sec. 3.4.
+    """
+    _, b = as_points(0.0, beta)
+    found = stretches(loop, b)
+    kept = np.flatnonzero(islands | (found.low <= 0))
+    result = np.full(len(b), -np.inf)
+    np.maximum.at(result, found.index[kept], found.high[kept])
+    return result
+
+
+def _margins(loop: Loop, alpha: Floats, beta: Floats, *, islands: bool = True) -> Floats:
+    """Return the distance of alpha to the nearer end of its stable interval, below zero where it is in none, (n,)."""
+    levels, of = np.unique(beta, return_inverse=True)
+    found = stretches(loop, levels)
+    kept = np.flatnonzero(islands | (found.low <= 0))
+    index, low, high = found.index[kept], found.low[kept], found.high[kept]
+    result = np.full(len(alpha), -np.inf)
+    counts = np.bincount(index, minlength=len(levels))
+    start = np.cumsum(counts) - counts
+    for number in range(int(counts.max(initial=0))):  # as many rounds as a line has stable intervals: few
+        has = np.flatnonzero(counts[of] > number)
+        row = start[of[has]] + number
+        result[has] = np.maximum(result[has], np.minimum(alpha[has] - low[row], high[row] - alpha[has]))
+    return result
+
+
+_STIFFNESSES = 65
+"""Springs of the first sweep, denser towards both ends; the limit is a smooth function of gamma between a few kinks."""
+
+_ROUNDS = 4
+"""Rounds that look closer around the worst spring of each beta."""
+
+_FINER = 8
+"""New springs in each gap beside a worst one, per round: 8^4 finer in the end, an error of 1e-9 at a smooth minimum."""
+
+
+_POINTS = 40
+"""Dampings up to that of the device, and beyond it, at which an outline is computed."""
+
+
+def robust_outline(delta: float, delay: float) -> tuple[Floats, Floats, Floats]:
+    """Return the outline of the region that is stable with every spring: alpha, beta and the worst spring gamma, (n,).
+
+    Empty where there is none, as for delta = 0. Parameters and errors as for `robust_limits`.
+
+    Source: Hulin 2017, Fig. 4.5.
+    """
+    beyond = np.geomspace(1.0, 1 + 4 / (delta * (delay + 0.5)), _POINTS) if delta > 0 else np.empty(0)
+    beta = delta * np.concatenate([np.linspace(-1.0, 1.0, _POINTS), beyond[1:]])
+    alpha, gamma = robust_limits(delta, delay, beta)
+    inside = alpha > 1e-9 * alpha.max(initial=0.0)  # at B = -b it is what rounding leaves of 0
+    return alpha[inside], beta[inside], gamma[inside]
+
+
+def robust_limits(delta: float, delay: float, beta: object) -> tuple[Floats, Floats]:
+    """Return the largest alpha that is stable with every spring, and the worst spring gamma, at each beta.
+
+    Parameters
+    ----------
+    delta, delay : float
+        Normalised damping of the device and delay factor.
+    beta : array_like, shape (n,)
+
+    Returns
+    -------
+    limit, gamma : float64, shape (n,)
+        -inf where no alpha > 0 is stable with every spring (always for delta = 0, where the region vanishes).
+
+    Raises
+    ------
+    ParameterError
+        If delta or delay is out of range.
+
+    Notes
+    -----
+    gamma runs from 0 to pi^2 + delta^2/4 (4.15). Every alpha between 0 and the limit is robustly stable: for each
+    spring the end of the stable interval that starts at or below 0 is taken, and of these the smallest. Found by a
+    sweep over gamma, refined around the worst springs. At long delays it is low, that is conservative: by 0.5 % at
+    d = 128 and 0.7 % at d = 256.
+
+    Source: Hulin 2017, sec. 4.3.3.
+    """
+    _, b = as_points(0.0, beta)
+    if not (math.isfinite(delta) and delta >= 0):
+        raise ParameterError(f"delta = {delta}: expected a finite number that is not negative.")
+    largest = math.pi**2 + delta**2 / 4
+    gamma = 0.5 * largest * (1 - np.cos(np.pi * np.linspace(0, 1, _STIFFNESSES)))
+    limits = np.stack([_first_exit(delta, delay, float(g), b) for g in gamma])
+    for _ in range(_ROUNDS):
+        alive = np.flatnonzero((limits > 0).all(axis=0))
+        worst = np.unique(np.argmin(limits[:, alive], axis=0)) if len(alive) else np.zeros(0, np.intp)
+        gaps = np.unique(np.clip(np.concatenate([worst - 1, worst]), 0, len(gamma) - 2))
+        if not len(worst):
+            break
+        share = np.arange(1, _FINER) / _FINER
+        new = (gamma[gaps, None] + (gamma[gaps + 1] - gamma[gaps])[:, None] * share).ravel()
+        rows = np.full((len(new), len(b)), np.inf)
+        nearest = gamma[np.argmin(limits, axis=0)]
+        for row, value in zip(rows, new, strict=True):  # each spring only for the beta whose worst one is next to it
+            near = np.flatnonzero((limits > 0).all(axis=0) & (np.abs(value - nearest) <= _reach(gamma, value)))
+            if len(near):
+                row[near] = _first_exit(delta, delay, float(value), b[near])
+        gamma, limits = np.concatenate([gamma, new]), np.concatenate([limits, rows])
+        order = np.argsort(gamma)
+        gamma, limits = gamma[order], limits[order]
+    result = limits.min(axis=0)
+    return np.where(result > 0, result, -np.inf), gamma[np.argmin(limits, axis=0)]
+
+
+def _reach(gamma: Floats, value: float) -> float:
+    """Width of the gap between springs that a value lies in."""
+    at = int(np.clip(np.searchsorted(gamma, value), 1, len(gamma) - 1))
+    return float(gamma[at] - gamma[at - 1])
+
+
+def _first_exit(delta: float, delay: float, gamma: float, beta: Floats) -> Floats:
+    """Upper end of the stable interval that begins at or below alpha = 0; -inf where there is none."""
+    loop = Loop(gamma, delta, delay)
+    found = stable_intervals(loop, beta)
+    starts = (found.low <= 0) & (found.high > 0)
+    result = np.full(len(beta), -np.inf)
+    result[found.index[starts]] = found.high[starts]
+    return result

@@ -1,1 +1,0 @@
-"""The (K, B) of smallest cost, curves of best damping, rules of thumb."""

@@ -1,0 +1,344 @@
+"""Stability of the loop: poles, spectral radius, and the closed form of its boundary.
+
+Source: Hulin 2017, secs. 3.4 and 3.5; the boundary by the closed form on |z| = 1 instead of the gridding of 3.4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from decimal import Decimal
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from pipeline.base.errors import ParameterError
+from pipeline.loop.loop import Loop, as_points
+from pipeline.loop.many_digits import Digits, as_exact, as_floats, derivative, many_digits, power, product, total
+from pipeline.records.batch import Booleans, Floats
+from pipeline.theory.circle import circle_points, place_of
+from pipeline.theory.transient import transient_costs
+
+_CHUNK = 8192
+"""Points whose eigenvalues are computed at a time; bounds memory to about 40 MB at d = 16."""
+
+
+def poles(loop: Loop, alpha: object, beta: object) -> np.ndarray:
+    """Return all poles z of each point, shape (n, states), complex, in no order."""
+    a, b = as_points(alpha, beta)
+    found = np.empty((len(a), loop.states), dtype=np.complex128)
+    for i in range(0, len(a), _CHUNK):
+        part = slice(i, i + _CHUNK)
+        found[part] = np.linalg.eigvals(loop.matrix(a[part], b[part]))
+    return found
+
+
+def spectral_radius(loop: Loop, alpha: object, beta: object) -> Floats:
+    """Return the largest pole modulus r = |z|_max of each point.
+
+    Parameters
+    ----------
+    loop : Loop
+    alpha, beta : array_like, shape (n,)
+        Normalised virtual stiffness and damping.
+
+    Returns
+    -------
+    float64, shape (n,)
+
+    Source: Hulin 2017, eq. 5.2.
+    """
+    radius: Floats = np.abs(poles(loop, alpha, beta)).max(axis=1)
+    return radius
+
+
+def is_stable(loop: Loop, alpha: object, beta: object) -> Booleans:
+    """Return where all poles lie inside the unit circle.
+
+    Parameters
+    ----------
+    loop : Loop
+    alpha, beta : array_like, shape (n,)
+        Normalised virtual stiffness and damping.
+
+    Returns
+    -------
+    bool, shape (n,)
+
+    Source: Hulin 2017, sec. 3.4 (poles of 3.9).
+    """
+    a, b = as_points(alpha, beta)
+    return stable_by_radius(loop, a, spectral_radius(loop, a, b))
+
+
+def stable_by_radius(loop: Loop, alpha: Floats, radius: Floats) -> Booleans:
+    """Return where points of known alpha and spectral radius are stable, shape (n,) all.
+
+    With alpha + gamma <= 0 there is a real pole at or above z = 1, whatever beta is, which rounding may show just below
+    it: there the sign of alpha + gamma decides and not the last bit of an eigenvalue.
+    """
+    return np.asarray((radius < 1) & (alpha + loop.gamma > 0))
+
+
+def boundary_points(loop: Loop, theta: Floats) -> tuple[Floats, Floats]:
+    """Return the points (alpha, beta) at which a pole pair lies on the unit circle at the angles +-theta.
+
+    On |z| = 1 the characteristic equation is linear in alpha and beta: alpha + beta N = -1/G (`circle`).
+
+    Parameters
+    ----------
+    loop : Loop
+    theta : float64, shape (n,)
+        Angles, 0 < theta < pi.
+    """
+    found = circle_points(loop, place_of(theta))
+    return found.alpha, found.beta
+
+
+def bisect(holds: Callable[[Floats], Booleans], good: Floats, bad: Floats, halvings: int = 60) -> tuple[Floats, Floats]:
+    """Return the last values towards ``bad`` at which a condition holds, and the next ones, to the last bit.
+
+    Parameters
+    ----------
+    holds : callable
+    good, bad : float64, shape (n,)
+        Where it holds, and where it does not.
+    halvings : int
+    """
+    for _ in range(halvings):
+        middle = 0.5 * (good + bad)
+        fine = holds(middle)
+        good, bad = np.where(fine, middle, good), np.where(fine, bad, middle)
+    return good, bad
+
+
+_TIME_CONSTANTS = 4.0
+"""Time constants of the slowest pole in a settling time (5.4): exp(-4) = 1.8 %."""
+
+_FAINT = 1e-60
+"""Deviation down to which a response is looked at for overshoot of any size. From there on the slowest modes have
+outlived every other: one that decays by a tenth faster has shrunk by six more decades."""
+
+_REAL = 1e-7
+"""Angle of a pole that counts as real: a double pole is split by sqrt(1e-16) = 1e-8, where ratios lose nothing."""
+
+_POLISHINGS = 3
+"""Newton steps from a root by eigenvalues, good to 1e-8 and better: each doubles its digits."""
+
+_REACH = 0.04
+"""Relative range of u = 1/z in which a threefold pole is looked for around the slowest pole of a search."""
+
+
+def pole_settling_time(radius: object) -> Floats:
+    """Return the settling time [samples] that the largest pole modulus stands for: -4/ln r.
+
+    Parameters
+    ----------
+    radius : array_like, shape (n,)
+        Largest pole modulus r in (0, 1), from `spectral_radius`.
+
+    Raises
+    ------
+    ParameterError
+        If a radius lies outside (0, 1): a response that does not decay has no settling time.
+
+    Notes
+    -----
+    An approximation for a band of 2 %: at the optima of C.1 to C.3 the step response takes twice as long (5.2.1).
+
+    Source: Hulin 2017, eq. 5.4.
+    """
+    r = np.atleast_1d(np.asarray(radius, dtype=np.float64))
+    if not np.all((r > 0) & (r < 1)):
+        raise ParameterError("pole radius: expected numbers between 0 and 1; ask for stable points only.")
+    return -_TIME_CONSTANTS / np.log(r)
+
+
+def damping_ratio(loop: Loop, alpha: object, beta: object) -> Floats:
+    """Return the damping ratio of each point: the smallest of -Re(ln z)/|ln z| over its poles z.
+
+    Parameters
+    ----------
+    loop : Loop
+    alpha, beta : array_like, shape (n,)
+        Normalised virtual stiffness and damping.
+
+    Returns
+    -------
+    float64, shape (n,)
+        1 where all poles are real and not negative, 0 or less where the loop is not stable. The logarithm is the
+        principal one, so a pole on the negative real axis counts as an oscillation with two samples a period.
+
+    Notes
+    -----
+    A pole at z = 0 (pure delay) has the ratio 1. Poles of multiplicity p are rounded by eps^(1/p), and a ratio of 1
+    there by the square of that: 1e-10 at a threefold pole.
+
+    Source: Hulin 2017, eqs. 5.5 and 5.6.
+    """
+    z = poles(loop, alpha, beta)
+    size = np.abs(z)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        decay = -np.log(size)
+        ratio = decay / np.hypot(decay, np.angle(z))
+    ratio = np.where(size == 0, 1.0, np.nan_to_num(ratio, nan=0.0))  # 0/0: a pole at z = 1, which does not decay
+    return np.asarray(ratio.min(axis=1))
+
+
+def threefold_pole(loop: Loop, near: float) -> tuple[float, float, float] | None:
+    """Return alpha, beta and z of the threefold real pole next to a modulus, or None if there is none within 4 %.
+
+    Known for ideal loops; None for others, whose search then stands alone.
+
+    Notes
+    -----
+    With u = 1/z and s = 1 - u the characteristic equation is alpha + beta s = W(s), W = -1/G: for real z the poles are
+    where a straight line meets the curve W. A threefold pole is a point of inflection with its tangent: W'' = 0,
+    beta = W', alpha = W - beta s. An eigenvalue solver splits such poles by eps^(1/3), 1e-5, on each processor
+    otherwise; here they are simple roots of a polynomial.
+    """
+    if loop.has_parts:
+        return None
+    top, bottom, power = _delayed_plant(loop)
+    u, slope, bend = Polynomial([1.0, -1.0]), top.deriv(), bottom.deriv()
+    # W = -P/(u^n q): W'' times -u^(n+2) q^3, with M = u q times the logarithmic derivative of u^n q
+    m = u * bend - power * bottom
+    curved = m * m + power * bottom**2 - u * u * (bottom.deriv(2) * bottom - bend**2)
+    bends = top.deriv(2) * (u * bottom) ** 2 - 2 * slope * u * bottom * m + top * curved
+    roots = np.asarray(bends.roots(), dtype=np.complex128)
+    real = roots.real[np.abs(roots.imag) < _REAL * np.abs(1 - roots)]
+    for _ in range(_POLISHINGS):
+        real = real - bends(real) / bends.deriv()(real)
+    away = np.abs((1 - real) * near - 1)
+    if away.min(initial=np.inf) > _REACH:
+        return None
+    s = float(real[away.argmin()])
+    scale = -1 / ((1 - s) ** power * bottom(s))
+    beta = float(scale * (slope(s) - top(s) * m(s) / (u(s) * bottom(s))))
+    return float(scale * top(s)) - beta * s, beta, 1 / (1 - s)
+
+
+def _delayed_plant(loop: Loop) -> tuple[Polynomial, Polynomial, int]:
+    """Return P, q and n of the delayed plant G = u^n q(s)/P(s), u = 1/z, s = 1 - u; w is s/(2 - s)."""
+    near, far, none = Polynomial([0.0, 1.0]), Polynomial([2.0, -1.0]), Polynomial([0.0])
+    top, bottom = (
+        sum((c * near**k * far ** (2 - k) for k, c in enumerate(as_floats(part))), none)
+        for part in (loop.sampled.motion, loop.sampled.force)
+    )
+    return top, bottom, loop.oldest_force
+
+
+def never_overshoots(loop: Loop, alpha: object, beta: object, *, continuous: bool = True) -> Booleans:
+    """Return where the step response has no overshoot at all, however small.
+
+    Parameters
+    ----------
+    loop : Loop
+    alpha, beta : array_like, shape (n,)
+        Normalised virtual stiffness and damping; stable, alpha + gamma > 0.
+    continuous : bool
+        Whether the motion between samples counts, or the samples only.
+
+    Notes
+    -----
+    In the long run the slowest mode decides: with a pole that is not real and positive the response crosses its final
+    position again and again, by less and less. So the largest pole must be real and positive, and the response
+    must stay below its final position until it has shrunk to 1e-60, which it does without loss of relative precision.
+
+    The thesis, which allows 1e-12 (footnote 4 of 5.2.2), finds a region that reaches 3 to 4 % further.
+    """
+    a, b = as_points(alpha, beta)
+    z = poles(loop, a, b)
+    size = np.abs(z)
+    real = np.where((np.abs(z.imag) <= _REAL * size) & (z.real > 0), size, 0.0)
+    result = np.asarray(real.max(axis=1) >= size.max(axis=1) * (1 - _REAL))
+    slow_is_real = np.flatnonzero(result)
+    if len(slow_is_real):
+        name = "overshoot" if continuous else "overshoot_discrete"
+        costs = transient_costs(
+            loop, a[slow_is_real], b[slow_is_real], (), continuous=continuous, quiet=_FAINT, enough=0.0
+        )
+        result[slow_is_real] = costs[name] == 0
+    return result
+
+
+_NEAR = 1e-4
+"""Distance from the largest modulus within which an eigenvalue may be it: a fourfold pole is split so far."""
+
+_STEPS = 80
+"""Newton steps; at a double pole, which each only halves the distance to, to 1e-20."""
+
+_FINE = Decimal("1e-20")
+
+Complex = tuple[Decimal, Decimal]
+
+
+@dataclass(frozen=True)
+class SlowestPole:
+    """Largest pole modulus, good to a double's last digits where ``separation`` is above some 1e-9.
+
+    ``separation`` is the distance to the nearest other pole, its own conjugate left out: a pole of multiplicity two
+    moves by the root of what the parameters are rounded by.
+    """
+
+    radius: float
+    separation: float
+
+
+def slowest_poles(loop: Loop, alpha: Floats, beta: Floats) -> list[SlowestPole]:
+    """Return the slowest pole of each point, alpha and beta of shape (n,)."""
+    found = np.linalg.eigvals(loop.matrix(alpha, beta))
+    return [_slowest(loop, a, b, z) for a, b, z in zip(alpha, beta, found, strict=True)]
+
+
+def characteristic(loop: Loop, alpha: float, beta: float) -> Digits:
+    """Return the characteristic polynomial in w = (z - 1)/(z + 1), lowest power first."""
+    g = loop.sampled
+    with many_digits(loop.digits):
+        up, down, two_w = as_exact([1, 1]), as_exact([1, -1]), as_exact([0, 2])
+        bottom, top = product(up, g.filter), product(two_w, g.velocity)
+        wall = total(Decimal(float(alpha)) * bottom, Decimal(float(beta)) * top)
+        return total(product(power(up, g.delay), g.motion, bottom), product(power(down, g.delay), g.force, wall))
+
+
+def _slowest(loop: Loop, alpha: float, beta: float, poles: np.ndarray) -> SlowestPole:
+    size = np.abs(poles)
+    candidates = poles[(size >= size.max() * (1 - _NEAR)) & (poles.imag >= 0)]
+    polynomial = characteristic(loop, alpha, beta)
+    with many_digits(loop.digits):
+        slope = derivative(polynomial)
+        refined = [_newton(polynomial, slope, z) for z in candidates]
+        radius, pole = max((float((z[0] ** 2 + z[1] ** 2).sqrt()), complex(*map(float, z))) for z in refined)
+    own = np.argsort(np.minimum(np.abs(poles - pole), np.abs(poles - pole.conjugate())))
+    others = np.delete(poles, own[: 2 if abs(pole.imag) > 0 else 1])
+    return SlowestPole(radius, float(np.abs(others - pole).min(initial=np.inf)))
+
+
+def _newton(polynomial: Digits, slope: Digits, start: complex) -> Complex:
+    """Return z at the root of a polynomial in w next to a first guess of z."""
+    guess = (start - 1) / (start + 1)
+    w = (Decimal(guess.real), Decimal(guess.imag))
+    for _ in range(_STEPS):
+        value, change = _value(polynomial, w), _value(slope, w)
+        if not any(value):
+            break
+        step = _quotient(value, change)
+        w = (w[0] - step[0], w[1] - step[1])
+        if abs(step[0]) + abs(step[1]) <= _FINE * (abs(w[0]) + abs(w[1])):
+            break
+    return _quotient((1 + w[0], w[1]), (1 - w[0], -w[1]))
+
+
+def _value(polynomial: Digits, place: Complex) -> Complex:
+    x, y = Decimal(0), Decimal(0)
+    for coefficient in polynomial[::-1]:
+        x, y = x * place[0] - y * place[1] + coefficient, x * place[1] + y * place[0]
+    return x, y
+
+
+def _quotient(top: Complex, bottom: Complex) -> Complex:
+    size = bottom[0] ** 2 + bottom[1] ** 2
+    return (
+        (top[0] * bottom[0] + top[1] * bottom[1]) / size,
+        (top[1] * bottom[0] - top[0] * bottom[1]) / size,
+    )

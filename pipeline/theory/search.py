@@ -1,0 +1,378 @@
+"""Search for the smallest cost along many lines at once, and from there in the plane.
+
+Pole radius and damping ratio have valleys without a floor: where two or three poles meet, the cost rises as the square
+or cube root of the distance to either side, and a grid in the plane stalls in front of the bend. Along a line such a
+valley is a plain dip. So the best point of each line is found first, all lines at once, and the plane is searched as a
+line of lines: the best cost of a line is a function of one variable without any valley.
+
+Why it finds the global optimum of a line: all of it is looked at, in steps of 1/120 of the region, and the lowest
+dips are followed by grids that shrink around the best point, which a jump or a kink cannot stop. A dip narrower than a
+step that gives no sign of itself to either side would be missed; where costs have steps (discrete settling time), a
+continuous quantity is searched in their place (`pipeline.theory.curves`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.base.errors import ParameterError
+from pipeline.loop.loop import Loop
+from pipeline.records.batch import Floats, Integers
+from pipeline.theory.limits import boundary, is_well_inside, limits
+from pipeline.theory.poles import bisect
+
+LineCost = Callable[[Integers, Floats, float], Floats]
+"""Cost of points given by the index of their line and their place on it; infinity where there is none. Points
+that are worse than the last argument may be given infinity."""
+
+COARSE = 121
+"""Points of the first look at a line."""
+
+_STARTS = 3
+"""Dips that are followed."""
+
+_FINE = 9
+"""Points of each following look, over two cells of the one before: half a cell between neighbours."""
+
+_SHRINK = 0.35
+"""Length of a look relative to the one before: 1.4 cells to either side of the best point."""
+
+LEVELS = 20
+"""0.35^20 = 1e-9 of a first step."""
+
+
+@dataclass(frozen=True, eq=False)
+class LineOptima:
+    """Best place of each line and the cost there; NaN and infinity where no point of a line has a cost."""
+
+    place: Floats
+    cost: Floats
+
+
+def search_lines(
+    cost: LineCost,
+    low: Floats,
+    high: Floats,
+    *,
+    coarse: int = COARSE,
+    starts: int = _STARTS,
+    levels: int = LEVELS,
+) -> LineOptima:
+    """Return the smallest cost of each line.
+
+    Parameters
+    ----------
+    cost : LineCost
+    low, high : float64, shape (n,)
+        Ends of each line.
+    coarse, starts, levels : int
+        Points of the first look, dips that are followed, and looks at each.
+    """
+    lines = len(low)
+    share = np.linspace(0.0, 1.0, coarse)
+    places = low[:, None] + share * (high - low)[:, None]
+    values = cost(np.repeat(np.arange(lines), coarse), places.ravel(), np.inf).reshape(lines, coarse)
+    padded = np.pad(values, ((0, 0), (1, 1)), constant_values=np.inf)
+    dips = np.where((values <= padded[:, :-2]) & (values <= padded[:, 2:]), values, np.inf)
+    chosen = np.argsort(dips, axis=1, kind="stable")[:, :starts]
+    line = np.repeat(np.arange(lines), chosen.shape[1])
+    centre, best = places[line, chosen.ravel()], dips[line, chosen.ravel()]
+    alive = np.flatnonzero(np.isfinite(best))
+    line, centre, best = line[alive], centre[alive], best[alive]
+    half = 2 * (high - low)[line] / (coarse - 1)
+    offsets = np.linspace(-1.0, 1.0, _FINE)
+    row = np.arange(len(line))
+    for _ in range(levels):
+        if not len(line):
+            break
+        around = centre[:, None] + half[:, None] * offsets
+        found = cost(np.repeat(line, _FINE), around.ravel(), float(best.max())).reshape(around.shape)
+        index = found.argmin(axis=1)
+        better = found[row, index] < best
+        centre = np.where(better, around[row, index], centre)
+        best = np.where(better, found[row, index], best)
+        at_rim = better & ((index == 0) | (index == _FINE - 1))
+        half = np.where(at_rim, half, half * _SHRINK)
+    place, cheapest = np.full(lines, np.nan), np.full(lines, np.inf)
+    order = np.lexsort((best, line))
+    first = order[np.unique(line[order], return_index=True)[1]] if len(line) else order
+    place[line[first]], cheapest[line[first]] = centre[first], best[first]
+    return LineOptima(place, cheapest)
+
+
+def search_plane(
+    cost: Callable[[Floats, Floats, float], Floats],
+    low: Floats,
+    high: Floats,
+    *,
+    coarse: tuple[int, int] = (61, COARSE),
+    levels: int = LEVELS,
+) -> tuple[float, float, float]:
+    """Return the two coordinates and the cost of the best point of a rectangle, as a line of lines.
+
+    Parameters
+    ----------
+    cost : callable
+        Cost of points given by their two coordinates, infinity where there is none.
+    low, high : float64, shape (2,)
+        Corners.
+    coarse : tuple of int
+        Lines, and points of each, of the first look.
+    levels : int
+        Looks that follow.
+    """
+
+    def best_of(first: Floats) -> LineOptima:
+        count = len(first)
+        return search_lines(
+            lambda line, place, best: cost(first[line], place, best),
+            np.full(count, low[1]),
+            np.full(count, high[1]),
+            coarse=coarse[1],
+            levels=levels,
+        )
+
+    def outer(_: Integers, first: Floats, __: float) -> Floats:
+        return best_of(first).cost
+
+    found = search_lines(outer, low[:1], high[:1], coarse=coarse[0], starts=2, levels=levels)
+    inner = best_of(found.place)
+    return float(found.place[0]), float(inner.place[0]), float(found.cost[0])
+
+
+def extents(
+    cost: LineCost, found: LineOptima, low: Floats, high: Floats, coarse: int = 241, halvings: int = 40
+) -> tuple[Floats, Floats]:
+    """Return the ends of the stretch around each best place whose cost is at most the best one.
+
+    Gaps that are narrower than a step of the look (1/240 of a line) are passed over.
+    """
+    lines = np.arange(len(low))
+    limit = found.cost
+    ends = []
+    share = np.linspace(0.0, 1.0, coarse)
+    for end in (low, high):
+        start = np.nan_to_num(found.place)
+        places = start[:, None] + share * (end - start)[:, None]
+        values = cost(np.repeat(lines, coarse), places.ravel(), np.inf).reshape(places.shape)
+        good = values <= limit[:, None]
+        good[:, 0] = True
+        first_bad = np.where(good.all(axis=1), coarse, good.argmin(axis=1))
+        inside = places[lines, first_bad - 1]
+        outside = places[lines, np.minimum(first_bad, coarse - 1)]
+        inside, _ = bisect(lambda places: cost(lines, places, np.inf) <= limit, inside, outside, halvings)
+        ends.append(np.where(np.isnan(found.place), np.nan, inside))
+    return ends[0], ends[1]
+
+
+Cost = Callable[[Floats, Floats, float], Floats]
+"""Cost of points; the last argument is the best cost known, points that are worse may be given infinity."""
+
+Chart = Callable[[Floats, Floats], tuple[Floats, Floats]]
+"""From the coordinates of a search to alpha and beta, shape (n,) each."""
+
+
+@dataclass(frozen=True)
+class OptimalPoint:
+    """Optimal normalised stiffness and damping with the cost there, and the bounding box of equally good points."""
+
+    alpha: float
+    beta: float
+    cost: float
+    box: tuple[float, float, float, float] | None = None
+    """alpha_low, alpha_high, beta_low, beta_high where the optimum is a region."""
+    attained: bool = True
+    """False where the optimum is a limit on the edge of the stable region, which no stable point reaches."""
+
+
+@dataclass(frozen=True)
+class Grids:
+    """Lines of the first look and points on each, looks along each line at its best two dips, points along each axis of
+    each following grid, and how many of the best places are followed."""
+
+    coarse: int
+    looks: int
+    fine: int
+    starts: int
+
+
+SMOOTH = Grids(coarse=25, looks=0, fine=9, starts=1)
+"""For costs that are smooth and have one minimum."""
+
+JUMPING = Grids(coarse=61, looks=8, fine=15, starts=3)
+"""For costs with jumps: a corner must hold grid points at every scale, and a better valley must not be missed. A valley
+ends in a cliff along a curve, on which many corners lie: only the floors of lines across it tell which is lowest."""
+
+SHRINK = 0.45
+"""Size of a grid relative to the one before; with 15 (9) points, it spans 6 (4) cells of its predecessor."""
+
+LEVELS_IN_PLANE = 24
+"""0.45^24 = 5e-9 of a first cell: the optimum is located to 1e-10 of the stable region."""
+
+_INSET = 0.05
+"""Share of the width by which a search stays clear of alpha = -gamma at first: every step response creeps there."""
+
+
+def where_stable(loop: Loop, cost: Cost) -> Cost:
+    """Return the cost with infinity where the loop or a softer wall is unstable, or the cost is not defined."""
+
+    def guarded(alpha: Floats, beta: Floats, best: float) -> Floats:
+        result = np.full(len(alpha), np.inf)
+        usable = np.flatnonzero(is_well_inside(loop, alpha, beta, islands=False))
+        if len(usable):
+            values = cost(alpha[usable], beta[usable], best)
+            result[usable] = np.where(np.isnan(values), np.inf, values)
+        return result
+
+    return guarded
+
+
+def grid(low: Floats, high: Floats, size: int) -> tuple[Floats, Floats]:
+    """Return the points of a grid between two corners, each of shape (size^2,)."""
+    first, second = np.meshgrid(np.linspace(low[0], high[0], size), np.linspace(low[1], high[1], size))
+    return first.ravel(), second.ravel()
+
+
+def box(loop: Loop, inset: float = _INSET) -> tuple[Floats, Floats]:
+    """Return the lower and upper corner (alpha, beta) of the stable region, a little inside the line alpha = -gamma."""
+    border = boundary(loop)
+    width = border.alpha_max + loop.gamma
+    return (
+        np.array([-loop.gamma + inset * width, min(float(border.beta.min()), 0.0)]),
+        np.array([border.alpha_max, border.beta_max]),
+    )
+
+
+def region(loop: Loop, inset: float = _INSET) -> tuple[Floats, Floats]:
+    """Return the corners of the stable region in the coordinates of `chart`."""
+    return (np.array([inset, 0.0]), np.ones(2)) if loop.has_parts else box(loop, inset)
+
+
+def chart(loop: Loop) -> Chart:
+    """Return the coordinates of a loop's searches: of an ideal one alpha and beta.
+
+    Of a general one the root of the share of alpha + gamma in its limit, which is even in the frequency that the wall
+    swings at, since a mode's limit may be many times the stiffness that settles soonest; and the way along the outline
+    as a share of its length, with the region's height and width as units.
+    """
+    if not loop.has_parts:
+        return lambda alpha, beta: (alpha, beta)
+    border = boundary(loop)
+    reach = border.beta[-1] - border.beta[0], border.alpha_max + loop.gamma
+    way = np.abs(np.diff(border.beta)) / reach[0] + np.abs(np.diff(border.alpha)) / reach[1]
+    along = np.append(0.0, np.cumsum(way) / way.sum())
+
+    def place(root: Floats, way: Floats) -> tuple[Floats, Floats]:
+        rows, of = np.unique(way, return_inverse=True)
+        beta = np.interp(rows, along, border.beta)
+        limit = limits(loop, beta, exact=False).alpha
+        return np.square(root) * (limit[of] + loop.gamma) - loop.gamma, beta[of]
+
+    return place
+
+
+def search(loop: Loop, cost: Cost, grids: Grids = JUMPING, bounds: tuple[Floats, Floats] | None = None) -> OptimalPoint:
+    """Return the global minimum of a cost over the stable region.
+
+    Parameters
+    ----------
+    loop : Loop
+    cost : Cost
+        Asked for stable points only.
+    grids : Grids
+    bounds : tuple of float64, shape (2,), optional
+        Corners of the first grid, in coordinates of the chart; the stable region if not given.
+
+    Raises
+    ------
+    ParameterError
+        If no point of the first grid is stable and has this cost.
+    """
+    plain, place = where_stable(loop, cost), chart(loop)
+
+    def guarded(first: Floats, second: Floats, best: float) -> Floats:
+        return plain(*place(first, second), best)
+
+    low, high = bounds or region(loop)
+    second = np.linspace(low[1], high[1], grids.coarse)
+    found = search_lines(
+        lambda line, place, best: guarded(place, second[line], best),
+        np.full(grids.coarse, low[0]),
+        np.full(grids.coarse, high[0]),
+        coarse=grids.coarse,
+        starts=2,
+        levels=grids.looks,
+    )
+    first, values = found.place, found.cost
+    cell = (high - low) / (grids.coarse - 1)
+    best: OptimalPoint | None = None
+    left = np.isfinite(values)
+    for _ in range(grids.starts):
+        if not left.any():
+            break
+        index = int(np.flatnonzero(left)[np.argmin(values[left])])
+        near = refine(guarded, np.array([first[index], second[index]]), float(values[index]), 2 * cell, grids.fine)
+        if best is None or near.cost < best.cost:
+            best = near
+        left &= (np.abs(first - first[index]) > 3 * cell[0]) | (np.abs(second - second[index]) > 3 * cell[1])
+    if best is None:
+        raise ParameterError(f"{loop}: no point of the stable region has this cost.")
+    alpha, beta = place(np.array([best.alpha]), np.array([best.beta]))
+    return OptimalPoint(float(alpha[0]), float(beta[0]), best.cost)
+
+
+def refine(
+    cost: Cost, centre: Floats, value: float, half: Floats, size: int = JUMPING.fine, levels: int = LEVELS_IN_PLANE
+) -> OptimalPoint:
+    """Return the best point of grids that shrink around it; one whose best point lies at its rim moves instead."""
+    for _ in range(levels):
+        first, second = grid(centre - half, centre + half, size)
+        values = cost(first, second, value)
+        index = int(np.argmin(values))
+        row, column = divmod(index, size)
+        if values[index] < value:
+            centre, value = np.array([first[index], second[index]]), float(values[index])
+            if min(row, column) == 0 or max(row, column) == size - 1:
+                continue
+        half = half * SHRINK
+    return OptimalPoint(float(centre[0]), float(centre[1]), value)
+
+
+def bounding_box(
+    feasible: Cost, inside: Floats, corners: tuple[Floats, Floats], size: int = 61
+) -> tuple[float, float, float, float]:
+    """Return alpha_low, alpha_high, beta_low, beta_high of the connected set of cost 0 around a point of it."""
+    half = (corners[1] - corners[0]) * 1e-4
+    corner = np.array([inside, inside])
+    for _ in range(40):  # grow by 1.6 until the set no longer touches the rim: 1.6^40 covers any region
+        alpha, beta = grid(corner[0] - half, corner[1] + half, size)
+        good = feasible(alpha, beta, np.inf) == 0
+        found = (
+            np.array([[alpha[good].min(), beta[good].min()], [alpha[good].max(), beta[good].max()]])
+            if good.any()
+            else corner
+        )
+        touches = (found[0] <= corner[0] - half * 0.999) | (found[1] >= corner[1] + half * 0.999)
+        corner = np.array([np.minimum(corner[0], found[0]), np.maximum(corner[1], found[1])])
+        if not touches.any():
+            break
+        half = np.maximum(half, 0.3 * (corner[1] - corner[0]))
+    span = corner[1] - corner[0]
+    known_alpha, known_beta = alpha[good], beta[good]
+    # twice: in the thin sliver of a corner the grids of one edge may stall; the point of another edge leads on
+    for _ in range(2):
+        edges = []
+        for axis, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
+
+            def distance(alpha: Floats, beta: Floats, _: float, axis: int = axis, sign: float = sign) -> Floats:
+                return feasible(alpha, beta, np.inf) + sign * (alpha if axis == 0 else beta)
+
+            values = distance(known_alpha, known_beta, np.inf)
+            index = int(np.argmin(values))
+            start = np.array([known_alpha[index], known_beta[index]])
+            edges.append(refine(distance, start, float(values[index]), 0.1 * span, levels=16))
+        known_alpha, known_beta = (np.array([getattr(e, name) for e in edges]) for name in ("alpha", "beta"))
+    return edges[0].alpha, edges[1].alpha, edges[2].beta, edges[3].beta

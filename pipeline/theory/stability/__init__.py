@@ -1,1 +1,0 @@
-"""Which (K, B) are stable, passive or robust, in closed form."""

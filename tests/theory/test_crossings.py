@@ -1,0 +1,133 @@
+"""Limits of general loops against poles in many digits, by another road (`general_devices`)."""
+
+from decimal import Decimal
+
+import mpmath as mp
+import numpy as np
+import pytest
+from general_devices import EXTREMES, Example, ManyDigits, random_device
+
+from pipeline.base.errors import ParameterError
+from pipeline.loop.device_loop import loop_of, wall_units
+from pipeline.loop.loop import Loop
+from pipeline.loop.many_digits import as_exact, many_digits, product
+from pipeline.records.loop_parts import Coefficients, LoopParts
+from pipeline.theory.circle import right_half
+from pipeline.theory.crossings import positive_roots
+from pipeline.theory.limits import boundary, is_inside, limits, outline, stiffness_limit
+from pipeline.theory.poles import spectral_radius
+
+
+@pytest.fixture(autouse=True)
+def many():
+    with mp.workdps(60):
+        yield
+
+
+def checked(example: Example, rng: np.random.Generator) -> int:
+    """Hold the limit at a random damping; returns whether there was one."""
+    loop, units = (
+        loop_of(*example.arguments),
+        wall_units(example.mass, example.sampling_period_s, example.parts),
+    )
+    found = outline(loop, 8)
+    if not len(found.beta):
+        return 0
+    beta = found.beta[0] + (found.beta[-1] - found.beta[0]) * rng.uniform(0.05, 0.95)
+    alpha = limits(loop, np.array([beta])).alpha[0]
+    if not np.isfinite(alpha):
+        return 0
+    truth, K, B = ManyDigits(example), float(alpha * units.stiffness), float(beta * units.damping)
+    assert [truth.stable(K * (1 + side * 1e-9), B) for side in (-1, 1)] == [True, False], (example, K, B)
+    return 1
+
+
+def test_limits_of_random_devices_are_right_to_1e_9():
+    rng = np.random.default_rng(5)
+    assert sum(checked(random_device(rng), rng) for _ in range(10)) > 7
+
+
+@pytest.mark.parametrize("extreme", EXTREMES)
+def test_limits_of_extreme_devices_are_right_to_1e_9(extreme):
+    rng = np.random.default_rng(len(extreme))
+    assert checked(random_device(rng, extreme), rng) + checked(random_device(rng, extreme), rng) > 0
+
+
+@pytest.mark.slow
+def test_limits_of_300_random_and_60_extreme_devices():
+    rng = np.random.default_rng(17)
+    assert sum(checked(random_device(rng), rng) for _ in range(300)) > 250
+    assert sum(checked(random_device(rng, extreme), rng) for extreme in EXTREMES for _ in range(10)) > 40
+
+
+@pytest.mark.slow
+def test_stable_stretches_are_those_of_the_poles():
+    """Verdicts over the plane, islands included, against eigenvalues."""
+    rng, islands = np.random.default_rng(3), 0
+    for _ in range(40):
+        loop = loop_of(*random_device(rng).arguments)
+        found = outline(loop, 8)
+        top = found.alpha_max if len(found.beta) else 0.1
+        islands += len(found.islands) > 0
+        low, high = (found.beta[0], found.beta[-1]) if len(found.beta) else (-0.1, 0.5)
+        alpha = rng.uniform(0, 1.5 * top, 200)
+        beta = rng.choice(rng.uniform(low - 0.1 * (high - low), high + 0.1 * (high - low), 20), 200)
+        radius = spectral_radius(loop, alpha, beta)
+        clear = np.abs(radius - 1) > 1e-9
+        assert np.array_equal(is_inside(loop, alpha, beta)[clear], (radius < 1)[clear])
+    assert islands > 0
+
+
+@pytest.mark.parametrize(
+    ("gamma", "delta", "delay"), [(0, 0.01, 2.0), (1e-3, 0.05, 3.4), (0, 0, 0.6), (0.02, 0.3, 0.0)]
+)
+def test_general_loop_equals_the_ideal_one(gamma, delta, delay):
+    ideal, loop = Loop(gamma, delta, delay), Loop(gamma, delta, delay)
+    border = boundary(ideal)
+    beta = np.linspace(0.02, 0.98, 60) * border.beta_max
+    expected = stiffness_limit(ideal, beta)
+    some = np.isfinite(expected)
+    np.testing.assert_allclose(stiffness_limit(loop, beta)[some], expected[some], rtol=1e-10)
+    found = outline(loop)
+    assert found.alpha_max == pytest.approx(border.alpha_max, rel=1e-10)
+    assert found.beta_at_alpha_max == pytest.approx(border.beta_at_alpha_max, rel=1e-6)
+
+
+def test_gain_and_operator_leave_the_loop_ideal():
+    held = {"mass": 0.15, "damping": 5.0, "stiffness": 300.0}
+    parts = LoopParts.model_validate({"force_gain": 0.8, "operator": held})
+    loop, units = loop_of(0.5, 3.0, 10.0, 2.0, 1e-3, parts), wall_units(0.5, 1e-3, parts)
+    assert type(loop) is Loop
+    assert units.mass == pytest.approx(0.65 / 0.8)
+    assert (loop.gamma, loop.delta) == pytest.approx((310 * 1e-6 / 0.65, 8 * 1e-3 / 0.65))
+
+
+def test_a_loop_that_nothing_stabilises_has_an_empty_outline():
+    of_change = Coefficients(kind="coefficients", b=(1.0, -1.0), a=(1.0,))  # no damping at low frequencies
+    found = outline(Loop(0.0, 0.0, 5.0, lag=3.0, velocity=of_change))
+    assert len(found.beta) == 0
+    assert np.isnan(found.alpha_max)
+
+
+@pytest.mark.parametrize(
+    "arguments", [{"lag": -1.0}, {"delay": 120.0, "lag": 1.0}, {"delay": 257.0}, {"lag": 1e-9}, {"delta": np.nan}]
+)
+def test_loops_out_of_range_are_refused(arguments):
+    with pytest.raises(ParameterError, match="expected"):
+        Loop(**{"gamma": 0.0, "delta": 0.01, "delay": 2.0, **arguments})
+
+
+def test_all_positive_roots_are_found():
+    """Close, tiny, huge roots and those at halves of the intervals, among complex and negative ones."""
+    wanted = ["1e-20", "0.1716", "0.1716000001", "0.5", "1", "3", "7e15"]
+    with many_digits(150):
+        factors = [np.array([-Decimal(root), Decimal(1)], dtype=object) for root in wanted]
+        polynomial = product(*factors, as_exact([5, 1]), as_exact([2, 1, 1]), as_exact([4.01, -4, 1]))
+        found = positive_roots(polynomial, 150)
+    np.testing.assert_allclose([float(r) for r in found], [float(r) for r in wanted], rtol=1e-14)
+
+
+def test_right_half_counts_roots():
+    with many_digits(60):
+        assert right_half(product(as_exact([-1, 1]), as_exact([2, 1]), as_exact([5, -2, 1]))) == 3
+        assert right_half(product(as_exact([1, 1]), as_exact([5, 2, 1]))) == 0

@@ -1,0 +1,115 @@
+"""Passivity with lag, filter and fractional delay: against brute sums, and energies in the time domain."""
+
+import numpy as np
+import pytest
+from independent import maximum_passive_stiffness
+
+from pipeline.base.errors import ParameterError
+from pipeline.loop.loop import Loop, Vibration
+from pipeline.records.loop_parts import Butterworth
+from pipeline.theory.passive_curve import boundary_angle, passive_boundary
+from pipeline.theory.passivity import passive_outline, required_damping
+
+ALIASES = 400
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0, 2.0, 5.0])
+def test_integer_delays_need_what_the_thesis_says(delay):
+    """(4.6) to (4.11): walls on the boundary need all of the damping."""
+    loop, angle = Loop(0.0, 0.1, delay), boundary_angle(delay) * np.linspace(0, 0.95, 13)
+    alpha, beta = (0.1 * side for side in passive_boundary(delay, angle))
+    np.testing.assert_allclose(required_damping(loop, alpha, beta), 0.1, rtol=1e-8)
+    stiffest = passive_outline(loop, 0.1)[0].max()
+    np.testing.assert_allclose(stiffest, 0.1 * maximum_passive_stiffness(delay)[0], rtol=1e-3)
+
+
+def test_half_a_sample_needs_more_than_the_formula_of_integer_delays():
+    assert required_damping(Loop(0.0, 0.1, 0.5), np.ones(1), np.zeros(1))[0] == pytest.approx(1.0590, abs=1e-4)
+
+
+def generated(loop, alpha, beta, angle, aliases=ALIASES):
+    """Energy per sample that a wall generates, over integral of v^2, for the worst motion of a base frequency.
+
+    The motion is a sum of aliases; the force is followed in time: sampled, filtered, held, delayed, and led through
+    the lag over fine steps, until only the periodic part is left.
+    """
+    n = np.arange(-aliases, aliases + 1)
+    w = angle + 2 * np.pi * n
+    lagged = np.exp(-1j * w * loop.delay) / (1 + 1j * w * loop.lag)
+    u = np.exp(-1j * angle)
+    b, a = loop.filter_in_z
+    y = (1 - u) * (alpha + beta * (1 - u) * np.polyval(b[::-1], u) / np.polyval(a[::-1], u))
+    # power = -Re sum conj(v_n) f_n, v_n = j w_n x_n, f_n = -hold_n L_n y/(1-u) X, X = sum x_n: a form of rank two
+    left, right = lagged / w, 1 / w
+    form = np.outer(right, np.conj(left)) * np.conj(y)
+    form = 0.5 * (form + form.conj().T)
+    values, vectors = np.linalg.eigh(form)
+    speeds = vectors[:, -1]
+    return values[-1], w, speeds
+
+
+@pytest.mark.sampled
+@pytest.mark.parametrize(
+    "loop",
+    [
+        Loop(0.0, 0.1, 0.5),
+        Loop(0.0, 0.1, 1.3, lag=0.8),
+        Loop(0.0, 0.1, 0.5, lag=0.3, velocity=Butterworth(kind="butterworth", order=2, cutoff_hz=0.1)),
+    ],
+)
+def test_energy_in_the_time_domain(loop):
+    """The worst sum of aliases, driven through the wall in time, generates what the formula says, and no more."""
+    alpha, beta = 1.0, 0.4
+    needed = required_damping(loop, np.array([alpha]), np.array([beta]))[0]
+    worst = max((generated(loop, alpha, beta, angle, 30)[0], angle) for angle in np.linspace(0.02, np.pi, 60))
+    angle = worst[1]
+    fully = generated(loop, alpha, beta, angle, 30)
+    assert 0.9 * needed < fully[0] <= needed * (1 + 1e-9)
+    assert energy_in_time(loop, alpha, beta, fully[1], fully[2]) == pytest.approx(fully[0], rel=2e-3)
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        speeds = fully[2] * (1 + 0.3 * rng.standard_normal(len(fully[2])))
+        assert energy_in_time(loop, alpha, beta, fully[1], speeds) < needed
+
+
+def energy_in_time(loop, alpha, beta, w, speeds, settle=400, samples=400, steps=200):
+    """Mean power of the wall's force on a complex motion, over mean |v|^2, by the force's course in time."""
+    b, a = loop.filter_in_z
+    k = np.arange(settle + samples)
+    # complex exponentials of one base frequency: at samples all aliases are one
+    x = (speeds / (1j * w)).sum() * np.exp(1j * w[len(w) // 2] * k)
+    rate = np.diff(x, prepend=0)
+    v = np.zeros_like(rate)
+    for i in range(len(k)):
+        v[i] = sum(b[j] * rate[i - j] for j in range(len(b)) if i >= j)
+        v[i] -= sum(a[j] * v[i - j] for j in range(1, len(a)) if i >= j)
+    held = -alpha * x - beta * v
+    h, force, power, size = 1 / steps, 0j, 0.0, 0.0
+    decay = np.exp(-h / loop.lag) if loop.lag else 0.0
+    for i in range(settle - 60, settle + samples):
+        t = i + (np.arange(steps) + 0.5) * h
+        command = held[np.floor(t - loop.delay + 1e-9).astype(int)]
+        course = np.empty(steps, complex)
+        for j in range(steps):
+            later = command[j] + (force - command[j]) * decay
+            course[j], force = 0.5 * (force + later) if loop.lag else command[j], later
+        if i >= settle:
+            speed = np.exp(1j * np.outer(t, w)) @ speeds
+            power += (course * np.conj(speed)).real.sum() * h
+            size += (np.abs(speed) ** 2).sum() * h
+    return power / size
+
+
+def test_region_scales_with_the_damping_and_holds_what_is_passive():
+    loop = Loop(0.0, 0.1, 1.3, lag=0.8)
+    alpha, beta = passive_outline(loop, 0.1)
+    twice = passive_outline(loop, 0.2)
+    np.testing.assert_allclose(twice[0], 2 * alpha, rtol=1e-12, atol=1e-15)
+    inner = slice(1, -1)
+    assert (required_damping(loop, 0.99 * alpha[inner], 0.99 * beta[inner]) < 0.1).all()
+    assert (required_damping(loop, 1.01 * alpha[inner], 1.01 * beta[inner]) > 0.1).all()
+
+
+def test_sensing_beyond_a_mode_is_refused():
+    with pytest.raises(ParameterError, match="beyond the vibration mode"):
+        required_damping(Loop(0.0, 0.1, 1.0, mode=Vibration(0.3, 0.5, 0.01, True)), np.ones(1), np.ones(1))

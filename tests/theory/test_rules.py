@@ -1,0 +1,151 @@
+"""Rules of thumb against continuous-time poles, the critical oscillation and the printed scaling factors."""
+
+from __future__ import annotations
+
+import math
+
+import mpmath as mp
+import numpy as np
+import pytest
+from independent import characteristic, random_loops, stable_by_schur_cohn
+
+from pipeline.base.errors import ParameterError
+from pipeline.loop.loop import Loop
+from pipeline.theory.optimum import (
+    approximate_cost,
+    cost_exponent,
+    marked_point,
+    optimal_cost,
+    scaling_factor,
+)
+
+SCALING = [
+    ("pole_radius", 6.84, 0.01),
+    ("settle_2pct", 4.90, 0.01),
+    ("energy_step_w0", 2.75, 0.01),
+    ("energy_step_w1", 4.40, 0.01),
+    ("energy_step_w2", 11.00, 0.01),
+    ("energy_impulse_w0", 2.15, 0.01),
+    ("energy_impulse_w1", 5.69, 0.01),
+    ("energy_impulse_w2", 20.30, 0.01),
+    ("settle_2pct_discrete", 5.0, 0.1),
+    ("energy_step_w0_discrete", 2.81, 0.01),
+    ("energy_step_w1_discrete", 4.47, 0.01),
+    ("energy_step_w2_discrete", 11.30, 0.01),
+    ("energy_impulse_w0_discrete", 2.16, 0.015),
+    ("energy_impulse_w1_discrete", 5.80, 0.01),
+    ("energy_impulse_w2_discrete", 20.71, 0.01),
+]
+"""Table 5.1: criterion, printed factor, one unit of its last digit. Discrete E_0 of the impulse is printed as 2.16; the
+limit is 2.1454, and 2.16 is the smallest value at 0.8 % of alpha_max, two lines of the thesis's grid inside."""
+
+
+@pytest.mark.parametrize(("criterion", "printed", "unit"), SCALING)
+def test_scaling_factors_of_table_5_1(criterion: str, printed: float, unit: float) -> None:
+    assert scaling_factor(criterion) == pytest.approx(printed, abs=1.001 * unit)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("criterion", "printed"), [("settle_5pct", 3.77), ("settle_1pct", 5.81)])
+def test_scaling_factors_of_other_bands(criterion: str, printed: float) -> None:
+    assert scaling_factor(criterion) == pytest.approx(printed, abs=0.0101)  # 5.4.2, printed with "about"
+
+
+def test_polynomial_approximation_at_random_and_extreme_delays(record_property) -> None:
+    rng = np.random.default_rng(32)
+    delays = np.concatenate([rng.uniform(0, 30, 300), np.linspace(0, 1e-6, 20), np.linspace(200, 256, 41)])
+    for criterion, _, _ in SCALING:
+        power = {"w1": 2, "w2": 3}.get(criterion.split("_")[2] if criterion.startswith("energy") else "", 1)
+        factor = float(rng.uniform(1, 20))
+        found = approximate_cost(criterion, delays, factor)
+        exact = [math.prod([d + 1] * power) * factor for d in delays.tolist()]
+        np.testing.assert_allclose(found, exact, rtol=1e-14)
+    record_property("random", 300)
+    record_property("extreme", 61)
+
+
+def test_exponents_and_explicit_factor() -> None:
+    assert [cost_exponent(f"energy_step_w{w}_discrete") for w in (0, 1, 2)] == [1, 2, 3]
+    assert approximate_cost("energy_step_w2", [0, 1, 8], 11.0) == pytest.approx([11, 88, 8019])
+    assert approximate_cost("settle_2pct", 3.0, 4.9) == pytest.approx([19.6])
+
+
+@pytest.mark.parametrize(("delay", "period"), [(0, 4), (1, 8), (2, 12), (0.5, None), (5, 24)])
+@pytest.mark.parametrize("plant", [(0.0, 0.0), (0.001, 0.02)])
+def test_ziegler_nichols_from_the_critical_oscillation(delay: float, period: float, plant: tuple[float, float]) -> None:
+    loop = Loop(*plant, delay)
+    point, top = marked_point(loop, "ziegler_nichols"), marked_point(loop, "beta_max")
+    assert point.beta == pytest.approx(0.45 * top.beta, rel=1e-12)
+    found = 0.54 * top.beta / point.alpha
+    if period and plant == (0.0, 0.0):
+        assert found == pytest.approx(period, rel=1e-6)
+    # at the critical gain the characteristic polynomial has a root on the unit circle at the angle of that period
+    polynomial = [float(c) for c in characteristic(*plant, delay, top.alpha, top.beta)]
+    roots = np.roots(polynomial)
+    assert np.abs(roots - np.exp(2j * np.pi / found)).min() < 1e-6
+
+
+@pytest.mark.slow
+def test_ziegler_nichols_of_random_and_extreme_loops(record_property) -> None:
+    random = random_loops(300, seed=31)
+    extreme = [
+        (gamma, delta, p, q)
+        for gamma, delta in [(0.0, 0.0), (1e-16, 0.0), (1e-16, 1e-16), (1e-6, 2e-3), (1e-6, 2e-3 * (1 + 1e-12))]
+        for p, q in [
+            (0, 1),
+            (1, 8),
+            (1, 2),
+            (999, 1000),
+            (1, 1),
+            (1001, 1000),
+            (3, 1),
+            (7, 2),
+            (8, 1),
+            (12, 1),
+            (33, 2),
+            (32, 1),
+        ]
+    ]
+    worst = 0.0
+    for gamma, delta, p, q in random + extreme:
+        loop = Loop(gamma, delta, p / q)
+        point, top = marked_point(loop, "ziegler_nichols"), marked_point(loop, "beta_max")
+        assert point.beta == pytest.approx(0.45 * top.beta, rel=1e-13)
+        angle = 2 * math.pi * point.alpha / (0.54 * top.beta)
+        polynomial = characteristic(gamma, delta, p / q, top.alpha, top.beta)
+        # the wall of largest damping oscillates with that period: a root on the unit circle next to that angle
+        with mp.workdps(50):
+            z, slope, value = mp.expj(angle), mp.mpf(0), mp.mpf(0)
+            for coefficient in polynomial:
+                slope, value = slope * z + value, value * z + coefficient
+            away = float(abs(value / slope))
+        # without delay it lies at z = -1, which the closed form stops 1e-7 short of
+        assert away < (1e-10 if p / q >= 0.5 else 1e-6), (gamma, delta, p, q)
+        # and no other root has left the circle
+        assert stable_by_schur_cohn(polynomial, 1 + 1e-6), (gamma, delta, p, q)
+        worst = max(worst, away)
+    record_property("random", len(random))
+    record_property("extreme", len(extreme))
+    record_property("deviation", worst)
+    assert len(extreme) >= 60
+
+
+def test_points_of_table_c2() -> None:
+    for name, alpha, beta in (
+        ("alpha_max", 0.1445, 0.4247),
+        ("beta_max", 0.0, 0.8284),
+        ("ziegler_nichols", 0.056, 0.373),
+    ):
+        found = marked_point(Loop(0, 0, 1), name)
+        assert (found.alpha, found.beta) == pytest.approx((alpha, beta), abs=5e-4 if name[0] == "z" else 5e-5)
+
+
+def test_wrong_use_is_refused() -> None:
+    loop = Loop(0.1, 0, 1)
+    with pytest.raises(ParameterError, match="expected one of"):
+        marked_point(loop, "gamma_max")
+    for criterion in ("damping", "overshoot", "overshoot_discrete"):
+        with pytest.raises(ParameterError, match="does not depend on delay"):
+            optimal_cost(loop, criterion)
+    with pytest.raises(ParameterError, match="delay"):
+        approximate_cost("settle_2pct", [-1.0], 4.9)
