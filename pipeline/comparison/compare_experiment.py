@@ -76,7 +76,7 @@ def _with(parts: LoopParts) -> str:
 def estimated_theories(results: Sequence[ExperimentResult], data: SceneData) -> dict[str, Theory]:
     """Theory by the estimates of each experiment whose loop is adequate."""
     both = zip(results, data.experiments, strict=True)
-    found = {result.experiment: adequate_theory(result, stages.sampling_period_s) for result, stages in both}
+    found = {result.experiment: adequate_theory(result, stages) for result, stages in both}
     return {name: theory for name, theory in found.items() if theory is not None}
 
 
@@ -140,7 +140,7 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
         result = result.model_copy(update={"estimates": others})
     findings = loop_findings(result, stages, data.device, units)
     found = dict(result.estimates)
-    loop = found_device(result, stages, None)
+    loop = found_device(result, stages)
     if not findings.loop.adequate:
         device = stages.once(explaining_device)
         if device is None or not device.is_trusted:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.errors import ParameterError
 from pipeline.measured.experiment.fitted_device import FittedDevice
 from pipeline.measured.law.wall_law import wall_law
 from pipeline.measured.model.intervals import BOUNDED, NEEDED, Errors, physical
@@ -61,14 +60,13 @@ def learn(batch: TrialBatch, count: int, known: Learnt | None, look: Look) -> Le
     part = batch.select(some)
     response = find_response(part)
     recordings = recordings_of(part, response)
-    choice, looked = (None, 0) if known is None else (known.choice, known.looked)
-    try:
-        if count >= AGAIN * looked and (found := look(recordings)) is not None:
-            choice, looked = found, count
-        elif choice is not None:
-            choice = again(choice, recordings, STEPS)
-    except ParameterError:  # nothing moves in them
+    if not any(np.ptp(each.position) > 0 for each in recordings):
         return known
+    choice, looked = (None, 0) if known is None else (known.choice, known.looked)
+    if count >= AGAIN * looked and (found := look(recordings)) is not None:
+        choice, looked = found, count
+    elif choice is not None:
+        choice = again(choice, recordings, STEPS)
     if choice is None:
         return None
     fitted = fitted_of(choice)

@@ -26,7 +26,7 @@ PRICE = 6.0
 
 SAFE, BOLD = 1.5, 0.3
 """Where a rig is to be spared: standard errors by which a wall stays below the expected limit; but no softer than this
-share of it, else nothing would be learnt."""
+share of it, else nothing would be learnt, and no stiffer at first."""
 
 WEAK = 0.08
 """Change of the amplitude over a log, as logarithm, below which a verdict is asked for twice: noise and friction may
@@ -39,7 +39,7 @@ limit may be wrong, and the largest limit is not known to the last."""
 UNTOLD = 3
 """Undecided trials between the ends of a bracket after which verdicts do not tell the limit."""
 
-START = 0.3
+START = 0.5
 """Stiffest first wall, relative to the limit that a device file predicts: a file may state half the true delay."""
 
 HIGHER = 1.3
@@ -73,6 +73,11 @@ class Aim:
     lowest: float = 0.0
     highest: float = inf
     force: float = inf
+
+    @property
+    def start(self) -> float:
+        """Stiffest first wall, relative to the foretold limit."""
+        return BOLD if self.gentle else START
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +169,7 @@ def state(
         told = Expected(float(ahead.limit[i]), float(ahead.error[i]), ahead.misfit <= aim.accuracy)
         column = _column(aim.dampings[i], of, own, told, Task(aim, largest, trial_s, requests))
         if not len(tried) and column.wall is not None:
-            column = replace(column, wall=min(column.wall, START * max(told.limit, aim.accuracy * largest)))
+            column = replace(column, wall=min(column.wall, aim.start * max(told.limit, aim.accuracy * largest)))
         columns.append(column)
     return State(tuple(columns), largest, ahead)
 

@@ -14,7 +14,7 @@ from pipeline.base.errors import UsageError
 from pipeline.base.lock import holder
 from pipeline.plan.course import Course, Wish, foretold, open_course, wanted_dampings
 from pipeline.plan.found_device import stated_device
-from pipeline.plan.limits import START, Aim, Column, State, order, state
+from pipeline.plan.limits import Aim, Column, State, order, state
 from pipeline.plan.optimum import Foreseen, Search, Target, look_for
 from pipeline.plan.requests import Requests, requests_folder, snapped, write_requests
 from pipeline.records.findings import Record
@@ -285,7 +285,7 @@ def _search(course: Course, wish: Wish, found: State, aim: Aim) -> Search:
     if not limits.max() > aim.lowest:
         raise UsageError(f"device {course.name!r}: no wall is expected to be stable, so that none has a cost.")
     if not len(course.tried):
-        limits *= START
+        limits *= aim.start
     target = Target(wish.criterion, np.array(aim.dampings), limits, by, course.requests)
     return look_for(course.tried, target, OPTIMUM_ACCURACY, wish.count)
 

@@ -243,11 +243,11 @@ class _Builder:
         """Theory by the estimates of each experiment, with all that belongs to its boundary."""
         if not self.data.overlay:
             return None
-        periods = {e.experiment: e.sampling_period_s for e in self.data.experiments}
+        stages = {e.experiment: e for e in self.data.experiments}
         panels = []
         for result in self.results:
             name = result.experiment
-            theory = adequate_theory(result, periods[name])
+            theory = adequate_theory(result, stages[name])
             if theory is None:
                 continue
             more = (envelope_curve(result), bound_curve(result), linear_curve(theory), passive_curve(theory))

@@ -104,7 +104,7 @@ def _beside(
     if edge < 0:
         return [], ["No step was found in this log, so that no loop can be held against it"]
     force = np.where(np.arange(rows) >= edge, float(batch.step[0]), 0.0)
-    fitted = adequate_theory(result, float(batch.sampling_period_s[0]))
+    fitted = adequate_theory(result, stages)
     loops: dict[str, Theory] = {}
     if result.theory is not None and (fitted is None or result.theory != fitted.parameters):
         loops["theory"] = Theory(result.theory)

@@ -151,7 +151,7 @@ def _parts(shown: Shown) -> Iterator[Candidate]:
 
 def _held(coulomb: float, step: float) -> str:
     """Return what friction does where it is more than a settling band."""
-    if abs(coulomb) <= SETTLING * abs(step):
+    if not step or abs(coulomb) <= SETTLING * abs(step):
         return ""
     return f", {share_text(coulomb / abs(step), 0)} % of the step: it rests off target, and settling times show that"
 
@@ -200,10 +200,12 @@ def _beside(point: LoopPoint, other: LoopPoint, shown: Shown) -> tuple[float, st
 def _shared(shown: Shown, point: LoopPoint) -> Iterator[Candidate]:
     """Yield a delay that is no whole number, jitter, and a mass that is not the stated one."""
     assert shown.found is not None, "whose numbers they are"
-    fitted, result = shown.found.fitted, shown.result
+    fitted = shown.found.fitted
     delay, mass = fitted.known("delay_samples"), fitted.known("mass")
     part = delay.value - round(delay.value)
-    if not point.parts.actuator_lag_s and not delay.low <= round(delay.value) <= delay.high:
+    jitter = list(_jitter(shown, point))
+    yield from jitter
+    if not (jitter or point.parts.actuator_lag_s or delay.low <= round(delay.value) <= delay.high):
         yield Candidate(
             "fractional_delay",
             _beside(point, replace(point, delay_samples=delay.value - part), shown)[0],
@@ -211,9 +213,6 @@ def _shared(shown: Shown, point: LoopPoint) -> Iterator[Candidate]:
             "a sample adds to a whole one: logs do not tell which.",
             f"model fitted to the whole response, 95 %: {_span(delay)}",
         )
-    jitter = result.estimates.get("jitter_samples")
-    if jitter is not None and (jitter.low or 0.0) > 0:
-        yield from _jitter(shown, point, jitter.value or 0.0, jitter.low or 0.0, jitter.high)
     stated = shown.stated_mass
     if stated is not None and max(mass.low - stated, stated - mass.high) > MATTERS * stated:
         change = percent_text(100 * (stated / mass.value - 1))
@@ -226,21 +225,24 @@ def _shared(shown: Shown, point: LoopPoint) -> Iterator[Candidate]:
         )
 
 
-def _jitter(shown: Shown, point: LoopPoint, value: float, low: float, high: float | None) -> Iterator[Candidate]:
+def _jitter(shown: Shown, point: LoopPoint) -> Iterator[Candidate]:
     """Yield jitter of the delay within trials, by an amount that matters, that differs between them, too.
 
     Friction and lag look like jitter within a trial; the first motion, which nothing but the step causes, comes after
     the same delay with them.
     """
+    jitter = shown.result.estimates.get("jitter_samples")
+    if jitter is None or (jitter.low or 0.0) <= 0:
+        return
     onset, error = (shown.stages.column("delay", f"onset_{name}") for name in ("samples", "error"))
     sure = error < APART / 4
     others = np.abs(onset - np.median(onset[sure]))[sure] > APART if sure.any() else np.zeros(1)
     if others.mean() >= OTHERS:
         yield Candidate(
             "delay_jitter",
-            _beside(point, replace(point, delay_samples=point.delay_samples + low), shown)[0],
-            f"The delay jitters, by {significant(value, 2)} samples within a trial.",
-            f"95 %: {span(lambda each: significant(each, 4), low, high)}; the first motion comes "
+            _beside(point, replace(point, delay_samples=point.delay_samples + (jitter.low or 0.0)), shown)[0],
+            f"The delay jitters, by {significant(jitter.value or 0.0, 2)} samples within a trial.",
+            f"95 %: {span(lambda value: significant(value, 4), jitter.low, jitter.high)}; the first motion comes "
             f"{significant(APART, 1)} samples or more earlier or later than in the median in {int(others.sum())} of "
             f"{counted(len(others), 'trial')}",
         )

@@ -120,11 +120,14 @@ class CourseFilter:
     words: str
 
 
-def found_filter(stages: ExperimentStages) -> CourseFilter | None:
-    """Return the velocity filter that most logs which show one agree on, None where they do not.
+def course_filter(stages: ExperimentStages) -> CourseFilter | None:
+    """Return the velocity filter that most logs show and agree on, None where they do not.
 
-    A controller has the same filter in all trials. What differs from log to log is another thing than a filter.
+    A controller has the same filter in all trials or in none; single logs can imitate it, and what differs from log to
+    log is another thing than a filter.
     """
+    if not any(each.code == "velocity_filter" and each.most for each in law_departures(stages)):
+        return None
     texts = [text for text in stages.texts("wall_law", "velocity_filter") if text]
     told = commonest(texts)
     if not told:

@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.base.wording import listed
 from pipeline.comparison.loops.causes import Shown, causes_of
-from pipeline.comparison.loops.departures import CourseFilter, LawDeparture, found_filter, law_departures, other_gains
+from pipeline.comparison.loops.departures import CourseFilter, course_filter, law_departures, other_gains
 from pipeline.comparison.loops.passive_wall import passive_wall
 from pipeline.comparison.loops.replay import (
     limits_of,
@@ -65,9 +65,9 @@ def loop_findings(
     gains = stages.once(other_gains)
     misled = gains is not None and gains.most
     departures = [] if misled else law_departures(stages)
-    velocity = _filter(stages, departures)
+    velocity = None if misled else stages.once(course_filter)
     shifted = any(each.code == "command_shifted" for each in departures)
-    found = None if misled or shifted else found_device(result, stages, velocity.velocity if velocity else None)
+    found = None if misled or shifted else found_device(result, stages)
     of = next((each for each in device.experiments if each.name == stages.experiment), None) if device else None
     told = None if misled or shifted else told_loop(found, device, of)
     trial = usual_trial(result, stages)
@@ -96,11 +96,6 @@ def loop_findings(
     # a hand that is let go of takes its damping with it
     wall, none = (None, HELD) if held else passive_wall(told, result)
     return findings.model_copy(update={"passive": wall, "passive_reason": none})
-
-
-def _filter(stages: ExperimentStages, departures: list[LawDeparture]) -> CourseFilter | None:
-    """Return the velocity filter of the wall law; one that few logs show is none."""
-    return found_filter(stages) if any(each.code == "velocity_filter" and each.most for each in departures) else None
 
 
 def _judged(

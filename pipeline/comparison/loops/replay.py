@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from pipeline.base.wording import counted
-from pipeline.comparison.loops.departures import MATTERS, found_filter
+from pipeline.comparison.loops.departures import MATTERS
 from pipeline.comparison.loops.told_loop import ToldLoop, found_device
 from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.comparison.summary.advice import NARROW
@@ -184,8 +184,7 @@ def with_large_motion(result: ExperimentResult, stages: ExperimentStages) -> Exp
     Coulomb friction takes a part of a motion that falls with its size: to a large one it is none. A wall to use that
     large motions make unstable is none.
     """
-    velocity = found_filter(stages) if any(each.code == "velocity_filter" for each in result.causes) else None
-    found = found_device(result, stages, velocity.velocity if velocity else None)
+    found = found_device(result, stages)
     rubs = any(cause.code == "coulomb_friction" for cause in result.causes)
     if not rubs or found is None or not result.boundary:
         return result

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.comparison.loops.departures import course_filter
 from pipeline.loop.device_loop import longest_delay
 from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.measured.experiment.fitted_device import FittedDevice, explaining_device
@@ -19,8 +20,8 @@ from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import AT_LOAD, FoundDevice, LoopPoint, stated_device
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Estimate
-from pipeline.records.loop_parts import Butterworth, Coefficients, Difference, LoopParts, Mode, VelocityFilter
-from pipeline.records.loop_records import LoopResult, Parameter
+from pipeline.records.loop_parts import Butterworth, Difference, LoopParts, VelocityFilter
+from pipeline.records.loop_records import Parameter
 from pipeline.records.models import Device, Experiment
 from pipeline.records.results import ExperimentResult, TheoryParameters
 from pipeline.theory.predictions import Theory
@@ -77,14 +78,13 @@ class ToldLoop:
         return Parameter(value=value, low=min(ends), high=max(ends))
 
 
-def found_device(
-    result: ExperimentResult, stages: ExperimentStages, velocity: VelocityFilter | None
-) -> FoundDevice | None:
+def found_device(result: ExperimentResult, stages: ExperimentStages) -> FoundDevice | None:
     """Return the device fitted to all logs, with their filter; else that of the estimates; None without one."""
     fitted = stages.once(explaining_device) or _of_estimates(result)
     if fitted is None or "delay_samples" in fitted.open:
         return None
-    return FoundDevice(fitted, stages.sampling_period_s, velocity)
+    velocity = stages.once(course_filter)
+    return FoundDevice(fitted, stages.sampling_period_s, velocity.velocity if velocity else None)
 
 
 def _of_estimates(result: ExperimentResult) -> FittedDevice | None:
@@ -128,33 +128,23 @@ def loop_delay(result: ExperimentResult) -> Estimate:
     return model.model_copy(update={"value": whole_delay(model)})
 
 
-def adequate_theory(result: ExperimentResult, sampling_period_s: float) -> Theory | None:
-    """Return the theory by the estimates of an experiment whose loop is adequate and has stable walls, else None.
+def adequate_theory(result: ExperimentResult, stages: ExperimentStages) -> Theory | None:
+    """Return the theory by the found device of an experiment whose loop is adequate and has stable walls, else None.
 
-    A damping below zero counts as zero: the theory asks for b >= 0. Parts that a device file declares are in it, and
-    its stiffness where the estimates have none.
+    A damping below zero counts as zero: the theory asks for b >= 0. Friction is in no theory.
     """
-    loop, estimates = result.loop, result.estimates
-    if loop is None or not loop.adequate or loop.has_friction:
+    found = found_device(result, stages) if result.loop is not None and result.loop.adequate else None
+    if found is None or found.point.coulomb:
         return None
-    device = _of_estimates(result)
-    if device is None:
-        return None
-    fitted = "ladder" in estimates["delay_samples"].by_method
-    delay, stiffness, parts = device.values["delay_samples"], 0.0, parts_of(loop)
-    if loop.source == "device file" and (p := result.theory) is not None:
-        _, _, stiffness, parts = p.loop.felt(p.mass, p.damping, p.stiffness)
-        # to a model that has none a lag is a delay
-        delay -= 0.0 if fitted else parts.actuator_lag_s / sampling_period_s
-    spring = estimates.get("device_stiffness") if fitted else None
+    point = found.point
     theory = Theory(
         TheoryParameters(
-            mass=device.values["mass"],
-            damping=max(device.values["damping"], 0.0),
-            stiffness=max(spring.value or 0.0, 0.0) if spring is not None else stiffness,
-            sampling_period_s=sampling_period_s,
-            delay_samples=max(delay, 0.0),
-            loop=parts,
+            mass=point.mass,
+            damping=max(point.damping, 0.0),
+            stiffness=max(point.stiffness, 0.0),
+            sampling_period_s=point.sampling_period_s,
+            delay_samples=max(point.delay_samples, 0.0),
+            loop=point.parts,
             source="estimated from the logs",
         )
     )
@@ -222,27 +212,6 @@ def loop_numbers(told: ToldLoop, of_logs: Sequence[VelocityFilter], parts: LoopP
         "actuator_lag_s": fitted.parameter("actuator_lag_s"),
         "mode": mode_found | at_load if mode_found else None,
     }
-
-
-def parts_of(loop: LoopResult) -> LoopParts:
-    """Return the parts of a loop beside mass, damping, stiffness and delay."""
-    velocity: VelocityFilter | None = None
-    mode = None
-    if loop.velocity is not None:
-        v = {name: each.value for name, each in loop.velocity.items()}
-        if "samples" in v:
-            velocity = Difference(kind="difference", samples=int(v["samples"]))
-        elif "cutoff_hz" in v:
-            velocity = Butterworth(kind="butterworth", order=int(v["order"]), cutoff_hz=v["cutoff_hz"])
-        else:
-            b, a = (tuple(value for name, value in v.items() if name[0] == side) for side in "ba")
-            velocity = Coefficients(kind="coefficients", b=b, a=a)
-    if loop.mode is not None:
-        m = {name: each.value for name, each in loop.mode.items()}
-        far = m.pop("sensor_at_load")
-        mode = Mode(**m, sensor="load" if far else "motor")
-    lag = loop.actuator_lag_s.value if loop.actuator_lag_s else 0.0
-    return LoopParts(velocity=velocity, actuator_lag_s=max(lag, 0.0), mode=mode)
 
 
 def filter_parameters(velocity: VelocityFilter, of_logs: Sequence[VelocityFilter] = ()) -> dict[str, Parameter]:

@@ -10,7 +10,7 @@ import simulated
 from pipeline.comparison.compare_experiment import nominal_theories
 from pipeline.comparison.figures.boundary_curves import linear_curve, measured_curve, theory_curve
 from pipeline.comparison.figures.figure_data import FigureBuilder, requests_of_delay_figure
-from pipeline.comparison.loops.loop_range import adequate_theory
+from pipeline.comparison.loops.told_loop import adequate_theory
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.records.models import Shown, TableLayout
 from pipeline.theory.predictions import Predictions
@@ -161,17 +161,13 @@ def test_no_overlay_without_the_estimates_it_needs(falcon, falcon_outcome):
     assert {f.identifier for f in builder.boundaries()} == {"boundaries-free"}
 
 
-def test_theory_by_estimates_needs_all_three_and_no_negative_damping(of_falcon, falcon_outcome):
-    result = falcon_outcome.result.experiments[0]
-
-    def with_(name, value):
-        estimate = result.estimates[name].model_copy(update={"value": value})
-        return result.model_copy(update={"estimates": result.estimates | {name: estimate}})
-
-    assert adequate_theory(with_("mass", None), 1e-3) is None
-    assert adequate_theory(with_("damping", -0.05), 1e-3).parameters.damping == 0.0
+def test_theory_by_estimates_needs_an_adequate_loop(of_falcon, falcon_outcome):
+    result, (stages, *_) = falcon_outcome.result.experiments[0], of_falcon.data.experiments
+    found = adequate_theory(result, stages).parameters
+    assert found.mass == pytest.approx(result.loop.mass.value, rel=0.05)
+    assert found.damping >= 0.0
     doubtful = result.loop.model_copy(update={"adequate": False})
-    assert adequate_theory(result.model_copy(update={"loop": doubtful}), 1e-3) is None
+    assert adequate_theory(result.model_copy(update={"loop": doubtful}), stages) is None
 
 
 def test_cost_figures_show_theory_beside_the_trials(of_falcon, falcon):
