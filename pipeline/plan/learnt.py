@@ -23,9 +23,6 @@ TRIALS, ROWS, AHEAD = 16, 300, 10
 """Logs that a device is fitted to, their rows from the step on, and those before it: a number known to 1 % from one log
 is known to 0.3 % from these, and a log waits for it."""
 
-STEPS = 6
-"""Steps of a search with one log more; what has not converged goes on with the next."""
-
 AGAIN = 3
 """Parts of a device are looked for anew when there are so many times as many logs."""
 
@@ -66,7 +63,7 @@ def learn(batch: TrialBatch, count: int, known: Learnt | None, look: Look) -> Le
     if count >= AGAIN * looked and (found := look(recordings)) is not None:
         choice, looked = found, count
     elif choice is not None:
-        choice = again(choice, recordings, STEPS)
+        choice = again(choice, recordings)
     if choice is None:
         return None
     fitted = fitted_of(choice)

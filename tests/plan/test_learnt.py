@@ -51,7 +51,8 @@ def test_no_search_for_parts_is_waited_for_and_one_is_asked_for_when_there_are_t
 
 def test_logs_without_motion_teach_nothing():
     _, batch = logs("ideal", 1)
-    assert learn(replace(batch, position=np.zeros_like(batch.position)), 1, None, lambda _: pytest.fail("asked")) is None
+    still = replace(batch, position=np.zeros_like(batch.position))
+    assert learn(still, 1, None, lambda _: pytest.fail("asked")) is None
 
 
 def test_friction_raises_the_limit_for_the_step_and_widens_what_is_foretold(tmp_path):

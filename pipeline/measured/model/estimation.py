@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from pipeline.measured.model.motion import SHORTEST_LAG, Physics
 from pipeline.measured.model.recordings import Stretches
 from pipeline.measured.model.scatter import FEWEST, Moments, Solved, solve
-from pipeline.measured.model.whitening import Filter, Passage, passed
+from pipeline.measured.model.whitening import WHITE, Column, Filter, Noise, Passage, blurred, passed
 from pipeline.records.batch import Floats
 
 SHAPE = ("delta", "gamma", "delay", "lag", "turn", "ratio", "share")
@@ -55,17 +56,29 @@ ROBUST_ROUNDS = 4
 TOGETHER = 3_000_000
 """Numbers in the columns of stretches that are computed together, 24 MB."""
 
-MEMORIES = (3e5, 1e-12)
-"""Largest and least variance of the disturbing force in that of a reading, per sample: from a random walk that forgets
-in a sample to one that forgets in a thousand."""
+MEMORIES = (1e-12, 3e5)
+"""Least and largest variance of the disturbing force in that of a reading, per sample: from a random walk that forgets
+in a thousand samples to one that forgets in one."""
+
+JITTERS = (0.02, 4.0)
+"""Least and largest jitter of the delay that is looked for [samples]."""
+
+ROUGH = 0.7
+"""Change of the logarithm of a variance that is near enough for a start: intervals grow with its root."""
+
+NOISE_STRETCHES = 40
+"""Stretches by which the noise is found: a variance from 12,000 rows is known to 1 %."""
+
+WORTH = 5.0
+"""Gain of log-likelihood from which on a part, of the device or of its noise, is one: odds of 150 to 1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """Numbers of a device by name, and the variance of the random force, in that of a reading."""
+    """Numbers of a device by name, and the noise beside it; ``effects`` (T, p) are what trials differ by."""
 
     numbers: dict[str, float]
-    disturbance: float = 0.0
+    noise: Noise = WHITE
     effects: Floats | None = field(default=None, repr=False)
 
     @property
@@ -87,22 +100,32 @@ class Device:
             moved[name] = float(np.clip(value + np.clip(change, -most, most), low, high))
         return replace(self, numbers=moved)
 
-    def effect(self, name: str, trials: np.ndarray) -> Floats:
-        """Return what a number is beside the common one in the trial of each stretch, shape (S,)."""
+    def driven(self, held: Stretches) -> Floats:
+        """Return the mean of the command that acts on it, shape (lead + N, S)."""
+        return blurred(held.driven, self.noise.jitter)
+
+    def own(self, name: str, trials: np.ndarray) -> Floats:
+        """Return a number of the trial of each stretch, shape (S,); 0 where the device has none."""
+        common = np.full(len(trials), self.numbers.get(name, 0.0))
         if self.effects is None or name not in self.numbers:
-            return np.zeros(len(trials))
-        return np.asarray(self.effects[trials, self.names.index(name)])
+            return common
+        return np.asarray(common + self.effects[trials, self.names.index(name)])
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A device with what its likelihood says: ``solved`` at the device, whose units are portions of ``few`` logs, else
-    trials; ``log_spread`` is the sum over all rows."""
+    """A device with what its likelihood says.
+
+    ``solved`` at the device, with its ``moments``; units are portions of ``few`` logs, else trials. ``log_spread`` is
+    the sum over all rows, ``alike`` the mean number of equal readings in a row, which count as one.
+    """
 
     device: Device
     solved: Solved
+    moments: Moments
     few: bool
     log_spread: float
+    alike: float
 
     @property
     def likelihood(self) -> float:
@@ -142,80 +165,73 @@ def moments_of(held: Stretches, device: Device, trials: int) -> tuple[Moments, f
             cut = left * inside[..., None]
             total[some * portions + portion] = cut.transpose(0, 2, 1) @ cut
             rows[some * portions + portion] = behind - first - starts / portions
-    return Moments(total, rows), spreads
+    return Moments(total, rows, float(np.median(held.least))), spreads
 
 
-def residuals(held: Stretches, device: Device) -> tuple[Filter, Floats, Floats]:
-    """Return the filter, whitened columns (N, S, 1 + 3 + starts) and the states (S, C, n) that they start from.
-
-    Columns are the readings, what command, friction and constant force of 1 do, and the unknowns of the start.
-    """
-    passage = Passage(held, device.shape)
-    found = Filter.of(passage, device.disturbance)
+def _errors(
+    held: Stretches, passage: Passage, found: Filter, columns: list[Column]
+) -> tuple[list[Floats], Floats, Floats]:
+    """Return whitened columns (N, S) each, and a basis (S, N, c) of those of the unknown starts with its triangle."""
     starts = passage.starts()
-    count, rows, n = len(held), len(held.position), passage.states
-    columns = 4 + len(starts)
-    added = np.zeros((rows, count, columns, n))
-    added[:, :, 1] = passage.added(held.command, None)
-    added[:, :, 2] = passage.added(None, -held.direction)
-    added[:, :, 3] = passage.added(None, np.ones_like(held.direction))
-    begin = np.zeros((count, columns, n))
-    for place, (state, more) in enumerate(starts):
-        begin[:, 4 + place] = state
-        if more is not None:
-            added[:, :, 4 + place] = more
-    readings = np.zeros((rows, count, columns))
-    readings[:, :, 0] = held.position
-    errors = passed(passage, found, readings, begin, added)
-    errors[:, :, 1:] *= -1
-    return found, errors, begin
+    errors = passed(passage, found, [*columns, *starts])
+    basis, triangle = np.linalg.qr(-np.stack(errors[len(columns) :], axis=-1).transpose(1, 0, 2))
+    return errors[: len(columns)], basis, triangle
+
+
+def _force_of(held: Stretches, device: Device) -> Column:
+    """Return all that is logged of stretches and acts on a device, as one column."""
+    gain, coulomb, force = (device.own(name, held.trial) for name in LINEAR)
+    return Column(held.position, device.driven(held) * gain, force - coulomb * held.direction)
+
+
+def _log_spread(held: Stretches, found: Filter, triangle: Floats) -> float:
+    """Return the sum of the logarithms of the errors' spreads, those of the start included (restricted)."""
+    known = np.abs(np.diagonal(triangle, axis1=1, axis2=2))
+    largest = known.max(axis=1, keepdims=True)
+    starts = np.log(np.where(known > 1e-11 * largest, known, 1.0)).sum()
+    if found.spread.size == 1:
+        return float(held.rows.sum() * np.log(found.spread[0, 0]) + starts)
+    return float(np.log(np.broadcast_to(found.spread, held.position.shape)[held.valid]).sum() + starts)
 
 
 def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats]:
     """Return columns and errors without the start (S, N, p + 1), the filter's spreads, and unknowns of each start."""
-    found, errors, begin = residuals(held, device)
-    numbers = device.numbers
-    own = {name: numbers.get(name, 0.0) + device.effect(name, held.trial) for name in LINEAR}
-    whole = sum(own[name][None, :] * errors[:, :, 1 + i] for i, name in enumerate(LINEAR))
-    starts = errors[:, :, 4:].transpose(1, 0, 2)
-    left = (errors[:, :, 0] - whole).T
-    q, r = np.linalg.qr(starts)
-    fitted = np.linalg.pinv(r, rcond=1e-11) @ np.einsum("snc,sn->sc", q, left)[..., None]
-    base = {name: errors[:, :, 1 + i].T for i, name in enumerate(LINEAR)}
-    base |= _slopes(held, device, found, own, fitted[..., 0], begin[:, 4:], left - (starts @ fitted)[..., 0])
-    error = errors[:, :, 0] - sum(numbers.get(name, 0.0) * errors[:, :, 1 + i] for i, name in enumerate(LINEAR))
-    error = error.T
-    columns = np.stack([*(base[name] for name in device.names), error], axis=-1)
-    reduced = columns - q @ (q.transpose(0, 2, 1) @ columns)
-    spread = np.log(np.broadcast_to(found.spread, held.position.shape)[held.valid]).sum()
-    return reduced, float(spread), np.full(len(held), starts.shape[2]) - held.rests * (starts.shape[2] - 1)
-
-
-def _slopes(
-    held: Stretches,
-    device: Device,
-    found: Filter,
-    own: dict[str, Floats],
-    fitted: Floats,
-    begin: Floats,
-    base: Floats,
-) -> dict[str, Floats]:
-    """Return the slope of the prediction along each number of the shape, (S, N) by name; starts stay as fitted."""
-    start = np.einsum("sc,scn->sn", fitted, begin)[:, None]
-    result = {}
+    passage, nothing = Passage(held, device.shape), np.ones_like(held.direction)
+    found = Filter.of(passage, device.noise)
+    linear = {
+        "gain": Column(command=device.driven(held)),
+        "coulomb": Column(direct=-held.direction),
+        "force": Column(direct=nothing),
+    }
+    asked = [name for name in device.names if name in linear]
+    whole = _force_of(held, device)
+    (left, *base), q, r = _errors(held, passage, found, [whole, *(linear[name] for name in asked)])
+    columns = {name: -each for name, each in zip(asked, base, strict=True)}
+    common = left
+    if device.effects is not None:
+        for name, each in columns.items():
+            common = common + (device.own(name, held.trial) - device.numbers[name]) * each
+    fitted = (np.linalg.pinv(r, rcond=1e-11) @ np.einsum("snc,ns->sc", q, left)[..., None])[..., 0]
+    start = np.zeros((len(held), passage.states))
+    for place, column in enumerate(passage.starts()):
+        assert column.start is not None
+        start += column.start * fitted[:, place, None]
+    # the prediction with its start, along each number of the shape
+    whole = replace(whole, start=start)
+    (at,) = passed(passage, found, [whole])
     for name in (each for each in SHAPE if each in device.numbers):
-        passage = Passage(held, device.shape.moved(name, SMALL))
-        force = own["force"][None, :] - own["coulomb"][None, :] * held.direction
-        added = passage.added(held.command * own["gain"][None, :], force)
-        if held.rests.any():
-            added = added + fitted[None, :, :1] * passage.holding()
-        errors = passed(passage, found, held.position[..., None], start, added[:, :, None])
-        result[name] = -(errors[:, :, 0].T - base) / SMALL
-    return result
+        (moved,) = passed(Passage(held, device.shape.moved(name, SMALL)), found, [whole])
+        columns[name] = (at - moved) / SMALL
+    stacked = np.stack([*(columns[name] for name in device.names), common], axis=-1).transpose(1, 0, 2)
+    reduced = stacked - q @ (q.transpose(0, 2, 1) @ stacked)
+    unknowns = np.full(len(held), q.shape[2]) - held.rests * (q.shape[2] - 1)
+    return reduced, _log_spread(held, found, r), unknowns
 
 
-def refined(held: Stretches, device: Device, trials: int, steps: int = STEPS) -> Fit:
-    """Return the likeliest device near one, with the random force that makes its errors independent.
+def refined(
+    held: Stretches, device: Device, trials: int, steps: int = STEPS, *, far: bool = True, noisy: bool = True
+) -> Fit:
+    """Return the likeliest device near one, with the noise that makes its errors independent.
 
     Parameters
     ----------
@@ -225,59 +241,109 @@ def refined(held: Stretches, device: Device, trials: int, steps: int = STEPS) ->
         Number of trials, of which some may have no stretch.
     steps : int
         Most steps.
+    far : bool
+        Whether it starts far from the solution, where scatter between trials would explain everything.
+    noisy : bool
+        Whether the noise is looked for, too; else it stays as it is.
     """
     scattered = SCATTERED if trials >= FEWEST else ()
     places = np.array([i for i, name in enumerate(device.names) if name in scattered], dtype=np.int64)
     free = np.empty(0, dtype=np.int64)
     best: Fit | None = None
-    for count in range(steps):
-        if count % FIXED_STEPS == 1:
-            device = replace(device, disturbance=disturbing(held, device, narrow=count > 1))
-        moments, spread = moments_of(held, device, trials)
+    alike = float(held.rows.sum() / max(held.distinct.sum(), 1.0))
+    first = 0 if far else FIXED_STEPS
+    for count in range(first, first + steps):
+        if noisy and count in (1, FIXED_STEPS):
+            device = replace(device, noise=noise_of(held, device, jitters=count == FIXED_STEPS))
+        moments, log_spread = moments_of(held, device, trials)
         if not np.isfinite(moments.products).all():
             break
         solved = solve(moments, places if count >= FIXED_STEPS else free)
         effects = solved.effects if trials >= FEWEST and count >= FIXED_STEPS else None
-        fit = Fit(replace(device, effects=effects), solved, trials < FEWEST, spread)
+        fit = Fit(
+            replace(device, effects=effects),
+            solved,
+            moments,
+            trials < FEWEST,
+            log_spread,
+            alike if device.noise == WHITE else 1.0,
+        )
         if best is None or count == FIXED_STEPS or fit.likelihood > best.likelihood:
             best = fit
         square = float(solved.step @ solved.total @ solved.step)
-        if square < DONE and count > FIXED_STEPS + 1:
+        if square < DONE and count > FIXED_STEPS:
             return fit
         device = replace(device.stepped(solved.step), effects=effects)
     assert best is not None
     return best
 
 
-def disturbing(held: Stretches, device: Device, narrow: bool = False) -> float:
-    """Return the variance of the random force [readings' variance] under which the errors are likeliest."""
-    from scipy.optimize import minimize_scalar
+def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
+    """Return the noise under which the errors of a device are likeliest, without what is worth nothing.
 
-    some = held.chosen(_spread(held, 60))
+    A random force is looked for, and a jitter of the delay if asked for.
+    """
+    from scipy.optimize import minimize, minimize_scalar
 
-    def cost(log: float) -> float:
-        found, errors, _ = residuals(some, replace(device, disturbance=float(np.exp(log))))
-        own = [device.numbers.get(name, 0.0) + device.effect(name, some.trial) for name in LINEAR]
-        left = (errors[:, :, 0] - sum(each * errors[:, :, 1 + i] for i, each in enumerate(own))).T
+    some = held.chosen(spread(held, NOISE_STRETCHES))
+    passage, constant = Passage(some, device.shape), Column(direct=np.ones_like(some.direction))
+    # an impulse by a jitter of one sample, in standard deviations of a reading
+    impulse = device.numbers["gain"] / np.sqrt(_white(some))
+
+    def of(force: float, jitter: float) -> Noise:
+        return Noise(force, (impulse * jitter) ** 2, jitter)
+
+    def cost(noise: Noise) -> float:
+        found, whole = Filter.of(passage, noise), _force_of(some, replace(device, noise=noise))
         # the constant force of each stretch is free, so that it is not taken for a random one
-        starts = np.concatenate([errors[:, :, 4:], errors[:, :, 3:4]], axis=2).transpose(1, 0, 2)
-        q, _ = np.linalg.qr(starts)
-        left = left - (q @ (q.transpose(0, 2, 1) @ left[..., None]))[..., 0]
-        squares = np.maximum((left**2).sum(axis=1), 1e-300)
-        rows = np.maximum(some.rows - starts.shape[2], 1)
-        spread = np.log(np.broadcast_to(found.spread, some.position.shape)[some.valid]).sum()
-        return float(0.5 * (rows * np.log(squares / rows)).sum() + spread)
+        (left, push), q, r = _errors(some, passage, found, [whole, constant])
+        both = np.stack([left, push], axis=-1).transpose(1, 0, 2)
+        both = both - q @ (q.transpose(0, 2, 1) @ both)
+        products = both.transpose(0, 2, 1) @ both
+        pushed = np.maximum(products[:, 1, 1], 1e-300)
+        squares = np.maximum(products[:, 0, 0] - products[:, 0, 1] ** 2 / pushed, 1e-300)
+        rows = np.maximum(some.rows - q.shape[2] - 1, 1)
+        variance = np.maximum(squares / rows, some.least)
+        lost = 0.5 * (rows * np.log(variance) + squares / variance + np.log(pushed)).sum()
+        return float(lost) + _log_spread(some, found, r)
 
-    high, low = (float(np.log(each)) for each in MEMORIES)
-    if narrow and device.disturbance > 0:
-        low, high = np.log(device.disturbance) - 2.5, np.log(device.disturbance) + 1.5
-    options = {"xatol": 0.03 if narrow else 0.5, "maxiter": 10}
-    found = minimize_scalar(cost, bounds=(low, high), method="bounded", options=options)
-    none = cost(-np.inf)
-    return 0.0 if none <= found.fun + 1.0 else float(np.exp(found.x))
+    def likeliest(make: Callable[[float], Noise], limits: tuple[float, float]) -> tuple[float, Noise]:
+        bounds = tuple(np.log(limits).tolist())
+        options = {"xatol": ROUGH, "maxiter": 9}
+        found = minimize_scalar(
+            lambda log: cost(make(float(np.exp(log)))), bounds=bounds, method="bounded", options=options
+        )
+        return float(found.fun), make(float(np.exp(found.x)))
+
+    none = cost(WHITE), WHITE
+    alone = [likeliest(lambda force: of(force, 0.0), MEMORIES)]
+    if jitters:
+        alone.append(likeliest(lambda jitter: of(0.0, jitter), JITTERS))
+    worth = [each for each in alone if each[0] < none[0] - WORTH]
+    best = min([none, *worth], key=lambda each: each[0])
+    if not jitters or not worth:
+        return best[1]
+    # both together, from the likelier one and a tenth of the other
+    shares = [1.0 if each is best else 0.1 for each in alone]
+    start = np.log(
+        [max(alone[0][1].force * shares[0], MEMORIES[0]), max(alone[1][1].jitter * shares[1] ** 0.5, JITTERS[0])]
+    )
+    simplex = start + np.array([[0.0, 0.0], [ROUGH, 0.0], [0.0, 0.5 * ROUGH]])
+    options = {"maxfev": 30, "xatol": 0.05, "fatol": 0.1, "initial_simplex": simplex}
+    both = minimize(lambda logs: cost(of(*np.exp(logs).tolist())), start, method="Nelder-Mead", options=options)
+    force, jitter = np.exp(both.x).tolist()
+    simpler = [*((cost(each), each) for each in (of(force, 0.0), of(0.0, jitter))), *worth]
+    found = [(float(both.fun), of(force, jitter)), *((lost - WORTH, each) for lost, each in simpler)]
+    return min(found, key=lambda each: each[0])[1]
 
 
-def _spread(held: Stretches, most: int) -> np.ndarray:
+def _white(held: Stretches) -> float:
+    """Return the variance of a reading [squares of its unit] by third differences, which motion does not have."""
+    third = np.diff(held.position, 3, axis=0)[held.valid[3:]]
+    return max(float(np.median(np.abs(third)) / 0.6745) ** 2 / 20, 1e-24)
+
+
+def spread(held: Stretches, most: int) -> np.ndarray:
     """Return the places of at most so many stretches, evenly among all."""
     return np.unique(np.linspace(0, len(held) - 1, min(most, len(held))).round().astype(int))
 
@@ -288,7 +354,7 @@ def begun(held: Stretches, names: tuple[str, ...], most_delay: float) -> Device:
     With y the position, y = start + gain u'' - delta y' - gamma y'' - coulomb s'' + force t^2/2, where ' is an integral
     from the stretch's start: linear, and errors of readings enter almost undisturbed.
     """
-    some = held.chosen(_spread(held, 60))
+    some = held.chosen(spread(held, 60))
     rows = len(some.position)
     t = np.where(some.valid, some.time[some.lead : some.lead + rows] - some.time[some.lead], 0.0)
     dt = np.diff(some.time[some.lead : some.lead + rows + 1], axis=0)
@@ -299,13 +365,12 @@ def begun(held: Stretches, names: tuple[str, ...], most_delay: float) -> Device:
     best: tuple[float, dict[str, float]] = (np.inf, {})
     for delay in np.arange(0.0, most_delay + 0.5) if "delay" in names else (0.0,):
         passage = Passage(some, Physics(delay=float(delay)))
-        forces = [passage.added(some.command, None)]
-        forces += [passage.added(None, each) for each in (middle, some.direction, np.ones_like(y))]
-        none = Filter(np.zeros((rows, 1, 2)), np.ones((rows, 1)))
-        start = np.zeros((len(some), 4, 2))
-        twice = -passed(passage, none, None, start, np.stack(forces, axis=2))
-        known = {"gain": twice[..., 0], "delta": -once, "gamma": -twice[..., 1], "coulomb": -twice[..., 2]}
-        known["force"] = twice[..., 3]
+        forces = [
+            Column(command=some.driven),
+            *(Column(direct=each) for each in (middle, some.direction, np.ones_like(y))),
+        ]
+        twice = [-each for each in passed(passage, Filter.of(passage, Noise()), forces)]
+        known = {"gain": twice[0], "delta": -once, "gamma": -twice[1], "coulomb": -twice[2], "force": twice[3]}
         known = {name: known[name] for name in names if name in known}
         columns = np.stack([*known.values(), y], axis=-1) * some.valid[..., None]
         starts = [np.ones_like(t), *([] if some.rests.all() else [t * ~some.rests])]

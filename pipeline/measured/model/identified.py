@@ -50,6 +50,7 @@ class Identified:
     trials: int
     covariance: Floats
     folds: list[dict[str, float]]
+    choice: Choice
 
 
 def identified(recordings: list[Recording]) -> Identified:
@@ -97,7 +98,7 @@ def identified(recordings: list[Recording]) -> Identified:
             if name in named and len(recordings) >= FEWEST
         },
         noise * choice.scales.position,
-        float(np.sqrt(choice.fit.device.disturbance)) * noise / abs(gain or 1.0) * command,
+        float(np.sqrt(choice.fit.device.noise.force)) * noise / abs(gain or 1.0) * command,
         replay,
         replay_names,
         choice.scales,
@@ -106,6 +107,7 @@ def identified(recordings: list[Recording]) -> Identified:
         [{name: quantities[name](device.numbers) for name in names} for device in _without_folds(choice.fit)]
         if len(recordings) >= FEWEST
         else [],
+        choice,
     )
 
 
@@ -149,7 +151,7 @@ def _replay(recordings: list[Recording], choice: Choice) -> tuple[Replay, list[s
         held = stretches(before, choice.scales, lead, choice.moving)
         device = replace(choice.fit.device, effects=None)
         if len(held):
-            device = refined(held, device, len(before), 8).device
+            device = refined(held, device, len(before), steps=8, far=False).device
         last = [_cut(each, cut, len(each.time)) for each, cut in zip(recordings, cuts, strict=True)]
         whole = stretches(last, choice.scales, lead, False)
         return replayed(whole, replace(device, effects=None)), [recordings[i].name for i in whole.trial]

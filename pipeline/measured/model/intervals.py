@@ -94,7 +94,7 @@ class Errors:
         information, score = solved.information[told], solved.score[told]
         without = (total if fit.few else total - own for own in information)
         steps = np.stack([-(inverse(rest) @ each) for rest, each in zip(without, score, strict=True)])
-        return cls(fit.device.numbers, solved.covariance, steps, max(float(told.sum() - 1), 1.0))
+        return cls(fit.device.numbers, fit.alike * solved.covariance, steps, max(float(told.sum() - 1), 1.0))
 
     def interval(self, quantity: Quantity, bounded: bool = False) -> Interval:
         """Return a quantity's value and interval; one that is not negative by its profile likelihood at 0."""

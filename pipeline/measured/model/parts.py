@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.measured.model.estimation import Device, Fit, begun, moments_of, refined
+from pipeline.measured.model.estimation import WORTH, Device, Fit, begun, moments_of, refined, spread
 from pipeline.measured.model.intervals import Errors, physical
 from pipeline.measured.model.recordings import Holding, Recording, Scales, Stretches, stretches
 from pipeline.measured.model.scatter import Moments, inverse, solve
+from pipeline.measured.model.whitening import WHITE
 
 BASE = ("gain", "delta", "delay", "force")
 """Numbers of every device."""
@@ -18,9 +19,6 @@ NUMBERS = {"friction": ("coulomb",), "stiffness": ("gamma",), "lag": ("lag",), "
 """Numbers of each part."""
 
 FOLDS = 5
-
-WORTH = 5.0
-"""Gain of held-out log-likelihood from which on a part is one: odds of 150 to 1."""
 
 MOST_TRIALS = 100
 """Trials by which parts are chosen; all are fitted in the end."""
@@ -34,6 +32,18 @@ SHARES = (0.05, 0.2)
 TURNS = (0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7, 1.0)
 """Frequencies [rad a sample] from which a mode is looked for, a factor of 1.5 apart."""
 
+
+LAGS = (0.5, 1.0, 2.0, 4.0, 8.0)
+"""Lags [samples] from which one is looked for, each of which the next one resembles."""
+
+LOOKED_AT = 30
+"""Stretches by which lag and mode are looked for at first: what these do not show moves no limit."""
+
+SOME_STEPS = 10
+"""Steps by which they are looked for at first."""
+
+LAST_STEPS = 3
+"""Steps on all logs from what some of them have shown: the last one is smaller than rounding."""
 
 OPEN = 0.02
 """Friction, relative to the largest command, that may act unseen before it must be taken along as unknown: a mass is
@@ -98,34 +108,63 @@ def chosen(recordings: list[Recording]) -> Choice:
         # a spring is then taken as relaxed where the logs begin
         scales = replace(scales, origin=float(np.median([each.position[0] for each in some])))
     delay = _delay(some, scales, base, int(np.clip(rows // 8, 2, LONGEST_DELAY)))
-    lead = int(np.ceil(delay)) + 3
-    held = stretches(some, scales, lead, True)
-    found = _with_friction(held, base, delay, len(some)) if len(held) else None
-    if found is None:
-        held = stretches(some, scales, lead, False)
-        found = _worth(held, (*base, "gamma"), delay, len(some))
-    fit, parts = found
+    lead, trials = int(np.ceil(delay)) + 3, len(some)
+    fit, held, parts = _first(some, scales, lead, (base, delay))
     holding = None
     if parts.get("friction", 0.0) > 0:
         holding = _holding(fit, scales)
         held = stretches(some, scales, lead, True, holding)
-        fit = refined(held, replace(fit.device, effects=None), len(some))
-    fit, parts = _further(held, fit, parts, len(some))
+        fit = refined(held, replace(fit.device, effects=None), trials, far=False)
+    fit, parts = _further(held, fit, parts, trials)
     if {"lag", "mode"} & set(parts):
         held, fit, parts = _pruned((some, scales, lead), held, fit, parts)
     if len(places) < len(recordings):
         held = stretches(recordings, scales, lead, "friction" in parts, holding)
-        fit = refined(held, replace(fit.device, effects=None), len(recordings))
+        alone = replace(fit.device, effects=None)
+        fit = refined(held, alone, len(recordings), steps=LAST_STEPS, far=False, noisy=False)
     return Choice(fit, held, scales, parts, assumed)
 
 
-def again(choice: Choice, recordings: list[Recording], steps: int) -> Choice:
-    """Return the fit of other recordings with the parts of an earlier choice, after so many steps from its numbers."""
+def again(choice: Choice, recordings: list[Recording]) -> Choice:
+    """Return the fit of other recordings with the parts of an earlier choice, from its numbers on."""
     found, scales = choice.fit, choice.scales
     holding = _holding(found, scales) if choice.parts.get("friction", 0.0) > 0 else None
     held = stretches(recordings, scales, choice.held.lead, choice.moving, holding)
-    fit = refined(held, replace(found.device, effects=None), len(recordings), steps)
+    alone = replace(found.device, effects=None)
+    fit = refined(held, alone, len(recordings), steps=LAST_STEPS, far=False, noisy=False)
     return Choice(fit, held, scales, choice.parts, choice.assumed)
+
+
+def _first(
+    recordings: list[Recording], scales: Scales, lead: int, start: tuple[tuple[str, ...], float]
+) -> tuple[Fit, Stretches, dict[str, float]]:
+    """Return the fit with friction and spring where there are some or may be, with its stretches and those parts."""
+    (base, delay), trials = start, len(recordings)
+    held, fit = stretches(recordings, scales, lead, True), None
+    if len(held):
+        begin = begun(held, (*base, "gamma", "coulomb"), delay + 2)
+        fit, parts = _worth(held, refined(held, begin, trials), trials)
+        gain = _loss(fit, "coulomb")
+        friction = Errors.of(fit).interval(lambda n: n["coulomb"] / n["gain"], bounded=True)
+        if gain > WORTH or friction.high >= OPEN:
+            return fit, held, {"friction": gain if gain > WORTH else 0.0} | parts
+    held = stretches(recordings, scales, lead, False)
+    if fit is None:
+        fit = refined(held, begun(held, (*base, "gamma"), delay + 2), trials)
+    else:
+        numbers = {name: value for name, value in fit.device.numbers.items() if name != "coulomb"}
+        fit = refined(held, Device({"gamma": 0.0} | numbers, fit.device.noise), trials, far=False)
+    fit, parts = _worth(held, fit, trials)
+    return fit, held, parts
+
+
+def _worth(held: Stretches, fit: Fit, trials: int) -> tuple[Fit, dict[str, float]]:
+    """Return the fit with its spring where there is one, else without."""
+    gain = _loss(fit, "gamma")
+    if gain > WORTH:
+        return fit, {"stiffness": gain}
+    left = {name: value for name, value in fit.device.numbers.items() if name != "gamma"}
+    return refined(held, Device(left, fit.device.noise), trials, far=False), {}
 
 
 def _holding(fit: Fit, scales: Scales) -> Holding:
@@ -158,16 +197,6 @@ def _delay(recordings: list[Recording], scales: Scales, base: tuple[str, ...], l
     return begun(held, names, lead).numbers.get("delay", 0.0)
 
 
-def _worth(held: Stretches, names: tuple[str, ...], delay: float, trials: int) -> tuple[Fit, dict[str, float]]:
-    """Return the fit with a spring where there is one, else without, and what it is worth."""
-    fit = refined(held, begun(held, names, delay + 2), trials)
-    gain = _loss(fit, "gamma")
-    if gain > WORTH:
-        return fit, {"stiffness": gain}
-    left = tuple(name for name in names if name != "gamma")
-    return refined(held, begun(held, left, delay + 2), trials), {}
-
-
 def _pruned(
     logs: tuple[list[Recording], Scales, int], held: Stretches, fit: Fit, parts: dict[str, float]
 ) -> tuple[Stretches, Fit, dict[str, float]]:
@@ -183,7 +212,7 @@ def _pruned(
                 continue
             held = stretches(recordings, scales, lead, False)
         left = {key: value for key, value in fit.device.numbers.items() if key != number}
-        fit = refined(held, Device(left, fit.device.disturbance), len(recordings))
+        fit = refined(held, Device(left, fit.device.noise), len(recordings), far=False)
         parts = {key: value for key, value in parts.items() if key != name}
     return held, fit, parts
 
@@ -194,57 +223,50 @@ def _loss(fit: Fit, name: str) -> float:
     return 0.5 * (found.value / found.error) ** 2 if found.value > 0 and found.error > 0 else 0.0
 
 
-def _with_friction(
-    held: Stretches, base: tuple[str, ...], delay: float, trials: int
-) -> tuple[Fit, dict[str, float]] | None:
-    """Return the fit with friction where there is some or may be, None where there is none."""
-    fit, parts = _worth(held, (*base, "gamma", "coulomb"), delay, trials)
-    gain = _loss(fit, "coulomb")
-    if gain > WORTH:
-        return fit, {"friction": gain} | parts
-    friction = Errors.of(fit).interval(lambda n: n["coulomb"] / n["gain"], bounded=True)
-    return None if friction.high < OPEN else (fit, {"friction": 0.0} | parts)
-
-
 def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) -> tuple[Fit, dict[str, float]]:
     """Return the fit with lag and mode, where held-out units are likelier with them."""
+    some = held.chosen(spread(held, LOOKED_AT))
     for name, size in (("lag", "lag"), ("mode", "share")):
-        if "delay" not in fit.device.numbers:
+        # what leaves the noise of readings alone needs no other part
+        if "delay" not in fit.device.numbers or fit.device.noise == WHITE:
             break
-        other = refined(held, _having(held, fit.device, trials, name), trials)
-        if _loss(other, size) < WORTH or held_out(other) - held_out(fit) < WORTH:
+        alone = replace(fit.device, effects=None)
+        other = refined(some, _having(some, alone, trials, name), trials, SOME_STEPS)
+        if _loss(other, size) < WORTH or other.likelihood - refined(some, alone, trials, far=False).likelihood < WORTH:
             continue
+        if len(some) < len(held):
+            other = refined(held, replace(other.device, effects=None), trials, far=False)
         # the search for the part went on where that without it had ended
-        fit = refined(held, replace(fit.device, effects=None), trials)
+        fit = refined(held, alone, trials, far=False)
         gain = held_out(other) - held_out(fit)
-        if gain > WORTH * len(NUMBERS[name]):
+        if _loss(other, size) > WORTH and gain > WORTH * len(NUMBERS[name]):
             fit, parts = other, parts | {name: gain}
     return fit, parts
 
 
-def _promise(held: Stretches, device: Device, trials: int) -> float:
-    """Return the likelihood of a mode as it stands, with the best of the device's other numbers."""
-    moments, spread = moments_of(held, device, trials)
-    others = [i for i, name in enumerate(device.names) if name not in NUMBERS["mode"]] + [len(device.names)]
-    left = Moments(moments.products[:, others][:, :, others], moments.rows)
-    return solve(left, np.empty(0, dtype=np.int64)).likelihood - spread
-
-
 def _having(held: Stretches, device: Device, trials: int, part: str) -> Device:
-    """Return a device with one part more, from which a search starts."""
-    numbers, delay = device.numbers, device.numbers["delay"]
+    """Return a device with one part more, from which a search starts: the one that leaves least as noise of readings.
+
+    A random force, or a jitter, would take the part's place.
+    """
+    device = replace(device, noise=WHITE)
+    delay = device.numbers["delay"]
     if part == "lag":
-        lag = max(0.5 * delay, 0.5)
-        return replace(device, numbers=numbers | {"lag": lag, "delay": max(delay - lag, 0.0)}, effects=None)
-    likeliest, turns = replace(device, effects=None), np.array(TURNS)
-    for shares in (SHARES, (1.0,)):
-        modes = [
-            numbers | {"turn": float(turn), "ratio": 0.04, "share": share * likeliest.numbers.get("share", 1.0)}
-            for turn in turns
-            for share in shares
-        ]
-        likeliest = max(
-            (replace(likeliest, numbers=each) for each in modes), key=lambda each: _promise(held, each, trials)
-        )
-        turns = likeliest.numbers["turn"] * np.array([0.86, 0.93, 1.0, 1.07, 1.15])
-    return likeliest
+        return _best(held, device, trials, part, [{"lag": lag, "delay": max(delay - lag, 0.0)} for lag in LAGS])
+    modes = [{"turn": turn, "ratio": 0.04, "share": share} for turn in TURNS for share in SHARES]
+    near = _best(held, device, trials, part, modes).numbers
+    turns = [near["turn"] * factor for factor in (0.86, 0.93, 1.0, 1.07, 1.15)]
+    modes = [{"turn": turn, "ratio": 0.04, "share": near["share"]} for turn in turns]
+    return _best(held, device, trials, part, modes)
+
+
+def _best(held: Stretches, device: Device, trials: int, part: str, some: list[dict[str, float]]) -> Device:
+    """Return the likeliest of some devices with a part as it stands, each with the best of its other numbers."""
+
+    def promise(found: Device) -> float:
+        moments, log_spread = moments_of(held, found, trials)
+        others = [i for i, name in enumerate(found.names) if name not in NUMBERS[part]] + [len(found.names)]
+        left = Moments(moments.products[:, others][:, :, others], moments.rows, moments.least)
+        return solve(left, np.empty(0, dtype=np.int64)).likelihood - log_spread
+
+    return max((replace(device, numbers=device.numbers | each) for each in some), key=promise)

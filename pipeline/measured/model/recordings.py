@@ -72,6 +72,9 @@ class Scales:
 class Stretches:
     """S stretches of at most N rows, in the units of `Scales`; `lead` rows of commands stand before the readings.
 
+    ``distinct`` (S,) is the number of readings that differ from the one before, ``least`` (S,) the variance that
+    rounding alone leaves of a reading.
+
     ``time`` (lead + N + 1, S), ``command`` and ``acts`` (lead + N, S): whether the force of a row acts on the device,
     which friction holds before; ``position`` (N, S), ``direction`` (N, S) of motion until the next row; ``rows``,
     ``trial`` and ``rests`` (starts at rest) of shape (S,).
@@ -85,6 +88,8 @@ class Stretches:
     rows: Integers
     trial: Integers
     rests: Booleans
+    distinct: Floats
+    least: Floats
     lead: int
     regular: bool
 
@@ -92,6 +97,11 @@ class Stretches:
     def valid(self) -> Booleans:
         """Which rows are readings, shape (N, S)."""
         return np.asarray(np.arange(len(self.position))[:, None] < self.rows[None])
+
+    @cached_property
+    def driven(self) -> Floats:
+        """Command where it acts on the device, shape (lead + N, S)."""
+        return np.asarray(self.command * self.acts)
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -110,6 +120,8 @@ class Stretches:
             rows,
             self.trial[which],
             self.rests[which],
+            self.distinct[which],
+            self.least[which],
             self.lead,
             self.regular,
         )
@@ -160,10 +172,15 @@ def reading_noise(position: Floats) -> float:
     """Return the standard deviation of a reading's error: of third differences, or of rounding to the quantum."""
     third = np.diff(position, 3)
     noise = float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20.0) if len(third) else 0.0
+    return float(max(noise, rounding(position), 1e-12 * float(np.ptp(position))))
+
+
+def rounding(position: Floats) -> float:
+    """Return the standard deviation of a reading's rounding to the sensor's quantum, 0 where none is seen."""
     steps = np.abs(np.diff(position))
     steps = steps[steps > 1e-9 * max(float(np.ptp(position)), 1e-300)]
     quantum = float(np.quantile(steps, 0.02)) if len(steps) > 20 and len(steps) < 0.8 * len(position) else 0.0
-    return float(max(noise, quantum / np.sqrt(12.0), 1e-12 * float(np.ptp(position))))
+    return quantum / float(np.sqrt(12.0))
 
 
 @dataclass(frozen=True)
@@ -339,7 +356,8 @@ def _padded(recordings: list[Recording], even: list[Floats], cuts: list[_Cut], s
     n, count = max((cut.behind - cut.first for cut in cuts), default=1), len(cuts)
     time = np.zeros((lead + n + 1, count))
     command, acts = np.zeros((lead + n, count)), np.ones((lead + n, count))
-    position, direction = np.zeros((n, count)), np.zeros((n, count))
+    position, direction, distinct = np.zeros((n, count)), np.zeros((n, count)), np.zeros(count)
+    least = [(rounding(each.position) / scales.position) ** 2 for each in recordings]
     for s, cut in enumerate(cuts):
         each, grid = recordings[cut.trial], even[cut.trial]
         rows = np.arange(cut.first - lead, cut.first + n)
@@ -352,6 +370,7 @@ def _padded(recordings: list[Recording], even: list[Floats], cuts: list[_Cut], s
         here = cut.behind - cut.first
         position[:here, s] = (each.position[cut.first : cut.behind] - scales.origin) / scales.position
         direction[:here, s] = cut.direction
+        distinct[s] = 1 + np.count_nonzero(np.diff(each.position[cut.first : cut.behind]))
         if cut.edge is not None:
             acts[:, s] = rows >= cut.edge
     regular = bool(count) and bool(np.abs(np.diff(time, axis=0) - 1).max() < 1e-6)
@@ -364,6 +383,8 @@ def _padded(recordings: list[Recording], even: list[Floats], cuts: list[_Cut], s
         np.array([cut.behind - cut.first for cut in cuts], dtype=np.int64),
         np.array([cut.trial for cut in cuts], dtype=np.int64),
         np.array([cut.edge is not None for cut in cuts], dtype=bool),
+        distinct,
+        np.array([least[cut.trial] for cut in cuts], dtype=np.float64),
         lead,
         regular,
     )

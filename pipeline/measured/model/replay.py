@@ -77,8 +77,8 @@ def free_run(held: Stretches, device: Device, start: Floats) -> Floats:
     inputs = np.stack([push, blow], axis=1)
     passage = Passage(held, shape)
     rows, count = held.position.shape
-    coulomb, force = (numbers.get(name, 0.0) + device.effect(name, held.trial) for name in ("coulomb", "force"))
-    gain = numbers["gain"] + device.effect("gain", held.trial)
+    coulomb, force = (device.own(name, held.trial) for name in ("coulomb", "force"))
+    gain = device.own("gain", held.trial)
     spans = (passage.pieces.begins - passage.pieces.ends) / (PARTS if numbers.get("coulomb") else 1)
     moved, gained = at_times(matrix, inputs, spans)
     row_of, column = np.broadcast_to(passage.pieces.row, (len(moved), rows, count)), np.arange(count)
@@ -88,7 +88,7 @@ def free_run(held: Stretches, device: Device, start: Floats) -> Floats:
         for piece in range(len(moved)):
             at = min(k, moved.shape[1] - 1)
             transition, added = moved[piece, at], gained[piece, at]
-            command = gain * held.command[row_of[piece, k], column]
+            command = gain * held.driven[row_of[piece, k], column]
             for _ in range(PARTS if numbers.get("coulomb") else 1):
                 state = _onward(state, transition, added, (command, force), coulomb, (matrix, push))
     return result

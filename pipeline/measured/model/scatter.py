@@ -33,10 +33,14 @@ RIDGE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Sums of products of each trial's whitened columns and errors (T, p + 1, p + 1); its free rows (T,)."""
+    """Sums of products of each trial's whitened columns and errors (T, p + 1, p + 1); its free rows (T,).
+
+    ``least`` is the variance of an error that rounding of the readings alone leaves.
+    """
 
     products: Floats
     rows: Floats
+    least: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +92,7 @@ def solve(moments: Moments, random: Integers) -> Solved:
     # at first by what each unit leaves at its own best numbers
     rest = _Mixed(products).rest
     # numbers are rounded by as much, and of readings that never change nothing is left
-    least = max(float(products[:, p, p].sum()) * ROUNDED**2 / float(rows.sum()), LEAST_NOISE)
+    least = max(float(products[:, p, p].sum()) * ROUNDED**2 / float(rows.sum()), LEAST_NOISE, moments.least)
     noise = max(float(np.median(rest / rows)), least)
     weight, variances = (rows + OWN_ROWS) / (OWN_ROWS + rest / noise), np.zeros(p)
     for count in range(ROUNDS):

@@ -1,22 +1,76 @@
 """Prediction errors: a Kalman filter for a device that a random force disturbs, over all stretches together.
 
 The filter is linear in readings, commands, friction, constant force and start: each is a column that passes it alone,
-and the prediction errors of any device with this shape of motion are a sum of columns.
+and the prediction errors of any device with this shape of motion are a sum of columns. For even rows and a random force
+that is always as strong the filter is a steady one, a recursion of two to five terms; else it goes row by row.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.signal import lfilter
 
 from pipeline.measured.model.motion import Physics, Pieces, at_times, pieces
 from pipeline.measured.model.recordings import Stretches
-from pipeline.records.batch import Floats
+from pipeline.records.batch import Floats, Integers
 
-STEADY = 1e-10
-"""Change of the filter's gain in a sample, relative to it, below which it stays as it is."""
+DOUBLINGS = 60
+"""Most doublings of a filter's memory until it is steady: 2^40 samples are the longest that doubles tell from none."""
+
+STEADY = 1e-14
+"""Change of a filter's variance in a doubling, relative to it, that is rounding."""
+
+
+LARGEST_SHARE = 0.8
+"""Share of a command that comes early or late by the reach of a jitter; delays drawn from three have two thirds."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Beside that of the readings: a random force, and a delay that jitters.
+
+    Parameters
+    ----------
+    force : float
+        Variance of the random force over a sample, in that of a reading.
+    late : float
+        Variance of the impulse that a change of the command by 1 gives as it comes early or late, in that of a reading.
+    jitter : float
+        Standard deviation of the delay [samples], from which ``late`` follows.
+    """
+
+    force: float = 0.0
+    late: float = 0.0
+    jitter: float = 0.0
+
+
+WHITE = Noise()
+"""No noise but that of the readings."""
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """What passes a filter alone; what is None is 0.
+
+    Parameters
+    ----------
+    readings : float64, shape (N, S), optional
+    command : float64, shape (lead + N, S), optional
+        Force behind the delay and the lag, where it acts on the device.
+    direct : float64, shape (N, S), optional
+        Force on the motor's side in an interval, where the command in force acts.
+    start : float64, shape (S, n), optional
+        State at the first row; a spring is held at its position while the stretch still rests.
+    """
+
+    readings: Floats | None = None
+    command: Floats | None = None
+    direct: Floats | None = None
+    start: Floats | None = None
 
 
 class Passage:
@@ -38,115 +92,189 @@ class Passage:
         """What unit command and force over each piece add, (P, N or 1, S or 1, n, 2)."""
         return self.pieces.gains(self._matrix, self._inputs)
 
-    def added(self, command: Floats | None, direct: Floats | None) -> Floats:
-        """Return what forces add to the state in each interval, shape (N, S, n).
+    @cached_property
+    def acts(self) -> Floats:
+        """Whether the command in force in each piece of an interval acts on the device, (P, N, S)."""
+        return np.stack([self.held.acts[row, self._column] for row in self.pieces.row])
 
-        Parameters
-        ----------
-        command : float64, shape (lead + N, S), optional
-            Force behind the delay and the lag.
-        direct : float64, shape (N, S), optional
-            Force on the motor's side in an interval, where the command in force acts.
+    @cached_property
+    def late(self) -> Floats:
+        """Square of the change of the command that arrives in each interval, spread as by a jitter of a sample, (N, S).
+
+        It comes early or late by up to a sample: half of it where it is expected, the rest in the intervals beside.
         """
-        column = np.arange(len(self.held))[None, :]
-        total = np.zeros((*self.held.position.shape, self.states))
-        for row, gain in zip(self.pieces.row, self.gains, strict=True):
-            acts = self.held.acts[row, column]
-            if command is not None:
-                total += (command[row, column] * acts)[..., None] * gain[..., 0]
-            if direct is not None:
-                total += (direct * acts)[..., None] * gain[..., 1]
-        return total
+        driven = self.held.driven
+        arriving = np.stack([driven[row, self._column] for row in self.pieces.row])
+        now = (np.diff(arriving, axis=0) ** 2).sum(axis=0)
+        early, late = np.zeros_like(now), np.zeros_like(now)
+        early[:-1], late[1:] = now[1:], now[:-1]
+        part = self.shape.delay % 1.0 if self.held.regular else 0.5
+        return np.asarray(0.5 * ((1 - part) * early + now + part * late))
 
-    def holding(self) -> Floats:
-        """Return what holds a spring at unit position while the stretch still rests, shape (N, S, n)."""
-        column = np.arange(len(self.held))[None, :]
-        total = np.zeros((*self.held.position.shape, self.states))
-        for row, gain in zip(self.pieces.row, self.gains, strict=True):
-            total += (self.shape.gamma * (1 - self.held.acts[row, column]))[..., None] * gain[..., 1]
-        return total
+    @property
+    def _column(self) -> Integers:
+        return np.arange(len(self.held))[None, :]
 
-    def starts(self) -> list[tuple[Floats, Floats | None]]:
-        """Return each unknown of the start as state (S, n), and what it adds (N, S, n) where it does."""
+    def forces(self, column: Column) -> list[tuple[int, int, Floats]]:
+        """Return the forces of a column: piece, place of the gain, and the force in each interval (N, S)."""
+        found: list[tuple[int, int, Floats]] = []
+        resting = column.start is not None and self.shape.gamma != 0 and self.held.rests.any()
+        for piece, (row, acts) in enumerate(zip(self.pieces.row, self.acts, strict=True)):
+            if column.command is not None:
+                found.append((piece, 0, column.command[row, self._column]))
+            direct = 0.0 if column.direct is None else column.direct * acts
+            if resting and column.start is not None:
+                direct = direct + self.shape.gamma * (1 - acts) * column.start[:, 0] * self.held.rests
+            if column.direct is not None or resting:
+                found.append((piece, 1, np.asarray(direct)))
+        return found
+
+    def starts(self) -> list[Column]:
+        """Return each unknown of the start as a column."""
         count, result = len(self.held), []
-        free = np.flatnonzero(~self.held.rests)
         for state in range(self.states):
             unit = np.zeros((count, self.states))
             unit[:, state] = 1.0
             if state:
                 unit[self.held.rests] = 0.0
-                if not len(free):
+                if self.held.rests.all():
                     continue
-            result.append((unit, self.holding() if state == 0 and self.held.rests.any() else None))
+            result.append(Column(start=unit))
         return result
 
 
 @dataclass(frozen=True, eq=False)
 class Filter:
-    """Gains (N, S or 1, n) of a filter, and the standard deviations (N, S or 1) of its errors in those of a reading."""
+    """Gains (N or 1, S or 1, n) of a filter and the standard deviations (N or 1, S or 1) of its errors in those of a
+    reading; a steady one has one row."""
 
     gain: Floats
     spread: Floats
 
     @classmethod
-    def of(cls, passage: Passage, disturbance: float) -> Filter:
-        """Return the filter for a random force whose variance over a sample is ``disturbance`` [readings' variance]."""
-        rows = passage.held.position.shape[0]
-        groups = passage.transition.shape[1]
-        n, sensor = passage.states, passage.sensor
+    def of(cls, passage: Passage, noise: Noise) -> Filter:
+        """Return the filter for some noise."""
+        n = passage.states
+        if noise == WHITE:
+            return cls(np.zeros((1, 1, n)), np.ones((1, 1)))
+        if passage.held.regular and noise.late == 0:
+            return cls._steady(passage, noise.force)
+        rows, groups = passage.held.position.shape
+        size = noise.force + (noise.late * passage.late if noise.late else np.zeros((rows, 1)))
+        groups = max(size.shape[1], passage.transition.shape[1])
         transition = np.broadcast_to(passage.transition, (rows, groups, n, n))
-        noise = passage.disturbed
-        added = np.broadcast_to(disturbance * noise[..., :, None] * noise[..., None, :], (rows, groups, n, n))
-        gain, spread = np.zeros((rows, groups, n)), np.ones((rows, groups))
-        if disturbance == 0:
-            return cls(gain, spread)
-        known = np.zeros((groups, n, n))
+        disturbed = np.broadcast_to(passage.disturbed, (rows, groups, n))
+        gain, spread, known = np.zeros((rows, groups, n)), np.ones((rows, groups)), np.zeros((groups, n, n))
         for k in range(rows):
-            seen = known @ sensor
-            variance = 1.0 + seen @ sensor
+            seen = known @ passage.sensor
+            variance = 1.0 + seen @ passage.sensor
             gain[k] = seen / variance[:, None]
             spread[k] = np.sqrt(variance)
-            if passage.held.regular and k > 8 and np.abs(gain[k] - gain[k - 1]).max() < STEADY * np.abs(gain[k]).max():
-                gain[k:], spread[k:] = gain[k], spread[k]
-                break
             known = known - gain[k][:, :, None] * seen[:, None, :]
-            known = transition[k] @ known @ transition[k].transpose(0, 2, 1) + added[k]
+            pushed = disturbed[k] * np.sqrt(size[k])[:, None]
+            moved = transition[k]
+            known = moved @ known @ moved.transpose(0, 2, 1) + pushed[:, :, None] * pushed[:, None, :]
         return cls(gain, spread)
 
+    @classmethod
+    def _steady(cls, passage: Passage, force: float) -> Filter:
+        """Return the filter that goes on for ever: its memory of the start is doubled until nothing changes."""
+        moved, pushed, sensor = passage.transition[0, 0], passage.disturbed[0, 0], passage.sensor
+        a, g, h = moved.T, np.outer(sensor, sensor), force * np.outer(pushed, pushed)
+        for _ in range(DOUBLINGS):
+            inner = np.linalg.inv(np.eye(len(a)) + g @ h)
+            a, g, more = a @ inner @ a, g + a @ inner @ g @ a.T, a.T @ h @ inner @ a
+            h = h + more
+            if np.abs(more).max() <= STEADY * np.abs(h).max():
+                break
+        variance = 1.0 + float(sensor @ h @ sensor)
+        return cls((h @ sensor / variance)[None, None], np.full((1, 1), np.sqrt(variance)))
 
-def passed(passage: Passage, found: Filter, readings: Floats | None, start: Floats, added: Floats | None) -> Floats:
-    """Return whitened prediction errors of columns, shape (N, S, C).
 
-    Parameters
-    ----------
-    passage : Passage
-    found : Filter
-    readings : float64, shape (N, S, C), optional
-        None where they are 0.
-    start : float64, shape (S, C, n)
-    added : float64, shape (N, S, C, n), optional
-    """
-    rows, count = passage.held.position.shape
-    columns, n = start.shape[1:]
-    turned = passage.transition.swapaxes(-1, -2)
-    shared = passage.transition.shape[:2] == (1, 1)
-    state = start.reshape(count * columns, n) if shared else start
-    errors = np.empty((rows, *state.shape[:-1]))
-    sensor = passage.sensor
-    filters = bool(found.gain.any())
-    # a matrix of one for all takes all columns as rows of one product
-    whole = turned[0, 0] if shared else None
-    given = None if readings is None else readings.reshape(rows, *state.shape[:-1])
-    pushed = None if added is None else added.reshape(rows, *state.shape)
-    for k in range(rows):
-        error = -(state @ sensor) if given is None else given[k] - state @ sensor
-        errors[k] = error
-        if filters:
-            gain = found.gain[k]
-            state = state + error[..., None] * (gain[0] if shared else gain[:, None, :])
-        state = state @ (whole if whole is not None else turned[min(k, len(turned) - 1)])
-        if pushed is not None:
-            state = state + pushed[k]
-    result = errors.reshape(rows, count, columns) / found.spread[:, :, None]
-    result[~passage.held.valid] = 0.0
+def blurred(command: Floats, jitter: float) -> Floats:
+    """Return the mean force of a command whose delay jitters [samples]: shares of it come early and late."""
+    if not jitter:
+        return command
+    # no more than 0.8 of it off its time: a larger jitter reaches farther
+    reach = int(np.ceil(jitter / np.sqrt(LARGEST_SHARE)))
+    early, late = command.copy(), np.zeros_like(command)
+    early[:-reach], late[reach:] = command[reach:], command[:-reach]
+    return np.asarray(command + 0.5 * (jitter / reach) ** 2 * (early - 2 * command + late))
+
+
+def passed(passage: Passage, found: Filter, columns: Sequence[Column]) -> list[Floats]:
+    """Return the whitened prediction errors of columns, each of shape (N, S)."""
+    steady = passage.held.regular and len(found.gain) == 1
+    errors = (_recursion if steady else _by_rows)(passage, found, columns)
+    for each in errors:
+        each /= found.spread
+        each[~passage.held.valid] = 0.0
+    return errors
+
+
+def _recursion(passage: Passage, found: Filter, columns: Sequence[Column]) -> list[Floats]:
+    """Return the errors of a steady filter, as recursions by its characteristic polynomial."""
+    gain, sensor, moved = found.gain[0, 0], passage.sensor, passage.transition[0, 0]
+    n, shape = passage.states, passage.held.position.shape
+    matrix = moved @ (np.eye(n) - np.outer(gain, sensor))
+    poles = _polynomial(matrix)
+    powers = [sensor]
+    for _ in range(n):
+        powers.append(powers[-1] @ matrix)
+
+    def weights(state: Floats) -> Floats:
+        """Return the numerator of what a state that enters once adds to the reading of the next row."""
+        return np.convolve(poles, np.array(powers[:n]) @ state)[:n]
+
+    first = np.zeros((shape[0], 1))
+    first[0] = 1.0
+    starts = np.stack([lfilter(weights(unit), poles, first, axis=0)[:, 0] for unit in np.eye(n)], axis=1)
+    result = []
+    for column in columns:
+        error = np.zeros(shape)
+        if column.readings is not None:
+            error += column.readings
+            if gain.any():
+                error -= lfilter([0.0, *weights(moved @ gain)], poles, column.readings, axis=0)
+        for piece, place, force in passage.forces(column):
+            added = weights(passage.gains[piece, 0, 0, :, place])
+            error -= lfilter([0.0, *added], poles, force, axis=0)
+        if column.start is not None:
+            error -= starts @ column.start.T
+        result.append(error)
     return result
+
+
+def _polynomial(matrix: Floats) -> Floats:
+    """Return the characteristic polynomial (Faddeev and LeVerrier), which is exact to rounding for few states."""
+    n, found, power = len(matrix), [1.0], np.zeros_like(matrix)
+    for k in range(1, n + 1):
+        power = matrix @ power + found[-1] * np.eye(n)
+        found.append(-float(np.trace(matrix @ power)) / k)
+    return np.array(found)
+
+
+def _by_rows(passage: Passage, found: Filter, columns: Sequence[Column]) -> list[Floats]:
+    """Return the errors of a filter whose gain, or whose rows, change."""
+    (rows, count), n = passage.held.position.shape, passage.states
+    state, pushed = np.zeros((count, len(columns), n)), np.zeros((rows, count, len(columns), n))
+    readings = np.zeros((rows, count, len(columns)))
+    for place, column in enumerate(columns):
+        if column.readings is not None:
+            readings[:, :, place] = column.readings
+        if column.start is not None:
+            state[:, place] = column.start
+        for piece, of, force in passage.forces(column):
+            pushed[:, :, place] += force[..., None] * passage.gains[piece, :, :, :, of]
+    turned = np.broadcast_to(passage.transition.swapaxes(-1, -2), (rows, passage.transition.shape[1], n, n))
+    gain = np.broadcast_to(found.gain, (rows, *found.gain.shape[1:]))
+    filters = bool(found.gain.any())
+    for k in range(rows):
+        error = readings[k] - state @ passage.sensor
+        readings[k] = error
+        if filters:
+            state = state + error[..., None] * gain[k][:, None, :]
+        state = (
+            state @ turned[k] if len(turned[k]) > 1 else (state.reshape(-1, n) @ turned[k][0]).reshape(state.shape)
+        ) + pushed[k]
+    return [np.ascontiguousarray(readings[:, :, place]) for place in range(len(columns))]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.linalg import solve_discrete_are
+from scipy.linalg import null_space
 from scipy.stats import multivariate_normal
 
 from pipeline.base.errors import ParameterError
@@ -14,7 +14,7 @@ from pipeline.measured.model.identified import identified
 from pipeline.measured.model.motion import Physics
 from pipeline.measured.model.recordings import Recording, Scales, motion_of, stretches
 from pipeline.measured.model.scatter import Moments, solve
-from pipeline.measured.model.whitening import Filter, Passage, passed
+from pipeline.measured.model.whitening import Column, Filter, Noise, Passage, passed
 
 T = 1e-3
 TURNING = {"mass": 1.1e-4, "damping": 7e-5, "friction": 0.034, "delay": 2.3e-3}
@@ -59,13 +59,11 @@ def test_a_late_command_moves_a_device_as_an_integration_does(irregular, lag):
     rng = np.random.default_rng(4)
     time = np.cumsum(np.where(irregular, rng.uniform(0.6, 1.4, 40), 1.0))
     command = rng.standard_normal(40)
-    log = Recording("a", time, command, np.zeros(40), 1.0)
+    log = Recording("a", time, command, command, 1.0)
     held = stretches([log], Scales(1.0, 1.0, 1.0, 0.0), 5, False)
     shape = Physics(delta=0.03, gamma=0.02, delay=2.4, lag=lag)
     passage = Passage(held, shape)
-    still = Filter.of(passage, 0.0)
-    start = np.zeros((1, 1, passage.states))
-    found = -passed(passage, still, None, start, passage.added(held.command, None)[:, :, None])[:, 0, 0]
+    found = -passed(passage, Filter.of(passage, Noise()), [Column(command=held.driven)])[0][:, 0]
     first = 5 if held.rows[0] < 40 else 0
 
     def rate(t, z):
@@ -90,30 +88,35 @@ def test_a_late_command_moves_a_device_as_an_integration_does(irregular, lag):
     np.testing.assert_allclose(found[: held.rows[0]], expected, rtol=1e-7, atol=1e-8)
 
 
-def test_prediction_errors_are_those_of_the_dense_covariance():
+@pytest.mark.parametrize("noise", [Noise(0.3), Noise(0.3, 0.2), Noise(0.0, 0.2)])
+def test_prediction_errors_are_those_of_the_dense_covariance(noise):
     rng = np.random.default_rng(5)
-    rows, disturbance = 30, 0.3
-    log = Recording("a", np.arange(float(rows)), np.zeros(rows), rng.standard_normal(rows), 1.0)
-    held = stretches([log], Scales(1.0, 1.0, 1.0, 0.0), 0, False)
-    passage = Passage(held, Physics(delta=0.1, gamma=0.05))
-    found = Filter.of(passage, disturbance)
-    readings = held.position[..., None]
-    errors = passed(passage, found, readings, np.zeros((1, 1, 2)), None)[:, 0, 0]
+    rows = 30
+    command = np.cumsum(rng.standard_normal(rows))
+    log = Recording("a", np.arange(float(rows)), command, rng.standard_normal(rows), 1.0)
+    held = stretches([log], Scales(1.0, 1.0, 1.0, 0.0), 3, False)
+    passage = Passage(held, Physics(delta=0.1, gamma=0.05, delay=1.3))
+    found, rows = Filter.of(passage, noise), int(held.rows[0])
+    starts = passage.starts()
+    error, *columns = (each[:, 0] for each in passed(passage, found, [Column(held.position), *starts]))
     # the position at each row as a sum over the random forces held over the samples before
-    pulse = np.zeros((rows, rows))
+    pulse, start = np.zeros((rows, rows)), np.zeros((rows, 2))
     matrix, push = passage.transition[0, 0], passage.disturbed[0, 0]
-    for first in range(rows - 1):
-        state = push
+    for first in range(-1, rows - 1):
+        states = np.eye(2) if first < 0 else push[:, None]
         for row in range(first + 1, rows):
-            pulse[row, first] = state[0]
-            state = matrix @ state
-    covariance = np.eye(rows) + disturbance * pulse @ pulse.T
-    dense = multivariate_normal(np.zeros(rows), covariance).logpdf(held.position[:, 0])
-    spread = np.log(np.broadcast_to(found.spread, (rows, 1))).sum()
-    assert -0.5 * (errors @ errors) - spread - 0.5 * rows * np.log(2 * np.pi) == pytest.approx(dense, rel=1e-10)
-    # its gain settles where the Riccati equation does
-    steady = solve_discrete_are(matrix.T, np.array([[1.0], [0.0]]), disturbance * np.outer(push, push), [[1.0]])
-    np.testing.assert_allclose(found.gain[-1, 0], steady[:, 0] / (1 + steady[0, 0]), rtol=1e-4)
+            (start if first < 0 else pulse[:, first : first + 1])[row] = states[0]
+            states = matrix @ states
+    size = noise.force + noise.late * passage.late[:, 0]
+    covariance = np.eye(rows) + (pulse * size) @ pulse.T
+    # without what the unknown start may be, in any basis
+    free = null_space(start.T)
+    dense = multivariate_normal(np.zeros(rows - 2), free.T @ covariance @ free).logpdf(free.T @ held.position[:, 0])
+    basis, triangle = np.linalg.qr(np.stack(columns, axis=1))
+    left = error - basis @ (basis.T @ error)
+    spread = np.log(np.broadcast_to(found.spread, (rows, 1))).sum() + np.log(np.abs(np.diag(triangle))).sum()
+    spread -= 0.5 * np.log(np.linalg.det(start.T @ start))
+    assert -0.5 * (left @ left) - spread - 0.5 * (rows - 2) * np.log(2 * np.pi) == pytest.approx(dense, rel=1e-9)
 
 
 def test_scatter_between_trials_is_that_of_the_dense_likelihood():
