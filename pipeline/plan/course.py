@@ -215,22 +215,14 @@ def wanted_dampings(course: Course, wish: Wish) -> tuple[float, ...]:
 
 
 def foretold(course: Course, dampings: Sequence[float]) -> Forecast | None:
-    """Return the limits by the device that the logs show, else by its file; None without both.
-
-    With friction they are those of the step, as wide as those of the linear loop and a share of what friction adds.
-    """
+    """Return the limits by the device that the logs show, for the step, else by its file; None without both."""
     wall = np.array(dampings)
     if course.found is not None:
-        device = course.found
-        limit, error = device.point.limit(wall), device.reach(wall) / NORMAL_95
-        if device.point.coulomb:
-            step = Trial(course.step, round(course.trial_s / course.sampling_period_s))
-            own = device.point.step_limits(wall, step, np.zeros(len(wall)))
-            known = device.fitted.known("coulomb")
-            raised = np.nan_to_num(own - limit)
-            error = np.hypot(error, raised * (known.high - known.low) / (2 * NORMAL_95 * known.value))
-            limit = limit + raised
-        return Forecast(limit, error)
+        step = Trial(course.step, round(course.trial_s / course.sampling_period_s))
+        limit, reach = course.found.limits(wall, step)
+        linear, linear_reach = course.found.limits(wall)
+        known = np.isfinite(limit)
+        return Forecast(np.where(known, limit, linear), np.where(known, reach, linear_reach) / NORMAL_95)
     if course.device is None or course.of_file is None:
         return None
     point = stated_device(course.device, course.of_file).point

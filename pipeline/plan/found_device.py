@@ -199,11 +199,24 @@ class FoundDevice:
             found.append((low, high))
         return tuple(found)
 
-    def reach(self, wall_damping: Floats) -> Floats:
-        """Return how far the numbers leave the linear limits open, 95 %."""
-        middle = self.point.limit(wall_damping)
-        off = [np.abs([end.limit(wall_damping) - middle for end in both]).max(axis=0) for both in self.ends]
-        return np.sqrt(np.sum(np.square(off), axis=0)) if off else np.zeros(len(wall_damping))
+    def limits(
+        self, wall_damping: Floats, trial: Trial | None = None, softest: Floats | float = 0.0
+    ) -> tuple[Floats, Floats]:
+        """Return the limits at dampings B, and how far the numbers leave them open, 95 %; both (n,) [N/m, Nm/rad].
+
+        They are those of the linear loop; for a trial of a device that is not linear with it those of its step, as
+        `LoopPoint.step_limits`, which leave open a share of what friction adds beside.
+        """
+        limit = self.point.limit(wall_damping)
+        off = [np.abs([end.limit(wall_damping) - limit for end in both]).max(axis=0) for both in self.ends]
+        reach = np.sqrt(np.sum(np.square(off), axis=0)) if off else np.zeros(len(wall_damping))
+        if trial is None or not (self.point.coulomb or trial.quantum or trial.delays > 1):
+            return limit, reach
+        own = self.point.step_limits(wall_damping, trial, np.broadcast_to(softest, limit.shape))
+        if self.point.coulomb:
+            friction = self.fitted.known("coulomb")
+            reach = np.hypot(reach, (own - limit) * (friction.high - friction.low) / (2 * friction.value))
+        return own, reach
 
 
 def stated_device(device: Device, of: Experiment) -> FoundDevice:

@@ -15,7 +15,7 @@ from pipeline.base.lock import holder
 from pipeline.plan.course import Course, Wish, foretold, open_course, wanted_dampings
 from pipeline.plan.found_device import stated_device
 from pipeline.plan.limits import Aim, Column, State, order, state
-from pipeline.plan.optimum import Foreseen, Search, Target, look_for
+from pipeline.plan.optimum import Search, Target, look_for
 from pipeline.plan.requests import Requests, requests_folder, snapped, write_requests
 from pipeline.records.findings import Record
 
@@ -279,14 +279,13 @@ def _search(course: Course, wish: Wish, found: State, aim: Aim) -> Search:
         point, holds = course.found.point, holds and not course.found.point.coulomb
     elif course.device is not None and course.of_file is not None:
         point = stated_device(course.device, course.of_file).point
-    by = Foreseen(point.loop, point.units, holds) if point is not None else None
     ends = [(column.bracket.bottom, min(column.bracket.top, aim.highest)) for column in found.columns]
     limits = np.clip([column.estimate or 0.0 for column in found.columns], *np.array(ends).T)
     if not limits.max() > aim.lowest:
         raise UsageError(f"device {course.name!r}: no wall is expected to be stable, so that none has a cost.")
     if not len(course.tried):
         limits *= aim.start
-    target = Target(wish.criterion, np.array(aim.dampings), limits, by, course.requests)
+    target = Target(wish.criterion, np.array(aim.dampings), limits, point, holds, course.requests)
     return look_for(course.tried, target, OPTIMUM_ACCURACY, wish.count)
 
 

@@ -34,7 +34,7 @@ def test_limits_of_devices_that_three_logs_show(kind):
     device, batch = logs(kind)
     found = learn(batch, 3, None, chosen)
     assert found.device.point.limit(DAMPINGS) == pytest.approx(truth(device), rel=0.01)
-    assert (found.device.reach(DAMPINGS) < 0.02 * truth(device).max()).all()
+    assert (found.device.limits(DAMPINGS)[1] < 0.02 * truth(device).max()).all()
     assert found.looked == 3
 
 

@@ -11,17 +11,16 @@ from pipeline.comparison.loops.causes import Shown, causes_of
 from pipeline.comparison.loops.departures import CourseFilter, course_filter, law_departures, other_gains
 from pipeline.comparison.loops.passive_wall import passive_wall
 from pipeline.comparison.loops.replay import (
-    limits_of,
     limits_off,
     replay_error,
     replay_words,
+    softest,
     told_limits,
     usual_trial,
     wall_replay,
 )
 from pipeline.comparison.loops.told_loop import ToldLoop, found_device, loop_numbers, told_loop
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.plan.found_device import Trial
 from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.loop_records import LIMITS_WITHIN, LoopFindings, LoopResult, Parameter, WallReplay
@@ -71,13 +70,15 @@ def loop_findings(
     of = next((each for each in device.experiments if each.name == stages.experiment), None) if device else None
     told = None if misled or shifted else told_loop(found, device, of)
     trial = usual_trial(result, stages)
-    limits, replay, refused = np.empty(0), None, ""
-    if told is not None and found is not None:
-        limits = limits_of(found.point, result, stages, trial)
-        replay = wall_replay(result, stages, found, limits, trial)
+    limits, replay, refused = [], None, ""
+    if told is not None:
+        B = np.array([point.damping for point in result.boundary])
+        limits = [each.limits(B, trial, softest(result, stages)) for each in told.devices]
+        if found is not None:
+            replay = wall_replay(result, stages, found, limits[-1][0], trial)
         told = replace(told, error=replay_error(replay))
-    if told is not None and told.stated is not None:
-        told, limits, refused = _judged(told, result, stages, trial, limits)
+        if told.stated is not None and found is not None:
+            told, limits, refused = _judged(told, result, limits)
     stated = told.point.mass if told is not None and told.stated is not None else None
     shown = Shown(result, stages, trial, units, departures, velocity, gains, found, stated)
     parts = device.loop_of(of) if device is not None and of is not None else None
@@ -89,7 +90,7 @@ def loop_findings(
     findings = LoopFindings(loop=record, replay=replay, causes=causes)
     if told is None:
         return findings.model_copy(update={"passive_reason": reason})
-    findings = findings.model_copy(update={"loop_boundary": told_limits(result, told, limits, trial) or None})
+    findings = findings.model_copy(update={"loop_boundary": told_limits(result, told, limits) or None})
     if not adequate:
         return findings.model_copy(update={"passive_reason": f"needs an adequate loop, and this one is not: {reason}"})
     held = told.stated is None and found is not None and "spring" in found.fitted.parts
@@ -99,19 +100,17 @@ def loop_findings(
 
 
 def _judged(
-    told: ToldLoop, result: ExperimentResult, stages: ExperimentStages, trial: Trial, limits: Floats
-) -> tuple[ToldLoop, Floats, str]:
+    told: ToldLoop, result: ExperimentResult, limits: list[tuple[Floats, Floats]]
+) -> tuple[ToldLoop, list[tuple[Floats, Floats]], str]:
     """Return the loop by its file with its limits, or by the logs alone where those of the file are others, and why."""
-    assert told.stated is not None, "which is judged"
-    by_file = limits_of(told.stated.point, result, stages, trial)
+    (by_file, _), (by_logs, _) = limits
     off = limits_off(result, by_file)
-    if off is None and told.found is not None and len(limits):
-        some = limits > 0
-        off = float(np.nanmedian(100 * np.abs(by_file[some] / limits[some] - 1))) if some.any() else None
-    if told.found is None or off is None or off <= LIMITS_WITHIN:
-        return told, by_file, ""
+    if off is None and (by_logs > 0).any():
+        off = float(np.nanmedian(100 * np.abs(by_file / np.where(by_logs > 0, by_logs, np.nan) - 1)))
+    if off is None or off <= LIMITS_WITHIN:
+        return told, limits, ""
     why = f"the limits of the device file's loop are {significant(off, 2)} % off, so that the found device is used"
-    return replace(told, stated=None), limits, why
+    return replace(told, stated=None), limits[1:], why
 
 
 def _record(

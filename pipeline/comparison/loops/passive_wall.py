@@ -63,7 +63,8 @@ def passive_wall(loop: ToldLoop, result: ExperimentResult) -> tuple[PassiveWall 
     if measured is None:
         where = f"beside a damping of {wall_damping:g}, that of the stiffest passive wall"
         return None, f"no limit was measured {where}: record stable and unstable trials there"
-    stable = float(loop.band(np.array([wall_damping]))[0][0]) * (1 - SPARE)
+    at = np.array([wall_damping])
+    stable = float(loop.band([device.limits(at) for device in loop.devices])[0][0]) * (1 - SPARE)
     stiffness = _rounded_down(min(highest, stable, measured))
     # a smaller stiffness at the same damping needs less, down to none but that for B itself
     for _ in range(TRIES):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -40,29 +41,24 @@ TYPICAL = 1.4826
 
 
 def usual_trial(result: ExperimentResult, stages: ExperimentStages) -> Trial:
-    """Return the usual trial of an experiment, with the sensor's quantum and the jitter that its logs show."""
-    jitter = result.estimates.get("jitter_samples")
+    """Return the usual trial of an experiment, with the jitter that its logs show, and a quantum that matters."""
+    jitter, share = result.estimates.get("jitter_samples"), coarse(stages)
     spread = (jitter.value or 0.0) if jitter is not None and (jitter.low or 0.0) > 0 else 0.0
+    matters = len(share) and float(np.median(share)) > MATTERS
     return Trial(
         step=float(np.median(stages.step_sizes)),
         rows=int(np.median(stages.trials.column("rows").to_numpy())),
-        quantum=float(np.nan_to_num(np.nanmedian(stages.column("response", "sensor_quantum")))),
+        quantum=float(np.nanmedian(stages.column("response", "sensor_quantum"))) if matters else 0.0,
         # of n delays that are as likely the variance is (n^2 - 1)/12
         delays=round(float(np.sqrt(12 * spread**2 + 1))),
     )
 
 
-def limits_of(point: LoopPoint, result: ExperimentResult, stages: ExperimentStages, trial: Trial) -> Floats:
-    """Return the limits of a device at the tested dampings: linear, or by simulation where it is not.
-
-    NaN where a device that is not linear is stable as far as is looked, or unstable behind all tested walls.
-    """
-    damping = np.array([each.damping for each in result.boundary])
-    if not len(damping) or not (point.coulomb or trial.delays > 1 or is_coarse(stages)):
-        return point.limit(damping)
-    tried, at = stages.column("response", "stiffness"), stages.column("response", "damping")
-    softest = np.array([tried[(tried > 0) & (at == B)].min(initial=np.inf) for B in damping])
-    return point.step_limits(damping, trial, 0.5 * np.where(np.isfinite(softest), softest, 0.0))
+def softest(result: ExperimentResult, stages: ExperimentStages) -> Floats:
+    """Return half of the softest tested wall at each tested damping [N/m, Nm/rad]."""
+    K, B = (stages.column("response", name) for name in ("stiffness", "damping"))
+    least = np.array([K[(K > 0) & (each.damping == B)].min(initial=np.inf) for each in result.boundary])
+    return 0.5 * np.where(np.isfinite(least), least, 0.0)
 
 
 def coarse(stages: ExperimentStages) -> Floats:
@@ -70,12 +66,6 @@ def coarse(stages: ExperimentStages) -> Floats:
     moved = stages.column("response", "position_final_expected") - stages.column("response", "position_start")
     stable = (stages.verdicts.verdict == "stable") & np.isfinite(moved) & (moved != 0)
     return np.asarray(stages.column("response", "sensor_quantum")[stable] / np.abs(moved[stable]), dtype=np.float64)
-
-
-def is_coarse(stages: ExperimentStages) -> bool:
-    """Whether the quantum matters in most stable trials."""
-    share = coarse(stages)
-    return bool(len(share)) and float(np.median(share)) > MATTERS
 
 
 def wall_replay(
@@ -114,6 +104,8 @@ def wall_replay(
         if not len(some):
             continue
         batch = point.behind(K[chosen[some]], B[chosen[some]], trial)
+        # a spring that holds the device lets it rest at x_0 + F_0/(K + k)
+        batch = replace(batch, stiffness=batch.stiffness + max(point.stiffness, 0.0))
         response = find_response(batch)
         verdicts = judge(batch, response)
         said[some] = verdicts.verdict
@@ -156,23 +148,16 @@ def replay_words(replay: WallReplay) -> str:
 
 
 def told_limits(
-    result: ExperimentResult, told: ToldLoop, stiffness: Floats, trial: Trial
-) -> tuple[LoopLimit, ...] | None:
+    result: ExperimentResult, told: ToldLoop, limits: Sequence[tuple[Floats, Floats]]
+) -> tuple[LoopLimit, ...]:
     """Return the limits of a loop at the tested dampings with their intervals; where they are not those of the linear
     loop, these beside them."""
     damping = np.array([each.damping for each in result.boundary])
-    if not len(damping):
-        return None
-    linear, (low, high) = told.point.limit(damping), told.band(damping)
-    raised, shares = stiffness - linear, (1.0, 1.0)
-    if told.point.coulomb and told.found is not None and "coulomb" in told.found.fitted.values:
-        friction = told.found.fitted.known("coulomb")
-        shares = (max(friction.low, 0.0) / told.point.coulomb, friction.high / told.point.coulomb)
-    ends = np.sort([low + shares[0] * raised, high + shares[1] * raised, stiffness], axis=0)
-    apart = bool(told.point.coulomb) or trial.delays > 1 or (np.abs(np.nan_to_num(raised)) > 0).any()
-    rows = zip(damping.tolist(), stiffness.tolist(), *ends[[0, -1]].tolist(), linear.tolist(), strict=True)
+    stiffness, linear, (low, high) = limits[0][0], told.point.limit(damping), told.band(limits)
+    apart = not np.array_equal(stiffness, linear)
+    rows = zip(damping.tolist(), stiffness.tolist(), low.tolist(), high.tolist(), linear.tolist(), strict=True)
     return tuple(
-        LoopLimit(damping=B, stiffness=K, low=max(a, 0.0), high=b, stiffness_large_motion=far if apart else None)
+        LoopLimit(damping=B, stiffness=K, low=a, high=b, stiffness_large_motion=far if apart else None)
         for B, K, a, b, far in rows
         if np.isfinite(K)
     )

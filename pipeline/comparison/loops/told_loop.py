@@ -54,12 +54,11 @@ class ToldLoop:
         """All devices that the 95 % ranges hold, at their ends."""
         return [p for each in self.devices for p in (each.point, *(end for both in each.ends for end in both))]
 
-    def band(self, wall_damping: Floats) -> tuple[Floats, Floats]:
-        """Return the least and the largest limit that numbers and replay leave open, a file's up to the found one."""
-        middle = self.point.limit(wall_damping)
-        limits = [(each.point.limit(wall_damping), each.reach(wall_damping)) for each in self.devices]
-        low = np.min([limit - reach for limit, reach in limits], axis=0)
-        high = np.max([limit + reach for limit, reach in limits], axis=0)
+    def band(self, limits: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
+        """Return the least and the largest limit that numbers and replay leave open, of the limits of its devices."""
+        middle = limits[0][0]
+        low = np.nanmin([limit - reach for limit, reach in limits], axis=0)
+        high = np.nanmax([limit + reach for limit, reach in limits], axis=0)
         off = self.error * middle
         return np.maximum(middle - np.hypot(middle - low, off), 0.0), middle + np.hypot(high - middle, off)
 

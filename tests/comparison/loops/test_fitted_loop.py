@@ -89,7 +89,7 @@ def test_limits_from_soft_walls_are_those_of_the_device(tmp_path, parts, experim
     velocity = Butterworth(**FILTER) if "velocity" in parts else None
     loop = FoundDevice(device, course.setup.sampling_period_s, velocity)
     damping = course.batch.damping[: len(limit)]
-    found, reach = loop.point.limit(damping), loop.reach(damping)
+    found, reach = loop.limits(damping)
     assert found == pytest.approx(limit, rel=0.05)
     # three half widths, and what the course's bisection and the noise's stand-in leave
     assert (np.abs(found - limit) <= 3 * reach + 1e-3 * limit).all()
