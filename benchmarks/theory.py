@@ -129,7 +129,7 @@ class Limit:
 
 TABLES_C = """
 from pipeline.studies.thesis_tables import recomputed_tables
-rows = sum(len(list(found)) for _, _, found in recomputed_tables(("C.1", "C.2", "C.3"), workers=1))
+rows = sum(len(list(found)) for _, _, found in recomputed_tables(("C.1", "C.2", "C.3")))
 assert rows == 171, rows
 """
 

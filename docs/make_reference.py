@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import time
+from dataclasses import asdict
 from functools import lru_cache
 from itertools import pairwise
 from math import comb
@@ -18,6 +19,7 @@ from typing import Any
 
 import mpmath as mp
 import numpy as np
+from hard_loops import HARD_LOOPS, HardLoop, followed
 
 DIGITS = 60
 SERIES = 32
@@ -38,7 +40,7 @@ GENERAL = {
     "damper": 0.03,
     "cutoff": 0.08,
 }
-"""Loop with all parts; names are those of `pipeline.studies.accuracy.integrated.HardLoop`."""
+"""Loop with all parts; names are those of `hard_loops.HardLoop`."""
 TARGET = Path(__file__).parents[1] / "schemas" / "reference" / "accuracy.json"
 
 mp.mp.dps = DIGITS
@@ -491,6 +493,19 @@ def general_loop() -> dict[str, Any]:
     }
 
 
+def hard(device: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return walls of the general loop and the loops of `hard_loops` with their costs, by differential equations."""
+    walls = enumerate(zip(device["alpha"], device["beta"], strict=True), start=1)
+    loops = {f"general loop {i}": HardLoop(*wall, samples=1200, **device["loop"]) for i, wall in walls} | HARD_LOOPS
+    names = {"settle": "settle_1pct", "overshoot": "overshoot"}
+    names |= {f"energy_w{w}": f"energy_step_w{w}_discrete" for w in range(3)}
+    rows = []
+    for name, loop in loops.items():
+        shape = {field: value for field, value in asdict(loop).items() if field != "samples"}
+        rows.append({"name": name, **shape, **{names[key]: cost for key, cost in followed(loop).items()}})
+    return rows
+
+
 def rounded(value: Any) -> Any:
     """Turn high-precision numbers into doubles."""
     if isinstance(value, dict):
@@ -510,6 +525,7 @@ def main() -> None:
         "optimum": lambda: {"gamma": 0.0, "delta": 0.0, "delay": 1, **optimum()},
         "sweeps": sweeps,
         "device": general_loop,
+        "hard": lambda: hard(rounded(document["device"])),
     }
     document: dict[str, Any] = {
         "about": f"computed in {DIGITS} digits by docs/make_reference.py; inputs are exact doubles",

@@ -68,7 +68,7 @@ def costs_of(point: LoopPoint, stiffness: Floats, damping: Floats, criterion: st
     cost, limit = np.full(len(alpha), np.nan), stiffness_limit(point.loop, levels)[place]
     inside = np.flatnonzero((alpha > 0) & (alpha < HIGHEST * limit))
     if len(inside):
-        found = point_costs_by_name(point.loop, alpha[inside], beta[inside], [criterion], LONGEST, part=True)
+        found = point_costs_by_name(point.loop, alpha[inside], beta[inside], [criterion], LONGEST)
         cost[inside] = found[criterion]
     return cost
 

@@ -7,19 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from statistics import median
 
 from pipeline.base.errors import PipelineError
-from pipeline.base.wording import counted
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
-from pipeline.loop.loop import Normalised
 from pipeline.records.results import ComparisonResult
-from pipeline.rendering.labels import UNITS, size_text
 from pipeline.shell.report_index import INDEX_FILE, write_index
 from pipeline.simulation.course import run_course, write_course
-from pipeline.theory.limits import boundary
 
 SEED = 1
 """Seed of the demo's logs; any would do."""
@@ -109,9 +104,9 @@ def run_demo(
         f"{logs} simulated logs in {raw}, compared in {seconds:.0f} s; open in a browser:",
         *(f"  {path}" for path in reports),
         f"  {folder / 'reports' / INDEX_FILE}",
-        *(line(result) for result in results for line in (_stiffness_line, _deviation_line)),
+        *(f"{result.title}: {line}" for result in results for line in result.summary),
     ]
-    return DemoOutcome(tuple(reports), tuple(results), tuple(line for line in lines if line))
+    return DemoOutcome(tuple(reports), tuple(results), tuple(lines))
 
 
 def _say_of(device: str, say: Callable[[str], None], text: str) -> None:
@@ -126,42 +121,3 @@ def _simulate(part: Part, raw: Path, say: Callable[[str], None]) -> int:
         course = run_course(device, name, seed=SEED, coarsen=part.coarsen)
         written += write_course(course, raw, overwrite=True)
     return written
-
-
-def _stiffness_line(result: ComparisonResult) -> str:
-    """Largest stable stiffness of the first experiment beside that of theory."""
-    first = result.experiments[0]
-    stable = [(p.stable, p.damping) for p in first.boundary if p.stable is not None]
-    if not stable:
-        return ""
-    units = UNITS[result.motion]
-    stiffness, damping = max(stable)
-    line = (
-        f"{result.title}, experiment {first.experiment}: stable up to K = {_digits(stiffness)} {units.stiffness} "
-        f"at B = {damping:g} {units.damping}"
-    )
-    theory = first.theory
-    if theory is None:
-        return f"{line}."
-    normalised = Normalised(theory.mass, theory.sampling_period_s)
-    border = boundary(normalised.loop(theory.stiffness, theory.damping, theory.delay_samples))
-    return (
-        f"{line}; theory (d = {theory.delay_samples:g}): {_digits(border.alpha_max * normalised.stiffness)} at "
-        f"{border.beta_at_alpha_max * normalised.damping:.3g}."
-    )
-
-
-def _digits(value: float) -> str:
-    """Four digits without an exponent up to 999999."""
-    return f"{float(f'{value:.4g}'):g}"
-
-
-def _deviation_line(result: ComparisonResult) -> str:
-    """Median deviation of the measured optimal costs from the discrete theory."""
-    sizes = [abs(row.deviation.model) for row in result.tables if row.deviation]
-    if not sizes:
-        return ""
-    return (
-        f"{result.title}: optimal costs differ from the discrete theory by {size_text(median(sizes))} (median of "
-        f"{counted(len(sizes), 'comparison')}, without range and grid of the trials and luck of the best one)."
-    )

@@ -11,9 +11,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
-from pipeline.base.disk import TEMPORARY_ENDING
 from pipeline.base.errors import PipelineError, StoreError
 from pipeline.base.file_names import path_of_text
 from pipeline.base.lock import holder
@@ -41,8 +39,8 @@ class ExperimentStatus(Record):
     device, experiment : str
     trials, rows : int
         Trials and their samples, those of excluded trials included.
-    batches, row_groups, bytes : int
-        Files, the groups of rows in them, and their size [byte].
+    batches : int
+        Files.
     stale : tuple of str
         Stored stages whose logs, code or earlier stages changed; they are computed anew when they are needed.
     """
@@ -52,8 +50,6 @@ class ExperimentStatus(Record):
     trials: int
     rows: int
     batches: int
-    row_groups: int
-    bytes: int
     stale: tuple[str, ...]
 
 
@@ -99,11 +95,6 @@ class Status(Record):
         Trials that are kept and not used.
     quarantined : dict of str to int
         Refused logs by the code of the reason.
-    refused_gone : tuple of str
-        Those of them whose file is gone.
-    temporary_bytes : int
-        Size of incomplete files [byte]; the next ingest removes them. Where another command writes at this moment,
-        they may be its own.
     lock : Writer or None
         Who writes at this moment.
     damaged : tuple of str
@@ -122,8 +113,6 @@ class Status(Record):
     changed: tuple[str, ...]
     excluded: tuple[ExcludedStatus, ...]
     quarantined: dict[str, int]
-    refused_gone: tuple[str, ...]
-    temporary_bytes: int
     lock: Writer | None
     damaged: tuple[str, ...] = ()
 
@@ -170,8 +159,6 @@ def _status(processed: Path, reports: Path | None) -> Status:
         changed=changed,
         excluded=_excluded(trials, exclusions),
         quarantined=dict(sorted(Counter(r.code or UNCODED for r in refused).items())),
-        refused_gone=tuple(r.path for r in refused if is_gone(path_of_text(r.path))),
-        temporary_bytes=sum(size for path, size in sizes.items() if path.name.endswith(TEMPORARY_ENDING)),
         lock=None if held is None else Writer(pid=held.pid, host=held.host, since=held.since),
         damaged=tuple(sorted(damaged.values())),
     )
@@ -199,7 +186,6 @@ def _experiments(
         own = trials.filter(
             pc.and_(pc.equal(trials.column("device"), device), pc.equal(trials.column("experiment"), experiment))
         )
-        files = [processed / name for name in own.column("sample_file").unique().to_pylist()]
         spring = declared_spring(known.get(device), experiment)
         stages = ExperimentStages(processed, device, experiment, *split_trials(own, exclusions), spring)
         stale = [
@@ -213,9 +199,7 @@ def _experiments(
                 experiment=experiment,
                 trials=own.num_rows,
                 rows=int(np.sum(own.column("rows").to_numpy())),
-                batches=len(files),
-                row_groups=sum(pq.read_metadata(file).num_row_groups for file in files),
-                bytes=sum(file.stat().st_size for file in files),
+                batches=len(own.column("sample_file").unique()),
                 stale=tuple(stale),
             )
         )

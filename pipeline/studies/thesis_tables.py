@@ -10,17 +10,14 @@ Source: Hulin 2017, Table 5.1, appendices B and C.
 
 from __future__ import annotations
 
-import os
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Future
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
 
 import numpy as np
 
-from pipeline.base.process_pool import process_pool
+from pipeline.device_data import published_theory
 from pipeline.device_data.published_theory import THEORY_TABLES, PrintedNumber, PublishedPoint, published_points
 from pipeline.loop.loop import Loop
 from pipeline.records.criteria import ENERGY, criterion_of
@@ -53,6 +50,15 @@ _LONGEST = 120
 
 _NEAR = 5e-5
 """Largest alpha + gamma that rounds to 0 in the four digits in which Tables C print alpha."""
+
+
+SIGNS: dict[Mark, str] = {"equal": "", "within": " ~", "erratum": " !", "unexplained": " ?"}
+"""What stands behind a computed number."""
+
+LEGEND = "~ within one unit of the last printed digit, or as told below; ! erratum; ? unexplained"
+
+_MORE = 2
+"""Digits of a computed number beyond the printed ones: enough to see how it rounds."""
 
 
 @dataclass(frozen=True)
@@ -185,23 +191,8 @@ def _distance(point: PublishedPoint, printed: PrintedNumber, values: dict[str, f
     return f"{limit:.7g} on the line alpha = -gamma, {near:.7g} at a distance of {_NEAR:g}, which alpha does not show"
 
 
-def recomputed_tables(
-    tables: Sequence[str] = THEORY_TABLES, workers: int | None = None
-) -> Iterator[tuple[str, int, Iterator[TheoryRow]]]:
-    """Compute tables anew, in the order asked for.
-
-    Parameters
-    ----------
-    tables : sequence of str
-        Of `published_theory.THEORY_TABLES`.
-    workers : int, optional
-        Processes to compute in; as many as there are processors if not given.
-
-    Yields
-    ------
-    (str, int, iterator of TheoryRow)
-        Name of a table, the number of its rows, and its rows as they are finished; all of them have to be taken
-        before the next table.
+def recomputed_tables(tables: Sequence[str] = THEORY_TABLES) -> Iterator[tuple[str, int, Iterator[TheoryRow]]]:
+    """Yield tables computed anew, in the order asked for: name, number of rows, and its rows as they are finished.
 
     Raises
     ------
@@ -213,30 +204,77 @@ def recomputed_tables(
     About 30 s on one core for C.1 to C.3, 4 s for 5.1, and half a second for each of B.1 to B.4.
     """
     points = published_points(tables)
-    rows = {name: [point for point in points if point.table == name] for name in tables}
-    searched = [point for point in points if point.criterion not in POINT_CRITERIA]
-    count = min(workers or os.cpu_count() or 1, len(searched))
-    if count < 2:
-        for name, of_table in rows.items():
-            yield name, len(of_table), map(recompute, of_table)
-        return
-    with process_pool(count) as pool:
-        pending = {point: pool.submit(recompute, point) for point in searched}
-        for name, of_table in rows.items():
-            yield name, len(of_table), (_result(point, pending) for point in of_table)
-
-
-def _result(point: PublishedPoint, pending: dict[PublishedPoint, Future[TheoryRow]]) -> TheoryRow:
-    if point not in pending:
-        return recompute(point)
-    try:
-        return pending[point].result()
-    except BrokenProcessPool:
-        # a process was killed, or could not import the caller's main program (typed in, or without a guard)
-        return recompute(point)
+    for name in tables:
+        rows = [point for point in points if point.table == name]
+        yield name, len(rows), map(recompute, rows)
 
 
 def count_marks(rows: Sequence[TheoryRow]) -> dict[Mark, int]:
     """Return how many printed numbers have each mark."""
     found = Counter(entry.mark for row in rows for entry in row.entries)
     return {mark: found[mark] for mark in MARKS}
+
+
+def table_lines(name: str, rows: Sequence[TheoryRow], align: Callable[..., list[str]]) -> list[str]:
+    """Return a table as aligned lines, then the reason of each number that needs one, then an empty line."""
+    names = [
+        quantity
+        for quantity in published_theory.QUANTITIES
+        if any(e.name == quantity for row in rows for e in row.entries)
+    ]
+    columns = ["criterion", "d", "gamma", "delta", *(c for n in names for c in (n, f"{n} printed"))]
+    lines = [f"Table {name}: {_counts(rows)}", *align([_cells(row, names) for row in rows], columns)]
+    for row in rows:
+        reasons: dict[str, list[str]] = {}
+        for entry in row.entries:
+            if text := _reason(entry):
+                reasons.setdefault(text, []).append(entry.name)
+        place = f"{row.criterion}, d = {row.delay:g}, gamma = {row.gamma:g}, delta = {row.delta:g}"
+        lines += [f"  {place}: {' and '.join(of)}: {text}" for text, of in reasons.items()]
+    return [*lines, ""]
+
+
+def _cells(row: TheoryRow, names: Sequence[str]) -> dict[str, Any]:
+    cells: dict[str, Any] = {"criterion": row.criterion, "d": row.delay, "gamma": row.gamma, "delta": row.delta}
+    for name in names:
+        entry = next((e for e in row.entries if e.name == name), None)
+        cells[name] = entry and _computed(entry)
+        cells[f"{name} printed"] = entry and entry.printed
+    return cells
+
+
+def _computed(entry: Entry) -> str:
+    digits = PrintedNumber(entry.printed).digits + _MORE
+    # adding 0.0 turns the -0.0 that rounding can leave into 0.0
+    return f"{round(entry.computed, digits) + 0.0:.{digits}f}{SIGNS[entry.mark]}"
+
+
+def _reason(entry: Entry) -> str | None:
+    if entry.tolerance in (FLAT, LIMIT):
+        return f"{entry.tolerance}, {entry.reason}"
+    if entry.mark == "unexplained":
+        return f"printed {entry.printed}, computed {entry.computed:.10g}"
+    return entry.reason
+
+
+def _counts(rows: Sequence[TheoryRow]) -> str:
+    return ", ".join(f"{count} {mark}" for mark, count in count_marks(rows).items())
+
+
+def summary_line(rows: Sequence[TheoryRow]) -> str:
+    """Return what it comes to: how many of the printed numbers have each mark."""
+    return f"{sum(len(row.entries) for row in rows)} printed numbers: {_counts(rows)}. ({LEGEND}.)"
+
+
+def document(rows: Sequence[TheoryRow]) -> dict[str, Any]:
+    """Return rows and counts as a document that JSON can hold."""
+    return {
+        "marks": list(MARKS),
+        "tolerances": {
+            ROUNDING: "within one unit of the last printed digit",
+            FLAT: "a point that rounds to the printed one has the optimal cost to its printed digits",
+            LIMIT: "the printed cost is that of a point whose alpha rounds to the limit alpha = -gamma",
+        },
+        "count": dict(count_marks(rows)),
+        "rows": [asdict(row) for row in rows],
+    }

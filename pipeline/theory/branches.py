@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats, Integers
 from pipeline.theory.circle import LOWEST, Cells, CirclePoints, circle_points, ends, place_of, solved
-from pipeline.theory.poles import bisect
+from pipeline.theory.zoom import bisect
 
 _PER_TURN = 48
 """Samples of each turn of the delayed device."""

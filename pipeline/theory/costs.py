@@ -1,9 +1,8 @@
-"""Costs of single points by the name of the criterion; those of a family are computed together."""
+"""Costs of walls by the name of the criterion, computed together where they share work; over a grid for figures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -13,8 +12,10 @@ from pipeline.records.batch import Floats
 from pipeline.records.criteria import (
     CRITERIA,
     DISCRETE,
+    ENERGY,
     OVERSHOOT,
     REPORTED,
+    RISE,
     RISE_LEVELS,
     SETTLING,
     criterion_of,
@@ -23,131 +24,9 @@ from pipeline.records.criteria import (
 )
 from pipeline.theory.energy import energy_costs
 from pipeline.theory.limits import is_well_inside
-from pipeline.theory.march import step_transients
 from pipeline.theory.modes import TOGETHER
 from pipeline.theory.poles import damping_ratio, spectral_radius
 from pipeline.theory.transient import QUIET, first_reached, transient_costs
-
-_MANY = 256
-"""Points from which on the march in blocks is faster."""
-
-_LARGEST_DELAY = 32
-"""Delay up to which its buffers fit a cache."""
-
-
-@dataclass(frozen=True)
-class Following:
-    """How long responses are followed: `point_costs_by_name` says what its values mean."""
-
-    longest: int
-    quiet: float = QUIET
-    part: bool = False
-
-
-PointCosts = Callable[[Loop, Floats, Floats, Sequence[str], Following], dict[str, Floats]]
-
-
-def _transients(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], follow: Following) -> dict[str, Floats]:
-    bands = sorted({band for name in names if (band := criterion_of(name).band) is not None})
-    blocks = len(alpha) >= (1 if follow.part else _MANY)
-    if blocks and len(bands) == 1 and _can_march(loop):
-        found = step_transients(loop, alpha, beta, bands[0], longest=follow.longest, quiet=follow.quiet)
-        # a single band is not named in the march
-        found |= {n: found[n.replace(criterion_of(n).name, "settle")] for n in names if criterion_of(n).band}
-        rest = np.flatnonzero(np.isnan([found[name] for name in names]).any(axis=0))
-        told = _followed(loop, alpha[rest], beta[rest], names, bands, follow)
-        for name in names:
-            found[name][rest] = told[name]
-        return found
-    return _followed(loop, alpha, beta, names, bands, follow)
-
-
-def _followed(
-    loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], bands: Sequence[float], follow: Following
-) -> dict[str, Floats]:
-    continuous = any(not name.endswith(DISCRETE) for name in names)
-    overshoot = any(criterion_of(name).band is None for name in names)
-    return transient_costs(
-        *(loop, alpha, beta, bands),
-        overshoot=overshoot,
-        continuous=continuous,
-        longest=follow.longest,
-        quiet=follow.quiet,
-    )
-
-
-def _energies(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], _: Following) -> dict[str, Floats]:
-    signals = dict.fromkeys(criterion_of(name).signal for name in names)
-    return {name: cost for signal in signals for name, cost in energy_costs(loop, alpha, beta, signal).items()}
-
-
-def _poles(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], _: Following) -> dict[str, Floats]:
-    functions = {"pole_radius": spectral_radius, "damping": damping_ratio}
-    return {name: functions[name](loop, alpha, beta) for name in names}
-
-
-def _rises(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], follow: Following) -> dict[str, Floats]:
-    """Rise times; stability is not needed, so that they are also told along the edge of the stable region."""
-    asked = alpha, beta, [share - 1.0 for share in RISE_LEVELS], follow.longest, "rise_time" in names
-    exact, sampled = first_reached(loop, *asked)
-    return {"rise_time": exact[-1] - exact[0], f"rise_time{DISCRETE}": sampled[-1] - sampled[0]}
-
-
-FAMILIES: dict[str, PointCosts] = {
-    "settling": _transients,
-    "overshoot": _transients,
-    "energy": _energies,
-    "rise": _rises,
-    "poles": _poles,
-}
-"""What computes the costs of a family, by name, of shape (n,)."""
-
-
-def point_costs_by_name(
-    loop: Loop,
-    alpha: Floats,
-    beta: Floats,
-    names: Sequence[str],
-    longest: int,
-    quiet: float = QUIET,
-    *,
-    part: bool = False,
-) -> dict[str, Floats]:
-    """Return costs of stable points by name, computing no more than what is asked for.
-
-    Parameters
-    ----------
-    loop : Loop
-    alpha, beta : float64, shape (n,)
-        Stable points with alpha + gamma > 0.
-    names : sequence of str
-        Of criteria with costs; those of a response also with ``_discrete`` appended.
-    longest : int
-        Samples after which a response that still moves gets NaN for settling time and overshoot.
-    quiet : float
-        Deviation below which a response without overshoot is no longer followed.
-    part : bool
-        Whether the points are part of very many: then their number does not choose the method, since the march in
-        blocks tells costs of slow points that the plain one gives up.
-    """
-    follow = Following(longest, quiet, part)
-    groups: dict[PointCosts, list[str]] = {}
-    for name in names:
-        groups.setdefault(FAMILIES[criterion_of(name).family.name], []).append(name)
-    result = {name: np.empty(len(alpha)) for name in names}
-    together = TOGETHER if loop.has_parts else max(1, len(alpha))  # they share their modes
-    for first in range(0, len(alpha), together):
-        some = slice(first, first + together)
-        for function, group in groups.items():
-            found = function(loop, alpha[some], beta[some], group, follow)
-            for name in group:
-                result[name][some] = found[name]
-    return result
-
-
-def _can_march(loop: Loop) -> bool:
-    return not loop.has_parts and loop.oldest_force == loop.delay <= _LARGEST_DELAY
-
 
 MAP_CRITERIA = tuple(c.name for c in CRITERIA.values() if not c.optimum_only)
 """Criteria of a map; those of a response also as ``_discrete``."""
@@ -159,6 +38,57 @@ MAP_SAMPLES = 1000
 
 MAP_QUIET = 1e-9
 """Deviation below which a map no longer looks for overshoot: far below what a contour of 10 % or a sensor shows."""
+
+
+def point_costs_by_name(
+    loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], longest: int, quiet: float = QUIET
+) -> dict[str, Floats]:
+    """Return costs of stable points by name, computing no more than what is asked for.
+
+    Parameters
+    ----------
+    loop : Loop
+    alpha, beta : float64, shape (n,)
+        Stable points with alpha + gamma > 0; of rise times it does not matter whether they are.
+    names : sequence of str
+        Of criteria with costs; those of a response also with ``_discrete`` appended.
+    longest : int
+        Samples after which a response that still moves gets NaN for settling time and overshoot.
+    quiet : float
+        Deviation below which a response without overshoot is no longer followed.
+    """
+    result = {name: np.empty(len(alpha)) for name in names}
+    for first in range(0, len(alpha), TOGETHER):  # they share their modes
+        some = slice(first, first + TOGETHER)
+        for name, values in _together(loop, alpha[some], beta[some], names, longest, quiet).items():
+            if name in result:
+                result[name][some] = values
+    return result
+
+
+def _together(
+    loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], longest: int, quiet: float
+) -> dict[str, Floats]:
+    of = {name: criterion_of(name) for name in names}
+    found: dict[str, Floats] = {}
+    transient = [name for name in names if of[name].family in (SETTLING, OVERSHOOT)]
+    if transient:
+        bands = sorted({band for name in transient if (band := of[name].band) is not None})
+        whether = {
+            "overshoot": any(of[name].family is OVERSHOOT for name in transient),
+            "continuous": not all(name.endswith(DISCRETE) for name in transient),
+        }
+        found |= transient_costs(loop, alpha, beta, bands, longest=longest, quiet=quiet, **whether)
+    for signal in dict.fromkeys(criterion.signal for criterion in of.values() if criterion.family is ENERGY):
+        found |= energy_costs(loop, alpha, beta, signal)
+    if any(criterion.family is RISE for criterion in of.values()):
+        levels = [share - 1.0 for share in RISE_LEVELS]
+        exact, sampled = first_reached(loop, alpha, beta, levels, longest, "rise_time" in of)
+        found |= {"rise_time": exact[-1] - exact[0], f"rise_time{DISCRETE}": sampled[-1] - sampled[0]}
+    for name, function in (("pole_radius", spectral_radius), ("damping", damping_ratio)):
+        if name in of:
+            found[name] = function(loop, alpha, beta)
+    return found
 
 
 def check_criteria(names: Sequence[str]) -> None:

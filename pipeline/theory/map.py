@@ -123,7 +123,7 @@ class CostMap:
         inside = np.flatnonzero(is_well_inside(self.loop, alpha, beta, MARGIN))
         costs = {name: np.full(len(alpha), np.nan) for name in self.names}
         points = self.loop, alpha[inside], beta[inside]
-        found = point_costs_by_name(*points, self.names, self.longest, MAP_QUIET, part=True)
+        found = point_costs_by_name(*points, self.names, self.longest, MAP_QUIET)
         for name, values in found.items():
             costs[name][inside] = values
         return MapBlock(alpha, beta, stable, costs)

@@ -21,7 +21,7 @@ from pipeline.records.batch import Booleans, Floats, Integers
 
 Complexes = NDArray[np.complex128]
 
-TOGETHER = 4096
+TOGETHER = 16384
 """Points that are computed together: their states fit a cache."""
 
 _GONE = 1e-30

@@ -1,4 +1,4 @@
-"""Motion between samples of a general loop, as polynomials over pieces of a sampling interval.
+"""Points of a loop in motion: exact from sample to sample, and between samples polynomials over pieces of an interval.
 
 A piece is short beside the oscillations of the device, and pieces halve towards the start of a segment, where a fast
 lag settles; so a polynomial of degree 12 through exact places follows the motion to 1e-12 of it.
@@ -25,6 +25,12 @@ _GAUSS = 14
 """Points that integrate the square of such a polynomial times tau^2 exactly."""
 
 WEIGHTS = (0, 1, 2)
+
+_NEWTON = 5
+"""Steps to a turning point from a first guess within a piece of at most one radian: each doubles its digits."""
+
+_FOUND = 1e-9
+"""Step after which the next would be rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,33 +161,30 @@ def _through(values: Digits) -> Digits:
 
 
 @lru_cache(maxsize=64)
-def _interval(loop: Loop) -> Floats:
+def _interval(loop: Loop, between: bool) -> Floats:
     """Return what a sampling interval makes of what it starts with, shape (rows, columns).
 
-    Columns: the loop's state but the forces of former samples, and the wall's force in each of `segments`. Rows: sensed
-    position, filtered velocity and the next state but the forces; then for each piece the position at its end and the
-    velocities at both ends.
+    Columns: the loop's state but the forces of former samples, and the wall's force in each of `segments`. Rows: the
+    same states at its end, and sensed position and velocity at the end of each piece; else that of the interval.
     """
-    free, push, position, velocity = loop.open_loop
-    newest, sensor = loop.states - loop.oldest_force - 1, loop.device[2]
-    own = newest + 1
+    free, push, position, _ = loop.open_loop
+    own, p = loop.states - loop.oldest_force, len(loop.device[1])
     ages = [segment.age for segment in loop.segments]
-    forces = [free[:own, newest + age] if age else push[:own] for age in ages]
-    seen = np.zeros((len(sensor) + len(ages), own + len(ages)))
-    seen[: len(sensor), : len(sensor)], seen[len(sensor) :, own:] = np.eye(len(sensor)), np.eye(len(ages))
+    state = np.column_stack([free[:own, :own], *(free[:own, own - 1 + age] if age else push[:own] for age in ages)])
+    if not between:
+        return np.vstack([state, position[:own] @ state])
+    seen = np.zeros((p + len(ages), own + len(ages)))
+    seen[:p, :p], seen[p:, own:] = np.eye(p), np.eye(len(ages))
     ends = [
         row @ given @ seen
         for piece, given in zip(pieces(loop), starts(loop), strict=True)
-        for row in (sensor @ np.column_stack([piece.transition, piece.gain]), piece.speed[0], piece.speed.sum(axis=0))
+        for row in (piece.place.sum(axis=0), piece.speed.sum(axis=0))
     ]
-    state = np.column_stack([free[:own, :own], *forces])
-    known = np.zeros((2, own + len(ages)))
-    known[:, :own] = position[:own], velocity[:own]
-    return np.array([*known, *state, *ends])
+    return np.vstack([state, *ends])
 
 
 class Motion:
-    """Points of a general loop in motion after a step.
+    """Points of a loop in motion after a step.
 
     Parameters
     ----------
@@ -193,70 +196,55 @@ class Motion:
     Notes
     -----
     ``index`` are the points' numbers, ``sample`` the number of the sample that each is at, ``stop`` of the one at which
-    it need not go on, ``since`` of the one from which on samples were left out.
+    it need not go on, ``since`` of the one from which on samples were left out, ``begun`` the state there.
     """
 
-    _OF_POINTS = ("index", "alpha", "beta", "sample", "since", "stop", "state", "scale")
+    _OF_POINTS = ("index", "alpha", "beta", "sample", "since", "stop", "state", "begun", "scale")
 
     def __init__(self, loop: Loop, alpha: Floats, beta: Floats, *, between: bool) -> None:
         self.loop, self.index, self.alpha, self.beta = loop, np.arange(len(alpha)), alpha, beta
-        self.pieces = pieces(loop) if between else ()
         self.own = loop.states - loop.oldest_force
-        self.rows = _interval(loop)[: 2 + self.own + 3 * len(self.pieces)]
-        self.state = np.ascontiguousarray(loop.starts(alpha, "step").T)
+        self.rows = _interval(loop, between)
+        self.each = len(pieces(loop)) if between else 1
+        self.state = self.begun = np.ascontiguousarray(loop.starts(alpha, "step").T)
         self.scale = _levers(loop, alpha)
         self.sample = np.zeros(len(alpha))
         self.since, self.stop = np.full(len(alpha), np.inf), np.full(len(alpha), np.inf)
+        matrix, _, sensor = loop.device
+        self.watched = np.zeros((2, self.own))
+        self.watched[:, : len(sensor)] = sensor, sensor @ matrix
 
     def advance(self, count: int) -> None:
-        """Move by so many sampling intervals, at least one."""
+        """Move by so many sampling intervals, at least one, noting ``position`` and ``velocity``.
+
+        Shape (count each + 1, n): at the ends of all pieces, or at samples (and then no velocity).
+        """
         own, delay, n = self.own, self.loop.oldest_force, len(self.index)
         ages = [segment.age for segment in self.loop.segments]
-        self.made = np.empty((count, len(self.rows), n))
+        made = np.empty((count, len(self.rows), n))
         force = np.empty((delay + count, n))  # in order of time
         force[:delay] = self.state[own:][::-1]
         start = np.empty((count, own + len(ages), n))
         state, minus_alpha, minus_beta = self.state[:own], -self.alpha, -self.beta
-        law = self.rows[:2, :own]
-        for k, (given, made) in enumerate(zip(start, self.made, strict=True)):
+        law = np.array(self.loop.open_loop[2:])[:, :own]
+        path = np.empty((2, count * self.each + 1, n))
+        path[:, 0] = self.watched @ state
+        for k in range(count):
+            given = start[k]
             given[:own] = state
             position, speed = law @ state
             np.multiply(minus_alpha, position, out=force[delay + k])
-            force[delay + k] += minus_beta * speed
+            force[delay + k] += np.multiply(minus_beta, speed, out=speed)
             for row, age in enumerate(ages, own):
                 given[row] = force[delay + k - age]
-            np.matmul(self.rows, given, out=made)
-            state = made[2 : 2 + own]
-        self.start = start
+            np.matmul(self.rows, given, out=made[k])
+            state = made[k, :own]
+        ends = made[:, own:].reshape(count, self.each, -1, n)
+        for values, found in zip(path, np.moveaxis(ends, 2, 0), strict=False):
+            values[1:] = found.reshape(-1, n)
+        self.start, (self.position, self.velocity) = start, path
         self.state = np.concatenate([state, force[count:][::-1]])
         self.sample = self.sample + count
-
-    @property
-    def position(self) -> Floats:
-        """Sensed position, shape (n,)."""
-        return np.asarray(self.loop.open_loop[2] @ self.state)
-
-    @property
-    def sensed(self) -> Floats:
-        """Positions at the end of each of the latest intervals, shape (count, n)."""
-        return np.asarray(self.loop.open_loop[2][: self.own] @ self.made[:, 2 : 2 + self.own])
-
-    def ends(self) -> Floats:
-        """Return the latest intervals' pieces: position at start and end, velocity at both; (4, count pieces, n)."""
-        count, each, n = len(self.made), len(self.pieces), len(self.index)
-        result = np.empty((4, count, each, n))
-        result[1:] = np.moveaxis(self.made[:, 2 + self.own :].reshape(count, each, 3, n), 2, 0)
-        result[0, :, 0], result[0, :, 1:] = self.made[:, 0], result[1, :, :-1]
-        return result.reshape(4, count * each, n)
-
-    def motion(self, row: Integers, point: Integers) -> Floats:
-        """Return the coefficients of the sensed position over pieces, numbered as by `ends`; shape (13, events)."""
-        result, interval, device = np.empty((DEGREE + 1, len(row))), row // len(self.pieces), len(self.loop.device[2])
-        for number, (piece, given) in enumerate(zip(self.pieces, starts(self.loop), strict=True)):
-            some = np.flatnonzero(row % len(self.pieces) == number)
-            began = self.start[interval[some], :, point[some]].T
-            result[:, some] = (piece.place @ given) @ np.concatenate([began[:device], began[self.own :]])
-        return result
 
     def size(self) -> Floats:
         """Return all motion as a deviation."""
@@ -280,6 +268,41 @@ def joined(parts: list[Motion]) -> Motion:
     result = copy(parts[0])
     for name in Motion._OF_POINTS:
         setattr(result, name, np.concatenate([getattr(part, name) for part in parts], axis=-1))
+    return result
+
+
+def within_pieces(loop: Loop, piece: Integers, given: Floats) -> Floats:
+    """Return the coefficients of the sensed position over pieces, from what their intervals start with; (13, n)."""
+    result, p, own = np.empty((DEGREE + 1, len(piece))), len(loop.device[1]), loop.states - loop.oldest_force
+    for number, (of, start) in enumerate(zip(pieces(loop), starts(loop), strict=True)):
+        some = np.flatnonzero(piece == number)
+        result[:, some] = (of.place @ start) @ np.concatenate([given[:p, some], given[own:, some]])
+    return result
+
+
+def at_share(motion: Floats, share: Floats) -> Floats:
+    """Return polynomials, shape (13, n), at shares of their piece."""
+    result: Floats = motion[-1].copy()
+    for coefficient in motion[-2::-1]:
+        result = result * share + coefficient
+    return result
+
+
+def turning_share(motion: Floats) -> Floats:
+    """Return the share of a piece at which a motion that turns has no velocity; 1 where it does not turn."""
+    speed = motion[1:] * np.arange(1, len(motion))[:, None]
+    start, end = speed[0], speed.sum(axis=0)
+    turns = np.flatnonzero(start * end < 0)
+    result = np.ones(motion.shape[1])
+    speed, start, end = speed[:, turns], start[turns], end[turns]
+    change = speed[1:] * np.arange(1, len(speed))[:, None]
+    share: Floats = start / (start - end)
+    for _ in range(_NEWTON):
+        bend, before = at_share(change, share), share
+        share = np.clip(share - at_share(speed, share) / np.where(bend == 0, np.inf, bend), 0.0, 1.0)
+        if np.abs(share - before).max(initial=0.0) < _FOUND:
+            break
+    result[turns] = share
     return result
 
 

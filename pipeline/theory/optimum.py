@@ -32,11 +32,10 @@ from pipeline.theory.search import (
     grid,
     region,
     search,
-    search_lines,
-    search_plane,
     where_stable,
 )
 from pipeline.theory.transient import late_deviation, transient_costs
+from pipeline.theory.zoom import search_lines, search_plane
 
 UNDAMPED_LOSS = 1e-9
 """Distance of a damping ratio from 1 that is rounding: a threefold pole is split by 1e-5, which costs 2e-10."""

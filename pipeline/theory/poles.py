@@ -5,7 +5,6 @@ Source: Hulin 2017, secs. 3.4 and 3.5; the boundary by the closed form on |z| = 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import Decimal
 
@@ -17,7 +16,6 @@ from pipeline.loop.loop import Loop, as_points
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, derivative, many_digits, power, product, total
 from pipeline.records.batch import Booleans, Floats
 from pipeline.theory.circle import circle_points, place_of
-from pipeline.theory.transient import transient_costs
 
 _CHUNK = 8192
 """Points whose eigenvalues are computed at a time; bounds memory to about 40 MB at d = 16."""
@@ -95,31 +93,10 @@ def boundary_points(loop: Loop, theta: Floats) -> tuple[Floats, Floats]:
     return found.alpha, found.beta
 
 
-def bisect(holds: Callable[[Floats], Booleans], good: Floats, bad: Floats, halvings: int = 60) -> tuple[Floats, Floats]:
-    """Return the last values towards ``bad`` at which a condition holds, and the next ones, to the last bit.
-
-    Parameters
-    ----------
-    holds : callable
-    good, bad : float64, shape (n,)
-        Where it holds, and where it does not.
-    halvings : int
-    """
-    for _ in range(halvings):
-        middle = 0.5 * (good + bad)
-        fine = holds(middle)
-        good, bad = np.where(fine, middle, good), np.where(fine, bad, middle)
-    return good, bad
-
-
 _TIME_CONSTANTS = 4.0
 """Time constants of the slowest pole in a settling time (5.4): exp(-4) = 1.8 %."""
 
-_FAINT = 1e-60
-"""Deviation down to which a response is looked at for overshoot of any size. From there on the slowest modes have
-outlived every other: one that decays by a tenth faster has shrunk by six more decades."""
-
-_REAL = 1e-7
+REAL = 1e-7
 """Angle of a pole that counts as real: a double pole is split by sqrt(1e-16) = 1e-8, where ratios lose nothing."""
 
 _POLISHINGS = 3
@@ -206,7 +183,7 @@ def threefold_pole(loop: Loop, near: float) -> tuple[float, float, float] | None
     curved = m * m + power * bottom**2 - u * u * (bottom.deriv(2) * bottom - bend**2)
     bends = top.deriv(2) * (u * bottom) ** 2 - 2 * slope * u * bottom * m + top * curved
     roots = np.asarray(bends.roots(), dtype=np.complex128)
-    real = roots.real[np.abs(roots.imag) < _REAL * np.abs(1 - roots)]
+    real = roots.real[np.abs(roots.imag) < REAL * np.abs(1 - roots)]
     for _ in range(_POLISHINGS):
         real = real - bends(real) / bends.deriv()(real)
     away = np.abs((1 - real) * near - 1)
@@ -226,40 +203,6 @@ def _delayed_plant(loop: Loop) -> tuple[Polynomial, Polynomial, int]:
         for part in (loop.sampled.motion, loop.sampled.force)
     )
     return top, bottom, loop.oldest_force
-
-
-def never_overshoots(loop: Loop, alpha: object, beta: object, *, continuous: bool = True) -> Booleans:
-    """Return where the step response has no overshoot at all, however small.
-
-    Parameters
-    ----------
-    loop : Loop
-    alpha, beta : array_like, shape (n,)
-        Normalised virtual stiffness and damping; stable, alpha + gamma > 0.
-    continuous : bool
-        Whether the motion between samples counts, or the samples only.
-
-    Notes
-    -----
-    In the long run the slowest mode decides: with a pole that is not real and positive the response crosses its final
-    position again and again, by less and less. So the largest pole must be real and positive, and the response
-    must stay below its final position until it has shrunk to 1e-60, which it does without loss of relative precision.
-
-    The thesis, which allows 1e-12 (footnote 4 of 5.2.2), finds a region that reaches 3 to 4 % further.
-    """
-    a, b = as_points(alpha, beta)
-    z = poles(loop, a, b)
-    size = np.abs(z)
-    real = np.where((np.abs(z.imag) <= _REAL * size) & (z.real > 0), size, 0.0)
-    result = np.asarray(real.max(axis=1) >= size.max(axis=1) * (1 - _REAL))
-    slow_is_real = np.flatnonzero(result)
-    if len(slow_is_real):
-        name = "overshoot" if continuous else "overshoot_discrete"
-        costs = transient_costs(
-            loop, a[slow_is_real], b[slow_is_real], (), continuous=continuous, quiet=_FAINT, enough=0.0
-        )
-        result[slow_is_real] = costs[name] == 0
-    return result
 
 
 _NEAR = 1e-4

@@ -147,15 +147,6 @@ def test_what_a_writer_has_not_completed_is_not_told_as_left(store, capsys):
     assert "pipeline ingest" not in words
 
 
-def test_refused_logs_that_are_gone_are_listed(store, logs):
-    bad = logs / "bad.csv"
-    bad.write_text(FAULTS["text cell"][0])
-    ingest([logs], store, jobs=1)
-    assert status(store).refused_gone == ()
-    bad.unlink()
-    assert status(store).refused_gone == (str(bad),)
-
-
 def test_a_pass_on_a_disk_that_takes_nothing_is_told(store, logs, monkeypatch):
     def no_folder(*_):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(store / ".watch"))

@@ -343,7 +343,7 @@ def test_status_shows_what_is_stored(call, logs):
     assert status == 0
     first, columns, row, gone = out.splitlines()
     assert first.startswith("processed: 5 trials, 150 samples, 3 tables, ")
-    assert columns.split() == ["device", "experiment", "trials", "rows", "batches", "row_groups", "size", "stale"]
+    assert columns.split() == ["device", "experiment", "trials", "rows", "batches", "stale"]
     assert row.split()[:6] == ["bench", "1", "5", "150", "3", "3"]
     assert gone == f"gone: {logs / '300.csv'}"
     assert document(call("status", "--json"))["experiments"][0]["batches"] == 3

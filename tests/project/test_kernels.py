@@ -14,7 +14,7 @@ FILES = [
     for place in (
         "theory/test_poles",
         "theory/test_energy",
-        "theory/test_maps_speed_paths",
+        "theory/test_many_points",
         "measured/signal/test_modes",
         "measured/fit/test_fit",
     )

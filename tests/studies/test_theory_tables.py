@@ -14,8 +14,19 @@ from pipeline.device_data.published_theory import THEORY_TABLES, PublishedPoint,
 from pipeline.loop.loop import Loop
 from pipeline.shell.cli import run
 from pipeline.shell.console import table
-from pipeline.studies.thesis_table_text import document, summary_line, table_lines
-from pipeline.studies.thesis_tables import FLAT, LIMIT, MARKS, ROUNDING, Entry, TheoryRow, count_marks, recompute
+from pipeline.studies.thesis_tables import (
+    FLAT,
+    LIMIT,
+    MARKS,
+    ROUNDING,
+    Entry,
+    TheoryRow,
+    count_marks,
+    document,
+    recompute,
+    summary_line,
+    table_lines,
+)
 from pipeline.theory.energy import energy_costs
 from pipeline.theory.limits import boundary
 from pipeline.theory.search import where_stable
@@ -38,7 +49,7 @@ def entry(point: PublishedPoint, name: str, **changes: object) -> Entry:
 def test_tables_b_have_every_number_and_an_explanation_for_each() -> None:
     # all of B is computed here; C and 5.1 take a minute and are below, marked slow
     count = 0
-    for name, size, rows in module.recomputed_tables(THEORY_TABLES[:4], workers=1):
+    for name, size, rows in module.recomputed_tables(THEORY_TABLES[:4]):
         found = list(rows)
         assert len(found) == size == 26
         assert all(row.table == name for row in found)
@@ -224,15 +235,6 @@ def test_every_row_has_a_mark_and_none_is_unexplained() -> None:
     errata = {(*key, e.name) for key, row in zip(keys, rows, strict=True) for e in row.entries if e.mark == "erratum"}
     assert errata == {(p.table, p.criterion, p.delay, p.gamma, p.delta, n) for p in points for n in p.erratum_of}
     assert count_marks(rows)["equal"] > 750
-
-
-def test_processes_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    few = tuple(p for p in published_points(["C.1"]) if p.criterion in ("beta_max", "energy_step_w0"))
-    monkeypatch.setattr(module, "published_points", lambda tables: few)
-    ((_, _, alone),) = ((n, s, list(rows)) for n, s, rows in module.recomputed_tables(["C.1"], workers=1))
-    ((name, size, shared),) = ((n, s, list(rows)) for n, s, rows in module.recomputed_tables(["C.1"], workers=2))
-    assert (name, size) == ("C.1", 8)
-    assert shared == alone
 
 
 def test_an_unknown_table_is_refused_before_anything_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:

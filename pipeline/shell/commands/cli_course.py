@@ -158,7 +158,7 @@ def accuracy(
     say = (lambda _: None) if as_json else console.note
     parts = {"theory": only != AccuracyPart.measured, "measured": only != AccuracyPart.theory}
     report = run.measure(quick, say, **parts)
-    page.write(report, out)
+    write_text(out, page.render(report))
     write_text(out.with_suffix(".json"), report.model_dump_json(indent=1) + "\n")
     if report.rungs:
         results.store(report, processed)

@@ -187,10 +187,8 @@ def status(
         console.print_json(found.model_dump(mode="json"))
         raise typer.Exit(EXIT_ERROR if found.damaged else EXIT_OK)
     console.say(f"{processed}: {found.trials} trials, {found.rows} samples, {found.files} tables, {_mb(found.bytes)}")
-    rows = [
-        {**e.model_dump(), "size": _mb(e.bytes), "stale": ", ".join(e.stale) or "nothing"} for e in found.experiments
-    ]
-    columns = ("device", "experiment", "trials", "rows", "batches", "row_groups", "size", "stale")
+    rows = [{**e.model_dump(), "stale": ", ".join(e.stale) or "nothing"} for e in found.experiments]
+    columns = ("device", "experiment", "trials", "rows", "batches", "stale")
     for line in console.table(rows, columns) if rows else ():
         console.say(line)
     for report in found.reports:
@@ -208,13 +206,6 @@ def status(
         console.say(line)
     for code, count in found.quarantined.items():
         console.say(f"in quarantine, {code}: {count}")
-    for line in _listed("in quarantine, and no longer where it was", list(found.refused_gone)):
-        console.say(line)
-    if found.temporary_bytes:
-        if found.lock is None:
-            console.say(f"left by interrupted commands: {_mb(found.temporary_bytes)}; `pipeline ingest` removes it")
-        else:
-            console.say(f"not complete, or left by interrupted commands: {_mb(found.temporary_bytes)}")
     if found.lock is not None:
         console.say(f"process {found.lock.pid} on {found.lock.host} writes there since {found.lock.since}")
     for line in _listed("damaged", list(found.damaged)):

@@ -222,7 +222,6 @@ def tables(
     Example: pipeline theory tables --table C.1 --table C.2
     """
     from pipeline.device_data.published_theory import THEORY_TABLES
-    from pipeline.studies import thesis_table_text as table_text
     from pipeline.studies import thesis_tables as theory
 
     rows: list[theory.TheoryRow] = []
@@ -234,12 +233,12 @@ def tables(
                 advance(len(found), count)
         rows += found
         if not as_json:
-            for line in table_text.table_lines(name, found, console.table):
+            for line in theory.table_lines(name, found, console.table):
                 console.say(line)
     if as_json:
-        console.print_json(table_text.document(rows))
+        console.print_json(theory.document(rows))
         return
-    console.say(table_text.summary_line(rows))
+    console.say(theory.summary_line(rows))
 
 
 def _loop(delay: float | None, gamma: float, delta: float) -> Loop:

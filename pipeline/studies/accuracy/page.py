@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.disk import write_text
 from pipeline.base.wording import duration, error_text, power_of_ten
 from pipeline.records.accuracy import OURS, WRONG, AccuracyReport, Rung, Sweep
 from pipeline.rendering.report.page_template import fill_template
-from pipeline.studies.accuracy.ladder import grouped
-from pipeline.studies.accuracy.names import RECOMMENDED
+from pipeline.studies.accuracy.measure import grouped
+from pipeline.studies.accuracy.measured import RECOMMENDED
 from pipeline.studies.accuracy.run import words
 
 COLUMNS = 3
@@ -41,11 +39,6 @@ def render(report: AccuracyReport) -> str:
         wrong=error_text(WRONG),
         meaning=words()["meaning"],
     )
-
-
-def write(report: AccuracyReport, path: Path) -> None:
-    """Render the page and write it so that a reader sees all of it or nothing."""
-    write_text(path, render(report))
 
 
 def summary_rows(report: AccuracyReport) -> tuple[dict[str, str], ...]:

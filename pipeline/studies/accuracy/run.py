@@ -1,10 +1,10 @@
-"""Runs the ladders and sweeps of `pipeline accuracy`."""
+"""Measures all methods: the tables, the extreme cases, and what is left out."""
 
 from __future__ import annotations
 
 import time
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
 from functools import cache
 from importlib.util import find_spec
@@ -13,22 +13,20 @@ from typing import Any
 
 from pipeline.records import accuracy
 from pipeline.records.accuracy import AccuracyReport, LeftOut, MeasuredAccuracy, Rung
-from pipeline.studies.accuracy.cost_ladders import cost_ladders
-from pipeline.studies.accuracy.device_ladders import device_ladders
-from pipeline.studies.accuracy.ladder import BUDGET, sorted_by
-from pipeline.studies.accuracy.parameter_ladders import parameter_rungs
-from pipeline.studies.accuracy.sweeps import sweeps
-from pipeline.studies.accuracy.theory_ladders import theory_ladders
+from pipeline.studies.accuracy.extremes import sweeps
+from pipeline.studies.accuracy.measure import Table, grouped
+from pipeline.studies.accuracy.measured import measured_tables
+from pipeline.studies.accuracy.theory import theory_tables
 
-THEORY_BUDGET, QUICK_THEORY_BUDGET = 0.12, 0.03
-"""Seconds that a method of theory is repeated for; its minimum settles within a few dozen repetitions."""
+BUDGETS = {"theory": (0.12, 0.03), "measured": (0.02, 0.02)}
+"""Seconds that a run is repeated for, and those of a quick one: thousands of trials in a call leave nothing to warm."""
 
 Say = Callable[[str], None]
 
 
 @cache
 def words() -> dict[str, Any]:
-    """Return meanings of quantities, paths of sweeps, and what is left out, from ``words.toml`` beside it."""
+    """Return meanings of quantities, paths of extreme cases, and what is left out, from ``words.toml`` beside it."""
     return tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
 
 
@@ -46,43 +44,34 @@ def measure(
     theory, measured : bool
         Which branches are measured; the other one stays empty.
     """
-    parts = measure_theory(quick, say) if theory else {}
-    return AccuracyReport(
+    report = AccuracyReport(
         key=accuracy.key(),
         quick=quick,
         measured=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         machine=accuracy.machine(),
-        measured_branch=measure_measured(quick, say) if measured else None,
-        **parts,
     )
-
-
-def measure_theory(quick: bool = False, say: Say = lambda _: None) -> dict[str, Any]:
-    """Return what a report says of the theory, by the names of its record."""
     begin = time.perf_counter()
+    if theory:
+        rungs = _rungs(theory_tables(), quick, say, BUDGETS["theory"])
+        say("extreme cases")
+        found, seconds = tuple(sweeps(quick)), time.perf_counter() - begin
+        parts = {"rungs": rungs, "sweeps": found, "left_out": left_out(), "seconds": seconds}
+        report = report.model_copy(update=parts)
+    if measured:
+        begin = time.perf_counter()
+        rungs = _rungs(measured_tables(quick), quick, say, BUDGETS["measured"])
+        branch = MeasuredAccuracy(rungs=rungs, seconds=time.perf_counter() - begin)
+        report = report.model_copy(update={"measured_branch": branch})
+    return report
+
+
+def _rungs(tables: Iterable[Table], quick: bool, say: Say, budgets: tuple[float, float]) -> tuple[Rung, ...]:
+    """Return the rungs of all tables, one quantity after the other."""
     rungs: list[Rung] = []
-    for ladder in (*theory_ladders(), *device_ladders()):
-        say(next(iter(ladder.exact)))
-        rungs += ladder.rungs(quick, QUICK_THEORY_BUDGET if quick else THEORY_BUDGET)
-    say("numerical stability")
-    found = tuple(sweeps(quick))
-    return {
-        "rungs": tuple(sorted_by(rungs, "quantity")),
-        "sweeps": found,
-        "left_out": left_out(),
-        "seconds": time.perf_counter() - begin,
-    }
-
-
-def measure_measured(quick: bool = False, say: Say = lambda _: None) -> MeasuredAccuracy:
-    """Return what a report says of the measured branch: every estimator and cost, on simulated truth."""
-    begin = time.perf_counter()
-    say("measured branch: delay, mass, damping")
-    rungs = list(parameter_rungs(quick))
-    say("measured branch: costs")
-    for ladder in cost_ladders(quick):
-        rungs += ladder.rungs(quick, BUDGET)
-    return MeasuredAccuracy(rungs=tuple(sorted_by(rungs, "quantity")), seconds=time.perf_counter() - begin)
+    for table in tables:
+        say(next(iter(table.exact)))
+        rungs += table.rungs(quick, budgets[quick])
+    return tuple(rung for group in grouped(rungs, "quantity").values() for rung in group)
 
 
 def left_out() -> tuple[LeftOut, ...]:

@@ -1,4 +1,4 @@
-"""Hard loops and the truth of their costs: differential equations by `scipy.integrate.solve_ivp`, hold by hold.
+"""Hard loops and the truth of their costs (make_reference.py): `scipy.integrate.solve_ivp`, hold by hold.
 
 Nothing of the package's own loop or theory is used here: both masses, spring, lag and filter are written down anew, in
 absolute positions, and each sampling interval follows from the one before. The loops are those at which a method may

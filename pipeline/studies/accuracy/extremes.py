@@ -1,0 +1,126 @@
+"""Stiff and extreme cases: error of each method along paths towards the limits of double precision."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from pipeline.loop.loop import LARGEST_DELAY
+from pipeline.records.accuracy import OURS, WRONG, Sweep
+from pipeline.studies.accuracy.measure import FAILURES, largest
+from pipeline.studies.accuracy.peers import Case
+from pipeline.studies.accuracy.theory import ENERGY, PLANTS, RADII, case_of, installed, loop_of, reference
+from pipeline.theory.limits import is_inside
+from pipeline.theory.poles import is_stable
+
+QUICK_DELAY = 64
+"""Largest delay of a quick run: the largest ones take longest."""
+
+MARGINS = range(1, 15)
+"""Relative distances 10^-k from the boundary."""
+
+Row = dict[str, Any]
+"""A point of a path: its abscissa x, the loop and wall there, and the exact values."""
+
+Errors = Sequence[float | None]
+
+_T = TypeVar("_T")
+
+
+def sweeps(quick: bool) -> Iterator[Sweep]:
+    """Yield all paths, each by all methods; a quick run ends at delays of `QUICK_DELAY`."""
+    paths: dict[str, list[Row]] = reference()["sweeps"]
+    longest = QUICK_DELAY if quick else LARGEST_DELAY
+    paths = {name: [row for row in rows if row.get("delay", 0) <= longest] for name, rows in paths.items()}
+    for name in ("gamma", "gamma_damped", "critical", "delta"):
+        for method, plant in PLANTS.items():
+            yield _sweep(name, method, paths[name], [_attempt(_plant_error, plant, row) for row in paths[name]])
+    for name in ("delay", "resonant"):
+        for method, radius in installed(RADII).items():
+            yield _radius_sweep(name, method, radius, paths[name])
+    yield from _margins()
+    case = case_of(reference()["loop"])
+    for method, of in ENERGY.items():
+        found = [_attempt(_energy_errors, of, row, replace(case, delay=row["delay"])) for row in paths["delay"]]
+        yield _sweep("delay_energy", method, paths["delay"], [worst(each or (None,)) for each in found])
+        found = [_attempt(_energy_errors, of, row, replace(case, delay=1)) for row in paths["limit"]]
+        for w in range(3):
+            yield _sweep(f"limit_w{w}", method, paths["limit"], [each[w] if each else None for each in found])
+
+
+def starts_wrong(x: Sequence[float], errors: Errors, wrong: Sequence[bool] | None = None) -> float | None:
+    """Return the first x, in the order of the path, at which a result is wrong."""
+    for i, (place, error) in enumerate(zip(x, errors, strict=True)):
+        if error is None or error > WRONG or (wrong is not None and wrong[i]):
+            return place
+    return None
+
+
+def worst(errors: Errors) -> float | None:
+    """Return the largest error, None if a result is missing."""
+    known = [e for e in errors if e is not None]
+    return max(known) if known and len(known) == len(errors) else None
+
+
+def _attempt(function: Callable[..., _T], *arguments: Any) -> _T | None:
+    """Result of a method, None where it cannot give one."""
+    try:
+        with np.errstate(all="ignore"):
+            return function(*arguments)
+    except FAILURES:
+        return None
+
+
+def _sweep(name: str, method: str, path: Sequence[Row], errors: Errors, wrong: Sequence[bool] | None = None) -> Sweep:
+    x = [row["x"] for row in path]
+    return Sweep(
+        sweep=name,
+        method=method,
+        x=tuple(x),
+        error=tuple(errors),
+        starts=starts_wrong(x, errors, wrong),
+        worst=worst(errors),
+        wrong_verdicts=None if wrong is None else sum(wrong),
+    )
+
+
+def _plant_error(of: Callable[[float, float], tuple[float, float]], row: Row) -> float | None:
+    found, exact = np.array(of(row["gamma"], row["delta"])), np.array(row["numerator"])
+    return largest((found - exact) / exact)[0] if np.isfinite(found).all() else None
+
+
+def _radius_sweep(name: str, method: str, of: Callable[..., Any], path: Sequence[Row]) -> Sweep:
+    """Error of the spectral radius, and wrong verdicts; ours does not judge by the radius."""
+    walls = [(case_of(row), np.array([row["alpha"]]), np.array([row["beta"]])) for row in path]
+    found = [_attempt(lambda *wall: float(of(*wall)[0]), *wall) for wall in walls]
+    stable = [radius is not None and radius < 1 for radius in found]
+    if method == OURS:
+        stable = [bool(is_stable(loop_of(row), *wall[1:])[0]) for row, wall in zip(path, walls, strict=True)]
+    errors = [f and abs(f - row["radius"]) / row["radius"] for f, row in zip(found, path, strict=True)]
+    missing = [f is None for f in found]
+    wrong = [m or s != (row["excess"] < 0) for m, s, row in zip(missing, stable, path, strict=True)]
+    return _sweep(name, method, path, errors, wrong)
+
+
+def _energy_errors(of: Callable[..., Any], row: Row, case: Case) -> list[float | None]:
+    """Relative error of each weight at one point; None of a weight without a number."""
+    found = np.asarray(of(case, np.array([row["alpha"]]), np.array([row["beta"]])))[:, 0]
+    exact = [row[f"energy_step_w{w}"] for w in range(3)]
+    return [abs(f - e) / e if np.isfinite(f) else None for f, e in zip(found.tolist(), exact, strict=True)]
+
+
+def _margins() -> Iterator[Sweep]:
+    """Yield shares of wrong verdicts at points a little inside and outside the boundary."""
+    case, loop = case_of(reference()["loop"]), loop_of(reference()["loop"])
+    alpha, beta = (np.array(reference()["boundary"][name]) for name in ("alpha", "beta"))
+    path = [{"x": 10.0**-k} for k in MARGINS]
+    for method in ("polynomial roots", "eigenvalues", OURS):
+        shares = []
+        for row in path:
+            walls = [(alpha * (1 + sign * row["x"]), beta) for sign in (-1, 1)]
+            inside = [is_inside(loop, *wall) if method == OURS else RADII[method](case, *wall) < 1 for wall in walls]
+            shares.append(float(np.mean(np.concatenate([~inside[0], inside[1]]))))
+        yield _sweep("margin", method, path, shares)

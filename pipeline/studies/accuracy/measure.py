@@ -1,0 +1,167 @@
+"""Tables of methods, and how a row is measured: its error against the truth, and its run time.
+
+A table asks for quantities whose exact values are known; a row is a method with its settings. `Table.rungs` is the only
+place that runs and times.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from importlib.util import find_spec
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+
+from pipeline.base.errors import PipelineError
+from pipeline.records.accuracy import Rung
+from pipeline.records.batch import Floats
+
+FAILURES = (ArithmeticError, np.linalg.LinAlgError, PipelineError, ValueError)
+"""What a method raises that cannot give a number; anything else is a defect here."""
+
+_SHORT = 2e-3
+"""Run time [s] below which a single run is too short for the clock; it is repeated inside the timed loop."""
+
+_T = TypeVar("_T")
+Values = dict[str, Floats]
+"""Values or errors by quantity, shape (n,) each."""
+
+Summary = Callable[[Floats], tuple[float | None, float | None]]
+"""What of the errors counts, and the share of missing values where it is told."""
+
+
+def largest(error: Floats) -> tuple[float | None, None]:
+    """Return the largest absolute error; a missing number counts as 1."""
+    return float(np.where(np.isfinite(error), np.abs(error), 1.0).max()), None
+
+
+def median(error: Floats) -> tuple[float | None, float]:
+    """Return the median of absolute errors (None without any), and the share of trials without a value (NaN)."""
+    known = np.abs(error[np.isfinite(error)])
+    return (float(np.median(known)) if len(known) else None), 1 - len(known) / max(len(error), 1)
+
+
+def mean(error: Floats) -> tuple[float | None, float]:
+    """As `median`, the mean: for whole numbers, whose median error is 0 as soon as more than half are exact."""
+    known = np.abs(error[np.isfinite(error)])
+    return (float(known.mean()) if len(known) else None), 1 - len(known) / max(len(error), 1)
+
+
+@dataclass(frozen=True)
+class Row:
+    """A method: its name, its run, and its settings.
+
+    Parameters
+    ----------
+    name : str
+    run : callable
+        Gives values by quantity at a setting; without argument where there is one setting alone.
+    words : str
+        Setting in words, with a place for its value.
+    settings : sequence
+    quick : int or None
+        Number of settings of a quick run; None for all.
+    given : callable, optional
+        Makes the argument of ``run`` from a setting, beforehand and outside of the time.
+    of : tuple of str
+        Quantities of the table that the method gives; all of them where empty.
+    needs : str
+        Optional library; without it the row is left out.
+    """
+
+    name: str
+    run: Callable[..., Values]
+    words: str = "one setting"
+    settings: Sequence[Any] = ()
+    quick: int | None = None
+    given: Callable[[Any], Any] | None = None
+    of: tuple[str, ...] = ()
+    needs: str = ""
+
+    def runs(self, quick: bool) -> Iterator[tuple[str, Callable[[], Values]]]:
+        """Yield each setting in words with the call that runs it; nothing where the library is not installed."""
+        if self.needs and find_spec(self.needs) is None:
+            return
+        if not self.settings:
+            yield self.words, self.run
+        for setting in self.settings[: self.quick] if quick else self.settings:
+            yield self.words.format(setting), partial(self.run, self.given(setting) if self.given else setting)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Quantities with their truth, and the methods that are held against it.
+
+    Parameters
+    ----------
+    exact : mapping of str to float64, shape (n,)
+    rows : sequence of Row
+    summary : callable
+        Of the errors.
+    scale : mapping of str to float64
+        What errors are relative to, where it is not the truth.
+    trials : int
+        Trials that one run works on; the time of a rung is that of one of them.
+    """
+
+    exact: Mapping[str, Floats]
+    rows: Sequence[Row]
+    summary: Summary = largest
+    scale: Mapping[str, Floats | float] = field(default_factory=dict)
+    trials: int = 1
+
+    def rungs(self, quick: bool, budget: float) -> Iterator[Rung]:
+        """Yield an error and a time for each row, setting and quantity, each run repeated for ``budget`` seconds."""
+        for row in self.rows:
+            for setting, run in row.runs(quick):
+                begin, errors = time.perf_counter(), {}
+                try:
+                    with np.errstate(all="ignore"):
+                        found, seconds = best_time(run, budget)
+                        errors = {q: (v - self.exact[q]) / self.scale.get(q, self.exact[q]) for q, v in found.items()}
+                except FAILURES:
+                    seconds = time.perf_counter() - begin
+                for quantity in row.of or self.exact:
+                    error, missing = self.summary(errors[quantity]) if quantity in errors else (None, None)
+                    yield Rung(
+                        quantity=quantity,
+                        method=row.name,
+                        setting=setting,
+                        error=error,
+                        seconds=seconds / self.trials,
+                        missing=missing,
+                    )
+
+
+def grouped(rungs: Iterable[Rung], of: Literal["quantity", "method"]) -> dict[str, list[Rung]]:
+    """Return rungs by quantity or by method, in the order in which these begin."""
+    found: dict[str, list[Rung]] = {}
+    for rung in rungs:
+        found.setdefault(getattr(rung, of), []).append(rung)
+    return found
+
+
+def best_time(run: Callable[[], _T], budget: float) -> tuple[_T, float]:
+    """Return the result of a call and the least time [s] of repeated calls after a first, uncounted one.
+
+    No repetition begins after ``budget`` seconds; a call longer than that is timed by its first run.
+    """
+    begin = time.perf_counter()
+    result = run()
+    first = time.perf_counter() - begin
+    if first > budget:
+        return result, first
+    inner = max(1, math.ceil(_SHORT / max(first, 1e-7)))
+    best, end = math.inf, time.perf_counter() + budget
+    while True:
+        begin = time.perf_counter()
+        for _ in range(inner):
+            run()
+        now = time.perf_counter()
+        best = min(best, (now - begin) / inner)
+        if now > end:
+            return result, best

@@ -1,0 +1,262 @@
+"""Estimates and costs of logs: each method as a row of a table, against the truth that was simulated.
+
+The logs are those of the Falcon's experiment 1 without jitter, at random stable pairs (K, B). Errors of estimates are
+medians over trials, of costs means; relative, but for delays [samples] and overshoot (of the final displacement).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+
+from pipeline.device_data.devices import find_experiment, load_device
+from pipeline.loop.loop import Loop, Normalised
+from pipeline.measured.cost import settling_overshoot
+from pipeline.measured.cost.energy_intervals import energy_interval
+from pipeline.measured.cost.reading_error import reading_error
+from pipeline.measured.device import damping, delay, friction, mass, onset
+from pipeline.measured.fit.fit import fit_trials
+from pipeline.measured.signal.response import Response, find_response
+from pipeline.measured.signal.verdict import Verdicts, judge
+from pipeline.measured.stages.stage_rows import BALANCE_TERMS
+from pipeline.records.batch import Floats, TrialBatch
+from pipeline.simulation.setup import Setup, setup_of
+from pipeline.simulation.simulate import simulate
+from pipeline.studies.accuracy.measure import Row, Table, Values, mean, median
+from pipeline.studies.accuracy.theory import COSTS
+from pipeline.theory.costs import point_costs_by_name
+from pipeline.theory.limits import boundary, stiffness_limit
+from pipeline.theory.poles import spectral_radius
+
+DELAY, DELAYS = 4.0, (4.1, 4.3, 4.5, 4.7, 4.9)
+"""Delay [samples], and those of the trials whose delay is estimated: that of a real controller is no whole number."""
+
+USUAL_ROWS, ROWS = 400, (60, 100, 200, 400, 1000)
+"""Rows of a Falcon's log, and of the logs that are compared; 20 of them are the baseline."""
+
+WINDOWS_MS, FRICTION_WINDOWS_MS = (5, 10, 15, 30, 80), (30, 100, 380)
+"""Windows of the momentum balances [ms]: a delay of 4 samples fills one of 5 ms."""
+
+QUANTA = (2e-6, 10e-6, 60e-6)
+"""Sensor quantum [m]: the shipped Falcon has 2 um, encoders of haptic devices 10 to 60 um."""
+
+SENSOR = (2e-6, 0.5e-6)
+"""Quantum and noise [m] of the shipped Falcon; other quanta have a quarter of noise, too."""
+
+Sensor = tuple[float, float]
+
+SLOWEST, SLOWEST_COST = 0.999, 0.985
+"""Largest spectral radius of a trial, and of one whose costs are asked for: 0.3 % of the motion is left after it."""
+
+LONGEST = 20000
+"""Samples within which the exact responses have settled: a radius of `SLOWEST_COST` needs 1,000."""
+
+DELAY_OF, MASS, DAMPING = (f"{name} of a trial" for name in ("delay", "mass", "damping"))
+
+MODEL, SETTLE, LARGEST, COMPLETE = RECOMMENDED = (
+    "model of the whole response",
+    "band about x₀ + F₀/K",
+    "largest reading",
+    "bias off, tail added",
+)
+"""What comparisons use where they can; it stands out in the picture."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trials:
+    """Simulated trials with what every estimator starts from; ``delay`` (n,) is the true one [samples]."""
+
+    batch: TrialBatch
+    delay: Floats
+    response: Response
+    verdicts: Verdicts
+
+    @classmethod
+    def of(cls, batch: TrialBatch, delay: Floats) -> Trials:
+        """Return trials with their response and verdicts."""
+        response = find_response(batch)
+        return cls(batch, delay, response, judge(batch, response))
+
+    def shortened(self, rows: int) -> Trials:
+        """Return the trials as if recording had stopped after some rows."""
+        b = self.batch
+        cut = {name: getattr(b, name)[:, :rows] for name in ("time", "command", "position")}
+        return Trials.of(replace(b, rows=np.minimum(b.rows, rows), **cut), self.delay)
+
+    @property
+    def samples(self) -> int:
+        """Integer delay factor."""
+        return round(float(self.delay[0]))
+
+
+def truth(delay_samples: float = DELAY) -> tuple[Setup, Normalised, Loop]:
+    """Return the simulated device with a constant delay, its units, and its loop, whose costs are the truth."""
+    device = load_device("falcon")
+    found = find_experiment(device, "1")
+    setup = replace(setup_of(device, found), jitter_samples=(), delay_samples=delay_samples)
+    units = Normalised(found.mass, device.sampling_period_s)
+    return setup, units, units.loop(found.stiffness, found.damping, delay_samples)
+
+
+def drawn(
+    count: int, seed: int, rows: int, sensor: Sensor = SENSOR, *, d: float = DELAY, slow: float = SLOWEST
+) -> Trials:
+    """Return simulated trials with a delay d at random stable pairs below a spectral radius."""
+    setup, units, loop = truth(d)
+    random, last = np.random.default_rng(seed), boundary(loop).beta_max
+    beta = random.uniform(0.03 * last, last, 8 * count)
+    alpha = np.maximum(stiffness_limit(loop, beta), 0.0) * random.uniform(0.1, 0.95, 8 * count)
+    some = np.flatnonzero(spectral_radius(loop, alpha, beta) <= slow)[:count]
+    setup = replace(setup, rows=rows, quantum=sensor[0], noise=sensor[1])
+    walls = alpha[some] * units.stiffness, beta[some] * units.damping
+    return Trials.of(simulate(setup, *walls, seed=seed), np.full(len(some), d))
+
+
+def true_costs(trials: Trials) -> Values:
+    """Return the exact costs of the sampled, noise-free responses by quantity, shape (n,) each."""
+    _, units, loop = truth()
+    wall = trials.batch.stiffness / units.stiffness, trials.batch.damping / units.damping
+    found = point_costs_by_name(loop, *wall, [f"{name}_discrete" for name in COSTS.values()], LONGEST)
+    return {quantity: found[f"{name}_discrete"] for quantity, name in COSTS.items()}
+
+
+def measured_tables(quick: bool = False) -> Iterator[Table]:
+    """Yield the tables of delay, of mass and damping, and of costs; a quick run has fewer trials and settings."""
+    count, lengths = (60, ROWS[1:4]) if quick else (300, ROWS)
+    for name, sensor in ((DELAY_OF, SENSOR), (f"{DELAY_OF}, coarse sensor", (QUANTA[-1], 1e-6))):
+        delays = DELAYS[::4] if quick else DELAYS
+        parts = [drawn(count // len(delays), i, lengths[-1], sensor, d=d) for i, d in enumerate(delays)]
+        batch = TrialBatch.joined([part.batch for part in parts])
+        yield _delay(name, Trials.of(batch, np.concatenate([part.delay for part in parts])), lengths)
+    yield _mass_and_damping(drawn(count, 11, lengths[-1]), lengths)
+    trials = drawn(count, 51, lengths[-1], slow=SLOWEST_COST)
+    yield _costs("", trials, "{} rows", lengths[1:], trials.shortened)
+
+    def with_quantum(quantum: float) -> Trials:
+        return drawn(count, 51, USUAL_ROWS, (quantum, quantum / 4), slow=SLOWEST_COST)
+
+    yield _costs(", over the sensor's quantum", trials, "{:.0e} m", QUANTA, with_quantum)
+
+
+def _delay(name: str, trials: Trials, lengths: tuple[int, ...]) -> Table:
+    logs, words = trials.shortened(USUAL_ROWS), ("{} rows", lengths)
+
+    def first_change() -> Values:
+        """Middle of the period in which the position changes first (6.3)."""
+        found = delay.first_change(logs.batch, logs.response).delay_samples
+        return {name: np.where(found >= 0, found + 0.5, np.nan)}
+
+    def motion_onset() -> Values:
+        first = delay.first_change(logs.batch, logs.response)
+        return {name: onset.motion_onset(logs.batch, logs.response, first).delay_samples}
+
+    return Table(
+        {name: trials.delay},
+        (
+            Row("first change (6.2, 6.3)", first_change),
+            Row("onset of motion", motion_onset),
+            Row(MODEL, lambda of: {name: fit_trials(of.batch, of.response).delay}, *words, given=trials.shortened),
+        ),
+        *(median, {name: 1.0}, len(trials.delay)),
+    )
+
+
+def _mass_and_damping(trials: Trials, lengths: tuple[int, ...]) -> Table:
+    plant, count = truth()[0].plant, len(trials.delay)
+    logs = trials.shortened(USUAL_ROWS)
+    of_logs = logs.batch, logs.response, logs.samples
+
+    def momentum(window_ms: float) -> mass.Masses:
+        return mass.by_momentum(*of_logs, window_s=window_ms / 1000)
+
+    def with_friction(window_ms: float) -> Values:
+        found = friction.fit_balance(*of_logs, terms=BALANCE_TERMS, window_s=(0.0, window_ms / 1000))
+        return {MASS: found.mass, DAMPING: found.coefficients[:, 0]}
+
+    def least_squares(of: Trials) -> Values:
+        return {DAMPING: damping.from_trials(of.batch, of.response, of.samples).viscous_damping}
+
+    def model(of: Trials) -> Values:
+        found = fit_trials(of.batch, of.response)
+        return {MASS: found.mass, DAMPING: found.damping}
+
+    windows, shortened = ("{} ms", WINDOWS_MS), ("{} rows", lengths)
+    return Table(
+        {MASS: np.full(count, plant.mass), DAMPING: np.full(count, plant.damping)},
+        (
+            Row("momentum balance (6.4)", lambda w: {MASS: momentum(w).mass_momentum}, *windows, of=(MASS,)),
+            Row("balance with damping and friction", with_friction, "{} ms", FRICTION_WINDOWS_MS),
+            Row("balance, least squares", least_squares, *shortened, given=trials.shortened, of=(DAMPING,)),
+            Row(MODEL, model, *shortened, given=trials.shortened),
+        ),
+        median,
+        trials=count,
+    )
+
+
+def _costs(
+    over: str,
+    trials: Trials,
+    words: str,
+    settings: tuple[Any, ...],
+    given: Callable[[Any], Trials],
+) -> Table:
+    """Return the table of all costs over settings of which the trials are ``given``; mass and delay are known."""
+    energies, weight = tuple(COSTS)[2:], truth()[0].plant.mass
+
+    logs = cache(given)
+
+    def settling(of: Trials) -> list[Floats]:
+        found = settling_overshoot.settling(of.batch, of.response, of.verdicts, of.samples)
+        return [found.samples["settle_2pct"]]
+
+    def about_last(of: Trials) -> list[Floats]:
+        last = replace(of.response, position_final_expected=of.response.position_final_measured)
+        return settling(replace(of, response=last))
+
+    def overshoot(of: Trials) -> list[Floats]:
+        return [settling_overshoot.overshoot(of.batch, of.response, of.verdicts).overshoot]
+
+    def complete(of: Trials) -> list[Floats]:
+        error = reading_error(of.batch, of.response, of.samples)
+        return list(energy_interval(of.batch, of.response, of.verdicts, error, of.samples, weight).value.T)
+
+    rows = (
+        (SETTLE, settling, ("settling time",)),
+        ("band about the last tenth", about_last, ("settling time",)),
+        (LARGEST, overshoot, ("overshoot",)),
+        ("sum over the whole log", partial(whole_sum, weight=weight), energies),
+        (COMPLETE, complete, energies),
+    )
+
+    def row(name: str, run: Callable[[Trials], list[Floats]], of: tuple[str, ...]) -> Row:
+        quantities = tuple(f"{quantity}{over}" for quantity in of)
+
+        def found(logs: Trials) -> Values:
+            return dict(zip(quantities, run(logs), strict=True))
+
+        return Row(name, found, words, settings, given=logs, of=quantities)
+
+    exact = {f"{quantity}{over}": values for quantity, values in true_costs(trials).items()}
+    table = [row(*each) for each in rows]
+    return Table(exact, table, mean, {f"overshoot{over}": 1.0}, len(trials.delay))
+
+
+def whole_sum(of: Trials, weight: float) -> list[Floats]:
+    """Return the discrete energy costs summed to the end of the log, as a plain script has them, by weight.
+
+    sum of k^w [(K/F_0)^2 (x_k - x_inf)^2 + K m/F_0^2 ((x_k - x_{k-1})/T)^2], k from the command edge plus the delay.
+    """
+    b, response = of.batch, of.response
+    first = int(response.edge_row[0]) + of.samples
+    k = np.arange(b.position.shape[1] - first, dtype=np.float64)
+    position = b.position[:, first:]
+    error = position - response.position_final_expected[:, None]
+    speed = np.diff(position, axis=1, prepend=position[:, :1]) / b.sampling_period_s[:, None]
+    stiffness, step = b.stiffness[:, None], b.step[:, None]
+    energy = (stiffness / step * error) ** 2 + stiffness * weight * (speed / step) ** 2
+    return [np.nansum(k**w * energy, axis=1) for w in range(3)]

@@ -1,0 +1,289 @@
+"""Limits, responses, costs and optima of loops: what is true, and each method as a row of a table.
+
+Truth is in the reference values that ship with the package (docs/make_reference.py). An error is the largest one over
+all reference points: relative, but for overshoot, which is relative to the final displacement already. A result that a
+method could not give counts as an error of 1.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from functools import cache, partial
+from importlib.util import find_spec
+from itertools import count
+from typing import Any, TypeVar
+
+import numpy as np
+
+from pipeline.loop.loop import Loop, Vibration
+from pipeline.records.accuracy import OURS, reference_file
+from pipeline.records.batch import Floats
+from pipeline.records.loop_parts import Butterworth
+from pipeline.studies.accuracy import peers
+from pipeline.studies.accuracy.measure import Row, Table, Values
+from pipeline.studies.accuracy.peers import Case
+from pipeline.theory.costs import cost_maps, point_costs_by_name
+from pipeline.theory.limits import stiffness_limit
+from pipeline.theory.optimum import optimal_point
+from pipeline.theory.poles import spectral_radius
+from pipeline.theory.transient import LONGEST
+
+ENERGIES = ("energy, w = 0", "energy, w = 1", "energy, w = 2")
+COSTS = {"settling time": "settle_2pct", "overshoot": "overshoot"}
+COSTS |= {quantity: f"energy_step_w{w}" for w, quantity in enumerate(ENERGIES)}
+"""Quantities of a response, and their criteria."""
+
+HARD = {"settling time, hard loops": "settle_1pct", "overshoot, hard loops": "overshoot"}
+OWN_ENERGIES = {quantity: COSTS[quantity] for quantity in ENERGIES}
+HARD |= {f"{quantity}, hard loops": f"{name}_discrete" for quantity, name in OWN_ENERGIES.items()}
+OPTIMA = {"optimum of energy": "energy_step_w0", "optimum of settling time": "settle_2pct"}
+GENERAL = ("boundary, general loop", "spectral radius, general loop")
+QUANTITIES = ("plant", "boundary", "spectral radius", *COSTS, *OPTIMA, "map", *GENERAL, *HARD)
+
+PEER = "python-control"
+
+DENSE_SAMPLES = 2048
+"""Horizon of the dense simulation: the slowest reference point has decayed to 1e-7 there."""
+
+SEARCH_SAMPLES, SEARCH_FINE = 256, 8
+"""Horizon and points a sample inside the searches for an optimum, whose best points settle within 30 samples."""
+
+SEARCH_BOX, START = (0.3, 1.0), (0.05, 0.3)
+"""Largest alpha and beta of the searches for d = 1, whose optima lie at (0.070, 0.471) and (0.045, 0.304); a start."""
+
+_TOLERANCE, _SAMPLES = "tolerance {:.0e}", "{} samples"
+_FINE = "{} points a sample", (1, 4, 16, 64), 3
+_Way = TypeVar("_Way")
+_repetition = count()
+
+
+@cache
+def reference() -> dict[str, Any]:
+    """Return the high-precision values that ship with the package (made by docs/make_reference.py)."""
+    document: dict[str, Any] = json.loads(reference_file().read_text(encoding="utf-8"))
+    return document
+
+
+def case_of(entry: dict[str, Any]) -> Case:
+    """Return the loop of reference values, as the methods of others take it."""
+    return Case(entry["gamma"], entry["delta"], entry["delay"])
+
+
+def loop_of(entry: dict[str, Any]) -> Loop:
+    """Return the loop of reference values, as this package takes it."""
+    mode = Vibration(entry["far_mass"], entry["spring"], entry["damper"], False) if entry.get("far_mass") else None
+    order, cutoff = entry.get("order", 2), entry.get("cutoff")
+    velocity = Butterworth(kind="butterworth", order=order, cutoff_hz=cutoff) if cutoff else None
+    return Loop(entry["gamma"], entry["delta"], float(entry["delay"]), entry.get("lag", 0.0), mode, velocity)
+
+
+def unknown(loop: Loop) -> Loop:
+    """Return a loop of which nothing is kept from earlier calls: each has a damping some roundings larger."""
+    return replace(loop, delta=loop.delta + next(_repetition) * 2.0**-57)
+
+
+def own_numerator(gamma: float, delta: float) -> tuple[float, float]:
+    """Return n1 and n0 of the sampled plant by this package."""
+    matrix, push, _, _ = Loop(gamma, delta, 0.0).open_loop
+    return peers.numerator(np.column_stack((matrix[:2, :2], push[:2])))
+
+
+def installed(ways: dict[str, _Way]) -> dict[str, _Way]:
+    """Return ways without that of an optional library that is not installed."""
+    return {name: way for name, way in ways.items() if name != PEER or find_spec("control")}
+
+
+def own_costs(loop: Loop, alpha: Floats, beta: Floats, names: Mapping[str, str]) -> Values:
+    """Return costs by quantity as this package has them."""
+    found = point_costs_by_name(loop, alpha, beta, list(names.values()), LONGEST)
+    return {quantity: found[name] for quantity, name in names.items()}
+
+
+PLANTS: dict[str, Callable[[float, float], tuple[float, float]]] = {
+    "printed formula (3.7)": peers.printed_numerator,
+    "matrix exponential": lambda *loop: peers.numerator(peers.plant_by_expm(*loop)),
+    "scipy cont2discrete": lambda *loop: peers.numerator(peers.plant_by_scipy(*loop)),
+    "Runge-Kutta, 128 steps": lambda *loop: peers.numerator(peers.plant_by_runge_kutta(*loop)),
+    OURS: own_numerator,
+}
+"""Ways to the numerator of the sampled plant."""
+
+RADII: dict[str, Callable[[Case, Floats, Floats], Floats]] = {
+    "polynomial roots": peers.radius_by_roots,
+    "eigenvalues": peers.radius_by_eigenvalues,
+    "squaring of the loop matrix": lambda case, *wall: peers.radius_by_squaring(peers.matrices(case, *wall), 40),
+    PEER: peers.radius_by_control,
+    OURS: lambda case, *wall: spectral_radius(loop_of(vars(case)), *wall),
+}
+"""Ways to the spectral radius."""
+
+ENERGY: dict[str, Callable[[Case, Floats, Floats], Floats]] = {
+    "truncated recurrence, 512 samples": partial(peers.truncated_energy, samples=512),
+    "truncated recurrence, 8192 samples": partial(peers.truncated_energy, samples=8192),
+    "Lyapunov equations (scipy)": peers.lyapunov_energy,
+    OURS: lambda case, a, b: np.array([*own_costs(loop_of(vars(case)), a, b, OWN_ENERGIES).values()]),
+}
+"""Ways to the energies of a step, shape (3, n)."""
+
+
+def theory_tables() -> Iterator[Table]:
+    """Yield the tables of the ideal loop, then those of loops with parts."""
+    known, plants, edge, best = (reference()[name] for name in ("points", "plant", "boundary", "optimum"))
+    case, loop = case_of(reference()["loop"]), loop_of(reference()["loop"])
+    points = {name: np.array([row[name] for row in known["rows"]]) for name in known["rows"][0]}
+    wall = points["alpha"], points["beta"]
+
+    def one(quantity: str, run: Callable[..., Any], *first: Any) -> Callable[..., Values]:
+        return lambda *setting: {quantity: np.asarray(run(*first, *setting))}
+
+    yield Table(
+        {"plant": np.array([row["numerator"] for row in plants])},
+        [
+            Row(name, one("plant", lambda of=of: [of(row["gamma"], row["delta"]) for row in plants]))
+            for name, of in PLANTS.items()
+        ],
+    )
+    beta, high = np.array(edge["beta"]), 1.1 * edge["alpha_max"]
+
+    def bisection(radius: Callable[..., Floats]) -> Callable[..., Values]:
+        return one("boundary", peers.bisect_limit, partial(radius, case), beta, high)
+
+    gridding, poles = one("boundary", peers.grid_limit, case, beta, high), bisection(peers.radius_by_control)
+    states, roots = bisection(peers.radius_by_eigenvalues), bisection(peers.radius_by_roots)
+    yield Table(
+        {"boundary": np.array(edge["alpha"])},
+        (
+            Row("gridding with poles (3.4)", gridding, _TOLERANCE, (1e-2, 1e-4, 1e-6), 1),
+            Row("eigenvalues and bisection", states, _TOLERANCE, (1e-2, 1e-6, 1e-10, 1e-14), 3),
+            Row("polynomial roots and bisection", roots, _TOLERANCE, (1e-2, 1e-6, 1e-12), 2),
+            Row(f"{PEER} and bisection", poles, _TOLERANCE, (1e-2, 1e-6), 1, needs="control"),
+            Row(OURS, lambda: {"boundary": stiffness_limit(unknown(loop), beta)}),
+        ),
+    )
+    quantity = "spectral radius"
+    radii = [Row(name, one(quantity, of, case, *wall)) for name, of in installed(RADII).items()]
+    yield Table({quantity: points["radius"]}, radii)
+
+    def simulated(fine: int) -> Values:
+        place, speed = peers.dense(case, *wall, DENSE_SAMPLES, fine)
+        both = peers.settling_of(place, fine), np.maximum(place.max(axis=0), 0.0)
+        return dict(zip(COSTS, (*both, *peers.energy_of(place, speed, case, wall[0], fine)), strict=True))
+
+    def sampled(samples: int) -> Values:
+        place = peers.response_by_dlsim(case, *wall, samples)
+        return {"settling time": peers.settling_of(place, 1), "overshoot": np.maximum(place.max(axis=0), 0.0)}
+
+    def energy(of: Callable[..., Floats]) -> Callable[..., Values]:
+        return lambda: dict(zip(ENERGIES, of(case, *wall), strict=True))
+
+    responses = ("settling time", "overshoot")
+    yield Table(
+        {quantity: points[name] for quantity, name in COSTS.items()},
+        (
+            Row("dense simulation", simulated, *_FINE),
+            Row("scipy dlsim", sampled, _SAMPLES, (256, 1024), 1, of=responses),
+            *(Row(name, energy(of), of=ENERGIES) for name, of in ENERGY.items()),
+            Row(OURS, lambda: own_costs(loop, *wall, {q: COSTS[q] for q in responses}), of=responses),
+        ),
+        scale={"overshoot": 1.0},
+    )
+    for quantity, criterion in OPTIMA.items():
+        cost = partial(_simulated_cost, case_of(best), tuple(COSTS.values()).index(criterion))
+
+        def ours(quantity: str = quantity, criterion: str = criterion) -> Values:
+            point = optimal_point(unknown(loop_of(best)), criterion)
+            return {quantity: np.array([point.alpha, point.beta])}
+
+        grid = one(quantity, peers.grid_optimum, cost, SEARCH_BOX)
+        simplex = one(quantity, peers.nelder_mead, cost, START)
+        yield Table(
+            {quantity: np.array([best[criterion]["alpha"], best[criterion]["beta"]])},
+            (
+                Row("iterated gridding (5.1.2)", grid, _TOLERANCE, (1e-2, 1e-3, 1e-5), 1),
+                Row("Nelder-Mead, one start", simplex, _TOLERANCE, (1e-2, 1e-4, 1e-6), 1),
+                Row(OURS, ours),
+            ),
+        )
+    yield _map(case, loop, known)
+    yield from _with_parts()
+
+
+def _simulated_cost(case: Case, place: int, alpha: Floats, beta: Floats) -> Floats:
+    """Cost of points by dense simulation, infinite where not stable or not settled; ``place`` is that in `COSTS`."""
+    result = np.full(len(alpha), np.inf)
+    use = np.flatnonzero(alpha > 0)
+    use = use[peers.radius_by_eigenvalues(case, alpha[use], beta[use]) < 1]
+    if len(use):
+        position, velocity = peers.dense(case, alpha[use], beta[use], SEARCH_SAMPLES, SEARCH_FINE)
+        settle, energy = peers.settling_of(position, SEARCH_FINE), (position, velocity, case, alpha[use], SEARCH_FINE)
+        cost = settle if place == 0 else peers.energy_of(*energy)[place - 2]
+        result[use] = np.where(np.isfinite(cost), cost, np.inf)
+    return result
+
+
+def _map(case: Case, loop: Loop, known: dict[str, Any]) -> Table:
+    """Costs of the samples over a grid, all criteria in a row."""
+    axes = np.array(known["axis_alpha"]), np.array(known["axis_beta"])
+    usable = axes[0] > 0  # at alpha = 0 the wall does not hold the device
+    alpha, beta = (g.ravel() for g in np.meshgrid(axes[0][usable], axes[1]))
+    at = np.array([row["j"] * usable.sum() + row["i"] - (~usable).sum() for row in known["rows"]])
+    exact = {name: np.array([row[f"{name}_discrete"] for row in known["rows"]]) for name in COSTS.values()}
+
+    def truncated(samples: int) -> Values:
+        found, stable = np.full((len(COSTS), len(alpha)), np.nan), peers.radius_by_eigenvalues(case, alpha, beta) < 1
+        found[:, stable] = peers.sampled_costs(case, alpha[stable], beta[stable], samples)
+        return {"map": found[:, at].ravel()}
+
+    def ours() -> Values:
+        found = cost_maps(loop, axes[0][usable], axes[1], tuple(COSTS.values()))
+        return {"map": np.concatenate([found[name].ravel()[at] for name in COSTS.values()])}
+
+    scales = exact | {"overshoot": np.ones(len(at))}
+    horizons = _SAMPLES, (128, 512, 2048), 2
+    return Table(
+        {"map": np.concatenate(list(exact.values()))},
+        (Row("eigenvalues and truncated recurrence", truncated, *horizons), Row(OURS, ours)),
+        scale={"map": np.concatenate(list(scales.values()))},
+    )
+
+
+def _with_parts() -> Iterator[Table]:
+    """Yield the tables of a loop with filter, lag, mode and fractional delay, and of loops that end a method early."""
+    known, hard = reference()["device"], reference()["hard"]
+    shape, (edge, radius) = loop_of(known["loop"]), GENERAL
+    beta, wall = np.array(known["limit_beta"]), (np.array(known["alpha"]), np.array(known["beta"]))
+    # a Butterworth filter of order 2 delays slow motion by sqrt(2) over its cut-off
+    late = shape.delay + shape.lag + np.sqrt(2) / (2 * np.pi * known["loop"]["cutoff"])
+
+    def bisection(tolerance: float) -> Values:
+        return {edge: peers.bisect_limit(partial(spectral_radius, shape), beta, 0.02, tolerance)}
+
+    yield Table(
+        {edge: np.array(known["limit_alpha"])},
+        (
+            Row("longer delay for filter and lag", lambda: {edge: stiffness_limit(Loop(0.0, shape.delta, late), beta)}),
+            Row("eigenvalues and bisection", bisection, _TOLERANCE, (1e-2, 1e-6, 1e-10), 2),
+            Row(OURS, lambda: {edge: stiffness_limit(unknown(shape), beta)}),
+        ),
+    )
+    yield Table(
+        {radius: np.array(known["radius"])},
+        (
+            Row(
+                "squaring of the loop matrix",
+                lambda squarings: {radius: peers.radius_by_squaring(shape.matrix(*wall), squarings)},
+                *("{} squarings", (4, 16, 40)),
+            ),
+            Row(OURS, lambda: own_costs(unknown(shape), *wall, {radius: "pole_radius"})),
+        ),
+    )
+
+    def ours() -> Values:
+        walls = [(loop_of(row), np.array([row["alpha"]]), np.array([row["beta"]])) for row in hard]
+        found = [own_costs(*each, HARD) for each in walls]
+        return {quantity: np.concatenate([costs[quantity] for costs in found]) for quantity in HARD}
+
+    exact = {quantity: np.array([row[name] for row in hard]) for quantity, name in HARD.items()}
+    yield Table(exact, (Row(OURS, ours),), scale={"overshoot, hard loops": 1.0})
