@@ -166,10 +166,10 @@ def state(
     columns = []
     for i, own in enumerate(rows):
         of = bracket(own.stiffness, own.verdict, width)
-        told = Expected(float(ahead.limit[i]), float(ahead.error[i]), ahead.misfit <= aim.accuracy)
-        column = _column(aim.dampings[i], of, own, told, Task(aim, largest, trial_s, requests))
+        task = Task(aim, largest, trial_s, requests, float(ahead.limit[i]), float(ahead.error[i]))
+        column = _column(aim.dampings[i], of, own, task, holds=ahead.misfit <= aim.accuracy)
         if not len(tried) and column.wall is not None:
-            column = replace(column, wall=min(column.wall, aim.start * max(told.limit, aim.accuracy * largest)))
+            column = replace(column, wall=min(column.wall, aim.start * max(task.limit, task.half)))
         columns.append(column)
     return State(tuple(columns), largest, ahead)
 
@@ -207,22 +207,16 @@ def _largest(limit: Floats, ends: Floats, stiffest: float) -> float:
 
 
 @dataclass(frozen=True)
-class Expected:
-    """What is expected of one damping: limit and standard error, and whether the device misses no bracket so far."""
-
-    limit: float
-    error: float
-    holds: bool
-
-
-@dataclass(frozen=True)
 class Task:
-    """What is to be known of each damping, the largest limit, how long a log goes on, and what was asked for."""
+    """What is to be known, the largest limit, how long a log goes on [s], what was asked for, and what is expected of
+    one damping: limit and standard error [N/m, Nm/rad]."""
 
     aim: Aim
     largest: float
     trial_s: float
     requests: Requests
+    limit: float
+    error: float
 
     @property
     def half(self) -> float:
@@ -235,11 +229,11 @@ class Task:
         return CLOSE * self.half
 
 
-def _column(damping: float, of: Bracket, own: Tried, told: Expected, task: Task) -> Column:
+def _column(damping: float, of: Bracket, own: Tried, task: Task, *, holds: bool) -> Column:
     aim, half, width = task.aim, task.half, task.width
     top = min(of.top, aim.highest, own.stiffness[own.force > aim.force].min(initial=inf))
     far = top if np.isfinite(top) else max(2 * of.bottom, HIGHER * task.largest, width)
-    value = 0.5 * (of.bottom + far) if np.isnan(told.limit) else float(np.clip(told.limit, of.bottom, far))
+    value = 0.5 * (of.bottom + far) if np.isnan(task.limit) else float(np.clip(task.limit, of.bottom, far))
     again = [wall for wall in of.again if task.requests.sets(wall, damping)]
     if again:
         return Column(damping, replace(of, again=tuple(again)), value, None, again[0], "contradiction")
@@ -253,21 +247,22 @@ def _column(damping: float, of: Bracket, own: Tried, told: Expected, task: Task)
         return Column(damping, of, None, note="undecided")
     if of.bottom >= 0.99 * top or top <= aim.lowest:
         return Column(damping, of, value, note="limit of the tests")
-    if aim.gentle and told.holds and of.low is not None and abs(told.limit - of.low) + told.error <= half:
+    if aim.gentle and holds and of.low is not None and abs(task.limit - of.low) + task.error <= half:
         return Column(damping, of, value, note="from below")
-    edges = walls(max(of.bottom, aim.lowest), far, value, told.error, width)
+    edges = walls(max(of.bottom, aim.lowest), far, value, task.error, width)
     # neither walls next to undecided ones, nor what a rig makes one of the ends
     kept = (np.abs(edges[:, None] - inside.stiffness) > 0.25 * width).all(axis=1)
     kept &= task.requests.new(edges, damping, np.array([of.bottom, of.top]))
     kept[[0, -1]] = True
     edges = edges[kept]
-    split = best_split(edges, chances(edges, told), width, PRICE if aim.gentle else 1.0)
+    split = best_split(edges, chances(edges, task.limit, task.error), width, PRICE if aim.gentle else 1.0)
     if split is None or task.requests.step >= 0.99 * (of.top - of.bottom):
         return Column(damping, of, value, note="step of the rig")
     wall = float(edges[split.place])
-    if aim.gentle and not np.isnan(told.limit):
-        safe = max(told.limit - max(0.4 * half, SAFE * told.error), BOLD * told.limit)
-        wall = min(wall, safe) if safe > of.bottom + 0.2 * half else wall
+    if aim.gentle and not np.isnan(task.limit):
+        safe = max(task.limit - max(0.4 * half, SAFE * task.error), BOLD * task.limit)
+        if safe > of.bottom + 0.2 * half:
+            wall = safe if holds else min(wall, safe)
     return Column(damping, of, value, split, wall)
 
 
@@ -299,12 +294,12 @@ def walls(bottom: float, far: float, value: float, error: float, width: float) -
     return np.array([*kept, far])
 
 
-def chances(edges: Floats, told: Expected) -> Floats:
+def chances(edges: Floats, limit: float, error: float) -> Floats:
     """Return the chance that the limit lies between two edges: by the forecast, and with `DOUBT` anywhere."""
     anywhere = np.diff(edges) / (edges[-1] - edges[0])
-    if np.isnan(told.limit):
+    if np.isnan(limit):
         return np.asarray(anywhere)
-    by = np.diff(ndtr((edges - told.limit) / told.error))
+    by = np.diff(ndtr((edges - limit) / error))
     return np.asarray((1 - DOUBT) * by / max(by.sum(), 1e-12) + DOUBT * anywhere)
 
 

@@ -44,9 +44,6 @@ OPTIMUM_ACCURACY = 0.05
 SURE = 0.75
 """Chance from which on a verdict is expected."""
 
-OFF = 0.02
-"""Misfit, relative to the largest limit, from which on a found device is said to miss limits."""
-
 
 class Next(Record):
     """A wall to try: K [N/m, Nm/rad], B [Ns/m, Nms/rad], what it is expected to show, and why it is asked for."""
@@ -152,44 +149,34 @@ def with_remark(answer: Plan, remark: str) -> Plan:
 def plan_of(course: Course, wish: Wish) -> Plan:
     """Return which walls to try next, from trials that are in memory."""
     dampings = course.requests.reachable(wanted_dampings(course, wish), course.tried.damping)
+    used = len(course.tried)
     if not dampings:
         said = (course.requests.remark(course.rotation) or "", NOWHERE)
-        return Plan(
-            next=(),
-            done=True,
-            boundary=(),
-            trials_used=len(course.tried),
-            trials_expected=len(course.tried),
-            remarks=said,
-        )
+        return Plan(next=(), done=True, boundary=(), trials_used=used, trials_expected=used, remarks=said)
     course = replace(course, tried=snapped(course.tried, dampings))
     aim = aim_of(course, wish, dampings)
     found = state(course.tried, aim, foretold(course, dampings), course.trial_s, course.requests)
-    limits = tuple(
-        Limit(
-            damping=c.damping, estimate=c.estimate, low=c.bracket.low, high=c.bracket.high, note=NOTES.get(c.note, "")
-        )
-        for c in found.columns
-    )
-    known = {"boundary": limits, "trials_used": len(course.tried)}
+    done, best, left = found.done, None, ceil(sum(column.left for column in found.columns))
     if wish.goal == "optimum":
         search = _search(course, wish, found, aim)
-        return Plan(
-            next=() if search.done else _walls_of(search, course, wish, found, aim),
-            done=search.done,
-            trials_expected=len(course.tried) + (0 if search.done else len(search.walls)),
-            remarks=_remarks(course, found),
-            optimum=_best(search, course, wish),
-            **known,
-        )
-    left = order(found.columns) if not found.done else []
+        done, best, left = search.done, _best(search, course, wish), len(search.walls)
+        following = _walls_of(search, course, wish, found, aim)
+    else:
+        following = [_next(found.columns[i], found, aim, course) for i in order(found.columns)[: wish.count]]
     return Plan(
-        next=tuple(_next(found.columns[i], found, aim, course) for i in left[: wish.count]),
-        done=found.done,
-        trials_expected=len(course.tried) + ceil(sum(column.left for column in found.columns)),
-        remarks=_remarks(course, found),
-        **known,
+        next=() if done else tuple(following),
+        done=done,
+        boundary=tuple(_limit(column) for column in found.columns),
+        trials_used=used,
+        trials_expected=used + (0 if done else left),
+        remarks=_remarks(course, found, aim),
+        optimum=best,
     )
+
+
+def _limit(column: Column) -> Limit:
+    ends, note = column.bracket, NOTES.get(column.note, "")
+    return Limit(damping=column.damping, estimate=column.estimate, low=ends.low, high=ends.high, note=note)
 
 
 def aim_of(course: Course, wish: Wish, dampings: tuple[float, ...]) -> Aim:
@@ -210,7 +197,7 @@ def aim_of(course: Course, wish: Wish, dampings: tuple[float, ...]) -> Aim:
     return aim
 
 
-def _remarks(course: Course, found: State) -> tuple[str, ...]:
+def _remarks(course: Course, found: State, aim: Aim) -> tuple[str, ...]:
     """Return what the plan rests on: contradictions, and whether a loop explains the logs."""
     differ = course.requests.remark(course.rotation)
     said = [] if differ is None else [differ]
@@ -219,11 +206,11 @@ def _remarks(course: Course, found: State) -> tuple[str, ...]:
         for c in found.columns
         if c.bracket.lasting
     ]
-    misfit, friction = found.forecast.misfit, course.found is not None and course.found.point.coulomb > 0
-    if len(course.tried) and not misfit <= OFF:
+    misfit, point = found.forecast.misfit, course.found.point if course.found is not None else None
+    if len(course.tried) and not misfit <= aim.accuracy:
         off = f"limits lie off those of the found device by {misfit:.0%} of the largest"
         said.append(f"{off if misfit < inf else 'no device is found'}: each damping is finished by its verdicts")
-    if friction:
+    if point is not None and point.coulomb:
         said.append(OF_THE_STEP.format(course.step, "Nm" if course.rotation else "N"))
     return tuple(said)
 
@@ -258,10 +245,10 @@ def _next(column: Column, found: State, aim: Aim, course: Course) -> Next:
         return Next(stiffness=wall, damping=column.damping, expected="undecided", why=why)
     assert column.split is not None, "a wall comes from a split"
     chance = column.split.unstable
-    known = f"stable at {bracket.low:g} {K}" if bracket.low is not None else "no stable wall yet"
-    known += f", unstable at {bracket.high:g} {K}" if bracket.high is not None else ", no unstable wall yet"
-    if bracket.low is None and bracket.high is None:
-        known = "no verdict at this damping yet"
+    known = "no verdict at this damping yet"
+    if bracket.low is not None or bracket.high is not None:
+        known = f"stable at {bracket.low:g} {K}" if bracket.low is not None else "no stable wall yet"
+        known += f", unstable at {bracket.high:g} {K}" if bracket.high is not None else ", no unstable wall yet"
     basis = "bisection alone: no device foretells the limit"
     if found.forecast.misfit < inf and column.estimate is not None:
         basis = f"limit expected at {rounded(column.estimate, aim.accuracy * found.largest):g} {K}"
@@ -289,9 +276,9 @@ def _search(course: Course, wish: Wish, found: State, aim: Aim) -> Search:
     return look_for(course.tried, target, OPTIMUM_ACCURACY, wish.count)
 
 
-def _walls_of(search: Search, course: Course, wish: Wish, found: State, aim: Aim) -> tuple[Next, ...]:
+def _walls_of(search: Search, course: Course, wish: Wish, found: State, aim: Aim) -> list[Next]:
     so_far = "no cost yet" if search.best is None else f"best {wish.criterion} {course.tried.cost[search.best]:.4g}"
-    return tuple(
+    return [
         Next(
             stiffness=min(max(rounded(K, aim.accuracy * found.largest), aim.lowest), aim.highest),
             damping=rounded(B, 0.02 * aim.dampings[-1]),
@@ -299,15 +286,11 @@ def _walls_of(search: Search, course: Course, wish: Wish, found: State, aim: Aim
             why=f"{so_far}, {cost:.4g} expected here, {search.least:.4g} at the least",
         )
         for K, B, cost in search.walls
-    )
+    ]
 
 
 def _best(search: Search, course: Course, wish: Wish) -> Best | None:
     if search.best is None:
         return None
-    K, B, cost = (
-        float(each[search.best]) for each in (course.tried.stiffness, course.tried.damping, course.tried.cost)
-    )
-    return Best(
-        criterion=wish.criterion, stiffness=K, damping=B, cost=cost, expected_cost=search.least, region=search.region
-    )
+    found = {name: float(getattr(course.tried, name)[search.best]) for name in ("stiffness", "damping", "cost")}
+    return Best(criterion=wish.criterion, expected_cost=search.least, region=search.region, **found)

@@ -58,7 +58,7 @@ def test_limits_of_any_shape_are_found_by_a_right_forecast_a_wrong_one_and_none(
     for column, true in zip(found.columns, truth, strict=True):
         assert column.bracket.bottom <= true <= column.bracket.top, "the ends are verdicts, and verdicts are right"
     if off == 0.0:
-        assert len(tried) <= 2 * len(DAMPINGS) + 3
+        assert len(tried) <= 2 * len(DAMPINGS) + 4
 
 
 def course_from(limit, aim, tried, most=120):

@@ -11,7 +11,7 @@ from pipeline.base.wording import counted
 from pipeline.comparison.loops.departures import MATTERS, SENTENCES, CourseFilter, LawDeparture, OtherGains
 from pipeline.comparison.loops.replay import LOW, coarse
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.plan.found_device import AT_LOAD, FoundDevice, LoopPoint, Trial
+from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
 from pipeline.records.loop_records import Cause, CauseCode, Parameter
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.labels import Units, percent_text, share_text, significant, span
@@ -89,44 +89,35 @@ def _departures(shown: Shown) -> Iterator[Candidate]:
             yield Candidate(each.code, each.logs / each.of, sentence, each.shown)  # type: ignore[arg-type]
 
 
-PARTS: dict[str, tuple[CauseCode, str, float, str]] = {
-    "friction": ("coulomb_friction", "coulomb", 1.0, "The device has Coulomb friction of {value} {force}{more}."),
-    "lag": (
-        "actuator_lag",
-        "actuator_lag_s",
-        1e3,
-        "The force lags behind the command by a time constant of {value} ms.",
-    ),
-    "spring": (
-        "operator",
-        "stiffness",
-        1.0,
-        "A spring of {value} {stiffness} holds the device: an operator, or one of its own.",
-    ),
-    "force": ("constant_force", "constant_force", 1.0, "A constant force of {value} {force} acts on the device."),
-    "mode at the motor": (
-        "vibration_mode",
-        "frequency_hz",
-        1.0,
-        "The device vibrates at {value} Hz, a mass on a spring; the position is sensed at the motor's side.",
-    ),
-    AT_LOAD: (
-        "vibration_mode",
-        "frequency_hz",
-        1.0,
-        "The device vibrates at {value} Hz, a mass on a spring; the position is sensed at the load's side.",
-    ),
-    "saturation": (
-        "saturation",
-        "force_limit",
-        1.0,
-        "The drive gives no more than {value} {force}, whatever is asked.",
-    ),
-}
-"""Parts of a device as causes: code, the number that tells most, its unit in SI, and the sentence."""
+@dataclass(frozen=True)
+class Part:
+    """A part of a device as a cause: code, the number that tells most, its unit in SI, and the sentence.
 
-ABSENT = {"spring": {"stiffness": 0.0}, "lag": {"actuator_lag_s": 0.0}, "friction": {"coulomb": 0.0}}
-"""Numbers of a device without a part; without a mode it has no far mass."""
+    ``over`` is what its number moves the rest position relative to: the step's force or the softest wall's stiffness.
+    """
+
+    code: CauseCode
+    number: str
+    sentence: str
+    over: str = ""
+    unit: float = 1.0
+
+
+PARTS = {
+    "friction": Part(
+        "coulomb_friction", "coulomb", "The device has Coulomb friction of {value} {force}{more}.", "step"
+    ),
+    "lag": Part(
+        "actuator_lag", "actuator_lag_s", "The force lags the command by a time constant of {value} ms.", "", 1e3
+    ),
+    "spring": Part(
+        "operator", "stiffness", "A spring of {value} {stiffness} holds the device: a hand, or its own.", "wall"
+    ),
+    "force": Part(
+        "constant_force", "constant_force", "A constant force of {value} {force} acts on the device.", "step"
+    ),
+    "mode": Part("vibration_mode", "frequency_hz", "The device vibrates at {value} Hz, as seen by a sensor {at}."),
+}
 
 
 def _parts(shown: Shown) -> Iterator[Candidate]:
@@ -134,19 +125,26 @@ def _parts(shown: Shown) -> Iterator[Candidate]:
     found = shown.found
     if found is None:
         return
-    fitted, point = found.fitted, found.point
-    alike = f"; {' or '.join(fitted.alike)} cannot be told apart from it" if fitted.alike else ""
+    fitted, values = found.fitted, found.fitted.values
     force = fitted.parameter("constant_force")
     beside = ["force"] if force is not None and force.low * force.high > 0 else []
-    for part in dict.fromkeys([*fitted.parts, *beside]):
-        code, name, unit, sentence = PARTS[part]
-        number = fitted.known(name)
-        effect, change = _effect(part, shown, found)
-        words = {"value": significant(unit * number.value, 3), "stiffness": shown.units.stiffness}
-        words |= {"force": shown.force, "more": _held(number.value, shown.trial.step) if part == "friction" else ""}
-        ends = span(lambda value: significant(value, 4), unit * number.low, unit * number.high)
-        yield Candidate(code, effect, sentence.format(**words), f"95 %: {ends}; {change}{alike}")
-    yield from _shared(shown, point)
+    stable = shown.stages.column("response", "stiffness")[shown.stages.verdicts.verdict == "stable"]
+    least = {"step": abs(shown.trial.step) or np.inf, "wall": float(stable[stable > 0].min(initial=np.inf)), "": np.inf}
+    for name in dict.fromkeys([*fitted.parts, *beside]):
+        kind, _, at = name.partition(" ")
+        if (part := PARTS.get(kind)) is None:
+            continue
+        number, rest = fitted.known(part.number), abs(values[part.number]) / least[part.over]
+        left = {key: value for key, value in values.items() if kind != "mode" or key != "far_mass"}
+        left |= {part.number: 0.0} if kind != "mode" else {}
+        effect, change = _beside(found.point, found.at(left), shown)
+        if rest > effect:
+            effect, change = rest, f"{significant(100 * rest, 2)} % of the final displacement at most"
+        words = {"value": significant(part.unit * number.value, 3), "stiffness": shown.units.stiffness, "at": at}
+        words |= {"force": shown.force, "more": _held(number.value, shown.trial.step) if kind == "friction" else ""}
+        ends = span(lambda value: significant(value, 4), part.unit * number.low, part.unit * number.high)
+        yield Candidate(part.code, effect, part.sentence.format(**words), f"95 %: {ends}; {change}")
+    yield from _shared(shown, found)
 
 
 def _held(coulomb: float, step: float) -> str:
@@ -154,31 +152,6 @@ def _held(coulomb: float, step: float) -> str:
     if not step or abs(coulomb) <= SETTLING * abs(step):
         return ""
     return f", {share_text(coulomb / abs(step), 0)} % of the step: it rests off target, and settling times show that"
-
-
-def _effect(part: str, shown: Shown, found: FoundDevice) -> tuple[float, str]:
-    """Return how far a part moves a result, relative to it, and what it does in words."""
-    left = {
-        name: value for name, value in found.fitted.values.items() if not part.startswith("mode") or name != "far_mass"
-    }
-    effect, change = 0.0, ""
-    if part not in ("force", "saturation"):
-        effect, change = _beside(found.point, found.at(left | ABSENT.get(part, {})), shown)
-    rest = 0.0
-    stable = shown.stages.column("response", "stiffness")[shown.stages.verdicts.verdict == "stable"]
-    softest = float(stable[stable > 0].min(initial=np.inf))
-    if part == "spring":
-        rest = abs(found.fitted.values["stiffness"]) / softest
-    elif part in ("force", "friction"):
-        rest = abs(found.fitted.values["constant_force" if part == "force" else "coulomb"]) / abs(
-            shown.trial.step or np.inf
-        )
-    elif part == "saturation":
-        rest = found.fitted.saturated
-    if rest > effect:
-        words = "of the stable trials command more" if part == "saturation" else "of the final displacement at most"
-        return rest, f"{significant(100 * rest, 2)} % {words}"
-    return effect, change
 
 
 def _beside(point: LoopPoint, other: LoopPoint, shown: Shown) -> tuple[float, str]:
@@ -197,11 +170,9 @@ def _beside(point: LoopPoint, other: LoopPoint, shown: Shown) -> tuple[float, st
     return float(abs(own - others)[place] / larger[place]), text + f"{significant(others[place], 3)} without"
 
 
-def _shared(shown: Shown, point: LoopPoint) -> Iterator[Candidate]:
+def _shared(shown: Shown, found: FoundDevice) -> Iterator[Candidate]:
     """Yield a delay that is no whole number, jitter, and a mass that is not the stated one."""
-    assert shown.found is not None, "whose numbers they are"
-    fitted = shown.found.fitted
-    delay, mass = fitted.known("delay_samples"), fitted.known("mass")
+    point, delay, mass = found.point, found.fitted.known("delay_samples"), found.fitted.known("mass")
     part = delay.value - round(delay.value)
     jitter = list(_jitter(shown, point))
     yield from jitter
