@@ -121,7 +121,7 @@ class LoopPoint:
         -------
         float64, shape (n,)
             NaN where no wall is unstable up to `BEYOND` times the largest linear limit above the linear one, and where
-            the softest one is already. Friction can but raise a limit; jitter lowers it, by half at most.
+            the softest one is already. Friction can but raise a limit; jitter moves it either way.
         """
         linear = self.limit(damping)
         least = linear if self.coulomb and trial.delays == 1 else 0.5 * linear

@@ -12,6 +12,7 @@ from pipeline.comparison.loops.departures import CourseFilter, course_filter, la
 from pipeline.comparison.loops.passive_wall import passive_wall
 from pipeline.comparison.loops.replay import (
     limits_off,
+    median,
     replay_error,
     replay_words,
     softest,
@@ -105,8 +106,8 @@ def _judged(
     """Return the loop by its file with its limits, or by the logs alone where those of the file are others, and why."""
     (by_file, _), (by_logs, _) = limits
     off = limits_off(result, by_file)
-    if off is None and (by_logs > 0).any():
-        off = float(np.nanmedian(100 * np.abs(by_file / np.where(by_logs > 0, by_logs, np.nan) - 1)))
+    if off is None:
+        off = median(100 * np.abs(by_file / np.where(by_logs > 0, by_logs, np.nan) - 1))
     if off is None or off <= LIMITS_WITHIN:
         return told, limits, ""
     why = f"the limits of the device file's loop are {significant(off, 2)} % off, so that the found device is used"

@@ -114,7 +114,7 @@ def wall_replay(
     stable = (verdict[chosen] == "stable") & (said == "stable")
     decided = said != "undecided"
     return WallReplay(
-        fit_percent=_median(fits[stable]),
+        fit_percent=median(fits[stable]),
         verdicts_same=float((said == verdict[chosen])[decided].mean()) if decided.any() else None,
         limits_off_percent=limits_off(result, limits),
         costs_off_percent=_costs_off(result, stages, chosen[stable], costs[stable]),
@@ -200,7 +200,7 @@ def limits_off(result: ExperimentResult, predicted: Floats) -> float | None:
     known &= measured.limit > LOW * measured.limit[known].max(initial=0.0)
     at = dict(zip([each.damping for each in result.boundary], predicted.tolist(), strict=True))
     pairs = zip(measured.damping[known].tolist(), measured.limit[known].tolist(), strict=True)
-    return _median(np.array([100 * abs(at.get(B, np.nan) / limit - 1) for B, limit in pairs]))
+    return median(np.array([100 * abs(at.get(B, np.nan) / limit - 1) for B, limit in pairs]))
 
 
 def motions(group: TrialGroup, given: Given) -> list[tuple[str, Floats]]:
@@ -221,7 +221,8 @@ def _fit(position: Floats, batch: TrialBatch, trial: int) -> float:
     return 100 * (1 - float(np.linalg.norm(y - found)) / size) if size > 0 else np.nan
 
 
-def _median(values: Floats) -> float | None:
+def median(values: Floats) -> float | None:
+    """Return the median of the known values, None without one."""
     known = values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else None
 
@@ -232,4 +233,4 @@ def _costs_off(result: ExperimentResult, stages: ExperimentStages, chosen: Integ
         return None
     cost = stages.cost("settle_2pct")[0][chosen]
     with np.errstate(divide="ignore", invalid="ignore"):
-        return _median(100 * np.abs(predicted / cost - 1))
+        return median(100 * np.abs(predicted / cost - 1))

@@ -57,8 +57,8 @@ class ToldLoop:
     def band(self, limits: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
         """Return the least and the largest limit that numbers and replay leave open, of the limits of its devices."""
         middle = limits[0][0]
-        low = np.nanmin([limit - reach for limit, reach in limits], axis=0)
-        high = np.nanmax([limit + reach for limit, reach in limits], axis=0)
+        low = np.fmin.reduce([limit - reach for limit, reach in limits])
+        high = np.fmax.reduce([limit + reach for limit, reach in limits])
         off = self.error * middle
         return np.maximum(middle - np.hypot(middle - low, off), 0.0), middle + np.hypot(high - middle, off)
 
