@@ -41,7 +41,7 @@ def test_a_linear_device_has_its_linear_limit_for_every_step_and_jitter_moves_it
     # commands never overtake each other: the newest of three delays acts, which is earlier than their mean
     early = replace(plain, delay_samples=DELAY - 1).limit(B)
     jitters = of_step(8.0, plain, delays=3)
-    assert ((1.02 * LINEAR < jitters) & (jitters < early)).all()
+    assert ((jitters > 1.02 * LINEAR) & (jitters < early)).all()
 
 
 def test_a_second_simulator_says_the_same_of_walls_beside_the_limit():
