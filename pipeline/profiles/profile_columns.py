@@ -10,8 +10,7 @@ from pydantic import BeforeValidator, Field
 from pipeline.base.errors import ParameterError
 from pipeline.base.units import factor_to_si, find_unit
 from pipeline.profiles.profile_text import Number, Problem
-from pipeline.records.findings import Record
-from pipeline.records.models import Motion, Name
+from pipeline.records.findings import Motion, Name, Record
 
 QUANTITIES: dict[str, dict[Motion, str]] = {
     "time": {"translation": "time", "rotation": "time"},

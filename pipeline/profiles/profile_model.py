@@ -22,8 +22,7 @@ from pipeline.base.units import factor_to_si
 from pipeline.profiles.patterns import group_names, pattern_problem
 from pipeline.profiles.profile_columns import Columns, Source, column_problems, factor
 from pipeline.profiles.profile_text import Count, Number, Problem, TextLayout
-from pipeline.records.findings import Record
-from pipeline.records.models import Grip, Motion, Name
+from pipeline.records.findings import Grip, Motion, Name, Record
 from pipeline.records.native import FREE
 
 Format = Literal[

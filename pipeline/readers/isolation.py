@@ -23,7 +23,7 @@ from queue import SimpleQueue
 from typing import IO, Any
 
 from pipeline.base.errors import LogError
-from pipeline.base.process import begin_alone, end_when, ended_through
+from pipeline.base.process import begin_alone, end_when, without_pandas
 from pipeline.readers.limits import (
     COPIES,
     CPU_SECONDS,
@@ -109,6 +109,7 @@ def allowed_bytes(size: int) -> int:
 def serve() -> None:
     """Work on calls from standard input; the main loop of a worker process, which ends when its parent does."""
     begin_alone()
+    without_pandas(import_module("pyarrow"))
     pipe, results = sys.stdin.fileno(), os.fdopen(os.dup(1), "wb")
     # whatever a library prints must not get between the results
     os.dup2(2, 1)
@@ -124,7 +125,7 @@ def serve() -> None:
                 import_module(needed)
         _alarm(seconds)
         size = len(arguments[1])
-        with ended_through(pipe), memory_for(allowed_bytes(size) + size):  # nothing is sent before there is a result
+        with memory_for(allowed_bytes(size) + size):
             try:
                 with reading(arguments[0], kind):
                     outcome: tuple[bool, Any] = (True, work(*arguments))

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pipeline.base.errors import LogError, ProfileError
-from pipeline.base.file_names import storable
+from pipeline.base.paths import storable
 from pipeline.base.units import factor_to_si
 from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, CommandSource, PositionSource
 from pipeline.profiles.profile_model import REQUIRED_CONDITIONS, STEP_MISSING, Profile, StepTime, Window

@@ -511,8 +511,8 @@ def test_a_trial_without_a_step_is_stored_and_has_no_step_row(call, tmp_path):
 def test_a_wall_without_a_step_has_no_verdict_and_no_costs(falcon):
     from dataclasses import replace
 
-    from pipeline.measured.cost import settling_overshoot
-    from pipeline.measured.cost.energy_intervals import energy_interval
+    from pipeline.measured.cost.costs import overshoot
+    from pipeline.measured.cost.energy import energy_interval
     from pipeline.measured.cost.reading_error import reading_error
     from pipeline.measured.fit.ghost import simulate_ghost
     from pipeline.measured.signal import outcome, verdict
@@ -531,7 +531,7 @@ def test_a_wall_without_a_step_has_no_verdict_and_no_costs(falcon):
     energies = energy_interval(batch, found, judged, error, 4, 0.58)
     assert np.isnan(energies.value[3]).all()
     assert "no step was commanded" in energies.reason[3]
-    assert np.isnan(settling_overshoot.overshoot(batch, found, judged).overshoot[3])
+    assert np.isnan(overshoot(batch, found, judged).value[3])
     ones = np.ones(8)
     assert np.isnan(simulate_ghost(batch, found, 0.58 * ones, 4 * ones, 4 * ones).relative[3])
 

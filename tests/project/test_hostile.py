@@ -23,8 +23,7 @@ from native_logs import FAULTS, GOOD, log_text
 from places import ROOT
 
 from pipeline.base.errors import Code, LogError, ProfileError, UsageError
-from pipeline.base.file_names import path_of_text, path_text, storable
-from pipeline.base.regular_files import open_regular
+from pipeline.base.paths import open_regular, path_of_text, path_text, storable
 from pipeline.intake.ingest import ingest
 from pipeline.intake.quarantine import LONGEST_SHOWN, excerpt_of, list_quarantine
 from pipeline.intake.sources import find_sources

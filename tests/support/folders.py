@@ -14,7 +14,7 @@ DIRECTLY: dict[str, tuple[str, ...]] = {
     "measured": ("loop", "store"),
     "theory": ("loop",),
     "simulation": ("device_data", "store", "theory"),
-    "rendering": ("records",),
+    "rendering": ("theory",),
     "plan": ("measured", "simulation"),
     "comparison": ("profiles", "rendering", "plan", "simulation"),
     "surface": ("intake", "simulation", "comparison"),

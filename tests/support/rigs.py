@@ -11,7 +11,7 @@ from kinds import kinds
 from pipeline.device_data.devices import load_device
 from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.loop.loop import Loop, Normalised
-from pipeline.measured.cost.settling_overshoot import settling
+from pipeline.measured.cost.costs import settling
 from pipeline.measured.model.parts import chosen
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
@@ -86,7 +86,7 @@ class Rig:
         """Return measured settling times of trials [samples]."""
         response = find_response(batch)
         delay = int(self.case.stated.experiments[0].delay_samples)
-        return settling(batch, response, judge(batch, response), delay).samples["settle_2pct"]
+        return settling(batch, response, judge(batch, response), delay)["settle_2pct"].value
 
     def course(self, *, costs: bool = False) -> Course:
         """Return the trials so far as the planner reads them."""

@@ -12,7 +12,7 @@ from pipeline.comparison.loops.departures import MATTERS
 from pipeline.comparison.loops.told_loop import ToldLoop, found_device
 from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.comparison.summary.advice import NARROW
-from pipeline.measured.cost.settling_overshoot import settling
+from pipeline.measured.cost.costs import settling
 from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.ladder.trials import spread_over_plane
 from pipeline.measured.signal.response import find_response
@@ -110,7 +110,7 @@ def wall_replay(
         verdicts = judge(batch, response)
         said[some] = verdicts.verdict
         fits[some] = [_fit(logged[ids[chosen[i]]], batch, row) for row, i in enumerate(some)]
-        costs[some] = settling(batch, response, verdicts, int(max(point.delay_samples, 0.0))).samples["settle_2pct"]
+        costs[some] = settling(batch, response, verdicts, int(max(point.delay_samples, 0.0)))["settle_2pct"].value
     stable = (verdict[chosen] == "stable") & (said == "stable")
     decided = said != "undecided"
     return WallReplay(
