@@ -45,7 +45,7 @@ def course(limit, aim, by=None, most=120):
 
 @pytest.mark.parametrize("limit", [parabola, cut_off, upside_down])
 @pytest.mark.parametrize("off", [None, 0.0, 0.15])
-def test_limits_of_any_shape_are_found_by_a_right_forecast_a_wrong_one_and_none(limit, off):
+def test_limits_of_any_shape_are_found(limit, off):
     aim = Aim(DAMPINGS)
     said = "stable" if limit(60.0) > 4000.0 else "unstable"
     rows = Tried(np.array([4000.0]), np.array([60.0]), np.array([said]), np.array([np.nan]))
