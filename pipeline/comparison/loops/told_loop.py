@@ -20,7 +20,7 @@ from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import AT_LOAD, FoundDevice, LoopPoint, stated_device
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Estimate
-from pipeline.records.loop_parts import Butterworth, Difference, LoopParts, VelocityFilter
+from pipeline.records.loop_parts import Coefficients, LoopParts, VelocityFilter
 from pipeline.records.loop_records import Parameter
 from pipeline.records.models import Device, Experiment
 from pipeline.records.results import ExperimentResult, TheoryParameters
@@ -231,10 +231,8 @@ def filter_parameters(velocity: VelocityFilter, of_logs: Sequence[VelocityFilter
 
 
 def _filter_numbers(velocity: VelocityFilter) -> dict[str, float]:
-    if isinstance(velocity, Difference):
-        return {"samples": float(velocity.samples)}
-    if isinstance(velocity, Butterworth):
-        return {"order": float(velocity.order), "cutoff_hz": velocity.cutoff_hz}
+    if not isinstance(velocity, Coefficients):
+        return {name: float(value) for name, value in velocity.model_dump(exclude={"kind"}).items()}
     sides = (("b", velocity.b), ("a", velocity.a))
     return {f"{name}{i}": value for name, values in sides for i, value in enumerate(values)}
 
