@@ -166,7 +166,8 @@ SECTION = "### Small courses"
 ABOUT = """Made by `python docs/make_coverage.py`: {courses} courses of {trials} trials a cell, (K, B) drawn over the
 stable part of the tested range, one condition changed at a time, by the likelihood of all trials. How many of the 95 %
 intervals of delay/mass/damping hold the truth [%], and their median half width relative to it [%]. Falcon, experiment
-1; robot, delay-2, with quantum and noise {share:.2f} times as large. Base: quantum 10 um, noise 1 um, no jitter, 300 rows.
+1; robot, delay-2, with quantum and noise {share:.2f} times as large. Base: quantum 10 um, noise 1 um, no jitter, 300
+rows.
 """
 COLUMNS = "| condition | Falcon | half width | robot | half width |"
 

@@ -459,34 +459,6 @@ def test_a_trial_without_a_step_is_stored_and_has_no_step_row(call, tmp_path):
     assert "step is 0 (none was commanded), but the step is declared in row 3" in out
 
 
-<<<<<<< HEAD
-def test_a_wall_without_a_step_has_no_verdict_and_no_costs(falcon):
-    from dataclasses import replace
-
-    from pipeline.measured.cost.costs import overshoot
-    from pipeline.measured.cost.energy import energy_interval
-    from pipeline.measured.cost.reading_error import reading_error
-    from pipeline.measured.signal import outcome, verdict
-    from pipeline.measured.signal.response import find_response
-    from pipeline.store.samples import load_batch
-    from pipeline.store.storage import read_trials
-
-    batch = load_batch(falcon.processed, read_trials(falcon.processed, "falcon", "1")).select(np.arange(4, 12))
-    batch = replace(batch, step=np.where(np.arange(8) == 3, 0.0, batch.step))
-    found = find_response(batch)
-    judged = verdict.judge(batch, found)
-    assert (judged.verdict[3], judged.reason[3]) == ("undecided", "no step was commanded (step is 0)")
-    assert np.isnan(judged.growth_per_s[3])
-    assert outcome.classify(batch, found, judged).outcome[3] == "no_step"
-    error = reading_error(batch, found, 4)
-    energies = energy_interval(batch, found, judged, error, 4, 0.58)
-    assert np.isnan(energies.value[3]).all()
-    assert "no step was commanded" in energies.reason[3]
-    assert np.isnan(overshoot(batch, found, judged).value[3])
-
-
-=======
->>>>>>> main
 def test_shipped_profiles_claim_no_file_twice():
     names = ("2024-10-26_12h23m42.json", "own_ctrl_pop.mat", "a.simulink.mat", "june.trials.csv", "fri_K1_B1_F1.csv")
     for name in names:
