@@ -48,8 +48,8 @@ from pipeline.records.results import (
 from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report.report import write as write_report
 from pipeline.rendering.report.report_answer import answer_lines
-from pipeline.store.gone import gone
 from pipeline.store.objects import origin
+from pipeline.store.storage import gone
 from pipeline.theory.predictions import Predictions, Theory
 
 

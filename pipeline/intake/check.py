@@ -26,8 +26,7 @@ from pipeline.intake.quarantine import RECORD, quarantine_folder
 from pipeline.profiles.profile_files import load_profile
 from pipeline.records.findings import Record
 from pipeline.store.batch_files import Place, write_batch
-from pipeline.store.gone import Gone, gone
-from pipeline.store.storage import TABLE, read_rows
+from pipeline.store.storage import TABLE, Gone, gone, read_rows
 
 DAMAGED_FOLDER = "damaged"
 """Folder below `processed` for damaged files that cannot be made again; nothing there is ever removed."""
