@@ -31,10 +31,9 @@ LARGEST_METADATA = 1 << 20
 """Bytes of ``metadata.yaml`` that are read; it has some hundred for each file and topic."""
 
 _MARK = "rosbag2_bagfile_information"
-_LISTED = re.compile(
-    rf"""(?:[-,\[]|path:)\s*['"]?([^\s'",\[\]][^'",\[\]\n]*?({"|".join(map(re.escape, ENDINGS))})(\.zstd)?)\b"""
-)
-"""A file in the metadata: an entry of ``relative_file_paths``, or of ``files``, where each has more than its path."""
+_LISTED = re.compile(r"relative_file_paths:\s*(\[[^\]]*\]|(?:[ ]*-[^\n]*(?:\n|$))+)")
+_RECORDED = re.compile(rf"""[^/'",\[\]\n]*({"|".join(map(re.escape, ENDINGS))})(\.zstd)?\b""")
+"""List of the files in the metadata, and the name of one in it, without its folder."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,8 @@ def bag_of(file: Path, within: str | None = None) -> Bag | None:
     if _MARK not in text:
         return None
     # early versions wrote folders; one that was unpacked by hand has lost its second ending
-    listed = list(dict.fromkeys(os.path.basename(found[1]) for found in _LISTED.finditer(text)))
+    section = _LISTED.search(text)
+    listed = [name[0].lstrip("- ") for name in _RECORDED.finditer(section[1])] if section else []
     listed = [plain if os.path.exists(folder / (plain := name.removesuffix(".zstd"))) else name for name in listed]
     if not listed:
         return Bag(
