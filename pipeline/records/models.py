@@ -188,10 +188,10 @@ FigureKind = Literal["response", "boundaries", "plane", "maps", "residuals", "de
 """Figures of a report: first response (Fig. 6.2), boundaries (6.3, 6.4, 6.9), boundaries in the normalised plane, cost
 maps (6.5 to 6.7, 6.10, 6.11), measured minus theory, costs over delay (6.12), and the trials to look into."""
 
-Overlay = Literal["theory", "estimates", "band", "linear", "passive", "bound", "friction", "robust"]
-"""What is drawn over measured boundaries: theory by the device file, theory by the estimates, what their intervals
-leave open, the linear condition (3.25), the passive region (4.12), a linear upper bound as (6.5), limits with Coulomb
-friction; the walls that are stable with every spring (4.3.3), drawn only where they are asked for."""
+Overlay = Literal["theory", "estimates", "band", "linear", "passive", "friction", "robust"]
+"""What is drawn over measured boundaries: theory, the limit of the identified loop and its 95 % interval, the linear
+condition (3.25), the passive region (4.12), with friction the limit for a harder push; the walls that are stable with
+every spring (4.3.3), drawn only where they are asked for."""
 
 
 class Shown(Record):

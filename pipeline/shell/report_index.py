@@ -23,8 +23,7 @@ from pipeline.base.wording import unbroken
 from pipeline.records.findings import BoundaryPoint
 from pipeline.records.models import Motion
 from pipeline.rendering.labels import UNITS, decimal, percent_text, stiffness_text
-from pipeline.rendering.report.page_template import fill_template
-from pipeline.rendering.report.report_scripts import policy, script_text
+from pipeline.rendering.report.page_template import fill_template, policy, script_text
 
 INDEX_FILE = "index.html"
 INDEX_MARK = '<meta name="generator" content="pipeline index">'

@@ -20,7 +20,7 @@ from pipeline.loop.response import response
 from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import Device, Experiment, Motion
-from pipeline.surface.frames import units_of
+from pipeline.rendering.frames import units_of
 from pipeline.theory.cases import POINT_COSTS, islands_in_si, optimum_document, points_of_loop
 from pipeline.theory.costs import MAP_DEFAULT, check_criteria
 from pipeline.theory.curves import Curve, best_damping, best_stiffness

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import pipeline
 from pipeline.base import lock
 from pipeline.base.errors import EXIT_USAGE, DeviceError, StoreError, UsageError
-from pipeline.comparison.against_run import against_document, against_experiments, read_document
+from pipeline.comparison.against import against_document, against_experiments, read_document
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.check import check

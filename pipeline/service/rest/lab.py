@@ -188,7 +188,7 @@ async def plan(
          responses={200: {"content": {"image/svg+xml": {}}}, **QUEUED, **answers.NAMED})  # fmt: skip
 async def figure(service: Shared, device: Segment, experiment: Segment, name: str) -> Response:
     """Return a figure of an experiment: ``limits`` with theory, or ``response``."""
-    from pipeline.rendering.figures.figure_files import standalone
+    from pipeline.rendering.figures.drawing import standalone
 
     document, job = await experiment_document(service, device, experiment)
     if document is None:

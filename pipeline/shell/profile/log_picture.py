@@ -24,9 +24,9 @@ from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
 from pipeline.records.batch import Floats
-from pipeline.records.figure_records import Figure, RecordedColumn
 from pipeline.records.models import Motion
-from pipeline.rendering.figures.log_drawing import recorded, words
+from pipeline.rendering.figures.drawing import draw
+from pipeline.rendering.figures.overview import RecordedColumn, recorded_figure
 from pipeline.rendering.report.page_template import fill_template
 from pipeline.shell.console import draft_hint
 from pipeline.shell.profile.profile_check import si_unit, step_of
@@ -131,8 +131,8 @@ def page(pictures: Sequence[Picture]) -> str:
     for i, picture in enumerate(pictures):
         trials = []
         for j, (title, columns) in enumerate(picture.trials):
-            figure = Figure("response", f"log-{i}-{j}", title, "", columns)
-            trials.append((title, list(zip(recorded(figure, picture.abscissa), map(words, columns), strict=True))))
+            drawn_columns = draw(recorded_figure(f"log-{i}-{j}", title, columns, picture.abscissa)).panels
+            trials.append((title, list(zip(drawn_columns, (column.words for column in columns), strict=True))))
         drawn.append((picture, trials))
     return fill_template("log.html.j2", drawn=drawn, version=__version__)
 
