@@ -148,7 +148,8 @@ class StoredSources:
         """Return the path under which each trial is stored, but those of some sources and of such in part."""
         rows = read_rows(self.processed, ("trial_id", "source_path"), self.damaged)
         pairs = zip(rows.column("trial_id"), rows.column("source_path"), strict=True)
-        return {trial: path for trial, path in pairs if path not in but and self.is_whole(path)}
+        left_out = {path for path, lost in self._missing.items() if lost} | (but & self.last.keys())
+        return {trial: path for trial, path in pairs if path not in left_out} if left_out else dict(pairs)
 
 
 APART = 0.01
