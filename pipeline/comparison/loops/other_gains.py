@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.base.wording import counted, listed
 from pipeline.comparison.loops.log_evidence import FEWEST_LOGS
-from pipeline.measured.law.stated_wall import OTHER_WALL
+from pipeline.measured.law.wall_law import OTHER_WALL
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.loop_records import Cause
