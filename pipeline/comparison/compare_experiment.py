@@ -5,24 +5,20 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Sequence
 
-from pipeline.base.wording import listed
 from pipeline.comparison.loops.findings import loop_findings
 from pipeline.comparison.loops.fitted_loop import fitted_estimates
 from pipeline.comparison.loops.large_motion import with_large_motion
 from pipeline.comparison.loops.log_evidence import law_departures
-from pipeline.comparison.loops.loop_range import adequate_theory, estimated_range
+from pipeline.comparison.loops.loop_range import adequate_theory
 from pipeline.comparison.loops.other_gains import SHORT as OTHER_WALL
 from pipeline.comparison.loops.other_gains import other_gains
 from pipeline.comparison.scene.origin import header_lines
 from pipeline.comparison.scene.scene import SceneData, needed_stages
-from pipeline.comparison.scores.implied_delay import implied_delay
-from pipeline.comparison.scores.implied_slope import DeviceParameters
 from pipeline.comparison.summary.advice import region_to_use
 from pipeline.loop.device_loop import longest_delay
 from pipeline.measured.experiment.boundary_area import boundary_area
 from pipeline.measured.experiment.estimates import (
     by_joint_balance,
-    standard_error,
     stiffness_estimate,
     with_model_delay,
 )
@@ -140,23 +136,10 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
         result = result.model_copy(update={"estimates": others})
     findings = loop_findings(result, stages, data.device, units)
     found = dict(result.estimates)
-    loop = estimated_range(result, stages.sampling_period_s)
     if not findings.loop.adequate:
         device = stages.once(explaining_device)
         if device is None or not device.is_trusted:
             found |= {name: _doubted(found[name]) for name in _OF_A_LOOP if name in found}
-        reason = "needs an adequate loop; the table of loops says why this one is not"
-        found["implied_delay"] = _without("samples", reason)
-    elif findings.loop.parts_beside:
-        reason = f"needs an ideal loop, and this one has {listed(findings.loop.parts_beside)}"
-        found["implied_delay"] = _without("samples", reason)
-    elif loop is not None:
-        mass, damping = found["mass"], found["damping"]
-        known = DeviceParameters(
-            *(loop.mass.value, loop.damping.value, stages.sampling_period_s),
-            *(standard_error(mass), standard_error(damping)),
-        )
-        found["implied_delay"] = implied_delay(stages.boundary_points, known)
     named = {name: getattr(findings, name) for name in LoopFindings.model_fields}
     return with_large_motion(result.model_copy(update={**named, "estimates": found}), stages)
 

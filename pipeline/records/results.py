@@ -1,23 +1,16 @@
-"""Finished numbers of a comparison: what `compare --json` prints and what figures and report are drawn from.
-
-Records (pydantic) are the JSON document; `ReportData` adds the arrays of the figures (`figure_records`).
-"""
+"""Finished numbers of a comparison: the document that `compare --json` prints, and all that a report is made of."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from pydantic import Field
 
-from pipeline.records.accuracy import AccuracyReport
-from pipeline.records.figure_records import Figure
 from pipeline.records.findings import BoundaryPoint, Estimate, ExcludedTrial, ModelCheck, Note, Optimum, Record
 from pipeline.records.loop_records import Cause, LoopLimit, LoopResult, PassiveWall, WallReplay
 from pipeline.records.models import ComparisonRow, Motion
 from pipeline.records.score_records import Scores
 from pipeline.records.score_records import TheoryParameters as TheoryParameters
-from pipeline.records.trial_codec import TrialPage
 
 
 class Truth(Record):
@@ -45,7 +38,6 @@ class Truth(Record):
             "delay_samples": delay,
             "mass": (p.mass + (held.mass if held else 0.0)) / gain,
             "damping": (p.damping + (held.damping if held else 0.0)) / gain,
-            "implied_delay": delay,
             "jitter_samples": self.jitter_samples,
             "friction": (parts.friction.coulomb if parts.friction else 0.0) / gain,
             "device_stiffness": (p.stiffness + (held.stiffness if held else 0.0)) / gain,
@@ -146,14 +138,6 @@ class Prediction(Record):
     reason: str = ""
 
 
-class AnswerCause(Record):
-    """Why limits deviate from theory: a code (of `Cause`, or of a score), a sentence, and what shows it."""
-
-    code: str
-    sentence: str
-    evidence: str
-
-
 class NextWall(Record):
     """The wall that the planner asks for next, why, and the command that plans on from it."""
 
@@ -177,7 +161,7 @@ class Answer(Record):
     estimates: tuple[AnswerEstimate, ...] = ()
     estimates_reason: str = ""
     predicts: Prediction
-    causes: tuple[AnswerCause, ...] = ()
+    causes: tuple[Cause, ...] = ()
     next: NextWall | None = None
     next_reason: str = ""
 
@@ -299,21 +283,3 @@ class ComparisonResult(Record):
     def numbers(self) -> dict[str, Any]:
         """Return the document as JSON values, without what tells of files and runs."""
         return self.model_dump(mode="json", exclude={"provenance", "logs", "report"})
-
-
-@dataclass(frozen=True)
-class ReportData:
-    """Everything that one HTML report shows."""
-
-    result: ComparisonResult
-    figures: tuple[Figure[Any], ...] = ()
-    stages: tuple[tuple[str, str, str], ...] = field(default=())
-    """Stage, what was done with it (run, reuse, leave out), and why."""
-    accuracy: AccuracyReport | None = None
-    """Error and run time of the methods behind the theory, where `pipeline accuracy` was run with this code here."""
-    tables: tuple[str, ...] | None = None
-    """Names of the tables that are shown; None for all. What is missing, and the report's origin, is always shown."""
-    trials: TrialPage | None = None
-    """All trials for the interactive part."""
-    request: dict[str, object] = field(default_factory=dict)
-    """How the report was asked for, in the page's head: what `verify` computes it anew from."""

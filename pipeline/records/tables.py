@@ -11,7 +11,10 @@ from typing import Any
 
 import pyarrow as pa
 
+from pipeline.base.process import without_pandas
 from pipeline.records.criteria import FAMILIES, MEASURED, Criterion, criterion_of, members
+
+without_pandas(pa)
 
 Metadata = Mapping[str, str]
 
@@ -67,7 +70,6 @@ COLUMNS: dict[str, Column] = {
     "time_quality": _same(_S, "", "gaps, drops, jitter, and what was settled in the rows, as JSON"),
     # where it came from
     "source_path": _same(_S, "", "source log as found"),
-    "formerly": _same(_S, "", "where its log stood before it was renamed, and its trials were read anew", True),
     "source_sha256": _same(_S, "", "SHA-256 of the source log (of both files, in order, for a pair)"),
     "source_trials": _same(_I, "", "number of trials that the source holds"),
     "source_size": _same(_I, "byte", "size of the source log"),
@@ -76,7 +78,6 @@ COLUMNS: dict[str, Column] = {
     "profile_sha256": _same(_S, "", "SHA-256 of that profile"),
     "claims": _same(_S, "", "hash of all profiles that might have claimed it"),
     "package_version": _same(_S, "", "version that stored it"),
-    "version": _same(_I, "", "number of the ingest that stored it: of two versions of a trial the higher one counts"),
     "sample_file": _same(_S, "", "file below processed/ that holds the trial; not stored, but told by who reads"),
     "sample_row": _same(_I, "", "row of that file"),
     # corrections
@@ -207,8 +208,8 @@ _TRIAL = "trial_id samples_sha256 stiffness damping"
 _NAMES = {
     "trials": """
         trial_id label device experiment motion stiffness damping step sampling_period_s added_delay_samples grip
-        simulated rows extra time_quality source_path formerly source_sha256 source_trials source_size source_mtime_ns
-        profile profile_sha256 claims package_version version
+        simulated rows extra time_quality source_path source_sha256 source_trials source_size source_mtime_ns
+        profile profile_sha256 claims package_version
         time_s command position force velocity raw_time raw_count""",
     "corrections": """trial_id label device experiment source_path source_sha256 exclusion_reason excluded_since
         moved_device moved_experiment deleted corrected_ns""",

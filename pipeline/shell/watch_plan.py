@@ -10,7 +10,7 @@ from pathlib import Path
 
 from pipeline.base.errors import StoreError
 from pipeline.base.lock import holder, writing
-from pipeline.base.process_pool import process_pool
+from pipeline.base.process import process_pool
 from pipeline.intake.ingest import ingest
 from pipeline.measured.ladder.device import Device
 from pipeline.measured.ladder.ladder import Rung

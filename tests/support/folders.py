@@ -14,7 +14,7 @@ DIRECTLY: dict[str, tuple[str, ...]] = {
     "measured": ("loop", "store"),
     "theory": ("loop",),
     "simulation": ("device_data", "store", "theory"),
-    "rendering": ("records",),
+    "rendering": ("theory",),
     "plan": ("store", "device_data", "measured", "theory"),
     "comparison": ("profiles", "rendering", "plan", "simulation"),
     "surface": ("intake", "simulation", "comparison"),
