@@ -27,7 +27,7 @@ AHEAD = 40
 
 IN_FORCE, SHAPE = 0.9026, 0.025
 """Standard deviation of the delay of the command in force over that of the delays drawn, of which later ones overtake
-none: sqrt(44/81)/sqrt(2/3) for three that are as likely (by enumeration); and how far it is another for other shapes."""
+none: sqrt(44/81)/sqrt(2/3) for three that are as likely (by enumeration), and how far other shapes are off."""
 
 LEAST = 1e-300
 """Variance of a number that is known exactly."""
