@@ -216,10 +216,7 @@ def _map_panel(shown: CostMap, criterion: str, limits: Any, top: float, motion: 
         told = f"Optimum {cost_text(criterion, best.cost)} at {at}."
     words = f"{shown.label}, {criterion_label(criterion)}: lines of equal cost. {told}"
     names = (f"stiffness K [{units.stiffness}]", f"damping B [{units.damping}]")
-    axes, value = (
-        (names[0], with_unit(family.title, family.printed_unit)),
-        partial(_tell_optimum, shown, criterion, top),
-    )
+    value, axes = partial(_tell_optimum, shown, criterion), (names[0], with_unit(family.title, family.printed_unit))
     below = Panel("", axes, tuple(front), "", (limits[0], (0.0, top * factor)), value)
     contours = partial(_contours, shown, criterion)
     return Panel(shown.label, ("", names[1]), tuple(map_series), words, limits, contours, below)
