@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from pipeline.base.errors import PipelineError as PipelineError
     from pipeline.rig.design import Design as Design
     from pipeline.rig.design import design as design
+    from pipeline.rig.published import published_limits as published_limits
     from pipeline.surface.comparisons import Comparison as Comparison
     from pipeline.surface.comparisons import compare as compare
     from pipeline.surface.comparisons import load as load
@@ -44,6 +45,7 @@ _PUBLIC = {
     "surface.identify": ("Identified", "identify"),
     "surface.physical_loop": ("Loop",),
     "rig.design": ("Design", "design"),
+    "rig.published": ("published_limits",),
 }
 """Public names by the module that defines them."""
 
@@ -65,6 +67,7 @@ __all__ = [
     "ingest",
     "load",
     "optima",
+    "published_limits",
     "read_log",
     "samples",
     "simulate",

@@ -24,7 +24,7 @@ from pipeline.rendering.frames import units_of
 from pipeline.theory.cases import POINT_COSTS, islands_in_si, optimum_document, points_of_loop
 from pipeline.theory.costs import MAP_DEFAULT, check_criteria
 from pipeline.theory.curves import Curve, best_damping, best_stiffness
-from pipeline.theory.limits import boundary
+from pipeline.theory.limits import boundary, stiffness_limit
 from pipeline.theory.map import CostMap
 from pipeline.theory.margins import Margins, margins
 from pipeline.theory.passivity import passive_outline, required_damping
@@ -213,6 +213,15 @@ class Loop:
         frame = self._frame({"stiffness": K, "damping": B, "stable": stable, **columns})
         frame["reason"] = [point["reason"] for point in found]
         return frame
+
+    def limits(self, damping: object) -> pd.DataFrame:
+        """Return the limit of stability at dampings B [Ns/m, Nms/rad]: ``damping``, ``stiffness`` (nan without any).
+
+        It is the largest K from which all softer walls of that damping are stable, exact to 1e-9.
+        """
+        B = np.atleast_1d(np.asarray(damping, dtype=np.float64))
+        K = stiffness_limit(self._normalised, B / self._scale.damping) * self._scale.stiffness
+        return self._frame({"damping": B, "stiffness": np.where(K > 0, K, np.nan)})
 
     def optimum(self, criterion: str) -> LoopOptimum:
         """Return the best wall by a criterion, such as ``settle_2pct`` or ``energy_step_w1_discrete``.

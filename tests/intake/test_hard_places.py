@@ -36,10 +36,15 @@ def test_more_experiments_than_files_may_be_open(logs, processed):
 
 
 @pytest.mark.parametrize(
-    ("period", "line"),
-    [("1e-320", None), ("1e300", None), ("0.001", "1e308,0,0"), ("0.001", "1e99,0,0")],
+    ("period", "line", "code"),
+    [
+        ("1e-320", None, "time-wrong"),
+        ("1e300", None, "time-wrong"),
+        ("0.001", "1e308,0,0", "out-of-range"),
+        ("0.001", "1e99,0,0", "out-of-range"),
+    ],
 )
-def test_a_period_that_cannot_count_the_rows_is_refused(logs, processed, period, line):
+def test_a_period_that_cannot_count_the_rows_is_refused(logs, processed, period, line, code):
     """Such a number once ended the ingest of all other logs by an overflow."""
     text = log_text().replace("sampling_period_s: 0.001", f"sampling_period_s: {period}")
     assert period in text
@@ -48,7 +53,7 @@ def test_a_period_that_cannot_count_the_rows_is_refused(logs, processed, period,
     (logs / "good.csv").write_text(log_text(200.0))
     report = ingest([logs], processed, jobs=1)
     assert report.ingested == 1
-    assert [refusal.code for refusal in report.quarantined] == ["time-wrong"]
+    assert [refusal.code for refusal in report.quarantined] == [code]
 
 
 def test_the_store_is_left_out_by_whatever_name_it_is_reached(logs, processed, tmp_path):

@@ -14,7 +14,8 @@ from native_logs import FAULTS, log_text
 from pipeline.base.errors import LogError, ParameterError, ProfileError
 from pipeline.profiles.profile_files import read_profile, shipped_profiles
 from pipeline.profiles.profile_lines import find_questions
-from pipeline.readers.layout import format_of, text_layout
+from pipeline.readers.file_kind import format_of
+from pipeline.readers.layout import text_layout
 from pipeline.shell.cli import run
 from pipeline.shell.profile.profile_draft import draft_profile
 
@@ -284,7 +285,7 @@ def test_a_text_without_a_table_is_refused(text):
 
 def test_a_draft_asks_and_is_refused_until_it_is_answered(call, tmp_path):
     (tmp_path / "K300.csv").write_bytes(GERMAN.encode("latin-1"))
-    assert call("profile", "draft", "K300.csv", "--out", "lab.toml") == (0, "lab.toml: 15 questions are open\n", "")
+    assert call("profile", "draft", "K300.csv", "--out", "lab.toml") == (0, "lab.toml: 17 questions are open\n", "")
     text = (tmp_path / "lab.toml").read_text(encoding="utf-8")
     assert call("profile", "draft", "K300.csv")[1] == text
     # nothing that must not be guessed is set
@@ -294,7 +295,7 @@ def test_a_draft_asks_and_is_refused_until_it_is_answered(call, tmp_path):
     for command in (("profile", "check", "lab.toml", "K300.csv"), ("ingest", ".", "--profile", "lab.toml")):
         status, out, err = call(*command)
         assert (status, out) == (1, "")
-        assert "15 open questions in this profile" in err
+        assert "17 open questions in this profile" in err
         told = re.findall(r"^lab\.toml:(\d+): key '(.*?)': open question", err, re.MULTILINE)
         assert told == [(str(q.line), ".".join(map(str, q.place))) for q in find_questions(text)]
     status, _, err = call("profile", "draft", "K300.csv", "--out", "lab.toml")

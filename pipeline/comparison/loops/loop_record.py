@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pipeline.measured.law.velocity_filter import CUTOFF_DIGITS, VelocityFilterFound
-from pipeline.records.loop_parts import Butterworth, Difference, LoopParts, Mode, VelocityFilter
+from pipeline.records.loop_parts import Butterworth, Coefficients, Difference, LoopParts, Mode, VelocityFilter
 from pipeline.records.loop_records import LoopResult, Parameter
 
 
@@ -53,6 +53,8 @@ def _filter_numbers(velocity: VelocityFilter) -> dict[str, float]:
         return {"samples": float(velocity.samples)}
     if isinstance(velocity, Butterworth):
         return {"order": float(velocity.order), "cutoff_hz": velocity.cutoff_hz}
+    if not isinstance(velocity, Coefficients):
+        return {name: float(value) for name, value in velocity.model_dump(exclude={"kind"}).items()}
     sides = (("b", velocity.b), ("a", velocity.a))
     return {f"{name}{i}": value for name, values in sides for i, value in enumerate(values)}
 

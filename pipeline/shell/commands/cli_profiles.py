@@ -53,7 +53,7 @@ def check(
     if as_json:
         console.print_json(check_document(loaded, checked))
     else:
-        for line in check_lines(loaded, checked):
+        for line in check_lines(checked):
             console.say(line)
     if any(trial.other_gains for sample in checked for trial in sample.trials):
         raise typer.Exit(EXIT_ERROR)
