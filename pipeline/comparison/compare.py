@@ -17,7 +17,6 @@ from pipeline.comparison.executors import Executor
 from pipeline.comparison.figures.maps import departure_figures, map_figures
 from pipeline.comparison.figures.responses import response_figures, trials_of
 from pipeline.comparison.figures.trial_page import trial_page
-from pipeline.comparison.savings import with_saving
 from pipeline.comparison.scene.origin import excluded_trials, log_list, provenance, request
 from pipeline.comparison.scene.scene import (
     LEAVE_OUT,
@@ -229,7 +228,7 @@ def _compute(
     rows = builder.rows(predictions, results)
     scored = add_scores(data, results, theories)
     known = [with_truth(result, data.truth.get(result.experiment)) for result in scored]
-    return _Found(with_saving(data, known), theories, rows)
+    return _Found(known, theories, rows)
 
 
 def _result(

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Sequence
 
+from pipeline.comparison.loops.departures import SHORT as OTHER_WALL
+from pipeline.comparison.loops.departures import law_departures, other_gains
 from pipeline.comparison.loops.findings import loop_findings
-from pipeline.comparison.loops.fitted_loop import fitted_estimates
-from pipeline.comparison.loops.large_motion import with_large_motion
-from pipeline.comparison.loops.log_evidence import law_departures
-from pipeline.comparison.loops.loop_range import adequate_theory
-from pipeline.comparison.loops.other_gains import SHORT as OTHER_WALL
-from pipeline.comparison.loops.other_gains import other_gains
+from pipeline.comparison.loops.replay import with_large_motion
+from pipeline.comparison.loops.told_loop import adequate_theory, fitted_estimates
 from pipeline.comparison.scene.origin import header_lines
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.comparison.summary.advice import region_to_use
@@ -73,7 +71,7 @@ def _with(parts: LoopParts) -> str:
 def estimated_theories(results: Sequence[ExperimentResult], data: SceneData) -> dict[str, Theory]:
     """Theory by the estimates of each experiment whose loop is adequate."""
     both = zip(results, data.experiments, strict=True)
-    found = {result.experiment: adequate_theory(result, stages.sampling_period_s) for result, stages in both}
+    found = {result.experiment: adequate_theory(result, stages) for result, stages in both}
     return {name: theory for name, theory in found.items() if theory is not None}
 
 

@@ -178,18 +178,6 @@ class HeaderLine(Record):
     values: dict[str, int]
 
 
-class Saving(Record):
-    """How many trials of a finished course the planner would have asked for.
-
-    ``enough`` of ``trials`` tell the limits at ``dampings`` dampings within ``accuracy`` of the largest.
-    """
-
-    trials: int
-    enough: int
-    dampings: int
-    accuracy: float
-
-
 class ExperimentResult(Record):
     """All that was found for one experiment.
 
@@ -223,7 +211,6 @@ class ExperimentResult(Record):
     use_reason: str | None = None
     truth: Truth | None = None
     truth_held: TruthHeld | None = None
-    saving: Saving | None = None
 
     @property
     def stiffest(self) -> BoundaryPoint | None:

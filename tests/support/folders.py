@@ -15,7 +15,7 @@ DIRECTLY: dict[str, tuple[str, ...]] = {
     "theory": ("loop",),
     "simulation": ("device_data", "store", "theory"),
     "rendering": ("theory",),
-    "plan": ("store", "device_data", "measured", "theory"),
+    "plan": ("measured", "simulation"),
     "comparison": ("profiles", "rendering", "plan", "simulation"),
     "surface": ("intake", "simulation", "comparison"),
     "rig": ("surface",),

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pipeline.base.errors import ParameterError
-from pipeline.comparison.loops.loop_range import adequate_theory
+from pipeline.comparison.loops.told_loop import adequate_theory
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.measured.device.delay import first_change
 from pipeline.measured.fit.ghost import simulate_ghost
@@ -281,7 +281,7 @@ def _beside(
     if edge < 0:
         return [], ["No step was found in this log, so that no loop can be held against it"]
     force = np.where(np.arange(rows) >= edge, float(batch.step[0]), 0.0)
-    fitted = adequate_theory(result, float(batch.sampling_period_s[0]))
+    fitted = adequate_theory(result, stages)
     loops = [("fitted loop", "fitted", fitted)] if fitted is not None else []
     if result.theory is not None and (fitted is None or result.theory != fitted.parameters):
         loops.insert(0, ("theory", "theory", Theory(result.theory)))

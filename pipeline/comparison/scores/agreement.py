@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.comparison.loops.loop_range import MATTERS
+from pipeline.comparison.loops.departures import MATTERS
 from pipeline.comparison.scores.overlap import MeasuredLimits
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.score_records import DistanceScore, VerdictScore

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from pipeline.base.wording import counted
-from pipeline.comparison.loops.other_gains import other_gains
+from pipeline.comparison.loops.departures import other_gains
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import boundary_distance, verdict_agreement
 from pipeline.comparison.scores.overlap import MeasuredLimits, Overlap, Stretches, measured_limits, overlap

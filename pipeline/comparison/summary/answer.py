@@ -10,8 +10,7 @@ import numpy as np
 
 from pipeline.base.errors import DeviceError, UsageError
 from pipeline.base.wording import counted, first_clause
-from pipeline.comparison.loops.loop_range import MATTERS
-from pipeline.comparison.loops.other_gains import other_gains
+from pipeline.comparison.loops.departures import MATTERS, other_gains
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import FEWEST_COMPARISONS, boundary_distance
 from pipeline.comparison.scores.overlap import measured_limits
