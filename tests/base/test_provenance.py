@@ -29,9 +29,9 @@ EDITS = [
     (optimum, {"theory", "report"}),
     (labels, {"report"}),
     (cli, {"report"}),
-    (readers, {"ingest", "report"}),
-    (ingest, {"ingest", "report"}),
-    (models, {"stages", "theory", "ingest", "report"}),
+    (readers, {"report"}),
+    (ingest, {"report"}),
+    (models, {"stages", "theory", "report"}),
 ]
 
 
