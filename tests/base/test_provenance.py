@@ -12,14 +12,14 @@ from pipeline.base.provenance import CODE, PACKAGE_FOLDER, code_digest, digest, 
 from pipeline.comparison.compare import report_code
 from pipeline.intake import ingest
 from pipeline.intake.trialstore import trial_id
-from pipeline.measured.device import friction
+from pipeline.measured import thesis
 from pipeline.records import models
 from pipeline.rendering import labels
 from pipeline.shell import cli
 from pipeline.theory import optimum
 
 EDITS = [
-    (friction, {"stages", "report"}),
+    (thesis, {"stages", "report"}),
     (optimum, {"theory", "report"}),
     (labels, {"report"}),
     (cli, {"report"}),
