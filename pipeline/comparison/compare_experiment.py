@@ -15,11 +15,7 @@ from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.comparison.summary.advice import region_to_use
 from pipeline.loop.device_loop import longest_delay
 from pipeline.measured.experiment.boundary_area import boundary_area
-from pipeline.measured.experiment.estimates import (
-    by_joint_balance,
-    stiffness_estimate,
-    with_model_delay,
-)
+from pipeline.measured.experiment.estimates import by_joint_balance, stiffness_estimate, with_model_delay
 from pipeline.measured.experiment.fitted_device import explaining_device
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.records.findings import Estimate, Optimum
