@@ -208,7 +208,7 @@ def test_other_criteria_run_only_what_is_missing(lwr, tmp_path, plain_page):
     }
     second = plan(["overshoot", "energy_step_w0"])
     assert {s for s, a in second.items() if a == RUN and s.startswith("delay-4")} == {
-        f"delay-4: {stage}" for stage in ("delay", "model", "ladder", "damping", "mass", "energy")
+        f"delay-4: {stage}" for stage in ("device", "model", "delay", "mass", "energy")
     }
     assert second["report"] == RUN
     third = plan(["overshoot"])  # all is stored, but the report shows other criteria
