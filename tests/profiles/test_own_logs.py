@@ -157,15 +157,3 @@ def test_a_profile_that_does_not_fit_leaves_the_better_reason(call, tmp_path):
     after = list_quarantine(tmp_path / "processed")
     assert after == [before[record.path] for record in after]
     assert len(after) == 2
-
-
-def test_a_mistyped_device_is_guessed(call):
-    assert call("ingest", "logs", "--profile", "mine.toml")[0] == 0
-    status, out = call("compare", "--device", "mybnch")
-    assert (status, "Did you mean mybench?" in out, "Ingest" in out) == (1, True, False)
-
-
-def test_a_missing_file_is_said_in_words(call):
-    for name in ("none.html", "none.zip"):
-        status, out = call("verify", name)
-        assert (status, "No such file or directory" in out, "Errno" in out) == (2, True, False)
