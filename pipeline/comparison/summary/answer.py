@@ -203,7 +203,9 @@ def _next(data: SceneData, result: ExperimentResult, stages: ExperimentStages) -
     of_file = next((each for each in device.experiments if each.name == name), None) if device else None
     wish = Wish()
     try:
-        plan = plan_of(replace(course_of(stages, device, of_file, wish), found=found_device(result, stages)), wish)
+        # limits alone need no device
+        found = found_device(result, stages) if result.loop is not None else None
+        plan = plan_of(replace(course_of(stages, device, of_file, wish), found=found), wish)
     except (DeviceError, UsageError) as error:
         return None, str(error).rstrip(".")
     if not plan.next:
