@@ -17,7 +17,7 @@ from pipeline.base.provenance import CODE, PACKAGE_FOLDER, code_digest, digest, 
 from pipeline.comparison.compare import report_code
 from pipeline.intake import ingest
 from pipeline.intake.trialstore import trial_id
-from pipeline.measured.device import friction
+from pipeline.measured import thesis
 from pipeline.measured.stages.stages import STAGES
 from pipeline.records import models
 from pipeline.rendering import labels
@@ -25,7 +25,7 @@ from pipeline.shell import cli
 from pipeline.theory import optimum
 
 EDITS = [
-    (friction, {"stages", "report"}),
+    (thesis, {"stages", "report"}),
     (optimum, {"theory", "report"}),
     (labels, {"report"}),
     (cli, {"report"}),
@@ -100,7 +100,7 @@ def test_an_installed_copy_computes_again_what_an_edit_can_have_changed(lwr, tmp
     assert not planned() & set(STAGES)
     pipeline()
     assert planned() == set()
-    append(friction)
+    append(thesis)
     assert planned() & {"mass", "energy", "overshoot"} == {"mass", "energy", "overshoot"}
     pipeline()
     assert planned() == set()
