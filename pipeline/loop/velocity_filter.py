@@ -24,7 +24,9 @@ def filter_order(velocity: VelocityFilter | None) -> int:
 
 
 def per_sample(velocity: VelocityFilter | None, sampling_period_s: float) -> VelocityFilter | None:
-    """Return a filter with its frequencies per sampling rate."""
+    """Return a filter with its frequencies per sampling rate; None for the plain difference, which is none."""
+    if velocity is not None and velocity.kind == "difference" and velocity.samples == 1:
+        return None
     if velocity is not None and velocity.kind == "butterworth":
         return velocity.model_copy(update={"cutoff_hz": velocity.cutoff_hz * sampling_period_s})
     return velocity

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.comparison.loops.loop_record import parts_of
 from pipeline.comparison.scores.theory_band import ParameterBox, theory_band
-from pipeline.loop.device_loop import longest_delay, loop_of, wall_units
+from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.loop.loop import LARGEST_DELAY, Loop
 from pipeline.measured.experiment.known_delay import whole_delay
 from pipeline.measured.explained import holds
@@ -56,7 +56,7 @@ class LoopPoint:
     def loop(self) -> Loop:
         """Normalised; a damping, delay or stiffness below zero counts as zero."""
         damping, stiffness = max(self.damping, 0.0), max(self.stiffness, 0.0)
-        delay = min(max(self.delay_samples, 0.0), longest_delay(self.parts))
+        delay = min(max(self.delay_samples, 0.0), LARGEST_DELAY)
         return loop_of(self.mass, damping, stiffness, delay, self.sampling_period_s, self.parts)
 
     def limit(self, wall_damping: Floats) -> Floats:
@@ -234,7 +234,7 @@ def stated_range(
 
     A filter, a lag or a mode is as stated; the limits then reach to those of the loop that the logs show.
     """
-    if entry.delay_samples > longest_delay(parts):
+    if entry.delay_samples > LARGEST_DELAY:
         return None
     mass, damping, stiffness, left = parts.felt(entry.mass, entry.damping, entry.stiffness)
     left = left.model_copy(update={"friction": None})

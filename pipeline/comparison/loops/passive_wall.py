@@ -9,7 +9,8 @@ import numpy as np
 
 from pipeline.comparison.loops.loop_range import LoopPoint, LoopRange
 from pipeline.comparison.scores.overlap import measured_limits
-from pipeline.loop.device_loop import longest_delay, wall_units
+from pipeline.loop.device_loop import wall_units
+from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.records.loop_records import PassiveWall
 from pipeline.records.results import ExperimentResult
 from pipeline.theory.passivity import required_damping, stiffest_passive
@@ -99,7 +100,7 @@ def _loops(loop: LoopRange) -> list[LoopPoint]:
 
 def _delays(loop: LoopRange) -> list[float]:
     low, high = max(loop.delay_samples.low, 0.0), max(loop.delay_samples.high, 0.0)
-    if high > longest_delay(loop.parts):
+    if high > LARGEST_DELAY:
         return []
     whole = np.arange(np.ceil(low), floor(high) + 1).tolist()
     return sorted({low, max(loop.delay_samples.value, 0.0), high, *whole})

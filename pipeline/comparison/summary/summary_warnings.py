@@ -11,7 +11,6 @@ import numpy as np
 from pipeline.base.wording import counted, listed, percent, true_minus
 from pipeline.comparison.figures.boundary_curves import too_late
 from pipeline.comparison.scene.scene import SceneData
-from pipeline.loop.device_loop import longest_delay
 from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.records.criteria import ENERGY, members
 from pipeline.records.findings import DRIFTS, Estimate, Trend
@@ -227,13 +226,11 @@ def _conflicts(data: SceneData, device: Device, results: Sequence[ExperimentResu
             "only the curves from its estimates."
         )
     shown = [e for e in device.experiments if e.name in data.scene.experiments]
-    longest = {e.name: longest_delay(device.loop_of(e)) for e in shown}
-    late = [e.name for e in shown if e.delay_samples > longest[e.name]]
+    late = [e.name for e in shown if e.delay_samples > LARGEST_DELAY]
     if late:
-        most = min(longest[name] for name in late)
         texts.append(
-            f"The device file of {device.name!r} has a delay of more than the {most} samples that theory is computed "
-            f"for in {_named(late)}: there is no theory by it."
+            f"The device file of {device.name!r} has a delay of more than the {LARGEST_DELAY} samples that theory is "
+            f"computed for in {_named(late)}: there is no theory by it."
         )
     idle = [r.experiment for r in results if r.theory is None and r.experiment in known and r.experiment not in late]
     if idle:
