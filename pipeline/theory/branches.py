@@ -179,7 +179,7 @@ def _places(loop: Loop) -> Floats:
     low, high = np.append(middle, turns[0]).min() - _BEFORE, np.append(middle, turns[-1]).max() + _BEYOND
     tails = np.append(np.arange(low, turns[0], _SPACING), np.arange(turns[-1], high, _SPACING)[1:])
     found = np.unique(np.concatenate([turns, tails, around.ravel()]))
-    return found[(found >= low) & (found <= min(high, -LOWEST))]
+    return np.asarray(found[(found >= low) & (found <= min(high, -LOWEST))])
 
 
 def _passings(width: Floats, beta: Floats) -> Floats:
