@@ -19,6 +19,11 @@ pq.write_table(pa.concat_tables([csv.read_csv(file, read_options=options) for fi
 """
 
 
+def wall(number: int) -> tuple[float, float]:
+    """Stiffness [N/m] and damping [Ns/m] of a log."""
+    return 100.0 + number, float(number % 180)
+
+
 def text_of(stiffness: float, damping: float, body: str, experiment: int = 1) -> str:
     header = {
         "device": "falcon",
@@ -38,19 +43,21 @@ def text_of(stiffness: float, damping: float, body: str, experiment: int = 1) ->
 def write_logs(folder: Path, logs: int, rows: int, experiments: int = 1) -> list[str]:
     """Write logs of decaying oscillations with the quantum of a sensor; returns their samples as text.
 
-    All differ by their stiffness; their experiments take turns.
+    All differ by their stiffness; their experiments take turns. The command obeys the header, as that of most logs
+    does: an ingest looks longer at the others.
     """
     folder.mkdir(parents=True)
     random = np.random.default_rng(0)
     time_s = np.arange(rows) * 1e-3
     bodies = []
-    for _ in range(min(logs, BODIES)):
-        decay, frequency, stiffness = random.uniform(3, 30), random.uniform(20, 200), random.uniform(200, 14_000)
+    for number in range(min(logs, BODIES)):
+        decay, frequency, (stiffness, damping) = random.uniform(3, 30), random.uniform(20, 200), wall(number)
         x = 0.12 - 1e-3 * (1 - np.exp(-decay * time_s) * np.cos(frequency * time_s)) + random.normal(size=rows) * 2e-6
         x = np.round(x / 2e-6) * 2e-6
-        values = zip(time_s.tolist(), (8 + stiffness * (x[0] - x)).tolist(), x.tolist(), strict=True)
+        command = 8 + stiffness * (x[0] - x) - damping * np.diff(x, prepend=x[:1]) / 1e-3
+        values = zip(time_s.tolist(), command.tolist(), x.tolist(), strict=True)
         bodies.append("".join(["%.17g,%.17g,%.17g\n" % row for row in values]))  # noqa: UP031  three times faster
     for number in range(logs):
-        text = text_of(100.0 + number, float(number % 180), bodies[number % BODIES], 1 + number % experiments)
+        text = text_of(*wall(number), bodies[number % BODIES], 1 + number % experiments)
         (folder / f"{number:06d}.csv").write_text(text, encoding="utf-8")
     return bodies

@@ -34,7 +34,7 @@ class Change(NamedTuple):
 
 VERDICT, COMBINE = "measured/signal/verdict.py", "measured/experiment/combine.py"
 OUTCOME, DATABASE, SECURITY = "measured/signal/outcome.py", "service/database.py", "service/security.py"
-SETTLING, AGGREGATE = "measured/cost/settling_overshoot.py", "measured/experiment/aggregate.py"
+SETTLING, AGGREGATE = "measured/cost/costs.py", "measured/experiment/aggregate.py"
 DAMPING, MASS, DELAY = "measured/device/damping.py", "measured/device/mass.py", "measured/device/delay.py"
 AGAINST, AGREEMENT = "comparison/against.py", "comparison/scores/agreement.py"
 
@@ -53,8 +53,8 @@ CHANGES = (
     Change(OUTCOME, "BAND = 0.02", "BAND = 0.2"),
     Change(OUTCOME, "LASTING_RATIO = 0.6", "LASTING_RATIO = 0.05"),
     Change(SETTLING, "SETTLED_SAMPLES = 5", "SETTLED_SAMPLES = 0"),
-    Change(SETTLING, "np.where(good, after - first, np.nan)", "np.where(good, after - first + 1, np.nan)"),
-    Change(SETTLING, "resolved = width >= response.floor", "resolved = width >= 0 * response.floor"),
+    Change(SETTLING, "np.where(good, entry - of.first, np.nan)", "np.where(good, entry - of.first + 1, np.nan)"),
+    Change(SETTLING, "resolved, settled = width >= response.floor", "resolved, settled = width >= 0 * response.floor"),
     Change(SETTLING, "(response.floor + response.baseline_motion)", "(response.floor)"),
     Change(AGGREGATE, "float(known[n - rank])", "float(known[min(n - rank + 1, n - 1)])"),
     Change(AGGREGATE, "0.5 * (1 - CONFIDENCE)", "1 - CONFIDENCE"),

@@ -37,8 +37,7 @@ from pipeline.comparison.stage_pool import compute_stages
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.simulation.course import run_course, write_course
-from pipeline.store.mirror import opened, stored_by
-from pipeline.store.objects import Objects
+from pipeline.store.objects import Objects, opened, stored_by
 from pipeline.store.storage import read_trials
 
 DEVICE, COURSE = "lwr", "delay-2"

@@ -27,16 +27,14 @@ class Spent:
 
 
 def fastest(work: Callable[[], object], repeats: int = REPEATS) -> float:
-    """Return the smallest of several run times [s], after one run to warm up."""
+    """Return the least processor time [s] of several runs, after one to warm up."""
     work()
-    return min(once(work) for _ in range(repeats))
-
-
-def once(work: Callable[[], object]) -> float:
-    """Return one run time [s]."""
-    began = time.perf_counter()
-    work()
-    return time.perf_counter() - began
+    times = []
+    for _ in range(repeats):
+        began = time.process_time()
+        work()
+        times.append(time.process_time() - began)
+    return min(times)
 
 
 def run(command: Sequence[str], folder: Path | None = None) -> Spent:

@@ -31,8 +31,8 @@ import pandas as pd
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
-from pipeline.measured.cost.settling_overshoot import overshoot, settling
-from pipeline.measured.signal.horizon import energy_terms
+from pipeline.measured.cost.costs import overshoot, settling
+from pipeline.measured.cost.energy import energy_terms
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.batch import Floats, TrialBatch
@@ -215,8 +215,8 @@ def true_costs(course: Course) -> pd.DataFrame:
     seen = (exact, response, verdicts)
     energy = energy_terms(*seen, delay).summed(true["mass"])
     found = {
-        "settle_2pct": settling(*seen, delay).samples["settle_2pct"],
-        "overshoot": overshoot(*seen).overshoot,
+        "settle_2pct": settling(*seen, delay)["settle_2pct"].value,
+        "overshoot": overshoot(*seen).value,
         "energy_step_w0": energy[:, 0],
         "energy_step_w1": energy[:, 1],
     }

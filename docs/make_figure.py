@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.comparison.figures.boundary_curves import theory_curve
+from pipeline.comparison.figures.maps import CostMap, map_figure
 from pipeline.device_data.devices import load_device
+from pipeline.measured.cost.energy import WEIGHTS, energy_terms
 from pipeline.measured.device.delay import first_change
 from pipeline.measured.device.onset import motion_onset, rounded
 from pipeline.measured.experiment.aggregate import choose_optimum
 from pipeline.measured.experiment.boundary import measured_boundary
 from pipeline.measured.experiment.known_delay import estimate_delay
-from pipeline.measured.signal.horizon import WEIGHTS, energy_terms
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
-from pipeline.records.figure_records import CostMap, Curve, Figure
 from pipeline.records.findings import Optimum
 from pipeline.records.results import TheoryParameters
-from pipeline.rendering.figures import figures
-from pipeline.rendering.figures.svg import UNIT
+from pipeline.rendering.figures.boundaries import by_theory
+from pipeline.rendering.figures.drawing import Series, draw
 from pipeline.simulation.course import Course, run_course
 from pipeline.theory.costs import cost_maps
 from pipeline.theory.optimum import optimal_point
@@ -35,9 +35,8 @@ CRITERION = f"energy_step_w{WEIGHT}"
 GRID = 161
 """Points of the theoretical map along each axis: finer is not seen at this size."""
 
-NONE = np.zeros(0)
 STYLE = (
-    "<style>svg{color:#1f2328;background:#fff;--fig-faint:#ddd}"
+    "<style>svg{color:#1f2328;background:#fff;--fig-faint:#ddd;font-family:sans-serif}"
     "@media(prefers-color-scheme:dark){svg{color:#e6edf3;background:#0d1117;--paper:#0d1117;--fig-faint:#30363d;"
     "--fig-blue:#58a6ff;--fig-green:#3fb950}}</style>"
 )
@@ -61,16 +60,13 @@ def theory_map(course: Course) -> CostMap:
     beta = np.linspace(0, theory.boundary.beta_max, GRID)
     best = theory.physical(optimal_point(theory.loop, f"{CRITERION}_discrete"))
     return CostMap(
-        label=f"theory, m = {plant.mass:g} kg, b = {plant.damping:g} Ns/m, d = {plant.delay_samples:g}",
-        kind="theory",
-        stiffness=alpha * theory.units.stiffness,
-        damping=beta * theory.units.damping,
-        cost=cost_maps(theory.loop, alpha, beta, [CRITERION])[CRITERION],
-        boundary=theory_curve(theory, "stability boundary"),
-        optimum=Optimum(stiffness=best.stiffness, damping=best.damping, cost=best.cost),
-        trial_stiffness=NONE,
-        trial_damping=NONE,
-        trial_cost=NONE,
+        f"theory, m = {plant.mass:g} kg, b = {plant.damping:g} Ns/m, d = {plant.delay_samples:g}",
+        alpha * theory.units.stiffness,
+        beta * theory.units.damping,
+        cost_maps(theory.loop, alpha, beta, [CRITERION])[CRITERION],
+        (replace(by_theory(theory, "_boundary"), kind="edge"),),
+        Optimum(stiffness=best.stiffness, damping=best.damping, cost=best.cost),
+        np.empty((3, 0)),
     )
 
 
@@ -86,24 +82,18 @@ def measured_map(course: Course) -> CostMap:
     cost = terms.summed(course.experiment.mass)[:, WEIGHTS.index(WEIGHT)]
     unstable = verdicts.verdict == "unstable"
     points = measured_boundary(batch.stiffness, batch.damping, verdicts.verdict)
-    limit = np.array([p.stable or 0.0 for p in points])
-    stiffness, row = np.unique(batch.stiffness, return_inverse=True)
-    damping, line = np.unique(batch.damping, return_inverse=True)
-    grid = np.full((len(damping), len(stiffness)), np.nan)
+    limit, damping = np.array([p.stable or 0.0 for p in points]), np.array([p.damping for p in points])
     # trials of the fine steps lie near the boundary only; the front view would take them for all of a stiffness
     known = np.isfinite(cost) & ~unstable & (course.passes == 1)
-    grid[line[known], row[known]] = cost[known]
+    K, B = batch.stiffness[known], batch.damping[known]
     return CostMap(
-        label=f"simulated experiment {course.experiment.name}, {len(batch):,} trials",
-        kind="measured",
-        stiffness=stiffness,
-        damping=damping,
-        cost=grid,
-        boundary=Curve("stability boundary", "measured", limit, np.array([p.damping for p in points])),
-        optimum=choose_optimum(cost, batch.stiffness, batch.damping, batch.trial_id, unstable=unstable),
-        trial_stiffness=batch.stiffness[known],
-        trial_damping=batch.damping[known],
-        trial_cost=cost[known],
+        f"simulated experiment {course.experiment.name}, {len(batch):,} trials",
+        K,
+        B,
+        cost[known],
+        (Series("_boundary", "edge", limit, damping),),
+        choose_optimum(cost, batch.stiffness, batch.damping, batch.trial_id, unstable=unstable),
+        np.stack([K, B, cost[known]]),
     )
 
 
@@ -119,7 +109,7 @@ def side_by_side(panels: tuple[str, ...], title: str) -> str:
         left += w
     head = (
         '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
-        f'viewBox="0 0 {width:g} {height:g}" width="{width / UNIT:g}" height="{height / UNIT:g}"><title>{title}</title>'
+        f'viewBox="0 0 {width:g} {height:g}" width="{width:g}" height="{height:g}"><title>{title}</title>'
     )
     return head + STYLE + "".join(parts) + "</svg>\n"
 
@@ -128,9 +118,10 @@ def main() -> None:
     """Simulate a course without jitter (theory knows constant delays only), evaluate it and draw it."""
     course = run_course(load_device(DEVICE), EXPERIMENT, seed=SEED, jitter=())
     title = f"Energy cost (w = {WEIGHT}) over stiffness and damping: theory and a simulated experiment"
-    figure = Figure("maps", "readme", title, "", (theory_map(course), measured_map(course)), CRITERION)
+    maps = theory_map(course), measured_map(course)
+    figure = map_figure("readme", CRITERION, maps, course.device.motion)
     FILE.parent.mkdir(parents=True, exist_ok=True)
-    FILE.write_text(side_by_side(figures.cost_maps(figure), title), encoding="utf-8")
+    FILE.write_text(side_by_side(draw(figure).panels, title), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from pipeline.base.errors import PipelineError as PipelineError
     from pipeline.rig.design import Design as Design
     from pipeline.rig.design import design as design
+    from pipeline.rig.published import published_limits as published_limits
     from pipeline.surface.comparisons import Comparison as Comparison
     from pipeline.surface.comparisons import compare as compare
     from pipeline.surface.comparisons import load as load
@@ -21,12 +22,12 @@ if TYPE_CHECKING:
     from pipeline.surface.logs import read_log as read_log
     from pipeline.surface.logs import simulate as simulate
     from pipeline.surface.physical_loop import Loop as Loop
-    from pipeline.surface.published import human_arms as human_arms
     from pipeline.surface.stored import boundary as boundary
     from pipeline.surface.stored import costs as costs
     from pipeline.surface.stored import devices as devices
     from pipeline.surface.stored import estimates as estimates
     from pipeline.surface.stored import experiments as experiments
+    from pipeline.surface.stored import human_arms as human_arms
     from pipeline.surface.stored import optima as optima
     from pipeline.surface.stored import samples as samples
     from pipeline.surface.stored import trials as trials
@@ -36,12 +37,15 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "base.errors": ("PipelineError",),
     "surface.logs": ("ingest", "read_log", "simulate"),
-    "surface.stored": ("devices", "experiments", "trials", "samples", "estimates", "boundary", "optima", "costs"),
+    "surface.stored": (
+        *("devices", "experiments", "trials", "samples", "estimates", "boundary", "optima", "costs"),
+        "human_arms",
+    ),
     "surface.comparisons": ("Comparison", "compare", "load"),
     "surface.identify": ("Identified", "identify"),
     "surface.physical_loop": ("Loop",),
-    "surface.published": ("human_arms",),
     "rig.design": ("Design", "design"),
+    "rig.published": ("published_limits",),
 }
 """Public names by the module that defines them."""
 
@@ -63,6 +67,7 @@ __all__ = [
     "ingest",
     "load",
     "optima",
+    "published_limits",
     "read_log",
     "samples",
     "simulate",

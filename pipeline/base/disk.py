@@ -17,8 +17,9 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, Self, TypeVar
+from typing import BinaryIO, TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -51,26 +52,16 @@ READ_ONLY = frozenset({errno.EROFS, errno.EACCES, errno.EPERM})
 
 def make_folder(folder: Path) -> None:
     """Create a folder and the missing ones around it, so that all of them survive a loss of power."""
-    for parent in _made(folder):
-        sync_folder(parent)
-
-
-def _made(folder: Path) -> list[Path]:
-    """Create a folder and the missing ones around it; return the folders that are to be synced for that."""
-    if folder.is_dir():
-        return []
-    above = _made(folder.parent)
-    with suppress(FileExistsError):  # another process may have made it meanwhile
-        os.mkdir(folder, readable_in(folder.parent, 0o777))
-    return [*above, folder.parent]
+    if not folder.is_dir():
+        make_folder(folder.parent)
+        with suppress(FileExistsError):  # another process may have made it meanwhile
+            os.mkdir(folder, readable_in(folder.parent, 0o777))
+        sync_folder(folder.parent)
 
 
 def readable_in(folder: Path, mode: int = READABLE) -> int:
     """Return the mode of what is made in a folder: who may not enter that may not read this, wherever it is moved."""
-    try:
-        around = os.stat(folder).st_mode & 0o777
-    except FileNotFoundError:
-        return mode
+    around = os.stat(folder).st_mode & 0o777
     return mode & (around | 0o600 | around >> 2 & 0o111)
 
 
@@ -107,49 +98,49 @@ def remove_all(files: Iterable[Path]) -> None:
             sync_folder(folder)
 
 
+@dataclass
 class NewFile:
-    """A file that nobody sees until it is complete; one that is not published when a block ends is removed.
+    """A file that is written: its stream, and its path, which is a temporary one until the file is complete."""
+
+    stream: BinaryIO
+    path: Path
+
+
+@contextmanager
+def new_file(
+    folder: Path, stem: str = "", ending: str = "", *, name: str | None = None, mode: int | None = None
+) -> Iterator[NewFile]:
+    """Open a file that nobody sees until the block has ended well; otherwise it is removed.
 
     Parameters
     ----------
     folder : Path
         Where it will lie; made if needed.
-    label : str
-        Part of the temporary name, which no other file has: threads may write one file at a time.
-    mode : int
-        Who may read it, as far as the mask of new files (``umask``) allows.
+    stem, ending : str
+        It is called ``<stem><SHA-256><ending>``.
+    name : str, optional
+        Its name, where it bears no hash.
+    mode : int, optional
+        Who may read it, as far as the mask of new files (``umask``) allows; by default who may read the folder.
     """
-
-    def __init__(self, folder: Path, label: str = "new", mode: int | None = None) -> None:
-        self._above = _made(folder)
-        short = os.fsdecode(os.fsencode(label)[-_LONGEST_NAME:])
-        self._temporary = folder / f".{short}.{secrets.token_hex(8)}{TEMPORARY_ENDING}"
-        number = os.open(self._temporary, _NEW, readable_in(folder) if mode is None else mode)
-        self.stream: BinaryIO = os.fdopen(number, "wb", 1 << 20)
-
-    def publish(self, name: str | None = None, stem: str = "", ending: str = "") -> Path:
-        """Give the complete file its name, by default that of its content; return its path when all is on the disk."""
-        with self.stream:
-            self.stream.flush()
-            os.fsync(self.stream.fileno())
-        path = self._temporary.with_name(name or f"{stem}{content_of(self._temporary)}{ending}")
-        os.replace(self._temporary, path)
-        for folder in (*self._above, path.parent):
-            sync_folder(folder)
-        return path
-
-    def discard(self) -> None:
-        """Remove what was written, if it was not published."""
-        with suppress(OSError, ValueError):  # what is left in memory is not wanted, and a full disk does not take it
-            self.stream.close()
+    make_folder(folder)
+    label = os.fsdecode(os.fsencode(name or f"{stem}new")[-_LONGEST_NAME:])
+    # threads may write one file at a time
+    path = folder / f".{label}.{secrets.token_hex(8)}{TEMPORARY_ENDING}"
+    number = os.open(path, _NEW, readable_in(folder) if mode is None else mode)
+    new = NewFile(os.fdopen(number, "wb", 1 << 20), path)
+    try:
+        with naming(folder / (name or f"{stem}{ending}")), new.stream:
+            yield new
+            new.stream.flush()
+            os.fsync(number)
+        new.path = folder / (name or f"{stem}{content_of(path)}{ending}")
+        os.replace(path, new.path)
+    except BaseException:
         with suppress(FileNotFoundError):
-            os.unlink(self._temporary)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.discard()
+            os.unlink(path)
+        raise
+    sync_folder(folder)
 
 
 @contextmanager
@@ -159,9 +150,8 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     What writers that were killed left in its folder is removed, too.
     """
     remove_temporary(path.parent, _ABANDONED_S)
-    with naming(path), NewFile(path.parent, path.name) as new:
+    with new_file(path.parent, name=path.name) as new:
         yield new.stream
-        new.publish(path.name)
 
 
 @contextmanager
@@ -196,29 +186,20 @@ def said_content(name: str) -> str | None:
 def write_kept(folder: Path, stem: str, ending: str, data: bytes, mode: int | None = None) -> Path:
     """Keep a result as ``<stem>-<SHA-256><ending>`` in place of former ones of the same stem."""
     remove_temporary(folder, _ABANDONED_S)
-    with naming(folder / f"{stem}{ending}"), NewFile(folder, stem, mode) as new:
+    with new_file(folder, f"{stem}-", ending, mode=mode) as new:
         new.stream.write(data)
-        path = new.publish(stem=f"{stem}-", ending=ending)
-    remove_all(file for file in kept_files(folder, stem, ending) if file != path)
-    return path
+    remove_all(file for file in kept_files(folder, stem, ending) if file != new.path)
+    return new.path
 
 
 def kept_files(folder: Path, stem: str, ending: str) -> list[Path]:
-    """Return the files that keep a result, the newest first: one, but while another takes its place."""
-    long = len(stem) + 65 + len(ending)
+    """Return the files that keep a result: one, but while another takes its place."""
     try:
-        names = [n for n in os.listdir(folder) if len(n) == long and n.startswith(f"{stem}-") and n.endswith(ending)]
+        names = sorted(os.listdir(folder))
     except (FileNotFoundError, NotADirectoryError):
         return []
-    files = [folder / name for name in names]
-    return sorted(files, key=_age) if len(files) > 1 else files
-
-
-def _age(file: Path) -> float:
-    try:
-        return -file.stat().st_mtime
-    except FileNotFoundError:
-        return 0.0
+    long = len(stem) + 65 + len(ending)
+    return [folder / n for n in names if len(n) == long and n.startswith(f"{stem}-") and n.endswith(ending)]
 
 
 def read_kept(folder: Path, stem: str, ending: str) -> bytes | None:

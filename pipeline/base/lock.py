@@ -49,9 +49,8 @@ class Holder:
     since: str | None = None
 
     def __str__(self) -> str:
-        if self.pid is None:
-            return "another process"
-        return f"process {self.pid} on {self.host} (since {self.since})"
+        known = f"process {self.pid} on {self.host} (since {self.since})"
+        return "another process" if self.pid is None else known
 
 
 @contextmanager
@@ -71,29 +70,37 @@ def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] 
     UsageError
         If `wait_s` is negative or not a number.
     StoreError
-        If another process still holds the lock after that time, or the file system has no locks.
+        If another process still holds the lock after that time, the file system has no locks, or the block fails to
+        write; what was stored stays valid.
     """
     if not wait_s >= 0:
         raise UsageError(f"wait must be 0 s or more, found {wait_s:g}. 0 does not wait for another command.")
-    make_folder(processed)
-    descriptor = os.open(processed / LOCK_FILE, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o666)
+    file = -1
     try:
-        if not _taken(descriptor, _GRACE_S):
+        make_folder(processed)
+        file = os.open(processed / LOCK_FILE, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o666)
+        if not _taken(file, _GRACE_S):
             if say is not None and wait_s:
-                say(f"{processed}: {_noted(descriptor)} writes there; waiting up to {wait_s:g} s")
-            if not _taken(descriptor, wait_s):
+                say(f"{processed}: {_noted(file)} writes there; waiting up to {wait_s:g} s")
+            if not _taken(file, wait_s):
                 raise StoreError(
-                    f"{processed}: {_noted(descriptor)} writes there; waited {wait_s:g} s. Only one command may "
+                    f"{processed}: {_noted(file)} writes there; waited {wait_s:g} s. Only one command may "
                     "write at a time: wait for it to end, or give --wait SECONDS."
                 )
         note = Holder(os.getpid(), socket.gethostname(), datetime.now(UTC).isoformat(timespec="seconds"))
-        os.ftruncate(descriptor, 0)
-        os.lseek(descriptor, 0, os.SEEK_SET)
-        os.write(descriptor, b" " * _LOCKED + json.dumps(vars(note)).encode())
+        os.ftruncate(file, 0)
+        os.lseek(file, 0, os.SEEK_SET)
+        os.write(file, b" " * _LOCKED + json.dumps(vars(note)).encode())
         yield
-        os.ftruncate(descriptor, 0)
+        os.ftruncate(file, 0)
+    except OSError as error:
+        raise StoreError(
+            f"{processed}: cannot be written ({error}). What is stored is whole; make room or correct the permissions, "
+            "and run the command again."
+        ) from error
     finally:
-        os.close(descriptor)  # lets the lock go
+        if file >= 0:
+            os.close(file)  # lets the lock go
 
 
 def holder(processed: Path) -> Holder | None:
@@ -101,24 +108,24 @@ def holder(processed: Path) -> Holder | None:
     path = processed / LOCK_FILE
     try:
         # NFS has no lock for files that may only be read
-        descriptor = os.open(path, (os.O_RDWR if os.access(path, os.W_OK) else os.O_RDONLY) | _NO_LINK)
+        file = os.open(path, (os.O_RDWR if os.access(path, os.W_OK) else os.O_RDONLY) | _NO_LINK)
     except OSError:
         return None
     try:
-        return None if _taken(descriptor, _GRACE_S) else _noted(descriptor)
+        return None if _taken(file, _GRACE_S) else _noted(file)
     except StoreError:  # without locks nobody holds one
         return None
     finally:
-        os.close(descriptor)
+        os.close(file)
 
 
-def _taken(descriptor: int, within_s: float) -> bool:
-    """Return whether the lock is had within a time; it goes when the descriptor is closed, or its process ends."""
+def _taken(file: int, within_s: float) -> bool:
+    """Return whether the lock is had within a time; it goes when the file is closed, or its process ends."""
     from filelock import lock_descriptor  # 0.07 s that commands which only read need not wait for
 
     end = time.monotonic() + within_s
     try:
-        while not lock_descriptor(descriptor, blocking=False):
+        while not lock_descriptor(file, blocking=False):
             if time.monotonic() >= end:
                 return False
             time.sleep(_GRACE_S / 5)
@@ -132,9 +139,9 @@ def _taken(descriptor: int, within_s: float) -> bool:
     return True
 
 
-def _noted(descriptor: int) -> Holder:
+def _noted(file: int) -> Holder:
     try:
-        os.lseek(descriptor, _LOCKED, os.SEEK_SET)
-        return Holder(**json.loads(os.read(descriptor, _LONGEST_NOTE)))
+        os.lseek(file, _LOCKED, os.SEEK_SET)
+        return Holder(**json.loads(os.read(file, _LONGEST_NOTE)))
     except (OSError, ValueError, TypeError):
         return Holder()

@@ -1,4 +1,4 @@
-"""Processes of this package: what each does before anything else, and when it ends.
+"""Processes of this package: what each does before anything else, when it ends, and pools that compute.
 
 No process outlives the one that started it, whatever ends that. A worker waits on a pipe the other end of which its
 parent alone holds: the operating system closes it when the parent ends. (The death signal of Linux would come when the
@@ -9,24 +9,25 @@ complete are taken away; a second one ends the process where it stands.
 from __future__ import annotations
 
 import os
-import select
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
-from importlib.machinery import ModuleSpec, PathFinder
-from types import FrameType, ModuleType
-from typing import Any
+from types import FrameType
+from typing import TYPE_CHECKING, Any
 
 from pipeline.base.errors import EXIT_ERROR, UsageError
+
+if TYPE_CHECKING:
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing.connection import Connection
 
 STOP_SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)
 )
 """Signals that ask for an end: Ctrl-C, a service manager, a terminal that is closed; as far as the system has them."""
-
 
 ADDRESS_SPACE = 2 << 30
 """Bytes of address space that a comparison reserves, of which it uses a tenth. With less OpenBLAS tries again and again
@@ -54,41 +55,8 @@ def check_address_space() -> None:
         )
 
 
-class _AfterPyarrow:
-    """Lets pyarrow look for pandas as soon as it is loaded, while there is none."""
-
-    def find_spec(self, fullname: str, path: object = None, target: object = None) -> ModuleSpec | None:
-        spec = PathFinder.find_spec(fullname) if fullname == "pyarrow" else None
-        if spec is None or spec.loader is None:
-            return None
-        sys.meta_path.remove(self)
-        load = spec.loader.exec_module
-
-        def execute(module: ModuleType) -> None:
-            load(module)
-            _look_for_pandas(module)
-
-        spec.loader.exec_module = execute  # type: ignore[method-assign]
-        return spec
-
-
-class _NoPandas:
-    """Finds pandas nowhere, and leaves other modules to others."""
-
-    def find_spec(self, fullname: str, path: object = None, target: object = None) -> None:
-        if fullname == "pandas":
-            raise ModuleNotFoundError("pandas is left out while pyarrow looks for it: see pipeline.base.process")
-
-
-def _look_for_pandas(pyarrow: Any) -> None:
-    if "pandas" in sys.modules:  # which may be what loads pyarrow
-        return
-    nowhere = _NoPandas()
-    sys.meta_path.insert(0, nowhere)
-    try:
-        pyarrow.array([])
-    finally:
-        sys.meta_path.remove(nowhere)
+_alone = False
+"""Whether this process runs nothing but this package."""
 
 
 def begin_alone() -> None:
@@ -96,17 +64,32 @@ def begin_alone() -> None:
 
     Matrices are small here, and many processes compute at once: threads of the linear algebra would take as much
     processor time again to wait for each other, and sums would depend on their number. Who sets
-    ``OPENBLAS_NUM_THREADS`` keeps it.
-
-    And pyarrow is kept from importing pandas with the first ``pyarrow.array``, for 0.2 s and 40 MB: that looks once
-    whether there is pandas; here it looks when there is none. Whoever imports pandas himself gets it, and so does
-    ``pyarrow.Table.to_pandas``; ``pyarrow.array`` takes data frames and series of pandas for mere sequences there.
+    ``OPENBLAS_NUM_THREADS`` keeps it. And pyarrow is kept from importing pandas (`without_pandas`).
     """
+    global _alone
+    _alone = True
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    if "pyarrow" in sys.modules:
-        _look_for_pandas(sys.modules["pyarrow"])
-    else:
-        sys.meta_path.insert(0, _AfterPyarrow())
+
+
+class _NoPandas:
+    """Finds pandas nowhere, and leaves other modules to others."""
+
+    @staticmethod
+    def find_spec(name: str, *_: object) -> None:
+        if name == "pandas":
+            raise ModuleNotFoundError("pandas is left out while pyarrow looks for it")
+
+
+def without_pandas(pyarrow: Any) -> None:
+    """Keep pyarrow from importing pandas with its first array (0.2 s, 40 MB), in a process of this package alone.
+
+    It looks once whether there is pandas; here it looks while there is none. Whoever imports pandas himself gets it,
+    and so does ``Table.to_pandas``; ``pyarrow.array`` takes series of pandas for mere sequences then.
+    """
+    if _alone and "pandas" not in sys.modules:
+        sys.meta_path.insert(0, _NoPandas)
+        pyarrow.array([])
+        sys.meta_path.remove(_NoPandas)
 
 
 class Ended(BaseException):
@@ -179,22 +162,37 @@ def end_when(gone: Callable[[], object]) -> None:
 
 
 @contextmanager
-def ended_through(pipe: int) -> Iterator[None]:
-    """Let the kernel end this process when the other end of a pipe closes, or writes, while the block runs.
+def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Yield processes that compute, and that end at once when the block is left by an exception or this process ends.
 
-    For libraries that keep the interpreter to themselves, so that `end_when` has no say. Linux does so; elsewhere the
-    block runs as it would without.
+    Notes
+    -----
+    ``BrokenProcessPool`` is raised for a call where a process was killed, or could not import the caller's main program
+    (typed in, or without a guard); the caller may then do the work himself.
     """
-    if not hasattr(os, "O_ASYNC"):
-        yield
-        return
-    fcntl = import_module("fcntl")
-    flags = fcntl.fcntl(pipe, fcntl.F_GETFL)
-    fcntl.fcntl(pipe, fcntl.F_SETOWN, os.getpid())
-    fcntl.fcntl(pipe, fcntl.F_SETFL, flags | os.O_ASYNC)  # its signal, SIGIO, ends a process that does not handle it
-    try:
-        if select.select([pipe], [], [], 0)[0]:  # closed before
-            os._exit(EXIT_ERROR)
-        yield
-    finally:
-        fcntl.fcntl(pipe, fcntl.F_SETFL, flags)
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    # spawn: a fork would copy the locks of Arrow's threads in an unknown state, and hold the pipe open
+    context = get_context("spawn")
+    watched, held = context.Pipe(duplex=False)
+    with watched, held, ProcessPoolExecutor(workers, context, _begin, (watched,)) as pool:
+        try:
+            yield pool
+        except BaseException:
+            held.close()  # nobody waits for what they compute
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def _begin(parent: Connection) -> None:
+    """Begin a process of a pool; signals are for its parent, which ends it."""
+    end_when(lambda: _closed(parent))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    begin_alone()
+
+
+def _closed(parent: Connection) -> None:
+    """Return when the other end of a pipe is closed; nothing is ever sent."""
+    with suppress(EOFError, OSError):
+        parent.recv_bytes()

@@ -1,159 +1,183 @@
-"""Two experiments against each other: what differs, by how much, and whether more than their intervals allow."""
+"""Two results against each other: experiments, devices or versions, as a join of what their documents hold."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from math import hypot
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from pipeline.base.wording import counted
+from pipeline import __version__
+from pipeline.base.errors import UsageError
+from pipeline.base.provenance import code_digest
+from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, motion_of, nominal_theories
+from pipeline.comparison.figures.responses import trials_of
+from pipeline.comparison.scene.origin import excluded_trials
+from pipeline.comparison.scene.scene import SceneData, open_scene
+from pipeline.comparison.scores.scores import add_scores
 from pipeline.measured.intervals import NORMAL_95
 from pipeline.records.against_records import (
+    AgainstResult,
     BoundaryDifference,
     CostDifference,
     LimitDifference,
     PairDifference,
-    Plane,
     Side,
     ValueDifference,
 )
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
-from pipeline.records.findings import BoundaryPoint, Estimate, Optimum
+from pipeline.records.findings import BoundaryPoint, ExcludedTrial, Note
 from pipeline.records.models import Motion
-from pipeline.records.results import ExperimentResult
-from pipeline.records.score_records import Scores
-from pipeline.rendering.labels import UNITS, criterion_name, percent_text, significant
+from pipeline.records.results import ComparisonResult, ExperimentResult
+from pipeline.rendering.figures.boundaries import limits_figure, limits_panel, measured, plane_figure
+from pipeline.rendering.figures.drawing import Figure
+from pipeline.rendering.labels import UNITS
+from pipeline.rendering.report.report_against import AgainstPage, sentences_of
+from pipeline.theory.predictions import Theory
 
 FEWEST_POINTS = 6
 """Points that a median needs for an interval of 95 % by its ranks: with five, smallest to largest hold 94 %."""
 
-TRIAL_RANGE = ("delay_samples",)
-"""Estimates whose interval is the range of the trials, not the error of their mean: it judges no difference."""
+Document = Mapping[str, Any]
+"""An experiment as `compare --json` has it."""
 
 Trials = Mapping[str, tuple[Floats, Floats, Floats]]
 """Stiffness, damping and cost of the trials by criterion; NaN where a trial has no cost."""
 
+Scale = tuple[float, float]
+"""Units of stiffness m/T^2 and damping m/T, by which walls become alpha and beta."""
+
+_SCORES = {"region": ("overlap", "covered", "area_ratio"), "distance": ("median",), "verdicts": ("agreement",)}
+"""Scores that are compared."""
+
 
 def compare_pair(
-    first: Side,
-    second: Side,
-    results: tuple[ExperimentResult, ExperimentResult],
-    trials: tuple[Trials, Trials] | None,
-    motions: tuple[Motion, Motion],
-    scales: tuple[tuple[float, float], tuple[float, float]] | None = None,
+    sides: tuple[Side, Side],
+    documents: tuple[Document, Document],
+    motion: Motion,
+    scales: tuple[Scale, Scale] | None = None,
+    trials: tuple[Trials, Trials] | None = None,
 ) -> PairDifference:
     """Return what two experiments differ in, second minus first.
 
     Parameters
     ----------
-    first, second : Side
-    results : (ExperimentResult, ExperimentResult)
-    trials : (Trials, Trials) or None
-        Costs of the single trials; None where only finished documents are there.
-    motions : (motion, motion)
+    sides : (Side, Side)
+    documents : (mapping, mapping)
+        The experiments as their documents hold them; those of other versions may lack what is new.
+    motion : Motion
     scales : ((K, B), (K, B)), optional
-        Units of stiffness m/T^2 and damping m/T of each side: with them the boundaries are compared in the plane of
-        alpha and beta (Table 3.1), as devices must be.
+        With them walls are compared in the plane of alpha and beta (Table 3.1), as devices must be.
+    trials : (Trials, Trials), optional
+        Costs of the single trials, where more than finished documents is there.
     """
-    a, b = results
-    plane: Plane = "physical" if scales is None else "normalised"
-    units = UNITS[motions[0]]
-    boundary, reason = compare_boundaries(a.boundary, b.boundary, *(scales or ((1.0, 1.0), (1.0, 1.0))))
-    if scales is None:
-        estimates = compare_estimates(a.estimates, b.estimates)
-        optima = compare_optima(a.optimum, b.optimum, units.stiffness, units.damping)
-    else:
-        estimates = tuple(
-            ValueDifference(
-                name=n,
-                unit=_both_units(e.unit, b.estimates[n].unit),
-                first=e.value,
-                second=b.estimates[n].value,
-                reason="devices differ",
-            )
-            for n, e in a.estimates.items()
-            if n in b.estimates
-        )
-        optima = compare_optima(_scaled(a.optimum, scales[0]), _scaled(b.optimum, scales[1]), "1", "1")
-    costs = () if trials is None or scales is not None else compare_costs(*trials)
+    units = UNITS[motion]
+    wall = ("1", "1") if scales else (units.stiffness, units.damping)
+    one, other = ([_point(p) for p in each["boundary"]] for each in documents)
+    boundary, reason = compare_boundaries(one, other, *(scales or ((1.0, 1.0), (1.0, 1.0))))
+    own, others = scales or (None, None)
+    joined = compare_values(list(_values(documents[0], wall, own)), list(_values(documents[1], wall, others)))
+    if scales:
+        doubt = {"difference": None, "low": None, "high": None, "significant": None, "reason": "devices differ"}
+        joined = [v.model_copy(update=doubt) if v.part == "estimates" else v for v in joined]
     pair = PairDifference(
-        first=first,
-        second=second,
-        plane=plane,
-        estimates=estimates,
+        first=sides[0],
+        second=sides[1],
+        plane="normalised" if scales else "physical",
+        estimates=tuple(v for v in joined if v.part == "estimates"),
+        optima=tuple(v for v in joined if v.part == "optima"),
+        scores=tuple(v for v in joined if v.part == "scores"),
         boundary=boundary,
         boundary_reason=reason,
-        optima=optima,
-        scores=compare_scores(a.scores, b.scores, None if scales else units.stiffness),
-        costs=costs,
+        costs=() if trials is None or scales else compare_costs(*trials),
         sentences=(),
     )
     return pair.model_copy(update={"sentences": sentences_of(pair)})
 
 
-def compare_estimates(first: Mapping[str, Estimate], second: Mapping[str, Estimate]) -> tuple[ValueDifference, ...]:
-    """Return the difference of each estimate that both have, and of the delay by the model."""
-    pairs = {name: (first[name], second[name]) for name in first if name in second}
-    if "delay_samples" in pairs:
-        fitted = tuple(e.by_method.get("model") for e in pairs["delay_samples"])
-        if fitted[0] is not None and fitted[1] is not None:
-            pairs["delay_by_model"] = (fitted[0], fitted[1])
-    return tuple(_difference(name, a, b) for name, (a, b) in pairs.items())
+def _point(values: Mapping[str, Any]) -> BoundaryPoint:
+    return BoundaryPoint(**{name: value for name, value in values.items() if name in BoundaryPoint.model_fields})
 
 
-def _both_units(first: str, second: str) -> str:
-    """Unit of two values; those of a device that turns and of one that does not differ."""
-    return first if first == second else f"{first} and {second}"
+def _values(of: Document, wall: tuple[str, str], scale: Scale | None) -> Iterator[dict[str, Any]]:
+    """Yield the values of a document that can be compared: part, name, unit, value, interval, why there is none."""
+    for name, e in of["estimates"].items():
+        each = [(name, e)]
+        if name == "delay_samples" and "model" in e.get("by_method", {}):
+            each.append(("delay_by_model", e["by_method"]["model"]))
+        for called, found in each:
+            row = {key: found.get(key) for key in ("unit", "value", "low", "high", "reason")}
+            if called == "delay_samples":  # the range of the trials, not the error of their mean: it judges nothing
+                row |= {"low": None, "high": None, "reason": "its interval is the range of the trials"}
+            yield {"part": "estimates", "name": called, **row}
+    for criterion, best in of["optimum"].items():
+        for name, unit, by in zip(("stiffness", "damping"), wall, scale or (1.0, 1.0), strict=True):
+            why = "the place of an optimum has no interval"
+            yield {
+                "part": "optima",
+                "name": f"{criterion}/{name}",
+                "unit": unit,
+                "value": best[name] / by,
+                "reason": why,
+            }
+        ends = {"low": best.get("cost_low"), "high": best.get("cost_high")}
+        yield {"part": "optima", "name": f"{criterion}/cost", "unit": "", "value": best["cost"], **ends}
+    for scores in of.get("scores", ())[:1]:
+        for part, names in _SCORES.items():
+            found = scores.get(part)
+            for name in names if found else ():
+                ends = {"low": found.get(f"{name}_low"), "high": found.get(f"{name}_high")}
+                basis = f"against theory by the {scores['basis']}"
+                yield {
+                    "part": "scores",
+                    "name": f"{part}/{name}",
+                    "unit": "",
+                    "value": found[name],
+                    "basis": basis,
+                    **ends,
+                }
 
 
-def _difference(name: str, a: Estimate, b: Estimate) -> ValueDifference:
-    values = ValueDifference(name=name, unit=_both_units(a.unit, b.unit), first=a.value, second=b.value)
-    if a.value is None or b.value is None:
-        return values.model_copy(update={"reason": a.reason if a.value is None else b.reason})
-    if a.unit != b.unit:
-        return values.model_copy(update={"reason": f"units differ: {a.unit} and {b.unit}"})
-    if name in TRIAL_RANGE:
-        why = "its interval is the range of the trials, not the error of their mean"
-        return values.model_copy(update={"difference": b.value - a.value, "reason": why})
-    return _judged(values, (a.value, a.low, a.high), (b.value, b.low, b.high))
+def compare_values(first: Sequence[Mapping[str, Any]], second: Sequence[Mapping[str, Any]]) -> list[ValueDifference]:
+    """Return the differences of all values that both have, each with its 95 % interval where both have one."""
+    others = {(row["part"], row["name"]): row for row in second}
+    return [_difference(row, others[key]) for row in first if (key := (row["part"], row["name"])) in others]
 
 
-_Interval = tuple[float, float | None, float | None]
+def _difference(a: Mapping[str, Any], b: Mapping[str, Any]) -> ValueDifference:
+    unit = a["unit"] if a["unit"] == b["unit"] else f"{a['unit']} and {b['unit']}"
+    about = {"part": a["part"], "name": a["name"], "unit": unit, "first": a["value"], "second": b["value"]}
+    if a["value"] is None or b["value"] is None:
+        return ValueDifference(**about, reason=a.get("reason") if a["value"] is None else b.get("reason"))
+    if a["unit"] != b["unit"] or a.get("basis") != b.get("basis"):
+        return ValueDifference(
+            **about, reason=f"one is {a.get('basis') or a['unit']}, the other {b.get('basis') or b['unit']}"
+        )
+    about["difference"] = b["value"] - a["value"]
+    one, other = ([row[key] for key in ("value", "low", "high") if row.get(key) is not None] for row in (a, b))
+    if len(one) + len(other) < 6:
+        return ValueDifference(**about, reason=a.get("reason") or b.get("reason") or "no interval on both sides")
+    low, high = difference_interval(one, other)
+    return ValueDifference(**about, low=low, high=high, significant=not low <= 0 <= high)
 
 
-def _judged(values: ValueDifference, a: _Interval, b: _Interval) -> ValueDifference:
-    """Add difference, its interval, and whether that leaves out zero."""
-    difference = b[0] - a[0]
-    if None in (*a, *b):
-        why = "no interval on both sides"
-        return values.model_copy(update={"difference": difference, "reason": why})
-    low, high = difference_interval(a, b)  # type: ignore[arg-type]  # no end is None here
-    update = {"difference": difference, "low": low, "high": high, "significant": not low <= 0 <= high}
-    return values.model_copy(update=update)
-
-
-def difference_interval(a: tuple[float, float, float], b: tuple[float, float, float]) -> tuple[float, float]:
-    """Return the 95 % interval of b - a for two independent values with their 95 % intervals.
+def difference_interval(a: Sequence[float], b: Sequence[float]) -> tuple[float, float]:
+    """Return the 95 % interval of b - a for two independent values (value, lower and upper end of their intervals).
 
     The errors are added as squares, each side with the half of its interval that faces the other way: an interval may
     be longer on one side.
-
-    Parameters
-    ----------
-    a, b : (float, float, float)
-        Value, lower and upper end.
     """
     (x, x_low, x_high), (y, y_low, y_high) = a, b
     return y - x - hypot(y - y_low, x_high - x), y - x + hypot(y_high - y, x - x_low)
 
 
 def compare_boundaries(
-    first: Sequence[BoundaryPoint],
-    second: Sequence[BoundaryPoint],
-    first_scale: tuple[float, float],
-    second_scale: tuple[float, float],
+    first: Sequence[BoundaryPoint], second: Sequence[BoundaryPoint], first_scale: Scale, second_scale: Scale
 ) -> tuple[BoundaryDifference | None, str | None]:
     """Return the difference of two boundaries at the dampings of the first that both cover, or the reason why not.
 
@@ -163,23 +187,23 @@ def compare_boundaries(
     a, b = (_limits(points, scale) for points, scale in ((first, first_scale), (second, second_scale)))
     if len(a) < 1 or len(b) < 2:
         return None, "one of them has no limits: its tested ranges ended before a trial was unstable"
-    inside = (a[:, 0] >= b[0, 0]) & (a[:, 0] <= b[-1, 0]) & (a[:, 1] > 0)
-    if not inside.any():
+    a = a[(a[:, 0] >= b[0, 0]) & (a[:, 0] <= b[-1, 0]) & (a[:, 1] > 0)]
+    if not len(a):
         return None, "they cover no common damping"
-    a = a[inside]
-    common = np.isin(a[:, 0], b[:, 0])
-    other = np.column_stack([a[:, 0], *(np.interp(a[:, 0], b[:, 0], b[:, k]) for k in (1, 2, 3))])
-    percent = 100 * (other[:, 1] - a[:, 1]) / a[:, 1]
-    low = other[:, 1] - a[:, 1] - np.hypot(other[:, 1] - other[:, 2], a[:, 3] - a[:, 1])
-    high = other[:, 1] - a[:, 1] + np.hypot(other[:, 3] - other[:, 1], a[:, 1] - a[:, 2])
+    x, x_low, x_high = a[:, 1:].T
+    y, y_low, y_high = (np.interp(a[:, 0], b[:, 0], b[:, k]) for k in (1, 2, 3))
+    percent, low, high = (
+        100 * (y - x) / x,
+        y - x - np.hypot(y - y_low, x_high - x),
+        y - x + np.hypot(y_high - y, x - x_low),
+    )
     known = np.isfinite(low) & np.isfinite(high)
     differs = known & ((low > 0) | (high < 0))
     worst = int(np.argmax(np.abs(percent)))
+    rows = zip(*(v.tolist() for v in (a[:, 0], x, y, percent, differs, known)), strict=True)
     points = tuple(
-        LimitDifference(damping=d, first=x, second=y, percent=p, significant=bool(s) if k else None)
-        for d, x, y, p, s, k in zip(
-            *(v.tolist() for v in (a[:, 0], a[:, 1], other[:, 1], percent, differs, known)), strict=True
-        )
+        LimitDifference(damping=d, first=one, second=other, percent=p, significant=s if k else None)
+        for d, one, other, p, s, k in rows
     )
     return BoundaryDifference(
         median_percent=float(np.median(percent)),
@@ -187,12 +211,12 @@ def compare_boundaries(
         largest_damping=float(a[worst, 0]),
         judged=int(known.sum()),
         significant=int(differs.sum()),
-        interpolated=not bool(common.all()),
+        interpolated=not bool(np.isin(a[:, 0], b[:, 0]).all()),
         points=points,
     ), None
 
 
-def _limits(points: Sequence[BoundaryPoint], scale: tuple[float, float]) -> Floats:
+def _limits(points: Sequence[BoundaryPoint], scale: Scale) -> Floats:
     """Return damping, limit and both ends of its interval (NaN without), by damping; shape (n, 4)."""
     rows = []
     for p in points:
@@ -201,72 +225,7 @@ def _limits(points: Sequence[BoundaryPoint], scale: tuple[float, float]) -> Floa
         elif p.stable is not None and p.unstable is not None and not p.censored:
             rows.append((p.damping, (p.stable + p.unstable) / 2, np.nan, np.nan))
     found = np.array(sorted(rows), dtype=np.float64).reshape(-1, 4)
-    divisor = np.array([scale[1], scale[0], scale[0], scale[0]], dtype=np.float64)
-    return np.asarray(found / divisor, dtype=np.float64)
-
-
-def compare_optima(
-    first: Mapping[str, Optimum], second: Mapping[str, Optimum], stiffness: str, damping: str
-) -> tuple[ValueDifference, ...]:
-    """Return the differences of stiffness, damping and cost of each optimum that both have."""
-    found = []
-    for criterion in first:
-        if criterion not in second:
-            continue
-        a, b = first[criterion], second[criterion]
-        for name, unit in (("stiffness", stiffness), ("damping", damping)):
-            x, y = float(getattr(a, name)), float(getattr(b, name))
-            why = "the place of an optimum has no interval"
-            found.append(
-                ValueDifference(name=f"{criterion}/{name}", unit=unit, first=x, second=y, difference=y - x, reason=why)
-            )
-        values = ValueDifference(name=f"{criterion}/cost", unit="", first=a.cost, second=b.cost)
-        found.append(_judged(values, (a.cost, a.cost_low, a.cost_high), (b.cost, b.cost_low, b.cost_high)))
-    return tuple(found)
-
-
-def _scaled(optima: Mapping[str, Optimum], scale: tuple[float, float]) -> dict[str, Optimum]:
-    k, b = scale
-    return {
-        name: o.model_copy(update={"stiffness": o.stiffness / k, "damping": o.damping / b})
-        for name, o in optima.items()
-    }
-
-
-_SCORES = (
-    ("region", "overlap", ""),
-    ("region", "covered", ""),
-    ("region", "area_ratio", ""),
-    ("distance", "median", ""),
-    ("verdicts", "agreement", ""),
-    ("delay", "implied", "samples"),
-)
-_BOUND = (("bound", "stiffness", ""), ("bound", "slope", "1/s"))
-"""Scores that are compared: record, number, unit. A bound is one of K and B, which two devices do not share."""
-
-
-def compare_scores(
-    first: Sequence[Scores], second: Sequence[Scores], stiffness: str | None
-) -> tuple[ValueDifference, ...]:
-    """Return the differences of the scores against theory that both have; ``stiffness`` is the unit that they share."""
-    if not first or not second:
-        return ()
-    a, b = first[0], second[0]
-    found = []
-    for part, name, unit in (*_SCORES, *(_BOUND if stiffness else ())):
-        x, y = getattr(a, part), getattr(b, part)
-        if x is None or y is None:
-            continue
-        unit = stiffness or "" if name == "stiffness" else unit
-        values = ValueDifference(name=f"{part}/{name}", unit=unit, first=getattr(x, name), second=getattr(y, name))
-        if a.basis != b.basis:
-            why = f"one is against theory by the {a.basis}, the other by the {b.basis}"
-            found.append(values.model_copy(update={"reason": why}))
-            continue
-        ends = ((getattr(each, f"{name}_low", None), getattr(each, f"{name}_high", None)) for each in (x, y))
-        low_high = [(value, *both) for value, both in zip((getattr(x, name), getattr(y, name)), ends, strict=True)]
-        found.append(_judged(values, *low_high))
-    return tuple(found)
+    return np.asarray(found / np.array([scale[1], *[scale[0]] * 3]), dtype=np.float64)
 
 
 def compare_costs(first: Trials, second: Trials) -> tuple[CostDifference, ...]:
@@ -281,77 +240,217 @@ def compare_costs(first: Trials, second: Trials) -> tuple[CostDifference, ...]:
 def _cost_difference(
     criterion: str, first: tuple[Floats, Floats, Floats], second: tuple[Floats, Floats, Floats]
 ) -> CostDifference:
-    kind = "difference" if criterion_of(criterion).family.levels else "ratio"
-    (a_points, a), (b_points, b) = (_by_point(*trials) for trials in (first, second))
-    places = {point: n for n, point in enumerate(b_points)}
-    shared = [(n, places[point]) for n, point in enumerate(a_points) if point in places]
-    rows = np.array(shared, dtype=np.int64).reshape(-1, 2)
-    x, y = a[rows[:, 0]], b[rows[:, 1]]
-    if kind == "ratio":
-        x, y = x[x > 0], y[x > 0]
-    values = np.sort(y - x if kind == "difference" else y / x)
+    import pandas as pd
+
+    differs = bool(criterion_of(criterion).family.levels)
+    a, b = (
+        pd.DataFrame(dict(zip(("K", "B", "cost"), of, strict=True))).dropna().groupby(["K", "B"])["cost"].median()
+        for of in (first, second)
+    )
+    both = pd.concat([a, b], axis=1, join="inner", keys=["x", "y"])
+    both = both if differs else both[both["x"] > 0]
+    values = np.sort((both["y"] - both["x"] if differs else both["y"] / both["x"]).to_numpy())
+    about: dict[str, Any] = {
+        "criterion": criterion,
+        "kind": "difference" if differs else "ratio",
+        "points": len(values),
+    }
     if not len(values):
-        reason = "no trial of both has this cost at the same stiffness and damping"
-        return CostDifference(criterion=criterion, kind=kind, points=0, reason=reason)
-    result = CostDifference(criterion=criterion, kind=kind, points=len(values), median=float(np.median(values)))
+        return CostDifference(**about, reason="no trial of both has this cost at the same stiffness and damping")
+    about["median"] = float(np.median(values))
     if len(values) < FEWEST_POINTS:
-        return result.model_copy(update={"reason": f"fewer than {FEWEST_POINTS} points allow no interval"})
+        return CostDifference(**about, reason=f"fewer than {FEWEST_POINTS} points allow no interval")
     # ranks of the ends by the normal approximation of the binomial distribution, rounded outwards
     half = NORMAL_95 * np.sqrt(len(values)) / 2
-    low = values[max(int(np.floor(len(values) / 2 - half)) - 1, 0)]
-    high = values[min(int(np.ceil(len(values) / 2 + half)), len(values) - 1)]
-    equal = 0.0 if kind == "difference" else 1.0
-    return result.model_copy(
-        update={"low": float(low), "high": float(high), "significant": not bool(low <= equal <= high)}
+    low = float(values[max(int(np.floor(len(values) / 2 - half)) - 1, 0)])
+    high = float(values[min(int(np.ceil(len(values) / 2 + half)), len(values) - 1)])
+    return CostDifference(**about, low=low, high=high, significant=not low <= (0.0 if differs else 1.0) <= high)
+
+
+def against_experiments(
+    processed: Path,
+    first: tuple[str, str],
+    second: tuple[str, str],
+    criteria: Sequence[str] | None = None,
+    progress: Callable[[str], None] | None = None,
+    notes: tuple[Sequence[Note], Sequence[Note]] = ((), ()),
+) -> AgainstPage:
+    """Compare two stored experiments, of one device or of two; those of two in the plane of alpha and beta.
+
+    Parameters
+    ----------
+    processed : Path
+    first, second : (device, experiment)
+    criteria : sequence of str, optional
+        By default all.
+    progress : callable, optional
+        Gets the name of each step when it begins.
+    notes : (sequence of Note, sequence of Note)
+        What people wrote on each side, which the page repeats.
+
+    Raises
+    ------
+    UsageError
+        If both are the same, or the plane of alpha and beta needs a mass that is missing.
+    DeviceError
+        If one is not stored.
+    """
+    if first == second:
+        raise UsageError(f"device {first[0]!r}, experiment {first[1]!r}: compared against itself. Give another one.")
+    found = []
+    for (device, experiment), said in zip((first, second), notes, strict=True):
+        if progress is not None:
+            progress(f"device {device}, experiment {experiment}: estimates and costs")
+        found.append(_gathered(open_scene(device, processed, [experiment], criteria), said))
+    one, other = found
+    labels, results, motion = (one.side.label, other.side.label), (one.result, other.result), motion_of(one.data)
+    scales = None if first[0] == second[0] else (one.scale, other.scale)
+    documents = one.result.model_dump(mode="json"), other.result.model_dump(mode="json")
+    pair = compare_pair((one.side, other.side), documents, motion, scales, (one.trials, other.trials))
+    if scales is None or one.theory is None or other.theory is None:
+        figure = _overlay(labels, results, motion)
+    else:
+        figure = plane_figure([(labels[0], results[0], one.theory, 0), (labels[1], results[1], other.theory, 1)])
+    return AgainstPage(AgainstResult(title=" against ".join(labels), pairs=(pair,)), (figure,), motion)
+
+
+def against_document(new: ComparisonResult, old: Document) -> AgainstPage:
+    """Compare a result with the document of an earlier one of its device, such as by another version of the code."""
+    now = new.model_dump(mode="json")
+    before, after = ({e["experiment"]: e for e in of["experiments"]} for of in (old, now))
+    common = [name for name in before if name in after]
+    pairs: list[PairDifference] = []
+    figures: list[Figure] = []
+    for name in common:
+        sides, documents = (_side(old, before[name]), _side(now, after[name])), (before[name], after[name])
+        pairs.append(compare_pair(sides, documents, new.motion))
+        results = [_limits_of(each) for each in documents]
+        figures.append(_overlay([f"{name}, before", f"{name}, now"], results, new.motion, f"-{len(figures)}"))
+    versions = [f"version {of['provenance'].get('version', '?')} ({_code(of)})" for of in (old, now)]
+    result = AgainstResult(
+        title=f"{new.device}: {versions[0]} against {versions[1]}",
+        pairs=tuple(pairs),
+        only_first=tuple(name for name in before if name not in after),
+        only_second=tuple(name for name in after if name not in before),
+    )
+    return AgainstPage(result, tuple(figures), new.motion)
+
+
+def read_document(path: Path, device: str) -> Document:
+    """Read the document of an earlier result of a device.
+
+    Raises
+    ------
+    UsageError
+        If the file is no document by `compare`, or of another device.
+    """
+    try:
+        found = json.loads(path.read_bytes())
+        for each in found["experiments"]:
+            list(_values(each, ("", ""), None))
+            [_point(p) for p in each["boundary"]]
+        _side(found | {"provenance": found.setdefault("provenance", {})}, {"experiment": ""})
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error}). Give the JSON document beside a report.") from error
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UsageError(
+            f"{path}: is no result of `pipeline compare` ({type(error).__name__}: {str(error)[:200]}). Give the JSON "
+            "document beside a report."
+        ) from error
+    if found["device"] != device:
+        raise UsageError(f"{path}: is of device {found['device']!r}; expected one of {device!r}.")
+    return dict(found)
+
+
+def names_of(words: str, device: str, experiments: Sequence[str]) -> tuple[str, str]:
+    """Return device and experiment that ``--against`` means: ``EXPERIMENT``, or ``DEVICE:EXPERIMENT``.
+
+    Names of ``experiments``, those stored of the first device, may hold a colon.
+    """
+    if words in experiments or ":" not in words:
+        return device, words
+    other, _, experiment = words.partition(":")
+    return other, experiment
+
+
+@dataclass(frozen=True)
+class _Gathered:
+    """One stored experiment: what it is called, its scene, result and theory."""
+
+    side: Side
+    data: SceneData
+    result: ExperimentResult
+    theory: Theory | None
+
+    @property
+    def trials(self) -> Trials:
+        """Costs of its trials."""
+        stages = self.data.experiments[0]
+        K, B, _ = trials_of(stages)
+        return {criterion: (K, B, stages.cost(criterion)[0]) for criterion in self.data.scene.criteria}
+
+    @property
+    def scale(self) -> Scale:
+        """Units of stiffness and damping that alpha and beta of 1 stand for."""
+        if self.theory is None:
+            raise UsageError(
+                f"device {self.side.device!r}, experiment {self.side.experiment!r}: two devices are compared in the "
+                "plane of alpha and beta, which needs a mass: there is no device file, and the logs give no estimate."
+            )
+        return self.theory.units.stiffness, self.theory.units.damping
+
+
+def _gathered(data: SceneData, notes: Sequence[Note]) -> _Gathered:
+    theories = nominal_theories(data)
+    name = data.experiments[0].experiment
+    result = experiment_result(data, data.experiments[0], theories.get(name))
+    theories = theories or estimated_theories([result], data)
+    side = Side(
+        device=data.scene.device,
+        experiment=name,
+        version=__version__,
+        code=code_digest("report"),
+        excluded=excluded_trials(data),
+        notes=tuple(notes),
+        simulated=data.simulated,
+    )
+    return _Gathered(side, data, add_scores(data, [result], theories)[0], theories.get(name))
+
+
+def _limits_of(of: Document) -> ExperimentResult:
+    points = tuple(map(_point, of["boundary"]))
+    nothing: dict[str, Any] = {
+        "configuration": "",
+        "grip": "none",
+        "trials": 0,
+        "verdicts": {},
+        "estimates": {},
+        "optimum": {},
+    }
+    return ExperimentResult(
+        experiment=of["experiment"], simulated=of.get("simulated", False), boundary=points, **nothing
     )
 
 
-def _by_point(stiffness: Floats, damping: Floats, cost: Floats) -> tuple[list[tuple[float, float]], Floats]:
-    """Return the points that have a cost, and the median cost at each."""
-    known = np.isfinite(cost)
-    points, place = np.unique(np.column_stack([stiffness[known], damping[known]]), axis=0, return_inverse=True)
-    order = np.lexsort((cost[known], place.ravel()))
-    count = np.bincount(place.ravel(), minlength=len(points))
-    start = np.cumsum(count) - count
-    ordered = cost[known][order]
-    if not len(points):
-        return [], np.empty(0)
-    middle = (ordered[start + (count - 1) // 2] + ordered[start + count // 2]) / 2
-    return [(k, b) for k, b in points.tolist()], middle
+def _code(of: Document) -> str:
+    return str(of["provenance"].get("code", of["provenance"].get("key", "?")))
 
 
-def sentences_of(pair: PairDifference) -> tuple[str, ...]:
-    """Return what it comes to, in sentences."""
-    a, b = pair.labels
-    found = []
-    edge = pair.boundary
-    if edge is None:
-        found.append(f"The boundaries of {a} and {b} cannot be compared: {pair.boundary_reason}.")
-    else:
-        where = f"{'B' if pair.plane == 'physical' else 'β'} = {significant(edge.largest_damping, 3)}"
-        found.append(
-            f"The boundary of {b} lies {percent_text(edge.median_percent)} % from that of {a} in stiffness (median of "
-            f"{counted(len(edge.points), 'damping')}; at most {percent_text(edge.largest_percent)} % at {where}); "
-            f"{edge.significant} of {counted(edge.judged, 'limit')} with intervals "
-            f"{'differs' if edge.judged == 1 else 'differ'} significantly."
-        )
-    told = [v for v in pair.estimates if v.significant is not None]
-    differ = [v.name.removesuffix("_samples").replace("_", " ") for v in told if v.significant]
-    if told:
-        found.append(
-            f"Of {len(told)} estimates with intervals, {', '.join(differ) if differ else 'none'} "
-            f"{'differs' if len(differ) < 2 else 'differ'} significantly."
-        )
-    for cost in pair.costs:
-        if cost.median is None:
-            continue
-        name = criterion_name(cost.criterion)
-        size = (
-            f"{significant(cost.median, 3)} times as large"
-            if cost.kind == "ratio"
-            else f"{'larger' if cost.median >= 0 else 'smaller'} by {significant(abs(100 * cost.median), 3)} "
-            "percentage points"
-        )
-        sure = {True: "significant", False: "not significant", None: "not judged"}[cost.significant]
-        found.append(f"Costs of {b} at {cost.points} common points, {name}: {size} in the median ({sure}).")
-    return tuple(found)
+def _side(of: Document, experiment: Document) -> Side:
+    name, known = experiment["experiment"], ExcludedTrial.model_fields
+    excluded = ({key: value for key, value in one.items() if key in known} for one in of.get("excluded", ()))
+    return Side(
+        device=str(of["device"]),
+        experiment=name,
+        version=of["provenance"].get("version", "?"),
+        code=_code(of),
+        excluded=tuple(ExcludedTrial(**one) for one in excluded if one["experiment"] == name),
+        simulated=experiment.get("simulated", False),
+    )
+
+
+def _overlay(labels: Sequence[str], results: Sequence[ExperimentResult], motion: Motion, suffix: str = "") -> Figure:
+    both = enumerate(zip(results, labels, strict=True))
+    series = [s for number, (result, label) in both for s in measured(result, label, number)]
+    title, caption = f"Boundaries of {labels[0]} and {labels[1]}", "Last stable stiffness at each damping."
+    return limits_figure(title, caption, [limits_panel("", series, motion)], f"boundaries-against{suffix}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -14,9 +14,9 @@ from pipeline.base.process import check_address_space
 from pipeline.base.provenance import code_digest, digest, sha256
 from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, motion_of, nominal_theories
 from pipeline.comparison.executors import Executor
-from pipeline.comparison.figures.figure_data import FigureBuilder, requests_of_delay_figure
-from pipeline.comparison.figures.trial_data import trial_page
-from pipeline.comparison.savings import with_saving
+from pipeline.comparison.figures.maps import departure_figures, map_figures
+from pipeline.comparison.figures.responses import response_figures, trials_of
+from pipeline.comparison.figures.trial_page import trial_page
 from pipeline.comparison.scene.origin import excluded_trials, log_list, provenance, request
 from pipeline.comparison.scene.scene import (
     LEAVE_OUT,
@@ -42,14 +42,16 @@ from pipeline.records.models import ComparisonRow, Shown
 from pipeline.records.results import (
     ComparisonResult,
     ExperimentResult,
-    ReportData,
     Truth,
 )
+from pipeline.rendering.figures.boundaries import answer_figure, boundary_figures
+from pipeline.rendering.figures.drawing import Figure, write_figures
+from pipeline.rendering.figures.overview import delay_figure, trend_figure
 from pipeline.rendering.labels import UNITS
+from pipeline.rendering.report.report import ReportData, answer_lines
 from pipeline.rendering.report.report import write as write_report
-from pipeline.rendering.report.report_answer import answer_lines
 from pipeline.store.gone import gone
-from pipeline.store.mirror import origin
+from pipeline.store.objects import origin
 from pipeline.theory.predictions import Predictions, Theory
 
 
@@ -71,13 +73,13 @@ def compare(
     report: Path | None = None,
     dry_run: bool = False,
     full: bool = False,
-    responses: Sequence[int] | None = None,
     shown: Shown | None = None,
     scene_file: Path | None = None,
     truth: Mapping[str, Truth] | None = None,
     notes: Sequence[Note] = (),
     progress: Callable[[str], None] | None = None,
     executor: Executor = compute_stages,
+    figures: Path | None = None,
 ) -> Outcome:
     """Compare the stored experiments of a device with theory, and write the report.
 
@@ -96,8 +98,6 @@ def compare(
         Whether only the plan is made.
     full : bool
         Whether the report holds the response of every trial, whatever its size.
-    responses : sequence of int, optional
-        How many responses of each experiment the report holds; by default as many as its size allows.
     shown : Shown, optional
         Which figures, tables and overlays the report has; by default all that there is data for.
     scene_file : Path, optional
@@ -110,6 +110,8 @@ def compare(
         Gets the name of each step when it begins.
     executor : Executor
         What computes the stages; by default the processes of this machine.
+    figures : Path, optional
+        Folder that gets the report's figures as SVG, PDF and CSV; made anew also where the report is unchanged.
 
     Returns
     -------
@@ -129,7 +131,7 @@ def compare(
     accuracy = measured_accuracy.stored(processed)
     key = _report_key(data, report, accuracy.measured if accuracy else "", full, notes)
     stored = _stored_result(report, key)
-    if stored is not None and all(p.action != RUN for p in plan):
+    if stored is not None and figures is None and all(p.action != RUN for p in plan):
         unchanged = "the report and all that it rests on are unchanged"
         plan += [PlannedStage(name, REUSE, unchanged) for name in ("theory", "report")]
         return Outcome(None if dry_run else stored, _rows(plan), report)
@@ -150,20 +152,42 @@ def compare(
     if report is not None:
         say("report: figures and page")
         asked = data.scene.shown
-        trials = partial(trial_page, data, found.results, found.theories, full=full, responses=responses)
+        drawn = tuple(replace(f, simulated=data.simulated) for f in _figures(data, result, found, predictions))
         page = ReportData(
             result,
-            figures=FigureBuilder(data, found.theories, found.results, result.told).asked(found.rows, predictions),
+            figures=drawn,
             stages=_rows(plan),
             accuracy=accuracy,
-            trials=trials() if asked.has_figure("trials") else None,
+            trials=trial_page(data, found.results, found.theories, full=full) if asked.has_figure("trials") else None,
             tables=asked.tables,
             request=request(data, result.logs, origin(processed), report_code())
             | {"full": full, "document": digest(result.numbers()), "notes": [one.model_dump() for one in notes]},
         )
         write_report(page, report)
         write_text(report.with_suffix(".json"), result.model_dump_json(indent=1) + "\n")
+        if figures is not None:
+            write_figures(drawn, figures)
     return Outcome(result, _rows(plan), report)
+
+
+def _figures(data: SceneData, result: ComparisonResult, found: _Found, predictions: Predictions) -> Iterator[Figure]:
+    """Yield the figures that the scene asks for, as far as there is data for them."""
+    shown, motion, told = data.scene.shown, result.motion, result.told
+    if told is not None and told.boundary and shown.has_figure("boundaries"):
+        number = data.scene.experiments.index(told.experiment)
+        theory = found.theories.get(told.experiment) if shown.has_overlay("theory") else None
+        yield answer_figure(told, theory, motion, number, trials_of(data.experiments[number]))
+    yield from boundary_figures(result.experiments, found.theories, motion, shown, sweep=data.scene.delay_sweep)
+    if shown.has_figure("maps"):
+        yield from map_figures(data, result.experiments, found.theories, predictions, motion)
+    if shown.has_figure("delay"):
+        yield from delay_figure(found.rows)
+    if shown.has_figure("response"):
+        yield from response_figures(data, motion)
+    if shown.has_figure("trend"):
+        yield from trend_figure(result)
+    if shown.has_figure("residuals"):
+        yield from departure_figures(data, found.theories, predictions, motion)
 
 
 @dataclass(frozen=True)
@@ -187,7 +211,7 @@ def _compute(
     with predictions:
         if data.device is not None:
             say("theory: optima (in the background)")
-            predictions.start(builder.requests() + requests_of_delay_figure(data, theories))
+            predictions.start(builder.requests())
         executor(data.experiments, needed_stages(data))
         results = []
         for stages in data.experiments:
@@ -197,14 +221,14 @@ def _compute(
             theories = estimated_theories(results, data)
             builder = TableBuilder(data, theories)
             say("theory: optima for the estimated parameters")
-            predictions.start(builder.requests() + requests_of_delay_figure(data, theories))
+            predictions.start(builder.requests())
             own = {name: theory.parameters for name, theory in theories.items()}
             results = [r.model_copy(update={"theory": own.get(r.experiment)}) for r in results]
         predictions.finish()
     rows = builder.rows(predictions, results)
-    scored = add_scores(data, results, theories, predictions)
+    scored = add_scores(data, results, theories)
     known = [with_truth(result, data.truth.get(result.experiment)) for result in scored]
-    return _Found(with_saving(data, known), theories, rows)
+    return _Found(known, theories, rows)
 
 
 def _result(
@@ -240,7 +264,7 @@ def _rows(plan: Sequence[PlannedStage]) -> tuple[tuple[str, str, str], ...]:
 def _plan_theory(data: SceneData, theories: dict[str, Theory], predictions: Predictions) -> list[PlannedStage]:
     if data.device is None:
         return [PlannedStage("theory", RUN, "the device is not known: its parameters are estimated first")]
-    wanted = TableBuilder(data, theories).requests() + requests_of_delay_figure(data, theories)
+    wanted = TableBuilder(data, theories).requests()
     missing = predictions.missing(wanted)
     plan = [PlannedStage("theory: boundaries and maps", RUN, "closed form, drawn anew with every report")]
     if not wanted:

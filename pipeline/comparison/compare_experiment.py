@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 
-from pipeline.base.wording import listed
+from pipeline.comparison.loops.departures import SHORT as OTHER_WALL
+from pipeline.comparison.loops.departures import law_departures, other_gains
 from pipeline.comparison.loops.findings import loop_findings
-from pipeline.comparison.loops.fitted_loop import fitted_estimates
-from pipeline.comparison.loops.large_motion import with_large_motion
-from pipeline.comparison.loops.log_evidence import law_departures
-from pipeline.comparison.loops.loop_range import adequate_theory, estimated_range
-from pipeline.comparison.loops.other_gains import SHORT as OTHER_WALL
-from pipeline.comparison.loops.other_gains import other_gains
+from pipeline.comparison.loops.replay import with_large_motion
+from pipeline.comparison.loops.told_loop import adequate_theory, fitted_estimates
 from pipeline.comparison.scene.origin import header_lines
 from pipeline.comparison.scene.scene import SceneData, needed_stages
-from pipeline.comparison.scores.implied_delay import implied_delay
-from pipeline.comparison.scores.implied_slope import DeviceParameters
 from pipeline.comparison.summary.advice import region_to_use
 from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.measured.experiment.boundary_area import boundary_area
 from pipeline.measured.experiment.estimates import (
     by_joint_balance,
-    standard_error,
     stiffness_estimate,
-    velocity_lag,
     with_model_delay,
 )
 from pipeline.measured.experiment.fitted_device import explaining_device
@@ -33,7 +26,7 @@ from pipeline.records.findings import Estimate, Optimum
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.loop_records import LoopFindings
 from pipeline.records.models import Experiment, Motion
-from pipeline.records.results import ExperimentResult, OtherDefinitions, TheoryParameters
+from pipeline.records.results import ExperimentResult, TheoryParameters
 from pipeline.rendering.labels import UNITS, Units
 from pipeline.theory.predictions import Theory
 
@@ -78,7 +71,7 @@ def _with(parts: LoopParts) -> str:
 def estimated_theories(results: Sequence[ExperimentResult], data: SceneData) -> dict[str, Theory]:
     """Theory by the estimates of each experiment whose loop is adequate."""
     both = zip(results, data.experiments, strict=True)
-    found = {result.experiment: adequate_theory(result, stages.sampling_period_s) for result, stages in both}
+    found = {result.experiment: adequate_theory(result, stages) for result, stages in both}
     return {name: theory for name, theory in found.items() if theory is not None}
 
 
@@ -109,7 +102,6 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
         trials=stages.trials.num_rows,
         verdicts=dict(sorted(Counter(stages.verdicts.verdict.tolist()).items())),
         outcomes=dict(Counter(stages.texts("outcome", "outcome"))) if "outcome" in needed else {},
-        other_definitions=_other_definitions(stages, optimum) if {"settling", "overshoot"} <= needed else (),
         model_check=stages.model_check if "model" in needed else None,
         estimates=_estimates(stages, needed, units),
         boundary=stages.boundary_points,
@@ -142,23 +134,10 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
         result = result.model_copy(update={"estimates": others})
     findings = loop_findings(result, stages, data.device, units)
     found = dict(result.estimates)
-    loop = estimated_range(result, stages.sampling_period_s)
     if not findings.loop.adequate:
         device = stages.once(explaining_device)
         if device is None or not device.is_trusted:
             found |= {name: _doubted(found[name]) for name in _OF_A_LOOP if name in found}
-        reason = "needs an adequate loop; the table of loops says why this one is not"
-        found["implied_delay"] = _without("samples", reason)
-    elif findings.loop.parts_beside:
-        reason = f"needs an ideal loop, and this one has {listed(findings.loop.parts_beside)}"
-        found["implied_delay"] = _without("samples", reason)
-    elif loop is not None:
-        mass, damping = found["mass"], found["damping"]
-        known = DeviceParameters(
-            *(loop.mass.value, loop.damping.value, stages.sampling_period_s),
-            *(standard_error(mass), standard_error(damping)),
-        )
-        found["implied_delay"] = implied_delay(stages.boundary_points, known)
     named = {name: getattr(findings, name) for name in LoopFindings.model_fields}
     return with_large_motion(result.model_copy(update={**named, "estimates": found}), stages)
 
@@ -185,26 +164,12 @@ def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) 
             "device_stiffness": stiffness_estimate(stages),
             "constant_force": by_joint_balance(stages, "constant_force"),
         }
-    if "delay" in needed and (lag := velocity_lag(stages)) is not None:
-        found["velocity_lag"] = lag
     if "model" in needed:
         found["jitter_samples"] = stages.jitter_estimate
         found["delay_samples"] = with_model_delay(stages, found["delay_samples"])
     if "ladder" in needed and (device := stages.once(explaining_device)) is not None:
         found |= fitted_estimates(found, device)
     return found
-
-
-def _other_definitions(stages: ExperimentStages, optimum: Mapping[str, Optimum]) -> tuple[OtherDefinitions, ...]:
-    """Settling time and overshoot of the best trials by the definitions of other tools."""
-    settling = {row["trial_id"]: row for row in stages.table("settling").to_pylist()}
-    overshoot = {row["trial_id"]: row for row in stages.table("overshoot").to_pylist()}
-    found = []
-    for criterion, best in optimum.items():
-        both = settling[str(best.trial_id)] | overshoot[str(best.trial_id)]
-        values = {name: both[name] for name in OtherDefinitions.model_fields if name in both}
-        found.append(OtherDefinitions(criterion=criterion, **values))
-    return tuple(found)
 
 
 def _without(unit: str, reason: str) -> Estimate:

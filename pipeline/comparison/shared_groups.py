@@ -6,13 +6,12 @@ Sent with each job they would take longer than the jobs.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from queue import SimpleQueue
 from typing import Any, TypeVar
 
-from pipeline.base.process_pool import process_pool
+from pipeline.base.process import process_pool
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.measured.stages.stage_groups import TrialGroup
 from pipeline.records.batch import Booleans, TrialBatch
@@ -70,23 +69,11 @@ class SharedGroups:
         return self._parts[id(batch)][1]
 
     def each(self, function: Callable[..., Result], jobs: Sequence[Any]) -> list[Result]:
-        """Return the results of a function of some jobs, each in the first process that is free."""
-        free: SimpleQueue[Executor] = SimpleQueue()
-        for pool in self.pools:
-            free.put(pool)
-
-        def run(job: Any) -> Result:
-            pool = free.get()
-            try:
-                return pool.submit(function, job).result()
-            finally:
-                free.put(pool)
-
-        threads = ThreadPoolExecutor(len(self.pools))
-        try:
-            return list(threads.map(run, jobs))
-        finally:
-            threads.shutdown(wait=False, cancel_futures=True)  # who leaves by a signal waits for no job
+        """Return the results of a function of some jobs, the longest of which come first."""
+        # in turns there and back, so that the second longest has no shorter ones behind it than the longest
+        order = [*range(len(self.pools)), *reversed(range(len(self.pools)))]
+        running = [self.pools[order[n % len(order)]].submit(function, job) for n, job in enumerate(jobs)]
+        return [job.result() for job in running]
 
 
 @contextmanager

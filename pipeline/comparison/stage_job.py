@@ -13,8 +13,7 @@ from pipeline.base.disk import if_writable
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import code_digest, digest
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
-from pipeline.store.mirror import opened, origin, publish, renewed
-from pipeline.store.objects import is_url
+from pipeline.store.objects import is_url, opened, origin, publish, renewed
 
 
 @dataclass(frozen=True)

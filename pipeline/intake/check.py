@@ -1,7 +1,7 @@
 """Holds every stored file against the hash that it is named by, and saves what can be saved of damaged ones.
 
 Results and theory are computed again when they are needed. Of a damaged file of trials the logs are read again where
-they are as they were; of the others those trials are kept whose group of rows can still be read. What is lost is named.
+they are; of the others those trials are kept whose group of rows can still be read. What is lost is named.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from __future__ import annotations
 import json
 import os
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Literal
 
@@ -18,24 +18,21 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pipeline.base.disk import READABLE, content_of, make_folder, remove_all, said_content, sync_folder, write_text
-from pipeline.base.errors import LogError, StoreError, UsageError
-from pipeline.base.file_names import path_of_text
+from pipeline.base.errors import ProfileError
 from pipeline.base.lock import WAIT_S, writing
+from pipeline.base.paths import path_of_text
 from pipeline.intake.ingest import ingest
 from pipeline.intake.quarantine import RECORD, quarantine_folder
-from pipeline.intake.reading import load_source
-from pipeline.intake.sources import find_sources
-from pipeline.profiles.profile_files import load_profile, shipped_profiles
-from pipeline.profiles.profile_model import Profile
+from pipeline.profiles.profile_files import load_profile
 from pipeline.records.findings import Record
-from pipeline.store.batch_files import NewBatch
+from pipeline.store.batch_files import Place, write_batch
 from pipeline.store.gone import Gone, gone
-from pipeline.store.storage import FILE, TABLE, read_versions
+from pipeline.store.storage import TABLE, read_rows
 
 DAMAGED_FOLDER = "damaged"
 """Folder below `processed` for damaged files that cannot be made again; nothing there is ever removed."""
 
-_IDENTITY = ("trial_id", "source_path", "source_sha256", "profile")
+_UNREADABLE = (pa.ArrowException, OSError, ValueError)
 
 Remedy = Literal["save", "remove", "set aside"]
 """What is done with a damaged file: its trials read again or kept, and the file set aside; removed, since it is made
@@ -59,7 +56,8 @@ class Damage(Record):
     fault : str
     remedy : {"save", "remove", "set aside"}
     trials, read_again, kept : int
-        Trials that the file is known to hold, and those of them that are read again from their logs, or kept.
+        Trials that the file is known to hold; those of them that are stored by their logs, or will be where these are
+        there; and those that are kept of it.
     lost : tuple of LostTrial
     """
 
@@ -97,6 +95,8 @@ def check(
 ) -> CheckReport:
     """Hold every stored file against its hash; with `repair` save what can be saved.
 
+    Killed at any moment, a repair has lost nothing, and the next one does what is left.
+
     Parameters
     ----------
     processed : Path
@@ -126,28 +126,12 @@ def check(
                 faults[file] = str(error.strerror)
         if progress:
             progress(done, len(files))
-    trials = [file for file in faults if file.relative_to(processed).parts[0] == "trials"]
-    damage = [_of_others(processed, file, fault) for file, fault in faults.items() if file not in trials]
-    profiles = {p.name: p for p in (*shipped_profiles(), *([load_profile(profile)] if profile else []))}
-    stored = _stored(processed, trials)
-    salvages = [_Salvage(processed, file, profiles, stored) for file in trials]
-    try:
-        if repair and faults:
-            with writing(processed, wait_s, say):
-                for one in damage:
-                    _set_aside(processed, processed / one.file, one.remedy)
-                for salvage in salvages:
-                    salvage.keep()
-            again: dict[str, set[Path]] = defaultdict(set)
-            for salvage in salvages:
-                for name, logs in salvage.again.items():
-                    again[name] |= set(logs.values())
-            for name, paths in again.items():
-                own = profile if profile is not None and load_profile(profile).name == name else name
-                ingest(sorted(paths), processed, own, wait_s=wait_s)
-        damage += [one.told(faults[one.file], _stored(processed, trials) if repair else None) for one in salvages]
-    except OSError as error:
-        raise StoreError(f"{processed}: cannot be written ({error}). Make room, and repair again.") from error
+    trials = {file: _rows_of(file) for file in faults if file.relative_to(processed).parts[0] == "trials"}
+    if repair and trials:
+        _read_again(processed, trials, faults, profile, wait_s, say)
+    with writing(processed, wait_s, say) if repair and faults else nullcontext():
+        damage = [_of_trials(processed, file, rows, faults, repair) for file, rows in trials.items()]
+        damage += [_of_others(processed, file, faults, repair) for file in faults.keys() - trials.keys()]
     damage.sort(key=lambda one: one.file)
     return CheckReport(files=len(files), bytes=size, damage=tuple(damage), repaired=repair, gone=lost)
 
@@ -155,25 +139,23 @@ def check(
 def _files(processed: Path) -> Iterator[Path]:
     """Yield every file that is named by its content, or should be."""
     for tree in ("trials", "stages", "theory", "corrections"):
-        yield from sorted(file for file in (processed / tree).rglob("*") if _is_stored(file))
+        yield from sorted(f for f in (processed / tree).rglob("*") if f.is_file() and not f.name.startswith("."))
     yield from sorted(quarantine_folder(processed).glob(f"*/{RECORD}-*"))
     yield from sorted(processed.glob("accuracy-*.json"))
 
 
-def _is_stored(file: Path) -> bool:
-    return file.is_file() and not file.name.startswith(".")
-
-
-def _of_others(processed: Path, file: Path, fault: str) -> Damage:
-    tree = file.relative_to(processed).parts[0]
-    remedy: Remedy = "set aside" if tree in ("corrections", "quarantine") else "remove"
-    return Damage(file=file.relative_to(processed).as_posix(), fault=fault, remedy=remedy)
-
-
-def _set_aside(processed: Path, file: Path, remedy: Remedy) -> None:
-    if remedy == "remove":
+def _of_others(processed: Path, file: Path, faults: dict[Path, str], repair: bool) -> Damage:
+    """Remove, or set aside, a damaged file that holds no trials."""
+    name = file.relative_to(processed)
+    remedy: Remedy = "set aside" if name.parts[0] in ("corrections", "quarantine") else "remove"
+    if repair and remedy == "remove":
         remove_all([file])
-        return
+    elif repair:
+        _set_aside(processed, file)
+    return Damage(file=name.as_posix(), fault=faults[file], remedy=remedy)
+
+
+def _set_aside(processed: Path, file: Path) -> None:
     # each *.parquet below the store is readable
     place = processed / DAMAGED_FOLDER / file.relative_to(processed).with_name(f"{file.name}.damaged")
     make_folder(place.parent)
@@ -182,92 +164,82 @@ def _set_aside(processed: Path, file: Path, remedy: Remedy) -> None:
     sync_folder(file.parent)
 
 
-def _groups(file: Path, columns: list[str] | None) -> Iterator[pa.Table | int]:
-    """Yield each group of rows of a damaged file that can be read, or how many rows one has that cannot."""
-    try:
-        stored = pq.ParquetFile(file, page_checksum_verification=True)
-    except (pa.ArrowException, OSError, ValueError):
-        return
-    with stored:
+def _groups(file: Path) -> Iterator[pa.Table]:
+    """Yield the groups of rows of a damaged file that can be read."""
+    with suppress(*_UNREADABLE), pq.ParquetFile(file, page_checksum_verification=True) as stored:
         for number in range(stored.num_row_groups):
-            try:
-                yield stored.read_row_group(number, columns, use_threads=False)
-            except (pa.ArrowException, OSError, ValueError):
-                yield int(stored.metadata.row_group(number).num_rows)
+            with suppress(*_UNREADABLE):
+                yield stored.read_row_group(number, use_threads=False)
 
 
-def _stored(processed: Path, without: Sequence[Path]) -> set[str]:
-    """Return the paths of the logs that are stored, but those in some files."""
-    table, files, _ = read_versions(processed, None, None, ["source_path"], {})
-    rows = zip(table.column("source_path").to_pylist(), table.column(FILE).to_pylist(), strict=True)
-    return {path for path, index in rows if files[index] not in without}
+def _rows_of(file: Path) -> list[dict[str, str]]:
+    """Return id, log and profile of each trial of a damaged file, empty where they cannot be read."""
+    columns: dict[str, list[str]] = {name: [] for name in ("trial_id", "source_path", "profile")}
+    with suppress(*_UNREADABLE), pq.ParquetFile(file, page_checksum_verification=True) as stored:
+        for number in range(stored.num_row_groups):
+            for name, values in columns.items():
+                try:
+                    values += stored.read_row_group(number, [name], use_threads=False).column(0).to_pylist()
+                except _UNREADABLE:
+                    values += [""] * stored.metadata.row_group(number).num_rows
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
-class _Salvage:
-    """What is done about a damaged file of trials, none of which is stored elsewhere.
+def _read_again(
+    processed: Path,
+    trials: dict[Path, list[dict[str, str]]],
+    faults: dict[Path, str],
+    profile: str | None,
+    wait_s: float,
+    say: Callable[[str], None] | None,
+) -> None:
+    """Ingest the logs of damaged files where they are, by the profiles that read them."""
+    logs = defaultdict[str, set[Path]](set)
+    for row in (row for rows in trials.values() for row in rows if _is_there(row)):
+        logs[row["profile"]].add(path_of_text(row["source_path"]))
+    own = None if profile is None else load_profile(profile).name
+    for name, paths in logs.items():
+        by = profile if name == own else name or None
+        with suppress(ProfileError):  # that of a lab, which was not given
+            ingest(sorted(paths), processed, by, wait_s=wait_s, say=say, damaged=faults)
 
-    First what can be read of it is kept, if its log is not as it was any more; then it is set aside, so that the other
-    logs are new to an ingest. Killed in between it has lost nothing: the next ingest reads these logs.
+
+def _is_there(row: dict[str, str]) -> bool:
+    return bool(row["source_path"]) and path_of_text(row["source_path"]).exists()
+
+
+def _of_trials(
+    processed: Path, file: Path, rows: list[dict[str, str]], faults: dict[Path, str], repair: bool
+) -> Damage:
+    """Store what can be read of a damaged file and is not stored by its log, set it aside, and list what is lost.
+
+    Without `repair` this is only told.
     """
-
-    def __init__(self, processed: Path, file: Path, profiles: Mapping[str, Profile], stored: set[str]) -> None:
-        self.processed, self.file, self.stored = processed, file, stored
-        parts: dict[str, list[str]] = {name: [] for name in _IDENTITY}
-        for name, values in parts.items():
-            for group in _groups(file, [name]):
-                values += [""] * group if isinstance(group, int) else group.column(0).to_pylist()
-        self.rows = [dict(zip(parts, row, strict=True)) for row in zip(*parts.values(), strict=True)]
-        self.again: dict[str, dict[str, Path]] = defaultdict(dict)
-        """Logs that are where they were with the same content, by the profile that read them and their stored path."""
-        for row in self.rows:
-            path = path_of_text(row["source_path"])
-            if row["profile"] in profiles and row["source_path"] not in stored:
-                with suppress(LogError, UsageError, OSError, ValueError):
-                    (source,) = find_sources([path], (profiles[row["profile"]],))
-                    if load_source(source)[1] == row["source_sha256"]:
-                        self.again[row["profile"]][row["source_path"]] = path
-        known = stored.union(*self.again.values())
-        self.kept = {path for group in self._readable(known) for path in group.column("source_path").to_pylist()}
-
-    def _readable(self, without: Collection[str]) -> Iterator[pa.Table]:
-        """Yield the trials that can be read, but those of some logs."""
-        for group in _groups(self.file, None):
-            if not isinstance(group, int):
-                wanted = [path not in without for path in group.column("source_path").to_pylist()]
-                if any(wanted):
-                    yield group.filter(pa.array(wanted))
-
-    def keep(self) -> None:
-        """Store what can be read and not be read again; set the file aside."""
-        with ExitStack() as stack:
-            new: NewBatch | None = None
-            for trials in self._readable(self.stored.union(*self.again.values())):
-                row = trials.select(["device", "experiment", "motion"]).slice(0, 1).to_pylist()[0]
-                if new is None:
-                    mode = self.file.stat().st_mode & READABLE
-                    new = NewBatch(self.processed, row["device"], row["experiment"], row["motion"], mode)
-                    stack.callback(new.discard)
-                new.write(trials)
-            if new is not None:
-                new.publish()
-        _set_aside(self.processed, self.file, "set aside")
-
-    def told(self, fault: str, stored: set[str] | None) -> Damage:
-        """Return what became of the trials by what is stored now; without it what would become of them."""
-        again = self.stored.union(*self.again.values()) - self.kept
-        there = stored if stored is not None else again | self.kept
-        lost = [row for row in self.rows if row["source_path"] not in there]
-        found = Damage(
-            file=self.file.relative_to(self.processed).as_posix(),
-            fault=fault,
-            remedy="save" if self.rows else "set aside",
-            trials=len(self.rows),
-            read_again=sum(row["source_path"] in again & there for row in self.rows),
-            kept=sum(row["source_path"] in self.kept for row in self.rows),
-            lost=tuple(LostTrial(trial_id=row["trial_id"], source_path=row["source_path"]) for row in lost),
-        )
-        if stored is not None and lost:
+    stored = set(read_rows(processed, ["source_path"], dict(faults)).column("source_path"))
+    if not repair:
+        stored |= {row["source_path"] for row in rows if _is_there(row)}
+    places, kept = defaultdict[Place, list[pa.Table]](list), set[str]()
+    for group in _groups(file):
+        new = group.filter(pa.array([path not in stored for path in group.column("source_path").to_pylist()]))
+        if new.num_rows:
+            device, experiment, motion = (new.column(name)[0].as_py() for name in ("device", "experiment", "motion"))
+            places[Place(device, experiment, motion, file.stat().st_mode & READABLE)].append(new)
+            kept |= set(new.column("trial_id").to_pylist())
+    lost = [row for row in rows if row["source_path"] not in stored and row["trial_id"] not in kept]
+    found = Damage(
+        file=file.relative_to(processed).as_posix(),
+        fault=faults[file],
+        remedy="save" if rows else "set aside",
+        trials=len(rows),
+        read_again=sum(row["source_path"] in stored for row in rows),
+        kept=len(kept),
+        lost=tuple(LostTrial(trial_id=row["trial_id"], source_path=row["source_path"]) for row in lost),
+    )
+    if repair:
+        for place, parts in places.items():
+            write_batch(processed, place, parts)
+        _set_aside(processed, file)
+        if lost:
             text = json.dumps([one.model_dump() for one in found.lost], indent=1)
-            list_of = self.processed / DAMAGED_FOLDER / f"{found.file.removesuffix(TABLE)}.lost.json"
-            write_text(list_of, text + "\n")
-        return found
+            write_text(processed / DAMAGED_FOLDER / f"{found.file.removesuffix(TABLE)}.lost.json", text + "\n")
+    return found

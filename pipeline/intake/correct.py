@@ -9,17 +9,16 @@ is damaged, cannot be written, or others write there.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
-from difflib import get_close_matches
 from pathlib import Path
 
-from pipeline.base.errors import StoreError, UsageError
-from pipeline.base.file_names import path_of_text, path_text, storable
+from pipeline.base.errors import UsageError
 from pipeline.base.lock import WAIT_S, writing
-from pipeline.intake.periods import alike
-from pipeline.store.batch_files import tidy
+from pipeline.base.paths import path_of_text, path_text, storable
+from pipeline.base.wording import counted
+from pipeline.intake.known import alike
+from pipeline.store.batch_files import KEY_COLUMNS, Key, rewrite, without
 from pipeline.store.corrections import (
     IDENTITY,
     Correction,
@@ -29,9 +28,9 @@ from pipeline.store.corrections import (
     write_corrections,
 )
 from pipeline.store.names import name_of_folder
-from pipeline.store.storage import read_trials, read_versions
+from pipeline.store.storage import read_rows, read_trials
 
-NEAREST = 5
+SHOWN = 5
 """Trials that a message shows."""
 
 Say = Callable[[str], None] | None
@@ -42,7 +41,7 @@ def exclude(processed: Path, wanted: str, reason: str, wait_s: float = WAIT_S, s
     text = storable(" ".join(reason.split()))
     if not text:
         raise UsageError('reason is blank, but every report shows why a trial is excluded. Give --reason "<words>".')
-    with _changing(processed, wait_s, say):
+    with writing(processed, wait_s, say):
         rows = _meant(processed, wanted, _stored(processed), "stored")
         out = read_exclusions(processed)
         rows = [row for row in rows if len(rows) == 1 or row["trial_id"] not in out]
@@ -53,7 +52,7 @@ def exclude(processed: Path, wanted: str, reason: str, wait_s: float = WAIT_S, s
 
 def use_again(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> list[Exclusion]:
     """Undo the exclusion of trials and return it."""
-    with _changing(processed, wait_s, say):
+    with writing(processed, wait_s, say):
         known = read_exclusions(processed)
         rows = _meant(processed, wanted, [one.model_dump() for one in known.values()], "excluded")
         _correct(processed, rows, {"exclusion_reason": "", "excluded_since": ""})
@@ -71,7 +70,7 @@ def move(processed: Path, wanted: str, to: str, wait_s: float = WAIT_S, say: Say
     place = _place_of(to)
     if len(place) > 2 or not all(place):
         raise UsageError(f"{to}: is no place. Give DEVICE, or DEVICE/EXPERIMENT (a slash in a name as %2F).")
-    with _changing(processed, wait_s, say):
+    with writing(processed, wait_s, say):
         more = ("motion", "sampling_period_s")
         stored = read_trials(processed, columns=[*IDENTITY, *more]).to_pylist()
         rows = _meant(processed, wanted, stored, "stored")
@@ -93,13 +92,13 @@ def move(processed: Path, wanted: str, to: str, wait_s: float = WAIT_S, say: Say
 
 def delete(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> int:
     """Put trials into the bin and return how many: they are kept, and seen nowhere else, until `empty_bin`."""
-    with _changing(processed, wait_s, say):
+    with writing(processed, wait_s, say):
         return _correct(processed, _meant(processed, wanted, _stored(processed), "stored"), {"deleted": True})
 
 
 def restore(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> int:
     """Take trials out of the bin and return how many; those that are not stored any more come with their logs."""
-    with _changing(processed, wait_s, say):
+    with writing(processed, wait_s, say):
         rows = [one.model_dump() for one in deleted(processed)]
         return _correct(processed, _meant(processed, wanted, rows, "deleted"), {"deleted": False})
 
@@ -121,18 +120,18 @@ def empty_bin(processed: Path, wait_s: float = WAIT_S, say: Say = None) -> int:
 
     They stay deleted: where their logs are read again, they are in the bin.
     """
-    with _changing(processed, wait_s, say):
+    with writing(processed, wait_s, say):
         gone = {one.trial_id for one in deleted(processed)}
         keys = {key for key in _keys(processed) if key[1] in gone}
-        tidy(processed, keys)
+        kept = without(processed, keys, {})
+        for file in kept:
+            rewrite(processed, [file], kept)
     return len({trial for _, trial, _ in keys})
 
 
-def _keys(processed: Path) -> list[tuple[str, str, str]]:
-    """Return all that is stored, former versions too, as `tidy` takes it."""
-    names = ["source_path", "trial_id", "profile_sha256"]
-    table, _, _ = read_versions(processed, None, None, names, {})
-    return list(zip(*(table.column(name).to_pylist() for name in names), strict=True))
+def _keys(processed: Path) -> list[Key]:
+    """Return all that is stored."""
+    return list(zip(*map(read_rows(processed, KEY_COLUMNS, {}).column, KEY_COLUMNS), strict=True))
 
 
 def _stored(processed: Path) -> list[dict[str, str]]:
@@ -146,18 +145,6 @@ def _correct(processed: Path, rows: Sequence[Mapping[str, str]], change: Mapping
     ones = (known.get(row["trial_id"]) or Correction(**{name: row[name] for name in IDENTITY}) for row in rows)
     write_corrections(processed, [one.model_copy(update=change) for one in ones])
     return len(rows)
-
-
-@contextmanager
-def _changing(processed: Path, wait_s: float, say: Callable[[str], None] | None) -> Iterator[None]:
-    try:
-        with writing(processed, wait_s, say):
-            yield
-    except OSError as error:
-        raise StoreError(
-            f"{processed}: cannot be written ({error}). What was excluded before still is; make room or correct the "
-            "permissions and run the command again."
-        ) from error
 
 
 def _place_of(word: str) -> tuple[str, ...]:
@@ -179,18 +166,15 @@ def _meant(processed: Path, wanted: str, rows: Sequence[dict[str, str]], state: 
             raise UsageError(f"{wanted}: fits {len(found)} {state} trials: {_shown(found)}. Give one id.")
         if found:
             return found
-    names = [row["trial_id"] for row in rows] + [row["source_path"] for row in rows]
-    near = dict.fromkeys(get_close_matches(wanted, names, NEAREST, 0.5) + get_close_matches(path, names, NEAREST, 0.8))
-    nearest = _shown([row for name in near for row in rows if name in (row["trial_id"], row["source_path"])])
     raise UsageError(
         f"{wanted}: is no {state} trial of {processed}, by id, beginning of an id, or path of its log, nor a device or "
-        "DEVICE/EXPERIMENT. " + (f"Nearest: {nearest}." if nearest else f"{len(rows)} trials are {state}.")
+        f"DEVICE/EXPERIMENT. {counted(len(rows), 'trial')} {'is' if len(rows) == 1 else 'are'} {state}."
     )
 
 
 def _shown(rows: Sequence[Mapping[str, str]]) -> str:
     shown = [
         f"{row['trial_id']} ({Path(row['source_path']).name}{', ' + row['label'] if row['label'] else ''})"
-        for row in rows[:NEAREST]
+        for row in rows[:SHOWN]
     ]
-    return ", ".join(shown) + (", ..." if len(rows) > NEAREST else "")
+    return ", ".join(shown) + (", ..." if len(rows) > SHOWN else "")

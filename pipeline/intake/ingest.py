@@ -7,41 +7,37 @@ writes at a time (`lock`); what it stores becomes visible batch by batch; the ne
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext, suppress
-from functools import partial
+from functools import cached_property
 from pathlib import Path
 
 from pipeline.base.errors import LogError, StoreError, UsageError
-from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.lock import WAIT_S, writing
+from pipeline.base.paths import is_gone, path_of_text, path_text, storable
 from pipeline.base.process import Ended
 from pipeline.base.provenance import digest
-from pipeline.device_data.devices import known_devices
-from pipeline.intake.ingest_report import (
-    ChangedSource,
-    IngestReport,
-    LogWarning,
-)
-from pipeline.intake.known import Places, StoredSource, StoredSources, gone_of, stored_source
-from pipeline.intake.periods import Periods
-from pipeline.intake.quarantine import list_quarantine
+from pipeline.base.wording import counted
+from pipeline.intake.ingest_report import Action, ChangedSource, IngestReport, LogWarning, PlannedSource, Refusal
+from pipeline.intake.known import Periods, StoredSource, StoredSources
+from pipeline.intake.quarantine import QuarantineRecord, Refused, keep, list_quarantine, record_of, release
 from pipeline.intake.reading import Read, batches_of, in_order, read_and_check
-from pipeline.intake.sources import Source, by_rest, find_sources, is_settled, removed_below
-from pipeline.intake.tally import Tally
-from pipeline.intake.trialstore import Accepted, TrialWriter, accepted_logs
+from pipeline.intake.sources import Source, find_sources, is_settled, told_by_name
+from pipeline.intake.trialstore import LOG_BYTES, Accepted, accepted_logs, store_logs, trial_id
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
-from pipeline.store.batch_files import merge_small, tidy
+from pipeline.records.findings import Motion
+from pipeline.store.batch_files import Key, merge_small, remove_incomplete, tidy
 from pipeline.store.corrections import carry, read_corrections
-from pipeline.store.mirror import renewed
+from pipeline.store.objects import publish, renewed
 from pipeline.store.storage import check_version
 
 PENDING_BYTES = 64 << 20
-"""Samples that are collected before they become visible: a course of 2,300 logs with 1,000 rows makes one file, and an
-interruption costs about a second's work."""
+"""Memory of logs that are collected before they become visible: a course of 2,300 logs with 1,000 rows makes one file,
+and an interruption costs about a second's work."""
 
 
 def ingest(
@@ -58,6 +54,7 @@ def ingest(
     growing: Collection[str] = (),
     wait_s: float = WAIT_S,
     say: Callable[[str], None] | None = None,
+    damaged: dict[Path, str] | None = None,
 ) -> IngestReport:
     """Store all new logs below some folders.
 
@@ -88,10 +85,8 @@ def ingest(
         How long to wait for another command that writes to `processed` [s].
     say : callable, optional
         Gets a line when waiting begins.
-
-    Returns
-    -------
-    IngestReport
+    damaged : dict of Path to str, optional
+        Stored files that are known to be damaged, and why: their logs count as new.
 
     Raises
     ------
@@ -107,119 +102,178 @@ def ingest(
     check_version(processed)
     profiles = shipped_profiles() if profile is None else (load_profile(profile),)
     folders = [Path(path) for path in paths]
-    digests = {each: each.digest() for each in profiles}
-    run: _Ingest | None = None
-    try:
-        with nullcontext() if dry_run else writing(processed, wait_s, say):
-            run = _Ingest(processed, dry_run, rehash, replace, digests, progress)
-
-            def noticed(folder: Path, text: str) -> None:
-                assert run is not None, "it is made above"
-                run.warnings.append(LogWarning(path=path_text(folder), warning=text))
-
-            unchanged = {} if dry_run or rehash else run.unchanged(settle_s, growing)
-            sources = find_sources(folders, profiles, processed, noticed, unchanged, run.present)
-            run.found = run.skipped = len(run.present)
-            settled, waiting = by_rest(sources, settle_s, frozenset(growing))
-            run.found += len(settled)
-            run.present |= {source.key for source in sources}
-            run.process(settled, jobs or min(4, os.cpu_count() or 1))
-            run.wait_for(waiting, settle_s)
-            run.find_removed(folders)
-            return run.report()
-    except (KeyboardInterrupt, Ended) as error:
-        stored, kept = (0, 0) if run is None else (len(run.writer.visible), run.kept)
-        error.add_note(
-            f"{stored} new logs are stored in {processed} and {kept} more are in quarantine. The same command finds "
-            "the rest again."
-        )
-        raise
-    except OSError as error:
-        raise StoreError(
-            f"{processed}: cannot be written ({error}). Logs stored so far are complete; "
-            "make room or correct the permissions and run the command again."
-        ) from error
+    with nullcontext() if dry_run else writing(processed, wait_s, say):
+        run = _Run(processed, profiles, dry_run, rehash, replace, progress, dict(damaged or {}))
+        run.look(folders, settle_s, growing)
+        run.work(jobs or min(4, os.cpu_count() or 1))
+        return run.report(folders)
 
 
-class _Ingest(Tally):
-    """One run: what is stored already, what was decided so far."""
+class _Run:
+    """One ingest: what is stored already, what was decided so far, and what waits to be stored.
+
+    Parameters
+    ----------
+    processed, profiles, dry_run, rehash, replace, progress, damaged
+        As for `ingest`.
+    """
 
     def __init__(
         self,
         processed: Path,
+        profiles: tuple[Profile, ...],
         dry_run: bool,
         rehash: bool,
         replace: bool,
-        digests: dict[Profile, str],
         progress: Callable[[int, int], None] | None,
+        damaged: dict[Path, str],
     ) -> None:
-        super().__init__(processed, dry_run, progress)
-        self.rehash, self.replace, self.digests = rehash, replace, digests
-        self.motions = {name: device.motion for name, device in known_devices().items()}
-        claims = digest(sorted(digests.values()))
-        self.stored = StoredSources(processed, claims, self.damaged)
-        self.writer = TrialWriter(processed, PENDING_BYTES, claims, self.stored.latest)
+        self.processed, self.profiles, self.damaged = processed, profiles, damaged
+        self.dry_run, self.rehash, self.replace, self.progress = dry_run, rehash, replace, progress
+        self.digests = {profile: profile.digest() for profile in profiles}
+        self.claims = digest(sorted(self.digests.values()))
+        self.stored = StoredSources(processed, self.claims, damaged)
         if not dry_run:
-            tidy(processed, read=(self.stored.table, self.stored.files, self.stored.replaced))
-        self.refused = {record.path: record for record in list_quarantine(processed, self.damaged)}
-        self.replaced: set[tuple[str, str, str]] = set()
-        self.present: set[str] = set()
-        self.renamed: set[str] = set()
-        self.places = Places({}, {})
-        self.gone: dict[tuple[str, str], list[str]] = {}
-        self.taken: dict[str, StoredSource] = {}
-        self.deleted = set[str]()
+            remove_incomplete(processed)
+            if self.stored.rows.replaced or self.stored.doubled:
+                tidy(processed, damaged)
+                self.stored = StoredSources(processed, self.claims, damaged)
+        self.refused = {record.path: record for record in list_quarantine(processed, damaged)}
+        self.periods = Periods(processed)
+        self.sources = list[Source]()
+        self.unread = 0
+        """Sources that are known by size and time, which nobody looked at."""
+        self.missing = set[str]()
+        """Paths of stored sources that were not found, or not searched for."""
+        self.places = dict[str, str]()
+        """Path under which each trial is stored now."""
+        self.taken = dict[str, StoredSource]()
+        self.renamed = dict[str, str]()
+        """Id of each trial whose log was renamed, and the one that it has now."""
+        self.pending, self.pending_bytes, self.dropped = list[Accepted](), 0, set[Key]()
+        """Trials that are not visible yet, and those that give way to them."""
+        self.folders = set[Path]()
+        self.counts, self.visible, self.kept = Counter[Action](), 0, 0
+        """Sources by what becomes of them; those of them that were made visible, and put into quarantine."""
+        self.refusals, self.warnings, self.changed = list[Refusal](), list[LogWarning](), list[ChangedSource]()
+        self.waiting, self.plan = list[str](), list[PlannedSource]()
+
+    @cached_property
+    def _motions(self) -> dict[str, Motion]:
+        from pipeline.device_data.devices import known_devices  # whose models take longer than an ingest without news
+
+        return {name: device.motion for name, device in known_devices().items()}
+
+    @cached_property
+    def _deleted(self) -> set[str]:
         with suppress(StoreError):  # told by whoever computes
-            self.deleted = {one.trial_id for one in read_corrections(processed).values() if one.deleted}
-        self.carried: dict[str, str] = {}
-        """Id of each trial that was renamed, and the one that it has now."""
+            return {one.trial_id for one in read_corrections(self.processed).values() if one.deleted}
+        return set()
 
-    def unchanged(self, settle_s: float, growing: Collection[str]) -> dict[str, tuple[int, int]]:
-        """Return size and time of the files that need no look while they have these."""
-        states = self.stored.states
+    @cached_property
+    def _gone(self) -> dict[tuple[str, str], list[tuple[str, StoredSource]]]:
+        """Stored sources that are not there any more, by content and profile."""
+        found: dict[tuple[str, str], list[tuple[str, StoredSource]]] = {}
+        for path in sorted(self.missing):
+            if is_gone(path_of_text(path)) and (one := self.stored.get(path)) is not None:
+                found.setdefault((one.sha256, one.profile_sha256), []).append((path, one))
+        return found
+
+    def look(self, folders: Sequence[Path], settle_s: float, growing: Collection[str]) -> None:
+        """Find the sources; those that need no look are counted."""
+        known = {} if self.dry_run or self.rehash else self.stored.states
         for path in (*self.refused, *growing):
-            states.pop(path, None)
+            known.pop(path, None)
         if settle_s:
-            states = {path: state for path, state in states.items() if is_settled(state[1], settle_s)}
-        return states
+            known = {path: state for path, state in known.items() if is_settled(state[1], settle_s)}
+        left = dict(known)
 
-    def process(self, sources: list[Source], jobs: int) -> None:
+        def noticed(folder: Path, text: str) -> None:
+            self.warnings.append(LogWarning(path=path_text(folder), warning=text))
+
+        found = find_sources(folders, self.profiles, self.processed, noticed, left)
+        self.unread = len(known) - len(left)
+        present = {source.key for source in found}
+        self.missing = (self.stored.last.keys() - known.keys() | left.keys()) - present
+        restless = frozenset(growing)
+        for source in found:
+            if source.key in known and source.key not in left:
+                continue  # given twice
+            if is_settled(source.mtime_ns, settle_s) and restless.isdisjoint(map(os.path.abspath, source.files)):
+                self.sources.append(source)
+            else:
+                self.waiting.append(source.shown)
+                self._note(source, "wait", f"modified less than {settle_s:g} s ago")
+
+    def work(self, jobs: int) -> None:
         """Decide on every source and store what is new."""
-        unsettled = [source for source in sources if not self._settled_unread(source)]
+        unsettled = [source for source in self.sources if not self._settled_unread(source)]
         if unsettled:
             # a source that is looked at again enters after that
             self.places = self.stored.places({source.key for source in unsettled})
-            self.gone = gone_of(self.stored, self.present)
-            self.periods = Periods(self.stored.table)
         # stored sources come first: a log that was copied and touched is recognised at its old place
-        unsettled.sort(key=lambda source: (source.key not in self.stored, source.key))
-        read = partial(self._read, use_threads=jobs > 2)
-        with ThreadPoolExecutor(jobs) if jobs > 1 and unsettled else nullcontext() as pool:
-            try:
+        unsettled.sort(key=lambda source: (source.key not in self.stored.last, source.key))
+
+        def read(sources: list[Source]) -> list[Read]:
+            return read_and_check(sources, self._is_known, jobs > 2)
+
+        try:
+            with ThreadPoolExecutor(jobs) if jobs > 1 and unsettled else nullcontext() as pool:
                 for batch in in_order(read, batches_of(unsettled), pool, jobs):
-                    for done in batch:
-                        self._settle(done)
-                    self._keep()
-                self._written(self.writer.flush())
-            except BaseException:
-                self.writer.discard()
-                raise
+                    self._keep([record for done in batch if (record := self._settle(done)) is not None])
+                self._flush()
+        except (KeyboardInterrupt, Ended) as error:
+            error.add_note(
+                f"{self.visible} new logs are stored in {self.processed} and {self.kept} more are in quarantine. The "
+                "same command finds the rest again."
+            )
+            raise
         if self.dry_run:
             return
-        if self.carried:
-            carry(self.processed, self.carried)
-        if self.replaced or renewed(self.processed, "trials"):
-            tidy(self.processed, self.replaced)
-        for folder in sorted(self.writer.folders):
+        if self.renamed:
+            carry(self.processed, self.renamed)
+        if renewed(self.processed, "trials"):
+            tidy(self.processed, self.damaged)
+        for folder in sorted(self.folders):
             try:
                 merge_small(self.processed, folder)
             except StoreError as error:  # a damaged file stays with its experiment
                 self.damaged[folder] = str(error)
 
-    def find_removed(self, folders: Sequence[Path]) -> None:
-        """List stored sources below the searched folders that are not there any more."""
-        gone = removed_below(folders, self.stored, self.present)
-        self.removed = sorted(key for key in gone if key not in self.renamed)
+    def report(self, folders: Sequence[Path]) -> IngestReport:
+        """Return what became of all sources, and which are stored and stand no more below some folders."""
+        roots = tuple(os.path.join(path_text(os.path.abspath(folder)), "") for folder in folders if folder.is_dir())
+        missing = [key for key in self.missing if key.startswith(roots)]
+        # what may not be looked at is told as such; a folder in the place of a log is none
+        removed = [key for key in missing if is_gone(path := path_of_text(key)) or path.is_dir()]
+        return IngestReport(
+            found=self._done + self.unread,
+            ingested=self.counts["ingest"],
+            skipped=self.counts["skip"] + self.unread,
+            quarantined=tuple(sorted(self.refusals, key=lambda refusal: refusal.path)),
+            warnings=tuple(sorted(self.warnings, key=lambda warning: warning.path)),
+            removed=tuple(sorted(removed)),
+            changed=tuple(sorted(self.changed, key=lambda source: source.path)),
+            waiting=tuple(sorted(self.waiting)),
+            plan=tuple(sorted(self.plan, key=lambda source: source.path)) if self.dry_run else None,
+            damaged=tuple(sorted(set(self.damaged.values()))),
+        )
+
+    @property
+    def _done(self) -> int:
+        return self.counts["ingest"] + self.counts["skip"] + self.counts["refuse"]
+
+    def _note(self, source: Source, action: Action, reason: str) -> None:
+        """Count what becomes of a source."""
+        self.counts[action] += 1
+        if self.dry_run:
+            self.plan.append(PlannedSource(source.shown, action, reason))
+        if self.progress and action != "wait":
+            self.progress(self._done + self.unread, len(self.sources) + self.unread)
+
+    def _skip(self, source: Source, reason: str) -> None:
+        self._release(source)
+        self._note(source, "skip", reason)
 
     def _settled_unread(self, source: Source) -> bool:
         if self.rehash:
@@ -229,70 +283,83 @@ class _Ingest(Tally):
         # what could not be read may be readable now: permissions leave size and time alone
         readable = refused is not None and refused.sha256 is not None and not self.replace
         if refused and readable and sign == (refused.size, refused.mtime_ns, refused.profile_sha256):
-            self._refused(source, refused)
+            self._tell_refused(source, refused)
         elif stored and stored.whole and sign == (stored.size, stored.mtime_ns, stored.profile_sha256):
             self._skip(source, "unchanged: size and modification time")
         else:
             return False
-        self._advance()
         return True
 
-    def _read(self, sources: list[Source], use_threads: bool) -> list[Read]:
-        return read_and_check(sources, self._is_known, use_threads)
+    def _digest(self, source: Source) -> str | None:
+        return self.digests[source.profile] if source.profile else None
 
     def _is_known(self, source: Source, sha256: str) -> bool:
         """Return whether a content was read by the same profile and is stored as a whole, here or elsewhere."""
         former = self.stored.get(source.key)
         if former is not None and former.whole and former.sha256 == sha256:
             return former.profile_sha256 == self._digest(source)
-        return self._same_profile(self.places.find(source, sha256), source)
+        return self._read_alike(self._find(source, sha256), source)
 
-    def _same_profile(self, path: str | None, source: Source) -> bool:
+    def _find(self, source: Source, sha256: str) -> str | None:
+        """Return the path under which a log is stored that is this one: content, and what its name tells."""
+        told = None if source.profile is None else told_by_name(source.profile, source.path)
+        return self.places.get(trial_id(sha256, None, told))
+
+    def _at(self, path: str) -> StoredSource | None:
+        """Return what is stored under a path, by this run or before."""
+        return self.taken.get(path) or self.stored.get(path)
+
+    def _read_alike(self, path: str | None, source: Source) -> bool:
         """Return whether what is stored under a path was read by the profile that reads a source."""
-        stored = self._at(path)
+        stored = None if path is None else self._at(path)
         return stored is not None and stored.profile_sha256 == self._digest(source)
 
-    def _at(self, path: str | None) -> StoredSource | None:
-        """Return what is stored under a path, by this run or before."""
-        return None if path is None else self.taken.get(path) or self.stored.get(path)
-
-    def _settle(self, read: Read) -> None:
+    def _settle(self, read: Read) -> Refused | None:
+        """Decide on a source that was read; return what is to be put into quarantine."""
+        source = read.source
         try:
             if isinstance(read.result, LogError):
                 raise read.result
-            self._accept(read, read.result)
+            assert read.sha256 is not None, "what was read has a hash"
+            self._accept(source, read.sha256, read.result)
         except LogError as error:
-            self._refuse(read, error)
-        self._advance()
+            record, former = record_of(source, read.sha256, error, self._digest(source)), self.refused.get(source.key)
+            self._tell_refused(source, record)
+            if record != former and not record.knows_less(former):
+                return source, record
+        return None
 
-    def _accept(self, read: Read, logs: tuple[Log, ...] | None) -> None:
-        source, profile, sha256 = read.source, read.source.profile, read.sha256
+    def _accept(self, source: Source, sha256: str, logs: tuple[Log, ...] | None) -> None:
+        """Store a log, or skip one that is known, for which nobody made `logs` of it.
+
+        Raises
+        ------
+        LogError
+            If it cannot be stored.
+        """
+        profile = source.profile
         assert profile is not None, "a source without a profile has a problem, which is a LogError"
-        assert sha256 is not None, "what was read has a hash"
-        former = self.stored.get(source.key)
-        other = self.places.find(source, sha256)
-        if logs is None:
-            self._known(source, sha256, former, other)
+        former, twin = self.stored.get(source.key), self._find(source, sha256)
+        again = former is not None and former.sha256 == sha256
+        accepted: list[Accepted] = []
+        if logs is not None:
+            stamps = {"profile_sha256": self.digests[profile], "claims": self.claims}
+            accepted = accepted_logs(source, sha256, self.periods.apart(logs), profile, self._motions, stamps)
+            paths = {self.places.get(one.trial) for one in accepted}
+            twin = None if again else (paths.pop() if len(paths) == 1 else None) or twin
+        if logs is None or self._read_alike(twin, source):
+            self._known(source, former, again, twin)
             return
-        accepted = accepted_logs(source, sha256, self.periods.apart(logs), profile, self.digests[profile], self.motions)
-        ids = [one.row["trial_id"] for one in accepted]
-        places = {self.places.trials.get(trial) for trial in ids}
-        other = (next(iter(places)) if len(places) == 1 else None) or other
-        if former is not None and former.sha256 == sha256:
-            other = None
-        if self._same_profile(other, source):
-            self._known(source, sha256, former, other)
+        rival = former if again else None if twin is None else self._at(twin)
+        outcome = self._outcome(rival, accepted)
+        if twin is not None and outcome is None:
+            self._known(source, former, again, twin)  # another version of the profile read the other one
             return
-        rival = former if former is not None and former.sha256 == sha256 else self._at(other)
-        outcome = self._outcome(source, rival, accepted)
-        if outcome is None and rival is not None and rival is not former:
-            self._known(source, sha256, former, other)  # another version of the profile read the other one
-            return
-        self._take(source, sha256, accepted, former, outcome)
-        if rival is not None and rival is not former:
-            self._replace(source, str(other), rival, outcome)
+        if twin is not None and rival is not None:
+            self._drop(source.shown, twin, rival, outcome)
+        self._take(source, accepted, former, again, outcome)
 
-    def _outcome(self, source: Source, rival: StoredSource | None, accepted: Sequence[Accepted]) -> str | None:
+    def _outcome(self, rival: StoredSource | None, accepted: Sequence[Accepted]) -> str | None:
         """Return what becomes of trials of the same content that another profile or device has; None where none has.
 
         Raises
@@ -300,94 +367,118 @@ class _Ingest(Tally):
         LogError
             If it was not asked that they give way.
         """
-        now = sorted({one.log.header.device for one in accepted})
-        if rival is None or (rival.profile, sorted(set(rival.devices))) == (accepted[0].row["profile"], now):
+        profile, now = accepted[0].row["profile"], sorted({one.place.device for one in accepted})
+        if rival is None or (rival.profile, sorted(set(rival.devices))) == (profile, now):
             return None
         before = f"device {', '.join(map(repr, sorted(set(rival.devices))))} by profile {rival.profile!r}"
         if not self.replace:
             raise LogError(
-                f"is stored as a log of {before}; profile {accepted[0].row['profile']!r} claims it now for device "
+                f"is stored as a log of {before}; profile {profile!r} claims it now for device "
                 f"{', '.join(map(repr, now))}. Its trials stay as they are. Give --replace to read it as that now, or "
                 "--profile to name the right one.",
                 code="profile-wrong",
             )
         count = len(rival.trials)
-        return f"{count} trial{'' if count == 1 else 's'} of {before} {'was' if count == 1 else 'were'} replaced"
+        return f"{counted(count, 'trial')} of {before} {'was' if count == 1 else 'were'} replaced"
 
     def _take(
         self,
         source: Source,
-        sha256: str,
         accepted: Sequence[Accepted],
         former: StoredSource | None,
+        again: bool,
         outcome: str | None,
     ) -> None:
-        """Store a log."""
-        profile_sha256 = accepted[0].row["profile_sha256"]
-        gone = None
-        if source.profile is not None and source.profile.reads_names and former is None:
-            paths = self.gone.get((sha256, profile_sha256), [])
-            gone = paths.pop(0) if paths else None
-        self.taken[source.key] = stored_source(accepted)
-        self.places.add(source.key, sha256, self.taken[source.key].trials)
-        self.ingested += 1
+        """Store a log in place of what was stored of it before."""
+        row, ids = accepted[0].row, tuple(one.trial for one in accepted)
+        devices = tuple(one.place.device for one in accepted)
+        told = (row["source_sha256"], row["profile_sha256"], row["profile"])
+        self.taken[source.key] = StoredSource(*told, source.size, source.mtime_ns, devices, ids)
+        self.places |= dict.fromkeys(ids, source.key)
         texts = dict.fromkeys(text for one in accepted for text in one.log.warnings)
-        if not self.deleted.isdisjoint(self.taken[source.key].trials):
+        if not self._deleted.isdisjoint(ids):
             texts["was deleted by hand, and is in the bin: `pipeline delete ... --undo` takes it out."] = None
         self.warnings += [LogWarning(path=source.shown, warning=storable(text)) for text in texts]
-        if gone is not None:
-            # a corrected name is no copy: its trials give way to those that are read by the present one
-            self.renamed.add(gone)
-            for one, trial in zip(accepted, self.stored[gone].trials, strict=False):
-                one.row["formerly"] = gone
-                self.carried[trial] = one.row["trial_id"]
-            told = f"is now {source.shown}; its trials were read anew"
-            self._replace(source, gone, self.stored[gone], told, shown=gone)
-        reason = _why(former, sha256, profile_sha256) if gone is None else f"its name was {gone}"
-        self._plan(source, "ingest", reason)
-        same = former is not None and (former.sha256, former.profile_sha256) == (sha256, profile_sha256)
-        if former is not None and not same:
-            changed = former.sha256 != sha256
-            text = "its trials were replaced by those of the new content" if changed else outcome
-            self._replace(source, source.key, former, text)
+        reason, present = "new", tuple[str, ...]()
+        if former is None:
+            if source.profile is not None and source.profile.reads_names and (gone := self._gone.get(told[:2])):
+                # a corrected name is no copy: its trials give way to those that are read by the present one
+                path, renamed = gone.pop(0)
+                self.missing.discard(path)
+                self.renamed |= dict(zip(renamed.trials, ids, strict=False))
+                self._drop(path, path, renamed, f"is now {source.shown}; its trials were read anew")
+                reason = f"its name was {path}"
+        elif not again:
+            reason = "content changed"
+            self._drop(source.shown, source.key, former, "its trials were replaced by those of the new content")
+        elif former.profile_sha256 != row["profile_sha256"]:
+            reason = "profile changed"
+            self._drop(source.shown, source.key, former, outcome)
+        else:
+            reason, present = "stored in part, by an interrupted run", former.trials
+        self._note(source, "ingest", reason)
         if not self.dry_run:
-            # an interrupted run may have stored some trials of this source
-            present = former.trials if former is not None and same else ()
-            self._written(self.writer.add([one for one in accepted if one.row["trial_id"] not in present]))
+            new = [one for one in accepted if one.trial not in present]
+            self.pending += new
+            self.pending_bytes += sum(one.bytes + LOG_BYTES for one in new)
+            if self.pending_bytes >= PENDING_BYTES:
+                self._flush()
 
-    def _known(self, source: Source, sha256: str, former: StoredSource | None, other: str | None) -> None:
+    def _known(self, source: Source, former: StoredSource | None, again: bool, twin: str | None) -> None:
         """Skip a log that is stored, here or under another path; what stood here before goes."""
         assert source.profile is not None, "it was read"
-        same = former is not None and former.sha256 == sha256
-        if other is None and not same:
-            raise AssertionError("it is known by some path")
-        if other is None:
-            self.places.add(source.key, sha256, former.trials if former else ())
-        self._skip(source, "unchanged content" if other in (None, source.key) else f"same content as {other}")
-        if source.profile.reads_names and other is not None and path_of_text(other).name != source.path.name:
-            text = f"has the content of {other} under another name; left out. Remove the one that is wrong."
+        self._skip(source, f"same content as {twin}" if twin else "unchanged content")
+        if twin is None:
+            assert former is not None, "it is known by some path"
+            self.places |= dict.fromkeys(former.trials, source.key)
+            return
+        if source.profile.reads_names and path_of_text(twin).name != source.path.name:
+            text = f"has the content of {twin} under another name; left out. Remove the one that is wrong."
             self.warnings.append(LogWarning(path=source.shown, warning=text))
-        if former is not None and other not in (None, source.key):
+        if former is not None:
             # what stands here now is stored at another place, by this run where it stood here before
-            outcome = f"its content is now that of {other}; its former trials were removed"
-            if same:
-                outcome = f"{other} now has the same content; its trials are stored as those of that log"
-            self._replace(source, source.key, former, outcome)
+            outcome = f"its content is now that of {twin}; its former trials were removed"
+            if again:
+                outcome = f"{twin} now has the same content; its trials are stored as those of that log"
+            self._drop(source.shown, source.key, former, outcome)
 
-    def _replace(
-        self, source: Source, path: str, former: StoredSource, outcome: str | None, shown: str | None = None
-    ) -> None:
+    def _drop(self, shown: str, path: str, former: StoredSource, outcome: str | None) -> None:
         """Drop the trials of a source, and say so where that is more than another version of its profile."""
         if outcome is not None:
-            self.changed.append(ChangedSource(path=shown or source.shown, outcome=outcome))
+            self.changed.append(ChangedSource(path=shown, outcome=outcome))
+        self.dropped |= former.keys(path)
+
+    def _flush(self) -> None:
+        """Make all that is pending visible, and drop what it replaces; after an error all that is stored is valid."""
+        if self.dry_run or not (self.pending or self.dropped):
+            return
+        self.folders |= store_logs(self.processed, self.pending, self.dropped, self.damaged)
+        publish(self.processed)
+        sources = {one.source.key: one.source for one in self.pending}
+        for source in sources.values():
+            self._release(source)
+        self.visible += len(sources)
+        self.pending, self.pending_bytes, self.dropped = [], 0, set()
+
+    def _keep(self, refused: Sequence[Refused]) -> None:
+        """Put into quarantine what was refused."""
         if not self.dry_run:
-            self.replaced |= former.keys(path)
+            keep(self.processed, refused)
+            self.kept += len(refused)
 
+    def _release(self, source: Source) -> None:
+        if self.refused and not self.dry_run:
+            keys = {source.key, *(path_text(os.path.abspath(file)) for file in source.files)}
+            for key in keys & self.refused.keys():
+                release(self.processed, key)
 
-def _why(former: StoredSource | None, sha256: str, profile_sha256: str) -> str:
-    """Return why a source with this content and profile is stored anew, by what was stored of it before."""
-    if former is None:
-        return "new"
-    if former.sha256 != sha256:
-        return "content changed"
-    return "profile changed" if former.profile_sha256 != profile_sha256 else "stored in part, by an interrupted run"
+    def _tell_refused(self, source: Source, record: QuarantineRecord) -> None:
+        refusal = Refusal(source.shown, record.reason, record.row, record.code, record.profile_line)
+        self.refusals.append(refusal)
+        former = self.stored.get(source.key)
+        # without a hash nobody has seen other bytes, but for a file that has become too long to be read
+        seen = record.sha256 is not None or record.code == "too-large"
+        if former is not None and former.sha256 != record.sha256 and seen:
+            outcome = "its new content is refused; the trials of the former one stay stored"
+            self.changed.append(ChangedSource(path=source.shown, outcome=outcome))
+        self._note(source, "refuse", refusal.reason)

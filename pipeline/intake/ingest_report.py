@@ -1,4 +1,4 @@
-"""What an ingest tells: how many logs, which were refused, and what is not as it was."""
+"""What an ingest tells: what became of each log, which were refused, and what is not as it was."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 from pipeline.base.errors import Code
-from pipeline.intake.quarantine import QuarantineRecord
-from pipeline.intake.sources import Source
 from pipeline.records.findings import Record
 
 Action = Literal["ingest", "skip", "refuse", "wait"]
@@ -42,7 +40,7 @@ class ChangedSource:
 
 @dataclass(frozen=True, slots=True)
 class PlannedSource:
-    """What a dry run would do with a source, and why."""
+    """What is done with a source, or would be by a dry run, and why."""
 
     path: str
     action: Action
@@ -82,8 +80,3 @@ class IngestReport(Record):
     waiting: tuple[str, ...] = ()
     plan: tuple[PlannedSource, ...] | None = None
     damaged: tuple[str, ...] = ()
-
-
-def refusal_of(source: Source, record: QuarantineRecord) -> Refusal:
-    """Return what is reported of a source that is in quarantine."""
-    return Refusal(source.shown, record.reason, record.row, record.code, record.profile_line)

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import compress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.base.file_names import path_of_text
-from pipeline.base.regular_files import is_gone
+from pipeline.base.errors import StoreError
 from pipeline.intake.bags import ENDINGS
-from pipeline.intake.sources import Source, told_by_name
-from pipeline.intake.trialstore import Accepted, trial_id
-from pipeline.store.storage import each_once, newest_versions, read_versions
+from pipeline.readers import Log
+from pipeline.records.table_files import open_table
+from pipeline.store.batch_files import Key
+from pipeline.store.names import name_of_folder
+from pipeline.store.storage import read_rows, trials_files
+
+SEEN = ("source_path", "source_size", "source_mtime_ns", "source_trials", "claims")
+"""Columns that tell whether anything is new; with groups of 64 rows each column costs a tenth of the time."""
+
+MORE = ("source_sha256", "profile_sha256", "profile", "device", "trial_id")
+"""Columns that are read of a file when a log of it is asked for."""
 
 
 class StoredSource(NamedTuple):
@@ -38,32 +48,14 @@ class StoredSource(NamedTuple):
     mtime_ns: int
     devices: tuple[str, ...]
     trials: tuple[str, ...]
-    whole: bool
+    whole: bool = True
 
-    def keys(self, path: str) -> set[tuple[str, str, str]]:
-        """Return its trials as `batch_files.drop` takes them."""
+    def keys(self, path: str) -> set[Key]:
+        """Return its trials as they were read."""
         return {(path, trial, self.profile_sha256) for trial in self.trials}
 
 
-def stored_source(accepted: Sequence[Accepted]) -> StoredSource:
-    """Return what will be stored of a source."""
-    row, source = accepted[0].row, accepted[0].source
-    devices = tuple(one.log.header.device for one in accepted)
-    told = (row["source_sha256"], row["profile_sha256"], row["profile"], source.size, source.mtime_ns)
-    return StoredSource(*told, devices, tuple(one.row["trial_id"] for one in accepted), True)
-
-
-SEEN = (
-    *("source_path", "source_sha256", "source_size", "source_mtime_ns", "source_trials"),
-    *("claims", "version", "formerly"),
-)
-"""Columns that tell whether anything is new; with groups of 64 rows each column costs a tenth of the time."""
-
-MORE = ("device", "experiment", "sampling_period_s", "profile", "profile_sha256", "trial_id")
-"""Columns that are read when something is."""
-
-
-class StoredSources(Mapping[str, StoredSource]):
+class StoredSources:
     """What is stored of each source, by its path; a record is made when it is asked for, of 100,000 hardly any.
 
     Parameters
@@ -77,112 +69,114 @@ class StoredSources(Mapping[str, StoredSource]):
 
     def __init__(self, processed: Path, claims: str, damaged: dict[Path, str]) -> None:
         self.processed, self.claims, self.damaged = processed, claims, damaged
-        self._look(SEEN)
-        if not each_once(self.table):
-            self.complete()
-
-    def _look(self, columns: Sequence[str]) -> None:
-        self.table, self.files, self.replaced = read_versions(self.processed, None, None, list(columns), self.damaged)
-        self._index()
-
-    def complete(self) -> None:
-        """Read all columns."""
-        if MORE[0] in self.table.column_names:
-            return
-        more, files, _ = read_versions(self.processed, None, None, list(MORE), self.damaged)
-        if files != self.files or more.num_rows != self.table.num_rows:  # what is damaged in these alone is left out
-            self._look((*SEEN, *MORE))
-            return
-        for name in MORE:
-            self.table = self.table.append_column(more.schema.field(name), more.column(name))
-        self._index()
-
-    def _index(self) -> None:
-        self._newest = np.ones(self.table.num_rows, dtype=np.bool_)
-        if MORE[0] in self.table.column_names:
-            self._newest = newest_versions(self.table)
-        self._columns: dict[str, list[Any]] = {}
-        paths, trials = self._column("source_path"), self.table.column("source_trials").to_numpy()
-        rows = np.flatnonzero(self._newest).tolist()
-        self._last: dict[str, int] = {paths[row]: row for row in rows}
-        self._whole = self._newest & (trials == 1)
-        # of sources with several trials alone: a list for each of 100,000 takes longer than all else
+        self.rows = read_rows(processed, SEEN, damaged)
+        self.paths: list[str] = self.rows.column("source_path")
+        self.size, self.time, self.held = (self.rows.table.column(name).to_numpy() for name in SEEN[1:4])
+        self.last = dict(zip(self.paths, range(len(self.paths)), strict=True))
         self._several: dict[str, list[int]] = {}
-        if len(self._last) < len(rows):
-            for row in rows:
-                self._several.setdefault(paths[row], []).append(row)
-            for own in self._several.values():
-                self._whole[own] = len(own) >= trials[own[-1]]
-
-    @property
-    def latest(self) -> int:
-        """Highest version."""
-        return int(np.max(self.table.column("version").to_numpy(), initial=0))
+        if len(self.last) < len(self.paths) or (self.held > 1).any():
+            for row, path in enumerate(self.paths):
+                self._several.setdefault(path, []).append(row)
+        self._missing = {path: int(self.held[rows[-1]]) - len(rows) for path, rows in self._several.items()}
+        self._details: dict[int, list[tuple[str, str, str, str, str]]] = {}
+        self.doubled = min(self._missing.values(), default=0) < 0
+        """Whether a log stands there with two contents."""
 
     @property
     def states(self) -> dict[str, tuple[int, int]]:
         """Size [byte] and time [ns] of each source that is one file, stored as a whole, of a profile that is sure."""
-        names = ("source_path", "source_size", "source_mtime_ns", "claims")
-        rows = zip(*map(self._column, names), self._whole.tolist(), strict=True)
-        return {
-            path: (size, time)
-            for path, size, time, claims, whole in rows
-            if whole and claims == self.claims and not path.endswith(ENDINGS)
-        }
-
-    def __getitem__(self, path: str) -> StoredSource:
-        self.complete()
-        last = self._last[path]
-        rows = self._several.get(path, (last,))
-        names = ("source_sha256", "profile_sha256", "profile", "source_size", "source_mtime_ns")
-        sha256, profile_sha256, profile, size, mtime_ns = (self._column(name)[last] for name in names)
-        devices, trials = (tuple(self._column(name)[row] for row in rows) for name in ("device", "trial_id"))
-        return StoredSource(sha256, profile_sha256, profile, size, mtime_ns, devices, trials, bool(self._whole[last]))
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._last)
-
-    def __len__(self) -> int:
-        return len(self._last)
-
-    def _column(self, name: str) -> list[Any]:
-        if name not in self._columns:
-            self._columns[name] = self.table.column(name).to_pylist()
-        return self._columns[name]
-
-    def places(self, but: set[str]) -> Places:
-        """Return where contents and trials are stored as a whole, but those of some sources."""
-        self.complete()
-        found = Places({}, {})
-        rows = zip(*map(self._column, ("source_path", "source_sha256", "trial_id")), self._whole.tolist(), strict=True)
-        for path, content, trial, whole in rows:
-            if whole and path not in but:
-                found.contents[content] = found.trials[trial] = path
+        states = zip(self.size.tolist(), self.time.tolist(), strict=True)
+        sure = [claims == self.claims for claims in self.rows.column("claims")]
+        found = dict(zip(compress(self.paths, sure), compress(states, sure), strict=True))
+        unsure = [path for path, lost in self._missing.items() if lost]
+        for path in (*unsure, *(path for path in found if path.endswith(ENDINGS))):
+            found.pop(path, None)
         return found
 
+    def is_whole(self, path: str) -> bool:
+        """Return whether all trials of a stored source are there."""
+        return not self._missing.get(path)
 
-class Places(NamedTuple):
-    """Path under which each content (by its SHA-256) and each trial (by its id) is stored."""
+    def get(self, path: str) -> StoredSource | None:
+        """Return what is stored under a path; of a file that is damaged nothing, so that its logs count as new."""
+        if path not in self.last:
+            return None
+        rows = self._several.get(path, [self.last[path]])
+        try:
+            details = [self._detail(row) for row in rows]
+        except (StoreError, FileNotFoundError) as error:
+            self.damaged[self.rows.files[int(self.rows.file[rows[-1]])]] = str(error)
+            return None
+        sha256, profile_sha256, profile, _, _ = details[-1]
+        told = sha256, profile_sha256, profile, int(self.size[rows[-1]]), int(self.time[rows[-1]])
+        devices, trials = tuple(row[3] for row in details), tuple(row[4] for row in details)
+        return StoredSource(*told, devices, trials, self.is_whole(path))
 
-    contents: dict[str, str]
-    trials: dict[str, str]
+    def _detail(self, row: int) -> tuple[str, str, str, str, str]:
+        """Return the values of `MORE`."""
+        index = int(self.rows.file[row])
+        if index not in self._details:
+            with open_table(self.rows.files[index]) as stored:
+                columns = stored.read(list(MORE), use_threads=False)
+            self._details[index] = list(zip(*(columns.column(name).to_pylist() for name in MORE), strict=True))
+        return self._details[index][row - int(np.searchsorted(self.rows.file, index))]
 
-    def find(self, source: Source, sha256: str) -> str | None:
-        """Return the path under which a log is stored that is this one: content, and what its name tells."""
-        told = None if source.profile is None else told_by_name(source.profile, source.path)
-        return self.contents.get(sha256) if told is None else self.trials.get(trial_id(sha256, None, told))
-
-    def add(self, path: str, sha256: str, trials: Sequence[str]) -> None:
-        """Note where a log is stored now."""
-        self.contents[sha256] = path
-        self.trials.update(dict.fromkeys(trials, path))
+    def places(self, but: set[str]) -> dict[str, str]:
+        """Return the path under which each trial is stored, but those of some sources and of such in part."""
+        rows = read_rows(self.processed, ("trial_id", "source_path"), self.damaged)
+        pairs = zip(rows.column("trial_id"), rows.column("source_path"), strict=True)
+        return {trial: path for trial, path in pairs if path not in but and self.is_whole(path)}
 
 
-def gone_of(stored: StoredSources, present: set[str]) -> dict[tuple[str, str], list[str]]:
-    """Return the paths of stored sources that are not there any more, by content and profile."""
-    found: dict[tuple[str, str], list[str]] = {}
-    for path in stored:
-        if path not in present and is_gone(path_of_text(path)):
-            one = stored[path]
-            found.setdefault((one.sha256, one.profile_sha256), []).append(path)
-    return found
+APART = 0.01
+"""Part by which sampling periods of one experiment may differ: a clock is off by 1e-4, and the limit of a stiff wall is
+proportional to 1/T."""
+
+
+def alike(one: float, other: float) -> bool:
+    """Return whether two sampling periods [s] may be of one experiment."""
+    return abs(one - other) <= APART * max(one, other)
+
+
+@dataclass
+class Periods:
+    """Sampling period [s] of each experiment of a store, by device and name; the first log decides.
+
+    A log whose period differs is of another loop, and of an experiment of its own.
+    """
+
+    processed: Path
+
+    @cached_property
+    def known(self) -> dict[tuple[str, str], float]:
+        """What is stored, and what was taken since."""
+        found: dict[tuple[str, str], float] = {}
+        for file in trials_files(self.processed):
+            place = name_of_folder(file.parent.parent.name), name_of_folder(file.parent.name)
+            if place not in found:
+                try:
+                    with open_table(file) as stored:
+                        found[place] = stored.read_row_group(0, ["sampling_period_s"]).column(0)[0].as_py()
+                except (StoreError, FileNotFoundError):  # named by who reads more of it
+                    continue
+        return found
+
+    def apart(self, logs: Iterable[Log]) -> list[Log]:
+        """Return logs with the names of experiments of their own period; one that is renamed says so."""
+        return [self._of_own_period(log) for log in logs]
+
+    def _of_own_period(self, log: Log) -> Log:
+        header, period = log.header, log.header.sampling_period_s
+        common = self.known.setdefault((header.device, header.experiment), period)
+        if alike(common, period):
+            return log
+        stem = f"{header.experiment}-T"
+        of_device = [(name, known) for (device, name), known in self.known.items() if device == header.device]
+        names = (name for name, known in of_device if name.startswith(stem) and alike(known, period))
+        name = next(names, f"{stem}{1e3 * period:.4g}ms")
+        self.known.setdefault((header.device, name), period)
+        text = (
+            f"the sampling period is {1e3 * period:.4g} ms; logs of experiment {header.experiment!r} have "
+            f"{1e3 * common:.4g} ms. It is stored as experiment {name!r}: another period is another loop."
+        )
+        return replace(log, header=replace(header, experiment=name), warnings=(*log.warnings, text))

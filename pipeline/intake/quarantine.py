@@ -15,10 +15,9 @@ from pathlib import Path
 
 from pipeline.base.disk import each, kept_files, read_kept, write_kept
 from pipeline.base.errors import OTHER_COLUMNS, REMEDY, Code, LogError, StoreError, UsageError
-from pipeline.base.file_names import path_of_text, path_text, storable
+from pipeline.base.paths import open_regular, path_of_text, path_text, storable
 from pipeline.base.provenance import digest
 from pipeline.base.provenance import sha256 as sha256_of
-from pipeline.base.regular_files import open_regular
 from pipeline.intake.sources import Source
 from pipeline.records.findings import Record
 
@@ -27,9 +26,6 @@ RECORD = "reason"
 
 EXCERPT_ROWS, LONGEST_SHOWN = 3, 160
 """Lines shown before and behind the row at fault, and characters of each."""
-
-REFUSED_TOGETHER = 64
-"""Refused logs that go into quarantine at once."""
 
 
 class QuarantineRecord(Record):
@@ -153,13 +149,16 @@ def record_of(source: Source, sha256: str | None, error: LogError, profile_sha25
     )
 
 
-def keep(processed: Path, refused: Sequence[tuple[Source, QuarantineRecord]]) -> None:
+Refused = tuple[Source, QuarantineRecord]
+
+
+def keep(processed: Path, refused: Sequence[Refused]) -> None:
     """Put refused sources into quarantine; files that are synced together take a twentieth of the time.
 
     A record quotes the log, and may be read by whom that may be read by.
     """
 
-    def write(one: tuple[Source, QuarantineRecord]) -> None:
+    def write(one: Refused) -> None:
         source, record = one
         text = record.model_dump_json() + "\n"
         write_kept(folder_of(processed, record.path), RECORD, ".json", text.encode(), source.mode)

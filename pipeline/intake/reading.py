@@ -10,13 +10,12 @@ from dataclasses import dataclass, replace
 from itertools import islice
 
 from pipeline.base.errors import LogError
-from pipeline.base.file_names import storable
-from pipeline.base.regular_files import open_regular
+from pipeline.base.paths import open_regular, storable
 from pipeline.intake.sources import Source
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.readers.limits import LARGEST_LOG
-from pipeline.records.models import Motion
+from pipeline.records.findings import Motion
 from pipeline.store.names import folder_name
 
 BATCH_LOGS = 256
@@ -25,6 +24,9 @@ BATCH_BYTES = 6 << 20
 
 LONGEST_FOLDER = 200
 """Longest folder name made of a device or experiment; file systems allow 255 bytes."""
+
+SHORT_NAME = LONGEST_FOLDER // 12
+"""Characters of a name that is not too long, whatever they are: each makes twelve at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +159,7 @@ def motion_of(log: Log, known: Mapping[str, Motion]) -> Motion:
     header = log.header
     for key in ("device", "experiment"):
         name = getattr(header, key)
-        if len(folder_name(name)) > LONGEST_FOLDER:
+        if len(name) > SHORT_NAME and len(folder_name(name)) > LONGEST_FOLDER:
             raise LogError(
                 f"{key} {name!r} is too long for a folder name; shorten it or use ASCII letters.",
                 code="condition-wrong",

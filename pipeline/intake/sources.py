@@ -6,17 +6,15 @@ import json
 import os
 import stat
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from types import MappingProxyType
 
 from pipeline.base.disk import READABLE, shared_mode
 from pipeline.base.errors import Code, UsageError
-from pipeline.base.file_names import path_of_text, path_text, storable
-from pipeline.base.regular_files import OutsideError, is_gone, real_file
+from pipeline.base.paths import OutsideError, path_text, real_file, storable
 from pipeline.intake.bags import bag_of
 from pipeline.profiles.patterns import find_groups
 from pipeline.profiles.profile_files import claim
@@ -78,8 +76,7 @@ def find_sources(
     profiles: tuple[Profile, ...],
     exclude: Path | None = None,
     notice: Notice = lambda folder, reason: None,
-    unchanged: Mapping[str, tuple[int, int]] = MappingProxyType({}),
-    present: set[str] | None = None,
+    unchanged: dict[str, tuple[int, int]] | None = None,
 ) -> list[Source]:
     """Return every log below the given folders and files, each once, in order of path.
 
@@ -96,10 +93,8 @@ def find_sources(
         Folder that is left out (`processed/`, which may lie inside a searched folder).
     notice : callable, optional
         Called with each folder that is not searched, and why: it is a link, or may not be read.
-    unchanged : mapping of str to (int, int), optional
-        Size [byte] and time [ns] of files, by absolute path, that are left out while they have these.
-    present : set of str, optional
-        Gets the paths of those.
+    unchanged : dict of str to (int, int), optional
+        Size [byte] and time [ns] of files, by absolute path; it loses those that have them, which are left out.
 
     Raises
     ------
@@ -110,7 +105,7 @@ def find_sources(
     """
     found: dict[str, Source] = {}
     # what a link leads to may be reached by its own name, too
-    excluded = frozenset() if exclude is None else frozenset((os.path.realpath(exclude),))
+    excluded = None if exclude is None else os.path.realpath(exclude)
     for path in paths:
         try:
             there = path.exists()
@@ -118,22 +113,19 @@ def find_sources(
             raise UsageError(f"{path}: cannot be looked at ({error.strerror}). Correct its permissions.") from error
         if not there:
             raise UsageError(f"{path}: no such file or folder. Give folders with logs, or single logs.")
-        here = Path(os.path.realpath(path))
-        if not excluded.isdisjoint(map(str, (here, *here.parents))):
+        if excluded is not None and os.path.join(os.path.realpath(path), "").startswith(os.path.join(excluded, "")):
             raise UsageError(f"{path}: lies in {exclude}, where results are kept. Give folders with logs.")
         folder = path if path.is_dir() else path.parent
         # a link that is given itself is the user's own choice
         within = None if folder != path and path.is_symlink() else os.path.realpath(folder)
-        look = _files(path, excluded, notice, unchanged, set() if present is None else present)
+        look = _files(path, excluded, notice, {} if unchanged is None else unchanged)
         for file in look if folder == path else [path]:
             source = _source(file, profiles, within)
             found.setdefault(source.key, source)
     return [found[key] for key in sorted(found)]
 
 
-def _files(
-    folder: Path, excluded: frozenset[str], notice: Notice, unchanged: Mapping[str, tuple[int, int]], present: set[str]
-) -> Iterator[Path]:
+def _files(folder: Path, excluded: str | None, notice: Notice, unchanged: dict[str, tuple[int, int]]) -> Iterator[Path]:
     """Yield the files below a folder but hidden ones and `UNCOUNTED`; links to folders are not followed."""
     waiting = [os.fspath(folder)]
     while waiting:
@@ -142,22 +134,20 @@ def _files(
         try:
             with os.scandir(here) as entries:
                 for entry in entries:
-                    name = entry.name
-                    if name[0] == ".":
+                    path = below + entry.name
+                    known = unchanged.get(path)
+                    if known is not None and _state(entry) == known:
+                        del unchanged[path]
+                    elif entry.name[0] == ".":
                         continue
-                    path = below + name
-                    if path in unchanged and _state(entry) == unchanged[path]:
-                        present.add(path)
-                    elif _is_folder(entry):
-                        if os.path.realpath(entry.path) in excluded:
-                            continue
-                        if entry.is_symlink():
-                            text = "is a link to a folder, which is not followed. Give that folder if it has logs."
-                            notice(Path(entry.path), text)
-                        else:
-                            waiting.append(entry.path)
-                    elif name.lower() not in UNCOUNTED:
-                        yield Path(entry.path)
+                    elif not _is_folder(entry):
+                        if entry.name.lower() not in UNCOUNTED:
+                            yield Path(entry.path)
+                    elif entry.is_symlink():
+                        text = "is a link to a folder, which is not followed. Give that folder if it has logs."
+                        notice(Path(entry.path), text)
+                    elif os.path.realpath(entry.path) != excluded:
+                        waiting.append(entry.path)
         except OSError as error:
             notice(Path(here), f"folder cannot be read ({error.strerror}). Correct its permissions.")
 
@@ -192,35 +182,6 @@ def told_by_name(profile: Profile, path: Path) -> str | None:
             told[key] = str(float(told[key]))
     entries = [entry.match for entry in profile.file if fnmatchcase(name.lower(), entry.match.lower())]
     return json.dumps([told, entries], sort_keys=True)
-
-
-def removed_below(folders: Sequence[Path], stored: Iterable[str], present: Set[str]) -> Iterator[str]:
-    """Yield the stored sources below some folders that are not there any more; `present` is what was found."""
-    roots = tuple(os.path.join(path_text(os.path.abspath(folder)), "") for folder in folders if folder.is_dir())
-    for key in stored:
-        if key not in present and key.startswith(roots):
-            path = path_of_text(key)
-            # what may not be looked at is told as such; a folder in the place of a log is none
-            if is_gone(path) or path.is_dir():
-                yield key
-
-
-def by_rest(sources: Sequence[Source], settle_s: float, growing: frozenset[str]) -> tuple[list[Source], list[Source]]:
-    """Return the sources that were modified long enough ago, and the others.
-
-    Parameters
-    ----------
-    sources : sequence of Source
-    settle_s : float
-        Time that must have passed [s].
-    growing : frozenset of str
-        Absolute paths of files that are not at rest, whatever their times say.
-    """
-    settled, young = list[Source](), list[Source]()
-    for source in sources:
-        rests = is_settled(source.mtime_ns, settle_s) and growing.isdisjoint(map(os.path.abspath, source.files))
-        (settled if rests else young).append(source)
-    return settled, young
 
 
 def is_settled(mtime_ns: int, settle_s: float) -> bool:

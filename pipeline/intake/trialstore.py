@@ -1,10 +1,12 @@
-"""Writes accepted logs to `processed/`: a file for each experiment, group by group, visible when it is whole."""
+"""Accepted logs as rows of the table of trials, and how they come to the store with what they replace."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline import __version__
-from pipeline.base.disk import each, readers_of
+from pipeline.base.disk import each, make_folder, readers_of
 from pipeline.base.provenance import sha256 as hash_of
 from pipeline.intake.reading import motion_of
 from pipeline.intake.sources import Source, told_by_name
@@ -21,10 +23,20 @@ from pipeline.readers import Log
 from pipeline.readers.obeyed import cure, obeyed
 from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import Floats, Integers
-from pipeline.records.models import Motion
-from pipeline.records.tables import to_arrow
-from pipeline.store.batch_files import GROUP_BYTES, GROUP_TRIALS, NewBatch
-from pipeline.store.mirror import publish
+from pipeline.records.findings import Motion
+from pipeline.records.tables import COLUMNS, to_arrow
+from pipeline.store.batch_files import (
+    GROUP_BYTES,
+    GROUP_TRIALS,
+    Key,
+    Place,
+    place_of_file,
+    rewrite,
+    trials_of,
+    without,
+    write_batch,
+)
+from pipeline.store.storage import trials_folder
 
 OTHER_GAINS = "other_gains"
 """Key in ``extra`` of a trial whose command obeys other gains than its header says: which, and what cures it."""
@@ -32,15 +44,23 @@ OTHER_GAINS = "other_gains"
 OPEN_FILES = 8
 """Files that are written at once: each recording may be an experiment of its own, and open files are few."""
 
+LOG_BYTES = 2048
+"""Memory of a log beside its samples [byte]."""
+
 
 @dataclass(frozen=True, eq=False)
 class Accepted:
-    """A checked log with its identity, its motion, and the profile that read it; the columns of its row but samples."""
+    """A checked log with its motion, and the columns of its row that are those of its source."""
 
     source: Source
     log: Log
     motion: Motion
     row: dict[str, Any]
+
+    @property
+    def trial(self) -> str:
+        """Id of the trial."""
+        return str(self.row["trial_id"])
 
     @property
     def bytes(self) -> int:
@@ -49,11 +69,34 @@ class Accepted:
         columns = (log.time, log.command, log.position, log.force, log.velocity, log.raw_time)
         return sum(values.nbytes for values in columns if values is not None)
 
+    @property
+    def place(self) -> Place:
+        """What it has in common with the trials of its file."""
+        header = self.log.header
+        return Place(header.device, header.experiment, self.motion, readers_of(self.source.mode))
+
 
 def accepted_logs(
-    source: Source, sha256: str, logs: Sequence[Log], profile: Profile, profile_sha256: str, known: Mapping[str, Motion]
+    source: Source,
+    sha256: str,
+    logs: Sequence[Log],
+    profile: Profile,
+    known: Mapping[str, Motion],
+    stamps: Mapping[str, str],
 ) -> list[Accepted]:
-    """Return the trials of a source that was read; `known` is the motion of each device that has a device file.
+    """Return the trials of a source that was read.
+
+    Parameters
+    ----------
+    source : Source
+    sha256 : str
+    logs : sequence of Log
+    profile : Profile
+        That read it.
+    known : mapping of str to Motion
+        Motion of each device that has a device file.
+    stamps : mapping of str to str
+        Columns that tell by which profiles it was read.
 
     Raises
     ------
@@ -61,23 +104,22 @@ def accepted_logs(
         If a log cannot be stored (`reading.motion_of`).
     """
     told = told_by_name(profile, source.path)
-    return [
-        Accepted(
-            source,
-            log,
-            motion := motion_of(log, known),
-            {
-                "trial_id": trial_id(sha256, log.label, told),
-                "source_sha256": sha256,
-                "source_trials": len(logs),
-                "profile": profile.name,
-                "profile_sha256": profile_sha256,
-                "motion": motion,
-                "formerly": None,
-            },
-        )
-        for log in (_marked(profile, log) for log in logs)
-    ]
+    common = {
+        "source_path": source.key,
+        "source_size": source.size,
+        "source_mtime_ns": source.mtime_ns,
+        "source_sha256": sha256,
+        "source_trials": len(logs),
+        "profile": profile.name,
+        "package_version": __version__,
+        **stamps,
+    }
+    found = []
+    for log in logs:
+        motion = motion_of(log, known)
+        own = {"trial_id": trial_id(sha256, log.label, told), "label": log.label, "motion": motion}
+        found.append(Accepted(source, _marked(profile, log), motion, common | own))
+    return found
 
 
 def _marked(profile: Profile, log: Log) -> Log:
@@ -89,102 +131,52 @@ def _marked(profile: Profile, log: Log) -> Log:
     return replace(log, header=header, warnings=(*log.warnings, text))
 
 
-class TrialWriter:
-    """Collects accepted logs and writes them as one batch per device, experiment, motion and who may read them.
+def store_logs(
+    processed: Path, accepted: Sequence[Accepted], dropped: Collection[Key], damaged: dict[Path, str]
+) -> set[Path]:
+    """Store logs, a file for each place, and drop what they replace; return the folders that changed.
 
-    Samples go to disk group by group, so that memory does not grow with a batch. The file of a batch is opened for its
-    first group: logs of thousands of experiments wait in memory, of which `limit` is the bound, and not in as many open
-    files.
-
-    Parameters
-    ----------
-    processed : Path
-    limit : int
-        Bytes of samples after which what was collected is made visible: what an interruption may cost.
-    claims : str
-        As for `known.StoredSources`.
-    latest : int
-        Highest version that is stored.
+    What is dropped goes with the same file that brings the new trials, where it is of their place. Elsewhere it goes
+    before, since what is new can be read again from its log.
     """
+    places = defaultdict[Place, list[Accepted]](list)
+    for one in accepted:
+        places[one.place].append(one)
+    absorbed, kept = defaultdict[Place, list[Path]](list), without(processed, dropped, damaged) if dropped else {}
+    for file in kept:
+        if (place := place_of_file(file)) in places:
+            absorbed[place].append(file)
+        else:
+            rewrite(processed, [file], kept)
+    for place in places:  # one after the other: the name of a folder depends on those that are there
+        make_folder(trials_folder(processed, place.device, place.experiment))
 
-    def __init__(self, processed: Path, limit: int, claims: str, latest: int) -> None:
-        self.processed, self.limit = processed, limit
-        self._common = {"claims": claims, "version": latest + 1}
-        self._batches: dict[tuple[str, str, Motion, int], _Batch] = {}
-        self._sources: list[Source] = []
-        self._bytes = 0
-        self.folders: set[Path] = set()
-        """Folders of all that was made visible."""
-        self.visible: set[str] = set()
-        """Paths of the sources of trials that were made visible."""
+    def write(place: Place) -> Path | None:
+        former = chain.from_iterable(trials_of(file, kept[file]) for file in absorbed[place])
+        return write_batch(processed, place, chain(_tables(places[place]), former), absorbed[place])
 
-    def add(self, accepted: Sequence[Accepted]) -> list[Source]:
-        """Take the logs of one more source; return the sources that became visible because the limit was reached."""
-        for one in accepted:
-            header = one.log.header
-            key = header.device, header.experiment, one.motion, readers_of(one.source.mode)
-            if key not in self._batches:
-                self._batches[key] = _Batch((self.processed, *key), self._common)
-            self._batches[key].add(one)
-            self._bytes += one.bytes
-        self._sources += [one.source for one in accepted]
-        return self.flush() if self._bytes >= self.limit else []
-
-    def flush(self) -> list[Source]:
-        """Make all that was collected visible and return its sources; after an error all that is stored is valid."""
-        batches = list(self._batches.values())
-        for start in range(0, len(batches), OPEN_FILES):
-            some = batches[start : start + OPEN_FILES]
-            for batch in some:  # one after the other: the name of a folder depends on those that are there
-                batch.write_pending()
-            self.folders.update(path.parent for path in each(_Batch.publish, some))
-        self._batches.clear()
-        publish(self.processed)
-        sources, self._sources, self._bytes = self._sources, [], 0
-        self.visible.update(source.key for source in sources)
-        return sources
-
-    def discard(self) -> None:
-        """Remove what was not made visible."""
-        for batch in self._batches.values():
-            if batch.file is not None:
-                batch.file.discard()
+    return {path.parent for path in each(write, list(places), OPEN_FILES) if path is not None}
 
 
-class _Batch:
-    """Logs of one experiment on their way into a file."""
-
-    def __init__(self, place: tuple[Path, str, str, Motion, int], common: Mapping[str, Any]) -> None:
-        self.place, self.common = place, common
-        self.file: NewBatch | None = None
-        self.pending: list[Accepted] = []
-        self.bytes = 0
-
-    def add(self, accepted: Accepted) -> None:
-        if len(self.pending) >= GROUP_TRIALS or self.bytes + accepted.bytes > GROUP_BYTES:
-            self.write_pending()
-        self.pending.append(accepted)
-        self.bytes += accepted.bytes
-
-    def write_pending(self) -> None:
-        if self.pending:
-            self.file = self.file or NewBatch(*self.place)
-            self.file.write(_table(self.pending, self.file.schema, self.common))
-        self.pending, self.bytes = [], 0
-
-    def publish(self) -> Path:
-        """Make all that was written visible."""
-        assert self.file is not None, "a batch is made for a log, and written before"
-        return self.file.publish()
+def _tables(members: Sequence[Accepted]) -> Iterator[pa.Table]:
+    """Yield the trials of logs, a group of rows at a time."""
+    group, size = list[Accepted](), 0
+    for one in members:
+        if group and (len(group) >= GROUP_TRIALS or size + one.bytes > GROUP_BYTES):
+            yield _table(group)
+            group, size = [], 0
+        group.append(one)
+        size += one.bytes
+    yield _table(group)
 
 
-def _table(members: Sequence[Accepted], schema: pa.Schema, common: Mapping[str, Any]) -> pa.Table:
+def _table(members: Sequence[Accepted]) -> pa.Table:
     """Return the trials table of some logs."""
     logs = [member.log for member in members]
     rows = np.array([len(log.time) for log in logs], dtype=np.int64)
     period = np.array([log.header.sampling_period_s for log in logs], dtype=np.float64)
     flags = step_flags(np.concatenate([log.time for log in logs]), rows, period)
-    trials = [_trial(member, flag, common) for member, flag in zip(members, flags, strict=True)]
+    trials = [_trial(member, flag) for member, flag in zip(members, flags, strict=True)]
     samples: dict[str, Sequence[Any]] = {
         "time_s": [log.time for log in logs],
         "command": [log.command for log in logs],
@@ -195,27 +187,20 @@ def _table(members: Sequence[Accepted], schema: pa.Schema, common: Mapping[str, 
         "raw_count": [_raw(log, "i") for log in logs],
     }
     columns: dict[str, Any] = {name: [trial[name] for trial in trials] for name in trials[0]}
-    columns |= {name: _lists(values, schema.field(name).type) for name, values in samples.items()}
+    columns |= {name: _lists(values, COLUMNS[name].dtype) for name, values in samples.items()}
     return to_arrow("trials", columns, rotation=members[0].motion == "rotation")
 
 
-def _trial(accepted: Accepted, flags: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
+def _trial(accepted: Accepted, flags: Mapping[str, Any]) -> dict[str, Any]:
     """Return the row of a log in the trials table, but its samples."""
-    log, source = accepted.log, accepted.source
-    header = log.header
+    log, header = accepted.log, accepted.log.header
     plain = ("device", "experiment", "stiffness", "damping", "step", "sampling_period_s")
     return {
         **{key: getattr(header, key) for key in (*plain, "added_delay_samples", "grip", "simulated")},
         **accepted.row,
-        **common,
-        "label": log.label,
         "rows": len(log.time),
         "extra": json.dumps(header.extra, sort_keys=True, ensure_ascii=False) if header.extra else "{}",
         "time_quality": json.dumps({**flags, **log.counts}),
-        "source_path": source.key,
-        "source_size": source.size,
-        "source_mtime_ns": source.mtime_ns,
-        "package_version": __version__,
     }
 
 

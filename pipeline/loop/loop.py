@@ -24,7 +24,7 @@ from pipeline.loop.velocity_filter import filter_in_w, filter_in_z, filter_order
 from pipeline.records.batch import Floats
 
 if TYPE_CHECKING:  # its classes take longer to load than a short command to run
-    from pipeline.records.loop_parts import VelocityFilter
+    from pipeline.records.loop_parts import LinearFilter
 
 _Number = TypeVar("_Number", np.float64, np.complex128)
 
@@ -150,7 +150,7 @@ class Loop:
     lag : float
         Time constant of the actuator [T], >= 0.
     mode : Vibration, optional
-    velocity : VelocityFilter, optional
+    velocity : LinearFilter, optional
         With frequencies per sampling rate; it remembers at most 96 samples.
 
     Raises
@@ -173,7 +173,7 @@ class Loop:
     delay: float
     lag: float = 0.0
     mode: Vibration | None = None
-    velocity: VelocityFilter | None = None
+    velocity: LinearFilter | None = None
 
     def __post_init__(self) -> None:
         for name, value in (("gamma", self.gamma), ("delta", self.delta), ("delay", self.delay), ("lag", self.lag)):

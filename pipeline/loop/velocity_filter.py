@@ -11,11 +11,15 @@ import numpy as np
 from pipeline.loop.many_digits import Digits, as_exact, bilinear, shifted
 
 if TYPE_CHECKING:  # its classes take longer to load than a short command to run
-    from pipeline.records.loop_parts import VelocityFilter
+    from pipeline.records.loop_parts import LinearFilter, VelocityFilter
 
 
 def filter_order(velocity: VelocityFilter | None) -> int:
-    """Return the number of samples that a filter remembers."""
+    """Return the number of samples that a filter remembers; 0 of what is not linear."""
+    if velocity is not None and velocity.kind == "kalman":
+        return 2
+    if velocity is not None and (velocity.kind == "foaw" or velocity.kind == "levant"):
+        return 0
     if velocity is not None and velocity.kind == "difference":
         return velocity.samples - 1
     if velocity is not None and velocity.kind == "butterworth":
@@ -23,16 +27,20 @@ def filter_order(velocity: VelocityFilter | None) -> int:
     return max(len(velocity.b), len(velocity.a)) - 1 if velocity is not None else 0
 
 
-def per_sample(velocity: VelocityFilter | None, sampling_period_s: float) -> VelocityFilter | None:
-    """Return a filter with its frequencies per sampling rate; None for the plain difference, which is none."""
-    if velocity is not None and velocity.kind == "difference" and velocity.samples == 1:
+def per_sample(velocity: VelocityFilter | None, sampling_period_s: float) -> LinearFilter | None:
+    """Return a filter with its frequencies per sampling rate; None for the plain difference, and what is not linear."""
+    if velocity is None or velocity.kind == "foaw" or velocity.kind == "levant":
         return None
-    if velocity is not None and velocity.kind == "butterworth":
+    if velocity.kind == "difference" and velocity.samples == 1:
+        return None
+    if velocity.kind == "kalman":
+        return velocity.coefficients(sampling_period_s)
+    if velocity.kind == "butterworth":
         return velocity.model_copy(update={"cutoff_hz": velocity.cutoff_hz * sampling_period_s})
     return velocity
 
 
-def filter_in_w(velocity: VelocityFilter | None) -> tuple[Digits, Digits]:
+def filter_in_w(velocity: LinearFilter | None) -> tuple[Digits, Digits]:
     """Return numerator and denominator of a velocity filter as polynomials in w, of one degree."""
     if velocity is None:
         return as_exact([1]), as_exact([1])
@@ -58,7 +66,7 @@ def filter_in_w(velocity: VelocityFilter | None) -> tuple[Digits, Digits]:
     return top, bottom
 
 
-def filter_in_z(velocity: VelocityFilter | None) -> tuple[Digits, Digits]:
+def filter_in_z(velocity: LinearFilter | None) -> tuple[Digits, Digits]:
     """Return numerator and denominator of a velocity filter in powers of 1/z, the first of the denominator 1."""
     # w = (1 - 1/z)/(1 + 1/z): the same change of variable leads back, to powers of -1/z
     b, a = (
@@ -68,7 +76,7 @@ def filter_in_z(velocity: VelocityFilter | None) -> tuple[Digits, Digits]:
     return b / a[0], a / a[0]
 
 
-def filter_steps(velocity: VelocityFilter | None) -> tuple[Digits, Digits, float, float]:
+def filter_steps(velocity: LinearFilter | None) -> tuple[Digits, Digits, float, float]:
     """Return a realisation by states s_i: v = b_0 u + s_1 and s_i(k + 1) = keep s_i + rise s_{i+1} + b_i u - a_i v.
 
     That of powers of 1/z has keep = 0 and rise = 1. Poles of a low cut-off lie so close to z = 1 that it loses all

@@ -9,17 +9,16 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import pyarrow as pa
 
 from pipeline.base.errors import DeviceError, UsageError
 from pipeline.device_data.devices import declared_spring, find_experiment, known_devices, read_device
-from pipeline.loop.device_loop import loop_of, wall_units
-from pipeline.loop.loop import Loop, Normalised
+from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.ladder.trials import spread_over_plane
+from pipeline.measured.model.parts import chosen as look_at_once
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.plan.fitted import Climb, Fitted, at_once, learn
-from pipeline.plan.forecast import Forecast
-from pipeline.plan.model import Range
+from pipeline.plan.found_device import FoundDevice, Trial, stated_device
+from pipeline.plan.learnt import TRIALS, Learnt, Look, learn
+from pipeline.plan.limits import START, Forecast
 from pipeline.plan.requests import NOTHING_ASKED, Requests, Wall, read_requests, requests_folder, walls_of
 from pipeline.plan.verdicts import Tried
 from pipeline.records.batch import Floats, TrialBatch
@@ -27,19 +26,12 @@ from pipeline.records.models import Device, Experiment
 from pipeline.store.samples import load_groups
 from pipeline.store.storage import list_experiments, read_trials
 from pipeline.theory.cases import tested_grid
-from pipeline.theory.limits import limits, outline
 
 DAMPINGS = 12
 """Dampings at which limits are looked for where none are named."""
 
 START_ERROR = 0.1
 """Relative error of a limit by the parameters of a device file."""
-
-FEW_POINTS = 60
-"""Points of an outline of which the largest limit alone is wanted."""
-
-LEARNT_FROM = 48
-"""Logs, spread over the tested plane, from which the device is learnt."""
 
 RANGE_NEEDED = (
     "a range to start from is needed: a device file with mass, delay_samples, damping_first and damping_last "
@@ -61,8 +53,6 @@ class Wish:
         Walls of a batch.
     dampings : tuple of float
         B at which limits are wanted [Ns/m, Nms/rad]; by default `DAMPINGS` of them over the range.
-    area : bool
-        Whether the area under the limits is wanted to the accuracy, and not each of them.
     largest_stiffness, largest_damping, largest_force, travel : float
         What may be tried: K [N/m, Nm/rad], B [Ns/m, Nms/rad], command [N, Nm] and distance of the start from the
         centre [m, rad].
@@ -78,14 +68,14 @@ class Wish:
     largest_damping: float = inf
     largest_force: float = inf
     travel: float = inf
-    area: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
     """Trials of one experiment so far, and where it started: the file's experiment where there is one.
 
-    ``fitted`` is the device that its logs show; ``walls`` are those of all logs, and ``requests`` what was asked for.
+    ``found`` is the device that its logs show, with what was ``learnt`` for the next one; ``walls`` are those of all
+    logs, and ``requests`` what was asked for.
     """
 
     name: str
@@ -97,7 +87,8 @@ class Course:
     trial_s: float
     step: float
     rotation: bool
-    fitted: Fitted | None = None
+    found: FoundDevice | None = None
+    learnt: Learnt | None = None
     walls: tuple[Wall, ...] = ()
     requests: Requests = NOTHING_ASKED
 
@@ -107,8 +98,8 @@ def open_course(
     processed: Path,
     experiment: str | None,
     wish: Wish,
-    known: Fitted | None = None,
-    look: Climb = at_once,
+    known: Learnt | None = None,
+    look: Look = look_at_once,
     requests: Requests | None = None,
 ) -> Course:
     """Return the stored trials of an experiment; errors as of `plan`.
@@ -117,9 +108,9 @@ def open_course(
     ----------
     name, processed, experiment, wish
         As of `plan`.
-    known : Fitted, optional
+    known : Learnt, optional
         The device that fewer logs have shown.
-    look : Climb
+    look : callable
         What looks for the parts of the device.
     requests : Requests, optional
         What was asked for so far; by default what the store says.
@@ -137,7 +128,7 @@ def open_course(
         nothing = np.empty(0)
         tried = Tried(nothing, nothing, np.empty(0, dtype="<U9"), nothing)
         about = device.sampling_period_s, device.duration_s - device.baseline_s, device.step
-        return Course(name, chosen, tried, device, of_file, *about, device.motion == "rotation", None, (), requests)
+        return Course(name, chosen, tried, device, of_file, *about, device.motion == "rotation", requests=requests)
     trials = read_trials(processed, name, chosen)
     stages = ExperimentStages(processed, name, chosen, trials, spring=declared_spring(device, chosen))
     force = None
@@ -147,8 +138,13 @@ def open_course(
         for rows, batch in zip(groups.places, groups.parts, strict=True):
             force[rows] = np.nanmax(np.abs(batch.command), axis=1)
     course = course_of(stages, device, of_file, wish, force)
-    fitted = learnt(processed, trials, known, look)
-    return replace(course, fitted=fitted, requests=requests.answered(course.walls))
+    K, B = (trials.column(key).to_numpy() for key in ("stiffness", "damping"))
+    places = spread_over_plane(K, B, K > 0, TRIALS)
+    if len(places):
+        batch = TrialBatch.joined(list(load_groups(processed, trials.take(places)).parts))
+        known = learn(batch, int((K > 0).sum()), known, look)
+    found = known.device if known else None
+    return replace(course, found=found, learnt=known, requests=requests.answered(course.walls))
 
 
 def course_of(
@@ -181,15 +177,6 @@ def course_of(
         "rotation" in trials.column("motion").to_pylist(),
         walls=walls_of(K, B),
     )
-
-
-def learnt(processed: Path, trials: pa.Table, known: Fitted | None, look: Climb) -> Fitted | None:
-    """Return the device that stored trials show, learnt from walls spread over the plane."""
-    K, B = (trials.column(name).to_numpy() for name in ("stiffness", "damping"))
-    places = spread_over_plane(K, B, K > 0, LEARNT_FROM)
-    if not len(places):
-        return known
-    return learn(TrialBatch.joined(list(load_groups(processed, trials.take(places)).parts)), known, look)
 
 
 def _experiment(name: str, asked: str | None, stored: Sequence[str], device: Device | None) -> str:
@@ -227,28 +214,20 @@ def wanted_dampings(course: Course, wish: Wish) -> tuple[float, ...]:
     return tuple(wanted.tolist())
 
 
-def beginning(course: Course, dampings: Sequence[float]) -> tuple[Range, Forecast | None]:
-    """Return where limits are looked for, and without any trial what the device file says of them."""
-    tried, reach = course.tried, 1.1 * max(*dampings, 0.0, 1e-6) if len(dampings) > 1 else 2 * max(dampings[0], 1e-6)
-    about = course.sampling_period_s, course.trial_s
-    if len(tried):
-        stable = tried.stiffness[tried.verdict == "stable"]
-        near = stable.max() if len(stable) else tried.stiffness.max()
-        return Range(float(near), reach, *about), None
-    loop, units = stated_loop(course)
-    limit = limits(loop, np.array(dampings) / units.damping, exact=False).alpha * units.stiffness
-    limit = np.nan_to_num(limit, nan=0.0)
-    largest = float(limit.max()) or float(outline(loop, FEW_POINTS).alpha_max * units.stiffness)
+def foretold(course: Course, dampings: Sequence[float]) -> Forecast | None:
+    """Return the limits by the device that the logs show, for the step, else by its file; None without both."""
+    wall = np.array(dampings)
+    if course.found is not None:
+        step = Trial(course.step, round(course.trial_s / course.sampling_period_s))
+        limit, reach = course.found.limits(wall, step)
+        linear, linear_reach = course.found.limits(wall)
+        known = np.isfinite(limit)
+        return Forecast(np.where(known, limit, linear), np.where(known, reach, linear_reach) / NORMAL_95)
+    if course.device is None or course.of_file is None:
+        return None
+    point = stated_device(course.device, course.of_file).point
+    limit = point.limit(wall)
+    largest = float(limit.max()) or float(point.limit(np.array([point.stiffest]))[0])
     if not largest > 0:
         raise DeviceError(f"device {course.name!r}: by its file no wall is stable; {RANGE_NEEDED}.")
-    error = START_ERROR * np.maximum(limit, 0.3 * largest)
-    return Range(largest, reach, *about), Forecast(limit, error, START_ERROR)
-
-
-def stated_loop(course: Course) -> tuple[Loop, Normalised]:
-    """Return the loop that the device file states, with its filter, lag, mode and operator, and its units."""
-    assert course.device is not None, "without logs there is a device file"
-    assert course.of_file is not None, "of which the experiment was found"
-    of, period, parts = course.of_file, course.sampling_period_s, course.device.loop_of(course.of_file)
-    loop = loop_of(of.mass, of.damping, of.stiffness, of.delay_samples, period, parts)
-    return loop, wall_units(of.mass, period, parts)
+    return Forecast(limit, START_ERROR * np.maximum(limit, START * largest))

@@ -5,24 +5,25 @@ from __future__ import annotations
 from dataclasses import replace
 from math import ceil, floor, inf, log10
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from pipeline.base.disk import if_writable
 from pipeline.base.errors import UsageError
 from pipeline.base.lock import holder
-from pipeline.plan.answer import Area, Best, Limit, Next, Plan
-from pipeline.plan.course import Course, Wish, beginning, open_course, stated_loop, wanted_dampings
-from pipeline.plan.limits import GENTLE_START, START, Aim, Column, State, order, state
-from pipeline.plan.optimum import Foreseen, Search, Target, look_for
+from pipeline.plan.course import Course, Wish, foretold, open_course, wanted_dampings
+from pipeline.plan.found_device import stated_device
+from pipeline.plan.limits import Aim, Column, State, order, state
+from pipeline.plan.optimum import Search, Target, look_for
 from pipeline.plan.requests import Requests, requests_folder, snapped, write_requests
+from pipeline.records.findings import Record
 
 NOTES = {
     "undecided": "not told: verdicts stay undecided between low and high",
     "limit of the tests": "the walls that may be tried end there",
-    "beyond the region": "not tried: a softer damping has shown that the stable region ends before",
     "step of the rig": "the rig sets no wall between low and high",
-    "from below": "told by the decay of stable walls and by the loop of all logs",
+    "from below": "told by the stable walls next to it and by the device that all logs show",
 }
 """What is said of a damping that is done for a reason of its own."""
 
@@ -42,6 +43,59 @@ OPTIMUM_ACCURACY = 0.05
 
 SURE = 0.75
 """Chance from which on a verdict is expected."""
+
+
+class Next(Record):
+    """A wall to try: K [N/m, Nm/rad], B [Ns/m, Nms/rad], what it is expected to show, and why it is asked for."""
+
+    stiffness: float
+    damping: float
+    expected: Literal["stable", "unstable", "undecided"]
+    why: str
+
+
+class Limit(Record):
+    """Limit of stability at a damping [N/m, Nm/rad].
+
+    ``low`` and ``high`` are the stiffest stable and the softest unstable wall by verdicts, None where there is none;
+    ``estimate`` lies between them; None where verdicts do not tell it. ``note`` says what is special of it.
+    """
+
+    damping: float
+    estimate: float | None
+    low: float | None
+    high: float | None
+    note: str = ""
+
+
+class Best(Record):
+    """Best trial so far by a criterion, the least cost that the loop of all logs foretells, and the region around it.
+
+    ``region`` holds the smallest and largest stiffness, and the smallest and largest damping, of walls whose cost is
+    foretold to be within the wanted accuracy of the least; None where no loop foretells it.
+    """
+
+    criterion: str
+    stiffness: float
+    damping: float
+    cost: float
+    expected_cost: float | None
+    region: tuple[float, float, float, float] | None
+
+
+class Plan(Record):
+    """What to try next, whether that is all, what is known, and how many trials it took and will take.
+
+    ``remarks`` are sentences on what the plan rests on.
+    """
+
+    next: tuple[Next, ...]
+    done: bool
+    boundary: tuple[Limit, ...]
+    trials_used: int
+    trials_expected: int
+    remarks: tuple[str, ...] = ()
+    optimum: Best | None = None
 
 
 def plan(name: str, processed: Path, experiment: str | None = None, wish: Wish | None = None) -> Plan:
@@ -95,47 +149,34 @@ def with_remark(answer: Plan, remark: str) -> Plan:
 def plan_of(course: Course, wish: Wish) -> Plan:
     """Return which walls to try next, from trials that are in memory."""
     dampings = course.requests.reachable(wanted_dampings(course, wish), course.tried.damping)
+    used = len(course.tried)
     if not dampings:
         said = (course.requests.remark(course.rotation) or "", NOWHERE)
-        return Plan(
-            next=(),
-            done=True,
-            boundary=(),
-            trials_used=len(course.tried),
-            trials_expected=len(course.tried),
-            remarks=said,
-        )
+        return Plan(next=(), done=True, boundary=(), trials_used=used, trials_expected=used, remarks=said)
     course = replace(course, tried=snapped(course.tried, dampings))
     aim = aim_of(course, wish, dampings)
-    around, start = beginning(course, dampings)
-    found = state(course.tried, aim, around, start, course.fitted, course.requests)
-    limits = tuple(
-        Limit(
-            damping=c.damping, estimate=c.estimate, low=c.bracket.low, high=c.bracket.high, note=NOTES.get(c.note, "")
-        )
-        for c in found.columns
-    )
-    known = {"boundary": limits, "trials_used": len(course.tried), "area": area_of(found)}
+    found = state(course.tried, aim, foretold(course, dampings), course.trial_s, course.requests)
+    done, best, left = found.done, None, ceil(sum(column.left for column in found.columns))
     if wish.goal == "optimum":
         search = _search(course, wish, found, aim)
-        # a loop whose parts were not looked for may foretell costs that a lag or a mode forbids
-        done = search.done and (course.fitted is None or course.fitted.climbed > 0)
-        return Plan(
-            next=() if done else _walls_of(search, course, wish, found, aim),
-            done=done,
-            trials_expected=len(course.tried) + (0 if done else len(search.walls)),
-            remarks=_remarks(course, found),
-            optimum=_best(search, course, wish),
-            **known,
-        )
-    left = order(found.columns) if not found.done else []
+        done, best, left = search.done, _best(search, course, wish), len(search.walls)
+        following = _walls_of(search, course, wish, found, aim)
+    else:
+        following = [_next(found.columns[i], found, aim, course) for i in order(found.columns)[: wish.count]]
     return Plan(
-        next=tuple(_next(found.columns[i], found, aim, course) for i in left[: wish.count]),
-        done=found.done,
-        trials_expected=len(course.tried) + ceil(found.trials_left),
-        remarks=_remarks(course, found),
-        **known,
+        next=() if done else tuple(following),
+        done=done,
+        boundary=tuple(_limit(column) for column in found.columns),
+        trials_used=used,
+        trials_expected=used + (0 if done else left),
+        remarks=_remarks(course, found, aim),
+        optimum=best,
     )
+
+
+def _limit(column: Column) -> Limit:
+    ends, note = column.bracket, NOTES.get(column.note, "")
+    return Limit(damping=column.damping, estimate=column.estimate, low=ends.low, high=ends.high, note=note)
 
 
 def aim_of(course: Course, wish: Wish, dampings: tuple[float, ...]) -> Aim:
@@ -147,7 +188,6 @@ def aim_of(course: Course, wish: Wish, dampings: tuple[float, ...]) -> Aim:
         lowest=0.0 if wish.travel == inf else course.step / wish.travel,
         highest=wish.largest_stiffness,
         force=wish.largest_force,
-        area=wish.area,
     )
     if aim.lowest >= aim.highest:
         raise UsageError(
@@ -157,22 +197,7 @@ def aim_of(course: Course, wish: Wish, dampings: tuple[float, ...]) -> Aim:
     return aim
 
 
-def area_of(found: State) -> Area | None:
-    """Return the area under the limits; None where one of them has no end yet."""
-    columns = found.columns
-    if len(columns) < 2 or any(c.bracket.high is None or c.estimate is None for c in columns):
-        return None
-    damping = [c.damping for c in columns]
-    ends = (
-        [c.estimate or 0.0 for c in columns],
-        [c.bracket.bottom for c in columns],
-        [c.bracket.top for c in columns],
-    )
-    value, low, high = (float(np.trapezoid(each, damping)) for each in ends)
-    return Area(estimate=value, low=low, high=high)
-
-
-def _remarks(course: Course, found: State) -> tuple[str, ...]:
+def _remarks(course: Course, found: State, aim: Aim) -> tuple[str, ...]:
     """Return what the plan rests on: contradictions, and whether a loop explains the logs."""
     differ = course.requests.remark(course.rotation)
     said = [] if differ is None else [differ]
@@ -181,14 +206,11 @@ def _remarks(course: Course, found: State) -> tuple[str, ...]:
         for c in found.columns
         if c.bracket.lasting
     ]
-    if not found.forecast.adequate:
-        said.append("no loop explains the limits: bisection alone")
-    elif course.fitted is not None and course.fitted.climbed and not course.fitted.explains:
-        said.append(
-            "no one device with spring, lag or vibration mode explains all logs (friction, jitter or clipping would be "
-            "why): its limits are off by some "
-            f"{found.forecast.misfit:.0%}, and each damping is finished by its verdicts"
-        )
+    misfit, point = found.forecast.misfit, course.found.point if course.found is not None else None
+    if len(course.tried) and not misfit <= aim.accuracy:
+        off = f"limits lie off those of the found device by {misfit:.0%} of the largest"
+        said.append(f"{off if misfit < inf else 'no device is found'}: each damping is finished by its verdicts")
+    if point is not None and point.coulomb:
         said.append(OF_THE_STEP.format(course.step, "Nm" if course.rotation else "N"))
     return tuple(said)
 
@@ -223,15 +245,13 @@ def _next(column: Column, found: State, aim: Aim, course: Course) -> Next:
         return Next(stiffness=wall, damping=column.damping, expected="undecided", why=why)
     assert column.split is not None, "a wall comes from a split"
     chance = column.split.unstable
-    known = f"stable at {bracket.low:g} {K}" if bracket.low is not None else "no stable wall yet"
-    known += f", unstable at {bracket.high:g} {K}" if bracket.high is not None else ", no unstable wall yet"
-    if bracket.low is None and bracket.high is None:
-        known = "no verdict at this damping yet"
-    basis = (
-        f"limit expected at {rounded(column.estimate, aim.accuracy * found.largest):g} {K}"
-        if found.forecast.adequate and column.estimate is not None
-        else f"bisection alone: no loop explains the limits (misfit {found.forecast.misfit:.0%})"
-    )
+    known = "no verdict at this damping yet"
+    if bracket.low is not None or bracket.high is not None:
+        known = f"stable at {bracket.low:g} {K}" if bracket.low is not None else "no stable wall yet"
+        known += f", unstable at {bracket.high:g} {K}" if bracket.high is not None else ", no unstable wall yet"
+    basis = "bisection alone: no device foretells the limit"
+    if found.forecast.misfit < inf and column.estimate is not None:
+        basis = f"limit expected at {rounded(column.estimate, aim.accuracy * found.largest):g} {K}"
     lasting = "; stable walls lie above unstable ones, the lowest limit counts" if bracket.lasting else ""
     expected = "unstable" if chance > SURE else "stable" if chance < 1 - SURE else "undecided"
     if aim.gentle and wall < (column.estimate or 0):
@@ -241,25 +261,24 @@ def _next(column: Column, found: State, aim: Aim, course: Course) -> Next:
 
 def _search(course: Course, wish: Wish, found: State, aim: Aim) -> Search:
     """Return the search for the best cost within the limits that are expected."""
-    by = None
-    if course.fitted is not None:
-        by = Foreseen(course.fitted.loop, course.fitted.units, course.fitted.explains)
-    elif not len(course.tried):
-        by = Foreseen(*stated_loop(course))
-    limits = np.minimum(np.maximum(found.forecast.limit, 0.0), aim.highest)
-    for i, column in enumerate(found.columns):
-        limits[i] = np.clip(limits[i], column.bracket.bottom, min(column.bracket.top, aim.highest))
+    point, holds = None, found.forecast.misfit <= aim.accuracy
+    if course.found is not None:
+        point, holds = course.found.point, holds and not course.found.point.coulomb
+    elif course.device is not None and course.of_file is not None:
+        point = stated_device(course.device, course.of_file).point
+    ends = [(column.bracket.bottom, min(column.bracket.top, aim.highest)) for column in found.columns]
+    limits = np.clip([column.estimate or 0.0 for column in found.columns], *np.array(ends).T)
     if not limits.max() > aim.lowest:
         raise UsageError(f"device {course.name!r}: no wall is expected to be stable, so that none has a cost.")
     if not len(course.tried):
-        limits *= GENTLE_START if aim.gentle else START
-    target = Target(wish.criterion, np.array(aim.dampings), limits, by, course.requests)
+        limits *= aim.start
+    target = Target(wish.criterion, np.array(aim.dampings), limits, point, holds, course.requests)
     return look_for(course.tried, target, OPTIMUM_ACCURACY, wish.count)
 
 
-def _walls_of(search: Search, course: Course, wish: Wish, found: State, aim: Aim) -> tuple[Next, ...]:
+def _walls_of(search: Search, course: Course, wish: Wish, found: State, aim: Aim) -> list[Next]:
     so_far = "no cost yet" if search.best is None else f"best {wish.criterion} {course.tried.cost[search.best]:.4g}"
-    return tuple(
+    return [
         Next(
             stiffness=min(max(rounded(K, aim.accuracy * found.largest), aim.lowest), aim.highest),
             damping=rounded(B, 0.02 * aim.dampings[-1]),
@@ -267,15 +286,11 @@ def _walls_of(search: Search, course: Course, wish: Wish, found: State, aim: Aim
             why=f"{so_far}, {cost:.4g} expected here, {search.least:.4g} at the least",
         )
         for K, B, cost in search.walls
-    )
+    ]
 
 
 def _best(search: Search, course: Course, wish: Wish) -> Best | None:
     if search.best is None:
         return None
-    K, B, cost = (
-        float(each[search.best]) for each in (course.tried.stiffness, course.tried.damping, course.tried.cost)
-    )
-    return Best(
-        criterion=wish.criterion, stiffness=K, damping=B, cost=cost, expected_cost=search.least, region=search.region
-    )
+    found = {name: float(getattr(course.tried, name)[search.best]) for name in ("stiffness", "damping", "cost")}
+    return Best(criterion=wish.criterion, expected_cost=search.least, region=search.region, **found)

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.disk import write_text
-from pipeline.plan.verdicts import Bracket, Tried
-from pipeline.records.batch import Floats
+from pipeline.plan.verdicts import Tried
+from pipeline.records.batch import Booleans, Floats
 from pipeline.store.names import folder_name
 
 Wall = tuple[float, float]
@@ -30,37 +30,6 @@ IN_VAIN = 3
 
 BEYOND = 0.25
 """How far beyond a wall that was rounded its neighbours are thought to be, relative to what was rounded off."""
-
-
-@dataclass(frozen=True, eq=False)
-class Answers:
-    """How a rig sets stiffnesses at one damping: K asked for and logged where they differ, shape (n, 2); its step."""
-
-    missed: Floats
-    step: float = 0.0
-
-    def sets(self, wall: float) -> bool:
-        """Whether a wall may be asked for again."""
-        return int((self.missed[:, 0] == wall).sum()) < IN_VAIN
-
-    def ends(self, of: Bracket) -> bool:
-        """Whether the rig sets no wall in a bracket: as often as is enough, one of its ends was logged instead."""
-        asked, logged = self.missed.T
-        inside = (asked > of.bottom) & (asked < of.top) & ((logged <= of.bottom) | (logged >= of.top))
-        closed = of.low is not None and of.high is not None and int(inside.sum()) >= IN_VAIN
-        return closed or of.top - of.bottom <= 1.01 * self.step
-
-    def rounded(self, of: Bracket, least: float, aside: float) -> list[tuple[float, float]]:
-        """Return ranges of K that become another wall: from what was asked for to what was logged, and ``aside`` of it.
-
-        Where the other end of the bracket is not known yet, they reach twice as far and at least ``least``, so that
-        the next request leaves them.
-        """
-        ranges = [(min(pair) - aside, max(pair) + aside) for pair in self.missed.tolist()]
-        if of.low is None or of.high is None:
-            far = [(max(2 * abs(asked - logged), least), logged) for asked, logged in self.missed.tolist()]
-            ranges += [(logged - off, logged + off) for off, logged in far]
-        return ranges
 
 
 @dataclass(frozen=True)
@@ -107,39 +76,34 @@ class Requests:
         """Return the requests with those of now in place of open ones."""
         return replace(self, open=tuple(walls), logged=tuple(logged))
 
+    def sets(self, stiffness: float, damping: float) -> bool:
+        """Whether a wall may be asked for again."""
+        return [asked for asked, _ in self.others].count((stiffness, damping)) < IN_VAIN
+
     def reachable(self, dampings: Sequence[float], tried: Floats) -> tuple[float, ...]:
-        """Return the dampings that the rig sets where others are wanted; those that it never sets are left out."""
+        """Return the dampings that the rig sets where others are wanted; none where it sets others each time."""
         size = SAME * max(*dampings, *tried, 1e-300)
         missed: dict[float, list[float]] = {}
         for (_, asked), (_, logged) in self.others:
             if abs(asked - logged) > size:
                 missed.setdefault(asked, []).append(logged)
-        # once two dampings were rounded twice each, a third one needs no second request
-        needed = 1 if sum(len(each) > 1 for each in missed.values()) > 1 else 2
+        if sum(map(len, missed.values())) > max(self.kept, IN_VAIN * len(dampings)):
+            return ()
+        # one may be a slip; where one was none, others are none either
+        needed = 1 if any(len(each) > 1 for each in missed.values()) else 2
         found = set()
         for damping in dampings:
-            others, place = missed.get(damping, []), damping
-            if len(others) >= needed and not (np.abs(tried - damping) <= size).any():
-                place = Counter(others).most_common(1)[0][0]
-                others = missed.get(place, [])
-            hits = int((np.abs(tried - place) <= size).sum())
-            if len(others) < IN_VAIN or len(others) < hits:
-                found.add(place)
+            others = missed.get(damping, [])
+            hit = (np.abs(tried - damping) <= size).any()
+            found.add(others[-1] if len(others) >= needed and not hit else damping)
         return tuple(sorted(found))
 
-    def by_damping(self, brackets: Sequence[Bracket], dampings: Sequence[float], stiffness: Floats) -> list[Answers]:
-        """Return how the rig sets stiffnesses at each damping.
-
-        Its step is the narrowest bracket in which it set no wall, unless it has set walls closer to each other.
-        """
-        pairs = [
-            [(asked[0], logged[0]) for asked, logged in self.others if damping in (asked[1], logged[1])]
-            for damping in dampings
-        ]
-        found = [Answers(np.array(own, dtype=np.float64).reshape(-1, 2)) for own in pairs]
-        step = min((of.top - of.bottom for of, own in zip(brackets, found, strict=True) if own.ends(of)), default=0.0)
-        finest = float(np.diff(np.unique(stiffness)).min(initial=np.inf))
-        return [replace(own, step=step) for own in found] if finest > 0.9 * step else found
+    @property
+    def step(self) -> float:
+        """Distance of the stiffnesses that the rig sets: twice what it rounded off, unless it has set closer ones."""
+        off = max((abs(asked[0] - logged[0]) for asked, logged in self.others), default=0.0)
+        finest = np.diff(np.unique([K for K, _ in self.logged])).min(initial=np.inf)
+        return min(2 * off, float(finest))
 
     def as_set(self, stiffness: Floats, damping: Floats) -> tuple[Floats, Floats]:
         """Return walls as the rig sets them: all from what was asked for, and a little beyond, to what it logged."""
@@ -150,6 +114,11 @@ class Requests:
                 low, high = sorted((ask + BEYOND * (ask - log), log))
                 found[i] = np.where((found[i] >= low) & (found[i] <= high), log, found[i])
         return found[0], found[1]
+
+    def new(self, stiffness: Floats, damping: float, tried: Floats) -> Booleans:
+        """Return which walls the rig would set as others than those that were tried at a damping."""
+        walls, _ = self.as_set(stiffness, np.full(len(stiffness), damping))
+        return ~np.isin(walls, tried)
 
     def remark(self, rotation: bool) -> str | None:
         """Return what is to be said of a rig that logs other walls than were asked for."""

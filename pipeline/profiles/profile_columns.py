@@ -1,4 +1,4 @@
-"""Where each SI column comes from: column in the file, unit, sign, missing values; and how time is counted."""
+"""Layout of text, and where each SI column comes from: name, unit, sign, missing values; how time is counted."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field
 
 from pipeline.base.errors import ParameterError
-from pipeline.base.units import factor_to_si, find_unit
-from pipeline.profiles.profile_text import Number, Problem
-from pipeline.records.findings import Record
-from pipeline.records.models import Motion, Name
+from pipeline.base.units import UNITS, factor_to_si, find_unit
+from pipeline.profiles.patterns import pattern_problem
+from pipeline.records.findings import Motion, Name, Record
 
 QUANTITIES: dict[str, dict[Motion, str]] = {
     "time": {"translation": "time", "rotation": "time"},
@@ -22,9 +21,21 @@ QUANTITIES: dict[str, dict[Motion, str]] = {
 }
 """Physical quantity of each column by the motion of the device."""
 
-EXAMPLE_UNITS = {"time": "ms", "force": "N", "torque": "Nm", "length": "mm", "angle": "deg", "velocity": "mm/s"}
-"""Units that messages show; `angular velocity` takes deg/s."""
+BLANKS = "blanks"
+"""Delimiter of tables whose columns are parted by runs of blanks and tabs."""
 
+Number = Annotated[float, Field(strict=True)]
+"""A number as such: "300" in quotation marks and true are mistakes, not 300 and 1."""
+
+Count = Annotated[int, Field(ge=0, strict=True)]
+"""A whole number from 0."""
+
+Problem = tuple[tuple[str | int, ...], str]
+"""Place of a key in a profile, and what is wrong there."""
+
+
+NoTruth = BeforeValidator(lambda value: "true" if value is True else value)
+"""Keeps true from being taken for 1."""
 
 _NEGATED = {
     "command": "a positive number pushes towards smaller positions",
@@ -33,6 +44,69 @@ _NEGATED = {
     "velocity": "it counts against the position",
 }
 """Where the sign of each column is -1."""
+
+
+class TextLayout(Record):
+    """Layout of a delimited text file, plain or compressed (gzip, zstd: known by their first bytes).
+
+    Parameters
+    ----------
+    delimiter : str
+        One character, or ``"blanks"`` for runs of blanks and tabs.
+    decimal : {".", ","}
+        Needed, because "1,234" is two numbers: there is no default.
+    encoding : {"utf-8", "utf-16", "latin-1", "cp1252"}
+        A byte order mark is legal in UTF-8 and UTF-16.
+    skip_rows : int
+        Lines above the table, or above the first line that is searched for its beginning.
+    header : bool
+        Whether the table begins with a line of column names; if not, columns are taken by position (``column = 3``).
+    header_after, header_at : str, optional
+        Regular expression: the table begins below (at) the first line in which it is found, as behind a banner.
+    unit_line : bool
+        Whether the line below the names holds units. They are shown by checks, never used.
+    comment : str, optional
+        Lines that begin with it are left out.
+    labels : str, optional
+        Sign between label and value in lines such as ``Gain: 32``, above the table or between its rows.
+    trailing_delimiter : bool
+        Whether rows end with one more delimiter.
+    blank_lines : {"refuse", "skip"}
+        What becomes of blank lines between rows; those at the end of a file are never counted.
+    missing : tuple of str
+        Cells that mean "no value", as a blank cell does.
+    """
+
+    delimiter: Annotated[str, Field(min_length=1)] = ","
+    decimal: Literal[".", ","] | None = None
+    encoding: Literal["utf-8", "utf-16", "latin-1", "cp1252"] = "utf-8"
+    skip_rows: Count = 0
+    header: bool = True
+    header_after: str | None = None
+    header_at: str | None = None
+    unit_line: bool = False
+    comment: Annotated[str, Field(min_length=1)] | None = None
+    labels: Annotated[str, Field(min_length=1)] | None = None
+    trailing_delimiter: bool = False
+    blank_lines: Literal["refuse", "skip"] = "refuse"
+    missing: tuple[str, ...] = ()
+
+    @property
+    def decimal_sign(self) -> str:
+        """Decimal sign of numbers in texts; a point in formats that keep numbers as such, where none is stated."""
+        return self.decimal or "."
+
+    def layout_problems(self) -> Iterator[Problem]:
+        """Yield what does not fit together in the layout."""
+        if len(self.delimiter) != 1 and self.delimiter != BLANKS:
+            yield ("delimiter",), f"expected one character or {BLANKS!r}, found {self.delimiter!r}"
+        if self.decimal is None:
+            yield ("decimal",), """missing; add the line decimal = "." or decimal = ",", as the file has it"""
+        if self.delimiter == self.decimal:
+            yield ("decimal",), f"{self.decimal!r} as the delimiter is; expected different characters"
+        for key in ("header_after", "header_at"):
+            if problem := pattern_problem(getattr(self, key)):
+                yield (key,), problem
 
 
 class Source(Record):
@@ -79,13 +153,6 @@ class Source(Record):
         return str(self.column) if self.name is None else self.name
 
 
-def _no_truth(value: object) -> object:
-    """Refuse true, which Python takes for 1."""
-    if isinstance(value, bool):
-        raise ValueError("Input should be 1 or -1")
-    return value
-
-
 class ColumnSource(Source):
     """Source of command, position, force or velocity.
 
@@ -98,7 +165,7 @@ class ColumnSource(Source):
         kept with each trial.
     """
 
-    sign: Annotated[Literal[1, -1], BeforeValidator(_no_truth)] | None = None
+    sign: Annotated[Literal[1, -1], NoTruth] | None = None
     stands_for: Name | None = None
 
 
@@ -181,6 +248,15 @@ class Columns(Record):
         return {key: source for key, source in found.items() if source is not None}
 
 
+def si_unit(quantity: str) -> str:
+    """Return the SI unit of a physical quantity.
+
+    >>> si_unit("rotational stiffness")
+    'Nm/rad'
+    """
+    return next(symbol for symbol, unit in UNITS.items() if unit == (quantity, 1.0))
+
+
 def quantity_of(key: str, source: Source, motion: Motion) -> str:
     """Return the physical quantity of a column of the file: of a position that is integrated, a velocity."""
     integrated = isinstance(source, PositionSource) and source.integrate is not None
@@ -195,17 +271,16 @@ def factor(key: str, source: Source, motion: Motion) -> float:
     ParameterError
         If the unit is not known or does not fit the column.
     """
+    sign, unit = 1, source.unit
     if isinstance(source, ColumnSource):
         # a sign that is missing is a mistake of its own; here the unit is looked at
         sign, unit = source.sign or 1, source.stands_for or source.unit
-    else:
-        sign, unit = 1, source.unit
     if unit is None:
         raise ParameterError(f"{key} has no unit")
     return sign * factor_to_si(unit, (quantity_of(key, source, motion),)) / (source.counts_per_unit or 1.0)
 
 
-def column_problems(columns: Columns, motion: Motion) -> Iterator[Problem]:
+def problems_of(columns: Columns, motion: Motion) -> Iterator[Problem]:
     """Yield what is missing or wrong in the columns; units are held against the motion of the device."""
     for key in ("time", "command", "position"):
         if getattr(columns, key) is None:
@@ -238,10 +313,10 @@ def _source_problems(key: str, source: Source, motion: Motion) -> Iterator[tuple
         yield "name", f'missing. Add name = "<column in the file>" or column = <position>{more}'
     if sampled and not source.in_file:
         return
-    quantity = quantity_of(key, source, motion)
     if source.unit is None:
-        example = EXAMPLE_UNITS.get(quantity, "deg/s")
-        yield "unit", f'missing; a unit is never guessed. Add unit = "{example}" with the unit of column {source.key!r}'
+        quantity = quantity_of(key, source, motion)
+        units = ", ".join(symbol for symbol, unit in UNITS.items() if unit.quantity == quantity)
+        yield "unit", f'missing; a unit is never guessed. Add unit = "..." for column {source.key!r}, one of {units}'
         return
     try:
         factor(key, source, motion)

@@ -16,19 +16,11 @@ from pipeline.profiles.profile_model import PROBLEMS, Profile
 
 Place = tuple[str | int, ...]
 
-_PLACEHOLDERS: dict[str, Any] = {"name": "unnamed", "format": "delimited", "files": ["*"]}
-"""Values for keys that every profile needs, so that a profile without them is searched for further mistakes."""
-
 QUESTION = "# QUESTION:"
 """Beginning of the lines of a draft in which something is asked that must not be guessed."""
 
-_NOT_ASKED: dict[str, tuple[str, ...]] = {
-    "step_row": ("step_at",),
-    "step_time_s": ("step_at",),
-    "column": ("name",),
-    "format": ("decimal",),
-}
-"""Keys beside a wrong one that are missing only because the wrong one was taken out."""
+_INSTEAD = {"step_row": "step_at", "step_time_s": "step_at", "column": "name"}
+"""Keys that are missing only because another one, which stands for them, is wrong."""
 
 _WORDS = {
     "tuple_type": "Input should be a list in brackets",
@@ -40,10 +32,6 @@ _WORDS = {
 
 _STATEMENT = re.compile(r"""\s*(\[{0,2})\s*([\w"'. -]+?)\s*[\]=]""")
 """Head of a table, or a key."""
-
-_ROUNDS = 5
-"""Times a profile is checked again without its mistakes; each round removes what the one before found, and nothing in a
-profile is nested deeper."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +46,7 @@ class Mistake:
 def find_mistakes(values: dict[str, Any], text: str) -> list[Mistake]:
     """Return all mistakes of a profile, in order of line; empty where there is none.
 
-    Wrong keys are taken out and the rest is checked again, so that one mistake does not hide another; what is missing
-    only because it was taken out is not reported.
+    What does not fit together is looked for once wrong keys are mended or taken out, so that they do not hide it.
 
     Parameters
     ----------
@@ -68,29 +55,21 @@ def find_mistakes(values: dict[str, Any], text: str) -> list[Mistake]:
     text : str
         Its text, for the line numbers.
     """
-    lines = key_lines(text)
-    rest = deepcopy(values)
-    found: dict[Place, str] = {}
-    for _ in range(_ROUNDS):
+    rest, found = deepcopy(values), dict[Place, str]()
+    for _ in range(2):
         try:
             Profile.model_validate(rest)
             break
         except ValidationError as error:
-            new = {
-                place: what
-                for place, what in (p for e in error.errors() for p in _explain(dict(e)))
-                if not any(place[: len(other)] == other for other in found)
-            }
-            if not new:
-                break
-            # a key that was meant is not missing, too
-            found |= new
-            meant = [(*place[:-1], key) for place in new if (key := _meant(place, new[place]))]
-            found |= dict.fromkeys(meant, "")
-            beside = [(*p[:-1], key) for p in (*new, *meant) if p for key in _NOT_ASKED.get(str(p[-1]), ())]
-            found |= {place: "" for place in beside if place not in found}
-            for place in new:
-                _remove(rest, place)
+            told = [problem for entry in error.errors() for problem in _explain(dict(entry))]
+        for place, what, meant in told:
+            if not any(place[: len(other)] == other for other in found):
+                found[place] = what
+            _mend(rest, place, meant)
+        found |= {
+            (*place[:-1], other): "" for place in tuple(found) if place and (other := _INSTEAD.get(str(place[-1])))
+        }
+    lines = key_lines(text)
     mistakes = [Mistake(_line(lines, place), place, what) for place, what in found.items() if what]
     return sorted(mistakes, key=lambda mistake: (mistake.line, str(mistake.place)))
 
@@ -104,37 +83,31 @@ def find_questions(text: str) -> list[Mistake]:
             continue
         key, _, words = line.lstrip().removeprefix(QUESTION).strip().partition(":")
         place: Place = tuple(int(part) if part.isdecimal() else part for part in key.split("."))
-        hint = "Set the key below it."
-        found.append(Mistake(number, place, f"{_key(place)}: open question: {words.strip()} {hint}"))
+        found.append(Mistake(number, place, f"{_key(place)}: open question: {words.strip()} Set the key below it."))
     return found
 
 
-def _explain(error: dict[str, Any]) -> Iterator[tuple[Place, str]]:
+def _explain(error: dict[str, Any]) -> Iterator[tuple[Place, str, str | None]]:
+    """Yield place and words of mistakes, and the key that an unknown one was taken for."""
     if error["type"] == PROBLEMS:
-        yield from ((tuple(place), f"{_key(place)}: {what}.") for place, what in error["ctx"]["problems"])
+        yield from ((tuple(place), f"{_key(place)}: {what}.", None) for place, what in error["ctx"]["problems"])
         return
-    place = tuple(part for part in error["loc"] if part != "[key]")
+    place, meant = tuple(part for part in error["loc"] if part != "[key]"), None
     if error["type"] == "extra_forbidden":
         known = sorted(_keys_at(place[:-1]))
-        near = get_close_matches(str(place[-1]), known, 1)
-        expected = f"did you mean {near[0]!r}? Correct or remove it." if near else f"expected one of {known}."
-        yield place, f"{_key(place)}: not known; {expected}"
+        meant = next(iter(get_close_matches(str(place[-1]), known, 1)), None)
+        expected = f"did you mean {meant!r}? Correct or remove it." if meant else f"expected one of {known}."
+        what = f"not known; {expected}"
     elif error["type"] == "missing":
-        yield place, f"{_key(place)}: missing. Add it."
+        what = "missing. Add it."
     else:
         message = _WORDS.get(error["type"], str(error["msg"]).removeprefix("Value error, "))
-        yield place, f"{_key(place)}: {message}, found {error['input']!r}."
+        what = f"{message}, found {error['input']!r}."
+    yield place, f"{_key(place)}: {what}", meant
 
 
 def _key(place: Place) -> str:
     return f"key {'.'.join(str(part) for part in place)!r}" if place else "the profile"
-
-
-def _meant(place: Place, what: str) -> str | None:
-    """Return the key that an unknown one was taken for."""
-    if "not known; did you mean" not in what:
-        return None
-    return get_close_matches(str(place[-1]), sorted(_keys_at(place[:-1])), 1)[0]
 
 
 def _keys_at(place: Place) -> set[str]:
@@ -154,24 +127,17 @@ def _model_in(annotation: Any) -> type[BaseModel] | None:
     return next((model for part in get_args(annotation) if (model := _model_in(part))), None)
 
 
-def _remove(values: dict[str, Any], place: Place) -> None:
-    """Take a key out; where every profile needs it, put something legal there."""
+def _mend(values: dict[str, Any], place: Place, meant: str | None) -> None:
+    """Rename a wrong key to the one that was meant, or take it out."""
     holder: Any = values
     for part in place[:-1]:
         try:
             holder = holder[part]
         except (KeyError, IndexError, TypeError):
             return
-    last = place[-1] if place else None
-    if isinstance(holder, dict):
-        holder.pop(last, None)
-        if len(place) == 1 and last in _PLACEHOLDERS:
-            holder[last] = _PLACEHOLDERS[str(last)]
-        elif last in ("match", "label", "replace", "by"):
-            holder[last] = f"unnamed {place}"
-    elif isinstance(holder, list) and isinstance(last, int) and last < len(holder):
-        # the other entries keep their numbers
-        holder[last] = {"match": f"unnamed {last}"} if place[0] == "file" else {"label": f"unnamed {last}"}
+    if isinstance(holder, dict) and place[-1:] and place[-1] in holder:
+        value = holder.pop(place[-1])
+        holder |= {meant: value} if meant and meant not in holder else {}
 
 
 def key_lines(text: str) -> dict[Place, int]:
@@ -185,7 +151,7 @@ def key_lines(text: str) -> dict[Place, int]:
 
     def placed(name: str) -> Place:
         place: Place = ()
-        for part in name.split("."):
+        for part in filter(None, name.split(".")):
             place = (*place, part.strip(" \"'"))
             place = (*place, entries[place] - 1) if place in entries else place
         return place
@@ -196,7 +162,7 @@ def key_lines(text: str) -> dict[Place, int]:
         brackets, name = statement.groups()
         if brackets == "[[":
             above, _, last = name.rpartition(".")
-            entries[(*(placed(above) if above else ()), last.strip(" \"'"))] += 1
+            entries[(*placed(above), last.strip(" \"'"))] += 1
         table = placed(name) if brackets else table
         place = table if brackets else (*table, *(part.strip(" \"'") for part in name.split(".")))
         # a table that is named in parts only begins with its first part

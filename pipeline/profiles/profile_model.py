@@ -20,10 +20,8 @@ from pipeline.base.errors import ParameterError
 from pipeline.base.provenance import sha256
 from pipeline.base.units import factor_to_si
 from pipeline.profiles.patterns import group_names, pattern_problem
-from pipeline.profiles.profile_columns import Columns, Source, column_problems, factor
-from pipeline.profiles.profile_text import Count, Number, Problem, TextLayout
-from pipeline.records.findings import Record
-from pipeline.records.models import Grip, Motion, Name
+from pipeline.profiles.profile_columns import Columns, Count, Number, Problem, Source, TextLayout, factor, problems_of
+from pipeline.records.findings import Grip, Motion, Name, Record
 from pipeline.records.native import FREE
 
 Format = Literal[
@@ -102,15 +100,9 @@ class StepTime(Record):
     step_at: Literal["command edge", "first row"] | None = None
 
     @property
-    def declared(self) -> bool:
-        """Whether something is said about the step."""
-        return (self.step_row, self.step_time_s, self.step_at) != (None, None, None)
-
-    def step_problems(self, place: tuple[str | int, ...] = ()) -> Iterator[Problem]:
-        """Yield whether the step is declared twice."""
-        given = [key for key in ("step_row", "step_time_s", "step_at") if getattr(self, key) is not None]
-        if len(given) > 1:
-            yield (*place, given[1]), f"given beside {given[0]}; expected one of them"
+    def declared(self) -> list[str]:
+        """Keys by which something is said about the step; one is expected."""
+        return [key for key in StepTime.model_fields if getattr(self, key) is not None]
 
 
 STEP_MISSING = (
@@ -214,22 +206,22 @@ class Profile(TextLayout, StepTime):
         if self.columns is None:
             yield ("columns",), "missing. Add [columns.time], [columns.command], [columns.position]"
         else:
-            yield from column_problems(self.columns, self.constants.motion)
-        yield from self._part_problems()
-        yield from self._undeclared_steps()
-        yield from self._condition_problems()
-
-    def _part_problems(self) -> Iterator[Problem]:
-        """Yield what is wrong in the partner, and in entries of [[file]] and [[steps]]."""
+            yield from problems_of(self.columns, self.constants.motion)
         partners = [key for key, source in self.column_sources().items() if source.file == "partner"]
         if self.partner is None and partners:
             yield ("partner",), f"missing, but columns.{partners[0]} is of the partner. Add [partner] with replace, by"
         if self.partner and (self.partner.replace in self.partner.by or self.partner.by in self.partner.replace):
             yield ("partner", "by"), "'replace' and 'by' must not contain each other"
-        yield from self.step_problems()
-        for key, entries in self._entries().items():
-            for index, entry in enumerate(entries):
-                yield from entry.step_problems((key, index))
+        yield from self._step_problems()
+        yield from self._condition_problems()
+
+    def _step_problems(self) -> Iterator[Problem]:
+        """Yield what is wrong in [[steps]], and where it is not said when the step happens."""
+        entries = {(key, i): e for key in ("steps", "file") for i, e in enumerate(getattr(self, key))}
+        places: list[tuple[tuple[str | int, ...], StepTime]] = [((), self), *entries.items()]
+        for place, entry in places:
+            if len(given := entry.declared) > 1:
+                yield (*place, given[1]), f"given beside {given[0]}; expected one of them"
         labels = [step.label for step in self.steps]
         for index, step in enumerate(self.steps):
             if step.sampling_period_s is not None:
@@ -239,26 +231,12 @@ class Profile(TextLayout, StepTime):
                 yield ("steps", index, "label"), f"{step.label!r} is given twice; expected a name of its own"
         if self.steps and (self.trial_column or self.window or any(entry.window for entry in self.file)):
             yield ("steps",), "given beside trial_column or a window; expected one of them"
-
-    def _undeclared_steps(self) -> Iterator[Problem]:
-        """Yield where it is not said when the step happens: at the top, or in entries of [[steps]] or [[file]]."""
         varies = "step" in {*self.name_groups(), *self.attributes, *self.condition_columns}
         constant = 0.0 if self.conditions().isdisjoint(FREE) else None if varies else self.constants.step
-        silent = {
-            key: [i for i, e in enumerate(part) if not e.declared and (constant if e.step is None else e.step) != 0]
-            for key, part in self._entries().items()
-        }
-        if self.declared or (constant == 0 and not any(silent.values())):
-            return
-        told = [key for key, part in self._entries().items() if any(entry.declared for entry in part)]
-        if not told:
+        steps = [constant, *(entry.step for entry in entries.values() if entry.step is not None)]
+        # an entry that says nothing beside one that does is refused with the files that it reads
+        if not any(entry.declared for entry in (self, *entries.values())) and any(step != 0 for step in steps):
             yield ("step_at",), STEP_MISSING
-        # steps whose file says it need not say it again, nor the other way round
-        elif all(silent[key] for key in told):
-            yield from (((key, index, "step_at"), STEP_MISSING) for key in told for index in silent[key])
-
-    def _entries(self) -> dict[str, tuple[FileEntry | StepEntry, ...]]:
-        return {"steps": self.steps, "file": self.file}
 
     def conditions(self) -> set[str]:
         """Return the conditions that anything gives."""

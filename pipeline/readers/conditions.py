@@ -14,7 +14,7 @@ from pipeline.base.errors import LogError, ParameterError
 from pipeline.base.units import factor_to_si
 from pipeline.profiles.patterns import find_groups
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, REQUIRED_CONDITIONS, FileEntry, Profile, StepEntry
-from pipeline.readers.frame import Frame, Scalar
+from pipeline.readers.frame import Contents, Scalar
 from pipeline.readers.limits import LONGEST_QUANTITY
 from pipeline.readers.refusals import refusal
 from pipeline.records.batch import Integers
@@ -54,7 +54,11 @@ def statements(profile: Profile, name: str, part: Part) -> dict[str, tuple[str, 
     """
     entry, step = part
     found = {key: ("constants", value) for key, value in profile.constants.given().items()}
-    found |= {key: ("name_pattern", value) for key, value in _of_name(profile, name).items()}
+    told = {} if profile.name_pattern is None else find_groups(profile.name_pattern, name)
+    if told is None:
+        text = f"file name {name!r} does not fit name_pattern {profile.name_pattern!r} of {profile.name}"
+        raise refusal("profile-wrong", "", text)
+    found |= {key: ("name_pattern", value) for key, value in told.items()}
     found |= {key: (f"attributes: {attribute!r}", None) for key, attribute in profile.attributes.items()}
     found |= {key: (f"condition_columns: {column!r}", None) for key, column in profile.condition_columns.items()}
     if entry is not None:
@@ -67,7 +71,7 @@ def statements(profile: Profile, name: str, part: Part) -> dict[str, tuple[str, 
 def conditions_of(
     profile: Profile,
     names: tuple[str, str],
-    frame: Frame,
+    frame: Contents,
     rows: Integers,
     part: Part,
     required: Sequence[str] = REQUIRED_CONDITIONS,
@@ -79,7 +83,7 @@ def conditions_of(
     profile : Profile
     names : tuple of str
         File name; and file with trial, for messages.
-    frame : Frame
+    frame : Contents
     rows : int64
         Rows of the trial, for conditions that stand in a column.
     part : FileEntry or None, StepEntry or None
@@ -106,11 +110,10 @@ def conditions_of(
         given[key] = _in_si(profile, where, key, value, inside)
     if given.keys().isdisjoint(FREE):
         given |= dict.fromkeys(FREE, 0.0)
-    for condition in required:
-        if condition not in given:
-            line = f'[[file]]\nmatch = "{name}"\n{condition} = <value>'
-            found = f"profile {profile.name} does not give the {condition} of this file"
-            raise refusal("condition-missing", where, found, line=line)
+    if missing := next((key for key in required if key not in given), None):
+        line = f'[[file]]\nmatch = "{name}"\n{missing} = <value>'
+        found = f"profile {profile.name} does not give the {missing} of this file"
+        raise refusal("condition-missing", where, found, line=line)
     return given
 
 
@@ -135,17 +138,7 @@ def header_of(profile: Profile, where: str, given: Mapping[str, Any], extra: dic
     return replace(header, extra=extra)
 
 
-def _of_name(profile: Profile, name: str) -> dict[str, str]:
-    if profile.name_pattern is None:
-        return {}
-    found = find_groups(profile.name_pattern, name)
-    if found is None:
-        text = f"file name {name!r} does not fit name_pattern {profile.name_pattern!r} of {profile.name}"
-        raise refusal("profile-wrong", "", text)
-    return found
-
-
-def _of_column(where: str, frame: Frame, rows: Integers, key: str, column: str) -> Scalar:
+def _of_column(where: str, frame: Contents, rows: Integers, key: str, column: str) -> Scalar:
     values = frame.columns[column][rows]
     if not len(values):
         raise refusal("condition-missing", where, f"column {column!r}, which gives the {key}, has no rows")
@@ -169,25 +162,22 @@ def _in_si(profile: Profile, where: str, key: str, value: Scalar, inside: bool =
     factor = profile.condition_factor(key)
     if not isinstance(value, str):
         return value * factor
-    text = value.strip()
+    text, said = value.strip(), f"the {key} is {value.strip()[:200]!r}"
     # what is longer is no number with a unit, and takes the pattern its length squared
     match = _QUANTITY.fullmatch(text) if len(text) <= LONGEST_QUANTITY else None
     number, unit = match.groups() if match else (text, None)
     if inside and profile.decimal_sign == "," and "." in number:
-        found = f"the {key} is {text[:200]!r}, but the decimal sign is ',': the point may part thousands"
+        found = f"{said}, but the decimal sign is ',': the point may part thousands"
         raise refusal("condition-wrong", where, found)
     try:
         magnitude = float(number.replace(profile.decimal_sign, ".").replace("_", "?"))
+        stated = factor_to_si(unit, (CONDITION_QUANTITIES[key][profile.constants.motion],)) if unit else factor
+    except ParameterError as error:
+        raise refusal("condition-wrong", where, f"{said}: {error}") from error
     except ValueError:
         expected = f"a number (decimal sign {profile.decimal_sign!r}), with or without its unit"
-        raise refusal("condition-wrong", where, f"the {key} is {text[:200]!r}", expected) from None
-    if unit:
-        try:
-            stated = factor_to_si(unit, (CONDITION_QUANTITIES[key][profile.constants.motion],))
-        except ParameterError as error:
-            raise refusal("condition-wrong", where, f"the {key} is {text[:200]!r}: {error}") from error
-        if getattr(profile.units, key) is not None and stated != factor:
-            found = f"the {key} is {text[:200]!r}, but units.{key} is {getattr(profile.units, key)!r}"
-            raise refusal("condition-wrong", where, found)
-        factor = stated
-    return magnitude * factor
+        raise refusal("condition-wrong", where, said, expected) from None
+    if stated != factor and getattr(profile.units, key) is not None:
+        found = f"{said}, but units.{key} is {getattr(profile.units, key)!r}"
+        raise refusal("condition-wrong", where, found)
+    return magnitude * stated

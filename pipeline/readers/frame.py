@@ -1,17 +1,18 @@
 """What a format reader hands on: named arrays as they stand in a file, without units, signs or guesses.
 
 A format is a function ``read(path, settings, contents)`` that adds what it finds to a `Contents`. `Contents.frame`
-takes the columns that a profile wants, `Contents.listed` says what there is; `mapping` turns frames into logs.
+takes the columns that a profile wants, `Contents.listed` says what there is; `mapping` turns them into logs.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
-from itertools import islice, product
-from typing import Any
+from itertools import islice
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,52 +20,12 @@ from numpy.typing import NDArray
 from pipeline.base.errors import LogError
 from pipeline.readers.limits import EXACT, LISTED_ELEMENTS, LISTED_NAMES, LONGEST_ATTRIBUTE, MOST_ARRAYS, MOST_VALUES
 from pipeline.readers.refusals import refusal
-from pipeline.records.batch import Integers
+from pipeline.records.batch import Floats, Integers
 
 Scalar = str | float | int
 Array = NDArray[Any]
 
-_ELEMENT = re.compile(r"(.+?)((?:\[\d+\])+)", re.DOTALL)
 _KINDS = {"f": "number", "U": "text"}
-
-
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """Columns of a file as they stand there.
-
-    Parameters
-    ----------
-    columns : mapping of str to array, shape (rows,)
-        float64, integers (a counter keeps its integers) or str (a text column, such as the label of a trial), by the
-        name in the file: ``"1"``, ``"2"``, ... in a file without names; a path with dots where it is nested
-        (``"state.q"``), elements of a vector in brackets, counted from 0 (``"state.q[3]"``). NaN (an empty text in a
-        text column) is a missing cell, as in sparse files of several rates. Nothing is interpolated.
-    row : int64, shape (rows,)
-        Where each row stands in the file, counted from 1.
-    row_name : str
-        What a row is called there: "line", "record", "sample", "message".
-    attributes : mapping of str to str, float or int
-        Scalars and texts found in the file, such as HDF5 attributes or lines "label: value"; a profile may take
-        conditions from them.
-    warnings : tuple of str
-        What was accepted and should be known, such as a last row that was cut.
-    dates : mapping of str to (int64 array of shape (rows,), int)
-        Stamps as `pipeline.readers.dates.whole_dates` has them, of a column that is float64 in ``columns``.
-    units : mapping of str to str
-        Units of times that their type in the file states beyond doubt, such as ns of a ROS stamp; a profile that says
-        otherwise is refused. Units in names, headers and attributes are no such units: they are shown only.
-    """
-
-    columns: Mapping[str, Array]
-    row: Integers
-    row_name: str
-    attributes: Mapping[str, Scalar] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
-    dates: Mapping[str, tuple[Integers, int]] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
-
-    def __len__(self) -> int:
-        return len(self.row)
 
 
 @dataclass(frozen=True)
@@ -74,7 +35,7 @@ class ColumnInfo:
     Parameters
     ----------
     name : str
-        As in `Frame.columns`.
+        As in `Contents.columns`.
     dtype : str
         "number", "integer" or "text".
     rows : int
@@ -101,19 +62,32 @@ class Contents:
     name : str
         The file, for messages.
     wanted : tuple of str
-        Names that a profile asks for; a reader may leave out others. Empty means all.
+        Names that a profile asks for; others are left out. Empty means all.
     most : int
         Values that the file may hold.
     row_name : str
-        What a row is called.
-    columns : dict of str to array
-        float64, integers of 64 bits or str, of any shape: of a matrix one axis is time. Single values are attributes.
-    hints, units, attributes, warnings, dates
-        As in `Frame`; hints are units and descriptions that are shown only.
+        What a row is called there: "line", "record", "sample", "message".
+    columns : dict of str to array, shape (rows,)
+        float64, integers (a counter keeps its integers) or str (a text column, such as the label of a trial), by the
+        name in the file: ``"1"``, ``"2"``, ... in a file without names; a path with dots where it is nested
+        (``"state.q"``), elements of a matrix in brackets, counted from 0 (``"state.q[3]"``). NaN (an empty text in a
+        text column) is a missing cell, as in sparse files of several rates. Nothing is interpolated.
+    hints : dict of str to str
+        Units and descriptions that are shown only.
+    units : dict of str to str
+        Units of times that their type in the file states beyond doubt, such as ns of a ROS stamp; a profile that says
+        otherwise is refused. Units in names, headers and attributes are no such units: they are shown only.
+    attributes : dict of str to str, float or int
+        Scalars and texts found in the file, such as HDF5 attributes or lines "label: value"; a profile may take
+        conditions from them.
     refused : dict of str to str
         What is in the file but cannot be read, and why.
-    row : int64, shape (rows,), or None
-        As in `Frame`; None where rows are counted from 1.
+    warnings : tuple of str
+        What was accepted and should be known, such as a last row that was cut.
+    since_first : dict of str to float64 array, shape (rows,)
+        Decimal stamps counted from the first row: of a date, the floats in ``columns`` are wrong by up to 0.12 us.
+    row : int64, shape (rows,)
+        Where each row stands in the file, counted from 1; empty before it is known.
     keys : dict of str to str
         Keys of a profile that this file needs, as TOML.
     """
@@ -127,59 +101,59 @@ class Contents:
     units: dict[str, str] = field(default_factory=dict)
     attributes: dict[str, Scalar] = field(default_factory=dict)
     refused: dict[str, str] = field(default_factory=dict)
-    warnings: list[str] = field(default_factory=list)
-    dates: dict[str, tuple[Integers, int]] = field(default_factory=dict)
-    row: Integers | None = None
+    warnings: tuple[str, ...] = ()
+    since_first: dict[str, Floats] = field(default_factory=dict)
+    row: Integers = field(default_factory=lambda: np.empty(0, np.int64))
     keys: dict[str, str] = field(default_factory=dict)
-    arrays: int = 0
     values: int = 0
 
     def asks(self, path: str) -> bool:
         """Return whether a column, or an element of it, is wanted; the first slash of a path may be left out."""
-        bare, keys = path.removeprefix("/"), (key.removeprefix("/") for key in self.wanted)
-        return not self.wanted or any(key == bare or key.startswith((f"{bare}[", f"{bare}.")) for key in keys)
+        return not self.wanted or any(_is_part(key, path) for key in self.wanted)
 
-    def add(self, path: str, values: Array | Callable[[], Any], hint: str = "", unit: str = "") -> None:
+    def add(
+        self, path: str, values: Array | Callable[[], Any], hint: str = "", unit: str = "", axis: int | None = None
+    ) -> None:
         """Keep an array, or the reason why it cannot be read: one that cannot must not hide the others.
 
         Parameters
         ----------
         path : str
         values : array, or callable that loads one
+            An array with one axis longer than 1 is one column; of a matrix, each element ``path[0]``, ``path[1]``, ...
         hint, unit : str
             What the file says of it, and the unit of times that its type states.
+        axis : int, optional
+            The axis that is time; the longest one where the format does not say it.
 
         Raises
         ------
         LogError
             If the file holds more arrays or values than a log has.
         """
-        self.arrays += 1
-        if self.arrays > MOST_ARRAYS:
-            raise refusal("too-many-columns", self.name, f"has more than {MOST_ARRAYS} arrays", "recorded signals")
         try:
-            column = plain_column(np.asarray(values() if callable(values) else values))
+            array = np.asarray(values() if callable(values) else values)
+            unit = "ns" if array.dtype.kind in "mM" else unit
+            array = plain_column(array)
         except (LogError, MemoryError, OSError, TypeError, ValueError) as error:
             if self.wanted and self.asks(path) and not isinstance(error, TypeError | ValueError):
                 raise
             large = "claims more values than this file may unpack to"
             self.refused[path] = f"{large if isinstance(error, MemoryError) else error}."
             return
-        self.values += column.size
+        self.values += array.size
         self.claim(self.values)
-        self.columns[path] = column
-        self.hints |= {path: hint} if hint else {}
-        self.units |= {path: unit} if unit else {}
-        if column.size == 1:
-            self.note(path, column.reshape(-1)[0])
+        if array.size == 1:
+            self.note(path, array)
+        for name, column in islice(_elements(path, array, axis), None if self.wanted else LISTED_ELEMENTS):
+            if len(self.columns) + len(self.refused) >= MOST_ARRAYS:
+                raise refusal("too-many-columns", self.name, f"has more than {MOST_ARRAYS} arrays", "recorded signals")
+            self.columns[name] = column
+            self.hints |= {name: hint} if hint else {}
+            self.units |= {name: unit} if unit else {}
 
     def claim(self, values: int) -> None:
-        """Refuse a file that claims more values than it may hold, where it can before they are unpacked.
-
-        Raises
-        ------
-        LogError
-        """
+        """Refuse a file that claims more values than it may hold, where it can before they are unpacked."""
         if values > self.most:
             text = f"claims more than {self.most} values"
             raise refusal("unpacks-too-large", self.name, text, "a log of one step response")
@@ -193,96 +167,76 @@ class Contents:
         if isinstance(value, str | int | float):
             self.attributes[key] = value[:LONGEST_ATTRIBUTE] if isinstance(value, str) else value
 
+    def keep_stamps(self, path: str, texts: Any) -> None:
+        """Keep decimal stamps, an Arrow array of texts, counted from the first one."""
+        import pyarrow as pa  # 20 ms that native logs need not pay
+        import pyarrow.compute as pc
+
+        with suppress(pa.ArrowInvalid, IndexError):
+            stamps = pc.cast(texts, pa.decimal128(30, 10))
+            first = stamps.drop_null()[0]
+            self.since_first[path] = pc.cast(pc.subtract(stamps, first), pa.float64()).to_numpy(zero_copy_only=False)
+
     def cut_row(self, text: str, row: int) -> None:
         """Say that the last row is cut and left out, and keep it verbatim."""
         self.note("cut_last_row", text)
-        said = f"last row is cut: {text[:200]!r} (line {row}) was left out and is kept verbatim"
-        self.warnings.append(said)
+        self.warnings += (f"last row is cut: {text[:200]!r} (line {row}) was left out and is kept verbatim",)
+
+    def find(self, wanted: str) -> str | None:
+        """Return the name of a column that is wanted, or None: slash and index of a single element may be left out."""
+        names = (wanted, re.sub(r"(\[0\])+$", "", wanted))
+        return next((known for name in names for known in (name, f"/{name}") if known in self.columns), None)
 
     def lacks(self) -> bool:
-        """Return whether a wanted column is not there."""
-        try:
-            return not all(self._find(key) for key in self.wanted)
-        except LogError as error:
-            return error.code == "column-missing"
+        """Return whether a wanted column is not there, and not known to be unreadable."""
+        refused = [key for key in self.wanted if any(_is_part(key, path) for path in self.refused)]
+        return any(self.find(key) is None and key not in refused for key in self.wanted)
 
-    def frame(self) -> Frame:
-        """Return the wanted columns; without any, all that are no single values.
-
-        An array with one axis longer than 1 is one column. Of a matrix, the axis that is as long as the wanted columns
-        (without any: as the vectors of the file) is time, the first one where both fit, and the longer one where
-        nothing fits; the other axes give elements ``name[0]``, ``name[1]``, ..., counted from 0.
+    def frame(self) -> Self:
+        """Return the wanted columns alone, by the names that are wanted; without any, all that are no single values.
 
         Raises
         ------
         LogError
-            If a name is not there, cannot be read, is a matrix without an element named, or lengths differ.
+            If a name is not there or cannot be read, or lengths differ.
         """
-        single = self.attributes.keys() if any(a.size != 1 for a in self.columns.values()) else ()
-        found = {key: self._find(key) for key in self.wanted} or {
-            key: (base, index)
-            for base in self.columns
-            if base not in single
-            for key, index in _elements(base, self.columns[base], self._lengths(self.columns))
-        }
-        if not found:
+        vectors = {name: column for name, column in self.columns.items() if len(column) != 1} or self.columns
+        columns = {key: self._column(key) for key in self.wanted} or vectors
+        if not columns:
             raise refusal("empty", self.name, f"holds no columns{self._reasons()}", "recorded signals")
-        lengths = self._lengths({base for base, _ in found.values()}) or self._lengths(self.columns)
-        columns = {key: self._take(key, base, index, lengths) for key, (base, index) in found.items()}
         rows = {key: len(column) for key, column in columns.items()}
         if len(set(rows.values())) > 1:
             listing = ", ".join(f"{key!r}: {count}" for key, count in list(rows.items())[:LISTED_NAMES])
             text = f"columns have different lengths ({listing})"
             raise refusal("lengths-differ", self.name, text, "one length", row=min(rows.values()) + 1)
-        row = np.arange(1, next(iter(rows.values())) + 1) if self.row is None else self.row
-        return Frame(columns, row, self.row_name, self.attributes, tuple(self.warnings), self.dates, self.units)
+        units = {key: self.units[name] for key in columns if (name := self.find(key)) in self.units}
+        row = self.row if len(self.row) else np.arange(1, next(iter(rows.values())) + 1)
+        return replace(self, columns=columns, units=units, row=row)
+
+    def __len__(self) -> int:
+        return len(self.row)
 
     def listed(self) -> list[ColumnInfo]:
         """Return what `frame` can take, with first values; what cannot be read has no rows, and the reason as hint."""
         if not self.columns and not self.refused:
             raise refusal("empty", self.name, "holds no columns", "recorded signals")
-        infos, lengths = [], self._lengths(self.columns)
-        for base, array in self.columns.items():
-            for key, index in _elements(base, array, lengths):
-                values = self._take(key, base, index, lengths)
-                kind = _KINDS.get(array.dtype.kind, "integer")
-                hint = self.units.get(base) or self.hints.get(base, "")
-                infos.append(ColumnInfo(key, kind, len(values), tuple(map(str, values[:3])), hint))
+        infos = []
+        for name, column in self.columns.items():
+            kind, hint = _KINDS.get(column.dtype.kind, "integer"), self.units.get(name) or self.hints.get(name, "")
+            infos.append(ColumnInfo(name, kind, len(column), tuple(map(str, column[:3])), hint))
         return infos + [ColumnInfo(path, "text", 0, (), reason) for path, reason in self.refused.items()]
 
-    def _lengths(self, bases: Any) -> set[int]:
-        """Return the lengths of vectors; single numbers do not count."""
-        return {self.columns[base].size for base in bases if is_vector(self.columns[base].shape)} - {0, 1}
-
-    def _take(self, key: str, base: str, index: tuple[int, ...], lengths: set[int]) -> Array:
-        values = self.columns[base]
-        if is_vector(values.shape) and not any(index):
-            return values.reshape(-1)
-        axis = time_axis(values.shape, lengths)
-        others = [length for i, length in enumerate(values.shape) if i != axis]
-        if len(index) != len(others) or any(i >= length for i, length in zip(index, others, strict=True)):
-            first, last = _element(base, [0] * len(others)), _element(base, [n - 1 for n in others])
-            text = f"{base!r} has shape {values.shape}, so its columns are {first!r} to {last!r}; asked for is {key!r}"
-            raise refusal("column-missing", self.name, text, cure="Name one element in columns.*.name.")
-        selection: Any = (slice(None), *index)
-        return np.ascontiguousarray(np.moveaxis(values, axis, 0)[selection])
-
-    def _find(self, wanted: str) -> tuple[str, tuple[int, ...]]:
-        """Return the array that holds a column, and which element of it."""
-        match = _ELEMENT.fullmatch(wanted)
-        stem, index = (match[1], re.findall(r"\d+", match[2])) if match else (wanted, [])
-        # the name itself may end in brackets, as elements of a struct array do
-        for own in range(len(index), -1, -1):
-            for base in (_element(stem, index[:own]), "/" + _element(stem, index[:own])):
-                if base in self.columns:
-                    return base, tuple(int(i) for i in index[own:])
+    def _column(self, wanted: str) -> Array:
+        if (found := self.find(wanted)) is not None:
+            return self.columns[found]
         for key, reason in self.refused.items():
-            bare = key.removeprefix("/")
-            if wanted.removeprefix("/") == bare or wanted.removeprefix("/").startswith((f"{bare}.", f"{bare}[")):
+            if _is_part(wanted, key):
                 raise LogError(f"{self.name}: {key!r} {reason}", code="unsupported")
-        known = [info.name for info in self.listed() if info.rows] if self.columns else []
-        near = get_close_matches(wanted, known, 3)
+        known, near = [*self.columns], get_close_matches(wanted, self.columns, 3)
         nearest = f" Nearest: {', '.join(near)}." if near else ""
+        stem = wanted.removeprefix("/").partition("[")[0]
+        if elements := [name for name in known if name.removeprefix("/").startswith(f"{stem}[")]:
+            nearest = f" Name one element in columns.*.name: {elements[0]} to {elements[-1]}."
         listing = ", ".join(known[:LISTED_NAMES]) + (", ..." if len(known) > LISTED_NAMES else "") or "none"
         text = f"no column {wanted!r}.{nearest} It has: {listing}.{self._reasons()}"
         raise refusal("column-missing", self.name, text)
@@ -293,8 +247,25 @@ class Contents:
         return f" Not readable: {names}; {next(iter(self.refused.values()))}" if names else ""
 
 
+def _is_part(column: str, path: str) -> bool:
+    """Return whether a column is what stands at a path, or in it; the first slash may be left out."""
+    column, path = column.removeprefix("/"), path.removeprefix("/")
+    return column == path or column.startswith((f"{path}[", f"{path}."))
+
+
+def _elements(path: str, array: Array, axis: int | None) -> Iterator[tuple[str, Array]]:
+    """Yield the columns of an array by name: one, whatever its axis, or the elements of a matrix."""
+    shape = array.shape
+    if array.size == 0 or sum(length != 1 for i, length in enumerate(shape) if i != axis) <= (axis is None):
+        yield path, array.reshape(-1)
+        return
+    moved = np.moveaxis(array, int(np.argmax(shape)) if axis is None else axis, -1)
+    for index in np.ndindex(moved.shape[:-1]):
+        yield path + "".join(f"[{i}]" for i in index), np.ascontiguousarray(moved[index])
+
+
 def plain_column(values: Array) -> Array:
-    """Return values as a frame holds them: float64, integers of 64 bits, or str.
+    """Return values as columns hold them: float64, integers of 64 bits, or str.
 
     Raises
     ------
@@ -316,7 +287,9 @@ def plain_column(values: Array) -> Array:
     raise TypeError(f"is of type {values.dtype}; expected numbers or texts")
 
 
-def with_gaps(where: str, values: Array, place: Integers, rows: int, row: Integers | None = None) -> Array:
+def with_gaps(
+    where: str, values: Array, place: Sequence[int] | Integers, rows: int, row: Sequence[int] | Integers = ()
+) -> Array:
     """Return values at their places among so many rows, NaN or an empty text at the others.
 
     Raises
@@ -324,39 +297,12 @@ def with_gaps(where: str, values: Array, place: Integers, rows: int, row: Intege
     LogError
         If they are whole numbers of more than 15 digits, which a float with gaps would not keep.
     """
-    if len(values) == rows:
-        result: Array = np.empty_like(values)
-    elif values.dtype.kind == "U":
-        result = np.zeros(rows, values.dtype)
-    else:
-        large = values.dtype.kind in "iu" and np.any(np.abs(values.astype(np.float64)) > EXACT)
-        if large:
-            at = int(np.setdiff1d(np.arange(rows), place)[0])
-            text = f"{where} has whole numbers of more than 15 digits, and rows without a value"
-            raise refusal("no-value", "", text, "a value in each row", row=at + 1 if row is None else int(row[at]))
-        result = np.full(rows, np.nan)
+    whole = len(values) == rows
+    if not whole and values.dtype.kind in "iu" and np.any(np.abs(values.astype(np.float64)) > EXACT):
+        at = int(np.setdiff1d(np.arange(rows), place)[0])
+        text = f"{where} has whole numbers of more than 15 digits, and rows without a value"
+        raise refusal("no-value", "", text, "a value in each row", row=int(row[at]) if len(row) else at + 1)
+    text_column = values.dtype.kind == "U"
+    result: Array = np.zeros(rows, values.dtype) if whole or text_column else np.full(rows, np.nan)
     result[place] = values
     return result
-
-
-def is_vector(shape: Sequence[int]) -> bool:
-    """Return whether at most one axis is longer than 1 (or the array is empty): one column, whatever the axis."""
-    return sum(length != 1 for length in shape) <= 1 or 0 in shape
-
-
-def time_axis(shape: tuple[int, ...], lengths: set[int]) -> int:
-    """Return the axis that is time: the first or the last that has one of the lengths, else the longer one of both."""
-    ends = (0, len(shape) - 1)
-    return next((axis for axis in ends if shape[axis] in lengths), max(ends, key=lambda axis: shape[axis]))
-
-
-def _elements(base: str, array: Array, lengths: set[int]) -> list[tuple[str, tuple[int, ...]]]:
-    if is_vector(array.shape):
-        return [(base, ())]
-    axis = time_axis(array.shape, lengths)
-    others = [range(length) for i, length in enumerate(array.shape) if i != axis]
-    return [(_element(base, i), i) for i in islice(product(*others), LISTED_ELEMENTS)]
-
-
-def _element(base: str, index: Sequence[int | str]) -> str:
-    return base + "".join(f"[{i}]" for i in index)

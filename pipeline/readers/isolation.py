@@ -15,33 +15,81 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
-from functools import partial
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
-from queue import SimpleQueue
+from tempfile import TemporaryDirectory
 from typing import IO, Any
 
 from pipeline.base.errors import LogError
-from pipeline.base.process import begin_alone, end_when, ended_through
+from pipeline.base.process import begin_alone, without_pandas
+from pipeline.profiles.profile_model import Profile
+from pipeline.readers.formats import FORMATS
+from pipeline.readers.frame import Contents
 from pipeline.readers.limits import (
     COPIES,
     CPU_SECONDS,
-    EXPANSION,
+    CPU_SECONDS_PER_BYTE,
     GRACE_SECONDS,
-    LARGEST_LOG,
+    MOST_VALUES,
     SLACK,
-    SMALL_FILE,
     WALL_FACTOR,
+    allowed_bytes,
 )
 from pipeline.readers.refusals import refusal
 
 _SERVE = "from pipeline.readers.isolation import serve; serve()"
 
 
-def isolated(
-    place: str, name: str, kind: str, data: bytes, *more: Any, imports: tuple[str, ...], seconds_per_byte: float = 2e-7
-) -> Any:
+def read_file(settings: Profile, names: Sequence[str], data: Sequence[bytes], wanted: Sequence[str] = ()) -> Contents:
+    """Return what a file holds, read in a worker process.
+
+    Parameters
+    ----------
+    settings : Profile
+        ``format``, and the keys of that format.
+    names, data : sequence of str and bytes
+        The file; a split bag has several.
+    wanted : sequence of str
+        Columns that are asked for; empty means all.
+
+    Raises
+    ------
+    LogError
+        If the file cannot be read.
+    """
+    form, parts = FORMATS[settings.format], tuple(zip(names, map(len, data), strict=False))
+    place = "pipeline.readers.isolation:read_here"
+    contents: Contents = isolated(
+        place, names[0], form.title, b"".join(data), settings, tuple(wanted), parts, imports=form.place
+    )
+    return contents
+
+
+def read_here(
+    name: str, data: bytes, settings: Profile, wanted: tuple[str, ...], parts: tuple[tuple[str, int], ...]
+) -> Contents:
+    """Do what `read_file` does, in the worker process; ``parts`` are name and bytes of each file in ``data``."""
+    form = FORMATS[settings.format]
+    read = library(form.place, form.extra).read
+    most = min(MOST_VALUES, allowed_bytes(len(data)) // 8)
+    with TemporaryDirectory() as folder:
+        paths, start = [], 0
+        for number, (part, size) in enumerate(parts):
+            paths.append(Path(folder) / f"{number}{Path(part).suffix[:10]}")
+            paths[-1].write_bytes(data[start : start + size])
+            start += size
+        contents = Contents(name, wanted, most)
+        read(paths[0], settings, contents)
+        if contents.lacks():
+            # the refusal tells what there is
+            contents = Contents(name, most=most)
+            read(paths[0], settings, contents)
+            contents.wanted = wanted
+    return contents
+
+
+def isolated(place: str, name: str, kind: str, data: bytes, *more: Any, imports: str = "") -> Any:
     """Return what the function at a place makes of a file, called in a worker process.
 
     Parameters
@@ -56,10 +104,8 @@ def isolated(
         Content of the file.
     *more
         Further arguments, such as wanted columns.
-    imports : tuple of str
-        Modules that the function imports; the time to do so does not count.
-    seconds_per_byte : float
-        Processor time allowed above `CPU_SECONDS`.
+    imports : str
+        Module that the function imports; the time to do so does not count.
 
     Returns
     -------
@@ -71,18 +117,16 @@ def isolated(
     LogError
         What the function raises, or that the file crashed the library or took more than the time allowed.
     """
-    seconds = CPU_SECONDS + seconds_per_byte * len(data)
-    worker = _take()
+    seconds = CPU_SECONDS + CPU_SECONDS_PER_BYTE * len(data)
+    worker = _IDLE.pop() if _IDLE else _Worker()
     outcome = worker.call((place, imports, kind, (name, data, *more), seconds), WALL_FACTOR * seconds)
     if outcome is None:
         found = f"cannot be read as {kind}: the library that reads it {worker.end()}. The file is damaged"
         raise refusal("damaged", name, found, cure="Copy or export it again.")
     _IDLE.append(worker)
-    succeeded, value = outcome
-    if not succeeded:
-        assert isinstance(value, LogError), "the worker sends the refusal itself"
-        raise value
-    return value
+    if isinstance(outcome, LogError):
+        raise outcome
+    return outcome
 
 
 def library(module: str, extra: str) -> Any:
@@ -101,38 +145,29 @@ def library(module: str, extra: str) -> Any:
         raise refusal("library-missing", "", found, cure=cure) from error
 
 
-def allowed_bytes(size: int) -> int:
-    """Return how many bytes a file of this size [byte] may unpack to."""
-    return min(4 * LARGEST_LOG, max(SMALL_FILE, EXPANSION * size))
-
-
 def serve() -> None:
     """Work on calls from standard input; the main loop of a worker process, which ends when its parent does."""
     begin_alone()
-    pipe, results = sys.stdin.fileno(), os.fdopen(os.dup(1), "wb")
+    without_pandas(import_module("pyarrow"))
+    calls, results = os.fdopen(0, "rb"), os.fdopen(os.dup(1), "wb")
     # whatever a library prints must not get between the results
     os.dup2(2, 1)
-    calls: SimpleQueue[Any] = SimpleQueue()
-    end_when(partial(_receive, pipe, calls))
-    while True:
-        place, imports, kind, arguments, seconds = calls.get()
-        module, _, function = place.partition(":")
-        work = getattr(import_module(module), function)
-        for needed in imports:
-            # the function itself says what is missing and how to install it
-            with contextlib.suppress(ImportError):
-                import_module(needed)
-        _alarm(seconds)
-        size = len(arguments[1])
-        with ended_through(pipe), memory_for(allowed_bytes(size) + size):  # nothing is sent before there is a result
-            try:
-                with reading(arguments[0], kind):
-                    outcome: tuple[bool, Any] = (True, work(*arguments))
-            except LogError as error:
-                outcome = (False, error)
-        _alarm(0.0)
-        pickle.dump(outcome, results, pickle.HIGHEST_PROTOCOL)
-        results.flush()
+    with contextlib.suppress(EOFError):
+        while True:
+            place, imports, kind, arguments, seconds = pickle.load(calls)
+            module, _, function = place.partition(":")
+            work = getattr(import_module(module), function)
+            with contextlib.suppress(ImportError):  # the function itself says what is missing and how to install it
+                import_module(imports or module)
+            with _bounded(seconds, len(arguments[1])):
+                try:
+                    with reading(arguments[0], kind):
+                        outcome = work(*arguments)
+                except LogError as error:
+                    outcome = error.with_traceback(None)  # which would hold what was read until the next call
+            pickle.dump(outcome, results, pickle.HIGHEST_PROTOCOL)
+            results.flush()
+            del arguments, outcome
 
 
 @contextlib.contextmanager
@@ -165,40 +200,30 @@ def reading(name: str, kind: str) -> Iterator[None]:
         raise refusal("damaged", name, f"cannot be read as {kind}: {found}") from error
 
 
-def _receive(pipe: int, calls: SimpleQueue[Any]) -> None:
-    """Hand calls on until the parent has no more, or is gone."""
-    with open(pipe, "rb", closefd=False) as stream, contextlib.suppress(EOFError, pickle.UnpicklingError):
-        while True:
-            calls.put(pickle.load(stream))
-
-
-def _alarm(seconds: float) -> None:
-    """Let the operating system end this process after so much processor time; 0 calls that off."""
-    if hasattr(signal, "setitimer"):
-        signal.setitimer(signal.ITIMER_PROF, seconds)
-
-
 @contextlib.contextmanager
-def memory_for(claimed: int) -> Iterator[None]:
-    """Let a library take no more memory than what it says that it will unpack needs; only on Linux, in a worker.
+def _bounded(seconds: float, size: int) -> Iterator[None]:
+    """Bound what a library does with a file of so many bytes, even where it keeps the interpreter to itself.
 
-    Parameters
-    ----------
-    claimed : int
-        Bytes.
+    The system ends this process after so much processor time, or with its parent (which closes the pipe of calls), and
+    gives it no more memory than what the file may unpack to needs; only on Linux.
     """
     try:
-        resource = import_module("resource")
+        resource, fcntl = import_module("resource"), import_module("fcntl")
         pages = int(Path("/proc/self/statm").read_text().split()[0])
-        soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     except (ImportError, OSError):
         yield
         return
-    most = pages * resource.getpagesize() + COPIES * claimed + SLACK
+    (soft, hard), flags = resource.getrlimit(resource.RLIMIT_AS), fcntl.fcntl(0, fcntl.F_GETFL)
+    most = pages * resource.getpagesize() + COPIES * (allowed_bytes(size) + size) + SLACK
     resource.setrlimit(resource.RLIMIT_AS, (most if soft == resource.RLIM_INFINITY else min(most, soft), hard))
+    fcntl.fcntl(0, fcntl.F_SETOWN, os.getpid())
+    fcntl.fcntl(0, fcntl.F_SETFL, flags | os.O_ASYNC)  # its signal, SIGIO, ends a process that does not handle it
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        fcntl.fcntl(0, fcntl.F_SETFL, flags)
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
@@ -208,29 +233,23 @@ class _Worker:
     def __init__(self) -> None:
         # threads for linear algebra would only reserve address space
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", _SERVE],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env=environment,
-        )
+        pipe, silent = subprocess.PIPE, subprocess.DEVNULL
+        command = [sys.executable, "-c", _SERVE]
+        self.process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=silent, env=environment)
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         self.calls: IO[bytes] = self.process.stdin
         self.results: IO[bytes] = self.process.stdout
 
-    def call(
-        self, call: tuple[str, tuple[str, ...], str, tuple[Any, ...], float], wait: float
-    ) -> tuple[bool, Any] | None:
-        """Return what a call gives, or None where the process died of it."""
+    def call(self, call: tuple[Any, ...], wait: float) -> Any:
+        """Return what a call gives, or None where the process died of it or did not end within so many seconds."""
         watch = threading.Timer(wait, self.process.kill)
         watch.daemon = True
         watch.start()
         try:
             pickle.dump(call, self.calls, pickle.HIGHEST_PROTOCOL)
             self.calls.flush()
-            outcome: tuple[bool, Any] = pickle.load(self.results)
+            return pickle.load(self.results)
         except (EOFError, OSError, pickle.UnpicklingError):
             return None
         except BaseException:
@@ -240,7 +259,6 @@ class _Worker:
             raise
         finally:
             watch.cancel()
-        return outcome
 
     def end(self) -> str:
         """Stop the process and return how it ended."""
@@ -259,13 +277,6 @@ class _Worker:
 
 _IDLE: list[_Worker] = []
 """Workers without a call; as many were made as threads read at a time."""
-
-
-def _take() -> _Worker:
-    try:
-        return _IDLE.pop()
-    except IndexError:
-        return _Worker()
 
 
 @atexit.register

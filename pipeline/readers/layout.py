@@ -1,4 +1,4 @@
-"""What can be seen of a file without knowing the lab: its format, and how delimited text is laid out.
+"""How delimited text is laid out, as far as it can be seen without knowing the lab.
 
 Only what the file shows beyond doubt is given as known; the rest is asked.
 """
@@ -8,12 +8,11 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import dataclass, field
+from itertools import takewhile
 from typing import Any
 
 from pipeline.base.errors import LogError
-from pipeline.profiles.profile_model import Format
-from pipeline.profiles.profile_text import BLANKS, TextLayout
-from pipeline.readers.formats import FORMATS, HDF5
+from pipeline.profiles.profile_columns import BLANKS, TextLayout
 from pipeline.readers.formats.delimited import plain_text
 from pipeline.readers.refusals import refusal
 
@@ -47,31 +46,6 @@ class Layout:
         return {"encoding": "latin-1", **self.keys} if "encoding" in self.questions else self.keys
 
 
-def format_of(name: str, data: bytes) -> Format:
-    """Return the format of a file by its first bytes; delimited text where they are none of the known.
-
-    Parameters
-    ----------
-    name : str
-        File name: it decides where bags are packed as a whole.
-    data : bytes
-    """
-    for kind, form in FORMATS.items():
-        if form.magic and data.startswith(form.magic):
-            return kind
-    # a MATLAB 7.3 file may lack its text, a packed database says nothing of what is inside
-    if HDF5 in (data[512:520], data[1024:1032]):
-        return "matlab" if name.lower().endswith(".mat") else "hdf5"
-    if ".db3" in name.lower():
-        return "rosbag"
-    head = data[:64].replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \t\r\n")
-    if head.startswith(b"{") or (head.startswith(b"[") and head[1:].lstrip()[:1] in (b"{", b"[")):
-        return "json"
-    if re.search(rb"^#\s*device\s*:", data[:4096], re.MULTILINE) and b"time_s,command,position" in data:
-        return "native"
-    return "delimited"
-
-
 def text_layout(name: str, data: bytes) -> Layout:
     """Return how a text file is laid out.
 
@@ -81,31 +55,33 @@ def text_layout(name: str, data: bytes) -> Layout:
         If no table of numbers is found.
     """
     layout = Layout()
-    text = _text(name, data, layout)
-    lines = text.split("\n")[:-1]
+    lines = _text(name, data, layout).split("\n")[:-1]
     probe = lines[:PROBE_LINES]
     # the last line of a recording may be cut
     delimiter, rows = _table(probe[:-1] if len(probe) > FEWEST_ROWS else probe, name)
-    first, last = rows[0], rows[-1]
-    layout.keys["delimiter"] = delimiter
+    keys = layout.keys
+    keys["delimiter"] = delimiter
     cells = [_split(lines[row], delimiter) for row in rows]
     if delimiter != BLANKS and all(not row[-1] for row in cells):
-        layout.keys["trailing_delimiter"] = True
+        keys["trailing_delimiter"] = True
         cells = [row[:-1] for row in cells]
-    _decimal([cell for row in cells for cell in row], delimiter, layout)
-    width = len(cells[0])
-    _head(lines[:first], width, delimiter, layout)
-    between = [lines[i] for i in range(first, last) if i not in set(rows)]
+    _decimal([cell for row in cells for cell in row], layout)
+    above = lines[: rows[0]]
+    between = [lines[i] for i in range(rows[0], rows[-1]) if i not in set(rows)]
+    lead = above[: max((i for i, line in enumerate(above, start=1) if line.strip()), default=0)]
+    heads = list(takewhile(lambda line: _is_head(line, len(cells[0]), keys), lead[:-3:-1]))
+    skipped = len(lead) - len(heads) if heads else len(above)
+    keys |= {} if heads else {"header": False}
+    keys |= {"unit_line": True} if len(heads) == 2 else {}
+    keys |= {"skip_rows": skipped} if skipped else {}
     if any(not line.strip() for line in between):
-        layout.keys["blank_lines"] = "skip"
-    above = lines[: layout.keys.get("skip_rows", 0)]
-    labels = [(line, match[2]) for line in (*above, *between) if (match := _LABEL.fullmatch(line.lstrip("#%/ ")))]
-    if labels:
-        layout.keys["labels"] = sign = Counter(sign for _, sign in labels).most_common(1)[0][0]
+        keys["blank_lines"] = "skip"
+    beside = (*above[:skipped], *between)
+    if found := [(line, match[2]) for line in beside if (match := _LABEL.fullmatch(line.lstrip("#%/ ")))]:
+        keys["labels"] = sign = Counter(sign for _, sign in found).most_common(1)[0][0]
         # labels in remarks are read where the profile says what begins a remark
-        marks = {mark[1] for line, found in labels if found == sign and (mark := re.match(r"\s*([#%/]+)", line))}
-        if len(marks) == 1:
-            layout.keys["comment"] = marks.pop()
+        marks = {mark[1] for line, of in found if of == sign and (mark := re.match(r"\s*([#%/]+)", line))}
+        keys |= {"comment": marks.pop()} if len(marks) == 1 else {}
     return layout
 
 
@@ -135,16 +111,12 @@ def _table(lines: list[str], name: str) -> tuple[str, list[int]]:
     """Return the delimiter, and which lines are rows of numbers, all with the same number of cells."""
     best: tuple[str, list[int]] = ("", [])
     for delimiter in _DELIMITERS:
-        split = [_split(line, delimiter) for line in lines]
-        numeric = [
-            len(cells) > 1 and sum(map(_is_number, cells)) >= max(NUMERIC_SHARE * sum(map(bool, cells)), 2)
-            for cells in split
-        ]
-        widths = Counter(len(cells) for cells, good in zip(split, numeric, strict=True) if good)
-        if not widths:
-            continue
-        width = widths.most_common(1)[0][0]
-        rows = [i for i, cells in enumerate(split) if numeric[i] and len(cells) == width]
+        widths: dict[int, list[int]] = {}
+        for number, line in enumerate(lines):
+            cells = _split(line, delimiter)
+            if len(cells) > 1 and sum(map(_is_number, cells)) >= max(NUMERIC_SHARE * sum(map(bool, cells)), 2):
+                widths.setdefault(len(cells), []).append(number)
+        rows = max(widths.values(), key=len, default=[])
         # text that is parted by several signs: the one that makes more rows, the earlier one where equal
         if len(rows) > len(best[1]):
             best = delimiter, rows
@@ -159,42 +131,25 @@ def _table(lines: list[str], name: str) -> tuple[str, list[int]]:
     return best
 
 
-def _decimal(cells: list[str], delimiter: str, layout: Layout) -> None:
+def _decimal(cells: list[str], layout: Layout) -> None:
     """Put the decimal sign into the layout, or ask where none is seen or it could part thousands as well."""
-    if delimiter == ",":
-        layout.keys["decimal"] = "."
-        return
     numbers = [cell for cell in cells if _is_number(cell)]
     points, commas = [n for n in numbers if "." in n], [n for n in numbers if "," in n]
     seen = points[:1] + commas[:1]
-    if len(seen) == 1 and not all(_GROUPED.fullmatch(number) for number in points or commas):
-        layout.keys["decimal"] = "." if points else ","
+    if layout.keys["delimiter"] == "," or (
+        len(seen) == 1 and not all(_GROUPED.fullmatch(number) for number in points or commas)
+    ):
+        layout.keys["decimal"] = "," if commas else "."
         return
     shown = f"the table has {' and '.join(map(repr, seen))}" if seen else "the first rows have whole numbers only"
     layout.questions["decimal"] = f'{shown}. Which is the decimal sign of its logs, "." or ","?'
 
 
-def _head(above: list[str], width: int, delimiter: str, layout: Layout) -> None:
-    """Put line of names, line of units and what stands above them into the layout."""
-    lines = list(above)
-    while lines and not lines[-1].strip():
-        lines.pop()
-    heads: list[str] = []
-    while lines and len(heads) < 2 and _is_head(lines[-1], width, delimiter, layout):
-        heads.append(lines.pop())
-    if not heads:
-        layout.keys["header"] = False
-    if len(heads) == 2:
-        layout.keys["unit_line"] = True
-    if lines or (not heads and above):
-        layout.keys["skip_rows"] = len(above) if not heads else len(lines)
-
-
-def _is_head(line: str, width: int, delimiter: str, layout: Layout) -> bool:
-    cells = _split(line, delimiter)
-    if layout.keys.get("trailing_delimiter") and cells and not cells[-1]:
+def _is_head(line: str, width: int, keys: dict[str, Any]) -> bool:
+    """Return whether a line holds the names or units of so many columns."""
+    cells = _split(line, keys["delimiter"])
+    if keys.get("trailing_delimiter") and cells and not cells[-1]:
         cells.pop()
-    if len(cells) != width or not any(cells):
-        return False
     # a remark in words may have as many blanks as the table has columns; a label has its sign behind the first word
-    return not any(_is_number(cell) for cell in cells) and not (delimiter == BLANKS and _LABEL.fullmatch(line))
+    remark = keys["delimiter"] == BLANKS and _LABEL.fullmatch(line)
+    return len(cells) == width and any(cells) and not remark and not any(map(_is_number, cells))

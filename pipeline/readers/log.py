@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.readers.limits import LARGEST, LARGEST_CONDITION, LONGEST_S, MOST_PERIODS
+from pipeline.base.errors import Code, LogError
+from pipeline.readers.limits import LARGEST, LARGEST_CONDITION
 from pipeline.readers.refusals import refusal
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.native import NativeHeader
@@ -22,7 +23,8 @@ OUTSIDE = 20
 """Part of the readings (a twentieth) at either end that their range leaves out: a few bad ones do not move it."""
 
 LONGEST_PAUSE = 1e6
-"""Longest time between two rows in sampling periods: minutes at 1 kHz are no pause within one response."""
+"""Ratio of the longest time between two rows to the sampling period, or the reverse: minutes at 1 kHz are no pause
+within one response, and a period of minutes is none of rows that are 1 ms apart."""
 
 
 @dataclass(frozen=True)
@@ -88,57 +90,51 @@ def check_samples(
     ------
     LogError
         If there are fewer than two samples, a step of 0 is said to be in some row, a value is not finite or lies out
-        of the range of readings (`LARGEST`, `stray`), time does not increase strictly or pauses for `LONGEST_PAUSE`,
-        or no sampling period can count it (`MOST_PERIODS`, `LONGEST_S`).
+        of the range of readings (`LARGEST`, `stray`), or time does not increase strictly or pauses for `LONGEST_PAUSE`.
     """
 
-    def place(at: int) -> int | None:
-        if isinstance(row, int):
-            return row + at
-        return int(row[at]) if at < len(row) else None
+    def refused(code: Code, at: int, found: str, expected: str = "", cure: str = "") -> LogError:
+        place = row + at if isinstance(row, int) else int(row[at]) if at < len(row) else None
+        return refusal(code, "", found, expected, cure, place)
 
     if len(time) < 2:
-        raise refusal("too-short", "", f"log has {len(time)} samples", "at least 2", row=place(0))
+        raise refused("too-short", 0, f"log has {len(time)} samples", "at least 2")
     step_row = int(header.extra.get("step_row", 0))
     if step_row >= len(time):
         found = f"step_row is {step_row}, but the log has {len(time)} samples"
-        raise refusal("condition-wrong", "", found, "", "Count from 0; correct header or profile.", place(0))
+        raise refused("condition-wrong", 0, found, cure="Count from 0; correct header or profile.")
     if header.step == 0 and "step_row" in header.extra:
         found = f"step is 0 (none was commanded), but the step is declared in row {step_row}"
         raise refusal("condition-wrong", "", found, "", "Give the size of the step, or declare no row.")
+    for name in ("stiffness", "damping", "step"):
+        if abs(value := getattr(header, name)) > LARGEST_CONDITION:
+            expected = f"at most {LARGEST_CONDITION:g} [SI]"
+            raise refusal("out-of-range", "", f"{name} is {value:.6g}", expected, "Correct its number or unit.")
     columns = {"time": time, "command": command, "position": position, "force": force, "velocity": velocity}
+    travel = abs(header.step) / header.stiffness if header.stiffness > 0 else 0.0
     for name, values in columns.items():
         if values is None:
             continue
         finite = np.isfinite(values)
         if not finite.all():
             at = int(np.argmin(finite))
-            raise refusal("not-finite", "", f"{name} is {values[at]}", "a finite number", row=place(at))
-        if (beyond := np.abs(values) > LARGEST.get(name, np.inf)).any():
-            at = int(np.argmax(beyond))
-            expected = f"at most {LARGEST[name]:g} [SI], no reading is larger"
-            raise refusal("out-of-range", "", f"{name} is {values[at]:.6g}", expected, _LARGE, place(at))
-    for name in ("stiffness", "damping", "step"):
-        if abs(value := getattr(header, name)) > LARGEST_CONDITION:
-            expected = f"at most {LARGEST_CONDITION:g} [SI]"
-            raise refusal("out-of-range", "", f"{name} is {value:.6g}", expected, "Correct its number or unit.")
-    travel = abs(header.step) / header.stiffness if header.stiffness > 0 else 0.0
-    for name, readings, scale in (("position", position, travel), ("velocity", velocity, 0.0)):
-        row_off = None if readings is None else stray(readings, scale)
-        if readings is not None and row_off is not None:
-            found = f"{name} is {readings[row_off]:.6g}, the others lie about {np.median(readings):.6g}: a gap that no "
-            raise refusal("out-of-range", "", f"{found}motion leaves", row=place(row_off))
-    increasing = time[1:] > time[:-1]
-    if not increasing.all():
-        at = int(np.argmin(increasing)) + 1
+            raise refused("not-finite", at, f"{name} is {values[at]}", "a finite number")
+        if (beyond := np.abs(values) > LARGEST[name]).any():
+            at, expected = int(np.argmax(beyond)), f"at most {LARGEST[name]:g} [SI], no reading is larger"
+            raise refused("out-of-range", at, f"{name} is {values[at]:.6g}", expected, _LARGE)
+        scale = {"position": travel, "velocity": 0.0}.get(name)
+        if scale is not None and (off := stray(values, scale)) is not None:
+            found = f"{name} is {values[off]:.6g}, the others lie about {np.median(values):.6g}: a gap that no motion "
+            raise refused("out-of-range", off, f"{found}leaves")
+    steps, period = np.diff(time), header.sampling_period_s
+    at = int(np.argmin(steps > 0)) + 1
+    if steps[at - 1] <= 0:
         found = f"time is {time[at]:.17g} s after {time[at - 1]:.17g} s"
-        raise refusal("time-backwards", "", found, "it to increase row by row", row=place(at))
-    pause = np.diff(time)
-    if pause.max() > LONGEST_PAUSE * header.sampling_period_s:
-        at = int(np.argmax(pause)) + 1
-        found = f"time is {time[at]:.9g} s after {time[at - 1]:.9g} s, a pause of {LONGEST_PAUSE:g} sampling periods"
-        raise refusal("time-wrong", "", f"{found} and more, which one response has not", row=place(at))
-    _check_period(header.sampling_period_s, float(time[0]), float(time[-1]), place(0))
+        raise refused("time-backwards", at, found, "it to increase row by row")
+    at = int(np.argmax(steps)) + 1
+    if not period / LONGEST_PAUSE <= steps[at - 1] <= period * LONGEST_PAUSE:
+        found = f"time is {time[at]:.9g} s after {time[at - 1]:.9g} s, and sampling_period_s {period:.9g} s"
+        raise refused("time-wrong", at, f"{found}: no response is sampled so")
     return Log(header, time, command, position, force, velocity)
 
 
@@ -161,12 +157,3 @@ def stray(readings: Floats, scale: float) -> int | None:
     nearer = np.sort(distance)
     beyond = nearer[1:] > GAP * np.maximum(nearer[:-1], typical)
     return int(np.argmax(distance >= nearer[1:][beyond].min())) if beyond.any() else None
-
-
-def _check_period(period: float, first: float, last: float, row: int | None) -> None:
-    """Refuse a period [s] by which the samples cannot be counted: an exponent that lost or won digits."""
-    span = last - first  # infinite where it has no number
-    countable = span <= MOST_PERIODS * period and period <= MOST_PERIODS * span
-    if not countable or max(abs(first), abs(last), period) > LONGEST_S:
-        found = f"time from {first:.9g} s to {last:.9g} s is not to be counted in sampling periods of {period:.9g} s"
-        raise refusal("time-wrong", "", found, row=row)

@@ -1,4 +1,4 @@
-"""Turns the frames of a foreign log into logs in SI: columns, missing values, time, trials, windows, step, conditions.
+"""Turns what was read of a foreign log into logs in SI: columns, trials, windows, step, conditions.
 
 The order is: rows of a trial, missing cells, stamps to seconds, order of time, doubled stamps, windows. Nothing is
 interpolated.
@@ -14,19 +14,19 @@ from typing import Any, Literal
 import numpy as np
 
 from pipeline.base.errors import LogError, ProfileError
-from pipeline.base.file_names import storable
+from pipeline.base.paths import storable
 from pipeline.base.units import factor_to_si
 from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, CommandSource, PositionSource
-from pipeline.profiles.profile_model import REQUIRED_CONDITIONS, STEP_MISSING, Profile, StepTime, Window
+from pipeline.profiles.profile_model import REQUIRED_CONDITIONS, STEP_MISSING, Profile, StepEntry, StepTime, Window
 from pipeline.readers.conditions import conditions_of, entry_of, header_of
 from pipeline.readers.file_kind import refuse_other_kind
-from pipeline.readers.formats.files import read_file
-from pipeline.readers.frame import Frame
+from pipeline.readers.frame import Contents
+from pipeline.readers.isolation import read_file
 from pipeline.readers.limits import KEPT_ATTRIBUTES, LONGEST_ATTRIBUTE
 from pipeline.readers.log import Log, RawLog, check_samples
 from pipeline.readers.refusals import refusal
-from pipeline.readers.rows import Rows, rows_of
-from pipeline.records.batch import Booleans, Floats, Integers
+from pipeline.readers.rows import Table, rows_of
+from pipeline.records.batch import Floats, Integers
 
 WINDOW_TOLERANCE = 1e-6
 """Part of a sampling period by which a stamp may lie outside a limit, or before the declared time of the step: by
@@ -37,8 +37,6 @@ MOST_STEPS = 24
 
 SHORTEST_STEP = 12
 """Rows between two changes from which on a step has a response."""
-
-SAMPLES = ("time", "command", "position", "force", "velocity", "raw_time")
 
 PACE = 10.0
 """Ratio of the median step between rows to the sampling period, or the reverse, from which on a log is warned of: units
@@ -76,7 +74,7 @@ def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[tu
     return outcomes
 
 
-def read_frames(profile: Profile, raw: RawLog) -> list[Frame]:
+def read_frames(profile: Profile, raw: RawLog) -> list[Contents]:
     """Read what a profile asks for of each file of a log.
 
     Raises
@@ -87,11 +85,12 @@ def read_frames(profile: Profile, raw: RawLog) -> list[Frame]:
     for name, data in zip(raw.names, raw.data, strict=False):
         refuse_other_kind(name, profile.format, data)
     # without a partner, several files are those of a split bag
-    split = profile.partner is None
-    parts = [(raw.names, raw.data)] if split else [((n,), (d,)) for n, d in zip(raw.names, raw.data, strict=False)]
+    pairs = [(raw.names, raw.data)]
+    if profile.partner is not None:
+        pairs = [((name,), (data,)) for name, data in zip(raw.names, raw.data, strict=False)]
     roles: tuple[Literal["source", "partner"], ...] = ("source", "partner")
     frames = []
-    for role, (names, data_of) in zip(roles, parts, strict=False):
+    for role, (names, data_of) in zip(roles, pairs, strict=False):
         wanted = tuple(dict.fromkeys(profile.wanted(role).values()))
         frame = read_file(profile, names, data_of, wanted).frame()
         _check_units(profile, names[0], role, frame)
@@ -99,7 +98,7 @@ def read_frames(profile: Profile, raw: RawLog) -> list[Frame]:
     return frames
 
 
-def _check_units(profile: Profile, name: str, role: str, frame: Frame) -> None:
+def _check_units(profile: Profile, name: str, role: str, frame: Contents) -> None:
     """Refuse a unit of the profile that contradicts the type of its column."""
     for key, source in profile.column_sources().items():
         typed = frame.units.get(source.key) if source.file == role else None
@@ -112,7 +111,7 @@ def _check_units(profile: Profile, name: str, role: str, frame: Frame) -> None:
             raise refusal("profile-wrong", name, found, line=line)
 
 
-def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Frame]) -> list[Log]:
+def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Contents]) -> list[Log]:
     """Return the logs that the file, or pair of files, of one recording holds.
 
     Parameters
@@ -120,7 +119,7 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Frame]) -> 
     profile : Profile
     names : sequence of str
         File names.
-    frames : sequence of Frame
+    frames : sequence of Contents
         What was read of each file.
 
     Raises
@@ -131,10 +130,10 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Frame]) -> 
     frame, name = frames[0], names[0]
     for other, other_name in zip(frames[1:], names[1:], strict=False):
         if len(other) != len(frame):
-            row = frame.row if len(frame) > len(other) else other.row
+            longer, end = max(frame, other, key=len), min(len(frame), len(other))
             found = f"the files have different numbers of rows ({len(frame)} in {name}, {len(other)} in {other_name})"
-            at, cure = int(row[min(len(frame), len(other))]), "Were they recorded together?"
-            raise refusal("lengths-differ", "", found, cure=cure, row=at)
+            cure = "Were they recorded together?"
+            raise refusal("lengths-differ", "", found, cure=cure, row=int(longer.row[end]))
     entry = entry_of(profile, name)
     step: StepTime = entry if entry is not None and entry.declared else profile
     window = entry.window if entry is not None and entry.window is not None else profile.window
@@ -144,14 +143,18 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Frame]) -> 
         # what several steps differ in is asked for step by step
         required = ("sampling_period_s",) if profile.steps else REQUIRED_CONDITIONS
         given = conditions_of(profile, (name, where), frame, index, (entry, None), required)
-        rows = rows_of(profile, where, names, frames, index, _period(where, given))
+        period = float(given["sampling_period_s"])
+        if not 0 < period < np.inf:
+            raise refusal("condition-wrong", where, f"sampling_period_s is {period:g}", "a time above 0 s")
+        table, counts = rows_of(profile, where, names, frames, index, period)
+        source = profile, frame, table, counts
         if not profile.steps:
-            log = _log(profile, where, frame, rows, given, step, window, label)
+            log = _log(source, where, given, step, window, label)
             logs += _steps_of(log) if step.step_at == "command edge" else [log]
         for part in profile.steps:
             place = f"{where}, step {part.label!r}"
             of_part = conditions_of(profile, (name, place), frame, index, (entry, part))
-            logs.append(_log(profile, place, frame, rows, of_part, part if part.declared else step, part, part.label))
+            logs.append(_log(source, place, of_part, part if part.declared else step, part, part.label))
     return logs
 
 
@@ -169,26 +172,17 @@ def _steps_of(log: Log) -> list[Log]:
         text = f"the command changes {len(changes)} times and is kept as one log, for `pipeline identify` to fit"
         return [replace(log, warnings=(*log.warnings, text))]
     parts = []
-    for number in range(1, len(ends) - 1):
-        part, before = slice(ends[number - 1], ends[number + 1]), ends[number] - ends[number - 1]
-        size = float(command[ends[number]] - command[ends[number] - 1])
-        text = f"step {number} of {len(changes)} found in the command, by {size:.4g} in row {ends[number]}"
-        own = replace(header, step=size, extra={**header.extra, "step_row": str(before)})
-        cut = {key: values[part] for key in SAMPLES if (values := getattr(log, key)) is not None}
+    for number, (first, row, end) in enumerate(zip(ends, ends[1:], ends[2:], strict=False), start=1):
+        size = float(command[row] - command[row - 1])
+        text = f"step {number} of {len(changes)} found in the command, by {size:.4g} in row {row}"
+        own = replace(header, step=size, extra={**header.extra, "step_row": str(row - first)})
+        cut: Any = {key: values[first:end] for key, values in vars(log).items() if isinstance(values, np.ndarray)}
         label = str(number) if log.label is None else f"{log.label}.{number}"
         parts.append(replace(log, header=own, label=label, warnings=(*log.warnings, text), **cut))
     return parts
 
 
-def _period(where: str, given: dict[str, Any]) -> float:
-    """Return the sampling period [s], which time may be counted by before the conditions are checked."""
-    period = float(given["sampling_period_s"])
-    if not 0 < period < np.inf:
-        raise refusal("condition-wrong", where, f"sampling_period_s is {period:g}", "a time above 0 s")
-    return period
-
-
-def _trials(profile: Profile, name: str, frame: Frame) -> Iterator[tuple[str | None, Integers]]:
+def _trials(profile: Profile, name: str, frame: Contents) -> Iterator[tuple[str | None, Integers]]:
     """Yield label and rows of each trial, in the order in which they begin."""
     if profile.trial_column is None:
         yield None, np.arange(len(frame))
@@ -199,120 +193,102 @@ def _trials(profile: Profile, name: str, frame: Frame) -> Iterator[tuple[str | N
         found, row = f"column {profile.trial_column!r} (trial_column) is blank", int(frame.row[int(np.argmax(blank))])
         raise refusal("no-value", name, found, "the label of the trial in each row", row=row)
     labels, first, which = np.unique(values, return_index=True, return_inverse=True)
-    order = np.argsort(which, kind="stable")
-    parts = np.split(order, np.cumsum(np.bincount(which))[:-1])
     for at in np.argsort(first):
         label = labels[at].item()
         text = str(int(label)) if isinstance(label, float) and label.is_integer() else str(label)
-        yield storable(text), parts[at]
+        yield storable(text), np.flatnonzero(which == at)
 
 
 def _log(
-    profile: Profile,
+    source: tuple[Profile, Contents, Table, dict[str, int]],
     where: str,
-    frame: Frame,
-    rows: Rows,
     given: dict[str, Any],
     step: StepTime,
-    window: Window | None,
+    window: Window | StepEntry | None,
     label: str | None,
 ) -> Log:
     """Return the part of a trial inside a window as a log."""
+    profile, frame, whole, counts = source
     if not step.declared and given["step"] != 0:
         found = f"profile {profile.name} does not say when the step of this file happens"
         cure = f"At the top, or in the [[file]] or [[steps]] that fits: {STEP_MISSING}."
         raise refusal("condition-missing", where, found, cure=cure, line='step_at = "command edge"')
-    period = _period(where, given)
-    inside = slice(None) if window is None else _inside(window, rows, period)
-    time, number, row = rows.time[inside], rows.number[inside], rows.row[inside]
+    period = float(given["sampling_period_s"])
+    table = whole if window is None else _inside(window, whole, period)
+    time, row = table["time"], table["row"]
     if len(time) < 2:
-        limits = "" if window is None else f" inside its window, of {_span(rows.time)}"
+        limits = "" if window is None else f" inside its window, of {_span(whole['time'])}"
         at = int(frame.row[0]) if len(frame) else None
         raise refusal("too-short", where, f"has {len(time)} samples{limits}", "at least 2", row=at)
-    factors = profile.factors()
-    columns = {key: values[inside] * factors[key] for key, values in rows.columns.items()}
-    command = profile.column_sources()["command"]
+    factors, sources = profile.factors(), profile.column_sources()
+    columns = {key: table[key] * factors[key] for key in sources if key != "time" and key in table}
+    command, position = sources["command"], sources["position"]
     if isinstance(command, CommandSource) and command.value is not None:
-        began = number >= command.from_row if command.from_row is not None else time >= (command.from_s or 0.0)
+        by_row = command.from_row is not None
+        began = table["number"] >= command.from_row if by_row else time >= (command.from_s or 0.0)
         columns["command"] = np.where(began, command.value * factors["command"], 0.0)
-    position = profile.column_sources()["position"]
-    rule = position.integrate if isinstance(position, PositionSource) else None
-    if rule is not None:
-        columns = {"velocity": columns["position"], **columns}
-        columns["position"] = _integral(where, rule, time, columns["position"], row, period)
-    extra = _extra(profile, frame, _step_row(where, step, time, number, row, period))
-    if rule is not None:
+    extra = _extra(profile, frame, _step_row(where, step, table, period))
+    if isinstance(position, PositionSource) and (rule := position.integrate):
         extra["integrated"] = rule
-    if rows.raw_decimals:
-        extra["raw_count_decimals"] = str(rows.raw_decimals)
+        columns["velocity"] = columns["position"]
+        columns["position"] = _integral(where, rule, table, columns["velocity"], period)
     header = header_of(profile, where, given, extra)
     try:
         log = check_samples(header, time=time, row=row, **columns)
     except LogError as error:
         raise error.reworded(f"{where}: {error.reason}") from error
-    counts = dict(rows.counts)
-    if len(time) < len(rows.time):
-        counts["outside_window"] = len(rows.time) - len(time)
-    raw = None if rows.raw_time is None else rows.raw_time[inside]
-    warnings = (*frame.warnings, *_other_pace(time, period))
-    return replace(log, raw_time=raw, counts=counts, warnings=warnings, label=label)
+    outside = {"outside_window": cut} if (cut := len(whole["time"]) - len(time)) else {}
+    warnings, median = list(frame.warnings), float(np.median(np.diff(time)))
+    if not period / PACE < median < period * PACE:
+        text = f"rows are {median:.3g} s apart in the median, but sampling_period_s is {period:.3g} s"
+        warnings.append(f"{text}; check the unit of time and the sampling period")
+    raw = table.get("raw_time")
+    return replace(log, raw_time=raw, counts=counts | outside, warnings=tuple(warnings), label=label)
 
 
-def _integral(where: str, rule: str, time: Floats, velocity: Floats, row: Integers, period: float) -> Floats:
+def _integral(where: str, rule: str, table: Table, velocity: Floats, period: float) -> Floats:
     """Return the position [m, rad] by the rule of a profile: the integral of a velocity, 0 in the first row."""
-    steps = np.diff(time)
+    steps = np.diff(table["time"])
     if (lost := steps > LONGEST_STEP * period).any():
         at = int(np.argmax(lost)) + 1
-        found = f"rows are missing before {time[at]:.9g} s, so that the integral of the velocity is not known"
-        raise refusal("time-wrong", where, found, cure="Cut the log by a window, or leave it out.", row=int(row[at]))
+        found = f"rows are missing before {table['time'][at]:.9g} s, so that the integral of the velocity is not known"
+        cure = "Cut the log by a window, or leave it out."
+        raise refusal("time-wrong", where, found, cure=cure, row=int(table["row"][at]))
     mean = velocity[1:] if rule == "difference" else 0.5 * (velocity[1:] + velocity[:-1])
     return np.concatenate([[0.0], np.cumsum(mean * steps)])
-
-
-def _other_pace(time: Floats, period: float) -> list[str]:
-    """Return the warning that stamps and sampling period do not go together, where they do not."""
-    step = float(np.median(np.diff(time)))
-    if period / PACE < step < period * PACE:
-        return []
-    return [
-        f"rows are {step:.3g} s apart in the median, but sampling_period_s is {period:.3g} s; check the unit of time "
-        "and the sampling period"
-    ]
 
 
 def _span(time: Floats) -> str:
     return f"{len(time)} from {time[0]:.9g} s to {time[-1]:.9g} s" if len(time) else "none"
 
 
-def _inside(window: Window, rows: Rows, period: float) -> Booleans:
-    """Return which rows lie inside, both ends included."""
-    inside = np.ones(len(rows.time), dtype=np.bool_)
+def _inside(window: Window, table: Table, period: float) -> Table:
+    """Return the rows inside a window, both ends included."""
+    inside = np.ones(len(table["time"]), dtype=np.bool_)
     by_time, by_row = (window.from_s, window.to_s), (window.from_row, window.to_row)
-    for values, (low, high), slack in ((rows.time, by_time, WINDOW_TOLERANCE * period), (rows.number, by_row, 0.0)):
-        inside &= values >= (-np.inf if low is None else low - slack)
-        inside &= values <= (np.inf if high is None else high + slack)
-    return inside
+    for key, (low, high), slack in (("time", by_time, WINDOW_TOLERANCE * period), ("number", by_row, 0.0)):
+        inside &= table[key] >= (-np.inf if low is None else low - slack)
+        inside &= table[key] <= (np.inf if high is None else high + slack)
+    return {key: values[inside] for key, values in table.items()}
 
 
-def _step_row(where: str, step: StepTime, time: Floats, number: Integers, row: Integers, period: float) -> int | None:
+def _step_row(where: str, step: StepTime, table: Table, period: float) -> int | None:
     """Return the declared row of the step among the stored ones, or None where it is to be found in the command."""
-    if step.step_at == "first row":
-        return 0
-    slack = WINDOW_TOLERANCE * period
+    time, number, slack = table["time"], table["number"], WINDOW_TOLERANCE * period
+    if step.step_at is not None or not step.declared:
+        return 0 if step.step_at == "first row" else None
     if step.step_row is not None:
         found, text = np.flatnonzero(number == step.step_row), f"step_row = {step.step_row}"
-    elif step.step_time_s is not None:
-        begun = (time >= step.step_time_s - slack) & (time[0] - slack <= step.step_time_s)
-        found, text = np.flatnonzero(begun), f"step_time_s = {step.step_time_s:g}"
     else:
-        return None
+        at = step.step_time_s or 0.0
+        found, text = np.flatnonzero((time >= at - slack) & (time[0] - slack <= at)), f"step_time_s = {at:g}"
     if not len(found):
         text += f" is not among the samples, {_span(time)} rows {number[0]} to {number[-1]} counted from 0"
-        raise refusal("profile-wrong", where, text, cure="Correct it, or the window.", row=int(row[0]))
+        raise refusal("profile-wrong", where, text, cure="Correct it, or the window.", row=int(table["row"][0]))
     return int(found[0])
 
 
-def _extra(profile: Profile, frame: Frame, step_row: int | None) -> dict[str, str]:
+def _extra(profile: Profile, frame: Contents, step_row: int | None) -> dict[str, str]:
     """Return what is kept beside a trial: declared step, where columns come from, attributes of the file, warnings."""
     extra = {} if step_row is None else {"step_row": str(step_row)}
     for key, source in profile.column_sources().items():

@@ -7,14 +7,15 @@ with other gains explains the command: a filter, a clipped or one-sided wall, or
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.base.units import UNITS, unit_between
-from pipeline.profiles.profile_columns import ColumnSource, Source
+from pipeline.base.units import unit_between
+from pipeline.profiles.profile_columns import Source, si_unit
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile
 from pipeline.readers.log import Log
-from pipeline.records.batch import Floats
+from pipeline.records.batch import Booleans, Floats
 
 EXACT = 0.02
 """Part of the command that the law may leave unexplained where each gain is told by itself; a velocity filter or a
@@ -62,9 +63,12 @@ class Obeyed:
     @property
     def sentence(self) -> str:
         """What differs, with the factor."""
+        times = {
+            name: f" (factor {factor:.4g})" if np.isfinite(factor) else "" for name, factor in self.factors.items()
+        }
         return "; ".join(
-            f"the command obeys {name} {self.found[name]:.4g}, the header says {self.stated[name]:.4g}{_times(factor)}"
-            for name, factor in self.factors.items()
+            f"the command obeys {name} {value:.4g}, the header says {self.stated[name]:.4g}{times[name]}"
+            for name, value in self.found.items()
         )
 
     @property
@@ -73,48 +77,37 @@ class Obeyed:
         return {name: found / self.stated[name] if self.stated[name] else np.inf for name, found in self.found.items()}
 
 
-def _times(factor: float) -> str:
-    return f" (factor {factor:.4g})" if np.isfinite(factor) else ""
-
-
 def obeyed(log: Log) -> Obeyed | None:
     """Return which other gains the command of a log obeys; None where they are as stated, or not to be seen."""
-    header = log.header
+    header, command = log.header, log.command
     stated = {"stiffness": header.stiffness, "damping": header.damping, "step": header.step}
-    if header.step == 0 or len(log.time) < LEAST_ROWS:
+    gains, size = np.array([*stated.values()]), float(np.sqrt(np.mean(command**2)))
+    terms, free = _terms(log.time, command, log.position, header.sampling_period_s, header.extra.get("step_row"))
+    off = command - terms @ gains
+    if not header.step or not size or free.sum() < LEAST_ROWS or np.sqrt(np.mean(off**2)) <= EXACT * size:
         return None
-    terms = _terms(log.time, log.command, log.position, header.sampling_period_s, header.extra.get("step_row"))
-    off = log.command - terms @ np.array(list(stated.values()))
-    size = float(np.sqrt(np.mean(log.command**2)))
-    if size == 0 or np.sqrt(np.mean(off**2)) <= EXACT * size:
-        return None
-    free = _free(log.command)
-    if free.sum() < max(LEAST_ROWS, len(free) // 2):
-        return None
-    values, error, left = _fit(terms[free], log.command[free])
+    largest = float(np.abs(command).max())
+    values, error, left = _fit(terms[free], command[free])
     if left <= min(EXACT * size, EXPLAINED * float(np.sqrt(np.mean(off[free] ** 2)))):
-        largest = np.abs(log.command).max()
-        told = np.abs(terms[free]).max(axis=0) * np.maximum(np.abs(values), np.abs(list(stated.values())))
-        least = np.maximum(TOLERANCE * np.abs(list(stated.values())), SURE * error)
+        told = np.abs(terms[free]).max(axis=0) * np.maximum(np.abs(values), np.abs(gains)) > SHARE * largest
+        least = np.maximum(TOLERANCE * np.abs(gains), SURE * error)
         # a position that is logged a row or two beside its command looks like B + K T
         least[1] += SHIFTED_ROWS * abs(values[0]) * header.sampling_period_s
-        other = (told > SHARE * largest) & (np.abs(values - list(stated.values())) > least)
-        found = {name: float(value) for name, value, off_by in zip(stated, values, other, strict=True) if off_by}
-        return Obeyed(found, stated) if found else None
-    wall = -(terms[:, :2] @ np.array([header.stiffness, header.damping]))
-    both = np.stack([terms[:, 2] * header.step, -wall], axis=1)
-    factors, _, left = _fit(both[free], log.command[free])
-    share = abs(factors[1]) * np.abs(wall).max() / np.abs(log.command).max()
-    if left > NEARLY * size or share <= SHARE or 1 / FACTOR < factors[1] < FACTOR:
+        other = told & (np.abs(values - gains) > least)
+        return (
+            Obeyed({name: float(values[i]) for i, name in enumerate(stated) if other[i]}, stated)
+            if any(other)
+            else None
+        )
+    wall = terms[:, :2] @ gains[:2]
+    (factor, step), _, left = _fit(np.stack([wall, terms[:, 2] * header.step], axis=1)[free], command[free])
+    if left > NEARLY * size or abs(factor) * np.abs(wall).max() <= SHARE * largest or 1 / FACTOR < factor < FACTOR:
         return None
-    known = {name: factors[1] * stated[name] for name in ("stiffness", "damping") if stated[name]}
-    if not 1 / FACTOR < factors[0] < FACTOR:
-        known["step"] = factors[0] * stated["step"]
-    return Obeyed({name: float(value) for name, value in known.items()}, stated)
+    found = {name: float(factor * stated[name]) for name in ("stiffness", "damping") if stated[name]}
+    return Obeyed(found | ({} if 1 / FACTOR < step < FACTOR else {"step": float(step * header.step)}), stated)
 
 
-@dataclass(frozen=True)
-class Law:
+class Law(NamedTuple):
     """Stiffness, damping and step that explain a command, in its numbers, those of the position and seconds.
 
     What makes no part of the command that is seen is 0.
@@ -137,8 +130,8 @@ def law_of(time: Floats, command: Floats, position: Floats) -> Law | None:
     """
     if len(time) < LEAST_ROWS or not (np.diff(time) > 0).all() or not np.ptp(command) or not np.ptp(position):
         return None
-    terms, free = _terms(time, command, position, float(np.median(np.diff(time))), None), _free(command)
-    if free.sum() < max(LEAST_ROWS, len(free) // 2):
+    terms, free = _terms(time, command, position, float(np.median(np.diff(time))), None)
+    if free.sum() < LEAST_ROWS:
         return None
     values, _, left = _fit(terms[free], command[free])
     if left > EXACT * np.sqrt(np.mean(command**2)):
@@ -147,55 +140,49 @@ def law_of(time: Floats, command: Floats, position: Floats) -> Law | None:
     return Law(*map(float, np.where(told, values, 0.0)))
 
 
-def _terms(time: Floats, command: Floats, position: Floats, period: float, declared: str | None) -> Floats:
-    """Return the terms of stiffness, damping and step in the command, shape (rows, 3)."""
-    change = np.diff(position, prepend=position[:1])
+def _terms(
+    time: Floats, command: Floats, position: Floats, period: float, declared: str | None
+) -> tuple[Floats, Booleans]:
+    """Return the terms of stiffness, damping and step in the command, shape (rows, 3), and the rows that count.
+
+    These are the rows in which the command stands at no limit that it keeps; none where they are less than half.
+    """
     passed = np.diff(time, prepend=time[:1] - period)
     jump = np.abs(np.diff(command))
     edge = int(declared) if declared is not None else int(jump.argmax()) + 1
     if declared is None and abs(command[0]) > 0.5 * jump.max():
         edge = 0
-    after = np.arange(len(time)) >= edge
-    return np.stack([position[0] - position, -change / passed, after.astype(np.float64)], axis=1)
-
-
-def _free(command: Floats) -> np.ndarray:
-    """Return the rows in which the command stands at no limit that it keeps."""
+    after = (np.arange(len(time)) >= edge).astype(np.float64)
     free = np.ones(len(command), dtype=np.bool_)
     for limit in (command.max(), command.min()):
         at = command == limit
         if at.sum() >= LIMIT_ROWS and limit != command[0]:
             free &= ~at
-    return free
+    terms = np.stack([position[0] - position, -np.diff(position, prepend=position[:1]) / passed, after], axis=1)
+    return terms, free & (2 * free.sum() >= len(free))
 
 
 def _fit(terms: Floats, command: Floats) -> tuple[Floats, Floats, float]:
     """Return the factors of terms, their standard errors, and what they leave of the command (rms)."""
-    scale = np.abs(terms).max(axis=0)
-    used = scale > 0
-    values, error = np.zeros(terms.shape[1]), np.zeros(terms.shape[1])
-    scaled = terms[:, used] / scale[used]
+    scale = np.where(terms.any(axis=0), np.abs(terms).max(axis=0), 1.0)
+    scaled = terms / scale
+    inverse = np.linalg.pinv(scaled.T @ scaled)
     solution, *_ = np.linalg.lstsq(scaled, command, rcond=None)
     left = float(np.sqrt(np.mean((command - scaled @ solution) ** 2)))
-    inverse = np.linalg.pinv(scaled.T @ scaled)
-    values[used], error[used] = solution / scale[used], left * np.sqrt(np.diag(inverse)) / scale[used]
-    return values, error, left
+    return solution / scale, left * np.sqrt(np.diag(inverse)) / scale, left
 
 
 def cure(profile: Profile, found: Obeyed) -> str:
     """Return the lines of a profile, or of a native header, by which header and command would agree."""
-    factors = found.factors
     if profile.format == "native":
         return "; ".join(f"# {name}: {value:.4g}" for name, value in found.found.items())
+    factors, columns, lines = found.factors, profile.column_sources(), list[str]()
     first = next(iter(factors.values()))
     alike = all(abs(factor - first) <= TOLERANCE * abs(first) for factor in factors.values()) and np.isfinite(first)
-    told = {name for name, value in found.stated.items() if value} <= factors.keys() | {"step"}
-    columns = profile.column_sources()
-    lines = []
-    if alike and "step" in factors and len(factors) > 1:
-        lines = _lines("command", columns.get("command"), 1 / first if first else 0.0)
-    elif alike and "step" not in factors and told:
-        lines = _lines("position", columns.get("position"), first)
+    if alike and first and "step" in factors and len(factors) > 1:
+        lines = _lines("command", columns["command"], 1 / first)
+    elif alike and {name for name, value in found.stated.items() if value} <= factors.keys() | {"step"}:
+        lines = _lines("position", columns["position"], first)
     units = [f'{name} = "{unit}"' for name, factor in factors.items() if (unit := _unit(profile, name, factor))]
     if len(units) == len(factors):
         lines.append(f"[units] {', '.join(units)}")
@@ -203,11 +190,9 @@ def cure(profile: Profile, found: Obeyed) -> str:
     return " or ".join(lines) or f"give {values} [SI], or correct units and signs of the profile"
 
 
-def _lines(key: str, source: Source | None, factor: float) -> list[str]:
+def _lines(key: str, source: Source, factor: float) -> list[str]:
     """Return the line that corrects a column whose numbers are so many times as large."""
-    if not isinstance(source, ColumnSource) or not factor:
-        return []
-    parts = [f"sign = {-(source.sign or 1)}"] if factor < 0 else []
+    parts = [f"sign = {-(getattr(source, 'sign', 1) or 1)}"] if factor < 0 else []
     if abs(abs(factor) - 1) > TOLERANCE:
         unit = unit_between(source.unit or "", abs(factor), UNIT_TOLERANCE)
         if unit is None:
@@ -219,7 +204,5 @@ def _lines(key: str, source: Source | None, factor: float) -> list[str]:
 def _unit(profile: Profile, name: str, factor: float) -> str | None:
     """Return the unit in which a condition seems to be given."""
     quantity = CONDITION_QUANTITIES[name][profile.constants.motion]
-    stated = getattr(profile.units, name, None)
-    stated = stated or next(symbol for symbol, unit in UNITS.items() if unit == (quantity, 1.0))
-    unit = unit_between(stated, factor, UNIT_TOLERANCE) if factor > 0 and np.isfinite(factor) else None
+    unit = unit_between(getattr(profile.units, name, None) or si_unit(quantity), factor, UNIT_TOLERANCE)
     return "N/mm" if unit == "kN/m" else unit  # the same, and what labs write

@@ -1,6 +1,6 @@
-"""Rows of one trial of a foreign file: numbers, missing cells, order of time, doubled stamps, as the profile says.
+"""Rows of one trial of a foreign file: numbers, missing cells, stamps as seconds, order of time, as the profile says.
 
-Rows are left out only where the profile says so, and each kind is counted.
+Nothing is interpolated. Rows are left out only where the profile says so, and each kind is counted.
 """
 
 from __future__ import annotations
@@ -8,182 +8,143 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.errors import LogError
+from pipeline.base.units import factor_to_si
 from pipeline.profiles.profile_columns import Source, TimeSource
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers.frame import Frame
+from pipeline.readers.frame import Contents
 from pipeline.readers.refusals import refusal
-from pipeline.readers.time_axis import distinct, in_order, read_stamps
 from pipeline.records.batch import Booleans, Floats, Integers
 
 SENTINEL_TOLERANCE = 1e-6
 """Relative distance at which a number is the sentinel: single precision rounds by 6e-8, the next sensor reading lies
 farther away (a count of 16 bits by 1.5e-5)."""
 
+DATE_S = 2.0**28
+"""Seconds from zero (8.5 years) beyond which a stamp is a date: no machine runs that long, and the origins in use
+(1904, 1970, 1980, 2000) are farther away. Nearer than this, floats of seconds are right to 30 ns."""
+
+ROUNDING = 1e-3
+"""Part of a sampling period by which two stamps that are one period apart may differ from it: two dates in floats, the
+coarsest stamps, by 2.4e-7 s."""
 
 _CLOCK = re.compile(r"\d:\d\d|\d-\d\d?-\d")
 """What dates and times of day have, and numbers do not."""
 
+_BACKWARDS = (
+    'Add to [columns.time] kind = "counter" and wrap = <counts> if a counter starts again, order = "sort" if rows are '
+    "out of order; or give trial_column or [[steps]] if several trials follow each other."
+)
+_STANDS = (
+    'Add to [columns.time] kind = "sampled" (one row each sampling period) if stamps are printed coarsely, '
+    'duplicates = "keep first" or "keep last" if rows are doubled.'
+)
 
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """Rows of a trial that are kept, in order of time.
-
-    Parameters
-    ----------
-    time : float64, shape (rows,)
-        Seconds.
-    raw_time : float64 or int64, shape (rows,), or None
-        Stamps as in the file.
-    columns : dict of float64 or int64 arrays, shape (rows,)
-        The other columns, as numbers of the file.
-    number : int64, shape (rows,)
-        Row of the trial as read, counted from 0.
-    row : int64, shape (rows,)
-        Row of the file, counted from 1.
-    counts : dict of str to int
-        What was found and settled; nothing where it is zero.
-    raw_decimals : int
-        Digits behind the decimal sign that whole numbers in ``raw_time`` had.
-    """
-
-    time: Floats
-    raw_time: Floats | Integers | None
-    columns: dict[str, NDArray[Any]]
-    number: Integers
-    row: Integers
-    counts: dict[str, int]
-    raw_decimals: int = 0
-
-
-@dataclass(frozen=True, eq=False)
-class _Column:
-    """A column of the trial: file, source in the profile, numbers, and where there is none."""
-
-    where: str
-    frame: Frame
-    source: Source
-    values: NDArray[Any]
-    missing: Booleans
+Table = dict[str, NDArray[Any]]
+"""Columns of shape (rows,) by name."""
 
 
 def rows_of(
-    profile: Profile, where: str, names: Sequence[str], frames: Sequence[Frame], index: Integers, period: float
-) -> Rows:
-    """Return the rows of a trial with time in seconds, in its order, without missing values.
+    profile: Profile, where: str, names: Sequence[str], frames: Sequence[Contents], index: Integers, period: float
+) -> tuple[Table, dict[str, int]]:
+    """Return the rows of a trial in order of time, without missing values, and what was found and settled in them.
 
     Parameters
     ----------
     profile : Profile
     where : str
         File and trial, for messages.
-    names, frames : sequence of str and Frame
+    names, frames : sequence of str and Contents
         Files of the log and what was read of them.
     index : int64, shape (rows,)
         Rows of the trial in the frames.
     period : float
         Sampling period [s].
 
+    Returns
+    -------
+    tuple of dict and dict
+        ``time`` [s], ``raw_time`` (stamps as in the file, where there are some; with a fraction, both parts in its
+        unit), the other columns as numbers of the file, ``number`` (row of the trial as read, from 0), ``row`` (of the
+        file, from 1); and counts by name, nothing where it is zero.
+
     Raises
     ------
     LogError
         If a cell is no number or has no value, or time is not as the profile says.
     """
-    source = profile.column_sources()["time"]
-    assert isinstance(source, TimeSource), "the record says so"
-    columns = _columns(profile, where, names, frames, index)
-    stamps_column = columns.pop("time", None)
-    row, counts = frames[0].row[index], dict[str, int]()
-    keep = np.ones(len(index), dtype=np.bool_)
-    everything = columns if stamps_column is None else {"time": stamps_column, **columns}
-    for key, column in everything.items():
-        if column.source.blanks == "skip" and column.missing.any():
-            counts[f"skipped_{key}"] = int(column.missing.sum())
-            keep &= ~column.missing
-    for key, column in everything.items():
-        if column.source.blanks == "refuse" and (column.missing & keep).any():
-            raise _no_value(key, column, row, int(np.argmax(column.missing & keep)))
+    sources, gaps = profile.column_sources(), dict[str, Booleans]()
+    table: Table = {"number": np.arange(len(index)), "row": frames[0].row[index]}
+    keep, counts = np.ones(len(index), dtype=np.bool_), dict[str, int]()
+    homes = dict(zip(("source", "partner"), zip((where, *names[1:]), frames, strict=False), strict=False))
+    for key, source in sources.items():
+        if source.in_file:  # else rows are counted, or the value is stated
+            table[key], gaps[key] = _numbers(profile, *homes[source.file], index, key)
+    for key, missing in gaps.items():
+        if sources[key].blanks == "skip":
+            counts[f"skipped_{key}"] = int(missing.sum())
+            keep &= ~missing
+    for key, missing in gaps.items():
+        if sources[key].blanks == "refuse" and (missing & keep).any():
+            raise _no_value(key, sources[key], *homes[sources[key].file], table, int(np.argmax(missing & keep)))
 
-    # a row without a stamp is nowhere in time; other rows that are left out still tell what holds on
-    stamped = np.arange(len(index)) if stamps_column is None else np.flatnonzero(~stamps_column.missing)
-    place = f"{where}, column {source.key!r} (columns.time)"
-    fraction = None
-    if source.fraction is not None:
-        fraction = frames[0 if source.file == "source" else 1].columns[source.fraction.name][index][stamped]
-    values, decimals = None if stamps_column is None else stamps_column.values[stamped], 0
-    if stamps_column is not None and source.key in stamps_column.frame.dates:
-        dates, decimals = stamps_column.frame.dates[source.key]
-        values = dates[index][stamped]
-    stamps = read_stamps(source, values, fraction, period, place, row[stamped], decimals)
-    order, late = in_order(source, stamps.time, place, row[stamped])
-    counts |= {"wraps": stamps.wraps, "out_of_order": late}
-
-    number, keep = stamped[order], keep[stamped[order]]
-    numbers = {}
-    for key, column in columns.items():
-        numbers[key] = column.values[number]
-        if column.source.blanks == "hold" and column.missing.any():
-            numbers[key], known = _held(numbers[key], column.missing[number])
-            counts[f"held_{key}"] = int((column.missing[number] & known).sum())
-            counts[f"before_first_{key}"] = int((~known & keep).sum())
+    time = sources["time"]
+    assert isinstance(time, TimeSource), "the record says so"
+    place = f"{where}, column {time.key!r} (columns.time)"
+    gaps[""] = ~keep
+    if time.in_file:
+        _, frame = homes[time.file]
+        if time.fraction is not None:
+            table["fraction"] = frame.columns[time.fraction.name][index]
+        elif time.key in frame.since_first and table["time"].dtype.kind == "f":
+            table["since_first"] = frame.since_first[time.key][index]
+        # a row without a stamp is nowhere in time; other rows that are left out still tell what holds on
+        table, gaps = _taken(table, ~gaps["time"]), _taken(gaps, ~gaps["time"])
+    counts |= add_seconds(time, table, period, place)
+    order, counts["out_of_order"] = in_order(time, table, place)
+    table, gaps = _taken(table, order), _taken(gaps, order)
+    keep = ~gaps.pop("")
+    for key, missing in gaps.items():
+        if sources[key].blanks == "hold" and missing.any():
+            # the value before it in place of each missing one
+            last = np.maximum.accumulate(np.where(missing, -1, np.arange(len(missing))))
+            table[key], known = table[key][np.maximum(last, 0)], last >= 0
+            counts |= {f"held_{key}": int((missing & known).sum()), f"before_first_{key}": int((~known & keep).sum())}
             keep &= known
-    kept = np.flatnonzero(keep)
-    alone = distinct(source, stamps.time[order[kept]], place, row[number[kept]])
+    table = _taken(table, keep)
+    alone = distinct(time, table, place)
     counts["duplicates"] = int((~alone).sum())
-    kept = kept[alone]
-    return Rows(
-        stamps.time[order[kept]],
-        None if stamps.raw is None else stamps.raw[order[kept]],
-        {key: values[kept] for key, values in numbers.items()},
-        number[kept],
-        row[number[kept]],
-        {key: count for key, count in counts.items() if count},
-        decimals,
-    )
+    return _taken(table, alone), {key: count for key, count in counts.items() if count}
 
 
-def _columns(
-    profile: Profile, where: str, names: Sequence[str], frames: Sequence[Frame], index: Integers
-) -> dict[str, _Column]:
-    """Return the columns of the trial by SI name, without the time where there are no stamps."""
-    columns = {}
-    for key, source in profile.column_sources().items():
-        if not source.in_file:  # rows are counted, or the value is stated
-            continue
-        file = 0 if source.file == "source" else 1
-        place, frame = where if file == 0 else names[1], frames[file]
-        values = frame.columns[source.key][index]
-        if values.dtype.kind not in "iufb":
-            raise _no_number(profile, place, frame, values, index, key, source)
-        # 64 bits without sign may hold more than 64 bits with one
-        large = values > np.iinfo(np.int64).max if values.dtype.kind == "u" else np.zeros(len(values), dtype=np.bool_)
-        whole = values.dtype.kind in "iub" and not large.any()
-        if key == "time" and large.any():
-            row = int(frame.row[index[int(np.argmax(large))]])
-            found = f"the stamp {values[large][0]} (column {source.key!r}{_called(frame, row)}) has more than 63 bits"
-            raise refusal("time-wrong", place, found, cure="Export stamps from the start of the log.", row=row)
-        values = values.astype(np.int64) if whole else values.astype(np.float64)
-        missing = np.zeros(len(values), dtype=np.bool_) if whole else np.isnan(values)
-        for sentinel in source.sentinels:
-            missing |= np.abs(values - sentinel) <= SENTINEL_TOLERANCE * abs(sentinel)
-        columns[key] = _Column(place, frame, source, values, missing)
-    return columns
+def _taken(table: dict[str, Any], rows: Integers | Booleans) -> dict[str, Any]:
+    return {key: values[rows] for key, values in table.items()}
 
 
-def _held(values: NDArray[Any], missing: Booleans) -> tuple[NDArray[Any], Booleans]:
-    """Return values with the one before it in place of each missing one, and where there is one."""
-    last = np.maximum.accumulate(np.where(missing, -1, np.arange(len(values))))
-    return values[np.maximum(last, 0)], last >= 0
+def _numbers(profile: Profile, place: str, frame: Contents, index: Integers, key: str) -> tuple[NDArray[Any], Booleans]:
+    """Return a column as numbers, and where it has no value."""
+    source = profile.column_sources()[key]
+    values = frame.columns[source.key][index]
+    if values.dtype.kind not in "iufb":
+        raise _no_number(profile, place, frame, values, index, key, source)
+    # 64 bits without sign may hold more than 64 bits with one
+    beyond = values.dtype.kind == "u" and (values > np.iinfo(np.int64).max).any()
+    values = values - values.min() if beyond and key == "time" else values
+    whole = values.dtype.kind in "iub" and not (beyond and key != "time")
+    values = values.astype(np.int64 if whole else np.float64)
+    missing = np.isnan(values)
+    for sentinel in source.sentinels:
+        missing |= np.abs(values - sentinel) <= SENTINEL_TOLERANCE * abs(sentinel)
+    return values, missing
 
 
 def _no_number(
-    profile: Profile, where: str, frame: Frame, values: NDArray[Any], index: Integers, key: str, source: Source
+    profile: Profile, where: str, frame: Contents, values: NDArray[Any], index: Integers, key: str, source: Source
 ) -> LogError:
     """Return the refusal that names the first cell of a text column that is no number."""
     cells = [str(value).strip() for value in values.tolist()]
@@ -209,16 +170,107 @@ def _reads_as_number(cell: str, profile: Profile) -> bool:
     return not ("." in cell and profile.decimal_sign == ",")
 
 
-def _no_value(key: str, column: _Column, row: Integers, at: int) -> LogError:
+def _no_value(key: str, source: Source, place: str, frame: Contents, table: Table, at: int) -> LogError:
     """Return the refusal that names the first cell that is blank or a sentinel."""
-    found = column.values[at]
+    found, row = table[key][at], int(table["row"][at])
     what = "is blank, or no number" if np.isnan(found) else f"is {found}, a sentinel"
-    found = f"{key} has no value: column {column.source.key!r} {what}{_called(column.frame, int(row[at]))}"
+    found = f"{key} has no value: column {source.key!r} {what}{_called(frame, row)}"
     hold = "" if key == "time" else ', or "hold" for the value before it'
     line = f'[columns.{key}]\nblanks = "skip" # leaves such rows out{hold}'
-    return refusal("no-value", column.where, found, row=int(row[at]), line=line)
+    return refusal("no-value", place, found, row=row, line=line)
 
 
-def _called(frame: Frame, row: int) -> str:
+def _called(frame: Contents, row: int) -> str:
     """Return the place of a row in words, where it is not a line."""
     return "" if frame.row_name == "line" else f" ({frame.row_name} {row})"
+
+
+def add_seconds(source: TimeSource, table: Table, period: float, place: str) -> dict[str, int]:
+    """Turn stamps into seconds, and keep them as ``raw_time``; return how often a counter started again.
+
+    Stamps that count from a date (`DATE_S`) count from the earliest row instead: as floats they would be wrong by up to
+    0.12 us. Whole numbers lose nothing by it.
+    """
+    if not source.in_file:
+        table["time"] = np.arange(len(table["row"])) * period
+        return {}
+    assert source.unit is not None, "validated: a column of stamps has a unit"
+    raw, unit, wraps = table["time"], factor_to_si(source.unit, ("time",)), 0
+    if source.fraction is not None:
+        part = factor_to_si(source.fraction.unit, ("time",))
+        parts = [_whole(values, table, place) for values in (raw, table.pop("fraction"))]
+        raw, unit = parts[0] * round(unit / part) + parts[1], part
+    unit /= source.counts_per_unit or 1.0
+    ticks, exact = raw, table.pop("since_first", raw)
+    if source.kind == "steps":
+        # the first row has no row before it
+        ticks = np.cumsum(raw) - raw[:1]
+    elif source.wrap is not None:
+        ticks, wraps = _unwrapped(raw, source.wrap, table, place)
+    elif len(raw) and float(np.abs(raw.astype(np.float64)).min()) * unit > DATE_S:
+        ticks = exact - exact.min()
+    table |= {"raw_time": raw, "time": (ticks - ticks[:1] if source.kind == "counter" else ticks) * unit}
+    if source.kind == "sampled":
+        table["time"] = _sampled(table, period, place)
+    return {"wraps": wraps}
+
+
+def _whole(part: NDArray[Any], table: Table, place: str) -> Integers:
+    if (broken := part != np.rint(part)).any():
+        at = int(np.argmax(broken))
+        expected = "whole numbers where a stamp has two parts (columns.time.fraction)"
+        raise refusal("time-wrong", place, f"{part[at]} is no whole number", expected, row=int(table["row"][at]))
+    return part.astype(np.int64)
+
+
+def _unwrapped(raw: NDArray[Any], wrap: float, table: Table, place: str) -> tuple[NDArray[Any], int]:
+    if (outside := (raw < 0) | (raw >= wrap)).any():
+        at = int(np.argmax(outside))
+        expected = f"0 to {wrap:.17g}, where it starts again"
+        raise refusal("time-wrong", place, f"the counter is {raw[at]}", expected, row=int(table["row"][at]))
+    # half a turn back is a turn forward: a shorter way back is a row out of order
+    again = np.diff(raw, prepend=raw[:1]) < -wrap / 2
+    modulus = int(wrap) if raw.dtype.kind == "i" and wrap == int(wrap) else wrap
+    return raw + np.cumsum(again) * modulus, int(again.sum())
+
+
+def _sampled(table: Table, period: float, place: str) -> Floats:
+    """Return one row each sampling period if the stamps agree with it."""
+    stamps: Floats = table["time"]
+    time = np.arange(len(stamps)) * np.float64(period)
+    steps = np.abs(np.diff(stamps))
+    # a sample is late by less than one period; a stamp that is printed so coarsely that several samples share it lies
+    # up to its own last digit beside the true one. Where none is shared, each step is seen, and so is a lost sample
+    coarse = (steps == 0).any() and (steps > 0).any()
+    allowed = (steps[steps > 0].min() if coarse else 0.0) + period
+    apart = np.abs(stamps - stamps[:1] - time) > allowed - ROUNDING * period
+    if apart.any():
+        at = int(np.argmax(apart))
+        found = f"the stamp is {stamps[at] - stamps[0]:.9g} s after the first, by its row it were {time[at]:.9g} s"
+        cure = 'Correct sampling_period_s, or use kind = "absolute": samples may be missing.'
+        raise refusal("time-wrong", place, found, cure=cure, row=int(table["row"][at]))
+    return time
+
+
+def in_order(source: TimeSource, table: Table, place: str) -> tuple[Integers, int]:
+    """Return the order of the rows by time, and how many stood behind a later one."""
+    time = table["time"]
+    late = time < np.maximum.accumulate(time)
+    if late.any() and source.order != "sort":
+        at = int(np.argmax(late))
+        found = f"time runs backwards, {time[at]:.17g} s after {time[at - 1]:.17g} s"
+        line = '[columns.time]\norder = "sort"'
+        raise refusal("time-backwards", place, found, "", _BACKWARDS, int(table["row"][at]), line)
+    return np.argsort(time, kind="stable"), int(late.sum())
+
+
+def distinct(source: TimeSource, table: Table, place: str) -> Booleans:
+    """Return which rows to keep of those with one and the same stamp."""
+    time = table["time"]
+    same = np.diff(time) == 0
+    if source.duplicates == "refuse" and same.any():
+        at = int(np.argmax(same)) + 1
+        found, line = f"time is {time[at]:.17g} s in two rows", '[columns.time]\nkind = "sampled"'
+        raise refusal("time-backwards", place, found, "", _STANDS, int(table["row"][at]), line)
+    edge = np.ones(min(len(time), 1), dtype=np.bool_)
+    return np.concatenate((edge, ~same) if source.duplicates != "keep last" else (~same, edge))

@@ -33,6 +33,7 @@ class ValueDifference(Record):
     None with a ``reason`` where it cannot be told.
     """
 
+    part: Literal["estimates", "optima", "scores"]
     name: str
     unit: str
     first: float | None

@@ -1,7 +1,7 @@
 """What a wall is judged by: one record a criterion, from which everything else knows it.
 
 A new criterion is a record here, with a family if its costs are computed in another way than those there are: then
-that family has a function in `pipeline.measured.cost.families` and one in `pipeline.theory.costs`.
+that family has a function in `pipeline.measured.cost.costs` and one in `pipeline.theory.costs`.
 Light to import: no command waits for it.
 """
 

@@ -55,7 +55,61 @@ class Coefficients(Part):
         return self
 
 
-VelocityFilter = Annotated[Difference | Butterworth | Coefficients, Field(discriminator="kind")]
+class Kalman(Part):
+    """Steady-state Kalman filter of positions: a white acceleration, held over each sample, and white sensor noise.
+
+    ``acceleration`` [m/s^2, rad/s^2] and ``noise`` [m, rad] are standard deviations; a quantum q is a noise of
+    q/sqrt(12). Only T^2 times their ratio, the tracking index, counts.
+
+    Source: Kalata 1984, "The tracking index", IEEE Trans. Aerospace and Electronic Systems 20 (2).
+    """
+
+    kind: Literal["kalman"]
+    acceleration: Positive
+    noise: Positive
+
+    def coefficients(self, sampling_period_s: float) -> Coefficients:
+        """Return the same filter of (x_k - x_{k-1})/T."""
+        index = self.acceleration * sampling_period_s**2 / self.noise
+        root = sqrt(index * (index + 8))
+        # 1 - r and r = (4 + index - root)/4, neither by a difference of numbers that are nearly equal
+        rest = 2 * index / (index + root)
+        ratio = 4 / (4 + index + root)
+        alpha, beta = rest * (1 + ratio), 2 * rest * rest
+        return Coefficients(kind="coefficients", b=(beta,), a=(1.0, alpha + beta - 2, ratio * ratio))
+
+
+class AdaptiveWindow(Part):
+    """First-order adaptive window (FOAW): the slope over the longest window whose samples all lie near its line.
+
+    ``bound`` [m, rad] is how far a sample may lie off the line through the window's ends: that of the sensor, such as
+    its quantum. ``longest`` is the largest window [samples].
+
+    Source: Janabi-Sharifi, Hayward, Chen 2000, IEEE Trans. Control Systems Technology 8 (6), end-fit.
+    """
+
+    kind: Literal["foaw"]
+    bound: Positive
+    longest: Annotated[int, Field(ge=1, le=256)] = 16
+
+
+class Levant(Part):
+    """Levant's first-order differentiator, integrated once a sample by Euler's method.
+
+    z' = -1.5 C^(1/2) |z - x|^(1/2) sign(z - x) + w, w' = -1.1 C sign(z - x); the velocity is w. ``acceleration``
+    [m/s^2, rad/s^2] is C, the largest acceleration that is expected.
+
+    Source: Levant 1998, Automatica 34 (3), with its gains.
+    """
+
+    kind: Literal["levant"]
+    acceleration: Positive
+
+
+LinearFilter = Difference | Butterworth | Coefficients
+"""What a loop of the theory holds; a Kalman filter is one of coefficients."""
+
+VelocityFilter = Annotated[LinearFilter | Kalman | AdaptiveWindow | Levant, Field(discriminator="kind")]
 
 
 class Mode(Part):
@@ -136,7 +190,7 @@ class LoopParts(Part):
         elif isinstance(self.velocity, Difference):
             found.append(f"velocity over {self.velocity.samples} samples")
         elif self.velocity is not None:
-            found.append("velocity filter (coefficients)")
+            found.append(f"velocity filter ({self.velocity.kind})")
         if self.actuator_lag_s > 0:
             found.append(f"actuator lag {1000 * self.actuator_lag_s:g} ms")
         if self.mode is not None:
@@ -149,8 +203,9 @@ class LoopParts(Part):
 
     @property
     def left_out(self) -> list[str]:
-        """Names of the parts that linear theory cannot hold."""
-        return ["friction"] if self.friction is not None else []
+        """Names of the parts that linear theory cannot hold: a velocity over a window of its own, friction."""
+        velocity = ["velocity"] if isinstance(self.velocity, AdaptiveWindow | Levant) else []
+        return velocity + (["friction"] if self.friction is not None else [])
 
     def mistakes(self, mass: float, sampling_period_s: float) -> list[str]:
         """Return what a device of a mass [kg, kg m^2] and a sampling period [s] cannot have, as sentences."""

@@ -31,6 +31,7 @@ CauseCode = Literal[
     "several_steps",
     "force_gain",
     "sampling_period",
+    "parameter_range",
     "no_stable_trial",
     "no_unstable_trial",
     "few_trials",

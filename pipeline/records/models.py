@@ -13,12 +13,12 @@ from pydantic import ConfigDict, Field, model_validator
 
 from pipeline.records.criteria import MEASURED, REPORTED, SETTLING_BANDS
 from pipeline.records.findings import BoundaryPoint, Estimate, NonNegative, Record
+from pipeline.records.findings import Grip as Grip
+from pipeline.records.findings import Motion as Motion
+from pipeline.records.findings import Name as Name
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.simulation_parts import SimulationParts
 
-Motion = Literal["translation", "rotation"]
-Grip = Literal["none", "comfortable", "firm"]
-Name = Annotated[str, Field(min_length=1, max_length=200)]
 Positive = Annotated[float, Field(gt=0)]
 
 
@@ -188,10 +188,10 @@ FigureKind = Literal["response", "boundaries", "plane", "maps", "residuals", "de
 """Figures of a report: first response (Fig. 6.2), boundaries (6.3, 6.4, 6.9), boundaries in the normalised plane, cost
 maps (6.5 to 6.7, 6.10, 6.11), measured minus theory, costs over delay (6.12), and the trials to look into."""
 
-Overlay = Literal["theory", "estimates", "band", "linear", "passive", "bound", "friction", "robust"]
-"""What is drawn over measured boundaries: theory by the device file, theory by the estimates, what their intervals
-leave open, the linear condition (3.25), the passive region (4.12), a linear upper bound as (6.5), limits with Coulomb
-friction; the walls that are stable with every spring (4.3.3), drawn only where they are asked for."""
+Overlay = Literal["theory", "estimates", "band", "linear", "passive", "friction", "robust"]
+"""What is drawn over measured boundaries: theory, the limit of the identified loop and its 95 % interval, the linear
+condition (3.25), the passive region (4.12), with friction the limit for a harder push; the walls that are stable with
+every spring (4.3.3), drawn only where they are asked for."""
 
 
 class Shown(Record):

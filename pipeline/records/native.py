@@ -20,11 +20,11 @@ from typing import cast, get_args
 
 from pipeline.base.errors import LogError, ParameterError
 from pipeline.base.units import find_unit
-from pipeline.records.models import Grip, Motion
+from pipeline.records.findings import Grip, Motion
 
 COLUMN_LINE = "time_s,command,position"
 LONGEST_NAME = 200
-"""Longest device or experiment name in characters, as in `pipeline.records.models.Name`."""
+"""Longest device or experiment name in characters, as in `findings.Name`."""
 
 _REQUIRED = {
     "device": "the name of the device, such as lwr",

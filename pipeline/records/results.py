@@ -1,38 +1,16 @@
-"""Finished numbers of a comparison: what `compare --json` prints and what figures and report are drawn from.
-
-Records (pydantic) are the JSON document; `ReportData` adds the arrays of the figures (`figure_records`).
-"""
+"""Finished numbers of a comparison: the document that `compare --json` prints, and all that a report is made of."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from pydantic import Field
 
-from pipeline.records.accuracy import AccuracyReport
-from pipeline.records.figure_records import Figure
 from pipeline.records.findings import BoundaryPoint, Estimate, ExcludedTrial, ModelCheck, Note, Optimum, Record
 from pipeline.records.loop_records import Cause, LoopLimit, LoopResult, PassiveWall, WallReplay
 from pipeline.records.models import ComparisonRow, Motion
 from pipeline.records.score_records import Scores
 from pipeline.records.score_records import TheoryParameters as TheoryParameters
-from pipeline.records.trial_codec import TrialPage
-
-
-class OtherDefinitions(Record):
-    """Settling time [samples] and overshoot [1] of one trial by this report and by other tools."""
-
-    criterion: str
-    trial_id: str
-    stiffness: float
-    damping: float
-    settle_2pct: float | None
-    settle_matlab_final_value: float | None
-    settle_matlab_peak_error: float | None
-    settle_python_control: float | None
-    overshoot: float | None
-    overshoot_last_sample: float | None
 
 
 class Truth(Record):
@@ -60,7 +38,6 @@ class Truth(Record):
             "delay_samples": delay,
             "mass": (p.mass + (held.mass if held else 0.0)) / gain,
             "damping": (p.damping + (held.damping if held else 0.0)) / gain,
-            "implied_delay": delay,
             "jitter_samples": self.jitter_samples,
             "friction": (parts.friction.coulomb if parts.friction else 0.0) / gain,
             "device_stiffness": (p.stiffness + (held.stiffness if held else 0.0)) / gain,
@@ -161,14 +138,6 @@ class Prediction(Record):
     reason: str = ""
 
 
-class AnswerCause(Record):
-    """Why limits deviate from theory: a code (of `Cause`, or of a score), a sentence, and what shows it."""
-
-    code: str
-    sentence: str
-    evidence: str
-
-
 class NextWall(Record):
     """The wall that the planner asks for next, why, and the command that plans on from it."""
 
@@ -192,7 +161,7 @@ class Answer(Record):
     estimates: tuple[AnswerEstimate, ...] = ()
     estimates_reason: str = ""
     predicts: Prediction
-    causes: tuple[AnswerCause, ...] = ()
+    causes: tuple[Cause, ...] = ()
     next: NextWall | None = None
     next_reason: str = ""
 
@@ -207,18 +176,6 @@ class HeaderLine(Record):
     trials: int
     different: int
     values: dict[str, int]
-
-
-class Saving(Record):
-    """How many trials of a finished course the planner would have asked for.
-
-    ``enough`` of ``trials`` tell the limits at ``dampings`` dampings within ``accuracy`` of the largest.
-    """
-
-    trials: int
-    enough: int
-    dampings: int
-    accuracy: float
 
 
 class ExperimentResult(Record):
@@ -236,7 +193,6 @@ class ExperimentResult(Record):
     verdicts: dict[str, int]
     outcomes: dict[str, int] = Field(default_factory=dict)
     model_check: ModelCheck | None = None
-    other_definitions: tuple[OtherDefinitions, ...] = ()
     estimates: dict[str, Estimate]
     boundary: tuple[BoundaryPoint, ...]
     optimum: dict[str, Optimum]
@@ -255,7 +211,6 @@ class ExperimentResult(Record):
     use_reason: str | None = None
     truth: Truth | None = None
     truth_held: TruthHeld | None = None
-    saving: Saving | None = None
 
     @property
     def stiffest(self) -> BoundaryPoint | None:
@@ -315,21 +270,3 @@ class ComparisonResult(Record):
     def numbers(self) -> dict[str, Any]:
         """Return the document as JSON values, without what tells of files and runs."""
         return self.model_dump(mode="json", exclude={"provenance", "logs", "report"})
-
-
-@dataclass(frozen=True)
-class ReportData:
-    """Everything that one HTML report shows."""
-
-    result: ComparisonResult
-    figures: tuple[Figure[Any], ...] = ()
-    stages: tuple[tuple[str, str, str], ...] = field(default=())
-    """Stage, what was done with it (run, reuse, leave out), and why."""
-    accuracy: AccuracyReport | None = None
-    """Error and run time of the methods behind the theory, where `pipeline accuracy` was run with this code here."""
-    tables: tuple[str, ...] | None = None
-    """Names of the tables that are shown; None for all. What is missing, and the report's origin, is always shown."""
-    trials: TrialPage | None = None
-    """All trials for the interactive part."""
-    request: dict[str, object] = field(default_factory=dict)
-    """How the report was asked for, in the page's head: what `verify` computes it anew from."""

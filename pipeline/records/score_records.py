@@ -108,107 +108,6 @@ class StiffnessScore(Record):
     deviation_percent: float
 
 
-class OptimumScore(Record):
-    """Measured optimum of one criterion against the discrete theory: deviations in percent of theory.
-
-    ``reference`` names the table whose theory is meant. ``polynomial`` is the cost by (5.19), ``damped`` that of theory
-    with delta = 0.02 (Fig. 6.12, delay sweeps only); their deviations are those of the measured cost.
-    """
-
-    criterion: str
-    reference: str
-    stiffness_percent: float | None = None
-    damping_percent: float | None = None
-    cost_percent: float | None = None
-    censored: bool = False
-    polynomial: float | None = None
-    polynomial_percent: float | None = None
-    polynomial_valid: bool = False
-    damped: float | None = None
-    damped_percent: float | None = None
-
-
-class MapScore(Record):
-    """Measured costs against the theoretical ones at the same (K, B), over the trials that both call stable.
-
-    ``rank_correlation`` is Spearman's [-1, 1], ``median_ratio`` that of measured to theoretical cost over ``ratios``
-    trials, those with a theoretical cost above zero.
-    """
-
-    criterion: str
-    trials: int
-    rank_correlation: float | None
-    median_ratio: float | None
-    ratios: int
-    reason: str | None = None
-
-
-class DelayScore(Record):
-    """Delay [samples] that the boundary implies beside that of the trials, each with its 95 % interval.
-
-    They ``agree`` where the intervals share a value, or are nearer than moves a limit by 2 %.
-    """
-
-    implied: float
-    implied_low: float
-    implied_high: float
-    trials: float
-    trials_low: float
-    trials_high: float
-    agree: bool
-
-
-class Departure(Record):
-    """Dampings, both ends included, between which the measured boundary lies outside the band on one side."""
-
-    side: Literal["above", "below"]
-    damping_low: float
-    damping_high: float
-    dampings: int
-
-
-class BandScore(Record):
-    """Measured limits against the band of theory that the intervals of m, b and d leave open.
-
-    A limit is ``inside`` where its interval meets the band [K_low(B), K_high(B)] (``low`` and ``high``, one a damping).
-    """
-
-    mass: tuple[float, float]
-    viscous_damping: tuple[float, float]
-    delay_samples: tuple[float, float]
-    damping: tuple[float, ...]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-    points: int
-    inside: int
-    departures: tuple[Departure, ...] = ()
-
-    @property
-    def share(self) -> float:
-        """Share of the measured limits inside the band."""
-        return self.inside / self.points if self.points else 0.0
-
-
-class BoundScore(Record):
-    """Linear upper bound K <= K_0 - c B of the upper part of the measured boundary (6.1.3), with 95 % intervals.
-
-    K_0 [N/m, Nm/rad], c [1/s]; it holds from ``damping_low`` to ``damping_high``. ``cut`` is the part that it cuts off
-    the theoretical region, stretched to fit, ``p_value`` the chance of such a fit without a bound.
-    """
-
-    stiffness: float
-    stiffness_low: float
-    stiffness_high: float
-    slope: float
-    slope_low: float
-    slope_high: float
-    damping_low: float
-    damping_high: float
-    dampings: int
-    cut: float
-    p_value: float
-
-
 class Scores(Record):
     """Scores of one experiment against one theory; what could not be had is None, with its reason in ``missing``."""
 
@@ -218,9 +117,4 @@ class Scores(Record):
     distance: DistanceScore | None = None
     verdicts: VerdictScore | None = None
     stiffness: StiffnessScore | None = None
-    optima: tuple[OptimumScore, ...] = ()
-    maps: tuple[MapScore, ...] = ()
-    delay: DelayScore | None = None
-    band: BandScore | None = None
-    bound: BoundScore | None = None
     missing: dict[str, str] = Field(default_factory=dict)

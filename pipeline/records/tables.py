@@ -11,7 +11,10 @@ from typing import Any
 
 import pyarrow as pa
 
+from pipeline.base.process import without_pandas
 from pipeline.records.criteria import FAMILIES, MEASURED, Criterion, criterion_of, members
+
+without_pandas(pa)
 
 Metadata = Mapping[str, str]
 
@@ -67,7 +70,6 @@ COLUMNS: dict[str, Column] = {
     "time_quality": _same(_S, "", "gaps, drops, jitter, and what was settled in the rows, as JSON"),
     # where it came from
     "source_path": _same(_S, "", "source log as found"),
-    "formerly": _same(_S, "", "where its log stood before it was renamed, and its trials were read anew", True),
     "source_sha256": _same(_S, "", "SHA-256 of the source log (of both files, in order, for a pair)"),
     "source_trials": _same(_I, "", "number of trials that the source holds"),
     "source_size": _same(_I, "byte", "size of the source log"),
@@ -76,7 +78,6 @@ COLUMNS: dict[str, Column] = {
     "profile_sha256": _same(_S, "", "SHA-256 of that profile"),
     "claims": _same(_S, "", "hash of all profiles that might have claimed it"),
     "package_version": _same(_S, "", "version that stored it"),
-    "version": _same(_I, "", "number of the ingest that stored it: of two versions of a trial the higher one counts"),
     "sample_file": _same(_S, "", "file below processed/ that holds the trial; not stored, but told by who reads"),
     "sample_row": _same(_I, "", "row of that file"),
     # corrections
@@ -125,8 +126,6 @@ COLUMNS: dict[str, Column] = {
     "obeyed_damping": Column(_F, "Ns/m", "Nms/rad", "damping of the same wall", True),
     "obeyed_step": Column(_F, "N", "Nm", "step of the same command", True),
     "velocity_filter": _same(_S, "", "filter b(z)/a(z) of the velocity that the log shows, as JSON", True),
-    "velocity_lag": _same(_F, "s", "how much later than the position the logged velocity is", True),
-    "velocity_lag_error": _same(_F, "s", "standard error of it", True),
     # outcome stage
     "outcome": _same(_S, "", "what happened in the trial, see `outcome.OUTCOMES`"),
     "evidence": _same(_S, "", "the evidence for it, in words"),
@@ -174,20 +173,9 @@ COLUMNS: dict[str, Column] = {
         for name, column in {
             f"energy_w{w}_bias": _same(_F, "1", "what noise and quantum add to the sum, taken off", True),
             f"energy_w{w}_tail": _same(_F, "1", "part of the cost that lies beyond the horizon, extrapolated", True),
-            f"energy_w{w}_half": _same(_F, "1", "plain sum up to half of the horizon", True),
-            f"energy_w{w}_full": _same(_F, "1", "plain sum up to the horizon", True),
         }.items()
     },
     "horizon_samples": _same(_I, "samples", "number of samples summed before the noise floor or the end", True),
-    # definitions of other tools, beside the costs
-    "settle_matlab_final_value": _same(
-        _F, "samples", "settling time, 2 %, as MATLAB's stepinfo about the last sample", True
-    ),
-    "settle_matlab_peak_error": _same(
-        _F, "samples", "settling time, 2 % of the peak error, as MATLAB's stepinfo", True
-    ),
-    "settle_python_control": _same(_F, "samples", "settling time, 2 %, as python-control's step_info", True),
-    "overshoot_last_sample": _same(_F, "1", "overshoot about the last sample, as both tools take it", True),
     # ladder stage
     "role": _same(_S, "", "best, next best, or alike: as many parts and not to be told apart from the best"),
     "parts": _same(_S, "", "what the device has beside mass, damper and delay, comma separated"),
@@ -207,10 +195,9 @@ COLUMNS: dict[str, Column] = {
 }
 
 _BESIDE = {
-    "settling": ("settle_matlab_final_value", "settle_matlab_peak_error", "settle_python_control"),
-    "overshoot": ("overshoot_floor", "overshoot_last_sample"),
+    "overshoot": ("overshoot_floor",),
     "energy": (
-        *(f"energy_w{w}_{part}" for w in (0, 1, 2) for part in ("bias", "tail", "half", "full")),
+        *(f"energy_w{w}_{part}" for w in (0, 1, 2) for part in ("bias", "tail")),
         "horizon_samples",
     ),
 }
@@ -221,16 +208,15 @@ _TRIAL = "trial_id samples_sha256 stiffness damping"
 _NAMES = {
     "trials": """
         trial_id label device experiment motion stiffness damping step sampling_period_s added_delay_samples grip
-        simulated rows extra time_quality source_path formerly source_sha256 source_trials source_size source_mtime_ns
-        profile profile_sha256 claims package_version version
+        simulated rows extra time_quality source_path source_sha256 source_trials source_size source_mtime_ns
+        profile profile_sha256 claims package_version
         time_s command position force velocity raw_time raw_count""",
     "corrections": """trial_id label device experiment source_path source_sha256 exclusion_reason excluded_since
         moved_device moved_experiment deleted corrected_ns""",
     "response": f"""{_TRIAL} verdict reason growth_per_s edge_row position_start
         position_final_expected position_final_measured sensor_quantum sensor_noise""",
     "wall_law": f"""{_TRIAL} law_residual law_rounding law_codes law_evidence law_rows
-        obeyed_stiffness obeyed_damping obeyed_step velocity_filter
-        velocity_lag velocity_lag_error""",
+        obeyed_stiffness obeyed_damping obeyed_step velocity_filter""",
     "outcome": f"{_TRIAL} outcome evidence outcome_row band amplitude_end",
     "delay": f"{_TRIAL} delay_samples first_change_samples onset_samples onset_error reason",
     "model": f"""{_TRIAL} model_mass model_mass_error model_damping model_damping_error model_delay

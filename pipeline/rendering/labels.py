@@ -43,6 +43,28 @@ UNITS: dict[Motion, Units] = {
 }
 
 
+QUANTITIES = {
+    "delay_samples": "delay d",
+    "mass": "mass m",
+    "damping": "damping b",
+    "jitter_samples": "jitter of the delay within a trial",
+    "friction": "Coulomb friction",
+    "device_stiffness": "stiffness of the device",
+    "constant_force": "constant force on the device",
+    "boundary_area": "area under the boundary",
+}
+
+
+def quantity_name(quantity: str) -> str:
+    """Return what a quantity is called in heads of tables."""
+    return QUANTITIES.get(quantity, quantity.replace("_", " "))
+
+
+def unit_text(unit: str) -> str:
+    """Return a unit as it is printed."""
+    return unit.replace("^2", "²")
+
+
 def criterion_name(name: str) -> str:
     """Return what a criterion, or another result, is called in print."""
     return CRITERIA[name].label if name in CRITERIA else name.replace("_", " ")

@@ -1,140 +1,120 @@
-"""The one model of a table: what page, CSV, JSON, Markdown and LaTeX render.
+"""A table as page, Markdown and LaTeX show it: cells with text, made of the rows of a data frame by columns.
 
-Every cell has a name that is unique in its report, such as ``D.1/settle_2pct/experiment_1/cost``: `verify`
-compares cells by name, and a test can ask for one of them.
+Every cell has a name that is unique in its report, such as ``D.1/settle_2pct/experiment_1/cost``: `verify` compares
+cells by name.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby, pairwise
-from typing import Any, Self
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
 
 from pipeline.base.wording import shared_notes
 from pipeline.rendering.labels import MISSING, span
 
-Value = str | float | int | bool | None
+if TYPE_CHECKING:
+    import pandas as pd
 
-WIDEST = 10
-"""Columns of a table that fit beside each other into a window of 1280 px."""
-
-FEWEST_GROUPS = 3
-"""Headings over columns from which on a table repeats itself, once for each experiment or criterion."""
+Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A value and how it is printed; ``aside`` is smaller text, ``why`` explains a missing value, ``marks`` name notes.
+    """What is printed; ``aside`` is smaller text, ``why`` explains a missing value, ``marks`` name notes.
 
-    ``name`` begins with that of its ``row``; the page holds both apart, since names would else be a tenth of it.
-    ``trial`` refers to the trial that a number stands for (see `trial_records.reference`), empty where there is none.
+    ``name`` is that of the column; ``trial`` refers to the trial that a number stands for (`trial_page.reference`).
     """
 
-    value: Value
     text: str
+    name: str
     numeric: bool = True
     aside: str = ""
     why: str = ""
     marks: tuple[str, ...] = ()
-    name: str = ""
-    row: str = ""
-    head: bool = False
     trial: str = ""
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column: its name, what is printed above it, and how its plain values become cells.
+    """A column: its name in the frame, what is printed above it, and how its values become cells.
 
     Parameters
     ----------
     name : str
-        Unique in the table.
-    label : str, optional
-        Head without unit; the name where it is not given.
-    unit : str
-    group : str
-        Heading that neighbours share.
-    numeric : bool
-        Whether it holds numbers, not words.
-    show : callable
-        Prints a number.
+    label : str
+        Head without unit; the name where it is empty.
+    unit, group : str
+        Unit, and heading that neighbours share.
+    show : callable, optional
+        Prints a number of a row; words are printed as they are.
+    ends : (str, str), optional
+        Columns with the ends of its interval.
+    aside : callable, optional
+        Prints what stands beside it.
     why : str
-        Why a value is missing, where nothing else is known.
+        Why a value is missing, where the row has no ``reason``.
+    notes : callable, optional
+        Yields the texts of its footnotes.
+    optional : bool
+        Whether it is left out where no row has a value.
+    linked : bool
+        Whether it refers to the trial of its row; ``link``, where given, names another one.
     """
 
     name: str
-    label: str | None = None
+    label: str = ""
     unit: str = ""
     group: str = ""
-    numeric: bool = True
-    show: Callable[[Any], str] = str
+    show: Callable[[Any, Row], str] | None = None
+    ends: tuple[str, str] | None = None
+    aside: Callable[[Row], str] | None = None
     why: str = ""
+    notes: Callable[[Row], Iterable[str | None]] | None = None
+    optional: bool = False
+    linked: bool = False
+    link: Callable[[Row], str] | None = None
 
     @property
     def head(self) -> str:
         """Label with the unit in brackets."""
-        label = self.name if self.label is None else self.label
+        label = self.label or self.name
         return f"{label} [{self.unit}]" if self.unit else label
 
-    def cell(self, value: Cell | Value) -> Cell:
-        """Return a plain value as a cell; what is one already stays."""
-        if isinstance(value, Cell):
-            return value
-        if isinstance(value, str):
-            return Cell(value, value, numeric=self.numeric)
-        return number(value, self.show, self.why)
-
-
-def words(name: str, label: str | None = None) -> Column:
-    """Return a column of words."""
-    return Column(name, label, numeric=False)
-
-
-def number(
-    value: float | None,
-    show: Callable[[Any], str],
-    why: str = "",
-    *,
-    ends: tuple[float | None, float | None] = (None, None),
-    **more: Any,
-) -> Cell:
-    """Return the cell of a number with the ends of its interval, or of one that is missing with the reason for it."""
-    if value is None:
-        return missing(why)
-    return Cell(value, show(value), **({"aside": span(show, *ends)} | more))
-
-
-def missing(why: str, **more: Any) -> Cell:
-    """Return the cell of a value that does not exist, with the reason for it."""
-    return Cell(None, MISSING, why=why, **more)
+    def cell(self, row: Row, table: Table, trial: str) -> Cell:
+        """Return the cell of a row."""
+        value = row.get(self.name)
+        marks = table.mark(*self.notes(row)) if self.notes else ()
+        beside = self.aside(row) if self.aside else ""
+        numeric = self.show is not None
+        if value is None or value == "":
+            why = self.why or row.get("reason") or "not available"
+            marks = marks or (table.mark(why) if why in table.notes else ())
+            return Cell(MISSING, self.name, numeric=numeric, aside=beside, why=why, marks=marks)
+        if self.show is None:
+            return Cell(str(value), self.name, numeric=False, aside=beside, marks=marks)
+        if self.ends and not beside:
+            shown = self.show
+            beside = span(lambda end: shown(end, row), *(row.get(end) for end in self.ends))
+        place = self.link(row) if self.link else trial if self.linked else ""
+        return Cell(self.show(value, row), self.name, aside=beside, marks=marks, trial=place)
 
 
 @dataclass
 class Table:
-    """A table; each block of rows may have a heading of its own."""
+    """A table; each block of rows may have a heading of its own, and each row has a name."""
 
     name: str
     caption: str
     columns: Sequence[Column]
-    blocks: list[tuple[str, list[tuple[Cell, ...]]]] = field(default_factory=list)
+    blocks: list[tuple[str, list[tuple[str, tuple[Cell, ...]]]]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-
-    @property
-    def filled(self) -> Self | None:
-        """The table, or None where it has no rows."""
-        return self if self.blocks else None
 
     @property
     def rows(self) -> list[tuple[Cell, ...]]:
         """The rows of all blocks."""
-        return [row for _, rows in self.blocks for row in rows]
-
-    @property
-    def records(self) -> list[dict[str, Value]]:
-        """The values of all rows by column, as other programs take them."""
-        return [{c.name: cell.value for c, cell in zip(self.columns, row, strict=True)} for row in self.rows]
+        return [cells for _, rows in self.blocks for _, cells in rows]
 
     @property
     def reasons(self) -> dict[str, str]:
@@ -153,78 +133,57 @@ class Table:
         spans = [(group, len(list(same))) for group, same in groupby(column.group for column in self.columns)]
         return spans if any(group for group, _ in spans) else []
 
-    @property
-    def parts(self) -> list[Table]:
-        """The table as a page shows it: one of many groups in parts side by side no longer, but below each other.
-
-        Each part has the first column and whole groups, up to `WIDEST` columns, and no row that is empty in it; notes
-        stand below the last.
-        """
-        spans, places = self.groups, range(1, len(self.columns))
-        if len(self.columns) <= WIDEST or sum(bool(name) for name, _ in spans) < FEWEST_GROUPS:
-            return [self]
-        ends = [sum(span for _, span in spans[:n]) for n in range(2, len(spans) + 1)]
-        cuts = [1]
-        for end, after in zip(ends, [*ends[1:], ends[-1]], strict=True):
-            if after - cuts[-1] + 1 > WIDEST or end == len(self.columns):
-                cuts.append(end)
-        named: set[str] = set()
-        parts = []
-        for number, (start, end) in enumerate(pairwise(cuts), 1):
-            columns = (0, *places[start - 1 : end - 1])
-            caption = f"Part {number} of {len(cuts) - 1}. {self.caption}" if number > 1 else self.caption
-            part = Table(self.name, caption, [self.columns[c] for c in columns])
-            blocks = ((block, self._rows_of_part(rows, columns, named)) for block, rows in self.blocks)
-            part.blocks = [(block, rows) for block, rows in blocks if rows]
-            parts.append(part)
-        parts[-1].notes = self.notes
-        return parts
-
-    @staticmethod
-    def _rows_of_part(
-        rows: Sequence[tuple[Cell, ...]], columns: Sequence[int], named: set[str]
-    ) -> list[tuple[Cell, ...]]:
-        """Rows with a value in these columns; a head that stands in a part before has no name again."""
-        shown = []
-        for row in rows:
-            head, *cells = (row[c] for c in columns)
-            if any(cell.text != MISSING for cell in cells):
-                shown.append((replace(head, name="") if head.name in named else head, *cells))
-                named.add(head.name)
-        return shown
-
     def mark(self, *notes: str | None) -> tuple[str, ...]:
         """Return the footnote marks (a, b, c ...) of some notes; the same note keeps its mark."""
         told = [note for note in notes if note]
         self.notes += [note for note in dict.fromkeys(told) if note not in self.notes]
         return tuple(footnote(self.notes.index(note)) for note in told)
 
-    def add(self, row: str, values: Mapping[str, Any], block: str = "") -> None:
-        """Append a row to the block of that name; the first cell is the row's head.
 
-        Parameters
-        ----------
-        row : str
-            Name of the row; that of a cell is table, row and column.
-        values : mapping
-            By column; a column without one gets a missing value, and what no column asks for is left out.
-        """
-        if not self.blocks or self.blocks[-1][0] != block:
-            self.blocks.append((block, []))
-        place = f"{self.name}/{row}"
-        cells = [
-            replace(column.cell(values.get(column.name)), name=f"{place}/{column.name}", row=place, head=index == 0)
-            for index, column in enumerate(self.columns)
-        ]
-        self.blocks[-1][1].append(tuple(cells))
+def table_of(
+    name: str,
+    caption: str,
+    columns: Sequence[Column],
+    frame: pd.DataFrame | Sequence[Row],
+    row: Callable[[Row], str],
+    block: Callable[[Row], str] = lambda _: "",
+    trial: Callable[[Row], str] = lambda _: "",
+) -> Table | None:
+    """Return a table of the rows of a frame, None where it has none.
+
+    Parameters
+    ----------
+    name, caption : str
+    columns : sequence of Column
+    frame : DataFrame, or sequence of mapping
+    row, block : callable
+        Name of each row, unique in the table, and heading of the block that it belongs to.
+    trial : callable
+        Reference of the trial that the linked columns of a row stand for.
+    """
+    rows = records(frame)
+    shown = [c for c in columns if not c.optional or any(each.get(c.name) is not None for each in rows)]
+    table = Table(name, caption, shown)
+    for each in rows:
+        heading = block(each)
+        if not table.blocks or table.blocks[-1][0] != heading:
+            table.blocks.append((heading, []))
+        cells = tuple(column.cell(each, table, trial(each)) for column in shown)
+        table.blocks[-1][1].append((f"{name}/{row(each)}", cells))
+    return table if rows else None
+
+
+def records(frame: pd.DataFrame | Sequence[Row]) -> list[dict[str, Any]]:
+    """Return the rows of a frame, None in place of NaN."""
+    if isinstance(frame, Sequence):
+        return [dict(row) for row in frame]
+    return [{k: None if v is None or v != v else v for k, v in row.items()} for row in frame.to_dict("records")]
 
 
 def word_table(name: str, caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> Table | None:
     """Return a table of words, or None where it has no rows; the first cell of a row names it."""
-    table = Table(name, caption, [words(head) for head in heads])
-    for row in rows:
-        table.add(row[0], dict(zip(heads, row, strict=True)))
-    return table.filled
+    columns = [Column(head) for head in heads]
+    return table_of(name, caption, columns, [dict(zip(heads, row, strict=True)) for row in rows], lambda r: r[heads[0]])
 
 
 def marked(table: Table, *, simulated: bool) -> Table:

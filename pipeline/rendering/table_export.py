@@ -1,34 +1,53 @@
-"""Tables of a comparison as files for others: CSV and JSON with all digits, Markdown and LaTeX as printed.
-
-Names come from logs and may hold anything, so each format escapes what means something in it.
-"""
+"""Tables of a comparison as files: CSV and JSON with all digits of the frames, Markdown and LaTeX as printed."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 from urllib.parse import quote
 
 from pipeline.base.disk import write_text
 from pipeline.base.errors import UsageError
 from pipeline.records.results import ComparisonResult
-from pipeline.rendering.report.report import PRINTED, tables_of
-from pipeline.rendering.table import Cell, Table, Value, footnote
-from pipeline.rendering.table_latex import latex_text
-from pipeline.rendering.table_values import as_document, value_tables
+from pipeline.rendering.frames import frames
+from pipeline.rendering.report.report import printed_tables
+from pipeline.rendering.table import Table, footnote, records
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Format = Literal["csv", "json", "markdown", "latex"]
 FORMATS: tuple[Format, ...] = get_args(Format)
+
+LONGEST = 45
+"""Rows beyond which a table does not fit on a page, and is a ``longtable``."""
 
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 """First characters by which a spreadsheet takes a cell for a formula."""
 
 _MARKDOWN = re.compile(r"[\\`*_{}\[\]<>|#~$!]")
+
+_LETTERS = {
+    **{
+        letter: rf"$\{name}$"
+        for letter, name in zip("αβγδζω", ["alpha", "beta", "gamma", "delta", "zeta", "omega"], strict=True)
+    },
+    "\N{MINUS SIGN}": "$-$",
+    "\N{EN DASH}": "--",
+    "\N{NO-BREAK SPACE}": "~",
+    "²": r"\textsuperscript{2}",
+    "≥": r"$\geq$",
+    "≤": r"$\leq$",
+    "×": r"$\times$",
+    "±": r"$\pm$",
+    "°": r"\textdegree{}",
+    "“": "``",
+    "”": "''",
+}
+"""What stands for a character in LaTeX; other letters are UTF-8, which LaTeX reads since 2018."""
 
 
 def parse_formats(words: Sequence[str]) -> tuple[Format, ...]:
@@ -39,12 +58,11 @@ def parse_formats(words: Sequence[str]) -> tuple[Format, ...]:
     UsageError
         If one is not known.
     """
-    names = dict.fromkeys(part.strip() for word in words for part in word.split(",") if part.strip())
-    known = {name: name for name in FORMATS}
-    unknown = [name for name in names if name not in known]
+    names = [part.strip() for word in words for part in word.split(",") if part.strip()]
+    unknown = [name for name in names if name not in FORMATS]
     if unknown:
         raise UsageError(f"unknown format of tables {unknown[0]!r}; expected some of {', '.join(FORMATS)}.")
-    return tuple(known[name] for name in FORMATS if name in names)
+    return tuple(name for name in FORMATS if name in names)
 
 
 def tables_folder(report: Path) -> Path:
@@ -55,27 +73,19 @@ def tables_folder(report: Path) -> Path:
 def export_tables(result: ComparisonResult, folder: Path, formats: Sequence[Format]) -> tuple[Path, ...]:
     """Write the tables of a comparison; files of the same name are replaced, others are left alone.
 
-    Parameters
-    ----------
-    result : ComparisonResult
-    folder : Path
-        Made if needed: one ``.csv`` and one ``.tex`` a table, ``tables.json``, ``tables.md``.
-    formats : sequence of {"csv", "json", "markdown", "latex"}
-
-    Returns
-    -------
-    tuple of Path
-        The files written.
+    One ``.csv`` and one ``.tex`` a table, ``tables.json``, ``tables.md``. Returns the files written.
     """
-    values = value_tables(result)
-    printed = [table for name in PRINTED for table in tables_of(name, result)]
+    values, printed = named_frames(result), printed_tables(result)
     files: dict[str, str] = {}
     if "csv" in formats:
-        files |= {f"{_file_name(table.name)}.csv": csv_text(table) for table in values}
+        files |= {f"{_file_name(name)}.csv": csv_text(frame) for name, frame in values.items()}
     if "json" in formats:
-        files["tables.json"] = json.dumps(as_document(values), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        document = {name: as_document(frame) for name, frame in values.items()}
+        files["tables.json"] = (
+            json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False, default=_plain) + "\n"
+        )
     if "markdown" in formats:
-        files["tables.md"] = f"# {_markdown(result.title)}\n\n" + "\n".join(markdown_text(t) for t in printed)
+        files["tables.md"] = f"# {_markdown(result.title)}\n\n" + "\n".join(map(markdown_text, printed))
     if "latex" in formats:
         files |= {f"{_file_name(t.name)}.tex": latex_text(t, f"{result.device}-{t.name}") for t in printed}
     for name, text in files.items():
@@ -83,25 +93,39 @@ def export_tables(result: ComparisonResult, folder: Path, formats: Sequence[Form
     return tuple(folder / name for name in files)
 
 
-def csv_text(table: Table) -> str:
-    """Return a table as CSV (RFC 4180 with its CR LF, UTF-8).
+def named_frames(result: ComparisonResult) -> dict[str, pd.DataFrame]:
+    """Return the frames that have rows, Tables D.1 to D.6 by their own names."""
+    found = {name: frame for name, frame in frames(result).items() if len(frame)}
+    if "tables" not in found:
+        return found
+    tables = found.pop("tables")
+    parts = dict(iter(tables.groupby("table", sort=False)))
+    for part in parts.values():
+        part.attrs = tables.attrs
+    return parts | found
 
-    Numbers have all digits; a cell is empty where a value is missing. A text that a spreadsheet would take for a
-    formula gets an apostrophe in front.
+
+def as_document(frame: pd.DataFrame) -> dict[str, Any]:
+    """Return a frame as JSON values: its columns with units, and its rows as objects."""
+    units = frame.attrs.get("units", {})
+    return {"columns": [{"name": name, "unit": units.get(name, "")} for name in frame.columns], "rows": records(frame)}
+
+
+def csv_text(frame: pd.DataFrame) -> str:
+    """Return a frame as CSV (RFC 4180 with its CR LF) with all digits; the head names units.
+
+    A text that a spreadsheet would take for a formula gets an apostrophe in front.
     """
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\r\n")
-    # names, not printed heads: programs read them
-    writer.writerow([guarded(f"{c.name} [{c.unit}]" if c.unit else c.name) for c in table.columns])
-    writer.writerows([_csv_cell(value) for value in record.values()] for record in table.records)
-    return stream.getvalue()
+    units = frame.attrs.get("units", {})
+    safe = frame.map(lambda value: guarded(value) if isinstance(value, str) else value)
+    safe = safe.astype(dict.fromkeys(frame.select_dtypes(bool).columns, object)).replace({True: "true", False: "false"})
+    safe.columns = [guarded(f"{name} [{units[name]}]" if name in units else name) for name in frame.columns]
+    return str(safe.to_csv(index=False, lineterminator="\r\n"))
 
 
 def guarded(text: str) -> str:
     """Return a text with an apostrophe in front where a spreadsheet would take it for a formula; numbers stay.
 
-    Examples
-    --------
     >>> guarded("=1+1"), guarded("-2.5"), guarded("-a")
     ("'=1+1", '-2.5', "'-a")
     """
@@ -114,42 +138,87 @@ def guarded(text: str) -> str:
     return text if text[0] not in "\t\r" else f"'{text}"
 
 
-def _csv_cell(value: Value) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return guarded(value) if isinstance(value, str) else repr(value)
-
-
 def markdown_text(table: Table) -> str:
-    """Return a table as GitHub-flavoured Markdown; headings above columns stand in front of the column heads."""
-    heads = [_markdown(f"{column.group}: {column.head}" if column.group else column.head) for column in table.columns]
-    lines = [f"**{_markdown(table.caption)}**", "", _markdown_row(heads)]
-    lines.append(_markdown_row(["---:" if column.numeric else ":---" for column in table.columns]))
-    for block, rows in table.blocks:
-        if block:
-            lines.append(_markdown_row([f"*{_markdown(block)}*", *[""] * (len(heads) - 1)]))
-        lines += [_markdown_row([_markdown_cell(cell) for cell in row]) for row in rows]
-    lines += ["", *(f"{footnote(n)}) {_markdown(note)}  " for n, note in enumerate(table.notes))]
-    return "\n".join(lines).rstrip() + "\n"
+    """Return a table as GitHub-flavoured Markdown."""
+    printed = as_printed(table, _markdown, "<sup>{}</sup>")
+    heads = [_markdown(column.head) for column in table.columns]
+    lines = [f"**{_markdown(table.caption)}**", "", heads, ["---:" if c.show else ":---" for c in table.columns]]
+    lines += [list(row) for row in printed.to_numpy()]
+    notes = [f"{footnote(n)}) {_markdown(note)}  " for n, note in enumerate(table.notes)]
+    return (
+        "\n".join(
+            line if isinstance(line, str) else f"| {' | '.join(line)} |" for line in [*lines, "", *notes]
+        ).rstrip()
+        + "\n"
+    )
 
 
-def _markdown_row(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cells)} |"
+def latex_text(table: Table, label: str) -> str:
+    """Return a table as pandas writes it in LaTeX, a float with caption and label, its notes below."""
+    printed = as_printed(table, _latex, r"\textsuperscript{{{}}}")
+    printed.columns = [_latex(column.head) for column in table.columns]
+    name = re.sub(r"[^A-Za-z0-9.:-]+", "-", label)
+    kinds = "".join("r" if column.show else "l" for column in table.columns)
+    long = len(printed) > LONGEST
+    text = printed.to_latex(
+        index=False, escape=False, column_format=f"@{{}}{kinds}@{{}}", longtable=long,
+        caption=_latex(table.caption), label=f"tab:{name}", position=None if long else "t",
+    )  # fmt: skip
+    notes = [
+        rf"\par\raggedright\footnotesize\textsuperscript{{{footnote(n)}}}{_latex(note)}"
+        for n, note in enumerate(table.notes)
+    ]
+    body, end, rest = text.rpartition("\\end{longtable}\n" if long else "\\end{table}\n")
+    told = "\n".join(notes) + "\n" if notes else ""
+    packages = f"% \\usepackage{{booktabs{',longtable' if long else ''}}}\n"
+    return f"{packages}{body}{end}{told}{rest}" if long else f"{packages}{body}{told}{end}{rest}"
 
 
-def _markdown_cell(cell: Cell) -> str:
-    marks = f"<sup>{','.join(cell.marks)}</sup>" if cell.marks else ""
-    return _markdown(cell.text) + marks + (f" ({_markdown(cell.aside)})" if cell.aside else "")
+def as_printed(table: Table, escape: Any, mark: str) -> pd.DataFrame:
+    """Return the texts of a table, headings of blocks as rows, each part escaped."""
+    import pandas as pd
+
+    rows: list[list[str]] = []
+    for block, of in table.blocks:
+        rows += [[escape(block), *[""] * (len(table.columns) - 1)]] if block else []
+        for _, cells in of:
+            rows.append(
+                [
+                    escape(c.text)
+                    + (mark.format(",".join(c.marks)) if c.marks else "")
+                    + (f" ({escape(c.aside)})" if c.aside else "")
+                    for c in cells
+                ]
+            )
+    return pd.DataFrame(rows, columns=[column.name for column in table.columns])
+
+
+def _plain(value: Any) -> Any:
+    return value.item()  # a number of numpy
 
 
 def _markdown(text: str) -> str:
     return _MARKDOWN.sub(r"\\\g<0>", " ".join(text.split()))
 
 
+def _latex(text: str) -> str:
+    plain = re.sub(r"[^\S\N{NO-BREAK SPACE}]+", " ", text).strip()
+    special: dict[str, str | int | None] = {
+        **{c: rf"\{c}" for c in "&%$#_{}"},
+        **{c: f"{{{c}}}" for c in '[]*"'},
+        **_LETTERS,
+    }
+    special |= {
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "<": r"\textless{}",
+        ">": r"\textgreater{}",
+    }
+    return plain.translate(str.maketrans(special))
+
+
 def _file_name(name: str) -> str:
     """Return a file name for a table: names of experiments may hold anything; long ones are cut."""
     safe = quote(name, safe=" +=,@")
-    safe = "%2E" + safe[1:] if safe.startswith(".") else safe
-    return safe[:200]
+    return ("%2E" + safe[1:] if safe.startswith(".") else safe)[:200]

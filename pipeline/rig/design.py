@@ -149,30 +149,12 @@ def design(
 def _wall(loop: Loop, best: Best) -> dict[str, float | None]:
     """Return what is to be known of the nearest wall."""
     K, B = best.stiffness, best.damping
+    limit = float(loop.limits(B)["stiffness"].iloc[0])
     (row,) = loop.points(K, B, ("settle_2pct", "overshoot")).to_dict("records")
-    told = {"stiffness": K, "damping": B, "stiffness_limit": _limit(loop, B)}
+    told = {"stiffness": K, "damping": B, "stiffness_limit": None if math.isnan(limit) else limit}
     samples, overshoot = (row[name] if math.isfinite(row[name]) else None for name in ("settle_2pct", "overshoot"))
     settling = None if samples is None else samples * loop.sampling_period_s
     return told | {"settling_s": settling, "settling_samples": samples, "overshoot": overshoot}
-
-
-def _limit(loop: Loop, damping: float) -> float | None:
-    """Return the largest K that is stable at a damping, below the stiffest of all."""
-    border = loop.boundary(16)
-    low, high = 0.0, float(border.attrs["stiffness_max"])
-    inside = loop.points(np.linspace(0.0, high, 257)[1:], damping, ())
-    stable = inside["stable"].to_numpy()
-    if not stable[0]:
-        return None
-    if stable.all():
-        return high
-    first = int(np.argmin(stable))
-    low, high = (0.0 if first == 0 else float(inside["stiffness"][first - 1])), float(inside["stiffness"][first])
-    for _ in range(5):
-        K = np.linspace(low, high, 33)
-        first = max(int(np.argmin(loop.points(K, damping, ())["stable"].to_numpy())), 1)
-        low, high = float(K[first - 1]), float(K[first])
-    return low
 
 
 def _stiffness_reached(loop: Loop, wish: Wish, best: Best) -> float | None:

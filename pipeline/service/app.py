@@ -25,7 +25,6 @@ from pipeline.service.catalogue import Catalogue
 from pipeline.service.database import Database
 from pipeline.service.jobs.renewal import Renewal
 from pipeline.service.jobs.workers import Workers
-from pipeline.service.metrics import Metrics
 from pipeline.service.pages import frame, pages
 from pipeline.service.pages.comparing import comparing
 from pipeline.service.pages.login import doors
@@ -64,8 +63,7 @@ def create_app(settings: Settings) -> ASGIApp:
         )
     workers, theory = Workers(settings, database), Theory(settings.theory_s)
     catalogue = Catalogue(settings.processed, database)
-    metrics = Metrics(database.job_counts, lambda: catalogue.rows)
-    service = Service(settings, database, catalogue, workers, theory, metrics)
+    service = Service(settings, database, catalogue, workers, theory)
     renewal = Renewal(service)
 
     @asynccontextmanager
@@ -90,7 +88,7 @@ def create_app(settings: Settings) -> ASGIApp:
     for router in ROUTERS:
         app.include_router(router, dependencies=[Depends(only_known)] if router.prefix else [])
     _answer_errors(app, service)
-    return Guard(app, settings, database, metrics)
+    return Guard(app, settings, database)
 
 
 def _answer_errors(app: FastAPI, service: Service) -> None:

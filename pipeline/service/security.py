@@ -22,7 +22,6 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from pipeline.service.database import LOCAL as LOCAL_NAME
 from pipeline.service.database import ROLES, Database, Role, hashed
-from pipeline.service.metrics import Metrics
 from pipeline.service.problems import Problem, answer
 from pipeline.service.rates import Rates
 from pipeline.service.settings import Settings
@@ -59,8 +58,8 @@ HEADERS = {
 class Guard:
     """The outermost part of the server."""
 
-    def __init__(self, app: ASGIApp, settings: Settings, database: Database, metrics: Metrics) -> None:
-        self.app, self.settings, self.database, self.metrics = app, settings, database, metrics
+    def __init__(self, app: ASGIApp, settings: Settings, database: Database) -> None:
+        self.app, self.settings, self.database = app, settings, database
         self.rates = Rates(settings.per_minute)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -96,8 +95,6 @@ class Guard:
                 await _refuse(problem, scope, receive, sending)
         finally:
             seconds = time.monotonic() - began
-            route = getattr(scope.get("route"), "path", "none")
-            self.metrics.answered(scope["method"], route, status, seconds)
             line = {"id": request_id, "method": scope["method"], "path": scope["path"], "status": status}
             LOG.info(json.dumps({**line, "ms": round(1e3 * seconds, 1)}))
 

@@ -21,7 +21,6 @@ from pipeline.service.catalogue import Catalogue
 from pipeline.service.database import Database
 from pipeline.service.jobs import documents
 from pipeline.service.jobs.workers import Workers
-from pipeline.service.metrics import Metrics
 from pipeline.service.problems import Problem
 from pipeline.service.rest import theory
 from pipeline.service.settings import Settings
@@ -66,7 +65,6 @@ class Service:
     catalogue: Catalogue
     workers: Workers
     theory: theory.Theory
-    metrics: Metrics
 
     def job(self, kind: str, request: dict[str, Any], key: str = "", author: str = "", late: int = 0) -> str:
         """Queue a job and wake a worker."""

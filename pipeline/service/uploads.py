@@ -22,7 +22,7 @@ from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
 from pipeline.base.disk import make_folder, sync_folder
-from pipeline.base.file_names import path_text
+from pipeline.base.paths import path_text
 from pipeline.intake.quarantine import list_quarantine
 from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import load_profile, shipped_profiles

@@ -18,13 +18,12 @@ from urllib.parse import quote
 from pydantic import BaseModel, ValidationError
 
 from pipeline.base.disk import write_text
-from pipeline.base.file_names import storable
+from pipeline.base.paths import storable
 from pipeline.base.wording import unbroken
 from pipeline.records.findings import BoundaryPoint
 from pipeline.records.models import Motion
 from pipeline.rendering.labels import UNITS, decimal, percent_text, stiffness_text
-from pipeline.rendering.report.page_template import fill_template
-from pipeline.rendering.report.report_scripts import policy, script_text
+from pipeline.rendering.report.page_template import fill_template, policy, script_text
 
 INDEX_FILE = "index.html"
 INDEX_MARK = '<meta name="generator" content="pipeline index">'

@@ -13,9 +13,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pipeline.base.errors import PipelineError, StoreError
-from pipeline.base.file_names import path_of_text
 from pipeline.base.lock import holder
-from pipeline.base.regular_files import is_gone
+from pipeline.base.paths import is_gone, path_of_text
 from pipeline.comparison.compare import compare
 from pipeline.comparison.scene.scene import RUN
 from pipeline.device_data.devices import declared_spring, known_devices

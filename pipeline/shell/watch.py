@@ -360,11 +360,10 @@ def run_pass(watched: Watched, emit: Emit, growing: Sequence[str] = ()) -> int:
         try:
             held.enter_context(writing(lock, 0.0))
         except StoreError as error:
-            other = holder(lock)
-            emit({"event": "busy", "reason": f"{other} is at work on {watched.processed}" if other else str(error)})
-            return EXIT_ERROR
-        except OSError as error:
-            fail("pass", f"{watched.processed}: cannot be written ({error})")
+            if other := holder(lock):
+                emit({"event": "busy", "reason": f"{other} is at work on {watched.processed}"})
+            else:
+                fail("pass", str(error))
             return EXIT_ERROR
         quarantined = _ingest(watched, growing, emit, fail)
         _reports(watched, emit, fail)
@@ -397,7 +396,7 @@ def _ingest(watched: Watched, growing: Sequence[str], emit: Emit, fail: Callable
 
 def _reports(watched: Watched, emit: Emit, fail: Callable[[str, str], None]) -> None:
     """Bring each report up to date, and the index."""
-    from pipeline.base.file_names import path_text
+    from pipeline.base.paths import path_text
     from pipeline.shell.report_index import write_index
     from pipeline.store.storage import list_devices
 
@@ -420,7 +419,7 @@ def _reports(watched: Watched, emit: Emit, fail: Callable[[str, str], None]) -> 
 
 def _report(watched: Watched, name: str) -> Event:
     """Bring the report of a device or scene up to date; return the event."""
-    from pipeline.base.file_names import path_text
+    from pipeline.base.paths import path_text
     from pipeline.comparison.compare import compare
     from pipeline.comparison.scene.scene import RUN
     from pipeline.comparison.scene.scene_file import read_scene

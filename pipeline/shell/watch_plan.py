@@ -10,15 +10,13 @@ from pathlib import Path
 
 from pipeline.base.errors import StoreError
 from pipeline.base.lock import holder, writing
-from pipeline.base.process_pool import process_pool
+from pipeline.base.process import process_pool
 from pipeline.intake.ingest import ingest
-from pipeline.measured.ladder.device import Device
-from pipeline.measured.ladder.ladder import Rung
-from pipeline.measured.ladder.trials import LadderTrials
-from pipeline.plan.answer import Plan
+from pipeline.measured.model.parts import Choice, chosen
+from pipeline.measured.model.recordings import Recording
 from pipeline.plan.course import Wish, open_course
-from pipeline.plan.fitted import Fitted, at_once
-from pipeline.plan.planner import BESIDE, asked_of, plan_of, with_remark
+from pipeline.plan.learnt import Learnt
+from pipeline.plan.planner import BESIDE, Plan, asked_of, plan_of, with_remark
 from pipeline.plan.requests import Requests, requests_folder, write_requests
 from pipeline.shell.watch import Arrivals, look_at
 
@@ -32,12 +30,12 @@ class Beside:
 
     def __init__(self, pool: ProcessPoolExecutor) -> None:
         self.pool = pool
-        self.running: Future[Rung] | None = None
+        self.running: Future[Choice] | None = None
 
-    def __call__(self, trials: LadderTrials, ideal: Device) -> Rung | None:
+    def __call__(self, recordings: list[Recording]) -> Choice | None:
         """Return what was found since it was first asked; None as long as it looks."""
         if self.running is None:
-            self.running = self.pool.submit(at_once, trials, ideal)
+            self.running = self.pool.submit(chosen, recordings)
         if not self.running.done():
             return None
         found, self.running = self.running.result(), None
@@ -75,7 +73,7 @@ def watch_plan(
         look = Beside(pool)
         arrivals = Arrivals(SETTLE_S)
         arrivals.update(look_at(folders, (), (processed,))[0], time.monotonic() - SETTLE_S)
-        known: Fitted | None = None
+        known: Learnt | None = None
         told: set[tuple[str, str]] = set()
         asked: Requests | None = None
         beside: str | None = None
@@ -101,7 +99,7 @@ def watch_plan(
                     refused(f"refused: {path}: {reason}")
             told |= set(new)
             course = open_course(name, processed, experiment, wish, known, look, asked)
-            known, answer = course.fitted, plan_of(course, wish)
+            known, answer = course.learnt, plan_of(course, wish)
             folder = requests_folder(processed, course.name, course.experiment)
             if first:
                 beside = _alone(folder, held)

@@ -17,7 +17,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import as_floats, many_digits
 from pipeline.loop.velocity_filter import filter_in_z, per_sample
 from pipeline.records.batch import Floats, Integers, TrialBatch
-from pipeline.records.loop_parts import Difference, VelocityFilter
+from pipeline.records.loop_parts import AdaptiveWindow, Difference, Levant, VelocityFilter
 from pipeline.simulation.chance import Chance, Streams, draw
 from pipeline.simulation.setup import Setup
 
@@ -93,7 +93,7 @@ def simulate(
     rows = np.full(trials, setup.rows, dtype=np.int64)
     inside = np.ones(trials, dtype=np.bool_)
     state = setup.plant.rest(rendered[0])
-    velocity = Velocity(setup.velocity, T, trials)
+    velocity = velocity_of(setup.velocity, T, trials)
     everyone = np.arange(trials)
     for k in range(setup.rows):
         true = start + state[setup.plant.sensed]
@@ -101,7 +101,7 @@ def simulate(
         if chance.held is not None:
             position[k] = np.where(chance.held[k], position[max(k - 1, 0)], position[k])
         depth = position[k] - position[0] + sunk
-        wall = K * depth + B * velocity.after(position, k)
+        wall = K * depth + B * velocity(position, k)
         if setup.hidden.one_sided_wall:
             wall = np.where(depth * setup.step > 0, wall, 0.0)
         command[k + 1] = external[k] - wall
@@ -198,39 +198,70 @@ def coefficients(kind: VelocityFilter | None, sampling_period_s: float) -> tuple
         return as_floats(b), as_floats(a)
 
 
-class Velocity:
-    """Velocity of many trials, sample after sample.
+def velocity_of(kind: VelocityFilter | None, period: float, trials: int) -> Callable[[Floats, int], Floats]:
+    """Return what gives the velocity of many trials from the positions so far, shape (rows, n); rows in order.
 
     Parameters
     ----------
     kind : VelocityFilter or None
         None for the backward difference.
-    sampling_period_s : float
+    period : float
         T as the controller takes it [s].
     trials : int
     """
+    if isinstance(kind, AdaptiveWindow):
+        return lambda position, row: (
+            _adaptive_window(position[max(row - kind.longest, 0) : row + 1], kind.bound) / period
+        )
+    if isinstance(kind, Levant):
+        return _levant(kind.acceleration, period)
+    if isinstance(kind, Difference):
+        count = kind.samples
+        return lambda position, row: (position[row] - position[max(row - count, 0)]) / period / count
+    b, a = coefficients(kind, period)
+    order = max(len(a), len(b)) - 1
+    b, a = np.pad(b, (0, order + 1 - len(b))), np.pad(a, (0, order + 1 - len(a)))
+    memory = np.zeros((order + 1, trials))
 
-    def __init__(self, kind: VelocityFilter | None, sampling_period_s: float, trials: int) -> None:
-        self.period = sampling_period_s
-        self.samples = kind.samples if isinstance(kind, Difference) else 1
-        b, a = (np.ones(1), np.ones(1)) if isinstance(kind, Difference) else coefficients(kind, sampling_period_s)
-        order = max(len(a), len(b)) - 1
-        self._b, self._a = np.pad(b, (0, order + 1 - len(b))), np.pad(a, (0, order + 1 - len(a)))
-        self._memory = np.zeros((order + 1, trials))
-        self._filtered = order > 0 or bool(b[0] != 1)
-
-    def after(self, position: Floats, row: int) -> Floats:
-        """Return the velocity of a row from the positions so far, shape (rows, n); rows in order, each once."""
-        difference: Floats = (position[row] - position[max(row - self.samples, 0)]) / self.period
-        if self.samples > 1:
-            return difference / self.samples
-        if not self._filtered:
-            return difference
-        result: Floats = self._b[0] * difference + self._memory[0]
+    def filtered(position: Floats, row: int) -> Floats:
+        difference: Floats = (position[row] - position[max(row - 1, 0)]) / period
+        result: Floats = b[0] * difference + memory[0]
         # transposed direct form: the last row of the memory stays zero
-        for i in range(len(self._memory) - 1):
-            self._memory[i] = self._memory[i + 1] + self._b[i + 1] * difference - self._a[i + 1] * result
+        for i in range(order):
+            memory[i] = memory[i + 1] + b[i + 1] * difference - a[i + 1] * result
         return result
+
+    return filtered
+
+
+def _adaptive_window(position: Floats, bound: float) -> Floats:
+    """Return the slope [1/sample] over the longest window with all samples within a bound of its line, shape (n,)."""
+    newest, found = position[-1], np.zeros(position.shape[1])
+    going = np.ones(len(found), dtype=np.bool_)
+    for count in range(1, len(position)):
+        slope = (newest - position[-1 - count]) / count
+        line = newest - slope * np.arange(1, count)[:, None]
+        going = going & (np.abs(position[-2 : -1 - count : -1] - line) <= bound).all(axis=0)
+        found = np.where(going, slope, found)
+        if not going.any():
+            break
+    return found
+
+
+def _levant(acceleration: float, period: float) -> Callable[[Floats, int], Floats]:
+    """Return Levant's differentiator, at rest at the first position."""
+    state: list[Floats] = []
+
+    def differentiated(position: Floats, row: int) -> Floats:
+        if not state:
+            state[:] = position[row].copy(), np.zeros(position.shape[1])
+        place, velocity = state
+        off = place - position[row]
+        speed = velocity - 1.5 * np.sqrt(acceleration * np.abs(off)) * np.sign(off)
+        state[:] = place + period * speed, velocity - period * 1.1 * acceleration * np.sign(off)
+        return state[1]
+
+    return differentiated
 
 
 def _logged(

@@ -1,35 +1,29 @@
-"""Writes batches of trials: one file each, whole by itself; merges small ones, and drops what newer versions replaced.
+"""Writes batches of trials: one file each, whole by itself; merges small ones, and leaves out what does not count.
 
-What stands in the place of other files holds all their trials but superseded ones, and names them; they are removed
-when it is on the disk. So a trial is there at any moment, and whoever reads meanwhile sees it once.
+What stands in the place of other files names them; they are removed when it is on the disk. So what is replaced is
+there at any moment, and whoever reads meanwhile sees it once.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
-from typing import Any, cast
+from typing import NamedTuple, cast
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.base.disk import READABLE, NewFile, content_of, readers_of, remove_all, remove_temporary, said_content
+from pipeline.base.disk import READABLE, content_of, new_file, readers_of, remove_all, remove_temporary, said_content
+from pipeline.base.errors import StoreError
 from pipeline.base.provenance import stamp
 from pipeline.records.batch import Booleans
-from pipeline.records.models import Motion
+from pipeline.records.findings import Motion
 from pipeline.records.table_files import WRITING, damaged_file, metadata_of, open_table
 from pipeline.records.tables import arrow_schema
-from pipeline.store.storage import (
-    FILE,
-    TABLE,
-    VERSION_COLUMNS,
-    newest_versions,
-    read_versions,
-    trials_folder,
-)
+from pipeline.store.storage import TABLE, VERSION_COLUMNS, Rows, read_rows, trials_folder
 
 GROUP_TRIALS, GROUP_BYTES = 64, 8 << 20
 """Trials of a group of rows, and bytes of their samples, at most: one trial is read by reading its group."""
@@ -51,204 +45,166 @@ LARGE_TRIALS, LARGE_BYTES = 2048, 256 << 20
 """Trials, or bytes of the file, from which on an ingest leaves a batch alone."""
 
 
-class NewBatch:
-    """A batch of one device, experiment and motion that grows group by group and is then made visible.
+Key = tuple[str, str, str]
+KEY_COLUMNS = ("source_path", "trial_id", "profile_sha256")
+"""A trial as it was read: path of its log, its id, SHA-256 of the profile."""
+
+
+class Place(NamedTuple):
+    """What the trials of a file have in common; `mode` is who may read it: who may read the logs of all of them."""
+
+    device: str
+    experiment: str
+    motion: Motion
+    mode: int = READABLE
+
+
+def place_of_file(file: Path) -> Place:
+    """Return what the trials of a file have in common."""
+    with open_table(file) as stored:
+        told = metadata_of(stored.schema_arrow)
+    motion = cast(Motion, told["pipeline.motion"])
+    return Place(told["pipeline.device"], told["pipeline.experiment"], motion, readers_of(file.stat().st_mode))
+
+
+def write_batch(
+    processed: Path, place: Place, parts: Iterable[pa.Table], replaces: Collection[Path] = ()
+) -> Path | None:
+    """Write trials into one file that stands in the place of others, which are removed then.
 
     Parameters
     ----------
     processed : Path
-    device, experiment : str
-    motion : {"translation", "rotation"}
-    mode : int
-        Who may read it: who may read all logs that it holds trials of.
+    place : Place
+    parts : iterable of pyarrow.Table
+        Trials, at most a group of them each; they come to the disk group by group, so that memory does not grow.
     replaces : collection of Path
-        Files in the place of which it stands.
-    """
-
-    def __init__(
-        self,
-        processed: Path,
-        device: str,
-        experiment: str,
-        motion: Motion,
-        mode: int = READABLE,
-        replaces: Collection[Path] = (),
-    ) -> None:
-        names = " ".join(sorted(file.stem for file in replaces))
-        metadata = stamp(device=device, experiment=experiment, motion=motion, replaces=names)
-        self.schema = arrow_schema("trials", rotation=motion == "rotation", metadata=metadata)
-        self._file = NewFile(trials_folder(processed, device, experiment), "batch", mode)
-        self._writer = pq.ParquetWriter(self._file.stream, self.schema, use_dictionary=_REPEATED, **WRITING)
-        self._waiting: list[pa.Table] = []
-        self._size = np.zeros(2, dtype=np.int64)
-        """Trials that wait, and bytes of their samples."""
-
-    def write(self, trials: pa.Table) -> None:
-        """Append trials, at most a group of them; they come to the disk in groups."""
-        size = np.array([trials.num_rows, READING_BYTES * trials.column("rows").to_numpy().sum()])
-        if (self._size + size > (GROUP_TRIALS, GROUP_BYTES)).any():
-            self._write_group()
-        self._waiting.append(trials)
-        self._size = self._size + size
-
-    def _write_group(self) -> None:
-        if self._waiting:
-            group = pa.concat_tables(self._waiting).replace_schema_metadata(self.schema.metadata)
-            self._writer.write_table(group.cast(self.schema) if group.schema != self.schema else group)
-        self._waiting, self._size = [], np.zeros(2, dtype=np.int64)
-
-    def publish(self) -> Path:
-        """Make the batch visible and return its file."""
-        self._write_group()
-        self._writer.close()
-        return self._file.publish(ending=TABLE)
-
-    def discard(self) -> None:
-        """Remove what was written, if it was not made visible."""
-        self._file.discard()
-        if self._writer.is_open:
-            # the end of a file that nobody wants
-            self._writer.is_open = False
-
-
-def rewrite(processed: Path, files: Sequence[Path], kept: Mapping[Path, Booleans] | None = None) -> Path | None:
-    """Write the trials of some files of an experiment and motion into one that stands in their place.
-
-    Parameters
-    ----------
-    processed : Path
-    files : sequence of Path
-    kept : mapping of Path to bool, shape (trials,), optional
-        Which trials of a file are kept; by default all.
 
     Returns
     -------
     Path or None
-        The new file; None where nothing is kept.
+        The file; None where there are no trials.
+    """
+    names = " ".join(sorted(file.stem for file in replaces))
+    metadata = stamp(device=place.device, experiment=place.experiment, motion=place.motion, replaces=names)
+    schema = arrow_schema("trials", rotation=place.motion == "rotation", metadata=metadata)
+    groups, path = _groups(parts), None
+    if (first := next(groups, None)) is not None:
+        folder = trials_folder(processed, place.device, place.experiment)
+        with (
+            new_file(folder, ending=TABLE, mode=place.mode) as new,
+            pq.ParquetWriter(new.stream, schema, use_dictionary=_REPEATED, **WRITING) as writer,
+        ):
+            for group in chain([first], groups):
+                writer.write_table(group.cast(schema) if group.schema != schema else group)
+        path = new.path
+    remove_all(file for file in replaces if file != path)
+    return path
+
+
+def _groups(parts: Iterable[pa.Table]) -> Iterator[pa.Table]:
+    waiting, size = list[pa.Table](), np.zeros(2, dtype=np.int64)
+    for part in parts:
+        more = np.array([part.num_rows, READING_BYTES * part.column("rows").to_numpy().sum()])
+        if waiting and (size + more > (GROUP_TRIALS, GROUP_BYTES)).any():
+            yield pa.concat_tables(waiting)
+            waiting, size = [], 0 * size
+        waiting.append(part.replace_schema_metadata(None))
+        size = size + more
+    if waiting:
+        yield pa.concat_tables(waiting)
+
+
+def trials_of(file: Path, kept: Booleans | None = None) -> Iterator[pa.Table]:
+    """Yield trials of a file with their samples, by default all; group by group."""
+    first = 0
+    with open_table(file) as stored:
+        for number in range(stored.num_row_groups):
+            rows = stored.metadata.row_group(number).num_rows
+            some = np.ones(rows, dtype=np.bool_) if kept is None else kept[first : first + rows]
+            first += rows
+            if some.any():
+                group = stored.read_row_group(number, use_threads=False)
+                yield group if some.all() else group.filter(pa.array(some))
+
+
+def find_damaged(files: Iterable[Path]) -> dict[Path, str]:
+    """Return which files have not the content that their name says, and what to do."""
+    bad = [file for file in files if said_content(file.name) not in (None, content_of(file))]
+    return {file: str(damaged_file(file, "its content is not that of its name")) for file in bad}
+
+
+def rewrite(processed: Path, files: Sequence[Path], kept: Mapping[Path, Booleans] | None = None) -> Path | None:
+    """Write trials of files of an experiment and motion, by default all, into one that stands in their place.
 
     Raises
     ------
     StoreError
         If a file is damaged; then nothing is changed.
     """
-    masks = kept or {}
-    for file in files:
-        if said_content(file.name) not in (None, content_of(file)):
-            raise damaged_file(file, "its content is not that of its name")
-    path = None
-    if any(file not in masks or masks[file].any() for file in files):
-        told = metadata_of(pq.read_schema(files[0]))
-        place = told["pipeline.device"], told["pipeline.experiment"], cast(Motion, told["pipeline.motion"])
-        mode = READABLE
-        for file in files:
-            mode &= readers_of(file.stat().st_mode)
-        new = NewBatch(processed, *place, mode, files)
-        try:
-            for file in files:
-                copy(file, masks.get(file), new)
-            path = new.publish()
-        finally:
-            new.discard()
-    remove_all(file for file in files if file != path)
-    return path
+    for text in find_damaged(files).values():
+        raise StoreError(text)
+    places = [place_of_file(file) for file in files]
+    mode = READABLE
+    for place in places:
+        mode &= place.mode
+    parts = chain.from_iterable(trials_of(file, (kept or {}).get(file)) for file in files)
+    return write_batch(processed, places[0]._replace(mode=mode), parts, files)
 
 
-def copy(file: Path, kept: Booleans | None, new: NewBatch) -> None:
-    """Append trials of a file to a batch, by default all; group by group, so that memory does not grow with it."""
-    first = 0
-    with open_table(file) as stored:
-        for number in range(stored.num_row_groups):
-            rows = stored.metadata.row_group(number).num_rows
-            some = None if kept is None else kept[first : first + rows]
-            first += rows
-            if some is None or some.any():
-                group = stored.read_row_group(number, use_threads=False)
-                new.write(group if some is None or some.all() else group.filter(pa.array(some)))
+def kept_of(rows: Rows, keep: Booleans) -> dict[Path, Booleans]:
+    """Return which rows are kept of each file that does not keep all."""
+    return {rows.files[index]: keep[rows.file == index] for index in np.unique(rows.file[~keep]).tolist()}
 
 
-def tidy(
-    processed: Path,
-    removed: Collection[tuple[str, str, str]] = (),
-    read: tuple[pa.Table, Sequence[Path], Sequence[Path]] | None = None,
-) -> None:
-    """Remove what interrupted writers left, replaced files, and former versions of trials; hold the lock.
+def without(processed: Path, dropped: Collection[Key], damaged: dict[Path, str]) -> dict[Path, Booleans]:
+    """Return which rows are left of each file that holds trials which are dropped; damaged files are told and kept."""
+    rows = read_rows(processed, KEY_COLUMNS, damaged)
+    keys = zip(*map(rows.column, KEY_COLUMNS), strict=True)
+    kept = kept_of(rows, np.array([key not in dropped for key in keys], dtype=np.bool_))
+    damaged |= (bad := find_damaged(kept))
+    return {file: mask for file, mask in kept.items() if file not in bad}
 
-    Damaged files are left alone; `check` tells of them.
 
-    Parameters
-    ----------
-    processed : Path
-    removed : collection of (source_path, trial_id, profile_sha256)
-        Trials that go although no newer version is stored: what stood there is now that of another log.
-    read : optional
-        What `read_versions` has read of all since the lock was taken.
-    """
+def remove_incomplete(processed: Path) -> None:
+    """Remove what interrupted writers left; hold the lock."""
     for name in ("trials", "quarantine", "corrections"):
         remove_temporary(processed / name, deep=True)
-    table, files, replaced = read or read_versions(processed, None, None, list(VERSION_COLUMNS), {})
-    remove_all(replaced)
-    keep = newest_versions(table)
-    if removed:
-        names = ("source_path", "trial_id", "profile_sha256")
-        keys = zip(*(table.column(name).to_pylist() for name in names), strict=True)
-        keep &= np.array([key not in removed for key in keys], dtype=np.bool_)
-    if keep.all():
-        return
-    owner = table.column(FILE).to_numpy()
-    masks = {files[index]: keep[owner == index] for index in np.unique(owner).tolist()}
-    pending = {file for file, mask in masks.items() if not mask.all()}
-    for tied in _tied(table, files, keep):
-        rewrite(processed, tied, masks)
-        pending -= set(tied)
-    for file in sorted(pending):
-        rewrite(processed, [file], masks)
 
 
-def _tied(table: pa.Table, files: Sequence[Path], keep: Booleans) -> list[list[Path]]:
-    """Return files that hold the very same version of a trial, those of an experiment together.
+def tidy(processed: Path, damaged: dict[Path, str]) -> None:
+    """Remove replaced files, and trials that do not count; hold the lock.
 
-    Two writers on an object store may have merged the same files. Which of the results goes, each might decide in
-    another way; one that stands in the place of both loses nothing.
+    Two writers on an object store may have stored, or merged, the same trials. Which of the files gives way, each might
+    decide in another way; one that stands in the place of all that share a trial loses nothing. Of damaged files, which
+    `damaged` gets, nothing counts.
     """
-    versions = list(zip(*(table.column(name).to_pylist() for name in ("trial_id", "version")), strict=True))
-    owner = table.column(FILE).to_pylist()
-    kept = {versions[row]: owner[row] for row in np.flatnonzero(keep).tolist()}
-    found: dict[Path, set[Path]] = defaultdict(set)
-    for row in np.flatnonzero(~keep).tolist():
-        if versions[row] in kept and kept[versions[row]] != owner[row]:
-            found[files[owner[row]].parent] |= {files[owner[row]], files[kept[versions[row]]]}
-    return [sorted(group) for group in found.values()]
-
-
-@dataclass(frozen=True)
-class _Batch:
-    """A file of trials, and what it may be merged by."""
-
-    file: Path
-    trials: int
-    bytes: int
-    kind: tuple[str, int]
-    """Motion, and who may read it."""
-
-
-def _batches(folder: Path) -> list[_Batch]:
-    found = []
-    for file in sorted(folder.glob(f"*{TABLE}")):
-        with open_table(file) as stored:
-            status = file.stat()
-            kind = metadata_of(stored.schema_arrow).get("pipeline.motion", ""), readers_of(status.st_mode)
-            found.append(_Batch(file, stored.metadata.num_rows, status.st_size, kind))
-    return found
+    rows = read_rows(processed, VERSION_COLUMNS, damaged)
+    remove_all(rows.replaced)
+    keep = rows.current
+    masks, trials = kept_of(rows, keep), rows.column("trial_id")
+    twice = {trials[row] for row in np.flatnonzero(~keep).tolist()}
+    sharing = {rows.files[of] for trial, of in zip(trials, rows.file.tolist(), strict=True) if trial in twice}
+    if bad := find_damaged({*masks, *sharing}):
+        damaged |= bad
+        tidy(processed, damaged)
+        return
+    together = defaultdict[tuple[Path, str], list[Path]](list)
+    for file in sorted({*masks, *sharing}):
+        together[file.parent, place_of_file(file).motion].append(file)
+    for files in together.values():
+        rewrite(processed, files, masks)
 
 
 def merge_small(processed: Path, folder: Path) -> None:
     """Merge small batches of like size, if an experiment has many; the caller holds the lock."""
-    while len(list(folder.glob(f"*{TABLE}"))) >= MOST_SMALL:
-        tiers: dict[tuple[Any, int], list[_Batch]] = defaultdict(list)
-        for batch in _batches(folder):
-            if batch.trials < LARGE_TRIALS and batch.bytes < LARGE_BYTES:
-                tiers[batch.kind, int(np.log(batch.trials) / np.log(MOST_SMALL) + 1e-9)].append(batch)
-        full = next((batches for batches in tiers.values() if len(batches) >= MOST_SMALL), None)
+    while len(files := sorted(folder.glob(f"*{TABLE}"))) >= MOST_SMALL:
+        tiers = defaultdict[tuple[Place, int], list[Path]](list)
+        for file in files:
+            trials = pq.read_metadata(file).num_rows
+            if trials < LARGE_TRIALS and file.stat().st_size < LARGE_BYTES:
+                tiers[place_of_file(file), int(np.log(trials) / np.log(MOST_SMALL) + 1e-9)].append(file)
+        full = next((alike for alike in tiers.values() if len(alike) >= MOST_SMALL), None)
         if full is None:
             return
-        rewrite(processed, [batch.file for batch in full])
+        rewrite(processed, full)

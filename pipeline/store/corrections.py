@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from pipeline.base.disk import NewFile, remove_all
+from pipeline.base.disk import new_file, remove_all
 from pipeline.base.provenance import stamp
 from pipeline.records.findings import Record
 from pipeline.records.table_files import damaged_file, metadata_of, parquet_bytes, read_table
@@ -103,10 +103,9 @@ def write_corrections(processed: Path, new: Iterable[Correction]) -> None:
     rows = [one.model_dump() for one in known.values()]
     columns = {name: [row[name] for row in rows] for name in TABLES["corrections"]}
     metadata = stamp(replaces=" ".join(file.stem for file in former))
-    with NewFile(processed / "corrections") as file:
+    with new_file(processed / "corrections", ending=".parquet") as file:
         file.stream.write(parquet_bytes(to_arrow("corrections", columns, metadata=metadata)))
-        path = file.publish(ending=".parquet")
-    remove_all(old for old in former if old != path)
+    remove_all(old for old in former if old != file.path)
 
 
 def carry(processed: Path, ids: Mapping[str, str]) -> None:

@@ -15,7 +15,7 @@ from pipeline.records.findings import Record
 from pipeline.records.table_files import read_metadata
 from pipeline.store.corrections import read_corrections
 from pipeline.store.names import name_of_folder
-from pipeline.store.storage import FILE, TABLE, read_versions
+from pipeline.store.storage import TABLE, read_rows
 
 FIRST_STAGE = "response"
 """Stage that has a row for each trial in use."""
@@ -54,9 +54,9 @@ def gone(processed: Path, device: str | None = None) -> tuple[Gone, ...]:
     """
     found = []
     damaged: dict[Path, str] = {}
-    stored, files, _ = read_versions(processed, None, None, ["trial_id"], damaged)
-    known = set(stored.column("trial_id").to_pylist())
-    written = np.array([file.stat().st_mtime_ns for file in files], dtype=np.int64)[stored.column(FILE).to_numpy()]
+    stored = read_rows(processed, ["trial_id"], damaged)
+    known = set(stored.column("trial_id"))
+    written = np.array([file.stat().st_mtime_ns for file in stored.files], dtype=np.int64)[stored.file]
     try:
         corrections = read_corrections(processed)
     except StoreError:  # damaged, and named as such

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import quote, unquote
 
@@ -36,7 +35,7 @@ def folder_name(name: str) -> str:
     >>> folder_name("arm 2"), folder_name("a/b"), folder_name("con"), folder_name("x.")
     ('arm 2', 'a%2Fb', '%63on', 'x%2E')
     """
-    safe = _quoted(name)
+    safe = quote(name, safe=" +,@")
     if safe.startswith((".", "_")) or _RESERVED.match(safe):
         safe = _escaped(safe[0]) + safe[1:]
     return safe[:-1] + _escaped(safe[-1]) if safe.endswith((".", " ")) else safe
@@ -50,10 +49,9 @@ def name_of_folder(folder: str) -> str:
 def place_of(parent: Path, name: str) -> Path:
     """Return the folder of a device or experiment in a folder, whether it is there or not.
 
-    A name that differs from another one there in case only is written in digits alone. What earlier versions stored
-    under a name that not every system can hold stays where it is.
+    A name that differs from another one there in case only is written in digits alone.
     """
-    return _place(parent, (folder_name(name), _quoted(name), _in_digits(name)))
+    return _place(parent, folder_name(name), _in_digits(name))
 
 
 def report_of(reports: Path, device: str) -> Path:
@@ -61,7 +59,7 @@ def report_of(reports: Path, device: str) -> Path:
     plain = _without_against(device)
     if plain.casefold() in _OWN_PAGES:
         plain = _escaped(plain[0]) + plain[1:]
-    return _place(reports, (f"{plain}.html", f"{_in_digits(device)}.html"))
+    return _place(reports, f"{plain}.html", f"{_in_digits(device)}.html")
 
 
 def page_against(reports: Path, first: tuple[str, str], second: tuple[str, str]) -> Path:
@@ -71,7 +69,7 @@ def page_against(reports: Path, first: tuple[str, str], second: tuple[str, str])
     if first[0] == second[0]:
         other = _without_against(second[1])
     plain = f"{one}{_AGAINST}-{other}"
-    return _place(reports, (f"{plain}.html", f"{_in_digits(plain)}.html"))
+    return _place(reports, f"{plain}.html", f"{_in_digits(plain)}.html")
 
 
 def page_against_document(report: Path, document: Path) -> Path:
@@ -87,19 +85,14 @@ def _without_against(name: str) -> str:
     return folder_name(name).replace(_AGAINST, _escaped(_AGAINST[0]) + _AGAINST[1:])
 
 
-def _place(parent: Path, choices: Sequence[str]) -> Path:
-    """Return the choice that is there; else the first one, or the last where the first differs in case from another."""
+def _place(parent: Path, name: str, other: str) -> Path:
+    """Return the first name, or the other where that is there, or the first differs in case alone from one there."""
     try:
         there = set(os.listdir(parent))
     except (FileNotFoundError, NotADirectoryError):
         there = set()
-    present = [choice for choice in choices if choice in there]
-    taken = choices[0].casefold() in {other.casefold() for other in there}
-    return parent / (present[0] if present else choices[-1] if taken else choices[0])
-
-
-def _quoted(name: str) -> str:
-    return quote(name, safe=" +,@")
+    taken = name not in there and (other in there or name.casefold() in {one.casefold() for one in there})
+    return parent / (other if taken else name)
 
 
 def _in_digits(name: str) -> str:

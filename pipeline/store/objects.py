@@ -1,20 +1,31 @@
-"""An object store such as S3: the few requests that the stored tables need of it, each whole or not done at all.
+"""A store by URL, such as S3: worked on as a folder, into which its files are brought, and from which changes go back.
 
-The package is the extra ``cluster``; it is imported with the first store that is opened.
+Files bear the hash of their content, are whole by themselves and never change, so that an object store needs no more
+than a folder does: what is new is put, and then what it stands in the place of is deleted. Nobody waits for anybody:
+what two writers store at once are other files, or the same one. The folder is a copy that is removed at the end. For a
+store that is a folder nothing of this happens, and the package for object stores (the extra ``cluster``) is not
+imported.
 """
 
 from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Iterable, Iterator
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
-from pipeline.base.errors import StoreError, UsageError
+from pipeline.base.disk import each, if_writable
+from pipeline.base.errors import PipelineError, StoreError, UsageError
+from pipeline.store.corrections import read_corrections
+from pipeline.store.names import name_of_folder
+
+Result = TypeVar("Result")
 
 SCHEME = "s3://"
 """What the URL of a store begins with."""
@@ -25,9 +36,21 @@ RETRIES = 10
 PATIENCE_S = 30.0
 """How long one request is tried [s]: a server that restarts is back by then, one that is gone is told soon."""
 
+_TREES = ("trials", "stages", "theory", "corrections", "quarantine")
+"""What is stored; locks and incomplete files are of one machine. Trials are put before anything that rests on them."""
+
+REPEATS = 20
+"""Times that a store is listed again because files were merged while they were brought."""
+
+_AT_ONCE = 8
+"""Requests at a time: they mostly wait; a batch takes some 10 MiB in memory, 256 at most."""
+
+Listed = tuple[str, int, datetime]
+"""Name, size [byte] and time of putting of an object."""
+
 
 class Objects:
-    """The objects below a URL.
+    """The objects below a URL, and the few requests that stored tables need, each whole or not done at all.
 
     Parameters
     ----------
@@ -83,22 +106,19 @@ class Objects:
         with self._told():
             obstore.put(self._store, name, file)
 
-    def list(self, prefix: str) -> list[tuple[str, int, datetime]]:
-        """Return name, size [byte] and time of putting of all objects below a prefix."""
+    def list(self, prefix: str) -> list[Listed]:
+        """Return all objects below a prefix."""
         import obstore
 
-        found: list[tuple[str, int, datetime]] = []
         with self._told():
-            for page in obstore.list(self._store, prefix, chunk_size=1000):
-                found += [(meta["path"], meta["size"], meta["last_modified"]) for meta in page]
-        return found
+            pages = obstore.list(self._store, prefix, chunk_size=1000)
+            return [(meta["path"], meta["size"], meta["last_modified"]) for page in pages for meta in page]
 
     def delete(self, names: Iterable[str]) -> None:
         """Remove objects."""
         import obstore
 
-        gone = list(names)
-        if gone:
+        if gone := list(names):
             with self._told():
                 obstore.delete(self._store, gone)
 
@@ -139,5 +159,141 @@ def _allows_http() -> bool:
 
 
 def _first_line(error: object) -> str:
-    lines: Any = str(error).strip().splitlines() or [type(error).__name__]
-    return str(lines[0])[:300]
+    return (str(error).strip().splitlines() or [type(error).__name__])[0][:300]
+
+
+@dataclass
+class _Mirror:
+    """The folder of an object store, and what is in both; of a device or an experiment alone where one is named."""
+
+    objects: Objects
+    folder: Path
+    place: tuple[str, ...]
+    known: dict[str, tuple[int, int]] = field(default_factory=dict)
+    """Size and time of each file that the store has, too."""
+
+    def bring(self, trees: tuple[str, ...] = _TREES) -> bool:
+        """Bring what came to the store since; return whether anything did."""
+        before = len(self.known)
+        for _ in range(REPEATS):
+            listed = [one for one in self.objects.list("") if _is_stored(one[0])]
+            self._fetch([one for one in listed if one[0].startswith("corrections/")])
+            own = self.place
+            if any(one.changes_place for one in read_corrections(self.folder).values()):
+                own = ()  # trials of any other device may count as of this one
+            elif not any(_is_of(name.split("/"), own) for name, _, _ in listed if name.startswith("trials/")):
+                own = ()  # where there is nothing of the device, the error names what there is
+            if self._fetch([one for one in listed if one[0].startswith(trees) and _is_of(one[0].split("/"), own)]):
+                return len(self.known) > before
+        raise StoreError(f"{self.objects.url}: changed during each of {REPEATS} attempts to read it. Wait for others.")
+
+    def _fetch(self, listed: list[Listed]) -> bool:
+        """Bring what is new of some files; return whether all are here, none having been replaced meanwhile."""
+
+        def fetch(one: Listed) -> bool:
+            name, _, put = one
+            if (found := self.objects.get(name)) is None:
+                return False
+            file = self.folder / name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(found)
+            os.utime(file, (put.timestamp(), put.timestamp()))
+            self.known[name] = _sign(file)
+            return True
+
+        return all(each(fetch, [one for one in listed if one[0] not in self.known], _AT_ONCE))
+
+    def publish(self) -> None:
+        """Put what is new, then delete what is gone."""
+        present = {
+            file.relative_to(self.folder).as_posix(): _sign(file)
+            for tree in _TREES
+            for file in sorted((self.folder / tree).rglob("*"))
+            if file.is_file() and not file.name.startswith(".")
+        }
+        new = [name for name, sign in present.items() if self.known.get(name) != sign]
+        each(lambda name: self.objects.put(name, self.folder / name), new, _AT_ONCE)
+        self.objects.delete(self.known.keys() - present.keys())
+        self.known = present
+
+
+def _sign(file: Path) -> tuple[int, int]:
+    status = file.stat()
+    return status.st_size, status.st_mtime_ns
+
+
+def _is_stored(name: str) -> bool:
+    """Return whether a name, which others gave, is one of ours and stays below the folder."""
+    tree, *parts = name.split("/")
+    return tree in _TREES and "\\" not in name and not any(part in ("", ".", "..") for part in parts)
+
+
+def _is_of(parts: list[str], place: tuple[str, ...]) -> bool:
+    """Return whether a file concerns a device, or an experiment of it; everything concerns all of a store."""
+    if not place or parts[0] in ("theory", "corrections"):
+        return True
+    return parts[0] != "quarantine" and tuple(map(name_of_folder, parts[1 : 1 + len(place)])) == place
+
+
+_mirrors: dict[str, _Mirror] = {}
+"""Mirrors of this process, by folder."""
+
+
+@contextmanager
+def opened(place: str | Path, *only: str) -> Iterator[Path]:
+    """Yield the folder of a store: itself, or a mirror of an object store, published when the block ends well.
+
+    Parameters
+    ----------
+    place : str or Path
+        Folder, or URL of an object store.
+    *only : str
+        A device, or a device and one of its experiments, where no other trials are needed.
+
+    Raises
+    ------
+    UsageError, StoreError
+        If the store cannot be opened or read, or does not take what changed.
+    """
+    if not is_url(place):
+        yield Path(place)
+        return
+    objects = Objects(os.fspath(place))
+    with tempfile.TemporaryDirectory(prefix="pipeline-") as folder:
+        mirror = _mirrors[folder] = _Mirror(objects, Path(folder), only)
+        try:
+            mirror.bring()
+            yield mirror.folder
+            with if_writable():
+                mirror.publish()
+        except PipelineError as error:
+            error.args = tuple(str(part).replace(folder, objects.url) for part in error.args)
+            raise
+        finally:
+            del _mirrors[folder]
+
+
+def stored_by(place: str | Path, work: Callable[[Path], Result]) -> Result:
+    """Return what a function that stores into a folder returns; an error where the store may only be read."""
+    with opened(place) as folder:
+        result = work(folder)
+        publish(folder)
+        return result
+
+
+def publish(processed: Path) -> None:
+    """Make what was stored into a mirror visible to others, as it is at once in a folder."""
+    if os.fspath(processed) in _mirrors:
+        _mirrors[os.fspath(processed)].publish()
+
+
+def renewed(processed: Path, tree: str) -> bool:
+    """Bring what others stored of a kind into the store of a mirror since; return whether there was anything."""
+    mirror = _mirrors.get(os.fspath(processed))
+    return mirror is not None and mirror.bring((tree,))
+
+
+def origin(processed: Path) -> str:
+    """Return the folder of a store as text, or the URL that it is a mirror of."""
+    mirror = _mirrors.get(os.fspath(processed))
+    return os.fspath(processed) if mirror is None else mirror.objects.url

@@ -16,10 +16,11 @@ import os
 import re
 import shlex
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -27,9 +28,9 @@ import pyarrow.parquet as pq
 
 from pipeline.base.disk import kept_files
 from pipeline.base.errors import StoreError
-from pipeline.records.batch import Booleans
+from pipeline.records.batch import Booleans, Integers
 from pipeline.records.table_files import damaged_file, metadata_of, open_table
-from pipeline.records.tables import LOCATION, OF_TRIALS, arrow_schema
+from pipeline.records.tables import LOCATION, OF_TRIALS, TABLES, arrow_schema
 from pipeline.store.corrections import applied, moved_from, read_corrections
 from pipeline.store.names import name_of_folder, place_of
 
@@ -37,19 +38,8 @@ Result = TypeVar("Result")
 
 TABLE = ".parquet"
 
-VERSION_COLUMNS = (
-    "source_path",
-    "trial_id",
-    "source_sha256",
-    "profile_sha256",
-    "version",
-    "source_mtime_ns",
-    "formerly",
-)
-"""Columns that tell versions of a trial apart."""
-
-FILE = "file_index"
-"""Column that `read_versions` adds: index of the file."""
+VERSION_COLUMNS = ("source_path", "trial_id", "source_sha256", "profile_sha256", "source_mtime_ns")
+"""Columns that tell trials, and versions of them, apart."""
 
 ATTEMPTS = 50
 """Times that reading starts anew because files were merged meanwhile; a merge takes longer than listing files, so that
@@ -61,12 +51,15 @@ _PAUSE_S = 0.02
 
 def trials_folder(processed: Path, *names: str) -> Path:
     """Return the folder with the trials of a device, or of one of its experiments."""
-    return _folder(processed, "trials", *names)
+    folder = processed / "trials"
+    for name in names:
+        folder = place_of(folder, name)
+    return folder
 
 
 def stage_folder(processed: Path, device: str, experiment: str) -> Path:
-    """Return the folder with the results of an experiment."""
-    return _folder(processed, "stages", device, experiment)
+    """Return the folder with the results of an experiment, which has the name of that of its trials."""
+    return processed / "stages" / trials_folder(processed, device, experiment).relative_to(processed / "trials")
 
 
 def stage_file(processed: Path, device: str, experiment: str, stage: str) -> Path | None:
@@ -89,9 +82,7 @@ def _places(processed: Path, device: str | None = None) -> set[tuple[str, str]]:
     if any(one.changes_place for one in read_corrections(processed).values()):
         table = read_trials(processed, device, columns=["device", "experiment"])
         return set(zip(*(table.column(name).to_pylist() for name in table.column_names), strict=True))
-    root = trials_folder(processed) if device is None else trials_folder(processed, device)
-    files = root.glob(f"*/*/*{TABLE}" if device is None else f"*/*{TABLE}")
-    folders = {file.parent for file in files}
+    folders = {file.parent for file in trials_files(processed, device)}
     return {(name_of_folder(folder.parent.name), name_of_folder(folder.name)) for folder in folders}
 
 
@@ -103,19 +94,8 @@ def natural_key(name: str) -> tuple[tuple[int, int | str], ...]:
 
 def trials_files(processed: Path, device: str | None = None, experiment: str | None = None) -> list[Path]:
     """Return the files of trials: all, of a device, or of one experiment; sorted."""
-    return sorted(Path(path) for path in _listing(_root(processed, device, experiment)))
-
-
-def _root(processed: Path, device: str | None, experiment: str | None) -> str:
-    return os.fspath(trials_folder(processed, *(name for name in (device, experiment) if name is not None)))
-
-
-def _folder(processed: Path, tree: str, *names: str) -> Path:
-    """Return a folder of one of the trees, all of which have the folder names of that of the trials."""
-    trials = place = processed / "trials"
-    for name in names:
-        place = place_of(place, name)
-    return processed / tree / place.relative_to(trials)
+    names = [name for name in (device, experiment) if name is not None]
+    return [Path(path) for path in sorted(_listing(os.fspath(trials_folder(processed, *names))))]
 
 
 def _listing(folder: str) -> dict[str, tuple[int, int, int]]:
@@ -169,9 +149,8 @@ def read_trials(
 ) -> pa.Table:
     """Return the trials, but for their samples: all, of a device, or of one experiment; in order of file name.
 
-    Where one source path was stored in several versions, only the trials of the newest version are returned; a trial
-    that stands in several files is returned once. Trials that were moved or deleted by hand count as they were
-    corrected.
+    A trial that stands in several files is returned once, and of a log that two writers stored with other content the
+    newer one. Trials that were moved or deleted by hand count as they were corrected.
 
     Parameters
     ----------
@@ -180,7 +159,7 @@ def read_trials(
     columns : list of str, optional
         Of `tables.OF_TRIALS`; by default all.
     damaged : dict of Path to str, optional
-        Gets the files that are damaged, and why; without it they are an error.
+        Gets the files that are damaged, and why; without it they are an error. Files that stand there are left out.
 
     Raises
     ------
@@ -195,132 +174,121 @@ def read_trials(
         if damaged is None:
             raise
         damaged[processed / "corrections"] = str(error)
-    needed = [*wanted, *VERSION_COLUMNS, *(("device", "experiment") if corrections else ())]
+    needed = list(dict.fromkeys([*wanted, *VERSION_COLUMNS, *(("device", "experiment") if corrections else ())]))
     tables = []
-    places: list[tuple[str | None, str | None]] = [(device, experiment)]
-    for of, one in [*places, *moved_from(corrections.values(), device, experiment)]:
-        table, _, _ = read_versions(processed, of, one, list(dict.fromkeys(needed)), damaged)
-        tables.append(table.filter(pa.array(newest_versions(table))))
+    for of, one in [(device, experiment), *moved_from(corrections.values(), device, experiment)]:
+        rows = read_rows(processed, needed, damaged, of, one)
+        tables.append(rows.table.filter(pa.array(rows.current)))
     return applied(pa.concat_tables(tables), corrections, device, experiment).select(wanted)
 
 
-def read_versions(
-    processed: Path,
-    device: str | None,
-    experiment: str | None,
-    columns: list[str],
-    damaged: dict[Path, str] | None = None,
-) -> tuple[pa.Table, list[Path], list[Path]]:
-    """Return all rows of files of trials, superseded ones too, and these files; of `damaged` and replaced ones none.
+class Rows(NamedTuple):
+    """All rows of files of trials, whatever stands in place of them.
 
-    Returns
-    -------
+    Parameters
+    ----------
     table : pyarrow.Table
-        The columns, and the index (`FILE`) of the file of each row.
-    files, replaced : list of Path
-        All files, and those of them in whose place another one stands.
-
-    Raises
-    ------
-    StoreError
-        If a file is damaged, or others write there all the time.
+    file : int64, shape (rows,)
+        Index of the file of each row.
+    files : list of Path
+        Damaged ones, and those in whose place another one stands, have no rows.
+    replaced : list of Path
+        The latter.
     """
-    root = trials_folder(processed, *(name for name in (device, experiment) if name is not None))
+
+    table: pa.Table
+    file: Integers
+    files: list[Path]
+    replaced: list[Path]
+
+    def column(self, name: str) -> list[Any]:
+        """Return the values of a column."""
+        values: list[Any] = self.table.column(name).to_pylist()
+        return values
+
+    @property
+    def current(self) -> Booleans:
+        """Which rows count: each trial once, and of a log that was stored with several contents the newest."""
+        paths, trials = self.column("source_path"), self.column("trial_id")
+        if len(set(paths)) == len(set(trials)) == len(trials):
+            return np.ones(len(trials), dtype=np.bool_)
+        versions = list(zip(*map(self.column, ("source_mtime_ns", "source_sha256", "profile_sha256")), strict=True))
+        newest: dict[str, tuple[int, str, str]] = {}
+        for path, version in zip(paths, versions, strict=True):
+            newest[path] = max(version, newest.get(path, version))
+        order = sorted(range(len(trials)), key=versions.__getitem__)
+        mask = np.zeros(len(trials), dtype=np.bool_)
+        mask[list({trials[row]: row for row in order if versions[row] == newest[paths[row]]}.values())] = True
+        return mask
+
+
+def read_rows(
+    processed: Path,
+    columns: Sequence[str],
+    damaged: dict[Path, str] | None = None,
+    device: str | None = None,
+    experiment: str | None = None,
+) -> Rows:
+    """Return columns of all rows of the files of trials; parameters and errors as those of `read_trials`."""
+    schema, own = _schema(tuple(columns)), [name for name in columns if name not in LOCATION]
     broken: dict[Path, str] = {}
 
-    def read() -> tuple[list[Path], list[pa.Table], set[str]]:
+    def rows_of(file: Path, replaced: set[str]) -> pa.Table:
+        try:
+            with open_table(file) as stored:
+                replaced.update(metadata_of(stored.schema_arrow).get("pipeline.replaces", "").split())
+                table = stored.read(own, use_threads=False)
+        except StoreError as error:
+            broken[file] = str(error)
+            return schema.empty_table()
+        found = dict(zip(own, table.columns, strict=True))
+        if len(own) < len(columns):
+            name = file.relative_to(processed).as_posix()
+            found |= {"sample_file": pa.array([name] * len(table)), "sample_row": pa.array(np.arange(len(table)))}
+        # the types are checked; a cast would import what takes longer than reading
+        return pa.Table.from_arrays([found[name] for name in columns], schema=schema)
+
+    def read() -> Rows:
         broken.clear()
-        files, replaced = list(map(Path, sorted(_listing(os.fspath(root))))), set[str]()
-        tables = [_rows(file, processed, columns, replaced, None if damaged is None else broken) for file in files]
-        return files, tables, replaced
+        files, names = trials_files(processed, device, experiment), set[str]()
+        tables = {file: rows_of(file, names) for file in files if file not in (damaged or {})}
+        replaced = [file for file in files if file.stem in names]
+        counts = [0 if file in replaced or file not in tables else len(tables[file]) for file in files]
+        kept = [tables[file] for file, count in zip(files, counts, strict=True) if count]
+        return Rows(
+            pa.concat_tables([schema.empty_table(), *kept]), np.repeat(np.arange(len(files)), counts), files, replaced
+        )
 
-    files, tables, names = steadily(root, read)
-    replaced = [file for file in files if file.name in names]
-    tables = [table.slice(0, 0) if file in replaced else table for file, table in zip(files, tables, strict=True)]
-    if damaged is not None:
-        damaged |= broken
-    index = np.repeat(np.arange(len(files)), [table.num_rows for table in tables])
-    table = pa.concat_tables(tables) if tables else _schema(columns).empty_table()
-    return table.append_column(FILE, pa.array(index, pa.int64())), files, replaced
-
-
-def _rows(
-    file: Path, processed: Path, columns: list[str], replaced: set[str], damaged: dict[Path, str] | None
-) -> pa.Table:
-    """Return columns of a file of trials; `replaced` gets the names of those in whose place it stands."""
-    schema = _schema(columns)
-    try:
-        with open_table(file) as stored:
-            replaced.update(replaced_by(stored.schema_arrow))
-            table = stored.read([name for name in columns if name not in LOCATION], use_threads=False)
-    except StoreError as error:
-        if damaged is None:
-            raise
-        damaged[file] = str(error)
-        return schema.empty_table()
-    name = file.relative_to(processed).as_posix()
-    place: dict[str, Any] = {}
-    if not set(LOCATION).isdisjoint(columns):
-        place = {"sample_file": pa.array([name] * table.num_rows), "sample_row": pa.array(np.arange(table.num_rows))}
-    # the types are checked; a cast would import what takes longer than reading
-    found = [place[name] if name in LOCATION else table.column(name) for name in columns]
-    return pa.Table.from_arrays(found, schema=schema)
+    rows = steadily(trials_folder(processed, *(name for name in (device, experiment) if name is not None)), read)
+    if broken and damaged is None:
+        raise StoreError(next(iter(broken.values())))
+    (damaged if damaged is not None else {}).update(broken)
+    return rows
 
 
-def replaced_by(schema: pa.Schema) -> list[str]:
-    """Return the names of the files that a file of this schema stands in the place of."""
-    return [f"{sha256}{TABLE}" for sha256 in metadata_of(schema).get("pipeline.replaces", "").split()]
-
-
-def _schema(columns: list[str]) -> pa.Schema:
+@cache
+def _schema(columns: tuple[str, ...]) -> pa.Schema:
     whole = arrow_schema("trials", also=LOCATION)
     return pa.schema([whole.field(name) for name in columns])
 
 
-def each_once(table: pa.Table) -> bool:
-    """Return whether no two rows of `read_versions` have one path or content, and none was renamed."""
-    alone = all(len(set(table.column(name).to_pylist())) == len(table) for name in ("source_path", "source_sha256"))
-    return alone and table.column("formerly").null_count == len(table)
-
-
-def newest_versions(table: pa.Table) -> Booleans:
-    """Return which rows of `read_versions` are the newest of their source path, each trial once.
-
-    A log that stands under two paths, as while one is renamed, is returned under the one that was stored later.
-    """
-    if each_once(table):
-        return np.ones(table.num_rows, dtype=np.bool_)
-    names = ("source_path", "source_sha256", "trial_id", "profile_sha256", "formerly")
-    paths, sources, trials, profiles, before = (table.column(name).to_pylist() for name in names)
-    order = np.lexsort([table.column(name).to_numpy() for name in ("source_mtime_ns", "version")]).tolist()
-    newest: dict[str, tuple[str, str] | None] = {}
-    for row in order:
-        newest[paths[row]] = (sources[row], profiles[row])
-        if before[row] is not None and newest.get(before[row]) == newest[paths[row]]:
-            newest[before[row]] = None  # renamed
-    # of a trial that stands under two paths the newer counts
-    kept = {trials[row]: row for row in order if newest[paths[row]] == (sources[row], profiles[row])}
-    mask = np.zeros(table.num_rows, dtype=np.bool_)
-    mask[list(kept.values())] = True
-    return mask
-
-
 def check_version(processed: Path) -> None:
-    """Refuse a store that an earlier version wrote, with the command that rebuilds it.
+    """Refuse a store that another version wrote, with the command that rebuilds it.
 
     Raises
     ------
     StoreError
         If it is one.
     """
-    if not (processed / "samples").is_dir():
-        return
-    sources: list[str] = []
-    for file in sorted((processed / "trials").rglob(f"*{TABLE}"))[:ATTEMPTS]:
-        with suppress(pa.ArrowException, OSError, KeyError):
-            sources += map(str, pq.read_table(file, columns=["source_path"]).column(0).to_pylist())
-    logs = os.path.commonpath([os.path.dirname(path) for path in sources]) if sources else "LOGS"
-    raise StoreError(
-        f"{processed}: was written by an earlier version, with samples in files of their own. Rebuild it beside: "
-        f"`pipeline ingest {shlex.quote(logs)} --processed {shlex.quote(f'{processed}-new')}`; then remove the old one."
-    )
+    folders = set[str]()
+    for file in trials_files(processed)[:ATTEMPTS]:
+        with suppress(pa.ArrowException, OSError, KeyError):  # what is damaged is told as such
+            if pq.read_schema(file).names == list(TABLES["trials"]):
+                return
+            folders |= set(map(os.path.dirname, pq.read_table(file, columns=["source_path"]).column(0).to_pylist()))
+    if folders:
+        raise StoreError(
+            f"{processed}: was written by another version. Rebuild it beside: `pipeline ingest "
+            f"{shlex.quote(os.path.commonpath(folders))} --processed {shlex.quote(f'{processed}-new')}`; then remove "
+            "the old one."
+        )

@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 from pydantic import ValidationError
 
 from pipeline.base.errors import UsageError
-from pipeline.base.outputs import check_output
+from pipeline.base.paths import check_output
 from pipeline.comparison.compare import compare as compare_stored
-from pipeline.records.findings import Record
-from pipeline.records.models import ComparisonRow, Deviation
 from pipeline.records.results import ComparisonResult
-from pipeline.records.score_records import Scores
-from pipeline.surface.frames import frame_of, units_of
+from pipeline.rendering.frames import boundary_frame, estimates_frame, frames, optima_frame
 from pipeline.surface.logs import Place
-from pipeline.surface.stored import boundary_frame, estimates_frame, folder_of, optima_frame
+from pipeline.surface.stored import folder_of
 
-_SCORES = ("experiment", "basis", "score", "quantity", "criterion", "value", "low", "high", "reason")
 _SHOWN = ("experiment", "quantity", "value", "low", "high", "unit", "reason")
-_TEXTS = {"table", "criterion", "condition", "note", "experiment", "trial_id", "censored"}
 
 
 class Comparison:
@@ -70,19 +64,12 @@ class Comparison:
         """Tables of optima as Tables D.1 to D.6, measured and theory beside the published values.
 
         ``table``, ``criterion``, ``condition``, ``delay_samples``, ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m,
-        Nms/rad], ``cost``, ``published_stiffness``, ``published_damping``, ``published_cost``, ``deviation_percent``
-        (of an experiment's cost from the discrete theory's), ``range``, ``grid``, ``model``, ``selection``,
-        ``model_low``, ``model_high`` [%] (what the deviation is made of), ``censored``, ``note``, ``experiment``,
-        ``trial_id``.
+        Nms/rad], ``cost`` (``cost_s`` [s], where it counts samples), ``published_stiffness``, ``published_damping``,
+        ``published_cost``, ``deviation_percent`` (of an experiment's cost from the discrete theory's), ``range``,
+        ``grid``, ``model``, ``selection``, ``model_low``, ``model_high`` [%] (what the deviation is made of),
+        ``censored``, ``note``, ``experiment``, ``trial_id``.
         """
-        parts = tuple(Deviation.model_fields)
-        names = list(ComparisonRow.model_fields)
-        at = names.index("deviation")
-        columns = (*names[:at], *parts, *names[at + 1 :])
-        units = units_of(("stiffness", "damping"), {self.result.motion})
-        units |= {f"published_{name}": unit for name, unit in units.items()}
-        rows = [row.model_dump() | dict(row.deviation or {}) for row in self.result.tables]
-        return frame_of(columns, rows, set(columns) - _TEXTS, {**units, "delay_samples": "samples"})
+        return frames(self.result)["tables"]
 
     @property
     def estimates(self) -> pd.DataFrame:
@@ -92,8 +79,7 @@ class Comparison:
     @property
     def boundary(self) -> pd.DataFrame:
         """Measured stability boundaries, with the columns of `pipeline.boundary`."""
-        points = [(found.experiment, found.boundary) for found in self.result.experiments]
-        return boundary_frame(points, self.result.motion)
+        return boundary_frame(self.result.experiments, self.result.motion)
 
     @property
     def optima(self) -> pd.DataFrame:
@@ -105,17 +91,10 @@ class Comparison:
         """How well theory predicts the experiments; ``docs/definitions.md`` defines each number.
 
         ``experiment``, ``basis`` (theory by the device file or by the estimates), ``score`` (``region``, ``distance``,
-        ``verdicts``, ``stiffness``, ``optima``, ``maps``, ``delay``, ``band``, ``bound``), ``quantity``, ``criterion``,
-        ``value``, ``low``, ``high`` (95 % interval, where there is one), ``reason`` (why a score is missing). A row a
-        number.
+        ``verdicts``, ``stiffness``), ``quantity``, ``value``, ``low``, ``high`` (interval, where there is one),
+        ``reason`` (why a score is missing). A row a number.
         """
-        rows = [
-            {"experiment": found.experiment, "basis": scores.basis, **row}
-            for found in self.result.experiments
-            for scores in found.scores
-            for row in _score_rows(scores)
-        ]
-        return frame_of(_SCORES, rows, ("value", "low", "high"), {})
+        return frames(self.result)["scores"]
 
     def write(self, path: Place) -> Path:
         """Write the HTML report, and the document as JSON beside it; return the path of the report.
@@ -208,25 +187,3 @@ def load(report: Place) -> Comparison:
             f"{document}: is no document of a comparison by this version ({place}: {first['msg']}). Give the JSON that "
             "`pipeline compare` writes beside its report, or make it anew."
         ) from error
-
-
-def _score_rows(scores: Scores) -> Iterator[dict[str, Any]]:
-    """Yield the numbers of all scores; those called ``x_low`` and ``x_high`` beside an x are its interval."""
-    for name, found in scores:
-        parts = found if isinstance(found, tuple) else (found,)
-        for part in parts if name != "parameters" else ():
-            if not isinstance(part, Record):
-                continue
-            values = {key: float(value) for key, value in part if isinstance(value, (int, float))}
-            ends = {f"{key}_{end}" for key in values for end in ("low", "high")}
-            for key in (key for key in values if key not in ends):
-                yield {
-                    "score": name,
-                    "quantity": key,
-                    "criterion": getattr(part, "criterion", None),
-                    "value": values[key],
-                    "low": values.get(f"{key}_low"),
-                    "high": values.get(f"{key}_high"),
-                }
-    for name, reason in scores.missing.items():
-        yield {"score": name, "reason": reason}

@@ -12,7 +12,7 @@ from typing import Any
 import pandas as pd
 
 from pipeline.base.disk import write_text
-from pipeline.surface.frames import frame_of
+from pipeline.rendering.frames import frame_of
 from pipeline.surface.identified_device import device_text, identified_device, wall_loop
 from pipeline.surface.physical_loop import Loop
 
@@ -36,12 +36,12 @@ class Identified:
     def estimates(self) -> pd.DataFrame:
         """Parameters with their 95 % intervals."""
         rows = self.document["parameters"]
-        return frame_of(COLUMNS, rows, ("value", "low", "high"), {row["name"]: row["unit"] for row in rows})
+        return frame_of(COLUMNS, rows, {row["name"]: row["unit"] for row in rows})
 
     @property
     def replay(self) -> pd.DataFrame:
         """Fit of free runs to held-out logs."""
-        return frame_of(("log", "fit_percent"), self.document["replay"]["logs"], ("fit_percent",), {})
+        return frame_of(("log", "fit_percent"), self.document["replay"]["logs"], {})
 
     @cached_property
     def loop(self) -> Loop | None:

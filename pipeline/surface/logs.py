@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from pipeline.base.errors import LogError, UsageError
@@ -16,10 +18,14 @@ from pipeline.intake.reading import logs_of, motion_of
 from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.readers import Log
+from pipeline.records.models import Motion
+from pipeline.rendering.frames import units_of
 from pipeline.simulation.course import Course, run_course, write_course
-from pipeline.surface.frames import SAMPLES, frame_of_response
 
 Place = str | os.PathLike[str]
+
+SAMPLES = ("time_s", "command", "position", "force", "velocity")
+"""Columns of a step response; the last two are NaN where a log has none."""
 
 
 def ingest(
@@ -105,7 +111,7 @@ def read_log(path: Place, profile: Place | None = None, label: str | None = None
         ) from error
     names = {"time_s": "time", **{name: name for name in SAMPLES[1:]}}
     conditions = {name: value for name, value in vars(log.header).items() if name not in ("motion", "extra")}
-    return frame_of_response(
+    return response_frame(
         {column: getattr(log, name) for column, name in names.items()},
         motion,
         {**conditions, "label": log.label, "warnings": log.warnings},
@@ -171,6 +177,16 @@ def simulate(
     return [_trial(course, trial) for trial in range(len(course.batch))]
 
 
+def response_frame(samples: Mapping[str, Any], motion: Motion, about: Mapping[str, Any]) -> pd.DataFrame:
+    """Return one step response, shape (rows, 5), with its conditions in ``attrs``."""
+    rows = len(samples["time_s"])
+    columns = {name: np.full(rows, np.nan) if samples.get(name) is None else samples[name] for name in SAMPLES}
+    frame = pd.DataFrame(columns)
+    frame.attrs = {"units": units_of((*SAMPLES, "stiffness", "damping", "step", "sampling_period_s"), {motion})}
+    frame.attrs |= {"motion": motion, **about}
+    return frame
+
+
 def _trial(course: Course, trial: int) -> pd.DataFrame:
     batch, experiment = course.batch, course.experiment
     rows = int(batch.rows[trial])
@@ -188,7 +204,7 @@ def _trial(course: Course, trial: int) -> pd.DataFrame:
         "simulated": True,
         "verdict": str(course.verdict[trial]),
     }
-    return frame_of_response({name: all_[trial, :rows] for name, all_ in samples.items()}, course.device.motion, about)
+    return response_frame({name: all_[trial, :rows] for name, all_ in samples.items()}, course.device.motion, about)
 
 
 def _chosen(logs: Sequence[Log], label: str | None, path: Place) -> Log:

@@ -19,11 +19,11 @@ from pipeline.loop.response import response
 from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import Device, Experiment, Motion
-from pipeline.surface.frames import units_of
+from pipeline.rendering.frames import units_of
 from pipeline.theory.cases import POINT_COSTS, Case, costs_of_walls, islands_in_si, optimum_document, why_missing
 from pipeline.theory.costs import MAP_DEFAULT, check_criteria
 from pipeline.theory.curves import Curve, best_damping, best_stiffness
-from pipeline.theory.limits import boundary
+from pipeline.theory.limits import boundary, stiffness_limit
 from pipeline.theory.map import CostMap
 from pipeline.theory.margins import Margins, margins
 from pipeline.theory.passivity import passive_outline, stiffest_passive
@@ -211,6 +211,15 @@ class Loop:
         known = zip(alpha.tolist(), radius.tolist(), missing, strict=True)
         frame["reason"] = [why_missing(self._normalised, *point) for point in known]
         return frame
+
+    def limits(self, damping: object) -> pd.DataFrame:
+        """Return the limit of stability at dampings B [Ns/m, Nms/rad]: ``damping``, ``stiffness`` (nan without any).
+
+        It is the largest K from which all softer walls of that damping are stable, exact to 1e-9.
+        """
+        B = np.atleast_1d(np.asarray(damping, dtype=np.float64))
+        K = stiffness_limit(self._normalised, B / self._scale.damping) * self._scale.stiffness
+        return self._frame({"damping": B, "stiffness": np.where(K > 0, K, np.nan)})
 
     def optimum(self, criterion: str) -> LoopOptimum:
         """Return the best wall by a criterion, such as ``settle_2pct`` or ``energy_step_w1_discrete``.

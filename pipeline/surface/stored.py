@@ -8,34 +8,28 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 
 from pipeline.base.errors import DeviceError, StoreError, UsageError
 from pipeline.comparison.compare_experiment import experiment_result, motion_of
 from pipeline.comparison.scene.scene import SceneData, needed_stages, open_scene
 from pipeline.comparison.stage_pool import compute_stages
+from pipeline.device_data import human_arm
 from pipeline.device_data.devices import known_devices
 from pipeline.measured.stages.stages import ExperimentStages, cost_column
 from pipeline.records.criteria import MEASURED
-from pipeline.records.findings import Estimate, Optimum
-from pipeline.records.models import Motion
 from pipeline.records.results import ExperimentResult
-from pipeline.records.tables import TABLES
+from pipeline.rendering.frames import MOTIONS, boundary_frame, estimates_frame, frame_of, optima_frame, units_of
 from pipeline.store.corrections import read_exclusions
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import list_devices, list_experiments, read_trials
-from pipeline.surface.frames import SAMPLES, frame_of, frame_of_response, frame_of_stored, units_of
-from pipeline.surface.logs import Place
+from pipeline.surface.logs import SAMPLES, Place, response_frame
 
 _CONDITIONS = (
     *("device", "experiment", "stiffness", "damping", "step", "sampling_period_s", "added_delay_samples", "grip"),
     "simulated",
 )
 _COSTS = ("experiment", "trial_id", "stiffness", "damping", "verdict", "criterion", "cost", "low", "high", "reason")
-_ESTIMATES = (
-    *("experiment", "quantity", "value", "low", "high", "unit", "method", "recommended", "reason", "trials"),
-    *("spread", "within", "warning"),
-)
-_OPTIMA = ("experiment", "criterion", *Optimum.model_fields, "reason")
 
 
 def devices(processed: Place = "processed") -> pd.DataFrame:
@@ -64,7 +58,7 @@ def devices(processed: Place = "processed") -> pd.DataFrame:
         }
         for name, of_device in stored.groupby("device")
     ]
-    return frame_of(("device", "title", "motion", "known", "experiments", "trials"), rows, (), {})
+    return frame_of("device title motion known experiments trials", rows, {})
 
 
 def experiments(processed: Place = "processed", device: str | None = None) -> pd.DataFrame:
@@ -85,7 +79,7 @@ def experiments(processed: Place = "processed", device: str | None = None) -> pd
     """
     folder = folder_of(processed)
     columns = ("device", "experiment", "motion", "sampling_period_s", "added_delay_samples", "grip", "simulated")
-    trials_ = frame_of_stored(_read(folder, device, None, list(columns)))
+    trials_ = _frame(_read(folder, device, None, list(columns)))
     rows = []
     for name in [device] if device is not None else list_devices(folder):
         for experiment in list_experiments(folder, name):
@@ -93,7 +87,7 @@ def experiments(processed: Place = "processed", device: str | None = None) -> pd
             if len(own):
                 row = {column: own[column].min() for column in columns[:-1]}
                 rows.append({**row, "simulated": bool(own["simulated"].any()), "trials": len(own)})
-    return frame_of((*columns, "trials"), rows, ("sampling_period_s",), units_of(columns))
+    return frame_of((*columns, "trials"), rows, units_of(columns))
 
 
 def trials(processed: Place = "processed", device: str | None = None, experiment: str | None = None) -> pd.DataFrame:
@@ -118,7 +112,7 @@ def trials(processed: Place = "processed", device: str | None = None, experiment
     table, known = _read(folder, device, experiment, None), read_exclusions(folder)
     ids = table.column("trial_id").to_pylist()
     reasons = [known[trial].exclusion_reason if trial in known else "" for trial in ids]
-    return frame_of_stored(table.append_column("exclusion_reason", [reasons]))
+    return _frame(table.append_column("exclusion_reason", [reasons]))
 
 
 def samples(processed: Place, trial_id: str) -> pd.DataFrame:
@@ -145,7 +139,7 @@ def samples(processed: Place, trial_id: str) -> pd.DataFrame:
     (row,) = table.slice(0, 1).to_pylist()
     batch = load_batch(folder, table.slice(0, 1))
     fields = {"time_s": batch.time, **{name: getattr(batch, name) for name in SAMPLES[1:]}}
-    return frame_of_response(
+    return response_frame(
         {name: None if values is None else values[0] for name, values in fields.items()},
         row["motion"],
         {"trial_id": trial_id, **{name: row[name] for name in _CONDITIONS}},
@@ -180,8 +174,7 @@ def estimates(
     StoreError
         If a stored file is damaged, or trials of one experiment do not belong together.
     """
-    found = list(_results(_open(processed, device, experiment)))
-    return estimates_frame(found, all_methods)
+    return estimates_frame(_results(_open(processed, device, experiment)), all_methods=all_methods)
 
 
 def boundary(processed: Place, device: str, experiment: str | None = None) -> pd.DataFrame:
@@ -192,7 +185,7 @@ def boundary(processed: Place, device: str, experiment: str | None = None) -> pd
     pandas.DataFrame
         ``experiment``, ``damping`` [Ns/m, Nms/rad], ``stable`` and ``unstable`` [N/m, Nm/rad]: the smallest stiffness
         with an unstable trial and the largest stable one below it (NaN where there is none), ``censored``,
-        ``estimate``, ``low``, ``high`` [N/m, Nm/rad] (limit by the growth rates, 95 % interval), ``trials``,
+        ``stiffness``, ``low``, ``high`` [N/m, Nm/rad] (limit by the growth rates, 95 % interval), ``trials``,
         ``undecided`` (those below the largest stable one), ``stiffness_large_motion`` [N/m, Nm/rad]: where friction was
         found, all this holds for the step that was used, and a harder push is unstable from there. A row a damping.
 
@@ -202,7 +195,7 @@ def boundary(processed: Place, device: str, experiment: str | None = None) -> pd
         As those of `estimates`.
     """
     data = _open(processed, device, experiment)
-    return boundary_frame([(found.experiment, found.boundary) for found in _results(data)], motion_of(data))
+    return boundary_frame(_results(data), motion_of(data))
 
 
 def optima(processed: Place, device: str, experiment: str | None = None) -> pd.DataFrame:
@@ -213,7 +206,8 @@ def optima(processed: Place, device: str, experiment: str | None = None) -> pd.D
     pandas.DataFrame
         ``experiment``, ``criterion``, ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m, Nms/rad], ``cost`` with its 95 %
         interval ``cost_low`` to ``cost_high``, ``trial_id``, ``ties``, ``censored`` (at the edge of the tested range),
-        ``reason`` (why there is none; numbers are NaN then). Settling times are in samples, overshoot is a fraction.
+        ``cost_s`` [s], ``reason`` (why there is none; numbers are NaN then). Settling times are in samples, and in
+        seconds in ``cost_s``, overshoot is a fraction.
 
     Raises
     ------
@@ -221,7 +215,7 @@ def optima(processed: Place, device: str, experiment: str | None = None) -> pd.D
         As those of `estimates`.
     """
     data = _open(processed, device, experiment)
-    return optima_frame(list(_results(data)), motion_of(data))
+    return optima_frame(_results(data), motion_of(data))
 
 
 def costs(processed: Place, device: str, experiment: str | None = None) -> pd.DataFrame:
@@ -242,45 +236,7 @@ def costs(processed: Place, device: str, experiment: str | None = None) -> pd.Da
     data = _computed(_open(processed, device, experiment))
     rows = [row for stages in data.experiments for row in _cost_rows(stages)]
     units = units_of(("stiffness", "damping"), {motion_of(data)})
-    return frame_of(_COSTS, rows, ("stiffness", "damping", "cost", "low", "high"), units)
-
-
-def estimates_frame(results: Sequence[ExperimentResult], all_methods: bool = False) -> pd.DataFrame:
-    """Return the estimates of finished results as `estimates` does."""
-    rows = []
-    for result in results:
-        for quantity, best in result.estimates.items():
-            named = {"experiment": result.experiment, "quantity": quantity}
-            rows.append({**named, **_plain(best), "recommended": True})
-            others = best.by_method if all_methods else {}
-            rows += [
-                {**named, **_plain(other), "method": method, "recommended": False} for method, other in others.items()
-            ]
-    return frame_of(_ESTIMATES, rows, ("value", "low", "high", "spread", "within"), {})
-
-
-def boundary_frame(points: Sequence[tuple[str, Sequence[Any]]], motion: Motion) -> pd.DataFrame:
-    """Return boundary points by experiment as `boundary` does."""
-    names = (*TABLES["boundary"], "stiffness_large_motion")
-    rows = [{"experiment": experiment, **dict(point)} for experiment, of in points for point in of]
-    units = units_of(names, {motion})
-    return frame_of(("experiment", *names), rows, units, units)
-
-
-def optima_frame(results: Sequence[ExperimentResult], motion: Motion) -> pd.DataFrame:
-    """Return the optima of finished results as `optima` does."""
-    rows: list[dict[str, Any]] = []
-    for result in results:
-        for criterion, best in result.optimum.items():
-            rows.append({"experiment": result.experiment, "criterion": criterion, **dict(best)})
-        for criterion, reason in result.missing.items():
-            rows.append({"experiment": result.experiment, "criterion": criterion, "reason": reason})
-    units = units_of(("stiffness", "damping"), {motion})
-    return frame_of(_OPTIMA, rows, ("stiffness", "damping", "cost", "cost_low", "cost_high", "ties"), units)
-
-
-def _plain(estimate: Estimate) -> dict[str, Any]:
-    return {name: value for name, value in estimate if name != "by_method"}
+    return frame_of(_COSTS, rows, units)
 
 
 def _cost_rows(stages: ExperimentStages) -> Iterator[dict[str, Any]]:
@@ -337,3 +293,25 @@ def _read(folder: Path, device: str | None, experiment: str | None, columns: lis
         if name is not None and name not in stored:
             raise DeviceError(f"{folder}: no {what} {name!r}; found {', '.join(stored) or 'none'}.")
     return read_trials(folder, device, experiment, columns)
+
+
+def _frame(table: pa.Table) -> pd.DataFrame:
+    """Return rows of the trials table, with the units of the motions that occur."""
+    frame = table.to_pandas()
+    frame.attrs = {"units": units_of(table.column_names, table.column("motion").unique().to_pylist() or MOTIONS)}
+    return frame
+
+
+def human_arms() -> pd.DataFrame:
+    """Return published parameters of human arms; a row's numbers are what `Loop` takes as ``operator``.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``source``, ``mass`` [kg], ``stiffness`` [N/m], ``damping`` [Ns/m].
+
+    Source: Hulin 2017, Table 3.2.
+    """
+    rows = [arm.model_dump() for arm in human_arm.human_arms()]
+    units = {"mass": "kg"} | units_of(("stiffness", "damping"), {"translation"})
+    return frame_of(list(human_arm.HumanArm.model_fields), rows, units)

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict
 
 from pipeline.base.disk import if_writable, read_kept, write_kept
 from pipeline.base.errors import ParameterError
-from pipeline.base.process_pool import process_pool
+from pipeline.base.process import process_pool
 from pipeline.base.provenance import code_digest, digest, sha256
 from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.loop.loop import Loop, Normalised

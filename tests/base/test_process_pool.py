@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from pipeline.base.process_pool import process_pool
+from pipeline.base.process import process_pool
 
 
 def test_what_still_computes_ends_with_a_block_that_fails():
@@ -23,7 +23,9 @@ def test_what_still_computes_ends_with_a_block_that_fails():
 
 def test_workers_load_pandas_only_for_who_asks():
     with process_pool(1) as pool:
-        assert not pool.submit(eval, "__import__('pyarrow').array([1]) is None").result()
+        assert not pool.submit(
+            eval, "__import__('pipeline.records.tables') and __import__('pyarrow').array([1]) is None"
+        ).result()
         assert "pandas" not in pool.submit(eval, "list(__import__('sys').modules)").result()
         assert pool.submit(eval, "__import__('pyarrow').table({'a': [1]}).to_pandas()['a'].sum()").result() == 1
         assert pool.submit(eval, "__import__('pandas').DataFrame({'a': [1]})['a'].sum()").result() == 1

@@ -14,7 +14,6 @@ from pipeline.base.disk import write_text
 from pipeline.base.errors import StoreError
 from pipeline.comparison import compare as comparison
 from pipeline.comparison.compare import compare
-from pipeline.comparison.figures.figure_data import FigureBuilder
 from pipeline.comparison.scene.scene import LEAVE_OUT, REUSE, RUN
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages import stage_tables
@@ -42,7 +41,7 @@ def actions(outcome) -> dict[str, str]:
 def plain_page(monkeypatch):
     """A report without figures, which take a second: these tests are about what is run and when."""
     monkeypatch.setattr(comparison, "write_report", lambda data, path: write_text(path, data.result.device))
-    monkeypatch.setattr(FigureBuilder, "costs", lambda self, predictions: ())
+    monkeypatch.setattr(comparison, "map_figures", lambda *_: [])
 
 
 @pytest.fixture
@@ -363,7 +362,7 @@ def test_every_estimate_has_value_interval_and_method_or_a_reason(falcon_outcome
     """Done when 7 of the estimation issue: nothing in the document stands without its interval, method or reason."""
     seen = 0
     for experiment in falcon_outcome.result.experiments:
-        assert {"delay_samples", "mass", "damping", "implied_delay", "boundary_area"} <= set(experiment.estimates)
+        assert {"delay_samples", "mass", "damping", "boundary_area"} <= set(experiment.estimates)
         for best in experiment.estimates.values():
             for estimate in (best, *best.by_method.values()):
                 seen += 1

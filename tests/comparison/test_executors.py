@@ -23,7 +23,7 @@ from pipeline.intake.ingest import ingest
 from pipeline.measured.stages import stage_tables
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.store import objects
-from pipeline.store.mirror import opened, stored_by
+from pipeline.store.objects import opened, stored_by
 from pipeline.store.storage import list_experiments
 
 NEEDED = {"response", "wall_law", "boundary", "delay", "outcome"}

@@ -14,8 +14,7 @@ from pipeline.comparison.executors import executor_of
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.store.mirror import opened
-from pipeline.store.objects import Objects
+from pipeline.store.objects import Objects, opened
 from pipeline.store.storage import list_experiments, read_trials
 
 pytestmark = pytest.mark.slow

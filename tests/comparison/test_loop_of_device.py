@@ -2,10 +2,10 @@
 
 import pytest
 
-from pipeline.comparison.figures.boundary_curves import linear_curve, passive_curve, theory_curve
 from pipeline.loop.loop import Loop
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.results import TheoryParameters
+from pipeline.rendering.figures.boundaries import by_theory, conditions
 from pipeline.theory.optimum import optimal_point
 from pipeline.theory.predictions import Theory
 
@@ -30,7 +30,7 @@ def theory(parts: LoopParts = LoopParts()) -> Theory:  # noqa: B008
 def test_boundary_and_optimum_are_those_of_the_loop_with_its_parts():
     ideal, real = theory(), theory(PARTS)
     assert (type(ideal.loop), type(real.loop)) == (Loop, Loop)
-    assert max(theory_curve(real, "").stiffness) < 0.6 * max(theory_curve(ideal, "").stiffness)
+    assert by_theory(real, "").x.max() < 0.6 * by_theory(ideal, "").x.max()
     best = [one.physical(optimal_point(one.loop, "energy_step_w0")) for one in (ideal, real)]
     assert best[1].stiffness < 0.8 * best[0].stiffness
     assert best[1].cost > best[0].cost
@@ -38,13 +38,11 @@ def test_boundary_and_optimum_are_those_of_the_loop_with_its_parts():
 
 def test_passive_region_and_linear_condition_know_the_lag():
     ideal, real = theory(), theory(PARTS)
-    curves = [passive_curve(one) for one in (ideal, real)]
-    assert all(curve is not None for curve in curves)
-    first, second = (max(curve.stiffness) for curve in curves if curve)
-    assert second < first
-    slope = [curve.damping[1] + 4.0 for curve in (linear_curve(ideal), linear_curve(real))]
-    reach = [linear_curve(one).stiffness[1] for one in (ideal, real)]
-    assert slope[1] / reach[1] - slope[0] / reach[0] == pytest.approx(0.001)
+    first, second = ({s.kind: s for s in conditions(one)} for one in (ideal, real))
+    assert second["passive"].x.max() < first["passive"].x.max()
+    slopes = [(s["linear"].y[1] + 4.0) / s["linear"].x[1] for s in (first, second)]
+    assert slopes[1] - slopes[0] == pytest.approx(0.001)
+    assert set(second) == {"linear", "passive"}, "what is robust is known of an ideal loop alone"
 
 
 def test_words_name_the_parts_and_what_is_left_out():

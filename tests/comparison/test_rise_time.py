@@ -12,7 +12,7 @@ from simulated import simulate
 from typer.testing import CliRunner
 
 from pipeline.loop.loop import Loop, Normalised
-from pipeline.measured.cost.families import FAMILIES
+from pipeline.measured.cost.costs import FAMILIES
 from pipeline.measured.cost.reading_error import reading_error
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge

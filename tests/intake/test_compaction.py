@@ -13,7 +13,6 @@ from stored import check_whole, merge_all, stored_rows
 
 from pipeline.base.errors import StoreError
 from pipeline.intake.ingest import ingest
-from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records import table_files
 from pipeline.store import batch_files, storage
 from pipeline.store.samples import load_batch
@@ -47,43 +46,6 @@ def test_one_batch_is_left_and_the_same_is_read(grow):
     assert after.trial_id == before.trial_id
     np.testing.assert_array_equal(after.position, before.position)
     assert check_whole(processed, logs) == set(logs)
-
-
-def test_results_that_rest_on_trials_stay_valid(grow):
-    processed, _ = grow(3)
-    keys = []
-    for _ in range(2):
-        stages = ExperimentStages(processed, "bench", "1", read_trials(processed, "bench", "1"))
-        keys.append(stages.key("response"))
-        merge_all(processed)
-    assert keys[0] == keys[1]
-
-
-def test_replaced_trials_are_removed(grow, tmp_path):
-    processed, logs = grow(1)
-    for number in range(20):
-        (tmp_path / f"{number:03d}.csv").write_text(short_log(number + 0.5))
-    ingest(sorted(tmp_path.glob("*.csv")), processed, jobs=1)
-    logs = {str(path): int(path.stem) + 0.5 for path in tmp_path.glob("*.csv")}
-    logs[str(tmp_path / "000.csv")] = 77.0
-    (tmp_path / "000.csv").write_text(short_log(77.0))
-    assert ingest([tmp_path / "000.csv"], processed, jobs=1).changed[0].outcome.startswith("its trials were replaced")
-    assert sum(pq.read_metadata(file).num_rows for file in trials_files(processed)) == 20
-    assert check_whole(processed, logs) == set(logs)
-
-
-def test_a_log_that_becomes_a_copy_leaves_no_trial(grow, tmp_path):
-    processed, _ = grow(3, most_small=3)
-    assert len(trials_files(processed)) == 1
-    (tmp_path / "001.csv").write_text((tmp_path / "000.csv").read_text())
-    report = ingest([tmp_path / "001.csv"], processed, jobs=1)
-    assert (report.skipped, report.changed[0].outcome) == (
-        1,
-        f"its content is now that of {tmp_path / '000.csv'}; its former trials were removed",
-    )
-    (file,) = trials_files(processed)
-    assert pq.read_metadata(file).num_rows == 2
-    assert len(load_batch(processed, read_trials(processed))) == 2
 
 
 def test_replaced_and_incomplete_files_are_left_out_and_removed(grow, tmp_path):
@@ -132,13 +94,14 @@ def test_translation_and_rotation_keep_their_own_files(tmp_path):
 def test_bytes_are_rewritten_once_for_each_factor(grow, monkeypatch):
     """Of 26 logs that come alone, with groups of 3, each is written at most 1 + log3(26) times: 26 = 2*9 + 2*3 + 2."""
     written: Counter[str] = Counter()
-    original = batch_files.NewBatch.write
+    original = batch_files._groups
 
-    def write(batch, trials):
-        written.update(trials.column("trial_id").to_pylist())
-        return original(batch, trials)
+    def groups(parts):
+        for group in original(parts):
+            written.update(group.column("trial_id").to_pylist())
+            yield group
 
-    monkeypatch.setattr(batch_files.NewBatch, "write", write)
+    monkeypatch.setattr(batch_files, "_groups", groups)
     processed, logs = grow(26, rows=3, most_small=3)
     assert len(written) == 26
     assert max(written.values()) == 1 + 2
@@ -196,16 +159,6 @@ def test_a_listing_that_a_merge_tears_is_read_again(grow, monkeypatch):
     monkeypatch.setattr(storage, "_PAUSE_S", 0)
     with pytest.raises(StoreError, match="changed during each of 50 attempts"):
         read_trials(processed)
-
-
-def test_trials_that_are_replaced_while_they_are_read_are_named(grow, tmp_path):
-    processed, _ = grow(2)
-    trials = read_trials(processed)
-    (tmp_path / "000.csv").write_text(short_log(99.0))
-    ingest([tmp_path / "000.csv"], processed, jobs=1)
-    merge_all(processed)
-    with pytest.raises(StoreError, match="1 trials were removed while they were read"):
-        load_batch(processed, trials)
 
 
 def test_readers_see_each_trial_once_while_batches_are_merged(grow, monkeypatch):

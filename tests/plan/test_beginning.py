@@ -11,7 +11,7 @@ from pipeline.base.errors import DeviceError, UsageError
 from pipeline.device_data.devices import load_device
 from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.loop.loop import Normalised
-from pipeline.plan.course import Wish, beginning, open_course, wanted_dampings
+from pipeline.plan.course import Wish, foretold, open_course, wanted_dampings
 from pipeline.plan.planner import plan, plan_of
 from pipeline.records.loop_parts import LoopParts
 from pipeline.theory.limits import limits
@@ -35,13 +35,14 @@ def begun(tmp_path):
 def test_the_start_is_the_limit_of_the_declared_loop(begun, parts):
     course = begun(**parts)
     dampings = wanted_dampings(course, Wish())
-    _, start = beginning(course, dampings)
+    start = foretold(course, dampings)
     of, T = load_device("falcon").experiments[0], 1e-3
     declared = LoopParts(**parts)
     loop = loop_of(of.mass, of.damping, of.stiffness, of.delay_samples, T, declared)
     units = wall_units(of.mass, T, declared)
     expected = np.nan_to_num(limits(loop, np.array(dampings) / units.damping).alpha) * units.stiffness
     assert start.limit == pytest.approx(expected, rel=1e-9)
+    assert start.error.max() == pytest.approx(0.1 * expected.max(), rel=1e-6)
 
 
 def test_a_declared_lag_lowers_the_first_wall(begun):

@@ -2,38 +2,38 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from pipeline.loop.loop import Loop, Normalised
-from pipeline.plan.optimum import Foreseen, Target, look_for
+from pipeline.plan.found_device import LoopPoint
+from pipeline.plan.optimum import Target, costs_of, look_for
 from pipeline.plan.verdicts import Tried
-from pipeline.theory.limits import stiffness_limit
 from pipeline.theory.optimum import optimal_point
 
-LOOP, UNITS = Loop(0.0, 0.007, 4.0), Normalised(0.5, 1e-3)
-BY = Foreseen(LOOP, UNITS)
+BY = LoopPoint(0.5, 3.5, 4.0, 0.0, 1e-3)
 DAMPINGS = np.linspace(0, 120, 12)
-LIMITS = np.maximum(stiffness_limit(LOOP, DAMPINGS / UNITS.damping) * UNITS.stiffness, 0.0)
-LEAST = optimal_point(LOOP, "settle_2pct").cost
+LIMITS = BY.limit(DAMPINGS)
+LEAST = optimal_point(BY.loop, "settle_2pct").cost
 
 
-def search(costs_of, by, most=40):
+def search(measured, by, holds=True, most=40):
     """Run a search whose trials have the costs of a function."""
     walls, costs = [], []
     while True:
         K, B = np.array(walls).reshape(-1, 2).T
         said = np.where(np.isfinite(costs), "stable", "unstable")
         tried = Tried(K, B, said, np.full(len(K), np.nan), cost=np.array(costs)) if walls else Tried(*[np.empty(0)] * 4)
-        found = look_for(tried, Target("settle_2pct", DAMPINGS, LIMITS, by), 0.05, 1)
+        found = look_for(tried, Target("settle_2pct", DAMPINGS, LIMITS, by, holds), 0.05, 1)
         if found.done or len(walls) == most:
             return found, walls, costs
         walls.append(found.walls[0][:2])
-        costs.append(float(costs_of(*(np.array([x]) for x in walls[-1]))[0]))
+        costs.append(float(measured(*(np.array([x]) for x in walls[-1]))[0]))
 
 
 def exact(K, B):
-    return np.ceil(BY.costs(K, B, "settle_2pct"))
+    return np.ceil(costs_of(BY, K, B, "settle_2pct"))
 
 
 def test_a_right_loop_finds_the_best_wall_at_once():
@@ -41,7 +41,7 @@ def test_a_right_loop_finds_the_best_wall_at_once():
     assert found.done
     assert len(walls) <= 8
     best = [np.array([x]) for x in walls[found.best]]
-    assert BY.costs(*best, "settle_2pct")[0] <= 1.05 * LEAST
+    assert costs_of(BY, *best, "settle_2pct")[0] <= 1.05 * LEAST
     low, high, least, most = found.region
     assert low <= walls[found.best][0] * 1.1
     assert high >= walls[found.best][0] * 0.9
@@ -49,11 +49,10 @@ def test_a_right_loop_finds_the_best_wall_at_once():
 
 
 def test_a_wrong_loop_is_corrected_by_costs():
-    wrong = Foreseen(Loop(0.0, 0.007, 3.5), UNITS, explains=False)
-    found, walls, costs = search(exact, wrong)
+    found, walls, costs = search(exact, replace(BY, delay_samples=3.5), holds=False)
     best = [np.array([x]) for x in walls[found.best]]
     assert costs[found.best] == np.nanmin(costs)
-    assert BY.costs(*best, "settle_2pct")[0] <= 1.3 * LEAST, "by its costs alone, which jump"
+    assert costs_of(BY, *best, "settle_2pct")[0] <= 1.3 * LEAST, "by its costs alone, which jump"
     assert len(walls) >= 15, "it does not believe the loop"
 
 
@@ -70,5 +69,5 @@ def test_a_batch_names_different_walls():
 
 
 def test_walls_beyond_the_loops_own_limit_have_no_cost():
-    assert np.isnan(BY.costs(np.array([1.2 * LIMITS.max()]), np.array([40.0]), "settle_2pct")).all()
-    assert BY.costs(np.array([1500.0]), np.array([40.0]), "settle_2pct")[0] == pytest.approx(50, abs=45)
+    assert np.isnan(costs_of(BY, np.array([1.2 * LIMITS.max()]), np.array([40.0]), "settle_2pct")).all()
+    assert costs_of(BY, np.array([1500.0]), np.array([40.0]), "settle_2pct")[0] == pytest.approx(50, abs=45)

@@ -46,10 +46,10 @@ def test_no_pattern_hangs_an_ingest(tmp_path, pattern, key):
 @pytest.mark.parametrize(
     ("pattern", "said"),
     [
-        ("(?=K)(?P<stiffness>[0-9]+)", "not possible in a pattern: .*[(][?]=.*no lookahead"),
-        ("(?<=K)(?P<stiffness>[0-9]+)", "not possible in a pattern"),
-        (r"(?P<stiffness>[0-9]+)_\\1", "not possible in a pattern: .*backreference"),
-        ("(?P<stiffness>(a{900}){900})", "not possible in a pattern"),
+        ("(?=K)(?P<stiffness>[0-9]+)", "no regular expression: .*[(][?]=.*no lookahead"),
+        ("(?<=K)(?P<stiffness>[0-9]+)", "no regular expression"),
+        (r"(?P<stiffness>[0-9]+)_\\1", "no regular expression: .*backreference"),
+        ("(?P<stiffness>(a{900}){900})", "no regular expression"),
         ("(?P<stiffness>[0-9]+", "no regular expression: missing"),
     ],
 )

@@ -14,7 +14,8 @@ from native_logs import FAULTS, log_text
 from pipeline.base.errors import LogError, ParameterError, ProfileError
 from pipeline.profiles.profile_files import read_profile, shipped_profiles
 from pipeline.profiles.profile_lines import find_questions
-from pipeline.readers.layout import format_of, text_layout
+from pipeline.readers.file_kind import format_of
+from pipeline.readers.layout import text_layout
 from pipeline.shell.cli import run
 from pipeline.shell.profile.profile_draft import draft_profile
 
@@ -284,7 +285,7 @@ def test_a_text_without_a_table_is_refused(text):
 
 def test_a_draft_asks_and_is_refused_until_it_is_answered(call, tmp_path):
     (tmp_path / "K300.csv").write_bytes(GERMAN.encode("latin-1"))
-    assert call("profile", "draft", "K300.csv", "--out", "lab.toml") == (0, "lab.toml: 15 questions are open\n", "")
+    assert call("profile", "draft", "K300.csv", "--out", "lab.toml") == (0, "lab.toml: 17 questions are open\n", "")
     text = (tmp_path / "lab.toml").read_text(encoding="utf-8")
     assert call("profile", "draft", "K300.csv")[1] == text
     # nothing that must not be guessed is set
@@ -294,7 +295,7 @@ def test_a_draft_asks_and_is_refused_until_it_is_answered(call, tmp_path):
     for command in (("profile", "check", "lab.toml", "K300.csv"), ("ingest", ".", "--profile", "lab.toml")):
         status, out, err = call(*command)
         assert (status, out) == (1, "")
-        assert "15 open questions in this profile" in err
+        assert "17 open questions in this profile" in err
         told = re.findall(r"^lab\.toml:(\d+): key '(.*?)': open question", err, re.MULTILINE)
         assert told == [(str(q.line), ".".join(map(str, q.place))) for q in find_questions(text)]
     status, _, err = call("profile", "draft", "K300.csv", "--out", "lab.toml")
@@ -511,8 +512,8 @@ def test_a_trial_without_a_step_is_stored_and_has_no_step_row(call, tmp_path):
 def test_a_wall_without_a_step_has_no_verdict_and_no_costs(falcon):
     from dataclasses import replace
 
-    from pipeline.measured.cost import settling_overshoot
-    from pipeline.measured.cost.energy_intervals import energy_interval
+    from pipeline.measured.cost.costs import overshoot
+    from pipeline.measured.cost.energy import energy_interval
     from pipeline.measured.cost.reading_error import reading_error
     from pipeline.measured.fit.ghost import simulate_ghost
     from pipeline.measured.signal import outcome, verdict
@@ -531,7 +532,7 @@ def test_a_wall_without_a_step_has_no_verdict_and_no_costs(falcon):
     energies = energy_interval(batch, found, judged, error, 4, 0.58)
     assert np.isnan(energies.value[3]).all()
     assert "no step was commanded" in energies.reason[3]
-    assert np.isnan(settling_overshoot.overshoot(batch, found, judged).overshoot[3])
+    assert np.isnan(overshoot(batch, found, judged).value[3])
     ones = np.ones(8)
     assert np.isnan(simulate_ghost(batch, found, 0.58 * ones, 4 * ones, 4 * ones).relative[3])
 

@@ -128,7 +128,7 @@ def lose_power(lab, kind, monkeypatch, tmp_path, chances, step):
             lab.check_repaired(kind, target)
             shutil.rmtree(target)
             tried += 1
-    assert tried > 20
+    assert tried > 10
 
 
 @pytest.mark.sampled

@@ -75,7 +75,7 @@ def results(folder: Path) -> object:
 
 def stored(folder: Path) -> object:
     """Trials, in whatever files."""
-    table = read_trials(folder / "processed").drop_columns(["sample_file", "sample_row", "version"])
+    table = read_trials(folder / "processed").drop_columns(["sample_file", "sample_row"])
     return sorted(map(str, table.to_pylist()))
 
 

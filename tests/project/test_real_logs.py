@@ -17,7 +17,6 @@ from pipeline.measured.device.delay import first_change
 from pipeline.measured.device.friction import fit_balance
 from pipeline.measured.device.mass import by_momentum
 from pipeline.measured.device.onset import motion_onset
-from pipeline.measured.signal.lag import velocity_lag
 from pipeline.measured.signal.response import declare_edge, find_response
 from pipeline.records.batch import TrialBatch
 from pipeline.store.samples import load_batch
@@ -144,26 +143,6 @@ def test_filtered_columns_have_no_quantum(lever):
     scope = lever["scope"]
     for column in scope.signals[1].values.T:
         assert find_response(one_trial(scope.time, np.ascontiguousarray(column))).sensor_quantum[0] == 0.0
-
-
-def test_speed_of_the_servo_is_late(servo):
-    found = velocity_lag(*servo)
-    # the notes beside the data say 17 to 20 ms; half a millisecond is its own uncertainty
-    assert 0.017 < found.lag_s < 0.0205
-    assert found.standard_error_s < 1e-3
-    assert found.gain == pytest.approx(1.0, abs=0.02)
-    halves = [velocity_lag(*(column[part] for column in servo)) for part in (slice(0, 354 // 2), slice(354 // 2, 354))]
-    known = [half for half in halves if half.lag_s is not None]
-    assert known
-    for half in known:
-        assert abs(half.lag_s - found.lag_s) < 3 * np.hypot(half.standard_error_s, found.standard_error_s)
-
-
-def test_velocity_of_the_pendulum_is_hardly_late(pendulum):
-    batch, _, velocity = pendulum
-    found = velocity_lag(batch.time[0], batch.position[0], velocity)
-    # less than half a row of 5 ms
-    assert abs(found.lag_s) < 2.5e-3
 
 
 # through the shipped profiles

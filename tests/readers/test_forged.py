@@ -19,7 +19,7 @@ from pathlib import Path
 from pipeline.base.errors import LogError
 from pipeline.readers import isolation
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers.formats.files import read_file
+from pipeline.readers.isolation import read_file
 data = Path(sys.argv[1]).read_bytes()
 codes = []
 for wanted in (("t",), ()):

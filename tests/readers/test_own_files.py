@@ -13,7 +13,7 @@ from pipeline.base.errors import LogError, ProfileError
 from pipeline.intake.ingest import ingest
 from pipeline.profiles.profile_files import read_profile
 from pipeline.profiles.profile_lines import find_questions
-from pipeline.readers.layout import format_of
+from pipeline.readers.file_kind import format_of
 from pipeline.shell.cli import application
 from pipeline.shell.profile.profile_draft import draft_profile
 from pipeline.store.samples import load_batch
@@ -202,8 +202,8 @@ def test_a_draft_of_own_files_asks_only_what_the_command_does_not_tell(tmp_path,
         files[-1].write_text("Zeit;Kraft;Weg\n" + rows.replace(".", ","))
     text = draft_profile(*files)
     asked = {".".join(map(str, question.place)) for question in find_questions(text)}
-    assert asked == {"constants.device", "constants.motion", "columns.command.unit", "columns.position.unit"}
-    for key in ("device", "motion", "unit"):
+    assert asked == {"constants.device", "columns.command.unit", "columns.position.unit"}
+    for key in ("device", "unit"):
         text = text.replace(f"\n# {key} = ", f"\n{key} = ")
     assert f"sign = {mirrored}" in text
     (tmp_path / "lab.toml").write_text(text)

@@ -95,10 +95,13 @@ def test_equal_stamps_are_joined_and_doubled_ones_kept():
 @pytest.mark.parametrize(
     ("wanted", "words"),
     [
-        (["/arm/joint.position[0]"], r"no column '/arm/joint.position\[0\]'. Nearest: /arm/joints.position\[0\]"),
+        (
+            ["/arm/joint.position[0]"],
+            r"no column '/arm/joint.position\[0\]'. Nearest: /arm/joints.position\[0\]",
+        ),
         (["/arm/joints.positions[0]"], r"Nearest: /arm/joints\.position\[0\]"),
         (["/arm/joints.position[3]"], r"no column '/arm/joints\.position\[3\]'"),
-        (["/arm/joints.position"], r"Nearest: /arm/joints.position\["),
+        (["/arm/joints.position"], r"Name one element .*: /arm/joints.position\["),
         (["/arm/joints.effort[0]"], "no column"),
         (["@stamp", "/arm/joints.position[0]", "/command.data"], "'/command' have no header.*'@received'"),
         (["/arm/joints.header.stamp", "/command.data"], "take time from '@received'.*more than 15 digits"),

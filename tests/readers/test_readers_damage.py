@@ -26,8 +26,9 @@ from places import ROOT
 
 from pipeline.base.errors import LogError
 from pipeline.readers.formats import FORMATS
-from pipeline.readers.frame import ColumnInfo, Frame
-from pipeline.readers.isolation import allowed_bytes, isolated, library
+from pipeline.readers.frame import ColumnInfo, Contents
+from pipeline.readers.isolation import isolated, library
+from pipeline.readers.limits import allowed_bytes
 
 FILES = {
     "json": ("json", json_log),
@@ -80,7 +81,7 @@ def test_only_frames_and_log_errors_come_out(kind):
                 assert all(isinstance(info, ColumnInfo) for info in found)
             else:
                 found = read_frame(form, name, data, **settings)
-                assert isinstance(found, Frame)
+                assert isinstance(found, Contents)
                 assert {len(column) for column in found.columns.values()} <= {len(found.row)}
         except LogError as error:
             refusals.append(str(error))
@@ -113,13 +114,13 @@ def test_a_worker_that_hangs_or_crashes_costs_only_its_file():
         ("starve", "takes more memory than a file of its size may"),
     ):
         with pytest.raises(LogError, match=f"^log: {words}"):
-            isolated(f"{misbehaving.__name__}:{function}", "log", "a file", b"", imports=())
-        assert isolated("misbehaving:shout", "log", "a file", b"a", "b", imports=("no_such_module",)) == "ab"
+            isolated(f"{misbehaving.__name__}:{function}", "log", "a file", b"")
+        assert isolated("misbehaving:shout", "log", "a file", b"a", "b", imports="no_such_module") == "ab"
 
 
 def test_refusals_come_back_with_their_row():
     with pytest.raises(LogError, match="wrong in row 7") as error:
-        isolated("misbehaving:refuse", "log", "a file", b"", imports=())
+        isolated("misbehaving:refuse", "log", "a file", b"")
     assert error.value.row == 7
 
 

@@ -126,7 +126,7 @@ def test_objects_in_version_5_are_refused_by_their_own_name():
         ("z", "complex numbers"),
         ("log", "no column 'log'.*log.q"),
         ("T", "no column 'T'.*It has: t, log.q"),
-        ("log.q", r"shape \(40, 3\).*'log.q\[0\]' to 'log.q\[2\]'"),
+        ("log.q", r"Name one element in columns.*: log.q\[0\] to log.q\[2\]"),
         ("log.q[3]", "Name one element"),
         ("K", "different lengths"),
     ],

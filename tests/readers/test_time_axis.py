@@ -5,7 +5,8 @@ import pytest
 
 from pipeline.base.errors import LogError
 from pipeline.profiles.profile_columns import Fraction, TimeSource
-from pipeline.readers.time_axis import distinct, in_order, read_stamps, step_flags
+from pipeline.readers.rows import add_seconds, distinct, in_order
+from pipeline.readers.time_axis import step_flags
 
 PERIOD = 1e-3
 
@@ -14,29 +15,33 @@ def source(**keys) -> TimeSource:
     return TimeSource.model_validate({"name": "t", "unit": "ms"} | keys)
 
 
-def stamps(values, **keys):
-    values = np.asarray(values)
-    rows = np.arange(len(values)) + 10
-    return read_stamps(source(**keys), values, None, PERIOD, "a.csv, column 't' (columns.time)", rows)
+def table_of(values, **columns):
+    return {"time": np.asarray(values), "row": np.arange(len(values)) + 10, **columns}
+
+
+def stamps(values, rest=None, **keys):
+    """Return columns with time in seconds, and how often a counter started again."""
+    table = table_of(values, **({} if rest is None else {"fraction": rest}))
+    return table | add_seconds(source(**keys), table, PERIOD, "a.csv, column 't' (columns.time)") | table
 
 
 def test_absolute_stamps_keep_their_origin():
     found = stamps([5.0, 6.5, 8.0])
-    np.testing.assert_allclose(found.time, [0.005, 0.0065, 0.008], rtol=1e-15)
-    assert found.raw.tolist() == [5.0, 6.5, 8.0]
+    np.testing.assert_allclose(found["time"], [0.005, 0.0065, 0.008], rtol=1e-15)
+    assert found["raw_time"].tolist() == [5.0, 6.5, 8.0]
 
 
 def test_steps_are_summed_from_the_row_before():
-    np.testing.assert_allclose(stamps([9.0, 1.0, 2.0, 1.0], kind="steps").time, [0, 1e-3, 3e-3, 4e-3], rtol=1e-15)
+    np.testing.assert_allclose(stamps([9.0, 1.0, 2.0, 1.0], kind="steps")["time"], [0, 1e-3, 3e-3, 4e-3], rtol=1e-15)
 
 
 def test_a_counter_counts_from_the_first_row_without_rounding():
     ticks = 1_700_000_000_123_456_789 + np.array([0, 1_000_001, 3_000_003])
     found = stamps(ticks, kind="counter", unit="ns")
-    assert found.time.tolist() == [0.0, 1_000_001 * 1e-9, 3_000_003 * 1e-9]
-    assert found.raw.tolist() == ticks.tolist()
+    assert found["time"].tolist() == [0.0, 1_000_001 * 1e-9, 3_000_003 * 1e-9]
+    assert found["raw_time"].tolist() == ticks.tolist()
     clock = stamps([100, 350, 600], kind="counter", unit="s", counts_per_unit=250_000)
-    np.testing.assert_allclose(clock.time, [0, 1e-3, 2e-3], rtol=1e-15)
+    np.testing.assert_allclose(clock["time"], [0, 1e-3, 2e-3], rtol=1e-15)
 
 
 @pytest.mark.parametrize("dtype", [np.int64, np.float64])
@@ -45,9 +50,9 @@ def test_a_wrapped_counter_equals_one_that_goes_on(wrap, dtype):
     rng = np.random.default_rng(3)
     truth = wrap - 5000 + np.concatenate(([0], np.cumsum(rng.integers(1, wrap // 3, size=40))))
     found = stamps((truth % wrap).astype(dtype), kind="counter", unit="us", wrap=wrap)
-    assert found.wraps == int(truth[-1] // wrap) - int(truth[0] // wrap) > 3
-    np.testing.assert_allclose(found.time, (truth - truth[0]) * 1e-6, rtol=1e-15)
-    assert found.raw.tolist() == (truth % wrap).tolist()
+    assert found["wraps"] == int(truth[-1] // wrap) - int(truth[0] // wrap) > 3
+    np.testing.assert_allclose(found["time"], (truth - truth[0]) * 1e-6, rtol=1e-15)
+    assert found["raw_time"].tolist() == (truth % wrap).tolist()
 
 
 def test_a_counter_above_its_wrap_is_refused():
@@ -59,23 +64,22 @@ def test_a_counter_above_its_wrap_is_refused():
 def test_seconds_and_nanoseconds_are_joined_without_rounding():
     seconds, rest = np.array([1_700_000_000, 1_700_000_001]), np.array([999_999_999, 1])
     fraction = Fraction(name="ns", unit="ns")
-    joined = read_stamps(
-        source(unit="s", kind="counter", fraction=fraction), seconds, rest, PERIOD, "a", np.array([1, 2])
-    )
-    assert joined.raw.tolist() == [1_700_000_000_999_999_999, 1_700_000_001_000_000_001]
-    assert joined.time.tolist() == [0.0, 2e-9]
+    joined = stamps(seconds, rest, unit="s", kind="counter", fraction=fraction)
+    assert joined["raw_time"].tolist() == [1_700_000_000_999_999_999, 1_700_000_001_000_000_001]
+    assert joined["time"].tolist() == [0.0, 2e-9]
     with pytest.raises(LogError, match=r"0.5 is no whole number; expected whole numbers where a stamp has two parts"):
-        read_stamps(source(unit="s", fraction=fraction), np.array([0.5, 1.0]), rest, PERIOD, "a", np.array([1, 2]))
+        stamps(np.array([0.5, 1.0]), rest, unit="s", fraction=fraction)
 
 
 def test_sampled_time_needs_no_stamps_and_agrees_with_coarse_ones():
-    without = read_stamps(TimeSource(kind="sampled"), None, None, PERIOD, "a", np.arange(4))
-    assert without.raw is None
-    np.testing.assert_allclose(without.time, [0, 1e-3, 2e-3, 3e-3], rtol=1e-15)
+    without = {"row": np.arange(4)}
+    add_seconds(TimeSource(kind="sampled"), without, PERIOD, "a")
+    assert "raw_time" not in without
+    np.testing.assert_allclose(without["time"], [0, 1e-3, 2e-3, 3e-3], rtol=1e-15)
     coarse = np.floor(np.arange(100) * 1.0 / 10) * 10 + 500  # 1 ms samples, stamps printed to 10 ms
     found = stamps(coarse, kind="sampled")
-    np.testing.assert_allclose(found.time, np.arange(100) * 1e-3, rtol=1e-15)
-    assert found.raw.tolist() == coarse.tolist()
+    np.testing.assert_allclose(found["time"], np.arange(100) * 1e-3, rtol=1e-15)
+    assert found["raw_time"].tolist() == coarse.tolist()
     late = coarse.copy()
     late[60:] += 20  # twenty samples were lost
     with pytest.raises(LogError, match=r"by its row it were 0.06 s.*samples may be missing"):
@@ -91,24 +95,24 @@ def test_sampled_time_sees_one_lost_sample_where_each_stamp_differs():
         stamps(dates, kind="sampled", unit="s")
     # late by less than one period, and back in time
     late = np.arange(30.0) + np.random.default_rng(1).uniform(0, 0.99, 30)
-    assert len(stamps(np.sort(late), kind="sampled").time) == 30
+    assert len(stamps(np.sort(late), kind="sampled")["time"]) == 30
 
 
 def test_rows_out_of_order_are_refused_or_sorted():
-    time, rows = np.array([0.3, 0.4, 0.1, 0.2, 0.5]), np.arange(5) + 2
+    time = np.array([0.3, 0.4, 0.1, 0.2, 0.5])
     with pytest.raises(
         LogError, match=r"0.1\d* s after 0.4\d* s.*kind = \"counter\" and wrap.*order = \"sort\""
     ) as error:
-        in_order(source(), time, "a", rows)
-    assert error.value.row == 4
-    order, late = in_order(source(order="sort"), time, "a", rows)
+        in_order(source(), table_of(time), "a")
+    assert error.value.row == 12
+    order, late = in_order(source(order="sort"), table_of(time), "a")
     assert (time[order].tolist(), late) == (sorted(time), 2)
-    assert in_order(source(), np.sort(time), "a", rows)[1] == 0
+    assert in_order(source(), table_of(np.sort(time)), "a")[1] == 0
 
 
 def test_rows_with_one_stamp_keep_their_order_when_sorted():
     time = np.random.default_rng(2).integers(0, 5, size=400).astype(float)
-    order, _ = in_order(source(order="sort"), time, "a", np.arange(400))
+    order, _ = in_order(source(order="sort"), table_of(time), "a")
     assert all((np.diff(order[time[order] == stamp]) > 0).all() for stamp in range(5))
 
 
@@ -117,23 +121,11 @@ def test_doubled_stamps_are_refused_or_thinned():
     with pytest.raises(
         LogError, match=r"time is 1 s in two rows.*kind = \"sampled\".*duplicates = \"keep first\""
     ) as error:
-        distinct(source(), time, "a", np.arange(5))
-    assert error.value.row == 2
-    assert distinct(source(duplicates="keep first"), time, "a", np.arange(5)).tolist() == [
-        True,
-        True,
-        False,
-        False,
-        True,
-    ]
-    assert distinct(source(duplicates="keep last"), time, "a", np.arange(5)).tolist() == [
-        True,
-        False,
-        False,
-        True,
-        True,
-    ]
-    assert distinct(source(), time[:0], "a", np.arange(0)).tolist() == []
+        distinct(source(), table_of(time), "a")
+    assert error.value.row == 12
+    assert distinct(source(duplicates="keep first"), table_of(time), "a").tolist() == [True, True, False, False, True]
+    assert distinct(source(duplicates="keep last"), table_of(time), "a").tolist() == [True, False, False, True, True]
+    assert distinct(source(), table_of(time[:0]), "a").tolist() == []
 
 
 def test_flags_are_those_put_into_the_time():

@@ -25,7 +25,7 @@ from pipeline.base.disk import write_text
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
-from pipeline.measured.cost import energy_intervals, settling_overshoot
+from pipeline.measured.cost import costs, energy
 from pipeline.measured.experiment import known_delay
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.stages import stage_groups, stage_tables, stages
@@ -188,7 +188,7 @@ def test_no_row_outlives_what_it_rests_on(lab, tmp_path, monkeypatch, edit, chan
     of = lab.stages("1", processed)
     monkeypatch.setattr(of, "is_stored", lambda stage: stage != "settling")
     if changed == "code":
-        edit(settling_overshoot)
+        edit(costs)
     elif changed == "given":
         other = of.delay_estimate.model_copy(update={"value": 5.0, "high": 7.0})
         for module in (known_delay, rows_of):
@@ -224,7 +224,7 @@ def test_one_long_log_costs_as_much_as_itself(lab, tmp_path, monkeypatch):
     """Padded to the longest, the experiment would take seven times the long log."""
     longest = 1 << 11
     monkeypatch.setattr(stage_groups, "LONGEST_MOTION", longest)
-    monkeypatch.setattr(energy_intervals, "LONGEST_ANSWER", longest)
+    monkeypatch.setattr(energy, "LONGEST_ANSWER", longest)
     rows = 16 * longest
     raw = tmp_path / "raw"
     raw.mkdir()

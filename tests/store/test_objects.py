@@ -1,8 +1,5 @@
 """An object store by its requests: what fails says what to do."""
 
-import subprocess
-import sys
-
 import pytest
 from clusters import free_port
 from obstore.exceptions import PermissionDeniedError
@@ -34,12 +31,6 @@ def test_a_store_that_is_gone_says_what_to_repeat(monkeypatch, server):
         Objects("s3://lab/x").get("a")
 
 
-def test_a_bucket_that_is_not_there_is_told(s3, tmp_path):
-    (tmp_path / "file").write_bytes(b"x")
-    with pytest.raises(StoreError, match="bucket is there"):
-        Objects("s3://nowhere/x").put("a", tmp_path / "file")
-
-
 def test_a_store_that_may_only_be_read_is_like_a_folder_that_may(s3, monkeypatch, tmp_path):
     def refuse(*_, **__):
         raise PermissionDeniedError("no")
@@ -67,20 +58,3 @@ def test_without_the_extra_it_is_told_what_to_install(monkeypatch):
         Objects("s3://x")
     with pytest.raises(UsageError, match="needs distributed"):
         check_installed("distributed", "a cluster")
-
-
-@pytest.mark.slow
-def test_a_folder_needs_none_of_it(tmp_path):
-    """Neither package is imported by commands that store into folders."""
-    code = (
-        "import sys\n"
-        "from pipeline.shell.cli import run\n"
-        "for command in ('ingest logs', 'compare --device x'):\n"
-        "    try:\n        run(command.split())\n"
-        "    except SystemExit:\n        pass\n"
-        "print([name for name in ('obstore', 'distributed', 'dask') if name in sys.modules])"
-    )
-    (tmp_path / "logs").mkdir()
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
-    assert done.stdout.splitlines()[-1] == "[]", done.stderr
-    assert "holds no logs of device 'x'" in done.stderr

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pipeline.measured.cost.settling_overshoot import settling
+from pipeline.measured.cost.costs import settling
 from pipeline.records import accuracy
 from pipeline.records.accuracy import AccuracyReport, MeasuredAccuracy
 from pipeline.shell import cli
@@ -58,7 +58,7 @@ def test_true_costs_are_those_of_a_long_ideal_log() -> None:
     for w, values in enumerate(whole_sum(trials, setup.plant.mass)):
         # 1,980 samples leave 0.98^1980 = 1e-17 of the motion; positions near 0.12 m are rounded to 1e-17 m
         assert values == pytest.approx(exact[f"energy, w = {w}"], rel=1e-9)
-    found = settling(trials.batch, trials.response, trials.verdicts, 4).samples["settle_2pct"]
+    found = settling(trials.batch, trials.response, trials.verdicts, 4)["settle_2pct"].value
     assert found.tolist() == exact["settling time"].tolist()
 
 

@@ -30,15 +30,15 @@ def with_cell(text: str, row: int, line: str) -> str:
 
 GOOD = log_text()
 FAULTS = {
-    "text cell": (with_cell(GOOD, 17, "0.006,abc,0"), 17, "command must be a finite number.*'abc'"),
-    "empty cell": (with_cell(GOOD, 12, "0.001,,0"), 12, "command must be a finite number.*''"),
+    "text cell": (with_cell(GOOD, 17, "0.006,abc,0"), 17, "command must be a number.*'abc'"),
+    "empty cell": (with_cell(GOOD, 12, "0.001,,0"), 12, "command has no value"),
     "NaN": (with_cell(GOOD, 20, "0.009,0,nan"), 20, "position is nan|position must be"),
     "infinity": (with_cell(GOOD, 40, "0.029,1e999,0"), 40, "command is inf"),
-    "fourth value": (with_cell(GOOD, 13, "0.002,0,0,0"), 13, "found 4 values"),
-    "second value missing": (with_cell(GOOD, 13, "0.002,0"), 13, "found 2 values"),
-    "blank line": (with_cell(GOOD, 13, ""), 13, "found a blank line"),
+    "fourth value": (with_cell(GOOD, 13, "0.002,0,0,0"), 13, "expected 3 values, found 4"),
+    "second value missing": (with_cell(GOOD, 13, "0.002,0"), 13, "expected 3 values, found 2"),
+    "blank line": (with_cell(GOOD, 13, ""), 13, "a blank line between rows"),
     "time stands still": (with_cell(GOOD, 14, "0.002,0,0"), 14, "expected it to increase"),
-    "carriage return": (with_cell(GOOD, 15, "0.004,0,0\r0.0041,0,0"), 15, "found 5 values"),
+    "carriage return": (with_cell(GOOD, 15, "0.004,0,0\r0.0041,0,0"), 15, "expected 3 values.*0.004"),
     "digit separator": (with_cell(GOOD, 16, "0.005,1_0,0"), 16, "'1_0'"),
     "no stiffness": (GOOD.replace("# stiffness", "# stiff"), 1, "no 'stiffness'.*# stiffness: <value>"),
     "NaN header": (GOOD.replace("300 ", "nan "), 3, "stiffness must be a finite number"),

@@ -9,29 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.records.figure_records import CostMap, Curve, DelayPanel, Figure, Limits
 from pipeline.records.findings import BoundaryPoint, Estimate, Optimum
 from pipeline.records.models import ComparisonRow, Motion
-from pipeline.records.results import ComparisonResult, ExperimentResult, ReportData, TheoryParameters
-from pipeline.records.score_records import BoundScore
-from pipeline.rendering.labels import criterion_label
+from pipeline.records.results import ComparisonResult, ExperimentResult, TheoryParameters
+from pipeline.rendering.figures.boundaries import limits_figure, limits_panel
+from pipeline.rendering.figures.drawing import Figure, Panel, Series
+from pipeline.rendering.report.report import ReportData
 
 CRITERIA = ("settle_2pct", "overshoot", "energy_step_w0", "energy_step_w1", "energy_step_w2")
 MINIMA = {"settle_2pct": 20.0, "energy_step_w0": 8.87, "energy_step_w1": 64.68, "energy_step_w2": 726.1}
-BOUND = BoundScore(
-    stiffness=38000,
-    stiffness_low=37000,
-    stiffness_high=39000,
-    slope=230,
-    slope_low=220,
-    slope_high=240,
-    damping_low=100,
-    damping_high=160,
-    dampings=16,
-    cut=0.2,
-    p_value=1e-9,
-)
-"""Linear upper bound in the manner of (6.5)."""
 HOSTILE = "<script>alert('x')</script> & $K_1$"
 
 
@@ -41,115 +27,23 @@ def limit(damping: Any, size: float = 1.0) -> Any:
     return np.maximum(9000 * size * 4 * b * (1 - b) * (0.6 + 0.7 * b), 0.0)
 
 
-def cost(criterion: str, k: Any, b: Any, size: float = 1.0) -> Any:
-    """A cost with one minimum near (5000, 82), infinite at the boundary; overshoot zero at low stiffness."""
-    inside = limit(b, size) - k
-    x, y = k / (9000 * size), b / (150 * size)
-    distance = (x - 0.55) ** 2 * 4 + (y - 0.55) ** 2 * 9
-    if criterion == "overshoot":
-        value = np.maximum(1.4 * (x - 0.45) + 2.5 * (y - 0.6) ** 2, 0) + 0.02 * np.maximum(x - 0.5, 0)
-    else:
-        value = MINIMA[criterion] * (1 + distance * 3 + 0.02 * 9000 / np.maximum(inside, 30))
-        value = np.ceil(value) if criterion.startswith("settle") else value
-    return np.where(inside > 0, value, np.nan)
-
-
-def boundary(label: str, kind: str, size: float = 1.0, noise: float = 0.0, seed: int = 0) -> Curve:
-    b = np.linspace(0, 150 * size, 400) if kind == "theory" else np.arange(0, 150 * size, 4.0)
-    k = limit(b, size) + noise * np.random.default_rng(seed).normal(size=b.size)
-    if kind != "measured":
-        return Curve(label, kind, k, b)
-    return Curve(label, kind, np.maximum(np.round(k / 200) * 200, 0), b, (b > 140 * size).astype(float))
-
-
-def best(k: Any, b: Any, values: Any) -> Optimum:
-    least = values == np.nanmin(values)  # of equal ones the largest stiffness, as for the overshoot
-    index = int(np.argmax(np.where(least, k, -np.inf)))
-    return Optimum(
-        stiffness=float(k.ravel()[index]), damping=float(b.ravel()[index]), cost=float(values.ravel()[index])
-    )
-
-
-def cost_map(label: str, kind: str, criterion: str, size: float = 1.0, seed: int = 1) -> CostMap:
-    rng = np.random.default_rng(seed)
-    top = 9500 * size
-    k = np.linspace(0, top, 251) if kind == "theory" else np.arange(200.0, top, 160.0)
-    b = np.linspace(0, 150 * size, 251) if kind == "theory" else np.arange(0.0, 150 * size, 3.0)
-    grid_k, grid_b = np.meshgrid(k, b)
-    values = cost(criterion, grid_k, grid_b, size)
-    empty = np.zeros(0)
-    trials = (empty, empty, empty)
-    if kind == "measured":
-        noisy = values * (1 + 0.04 * rng.normal(size=values.shape)) if criterion != "overshoot" else values
-        values = np.where(rng.random(values.shape) < 0.03, np.nan, noisy)
-        known = np.isfinite(values)
-        trials = (grid_k[known], grid_b[known], values[known])
-    edge = boundary("stability boundary", kind, size)
-    return CostMap(label, kind, k, b, values, edge, best(grid_k, grid_b, values), *trials)
-
-
-def cost_figure(criterion: str, size: float = 1.0) -> Figure[CostMap]:
-    maps = (
-        cost_map("theory, d = 4", "theory", criterion, size),
-        cost_map("experiment 1 (Falcon A)", "measured", criterion, size * 0.95, 1),
-        cost_map("experiment 2 (Falcon B)", "measured", criterion, size * 0.9, 2),
-    )
-    return Figure(
-        "maps",
-        f"cost-{criterion}-{round(100 * size)}",
-        criterion_label(criterion).split(" [")[0],
-        "Contour lines of the cost and, below, the least cost for each stiffness. Theory for m = 0.58 kg, "
-        "b = 4 Ns/m, k = 0 and d = 4.",
-        maps,
-        criterion,
-    )
-
-
-def boundary_figures() -> tuple[Figure[Limits], ...]:
-    measured = tuple(
-        boundary(f"experiment {i} (Falcon {'ABB'[i - 1]})", "measured", 1 - 0.03 * i, 60, i) for i in (1, 2, 3)
-    )
-    theory = tuple(boundary(f"d = {d}", "theory", 4.5 / (d + 0.5)) for d in (3, 4, 5, 6))
-    line = Curve("linear condition (6.5)", "linear", np.array([0.0, 9000.0]), np.array([150.0, 90.0]))
-    grips = tuple(boundary(f"experiment {i}", "measured", 1 + 0.1 * i, 60, i) for i in (1, 4, 6))
-    grips_theory = tuple(boundary(f"theory, experiment {i}", "theory", 1.05 + 0.14 * i) for i in (1, 4, 6))
-    lwr = tuple(boundary(f"d = {d}", "theory", 2.5 / (d + 0.5)) for d in range(2, 9))
-    lwr_measured = tuple(boundary(f"d = {d}", "measured", 2.0 / (d + 0.6), 40, d) for d in range(2, 9))
+def figures() -> tuple[Figure, ...]:
+    """Limits of three experiments with theory, and costs over delay: ten panels in all."""
+    b = np.arange(0.0, 150, 4.0)
+    series = [Series(f"experiment {n}", "measured", limit(b, 1 - 0.03 * n), b, number=n) for n in range(3)]
+    series += [Series(f"_theory {n}", "theory", limit(b, 1.05 - 0.03 * n), b, number=n) for n in range(3)]
+    panels = [limits_panel(f"({name})", series, "translation") for name in "abc"]
+    delays = np.arange(2.0, 9.0)
+    over = [
+        Panel(
+            c, ("delay d [samples]", c), (Series("theory", "line", delays, 5 * (delays + 1)),), f"Costs {c} over delay."
+        )
+        for c in CRITERIA
+    ]
     return (
-        Figure(
-            "boundaries",
-            "bound-devices",
-            "Stability boundaries without operator",
-            "Measured against theory for m = 0.58 kg, d = 3 to 6.",
-            (("", (*measured, *theory, line)),),
-        ),
-        Figure(
-            "boundaries",
-            "bound-grip",
-            "Influence of the operator",
-            "Measured (solid) and theoretical (dashed).",
-            (("(a) Falcon A", (*grips, *grips_theory, line)), ("(b) Falcon B", (*grips, line))),
-        ),
-        Figure(
-            "boundaries",
-            "bound-delay",
-            "Influence of delay",
-            "Theory left, experiment right.",
-            (("theory", lwr), ("experiment", lwr_measured)),
-        ),
-    )
-
-
-def delay_figure() -> Figure[DelayPanel]:
-    d = np.arange(2.0, 9.0)
-    panels = []
-    for criterion, c, w in (("settle_2pct", 5.0, 0), ("energy_step_w0", 2.8, 0), ("energy_step_w1", 4.5, 1)):
-        theory = c * (d + 1) ** (w + 1)
-        measured = theory * (1 + 0.05 * np.sin(3 * d))
-        measured[3] = np.nan
-        panels.append(DelayPanel(criterion, d, theory, theory * 0.95, "theory, δ = 0.02", measured))
-    return Figure(
-        "delay", "delay", "Optimal cost over delay", "Measured optima (plus signs) follow theory.", tuple(panels)
+        limits_figure("Stability limits", "Measured against theory.", panels, "boundaries-all"),
+        limits_figure("Influence of delay", "Theory left.", panels[:2], "boundaries-delay"),
+        Figure("delay", "delay", "Optimal cost over delay", "Theory.", tuple(over), size=(440.0, 300.0)),
     )
 
 
@@ -248,6 +142,7 @@ def delay_rows() -> tuple[ComparisonRow, ...]:
                         criterion=criterion,
                         condition=condition,
                         delay_samples=float(d),
+                        experiment=f"delay-{d}" if condition == "experiment" else None,
                         stiffness=None,
                         damping=None,
                         cost=None if gone else value,
@@ -289,8 +184,7 @@ def report_data(*, full: bool = True, motion: Motion = "translation", hostile: b
     )
     if not full:
         return ReportData(result, stages=stages)
-    costs = tuple(cost_figure(c) for c in CRITERIA) + tuple(cost_figure(c, 1.4) for c in ("settle_2pct", "overshoot"))
-    return ReportData(result, (*boundary_figures(), *costs, delay_figure()), stages=stages)
+    return ReportData(result, figures(), stages=stages)
 
 
 def bare(data: ReportData) -> ReportData:

@@ -11,11 +11,12 @@ from kinds import kinds
 from pipeline.device_data.devices import load_device
 from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.loop.loop import Loop, Normalised
-from pipeline.measured.cost.settling_overshoot import settling
+from pipeline.measured.cost.costs import settling
+from pipeline.measured.model.parts import chosen
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.plan.course import Course, Wish, wanted_dampings
-from pipeline.plan.fitted import Fitted, at_once, learn
+from pipeline.plan.learnt import Learnt, learn
 from pipeline.plan.planner import plan_of
 from pipeline.plan.verdicts import Tried, bracket
 from pipeline.records.batch import Floats, TrialBatch
@@ -45,7 +46,7 @@ class Rig:
         self.setup = setup_of(self.case.device, self.case.device.experiments[0])
         self.trials: list[TrialBatch] = []
         self.verdicts: list[tuple[str, float]] = []
-        self.fitted: Fitted | None = None
+        self.learnt: Learnt | None = None
 
     def try_walls(self, stiffness: Floats, damping: Floats, repetition: int = 0) -> np.ndarray:
         """Return the verdicts of walls, which are not kept."""
@@ -61,7 +62,7 @@ class Rig:
         found = judge(batch)
         self.trials.append(batch)
         self.verdicts.append((str(found.verdict[0]), float(found.growth_per_s[0])))
-        self.fitted = learn(TrialBatch.joined(self.trials), self.fitted, at_once)
+        self.learnt = learn(TrialBatch.joined(self.trials), len(self.trials), self.learnt, chosen)
 
     @property
     def tried(self) -> Tried:
@@ -85,7 +86,7 @@ class Rig:
         """Return measured settling times of trials [samples]."""
         response = find_response(batch)
         delay = int(self.case.stated.experiments[0].delay_samples)
-        return settling(batch, response, judge(batch, response), delay).samples["settle_2pct"]
+        return settling(batch, response, judge(batch, response), delay)["settle_2pct"].value
 
     def course(self, *, costs: bool = False) -> Course:
         """Return the trials so far as the planner reads them."""
@@ -100,7 +101,7 @@ class Rig:
             trial_s=stated.duration_s - stated.baseline_s,
             step=stated.step,
             rotation=False,
-            fitted=self.fitted,
+            found=self.learnt.device if self.learnt else None,
         )
 
     def truth(self, dampings: Sequence[float]) -> tuple[Floats, Floats]:

@@ -10,8 +10,8 @@ import pyarrow.parquet as pq
 
 from pipeline.base.lock import writing
 from pipeline.records.table_files import parquet_bytes
-from pipeline.store.batch_files import rewrite, tidy
-from pipeline.store.mirror import publish
+from pipeline.store.batch_files import remove_incomplete, rewrite, tidy
+from pipeline.store.objects import publish
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import read_trials, trials_files
 
@@ -19,7 +19,8 @@ from pipeline.store.storage import read_trials, trials_files
 def merge_all(processed: Path) -> None:
     """Make one file of all batches of an experiment, a motion and a mode, as ingests do of those of like size."""
     with writing(processed, 0):
-        tidy(processed)
+        remove_incomplete(processed)
+        tidy(processed, {})
         kinds: dict[tuple[Path, str, int], list[Path]] = {}
         for file in trials_files(processed):
             motion = pq.read_schema(file).metadata[b"pipeline.motion"].decode()

@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import base64
+import json
+import zlib
+from typing import Any
+
 import numpy as np
 
-from pipeline.records.trial_codec import PARTS, TrialPage, code, pack, reference, step_size
+from pipeline.comparison.figures.trial_page import PARTS, code, reference, step_size
+from pipeline.rendering.report.report import pack
+from pipeline.rendering.report.tables import TrialPage
 
 STIFFNESS = (500.0, 1000.0, 1500.0, 2000.0)
 DAMPING = (0.0, 10.0, 20.0)
@@ -95,9 +102,14 @@ def trial_page(names: tuple[str, str] = ("1", "2"), text: str = "") -> TrialPage
 
 
 def decode(coded: dict[str, list[int]], step: float) -> np.ndarray:
-    """Return the values that `trial_codec.code` coded, as the script of the page does, each within half a step."""
+    """Return the values that `trial_page.code` coded, as the script of the page does, each within half a step."""
     counted: list[int] = []
     for missed in coded["r"]:
         past = zip(coded["c"], reversed(counted), strict=False)
         counted.append(missed + (sum(c * value for c, value in past) + PARTS // 2) // PARTS)
     return np.asarray(counted, dtype=np.float64) * step
+
+
+def unpack(packed: str) -> Any:
+    """Return what `report.pack` packed."""
+    return json.loads(zlib.decompress(base64.b64decode(packed)))

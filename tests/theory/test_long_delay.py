@@ -1,10 +1,11 @@
 """A delay that is longer than theory is computed for: the measured part of a report stands, without theory."""
 
 import pytest
+from report_data import experiment
 
 from pipeline.base.provenance import USER_FOLDER_VARIABLE, schema_folder
 from pipeline.comparison.compare import compare
-from pipeline.comparison.figures.boundary_curves import too_late
+from pipeline.comparison.summary.summary_warnings import too_late
 from pipeline.device_data.devices import read_device
 from pipeline.intake.ingest import ingest
 from pipeline.records.findings import Estimate
@@ -19,7 +20,8 @@ DELAY = 280
 )
 def test_what_the_interval_leaves_open_counts(value, high, late):
     reason = "not seen" if value is None else None
-    assert too_late(Estimate(value=value, low=value, high=high, unit="samples", method="first", reason=reason)) is late
+    delay = Estimate(value=value, low=value, high=high, unit="samples", method="first", reason=reason)
+    assert too_late(experiment("1").model_copy(update={"estimates": {"delay_samples": delay}})) is late
 
 
 @pytest.mark.slow

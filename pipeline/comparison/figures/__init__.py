@@ -1,1 +1,1 @@
-"""Arrays behind the figures of a comparison."""
+"""Figures and trials of a report that need what is stored of the logs: cost maps, responses, the explorer's data."""

@@ -1,200 +1,251 @@
-"""Why an experiment deviates from the ideal loop, as far as its logs show it directly."""
+"""Why an experiment deviates from the ideal loop: departures from the wall law and parts of the device, in one list."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pipeline.base.wording import counted
-from pipeline.comparison.loops.adequacy import Shown
-from pipeline.comparison.loops.log_evidence import coarse, friction_words, law_causes, rest_words
-from pipeline.comparison.loops.loop_range import MATTERS, LoopRange, explains, loop_delay
-from pipeline.comparison.loops.part_causes import part_causes
+from pipeline.comparison.loops.departures import MATTERS, SENTENCES, CourseFilter, LawDeparture, OtherGains
+from pipeline.comparison.loops.replay import LOW, coarse
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.findings import Estimate
-from pipeline.records.loop_records import Cause
+from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
+from pipeline.records.loop_records import Cause, CauseCode, Parameter
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.labels import Units, percent_text, share_text, significant, span
 
 FEW = 10
-"""Trials below which nothing that differs between trials can be told."""
+"""Trials below which nothing that differs between trials can be told: a share of them is known to 30 % at best."""
 
-APART, APART_ERRORS = 0.5, 4.0
-"""Distance from the median onset, in samples and in errors of one, beyond which a trial's delay is another one."""
+APART, OTHERS = 0.5, 0.2
+"""Distance from the median onset [samples] beyond which a trial's delay is another one, and the share of such trials
+from which on it jitters: two delays as likely make a half."""
 
-OTHERS = 0.2
-"""Share of the trials with another delay from which on it jitters: two delays as likely make a half."""
+ALONG = np.linspace(0.0, 1.0, 6)
+"""Dampings, relative to that of the stiffest wall, at which a change of the limit is looked for: beyond it the limit
+falls so steeply that any change is large."""
 
-MOST = 5
-"""Causes that are named of what single logs show."""
+SETTLING = 0.02
+"""Friction relative to the step from which on settling times depend on it: half width of the usual band."""
 
 
-def direct_causes(
-    result: ExperimentResult,
-    stages: ExperimentStages,
-    loop: LoopRange | None,
-    shown: Shown,
-    stated_mass: float | None,
-    units: Units,
-    *,
-    adequate: bool,
-) -> tuple[Cause, ...]:
-    """Return the causes that logs show directly, most certain first; empty for an ideal loop.
+@dataclass(frozen=True)
+class Candidate:
+    """A cause that may be told: ``effect`` is the largest change of a result by it, or its share of the logs."""
 
-    Parameters
-    ----------
-    result : ExperimentResult
-    stages : ExperimentStages
-    loop : LoopRange or None
-        By the estimates.
-    shown : Shown
-        What single logs and all together show.
-    stated_mass : float or None
-        Mass by the device file.
-    units : Units
-    adequate : bool
-        Whether the loop is; a delay or a gain of one that is not means something else.
+    code: CauseCode
+    effect: float
+    sentence: str
+    evidence: str
 
-    Notes
-    -----
-    A cause whose effect on the limit is known and below `MATTERS` is not told.
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What causes are read from: the experiment, its usual trial, departures, filter, and the device that was found."""
+
+    result: ExperimentResult
+    stages: ExperimentStages
+    trial: Trial
+    units: Units
+    departures: list[LawDeparture]
+    velocity: CourseFilter | None
+    gains: OtherGains | None
+    found: FoundDevice | None
+    stated_mass: float | None
+
+    @property
+    def force(self) -> str:
+        """Unit of a force."""
+        return "Nm" if "rad" in self.units.stiffness else "N"
+
+
+def causes_of(shown: Shown) -> tuple[Cause, ...]:
+    """Return the causes that change a result by more than `MATTERS`: departures in the order of their logs, then parts
+    of the device by what they change, then what the course itself leaves open; empty for an ideal loop."""
+    first = [] if shown.gains is None or shown.gains.few else [shown.gains.cause]
+    found = [*_departures(shown), *sorted(_parts(shown), key=lambda each: -each.effect), *_course(shown)]
+    told: dict[str, Cause] = {cause.code: cause for cause in first}
+    for each in found:
+        if each.effect > MATTERS and each.code not in told:
+            told[each.code] = Cause(code=each.code, sentence=each.sentence, evidence=each.evidence)
+    return tuple(told.values())
+
+
+UNNAMED = {"other_wall", "other_unit", "unknown"}
+"""Departures that are no cause: what they are is not known, or `other_gains` names it."""
+
+
+def _departures(shown: Shown) -> Iterator[Candidate]:
+    for each in shown.departures:
+        sentence = SENTENCES[each.code]
+        if each.code == "velocity_filter":
+            # a controller filters the velocity in all trials or in none; single logs can imitate it
+            if not each.most or shown.velocity is None:
+                continue
+            sentence = f"The velocity of the wall law {shown.velocity.words}."
+        if each.code not in UNNAMED:
+            yield Candidate(each.code, each.logs / each.of, sentence, each.shown)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a device as a cause: code, the number that tells most, its unit in SI, and the sentence.
+
+    ``over`` is what its number moves the rest position relative to: the step's force or the softest wall's stiffness.
     """
-    departures, fitted = shown.departures, shown.fitted
-    found = [] if shown.gains is None or shown.gains.few else [shown.gains.cause]
-    found += law_causes(departures, stages)[:MOST]
-    if fitted is not None and fitted.tells and "delay_samples" not in fitted.open:
-        parts = part_causes(stages, fitted, shown.velocity, units)
-        found += [cause for cause in parts if all(cause.code != other.code for other in found)]
-    elif not departures:  # a command that is not the wall law's tells of no force beside it
-        found += _force(result, shown, units, stages)
-    if loop is not None:
-        found += _jitter(result, stages, loop)
-        found += [] if not adequate or loop.parts.actuator_lag_s else [*_part_of_a_sample(result, loop)]
-        found += _gain(result, loop, stated_mass)
-    found += _sensor(stages)
-    found += _trials(result, stages)
-    return tuple(found)
+
+    code: CauseCode
+    number: str
+    sentence: str
+    over: str = ""
+    unit: float = 1.0
 
 
-def _force(result: ExperimentResult, shown: Shown, units: Units, stages: ExperimentStages) -> Iterator[Cause]:
-    """A constant force or friction, by the estimates where they are and by where the device rests.
+PARTS = {
+    "friction": Part(
+        "coulomb_friction", "coulomb", "The device has Coulomb friction of {value} {force}{more}.", "step"
+    ),
+    "lag": Part(
+        "actuator_lag", "actuator_lag_s", "The force lags the command by a time constant of {value} ms.", "", 1e3
+    ),
+    "spring": Part(
+        "operator", "stiffness", "A spring of {value} {stiffness} holds the device: a hand, or its own.", "wall"
+    ),
+    "force": Part(
+        "constant_force", "constant_force", "A constant force of {value} {force} acts on the device.", "step"
+    ),
+    "mode": Part("vibration_mode", "frequency_hz", "The device vibrates at {value} Hz, as seen by a sensor {at}."),
+}
 
-    Friction with stiction is seen by the balance of all trials and by the likeliest device, though that explains few of
-    them; either alone may be another part's likeness.
-    """
-    rest, fitted = shown.rest, shown.fitted
-    constant, friction = (result.estimates.get(name) for name in ("constant_force", "friction"))
-    walls = any(point.stable is not None for point in result.boundary)
-    if constant is not None and _is_sure(constant) and (rest.tells or not walls):
-        yield Cause(
-            code="constant_force",
-            sentence=f"A constant force of {significant(constant.value or 0.0, 3)} {constant.unit} acts on the device.",
-            evidence=f"estimated from the logs, 95 %: {_interval(constant)}",
+
+def _parts(shown: Shown) -> Iterator[Candidate]:
+    """Yield the parts of the found device, and numbers that it would share with another one."""
+    found = shown.found
+    if found is None:
+        return
+    fitted, values = found.fitted, found.fitted.values
+    force = fitted.parameter("constant_force")
+    beside = ["force"] if force is not None and force.low * force.high > 0 else []
+    stable = shown.stages.column("response", "stiffness")[shown.stages.verdicts.verdict == "stable"]
+    least = {"step": abs(shown.trial.step) or np.inf, "wall": float(stable[stable > 0].min(initial=np.inf)), "": np.inf}
+    for name in dict.fromkeys([*fitted.parts, *beside]):
+        kind, _, at = name.partition(" ")
+        if (part := PARTS.get(kind)) is None:
+            continue
+        number, rest = fitted.known(part.number), abs(values[part.number]) / least[part.over]
+        left = {key: value for key, value in values.items() if kind != "mode" or key != "far_mass"}
+        left |= {part.number: 0.0} if kind != "mode" else {}
+        effect, change = _beside(found.point, found.at(left), shown)
+        if rest > effect:
+            effect, change = rest, f"{significant(100 * rest, 2)} % of the final displacement at most"
+        words = {"value": significant(part.unit * number.value, 3), "stiffness": shown.units.stiffness, "at": at}
+        words |= {"force": shown.force, "more": _held(number.value, shown.trial.step) if kind == "friction" else ""}
+        ends = span(lambda value: significant(value, 4), part.unit * number.low, part.unit * number.high)
+        yield Candidate(part.code, effect, part.sentence.format(**words), f"95 %: {ends}; {change}")
+    yield from _shared(shown, found)
+
+
+def _held(coulomb: float, step: float) -> str:
+    """Return what friction does where it is more than a settling band."""
+    if not step or abs(coulomb) <= SETTLING * abs(step):
+        return ""
+    return f", {share_text(coulomb / abs(step), 0)} % of the step: it rests off target, and settling times show that"
+
+
+def _beside(point: LoopPoint, other: LoopPoint, shown: Shown) -> tuple[float, str]:
+    """Return how far limits of two devices are apart where they differ most for their size, and both in words."""
+    where = np.unique(np.concatenate([ALONG * each.stiffest for each in (point, other)]))
+    own, others = point.limit(where), other.limit(where)
+    if point.coulomb != other.coulomb:  # for the step: to large motions friction is none
+        own = np.maximum(np.nan_to_num(point.step_limits(where, shown.trial, np.zeros(len(where)))), own)
+    larger = np.maximum(own, others)
+    some = larger > LOW * larger.max(initial=0.0)
+    if not some.any():
+        return 0.0, ""
+    place = int(np.argmax(np.where(some, np.abs(own - others) / np.where(some, larger, 1.0), 0.0)))
+    K, B = shown.units.stiffness, shown.units.damping
+    text = f"limit at B = {significant(where[place], 3)} {B}: K = {significant(own[place], 3)} {K} with it, "
+    return float(abs(own - others)[place] / larger[place]), text + f"{significant(others[place], 3)} without"
+
+
+def _shared(shown: Shown, found: FoundDevice) -> Iterator[Candidate]:
+    """Yield a delay that is no whole number, jitter, and a mass that is not the stated one."""
+    point, delay, mass = found.point, found.fitted.known("delay_samples"), found.fitted.known("mass")
+    part = delay.value - round(delay.value)
+    jitter = list(_jitter(shown, point))
+    yield from jitter
+    if not (jitter or point.parts.actuator_lag_s or delay.low <= round(delay.value) <= delay.high):
+        yield Candidate(
+            "fractional_delay",
+            _beside(point, replace(point, delay_samples=delay.value - part), shown)[0],
+            f"The delay is no whole number of samples, {significant(delay.value, 3)}, or an actuator lag of less than "
+            "a sample adds to a whole one: logs do not tell which.",
+            f"model fitted to the whole response, 95 %: {_span(delay)}",
         )
-    elif rest.tells and rest.constant:
-        unit = "Nm" if "rad" in units.stiffness else "N"
-        yield Cause(
-            code="constant_force",
-            sentence=f"A constant force of about {significant(rest.typical, 2)} {unit} acts on the device.",
-            evidence=rest_words(rest, unit),
-        )
-    both = fitted is not None and "friction" in fitted.parts
-    if friction is not None and (friction.low or 0.0) > 0 and (rest.tells or not walls or both):
-        also = ", and of the devices fitted to all trials the likeliest has friction" if both else ""
-        yield Cause(
-            code="coulomb_friction",
-            sentence=friction_words(friction.value or 0.0, friction.unit, stages),
-            evidence=f"estimated from the logs, 95 %: {_interval(friction)}{also}",
+    stated = shown.stated_mass
+    if stated is not None and max(mass.low - stated, stated - mass.high) > MATTERS * stated:
+        change = percent_text(100 * (stated / mass.value - 1))
+        yield Candidate(
+            "force_gain",
+            _beside(point, replace(point, mass=stated), shown)[0],
+            f"Force per unit of command, or the stated mass, is off by {change} %.",
+            f"mass by the logs {significant(mass.value, 4)} ({_span(mass)}), by the device file "
+            f"{significant(stated, 4)}",
         )
 
 
-def _part_of_a_sample(result: ExperimentResult, loop: LoopRange) -> Iterator[Cause]:
-    delay = loop_delay(result)
-    value = delay.value or 0.0
-    part = value - round(value)
-    if part and loop.effect(delay=-part) > MATTERS:
-        yield Cause(
-            code="fractional_delay",
-            sentence=f"The delay is no whole number of samples, {significant(value, 3)}, or an actuator lag of less "
-            "than a sample adds to a whole one: logs do not tell which.",
-            evidence=f"model fitted to the whole response, 95 %: {_interval(delay)}",
-        )
-
-
-def _jitter(result: ExperimentResult, stages: ExperimentStages, loop: LoopRange) -> Iterator[Cause]:
-    """Jitter of the delay: within trials, by an amount that matters, and between them.
+def _jitter(shown: Shown, point: LoopPoint) -> Iterator[Candidate]:
+    """Yield jitter of the delay within trials, by an amount that matters, that differs between them, too.
 
     Friction and lag look like jitter within a trial; the first motion, which nothing but the step causes, comes after
     the same delay with them.
     """
-    jitter = result.estimates.get("jitter_samples")
-    if jitter is None or (jitter.low or 0.0) <= 0 or loop.effect(delay=jitter.low or 0.0) <= MATTERS:
+    jitter = shown.result.estimates.get("jitter_samples")
+    if jitter is None or (jitter.low or 0.0) <= 0:
         return
-    onset, error = (stages.column("delay", f"onset_{name}") for name in ("samples", "error"))
-    sure = error < APART / APART_ERRORS
-    if not explains(result) or not sure.any():
-        return
-    others = np.abs(onset - np.median(onset[sure]))[sure] > APART
-    if others.mean() < OTHERS:
-        return
-    yield Cause(
-        code="delay_jitter",
-        sentence=f"The delay jitters, by {significant(jitter.value or 0.0, 2)} samples within a trial.",
-        evidence=f"95 %: {_interval(jitter)}; the first motion comes {significant(APART, 1)} samples or more earlier "
-        f"or later than in the median in {others.sum()} of {counted(len(others), 'trial')}",
-    )
-
-
-def _gain(result: ExperimentResult, loop: LoopRange, stated_mass: float | None) -> Iterator[Cause]:
-    """A gain of the actuator: a mass per unit of command that is not the one that the device file states."""
-    if stated_mass is None or not explains(result):
-        return
-    mass = loop.mass
-    outside = max(mass.low - stated_mass, stated_mass - mass.high, 0.0)
-    if outside <= MATTERS * stated_mass or loop.effect(mass=stated_mass - mass.value) <= MATTERS:
-        return
-    change = percent_text(100 * (stated_mass / mass.value - 1))
-    yield Cause(
-        code="force_gain",
-        sentence=f"Force per unit of command, or the stated mass, is off by {change} %.",
-        evidence=f"mass by the logs {significant(mass.value, 4)} ({significant(mass.low, 4)} to "
-        f"{significant(mass.high, 4)}), by the device file {significant(stated_mass, 4)}",
-    )
-
-
-def _sensor(stages: ExperimentStages) -> Iterator[Cause]:
-    share = coarse(stages)
-    if len(share) and float(np.median(share)) > MATTERS:
-        yield Cause(
-            code="coarse_sensor",
-            sentence="The position sensor is coarse for the motions that were recorded.",
-            evidence=f"its quantum is {share_text(float(np.median(share)))} % of the final displacement in the median "
-            f"of {counted(len(share), 'stable trial')}",
+    onset, error = (shown.stages.column("delay", f"onset_{name}") for name in ("samples", "error"))
+    sure = error < APART / 4
+    others = np.abs(onset - np.median(onset[sure]))[sure] > APART if sure.any() else np.zeros(1)
+    if others.mean() >= OTHERS:
+        yield Candidate(
+            "delay_jitter",
+            _beside(point, replace(point, delay_samples=point.delay_samples + (jitter.low or 0.0)), shown)[0],
+            f"The delay jitters, by {significant(jitter.value or 0.0, 2)} samples within a trial.",
+            f"95 %: {span(lambda value: significant(value, 4), jitter.low, jitter.high)}; the first motion comes "
+            f"{significant(APART, 1)} samples or more earlier or later than in the median in {int(others.sum())} of "
+            f"{counted(len(others), 'trial')}",
         )
 
 
-def _trials(result: ExperimentResult, stages: ExperimentStages) -> Iterator[Cause]:
-    tested = stages.column("response", "stiffness") > 0
-    verdict = stages.verdicts.verdict[tested]
-    if result.trials < FEW:
-        yield Cause(
-            code="few_trials",
-            sentence="There are few trials.",
-            evidence=f"{counted(result.trials, 'trial')}; what differs between trials shows from {FEW} on",
+def _course(shown: Shown) -> Iterator[Candidate]:
+    """Yield what the trials themselves leave open."""
+    stages, result, share = shown.stages, shown.result, coarse(shown.stages)
+    middle = float(np.median(share)) if len(share) else 0.0
+    yield Candidate(
+        "coarse_sensor",
+        middle,
+        "The position sensor is coarse for the motions that were recorded.",
+        f"its quantum is {share_text(middle)} % of the final displacement in the median of "
+        f"{counted(len(share), 'stable trial')}",
+    )
+    yield Candidate(
+        "few_trials",
+        float(result.trials < FEW),
+        "There are few trials.",
+        f"{counted(result.trials, 'trial')}; what differs between trials shows from {FEW} on",
+    )
+    verdict = stages.verdicts.verdict[stages.column("response", "stiffness") > 0]
+    counts = {said: int((verdict == said).sum()) for said in ("stable", "unstable")}
+    for none, other in (("stable", "unstable"), ("unstable", "stable")):
+        yield Candidate(
+            "no_stable_trial" if none == "stable" else "no_unstable_trial",
+            float(not counts[none] and counts[other] > 0.5 * len(verdict)),
+            f"No trial was {none}.",
+            f"{counted(len(verdict), 'trial')} at K > 0",
         )
-    tried = f"{counted(int(tested.sum()), 'trial')} at K > 0"
-    unstable, stable = (int((verdict == said).sum()) for said in ("unstable", "stable"))
-    if unstable > 0.5 * len(verdict) and not stable:
-        yield Cause(code="no_stable_trial", sentence="No trial was stable.", evidence=tried)
-    if stable > 0.5 * len(verdict) and not unstable:
-        yield Cause(code="no_unstable_trial", sentence="No trial was unstable.", evidence=tried)
 
 
-def _is_sure(estimate: Estimate) -> bool:
-    low, high = estimate.low, estimate.high
-    return estimate.value is not None and low is not None and high is not None and low * high > 0
-
-
-def _interval(estimate: Estimate) -> str:
-    return span(lambda value: significant(value, 4), estimate.low, estimate.high)
+def _span(number: Parameter) -> str:
+    return span(lambda value: significant(value, 4), number.low, number.high)

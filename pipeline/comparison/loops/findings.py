@@ -2,33 +2,45 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from pipeline.base.wording import listed
-from pipeline.comparison.loops.adequacy import Doubt, Shown, doubts
-from pipeline.comparison.loops.causes import direct_causes
-from pipeline.comparison.loops.fitted_loop import found_loop, mode_parameters, velocity_of
-from pipeline.comparison.loops.large_motion import TYPICAL, limits_for_step
-from pipeline.comparison.loops.log_evidence import filters_of_logs, law_departures
-from pipeline.comparison.loops.loop_range import LoopRange, stated_range
-from pipeline.comparison.loops.loop_record import exact, filter_parameters, stated_parameters
-from pipeline.comparison.loops.other_gains import other_gains
+from pipeline.comparison.loops.causes import Shown, causes_of
+from pipeline.comparison.loops.departures import CourseFilter, course_filter, law_departures, other_gains
 from pipeline.comparison.loops.passive_wall import passive_wall
-from pipeline.comparison.loops.wall_replay import replay_words, wall_replay
-from pipeline.measured.experiment.fitted_device import fitted_device
-from pipeline.measured.experiment.rest_forces import rest_forces
-from pipeline.measured.intervals import NORMAL_95
+from pipeline.comparison.loops.replay import (
+    limits_off,
+    median,
+    replay_error,
+    replay_words,
+    softest,
+    told_limits,
+    usual_trial,
+    wall_replay,
+)
+from pipeline.comparison.loops.told_loop import ToldLoop, found_device, loop_numbers, told_loop
 from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import LoopParts
-from pipeline.records.loop_records import Cause, LoopFindings, LoopLimit, LoopResult, Parameter, WallReplay
+from pipeline.records.loop_records import LIMITS_WITHIN, LoopFindings, LoopResult, Parameter, WallReplay
 from pipeline.records.models import Device
 from pipeline.records.results import ExperimentResult
-from pipeline.rendering.labels import Units
+from pipeline.rendering.labels import Units, significant
 
-MOST_REASONS = 3
-"""Reasons against a loop that are told: the gravest ones; others often follow from them."""
+OTHER_WALL = (
+    "the unit of the position, or of K, B and the step, corrected in the profile (see `pipeline profile check`)"
+)
+SHIFTED = (
+    "the command is logged in another row than its position, and the delay is off by as many samples; what would help: "
+    "command and position of the same sample in a row"
+)
+NOTHING = "no device was found in the logs, since mass, damping or delay are not known"
+HELD = (
+    "a spring holds the device, perhaps a hand: how much of the damping is the device's own is not known, and a wall "
+    "is passive by that alone; a device file, or trials without it, would tell"
+)
 
 
 def loop_findings(
@@ -47,153 +59,93 @@ def loop_findings(
 
     Notes
     -----
-    The loop is that of the device file where there is one, with intervals that reach to the estimates; else that of
-    the estimates.
+    The found device's replay is the only judge. The loop is that of the device file where it has the measured limits,
+    or without any those of the found device; else it is the found device's.
     """
-    entry = next((e for e in device.experiments if e.name == stages.experiment), None) if device else None
-    gains, rest = stages.once(other_gains), stages.once(rest_forces)
-    fitted = stages.once(fitted_device)
-    departures = [] if gains is not None and gains.most else law_departures(stages)
-    velocity = velocity_of(stages, departures)
-    shown = Shown(departures, rest, fitted, velocity, filters_of_logs(stages) if velocity else (), gains)
-    estimated = found_loop(result, stages, velocity)
-    period = device.sampling_period_s if device else stages.sampling_period_s
-    parts = device.loop_of(entry) if device and entry else None
-    loop = estimated if entry is None or parts is None else stated_range(entry, parts, estimated, period)
-    against = doubts(result, loop, shown, parts, units)
-    hard = [doubt for doubt in against if not doubt.soft]
-    stated = loop.mass.value if parts and loop else None
-    causes = direct_causes(result, stages, estimated, shown, stated, units, adequate=not hard)
-    # a file that the logs contradict foretells no limit
-    loops = (estimated if hard and estimated is not None else loop, estimated)
-    limits, replay = _predicted(result, stages, loops, shown, causes)
-    if replay is not None and replay.verdicts_same is not None:
-        against = hard if replay.is_right else against or [Doubt(replay_words(replay))]
-    record = _loop_result(result, loop, against, shown, parts)
-    if replay is not None and "friction" in record.parts_beside and not against:
-        record = record.model_copy(update={"reason": replay_words(replay)})
-    limits = _widened(limits, replay) if against else limits
-    findings = LoopFindings(loop=record, loop_boundary=limits or None, replay=replay, causes=causes)
-    if loop is None or against:
-        why = f"needs an adequate loop, and this one is not: {record.reason}"
-        return findings.model_copy(update={"passive_reason": why})
-    held = entry is None and fitted is not None and "spring" in fitted.parts
+    gains = stages.once(other_gains)
+    misled = gains is not None and gains.most
+    departures = [] if misled else law_departures(stages)
+    velocity = None if misled else stages.once(course_filter)
+    shifted = any(each.code == "command_shifted" for each in departures)
+    found = None if misled or shifted else found_device(result, stages)
+    of = next((each for each in device.experiments if each.name == stages.experiment), None) if device else None
+    told = None if misled or shifted else told_loop(found, device, of)
+    trial = usual_trial(result, stages)
+    limits, replay, refused = [], None, ""
+    if told is not None:
+        B = np.array([point.damping for point in result.boundary])
+        limits = [each.limits(B, trial, softest(result, stages)) for each in told.devices]
+        if found is not None:
+            replay = wall_replay(result, stages, found, limits[-1][0], trial)
+        told = replace(told, error=replay_error(replay))
+        if told.stated is not None and found is not None:
+            told, limits, refused = _judged(told, result, limits)
+    stated = told.point.mass if told is not None and told.stated is not None else None
+    shown = Shown(result, stages, trial, units, departures, velocity, gains, found, stated)
+    parts = device.loop_of(of) if device is not None and of is not None else None
+    causes = causes_of(shown)
+    adequate = told is not None and replay is not None and replay.is_right
+    why = f"{gains.cause.sentence.rstrip('.')}; what would help: {OTHER_WALL}" if misled and gains else SHIFTED
+    reason = why if misled or shifted else NOTHING if told is None else _reason(told, replay, refused, parts)
+    record = _record(result, told, velocity, parts, adequate=adequate, reason=reason)
+    findings = LoopFindings(loop=record, replay=replay, causes=causes)
+    if told is None:
+        return findings.model_copy(update={"passive_reason": reason})
+    findings = findings.model_copy(update={"loop_boundary": told_limits(result, told, limits) or None})
+    if not adequate:
+        return findings.model_copy(update={"passive_reason": f"needs an adequate loop, and this one is not: {reason}"})
+    held = told.stated is None and found is not None and "spring" in found.fitted.parts
     # a hand that is let go of takes its damping with it
-    wall, why_none = (None, _HELD) if held else passive_wall(loop, result)
-    return findings.model_copy(update={"passive": wall, "passive_reason": why_none})
+    wall, none = (None, HELD) if held else passive_wall(told, result)
+    return findings.model_copy(update={"passive": wall, "passive_reason": none})
 
 
-def _predicted(
+def _judged(
+    told: ToldLoop, result: ExperimentResult, limits: list[tuple[Floats, Floats]]
+) -> tuple[ToldLoop, list[tuple[Floats, Floats]], str]:
+    """Return the loop by its file with its limits, or by the logs alone where those of the file are others, and why."""
+    (by_file, _), (by_logs, _) = limits
+    off = limits_off(result, by_file)
+    if off is None:
+        off = median(100 * np.abs(by_file / np.where(by_logs > 0, by_logs, np.nan) - 1))
+    if off is None or off <= LIMITS_WITHIN:
+        return told, limits, ""
+    why = f"the limits of the device file's loop are {significant(off, 2)} % off, so that the found device is used"
+    return replace(told, stated=None), limits[1:], why
+
+
+def _record(
     result: ExperimentResult,
-    stages: ExperimentStages,
-    loops: tuple[LoopRange | None, LoopRange | None],
-    shown: Shown,
-    causes: tuple[Cause, ...],
-) -> tuple[tuple[LoopLimit, ...], WallReplay | None]:
-    """Return the limits of the loop, for the step that was used where there is friction, and the found one's replay.
-
-    ``loops`` are that of the statements and the one found.
-    """
-    loop, estimated = loops
-    if loop is None or not result.boundary or (shown.gains is not None and shown.gains.most):
-        return (), None
-    friction = result.estimates.get("friction")
-    rubs = any(cause.code == "coulomb_friction" for cause in causes) and friction is not None and bool(friction.value)
-    if rubs and estimated is not None and friction is not None:
-        limits = limits_for_step(result, stages, estimated, friction)
-    else:
-        limits = _limits(loop, result)
-    if estimated is None:
-        return limits, None
-    own = limits if rubs or loop is estimated else _limits(estimated, result)
-    fitted = shown.fitted if shown.explained else None
-    return limits, wall_replay(result, stages, estimated, fitted, own)
-
-
-def _widened(limits: tuple[LoopLimit, ...], replay: WallReplay | None) -> tuple[LoopLimit, ...]:
-    """Return limits whose intervals hold the error of the replay: 95 % of a normal one with its median."""
-    off = (replay.limits_off_percent or 0.0) / 100 if replay is not None else 0.0
-    share = NORMAL_95 * TYPICAL * off
-
-    def wider(each: LoopLimit) -> LoopLimit:
-        reach = share * each.stiffness
-        low = each.stiffness - float(np.hypot(each.stiffness - each.low, reach))
-        high = each.stiffness + float(np.hypot(each.high - each.stiffness, reach))
-        return each.model_copy(update={"low": max(low, 0.0), "high": high})
-
-    return tuple(wider(each) for each in limits)
-
-
-_HELD = (
-    "a spring holds the device, perhaps a hand: how much of the damping is the device's own is not known, and a wall "
-    "is passive by that alone; a device file, or trials without it, would tell"
-)
-
-
-def _loop_result(
-    result: ExperimentResult, loop: LoopRange | None, against: list[Doubt], shown: Shown, parts: LoopParts | None
+    told: ToldLoop | None,
+    velocity: CourseFilter | None,
+    parts: LoopParts | None,
+    *,
+    adequate: bool,
+    reason: str,
 ) -> LoopResult:
-    check, fitted = result.model_check, shown.fitted
-    explained = check.explained / check.trials if check and check.trials else None
-    friction = result.estimates.get("friction")
-    numbers: dict[str, Any] = {"velocity": filter_parameters(shown.velocity, shown.of_logs) if shown.velocity else None}
-    told = friction is not None and None not in (friction.value, friction.low, friction.high)
-    if fitted is not None and fitted.holds:
-        explained = fitted.explained / fitted.held_out if fitted.held_out else None
-        numbers |= {name: fitted.parameter(name) for name in ("stiffness", "actuator_lag_s")}
-        numbers["mode"] = mode_parameters(fitted)
-    if parts is not None:
-        numbers = stated_parameters(parts) | {"stiffness": exact(loop.stiffness) if loop else None}
+    check, friction = result.model_check, result.estimates.get("friction")
+    known = friction is not None and None not in (friction.value, friction.low, friction.high)
+    numbers = loop_numbers(told, velocity.of_logs if velocity else (), parts) if told is not None else {}
     return LoopResult(
-        source="estimated" if parts is None else "device file",
-        adequate=not against,
-        reason=_reason(result, against, shown, parts),
-        explained=explained,
-        mass=loop.mass if loop else None,
-        damping=loop.damping if loop else None,
-        delay_samples=loop.delay_samples if loop else None,
+        source="estimated" if told is None or told.stated is None else "device file",
+        adequate=adequate,
+        reason=reason,
+        explained=check.explained / check.trials if check and check.trials else None,
         **numbers,
-        friction=Parameter(value=friction.value, low=friction.low, high=friction.high) if friction and told else None,
+        friction=Parameter(value=friction.value, low=friction.low, high=friction.high) if friction and known else None,
     )
 
 
-def _reason(result: ExperimentResult, against: list[Doubt], shown: Shown, parts: LoopParts | None) -> str:
-    fitted, stated = shown.fitted, parts.words() if parts else ""
-    if not against and stated:
-        held_out = (
-            f"{fitted.explained} of {fitted.held_out} logs that it was not fitted to" if fitted and fitted.holds else ""
-        )
-        return (
-            f"the loop of the device file ({stated}) has the measured limits and those of the loop that the logs show, "
-            f"which explains {held_out or _explained(result)}"
-        )
-    if not against and fitted is not None and fitted.holds:
-        alike = f"; {' or '.join(fitted.alike)} cannot be told apart from it" if fitted.alike else ""
-        return (
-            f"one device with {listed(['mass', 'damping', 'delay', *fitted.parts])} explains {fitted.explained} of "
-            f"{fitted.held_out} logs that it was not fitted to, and the measured limits (next best: "
-            f"{fitted.next_best}){alike}. What changes force per command alone shows in the mass"
-        )
-    if not against:
-        law = "with a filtered velocity, " if shown.velocity else ""
-        logs = _explained(result)
-        return f"the logs obey the wall law, {law}and mass, damping and delay explain {logs} and the measured limits"
-    told = "; ".join(doubt.text for doubt in against[:MOST_REASONS])
-    helps = list(dict.fromkeys(doubt.help for doubt in against[:MOST_REASONS] if doubt.help))
-    return told + (f"; what would help: {'; '.join(helps)}" if helps else "")
-
-
-def _explained(result: ExperimentResult) -> str:
-    check = result.model_check
-    return f"{check.explained} of {check.trials} logs" if check else "the logs"
-
-
-def _limits(loop: LoopRange, result: ExperimentResult) -> tuple[LoopLimit, ...]:
-    """Return the limit of the loop at every tested damping."""
-    damping = np.array([point.damping for point in result.boundary])
-    if not len(damping):
-        return ()
-    low, high = loop.band(damping)
-    value = loop.at_values(damping)
-    rows = zip(damping, value, np.minimum(low, value), np.maximum(high, value), strict=True)
-    return tuple(LoopLimit(damping=float(b), stiffness=float(v), low=float(a), high=float(h)) for b, v, a, h in rows)
+def _reason(told: ToldLoop, replay: WallReplay | None, refused: str, parts: LoopParts | None) -> str:
+    """Return what the replay says of a loop, and what the loop is."""
+    if replay is None or replay.verdicts_same is None:
+        return "no trial at K > 0 is decided, so that the found device is held against none"
+    said = [replay_words(replay)]
+    if refused:
+        said.append(refused)
+    elif told.stated is not None and parts is not None and parts.words():
+        said.append(f"the loop of the device file ({parts.words()}) has the same limits")
+    else:
+        what = listed(["mass", "damping", "delay", *told.devices[0].fitted.parts])
+        said.append(f"it has {what}; what changes force per command alone shows in the mass")
+    return "; ".join(said)

@@ -7,10 +7,11 @@ from math import floor, log10
 
 import numpy as np
 
-from pipeline.comparison.loops.loop_range import LoopPoint, LoopRange
+from pipeline.comparison.loops.causes import FEW
+from pipeline.comparison.loops.told_loop import ToldLoop
 from pipeline.comparison.scores.overlap import measured_limits
-from pipeline.loop.device_loop import wall_units
 from pipeline.loop.loop import LARGEST_DELAY
+from pipeline.plan.found_device import LoopPoint
 from pipeline.records.loop_records import PassiveWall
 from pipeline.records.results import ExperimentResult
 from pipeline.theory.passivity import required_damping, stiffest_passive
@@ -19,21 +20,19 @@ DIGITS = 4
 """Digits with which a passive wall is named; what is named is checked."""
 
 SPARE = 1e-4
-"""Part of the damping that is kept back: a hundred times what the frequencies that are looked at can miss."""
+"""Part of the damping and of the limit that is kept back: a hundred times what the frequencies that are looked at can
+miss."""
 
-FEWEST_TRIALS = 10
-"""Trials without which nobody is told that a wall is safe: what differs between trials shows from ten on."""
-
-_TRIES = 200
+TRIES = 200
 """Steps of two units of the last digit by which a stiffness is lowered: 4 % in all, where rounding costs 0.1 %."""
 
 
-def passive_wall(loop: LoopRange, result: ExperimentResult) -> tuple[PassiveWall | None, str | None]:
-    """Return the stiffest wall that is passive and stable whatever the intervals leave open, or None and why.
+def passive_wall(loop: ToldLoop, result: ExperimentResult) -> tuple[PassiveWall | None, str | None]:
+    """Return the stiffest wall that is passive and stable whatever intervals and replay leave open, or None and why.
 
     Parameters
     ----------
-    loop : LoopRange
+    loop : ToldLoop
     result : ExperimentResult
         Its measured limits bound the wall.
 
@@ -44,29 +43,32 @@ def passive_wall(loop: LoopRange, result: ExperimentResult) -> tuple[PassiveWall
     down and the rounded pair is held against passivity, the limits of theory over all intervals, and the measured
     limits, interpolated between the dampings: the stable region is convex there, so that a chord of it lies inside.
     """
-    if result.trials < FEWEST_TRIALS:
-        return None, f"{result.trials} trials are too few to promise stability with every hand; record {FEWEST_TRIALS}"
-    damping = loop.damping.low - loop.held
+    if result.trials < FEW:
+        return None, f"{result.trials} trials are too few to promise stability with every hand; record {FEW}"
+    damping = (loop.parameter("damping").low - loop.held) * (1 - SPARE)
     if damping <= 0:
         return None, (
             "no wall is passive for the whole range of the device's damping, which may be 0: stability with every hand "
             "cannot be promised (4.6)"
         )
-    if loop.parts.mode is not None and loop.parts.mode.sensor == "load":
+    if any(point.parts.mode is not None and point.parts.mode.sensor == "load" for point in loop.points):
         return None, "the position is sensed beyond the vibration mode: no wall is passive for every hand"
-    loops = _loops(loop)
-    if not loops:
+    points = _points(loop)
+    if not points:
         return None, "the delay may be longer than theory is computed for"
-    highest, wall_damping = _stiffest(loops, damping)
-    wall_damping = _rounded(wall_damping)
+    found = [(point.units, *stiffest_passive(point.loop, damping / point.units.damping)) for point in points]
+    highest, wall_damping = min((alpha * units.stiffness, beta * units.damping) for units, alpha, beta in found)
+    wall_damping = float(f"{wall_damping:.{DIGITS}g}")
     measured = _measured(result, wall_damping)
     if measured is None:
         where = f"beside a damping of {wall_damping:g}, that of the stiffest passive wall"
         return None, f"no limit was measured {where}: record stable and unstable trials there"
-    stiffness = _rounded_down(min(highest, _stable_everywhere(loop, wall_damping), measured))
+    at = np.array([wall_damping])
+    stable = float(loop.band([device.limits(at) for device in loop.devices])[0][0]) * (1 - SPARE)
+    stiffness = _rounded_down(min(highest, stable, measured))
     # a smaller stiffness at the same damping needs less, down to none but that for B itself
-    for _ in range(_TRIES):
-        if stiffness <= 0 or _holds(loop, loops, stiffness, wall_damping):
+    for _ in range(TRIES):
+        if stiffness <= 0 or all(_needed(point, stiffness, wall_damping) <= damping for point in points):
             break
         stiffness = _rounded_down(stiffness * (1 - 2 * 10.0**-DIGITS))
     else:
@@ -76,38 +78,17 @@ def passive_wall(loop: LoopRange, result: ExperimentResult) -> tuple[PassiveWall
     return PassiveWall(stiffness=stiffness, damping=wall_damping), None
 
 
-def _stiffest(loops: list[LoopPoint], damping: float) -> tuple[float, float]:
-    """Return stiffness and damping of the stiffest wall that is passive with all of some loops."""
-    found = []
-    for each in loops:
-        units = wall_units(each.mass, each.sampling_period_s, each.parts)
-        alpha, beta = stiffest_passive(each.loop, damping / units.damping)
-        found.append((alpha * units.stiffness, beta * units.damping))
-    return min(found)
+def _points(loop: ToldLoop) -> list[LoopPoint]:
+    """Return the devices in the range of a loop with which a wall must be passive; none where a delay is too long.
 
-
-def _loops(loop: LoopRange) -> list[LoopPoint]:
-    """Return the loops in the range of one with which a wall must be passive; none where a delay is too long.
-
-    Without other parts the delay alone matters: passivity needs most at one end of its interval or at a whole number
-    inside it.
+    Passivity needs most at one end of the delay's interval or at a whole number inside it.
     """
-    if loop.apart:
-        return [loop.point, *(end for both in loop.apart for end in both)]
-    found = [replace(loop.point, delay_samples=delay) for delay in _delays(loop)]
-    return found + (_loops(loop.shown) if found and loop.shown else [])
-
-
-def _delays(loop: LoopRange) -> list[float]:
-    low, high = max(loop.delay_samples.low, 0.0), max(loop.delay_samples.high, 0.0)
+    delay, point = loop.parameter("delay_samples"), loop.point
+    low, high = max(delay.low, 0.0), max(delay.high, 0.0)
     if high > LARGEST_DELAY:
         return []
-    whole = np.arange(np.ceil(low), floor(high) + 1).tolist()
-    return sorted({low, max(loop.delay_samples.value, 0.0), high, *whole})
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.{DIGITS}g}")
+    delays = {low, high, *np.arange(np.ceil(low), floor(high) + 1).tolist()}
+    return loop.points + [replace(point, delay_samples=each) for each in sorted(delays)]
 
 
 def _rounded_down(value: float) -> float:
@@ -115,11 +96,6 @@ def _rounded_down(value: float) -> float:
         return 0.0
     step = 10.0 ** (floor(log10(value)) - DIGITS + 1)
     return float(f"{floor(value / step) * step:.{DIGITS}g}")
-
-
-def _stable_everywhere(loop: LoopRange, damping: float) -> float:
-    """Return the least limit of theory at a damping, less what keeps a wall off the limit itself."""
-    return float(loop.band(np.array([damping]))[0][0]) * (1 - SPARE)
 
 
 def _measured(result: ExperimentResult, damping: float) -> float | None:
@@ -136,14 +112,8 @@ def _measured(result: ExperimentResult, damping: float) -> float | None:
     return float(np.interp(damping, where, least))
 
 
-def _holds(loop: LoopRange, loops: list[LoopPoint], stiffness: float, damping: float) -> bool:
-    least = (loop.damping.low - loop.held) * (1 - SPARE)
-    passive = all(_needed(each, stiffness, damping) <= least for each in loops)
-    return passive and stiffness <= _stable_everywhere(loop, damping)
-
-
 def _needed(point: LoopPoint, stiffness: float, damping: float) -> float:
     """Return the damping [Ns/m, Nms/rad] that a wall needs of the device."""
-    units = wall_units(point.mass, point.sampling_period_s, point.parts)
+    units = point.units
     wall = np.array([stiffness / units.stiffness]), np.array([damping / units.damping])
     return float(required_damping(point.loop, *wall)[0]) * units.damping

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 
 from pipeline import __version__
-from pipeline.base.file_names import path_of_text
+from pipeline.base.paths import path_of_text
 from pipeline.base.provenance import digest, sha256
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.device_data.devices import digest_of

@@ -21,7 +21,6 @@ from pipeline.store.names import report_of
 
 REPORT_TABLES = {
     "scores": "measured against theory",
-    "estimate_scores": "measured against theory by the estimates",
     "use": "walls to use",
     "optima": "trials with the least cost",
     "boundary": "stability limits over damping",
@@ -31,7 +30,6 @@ REPORT_TABLES = {
     "trend": "limits and estimates beside header lines that differ",
     "model": "does the model explain the logs?",
     "outcomes": "what the logs show",
-    "definitions": "by the definitions of other tools",
 }
 """Tables that a report has beside those of optima, with what they hold."""
 
@@ -132,10 +130,9 @@ def draft_scene(device: str, processed: Path) -> str:
         "# figures: " + "; ".join(f"{kind}: {name}" for kind, name in FIGURE_NAMES.items()),
         f"figures = {_list(FIGURE_NAMES)}",
         "",
-        "# overlays of the boundaries: theory by the device file and by the estimates, what their intervals leave",
-        "# open, the linear condition, the passive region, a linear upper bound, limits with friction; robust: stable",
-        "# with every spring",
-        'overlays = ["theory", "estimates", "band", "linear", "passive", "bound", "friction"]',
+        "# overlays of the boundaries: theory, the identified loop with its interval (band), the linear condition, the",
+        "# passive region, with friction the limit for a harder push; robust: stable with every spring",
+        'overlays = ["theory", "estimates", "band", "linear", "passive", "friction"]',
         "",
         "# delay factors of the theoretical curves, in place of those of the device file",
         "# delays = [3, 4, 5]",

@@ -1,14 +1,10 @@
-"""Which figures, tables and overlays of a report a scene asks for, and why the others are left out."""
+"""Which figures and tables of a report a scene asks for, and why the others are left out."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-
 from pipeline.comparison.scene.scene import LEAVE_OUT, RUN, PlannedStage, SceneData
 from pipeline.comparison.tables_d import layouts
-from pipeline.records.figure_records import Figure, Limits
-from pipeline.records.models import FigureKind, Overlay, Shown
+from pipeline.records.models import FigureKind
 from pipeline.rendering.labels import criterion_name
 
 FIGURE_NAMES: dict[FigureKind, str] = {
@@ -21,21 +17,6 @@ FIGURE_NAMES: dict[FigureKind, str] = {
     "trend": "limits and estimates over experiments",
     "trials": "trials to look into",
 }
-
-ESTIMATES = "boundaries-estimates"
-"""Boundary figure that is asked for by an overlay."""
-
-_KINDS: dict[str, Overlay] = {
-    "theory": "theory",
-    "band": "theory",
-    "envelope": "band",
-    "linear": "linear",
-    "passive": "passive",
-    "bound": "bound",
-    "friction": "friction",
-    "robust": "robust",
-}
-"""Overlay that a kind of curve belongs to; measured curves are always drawn."""
 
 
 def plan_parts(data: SceneData) -> list[PlannedStage]:
@@ -56,26 +37,3 @@ def plan_parts(data: SceneData) -> list[PlannedStage]:
         reason = "; ".join(map(criterion_name, table.criteria)) if asked else "the scene does not ask for it"
         plan.append(PlannedStage(f"table: {table.name}", RUN if asked else LEAVE_OUT, reason))
     return plan
-
-
-def with_overlays(figures: Sequence[Figure[Limits]], shown: Shown) -> tuple[Figure[Limits], ...]:
-    """Return boundary figures with the curves that are asked for.
-
-    A figure without measured curve, or that is not asked for as a whole, is left out; so is a panel without curves.
-    """
-    kept = []
-    for figure in figures:
-        if not shown.has_figure(figure.kind) or (figure.identifier == ESTIMATES and not shown.has_overlay("estimates")):
-            continue
-        panels = [
-            (title, tuple(curve for curve in curves if _is_asked(curve.kind, figure, shown)))
-            for title, curves in figure.panels
-        ]
-        kept.append(replace(figure, panels=tuple((title, curves) for title, curves in panels if curves)))
-    return tuple(figure for figure in kept if figure.panels)
-
-
-def _is_asked(kind: str, figure: Figure[Limits], shown: Shown) -> bool:
-    if kind in ("measured", "use", "stable", "unstable") or (kind == "theory" and figure.identifier == ESTIMATES):
-        return True
-    return shown.has_overlay(_KINDS[kind])

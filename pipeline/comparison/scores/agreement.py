@@ -1,14 +1,11 @@
-"""Distance of two boundaries, agreement of verdicts, and rank correlation of costs: numbers of arrays alone."""
+"""Distance of two boundaries, and agreement of verdicts: numbers of arrays alone."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.wording import counted
-from pipeline.comparison.loops.loop_range import MATTERS
+from pipeline.comparison.loops.departures import MATTERS
 from pipeline.comparison.scores.overlap import MeasuredLimits
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.score_records import DistanceScore, VerdictScore
@@ -22,22 +19,6 @@ FEWEST_COMPARISONS = 5
 
 NEGLIGIBLE = 1e-3
 """Size of a median whose sign says nothing: it is told as less than 0.1 %."""
-
-FEWEST_TRIALS = 10
-"""Common trials from which on a rank correlation is given: with ten, chance alone reaches 0.63 in 5 % of cases."""
-
-
-@dataclass(frozen=True)
-class RankAgreement:
-    """Spearman's correlation [-1, 1] and median ratio of two lists of costs; None where there is none, with ``reason``.
-
-    ``ratios`` is the number of pairs with both costs above zero, over which the ratio is taken.
-    """
-
-    correlation: float | None
-    median_ratio: float | None
-    ratios: int
-    reason: str | None
 
 
 def boundary_distance(limits: MeasuredLimits, theory: Floats) -> DistanceScore | None:
@@ -137,36 +118,3 @@ def verdict_agreement(stiffness: Floats, verdict: NDArray[np.str_], predicted: B
         without_wall=int((~wall).sum()),
         agreement=(both_stable + both_unstable) / sum(counts),
     )
-
-
-def rank_agreement(measured: Floats, theory: Floats) -> RankAgreement:
-    """Return rank correlation and median ratio of measured and theoretical costs of the same points.
-
-    Parameters
-    ----------
-    measured, theory : float64, shape (n,)
-        Finite costs, at least 0.
-
-    Notes
-    -----
-    Spearman's: Pearson's correlation of the ranks, equal costs sharing their mean rank.
-    """
-    both = (theory > 0) & (measured > 0)
-    ratio = float(np.median(measured[both] / theory[both])) if both.any() else None
-    if len(measured) < FEWEST_TRIALS:
-        reason = f"{counted(len(measured), 'common stable trial')} with this cost; a correlation needs {FEWEST_TRIALS}"
-        return RankAgreement(None, ratio, int(both.sum()), reason)
-    a, b = (_ranks(x) for x in (measured, theory))
-    spread = float(np.sqrt((a @ a) * (b @ b)))
-    if spread == 0:
-        return RankAgreement(None, ratio, int(both.sum()), "all costs are equal: there is no order to compare")
-    return RankAgreement(float(np.clip(a @ b / spread, -1.0, 1.0)), ratio, int(both.sum()), None)
-
-
-def _ranks(x: Floats) -> Floats:
-    """Ranks about their mean, ties at the mean of their places."""
-    _, of, count = np.unique(x, return_inverse=True, return_counts=True)
-    last = np.cumsum(count)
-    place = last - 0.5 * (count + 1)
-    ranks: Floats = place[of] - 0.5 * (len(x) - 1)
-    return ranks

@@ -10,17 +10,17 @@ import numpy as np
 
 from pipeline.base.errors import DeviceError, UsageError
 from pipeline.base.wording import counted, first_clause
-from pipeline.comparison.loops.other_gains import other_gains
+from pipeline.comparison.loops.departures import MATTERS, other_gains
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import FEWEST_COMPARISONS, boundary_distance
 from pipeline.comparison.scores.overlap import measured_limits
-from pipeline.comparison.summary.causes import causes
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.course import Wish, course_of
 from pipeline.plan.planner import plan_of
+from pipeline.records.loop_records import Cause
 from pipeline.records.models import ComparisonRow
-from pipeline.records.results import Answer, AnswerCause, AnswerEstimate, ExperimentResult, NextWall, Prediction
-from pipeline.rendering.labels import Units, share_text
+from pipeline.records.results import Answer, AnswerEstimate, ExperimentResult, NextWall, Prediction
+from pipeline.rendering.labels import Units, share_text, significant
 
 COARSE = 5.0
 """Percent that the grid of the trials adds to a best cost from which on the reader is told how coarse it is."""
@@ -51,7 +51,7 @@ def answer(data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[
     result, stages = results[lead], data.experiments[lead]
     gains = stages.once(other_gains)
     misled = gains is not None and gains.most
-    told = [AnswerCause.model_validate(cause.model_dump()) for cause in result.causes] + causes(result, units)
+    told = [*result.causes, *_other_parameters(result, units)]
     wall = result.use.point if result.use else None
     following, nothing = (None, "Correct the headers first") if misled else _next(data, result, stages)
     return Answer(
@@ -127,6 +127,29 @@ def _doubt(result: ExperimentResult) -> str:
     if loop is None or loop.adequate or fitted:
         return ""
     return f"No interval where the loop does not hold: {first_clause(loop.reason)}."
+
+
+def _other_parameters(result: ExperimentResult, units: Units) -> list[Cause]:
+    """Return the parameters of the device file that lie outside of what the logs leave open, as a cause."""
+    scores = result.scores[0] if result.scores else None
+    if scores is None or scores.basis != "device file" or scores.distance is None:
+        return []
+    if abs(scores.distance.median) < MATTERS or result.loop is None or not result.loop.adequate:
+        return []
+    p = scores.parameters
+    mass, damping, _, _ = p.loop.felt(p.mass, p.damping, p.stiffness)
+    stated = (
+        ("m", mass, result.estimates["mass"], units.mass),
+        ("b", damping, result.estimates["damping"], units.damping),
+        ("d", p.delay_samples, result.delay, "samples"),
+    )
+    off = [
+        f"{name} = {significant(value, 3)} {unit}, logs {significant(found.low, 3)} to {significant(found.high, 3)}"
+        for name, value, found, unit in stated
+        if found.low is not None and found.high is not None and not found.low <= value <= found.high
+    ]
+    sentence = "The logs tell other parameters than the device file."
+    return [Cause(code="parameter_range", sentence=sentence, evidence="; ".join(off))] if off else []
 
 
 def _prediction(result: ExperimentResult, rows: Sequence[ComparisonRow], misled: bool) -> Prediction:

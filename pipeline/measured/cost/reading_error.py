@@ -144,8 +144,8 @@ def sensor_error(noise: Floats, quantum: Floats, rows: Integers) -> float:
 
 def usual_gain(gain: Floats) -> float:
     """Return the gain of trials without any of their own: the median of the others; 1 without any."""
-    told = np.isfinite(gain)
-    return as_known(float(np.median(gain[told]))) if told.any() else 1.0
+    told = gain[np.isfinite(gain)]
+    return as_known(float(np.median(told))) if len(told) else 1.0
 
 
 def as_known(value: float, error: float | None = None) -> float:
@@ -261,9 +261,12 @@ def reading_error(
             result[some] = np.where(hidden, np.nan, each[some, None] * np.sqrt(value))
             # the first reading is its own reference
             result[some, 0] = np.where(hidden[:, 0], np.nan, 0.0)
+    quanta = np.where(
+        response.sensor_quantum > 0, np.nan_to_num(each) / np.maximum(response.sensor_quantum, 1e-100), 1.0
+    )
     return ReadingError(
         sensor=each,
-        lasting=_lasting(each, response.sensor_quantum),
+        lasting=np.interp(quanta**2, READING, LASTING / READING),
         gain=gain_of_each,
         weight=weight,
         weight_noise=weight_noise,
@@ -272,13 +275,6 @@ def reading_error(
         change=change,
         reason=reason,
     )
-
-
-def _lasting(sensor: Floats, quantum: Floats) -> Floats:
-    """Part of the variance of a reading's error that lasts while the device rests, shape (n,)."""
-    size = np.where(quantum > 0, np.nan_to_num(sensor) / np.where(quantum > 0, quantum, 1.0), np.inf) ** 2
-    result: Floats = np.interp(size, READING, LASTING / READING)
-    return result
 
 
 def _variances(

@@ -220,14 +220,6 @@ def stiffness_estimate(of: Stored) -> Estimate:
     return best.model_copy(update={"by_method": {"stability_limit": limit, "joint_balance": joint}})
 
 
-def velocity_lag(of: Stored) -> Estimate | None:
-    """Return how much later than the position the logged velocity is [s]; None where no log tells."""
-    if not np.isfinite(of.column("wall_law", "velocity_lag")).any():
-        return None
-    columns = ("wall_law", "velocity_lag", "velocity_lag_error")
-    return combined(of, columns, "s", "integral of the logged velocity beside the position")
-
-
 def _not_told(of: Stored, found: Forces, term: Term) -> str:
     if found.value:
         if term == "constant_force" and found.one_way:

@@ -125,6 +125,16 @@ def chosen(recordings: list[Recording]) -> Choice:
     return Choice(fit, held, scales, parts, assumed)
 
 
+def again(choice: Choice, recordings: list[Recording]) -> Choice:
+    """Return the fit of other recordings with the parts of an earlier choice, from its numbers on."""
+    found, scales = choice.fit, choice.scales
+    holding = _holding(found, scales) if choice.parts.get("friction", 0.0) > 0 else None
+    held = stretches(recordings, scales, choice.held.lead, choice.moving, holding)
+    alone = replace(found.device, effects=None)
+    fit = refined(held, alone, len(recordings), steps=LAST_STEPS, far=False, noisy=False)
+    return Choice(fit, held, scales, choice.parts, choice.assumed)
+
+
 def _first(
     recordings: list[Recording], scales: Scales, lead: int, start: tuple[tuple[str, ...], float]
 ) -> tuple[Fit, Stretches, dict[str, float]]:

@@ -167,7 +167,8 @@ class Filter:
         gain, spread, known = np.zeros((rows, groups, n)), np.ones((rows, groups)), np.zeros((groups, n, n))
         for k in range(rows):
             seen = known @ passage.sensor
-            variance = 1.0 + seen @ passage.sensor
+            # what is known becomes no less certain than a reading's own noise but by rounding
+            variance = np.maximum(1.0 + seen @ passage.sensor, 1.0)
             gain[k] = seen / variance[:, None]
             spread[k] = np.sqrt(variance)
             known = known - gain[k][:, :, None] * seen[:, None, :]

@@ -14,10 +14,8 @@ from dataclasses import asdict, replace
 import numpy as np
 import pyarrow as pa
 
-from pipeline.measured.cost.energy_intervals import HORIZON_PARTS, energy_interval
-from pipeline.measured.cost.families import Measure, joined
+from pipeline.measured.cost.costs import Measure, joined
 from pipeline.measured.cost.reading_error import (
-    ReadingError,
     as_known,
     gain_at_rest,
     reading_error,
@@ -35,13 +33,10 @@ from pipeline.measured.fit.ghost import simulate_ghost
 from pipeline.measured.signal import outcome, verdict
 from pipeline.measured.signal.disturbance import Device, largest_force, learn_device, with_least
 from pipeline.measured.signal.events import usual_length
-from pipeline.measured.signal.lag import lags_of
-from pipeline.measured.signal.response import NO_ROW, Response, sensor_floor
-from pipeline.measured.signal.verdict import Verdicts
+from pipeline.measured.signal.response import NO_ROW, sensor_floor
 from pipeline.measured.stages.stage_given import Experiment, is_open_loop
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
-from pipeline.records.batch import Floats, TrialBatch
-from pipeline.records.criteria import ENERGY, members
+from pipeline.records.batch import Floats
 from pipeline.records.tables import COLUMNS, TABLES, to_arrow
 
 Sources = Sequence[object]
@@ -103,7 +98,7 @@ def response(of: TrialGroup, given: Given) -> Sources:
 
 def wall_law(of: TrialGroup, given: Given) -> Sources:
     """Return whether the logged command of each trial obeys the wall law, and why not."""
-    law, lags, obeyed = of.law, lags_of(of.logged), of.other_walls.obeyed
+    law, obeyed = of.law, of.other_walls.obeyed
     filters = [next((each.filter for each in found if each.filter is not None), None) for found in law.departures]
     return (
         {
@@ -114,8 +109,6 @@ def wall_law(of: TrialGroup, given: Given) -> Sources:
             "law_rows": [max((each.rows for each in found), default=0) for found in law.departures],
             **{f"obeyed_{name}": obeyed[:, i] for i, name in enumerate(("stiffness", "damping", "step"))},
             "velocity_filter": [found and json.dumps(asdict(found)) for found in filters],
-            "velocity_lag": [each.lag_s for each in lags],
-            "velocity_lag_error": [each.standard_error_s for each in lags],
         },
     )
 
@@ -314,20 +307,3 @@ def _hull(made: Columns, other: Columns, names: Iterable[str]) -> Columns:
     """Return columns whose intervals ``<name>_low`` and ``<name>_high`` hold those of other ones, too."""
     ends = {f"{name}_low": np.fmin for name in names} | {f"{name}_high": np.fmax for name in names}
     return made | {end: widest(made[end], other[end]) for end, widest in ends.items()}
-
-
-def energy(batch: TrialBatch, response: Response, verdicts: Verdicts, error: ReadingError, given: Given) -> Columns:
-    """Return the energies of some trials with their intervals, as a family of costs."""
-    found = energy_interval(
-        *(batch, response, verdicts, error, given["delay"], given["mass"]),
-        mass_error=given["mass_error"],
-        delay_range=tuple(given["delay_range"]),
-    )
-    half, full = (found.by_horizon[:, :, HORIZON_PARTS.index(part)] for part in (0.5, 1.0))
-    ends = {"": found.value, "_low": found.low, "_high": found.high}
-    parts = {**ends, "_bias": found.bias, "_tail": found.tail, "_half": half, "_full": full}
-    return {
-        **{f"{c.column}{part}": values[:, c.weight] for c in members(ENERGY) for part, values in parts.items()},
-        "horizon_samples": np.where(found.horizon_samples > 0, found.horizon_samples, np.nan),
-        "reason": joined(found.reason),
-    }

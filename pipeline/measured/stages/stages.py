@@ -8,7 +8,8 @@ from functools import cached_property, partial
 import numpy as np
 
 from pipeline.base.wording import commonest
-from pipeline.measured.cost.families import FAMILIES, Measure
+from pipeline.measured.cost.costs import FAMILIES, Measure
+from pipeline.measured.cost.energy import energy
 from pipeline.measured.experiment import aggregate, estimates, known_delay
 from pipeline.measured.stages import stage_ladder
 from pipeline.measured.stages import stage_rows as rows
@@ -18,7 +19,7 @@ from pipeline.records.criteria import ENERGY, Family, criterion_of, members
 from pipeline.records.criteria import FAMILIES as CRITERION_FAMILIES
 from pipeline.records.findings import BoundaryPoint, Estimate, ModelCheck, Optimum
 
-MEASURES: dict[str, Measure] = {**FAMILIES, "energy": rows.energy}
+MEASURES: dict[str, Measure] = {**FAMILIES, "energy": energy}
 """What computes the costs of each family of criteria."""
 
 

@@ -5,6 +5,7 @@ Time stamps and durations are whole nanoseconds; a null is NaN, or an empty text
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +22,9 @@ from pipeline.readers.refusals import refusal
 def read(path: Path, settings: Profile, contents: Contents) -> None:
     """Add the columns of a table."""
     contents.row_name = "record"
-    packed = path.read_bytes()[:4]
-    footer = parquet.read_metadata(path) if packed == b"PAR1" else None
+    footer = parquet.read_metadata(path) if path.read_bytes()[:4] == b"PAR1" else None
     schema = footer.schema.to_arrow_schema() if footer else pa.ipc.open_file(pa.OSFile(str(path))).schema
-    asked = [name for name in schema.names if contents.asks(name)] if contents.wanted else schema.names
+    asked = [name for name in schema.names if contents.asks(name)]
     for name in asked:
         if schema.names.count(name) > 1:
             text = f"column {name!r} stands {schema.names.count(name)} times in the file"
@@ -55,7 +55,7 @@ def _add(contents: Contents, path: str, column: Any, hint: str = "") -> None:
     timed = pa.types.is_timestamp(kind) or pa.types.is_duration(kind) or pa.types.is_time(kind)
     if timed:
         contents.note(f"{path}@unit", "ns")
-    contents.add(path, lambda: _values(f"{contents.name}: column {path!r}", column), hint, "ns" if timed else "")
+    contents.add(path, partial(_values, f"{contents.name}: column {path!r}", column), hint, "ns" if timed else "", 0)
 
 
 def _values(where: str, column: Any) -> Array:
@@ -79,6 +79,4 @@ def _values(where: str, column: Any) -> Array:
         raise TypeError(f"is {kind}; expected numbers or texts")
     known = np.flatnonzero(column.is_valid().to_numpy(zero_copy_only=False))
     values = column.drop_null().to_numpy(zero_copy_only=False)
-    if values.dtype.kind == "O":
-        values = np.array(values, np.str_)
-    return with_gaps(where, values, known, len(column))
+    return with_gaps(where, np.array(values, np.str_) if values.dtype.kind == "O" else values, known, len(column))

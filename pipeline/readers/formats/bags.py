@@ -16,7 +16,7 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.typesys import Stores, get_typestore
 
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers.formats.records import columns_of
+from pipeline.readers.formats.json import column, columns_of
 from pipeline.readers.frame import Contents, with_gaps
 from pipeline.readers.limits import LISTED_ELEMENTS
 from pipeline.readers.refusals import refusal
@@ -43,7 +43,7 @@ class _Topic(NamedTuple):
 
     kind: str
     number: list[int]
-    received: list[Nanoseconds]
+    received: list[int]
     messages: list[Any]
 
 
@@ -54,17 +54,18 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
     their times, in order of time, with NaN (an empty text) where a topic has no message; nothing is interpolated.
     """
     contents.row_name = "message"
-    paths = sorted(path.parent.iterdir())
-    paths = [one.rename(one.with_suffix(_ENDINGS.get(one.read_bytes()[:4], one.suffix))) for one in paths]
+    paths = [
+        one.rename(one.with_suffix(_ENDINGS.get(one.read_bytes()[:4], one.suffix)))
+        for one in sorted(path.parent.iterdir())
+    ]
     topics = _recorded(contents, paths)
     for name, topic in topics.items():
         contents.note(f"{name}@type", topic.kind)
-        records = [{RECEIVED: at, **fields} for at, fields in zip(topic.received, topic.messages, strict=False)]
-        for key, cells in columns_of(records).items():
-            if contents.asks(column := f"{name}.{key}"):
-                unit = "ns" if isinstance(cells.values[0], Nanoseconds) else ""
-                array = cells.array(f"{contents.name}: column {column!r}", len(records))
-                contents.add(column, array, topic.kind, unit)
+        for key, cells in columns_of(topic.messages).items():
+            if contents.asks(path_of := f"{name}.{key}"):
+                unit = "ns" if isinstance(next(iter(cells.values())), Nanoseconds) else ""
+                array = column(f"{contents.name}: column {path_of!r}", cells, len(topic.messages))
+                contents.add(path_of, array, topic.kind, unit)
     if contents.wanted and contents.columns:
         _join(contents, topics)
 
@@ -75,13 +76,11 @@ def _recorded(contents: Contents, paths: list[Path]) -> dict[str, _Topic]:
     try:
         with AnyReader(paths, default_typestore=get_typestore(Stores.LATEST)) as bag:
             topics |= {one.topic: _Topic(one.msgtype, [], [], []) for one in bag.connections}
-            asked = {
-                name for name in topics if not contents.wanted or any(k.startswith(f"{name}.") for k in contents.wanted)
-            }
+            asked = {name for name in topics if contents.asks(name)}
             for number, (connection, received, data) in enumerate(bag.messages(), start=1):
                 topic = topics[connection.topic]
                 topic.number.append(number)
-                topic.received.append(Nanoseconds(received))
+                topic.received.append(received)
                 if connection.topic not in asked:
                     continue
                 try:
@@ -94,7 +93,8 @@ def _recorded(contents: Contents, paths: list[Path]) -> dict[str, _Topic]:
                     reason = f"has messages of type {topic.kind!r} that cannot be read ({error}). {_CLOSE}"
                     contents.refused[connection.topic] = reason
                 else:
-                    topic.messages.append(_plain(message, None if contents.wanted else LISTED_ELEMENTS))
+                    fields = _plain(message, None if contents.wanted else LISTED_ELEMENTS)
+                    topic.messages.append({RECEIVED: Nanoseconds(received), **fields})
     except AnyReaderError as error:
         raise refusal("damaged", contents.name, f"cannot be read as a bag: {error}", cure=_CLOSE) from error
     if not topics:
@@ -115,43 +115,41 @@ def _plain(value: Any, most: int | None) -> Any:
 
 def _join(contents: Contents, topics: dict[str, _Topic]) -> None:
     """Put columns of several topics on the union of their times, and give the rows a time."""
-    axis, times = STAMP if STAMP in contents.wanted else RECEIVED, {}
-    for name in dict.fromkeys(_topic_of(topics, key) for key in contents.columns):
-        stamps = [
-            message["header"]["stamp"] for message in topics[name].messages if axis == STAMP and "header" in message
-        ]
-        if axis == STAMP and not stamps:
-            text = f"{STAMP!r} is wanted, but messages of {name!r} have no header"
-            raise refusal("column-missing", contents.name, text, cure=f"Take time from {RECEIVED!r}.")
-        times[name] = np.array(stamps or topics[name].received, np.int64)
+    axis = STAMP if STAMP in contents.wanted else RECEIVED
+    names = {path: max((name for name in topics if path.startswith(f"{name}.")), key=len) for path in contents.columns}
+    used = {name: topics[name] for name in dict.fromkeys(names.values())}
+    times = {name: _times(contents.name, axis, name, topic) for name, topic in used.items()}
+    place = {name: np.arange(len(found)) for name, found in times.items()}
     if len(times) == 1:
         ((name, time),) = times.items()
-        place, rows = {name: np.arange(len(time))}, np.array(topics[name].number)
+        contents.row = np.array(topics[name].number)
     else:
         keys = np.concatenate([_numbered(found) for found in times.values()])
         union, inverse = np.unique(keys, axis=0, return_inverse=True)
-        parts = np.split(inverse.reshape(-1), np.cumsum([len(found) for found in times.values()])[:-1])
-        place, time, rows = (
-            dict(zip(times, parts, strict=True)),
-            union[:, 0],
-            np.full(len(union), np.iinfo(np.int64).max),
-        )
+        ends = np.cumsum([len(found) for found in times.values()])[:-1]
+        place, time = dict(zip(times, np.split(inverse.reshape(-1), ends), strict=True)), union[:, 0]
+        contents.row = np.full(len(union), np.iinfo(np.int64).max)
         for name, found in times.items():
             number = topics[name].number
             if (back := np.diff(found) < 0).any():
                 at = number[int(np.argmax(back)) + 1]
-                text = f"{axis} of {name!r} goes back at message {at}; rows were put in order of time"
-                contents.warnings.append(text)
-            np.minimum.at(rows, place[name], number)
-    contents.row = rows
-    for key in contents.columns:
-        where = f"{contents.name}: {key!r} (take time from {axis!r} or, for stamps of headers, {STAMP!r})"
-        contents.columns[key] = with_gaps(where, contents.columns[key], place[_topic_of(topics, key)], len(rows))
+                contents.warnings += (f"{axis} of {name!r} goes back at message {at}; rows were put in order of time",)
+            np.minimum.at(contents.row, place[name], number)
+    for path, name in names.items():
+        where = f"{contents.name}: {path!r} (take time from {axis!r} or, for stamps of headers, {STAMP!r})"
+        contents.columns[path] = with_gaps(where, contents.columns[path], place[name], len(contents.row))
     contents.add(axis, time, unit="ns")
 
 
-def _topic_of(topics: dict[str, _Topic], column: str) -> str:
-    return max((name for name in topics if column.startswith(f"{name}.")), key=len)
+def _times(where: str, axis: str, name: str, topic: _Topic) -> Integers:
+    """Return the times of messages on an axis."""
+    if axis == RECEIVED:
+        return np.array(topic.received, np.int64)
+    stamps = [message["header"]["stamp"] for message in topic.messages if "header" in message]
+    if not stamps:
+        text = f"{STAMP!r} is wanted, but messages of {name!r} have no header"
+        raise refusal("column-missing", where, text, cure=f"Take time from {RECEIVED!r}.")
+    return np.array(stamps, np.int64)
 
 
 def _numbered(times: Integers) -> Integers:

@@ -6,31 +6,24 @@ import codecs
 import csv
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.csv as pacsv
 
 from pipeline.profiles.patterns import find_groups
+from pipeline.profiles.profile_columns import BLANKS, TextLayout
 from pipeline.profiles.profile_model import Profile
-from pipeline.profiles.profile_text import BLANKS, TextLayout
-from pipeline.readers.dates import whole_dates
+from pipeline.readers.file_kind import PACKED
 from pipeline.readers.frame import Array, Contents
-from pipeline.readers.isolation import allowed_bytes
-from pipeline.readers.limits import LONGEST_LINE
+from pipeline.readers.limits import LONGEST_ATTRIBUTE, LONGEST_LINE, allowed_bytes
 from pipeline.readers.refusals import refusal
-from pipeline.records.batch import Integers
 
 LONGEST_CHARACTER = 4
 """Bytes of the longest character in UTF-8 and UTF-16: a cut file lacks fewer than that."""
 
 _BLOCK = 1 << 22
 """Bytes that are unpacked at once."""
-
-PACKED = {b"\x1f\x8b": "gzip", b"\x28\xb5\x2f\xfd": "zstd"}
-"""First bytes of packed files."""
 
 _MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 _INTEGER = r"^[+-]?[0-9]{1,20}$"
@@ -52,28 +45,23 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
     names = names if settings.header else [str(i + 1) for i in range(len(names))]
     first = top + settings.header + settings.unit_line
     units = _split(settings, contents, lines[first - 1], first) if settings.unit_line and first <= len(lines) else []
-    row = _rows(settings, contents, lines, first)
     places = _places(settings, contents, names, top + 1)
-    if not len(row):
-        raise refusal("too-short", contents.name, "has 0 samples", "at least 2", row=top + 2)
-    cells, kept = _cells(settings, contents, [lines[i - 1] for i in row], names, sorted({*places.values()}), row)
-    last, columns = lines[row[-1] - 1], {place: _values(settings, values) for place, values in cells.items()}
-    cut = kept[-1] != len(row) - 1 and len(kept) == len(row) - 1 - sum(np.diff(kept, prepend=-1) - 1)
-    if not cut and not whole and len(kept) > 1 and _last_is_cut(settings, cells, columns):
-        cut, kept, cells = True, kept[:-1], {place: values[:-1] for place, values in cells.items()}
-        columns = {place: _values(settings, values) for place, values in cells.items()}
-    if cut:
-        contents.cut_row(last, int(row[-1]))
-    elif not whole:
-        contents.warnings.append(f"line {row[-1]} is the last one and has no line end: its last value may be cut")
-    contents.row = row[kept]
-    time = settings.columns.time if settings.columns else None
+    row, rows = _rows(settings, contents, lines, first, names)
+    cells = {key: pa.array([cells[place] for cells in rows], pa.string()) for key, place in places.items()}
+    columns = {key: _values(settings, values) for key, values in cells.items()}
+    cut = contents.warnings != ()
+    if not cut and not whole and len(row) > 1:
+        shorter = {key: _values(settings, values[:-1]) for key, values in cells.items()}
+        if any(_is_spoilt(values, shorter[key]) for key, values in columns.items()):
+            contents.cut_row(lines[row.pop() - 1], row[-1] + 1)
+            columns, cut = shorter, True
+    if not cut and not whole:
+        contents.warnings += (f"line {row[-1]} is the last one and has no line end: its last value may be cut",)
+    contents.row = np.array(row, np.int64)
     for key, place in places.items():
-        contents.add(key, columns[place], units[place].strip("[]() ") if place < len(units) else "")
-        # stamps may be dates with decimals or blank cells
-        stamps = time is not None and key == time.key and columns[place].dtype.kind == "f"
-        if time is not None and stamps and (dates := whole_dates(time, _numbers(settings, cells[place])[1])):
-            contents.dates[key] = dates
+        contents.add(key, columns[key], units[place].strip("[]() ") if place < len(units) else "")
+        if settings.columns and settings.columns.time and key == settings.columns.time.key:
+            contents.keep_stamps(key, _numbers(settings, cells[key][: len(row)])[1])
 
 
 def unpacked(name: str, data: bytes) -> bytes:
@@ -87,17 +75,16 @@ def unpacked(name: str, data: bytes) -> bytes:
     codec = next((codec for magic, codec in PACKED.items() if data.startswith(magic)), None)
     if codec is None:
         return data
-    parts: list[bytes] = []
-    most = allowed_bytes(len(data))
+    most, text = allowed_bytes(len(data)), bytearray()
     try:
         with pa.CompressedInputStream(pa.BufferReader(data), codec) as stream:
-            while len(parts) * _BLOCK <= most and (part := stream.read(_BLOCK)):
-                parts.append(part)
+            while len(text) <= most and (part := stream.read(_BLOCK)):
+                text += part
     except (OSError, pa.ArrowException) as error:
         raise refusal("damaged", name, f"cannot be unpacked ({codec}): {error}") from error
-    if len(text := b"".join(parts)) > most:
+    if len(text) > most:
         raise refusal("unpacks-too-large", name, f"unpacks to more than {most} bytes", "a log")
-    return text
+    return bytes(text)
 
 
 def plain_text(layout: TextLayout, name: str, data: bytes) -> tuple[str, bool]:
@@ -112,21 +99,18 @@ def plain_text(layout: TextLayout, name: str, data: bytes) -> tuple[str, bool]:
     """
     text = _decoded(layout, name, unpacked(name, data)).replace("\r\n", "\n").replace("\r", "\n")
     end = len(text.rstrip(" \t\n"))
-    if not end:
-        return "", True
-    if len(text) > LONGEST_LINE:
-        for number, line in enumerate(text.split("\n"), start=1):
-            if len(line) > LONGEST_LINE:
-                found = f"has a line of more than {LONGEST_LINE} characters"
-                raise refusal("too-long-line", name, found, "one line for each sample", row=number)
+    for number, line in enumerate(text.split("\n"), start=1) if len(text) > LONGEST_LINE else ():
+        if len(line) > LONGEST_LINE:
+            found = f"has a line of more than {LONGEST_LINE} characters"
+            raise refusal("too-long-line", name, found, "one line for each sample", row=number)
     # blank cells at the end of the last row stay, blank lines below it go
     last, line_end, _ = text[end:].partition("\n")
-    return text[:end] + last + "\n", bool(line_end)
+    return (text[:end] + last + "\n", bool(line_end)) if end else ("", True)
 
 
 def _decoded(layout: TextLayout, name: str, data: bytes) -> str:
-    marked = next((encoding for mark, encoding in _MARKS.items() if data.startswith(mark)), None)
-    if marked is not None and marked != layout.encoding:
+    marked = next((encoding for mark, encoding in _MARKS.items() if data.startswith(mark)), layout.encoding)
+    if marked != layout.encoding:
         found = f"begins with the byte order mark of {marked}, the profile reads {layout.encoding}"
         raise refusal("encoding", name, found, row=1, line=f'encoding = "{marked}"')
     codec = "utf-8-sig" if layout.encoding == "utf-8" else layout.encoding
@@ -145,16 +129,15 @@ def _top(layout: Profile, contents: Contents, lines: list[str]) -> int:
     """Return where the line of names is, or the first row without one; lines above it are skipped or labels."""
     below, at = layout.header_after, layout.header_at
     for number, line in enumerate(lines):
-        if number < layout.skip_rows:
-            _take_label(layout, contents, line, number + 1)
-        elif at is not None and find_groups(at, line) is not None:
+        skipped = number < layout.skip_rows
+        if not skipped and at is not None and find_groups(at, line) is not None:
             return number
-        elif below is not None and find_groups(below, line) is not None:
-            _take_label(layout, contents, line, number + 1)
+        searched = at is not None or below is not None
+        if not skipped and below is not None and find_groups(below, line) is not None:
             below = None
-        elif at is not None or below is not None or _is_comment(layout, line):
-            _take_label(layout, contents, line, number + 1)
-        elif layout.labels is None or (line.strip() and not _take_label(layout, contents, line, number + 1)):
+        is_label = _take_label(layout, contents, line, number + 1)
+        blank = layout.labels is not None and not line.strip()
+        if not (skipped or searched or is_label or blank or _is_comment(layout, line)):
             return number
     looked = f"below skip_rows = {layout.skip_rows}, header_at = {at!r} and header_after = {layout.header_after!r}"
     raise refusal("empty", contents.name, f"is empty {looked}", "a line of column names and samples", row=1)
@@ -169,10 +152,8 @@ def _take_label(layout: Profile, contents: Contents, line: str, row: int) -> boo
 
     Of a label that stands several times the last value is kept, but a condition must not change.
     """
-    if layout.labels is None:
-        return False
     line = line.lstrip()[len(layout.comment or "") :] if _is_comment(layout, line) else line
-    label, sign, value = (part.strip() for part in line.partition(layout.labels))
+    label, sign, value = (part.strip() for part in line.partition(layout.labels or "\n"))
     if not sign or not _LABEL_BEGINS.match(label):
         return False
     key = next((key for key, wanted in layout.attributes.items() if wanted == label), None)
@@ -184,33 +165,48 @@ def _take_label(layout: Profile, contents: Contents, line: str, row: int) -> boo
 
 
 def _split(layout: TextLayout, contents: Contents, line: str, row: int) -> list[str]:
-    """Return the cells of a line of names or units."""
+    """Return the cells of a line."""
     if layout.delimiter == BLANKS:
         return line.split()
+    if layout.trailing_delimiter:
+        line = line.rstrip(" \t".replace(layout.delimiter, "")).removesuffix(layout.delimiter)
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(layout.delimiter)]
     try:
-        cells = [cell.strip() for cell in next(csv.reader([line], delimiter=layout.delimiter), [])]
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=layout.delimiter, strict=True))]
     except csv.Error as error:
-        found = f"the line of names cannot be taken apart by {layout.delimiter!r} ({error})"
-        raise refusal("too-long-line", contents.name, found, "names of columns", row=row) from error
-    return cells[:-1] if layout.trailing_delimiter and cells and not cells[-1] else cells
+        raise refusal(
+            "row-length", contents.name, f"is a quotation mark not closed here ({error})?", row=row
+        ) from error
 
 
-def _rows(layout: TextLayout, contents: Contents, lines: list[str], first: int) -> Integers:
-    """Return the numbers of the lines that are rows, and give these one delimiter between cells and none behind."""
-    row = []
-    for number in range(first, len(lines)):
-        line = lines[number]
-        if not line.strip(" \t"):
-            if layout.blank_lines == "refuse":
-                found, line = "a blank line between rows", 'blank_lines = "skip"'
-                raise refusal("row-length", contents.name, found, "a row", row=number + 1, line=line)
-        elif not _is_comment(layout, line):
-            row.append(number + 1)
-            if layout.delimiter == BLANKS:
-                lines[number] = "\t".join(line.split())
-            elif layout.trailing_delimiter:
-                lines[number] = line.rstrip(" \t".replace(layout.delimiter, "")).removesuffix(layout.delimiter)
-    return np.array(row, np.int64)
+def _rows(
+    layout: Profile, contents: Contents, lines: list[str], first: int, names: list[str]
+) -> tuple[list[int], list[list[str]]]:
+    """Return number and cells of each row; a last row that is cut is left out, and kept verbatim."""
+    row, rows, width = [], [], len(names)
+    for number, line in enumerate(lines[first:], start=first + 1):
+        if not line.strip(" \t") and layout.blank_lines == "refuse":
+            help_line = 'blank_lines = "skip"'
+            raise refusal("row-length", contents.name, "a blank line between rows", "a row", row=number, line=help_line)
+        if not line.strip(" \t") or _is_comment(layout, line):
+            continue
+        cells = _split(layout, contents, line, number)
+        if len(cells) == width:
+            row.append(number)
+            rows.append(cells)
+        elif row and number == len(lines) and len(cells) < width:
+            contents.cut_row(line, number)
+        elif not _take_label(layout, contents, line, number):
+            more = (len(cells) == width + 1 and not cells[-1]) or (len(cells) == width - 1 and not names[-1])
+            commas = 'If these are decimal commas, write decimal = "," and another delimiter.'
+            cure = commas if layout.delimiter == "," and len(cells) > width else ""
+            found = f"expected {width} values, found {len(cells)} ({line[:200]!r})"
+            help_line = "trailing_delimiter = true" if more else ""
+            raise refusal("row-length", contents.name, found, "", cure, number, help_line)
+    if not rows:
+        raise refusal("too-short", contents.name, "has 0 samples", "at least 2", row=first + 1)
+    return row, rows
 
 
 def _places(profile: Profile, contents: Contents, names: list[str], row: int) -> dict[str, int]:
@@ -225,92 +221,38 @@ def _places(profile: Profile, contents: Contents, names: list[str], row: int) ->
         fits = [i for i, name in enumerate(names) if (str(i + 1) if numbered else name) == column]
         if len(fits) != 1:
             wants = f"profile {profile.name} wants column {column!r} for {keys.get(column, column)}"
-            found = f"{wants} once, found it {len(fits)} times among {len(names)} columns: {names}"
+            found = f"{wants} once, found it {len(fits)} times among {len(names)} columns: {str(names)[:1000]}"
             raise refusal("column-missing", contents.name, found, cure=cure, row=row)
         places[column] = fits[0]
     return places
 
 
-def _cells(
-    layout: Profile, contents: Contents, lines: list[str], names: list[str], places: list[int], row: Integers
-) -> tuple[dict[int, pa.ChunkedArray], Integers]:
-    """Return the cells of columns as text, and the rows (counted from 0) that were kept."""
-    bad: list[tuple[int, int, str]] = []
-
-    def take(found: pacsv.InvalidRow) -> str:
-        bad.append((found.number - 1, found.actual_columns, found.text))
-        return "skip"
-
-    labels = [str(i) for i in range(len(names))]
-    try:
-        data = pacsv.read_csv(
-            pa.BufferReader("".join(f"{line}\n" for line in lines).encode()),
-            # rows are numbered in the order of the file by one thread only
-            read_options=pacsv.ReadOptions(column_names=labels, use_threads=False),
-            parse_options=pacsv.ParseOptions(
-                delimiter="\t" if layout.delimiter == BLANKS else layout.delimiter,
-                ignore_empty_lines=False,
-                invalid_row_handler=take,
-            ),
-            convert_options=pacsv.ConvertOptions(
-                column_types=dict.fromkeys(labels, pa.string()),
-                include_columns=[labels[i] for i in places],
-                null_values=[],
-                strings_can_be_null=False,
-            ),
-        )
-    except pa.ArrowInvalid as error:
-        found = f"cannot be read as delimited text: {error}"
-        raise refusal("damaged", contents.name, found, row=int(row[0])) from error
-    if data.num_rows + len(bad) != len(lines):
-        # a quotation mark that is not closed takes the lines below into its cell
-        at = next((i for i, line in enumerate(lines) if line.count('"') % 2), 0)
-        found = f"{data.num_rows + len(bad)} rows in {len(lines)} lines; is a quotation mark not closed here?"
-        raise refusal("row-length", contents.name, found, row=int(row[at]))
-    for number, width, text in bad:
-        last_is_cut = number == len(lines) - 1 and number > 0 and width < len(names)
-        if not last_is_cut and not _take_label(layout, contents, text, int(row[number])):
-            more = width == len(names) + 1 and text.rstrip().endswith(layout.delimiter)
-            more |= width == len(names) - 1 and not names[-1]  # of the line of names
-            line = "trailing_delimiter = true" if more else ""
-            cure = ""
-            if layout.delimiter == "," and width > len(names):
-                cure = 'If these are decimal commas, write decimal = "," and another delimiter.'
-            found = f"expected {len(names)} values, found {width} ({text[:200]!r})"
-            raise refusal("row-length", contents.name, found, "", cure, int(row[number]), line)
-    kept = np.delete(np.arange(len(lines)), [number for number, _, _ in bad])
-    return {i: data.column(labels[i]) for i in places}, kept
-
-
-def _last_is_cut(layout: TextLayout, cells: dict[int, pa.ChunkedArray], columns: dict[int, Array]) -> bool:
+def _is_spoilt(values: Array, shorter: Array) -> bool:
     """Return whether a column is of numbers, none of them missing, but for its last cell."""
-    for place, values in columns.items():
-        if values.dtype.kind == "U" and _values(layout, cells[place][:-1]).dtype.kind != "U":
-            return True
-        if values.dtype.kind == "f" and np.isnan(values[-1]) and not np.isnan(values[:-1]).any():
-            return True
-    return False
+    if values.dtype.kind == "f":
+        return bool(np.isnan(values[-1]) and not np.isnan(values[:-1]).any())
+    return values.dtype.kind == "U" != shorter.dtype.kind
 
 
-def _numbers(layout: TextLayout, column: pa.ChunkedArray) -> tuple[pa.Array, pa.Array]:
+def _numbers(layout: TextLayout, column: pa.Array) -> tuple[pa.Array, pa.Array]:
     """Return cells as they are, and with a decimal point and null where they have no value."""
-    text = pc.utf8_trim_whitespace(column.combine_chunks())
+    text = pc.utf8_trim_whitespace(column)
     blank = pc.is_in(text, value_set=pa.array(["", *layout.missing], pa.string()))
     number = pc.if_else(blank, None, text)
     return text, pc.replace_substring(number, ",", ".") if layout.decimal == "," else number
 
 
-def _values(layout: TextLayout, column: pa.ChunkedArray) -> Array:
+def _values(layout: TextLayout, column: pa.Array) -> Array:
     """Return cells as integers where all are whole numbers, as float64 where all are numbers or blank, else as text."""
     text, number = _numbers(layout, column)
     blank = pc.is_null(number)
     points = layout.decimal == "," and pc.any(pc.and_not(pc.match_substring(text, "."), blank)).as_py()
     whole = not pc.any(blank).as_py() and pc.all(pc.match_substring_regex(number, _INTEGER)).as_py()
-    kinds: tuple[Any, ...] = () if points else (pa.int64(), pa.uint64(), pa.float64()) if whole else (pa.float64(),)
-    for kind in kinds:
+    for kind in () if points else (pa.int64(), pa.uint64(), pa.float64()) if whole else (pa.float64(),):
         try:
             plain = pc.utf8_ltrim(number, "+") if kind != pa.float64() else number
             return np.asarray(pc.cast(plain, kind).to_numpy(zero_copy_only=False))
         except pa.ArrowInvalid:  # does not fit
             continue
-    return np.array(text.to_pylist() if points else pc.if_else(blank, "", text).to_pylist(), dtype=np.str_)
+    cells = pc.utf8_slice_codeunits(text if points else pc.if_else(blank, "", text), 0, LONGEST_ATTRIBUTE)
+    return np.array(cells.to_pylist(), dtype=np.str_)

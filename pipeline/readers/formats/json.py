@@ -1,8 +1,13 @@
-"""JSON: a list of records, alone or under a key beside a header; one record a line; or lists beside each other."""
+"""JSON: a list of records, alone or under a key beside a header; one record a line; or lists beside each other.
+
+What is inside records is a column by its path: ``state.q[3]``; ``1``, ``2`` of plain lists. A value that is null or not
+there is NaN, or an empty text; true and false are 1 and 0.
+"""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,11 +17,25 @@ import pyarrow as pa
 
 from pipeline.base.errors import Code
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers.dates import whole_dates
 from pipeline.readers.formats.delimited import unpacked
-from pipeline.readers.formats.records import Cells, columns_of, flat
-from pipeline.readers.frame import Contents
+from pipeline.readers.frame import Array, Contents, with_gaps
 from pipeline.readers.refusals import refusal
+from pipeline.records.batch import Integers
+
+Cells = dict[int, Any]
+"""Values of a column by the number of their record, from 0."""
+
+
+class _Decimal(float):
+    """A number with a fraction, and how it is written: of a date, a float loses digits."""
+
+    text = ""
+
+
+def _decimal(text: str) -> _Decimal:
+    number = _Decimal(text)
+    number.text = text
+    return number
 
 
 def read(path: Path, settings: Profile, contents: Contents) -> None:
@@ -25,50 +44,81 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
     text = data.decode(json.detect_encoding(data)).removeprefix("\ufeff")
     if not text.strip():
         raise refusal("empty", contents.name, "is empty", "JSON", row=1)
-    columns, rows = _columns(contents, settings, _parsed(contents, text, float))
+    value = _parsed(contents, text)
+    records = _records(contents, value, settings.records or "")
+    columns = _lists(contents, value) if records is None else _of_records(contents, records)
+    time = settings.columns.time if settings.columns else None
     for key, cells in columns.items():
         if not contents.asks(key):
             continue
-        count = rows or len(cells.values)
-        where = f"{contents.name}: column {key!r}"
-        contents.add(key, partial(cells.array, where, count, contents.row))
-        source = settings.columns.time if settings.columns else None
-        if source is not None and source.key == key and float in set(map(type, cells.values)):
-            # a float of a date loses digits that its text has
-            again = Contents(contents.name, contents.wanted)
-            texts, _ = _columns(again, settings, _parsed(again, text, str))
-            stamps: list[str | None] = [None] * count
-            for place, stamp in zip(*texts[key], strict=True):
-                stamps[place] = str(stamp)
-            if dates := whole_dates(source, pa.array(stamps, pa.string())):
-                contents.dates[key] = dates
+        count = len(records or cells)
+        contents.add(key, partial(column, f"{contents.name}: column {key!r}", cells, count, contents.row))
+        if time is not None and time.key == key and any(isinstance(value, _Decimal) for value in cells.values()):
+            texts = {number: getattr(value, "text", str(value)) for number, value in cells.items()}
+            contents.keep_stamps(key, pa.array([texts.get(number) for number in range(count)]))
 
 
-def _columns(contents: Contents, settings: Profile, value: Any) -> tuple[dict[str, Cells], int]:
-    """Return columns and number of records; 0 where each column is a list of its own."""
-    records = _records(contents, value, settings.records or "")
-    if records is None:
-        return _lists(contents, value), 0
-    contents.row_name = "record" if contents.row is None else "line"
+def columns_of(records: Sequence[Any]) -> dict[str, Cells]:
+    """Return what records hold by path, in the order in which the paths are found."""
+    columns: dict[str, Cells] = {}
+    for number, record in enumerate(records):
+        for path, value in _flat(record):
+            if number in (cells := columns.setdefault(path, {})):
+                raise ValueError(f"{path!r} stands twice in one record")
+            cells |= {} if value is None else {number: value}
+    return {path: cells for path, cells in columns.items() if cells}
+
+
+def column(where: str, cells: Cells, rows: int, row: Sequence[int] | Integers = ()) -> Array:
+    """Return a value for each of so many rows, where ``row`` says where each stands in the file.
+
+    Raises
+    ------
+    LogError
+        If texts stand beside numbers, or rows without a value beside whole numbers of more than 15 digits.
+    """
+    found, number = list(cells.values()), [*cells]
+    texts = [isinstance(value, str) for value in found]
+    if any(texts) != all(texts):
+        at = texts.index(False)
+        at_row = int(row[number[at]]) if len(row) else number[at] + 1
+        raise refusal("not-a-number", where, f"mixes texts and numbers, such as {found[at]!r}", row=at_row)
+    beyond = all(isinstance(value, int) for value in found) and max(found) >= 1 << 63
+    values = np.array(found, np.uint64 if beyond else None)
+    return with_gaps(where, values.astype(np.int64) if values.dtype == np.bool_ else values, number, rows, row)
+
+
+def _flat(value: Any, path: str = "", lists: bool = True) -> Iterator[tuple[str, Any]]:
+    """Yield path and value of all that is inside objects, and inside lists where ``lists``."""
+    if isinstance(value, dict):
+        for key, part in value.items():
+            yield from _flat(part, f"{path}.{key}" if path else key, lists)
+    elif isinstance(value, list) and lists:
+        for number, part in enumerate(value):
+            yield from _flat(part, f"{path}[{number}]" if path else str(number + 1), lists)
+    else:
+        yield path, value
+
+
+def _of_records(contents: Contents, records: list[Any]) -> dict[str, Cells]:
+    contents.row_name = "line" if len(contents.row) else "record"
     for number, record in enumerate(records):
         if not isinstance(record, dict | list):
-            row = number + 1 if contents.row is None else int(contents.row[number])
+            row = int(contents.row[number]) if len(contents.row) else number + 1
             raise refusal("row-length", contents.name, f"has {str(record)[:80]!r}", "an object", row=row)
-    columns = columns_of(records)
-    if not columns:
-        raise refusal("empty", contents.name, "holds no records with values", "samples", row=1)
-    return columns, len(records)
+    if columns := columns_of(records):
+        return columns
+    raise refusal("empty", contents.name, "holds no records with values", "samples", row=1)
 
 
 def _lists(contents: Contents, value: Any) -> dict[str, Cells]:
     """Return the columns that are lists of their own; lists of lists are matrices."""
     columns = {}
-    for key, inner in flat(value, lists=False):
+    for key, inner in _flat(value, lists=False):
         if isinstance(inner, list) and inner and isinstance(inner[0], list):
             contents.add(key, partial(np.array, inner))
         elif isinstance(inner, list):
-            known = [number for number, one in enumerate(inner) if one is not None]
-            columns[key] = Cells([*known], [inner[number] for number in known])
+            columns[key] = {number: one for number, one in enumerate(inner) if one is not None}
     return columns
 
 
@@ -81,9 +131,9 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _parsed(contents: Contents, text: str, number: type) -> Any:
+def _parsed(contents: Contents, text: str) -> Any:
     """Return the value of a file, a list where it has one record a line."""
-    load = partial(json.loads, parse_float=number, object_pairs_hook=_object)
+    load = partial(json.loads, parse_float=_decimal, object_pairs_hook=_object)
     try:
         return load(text)
     except json.JSONDecodeError as error:
@@ -116,7 +166,7 @@ def _records(contents: Contents, value: Any, path: str) -> list[Any] | None:
     if not isinstance(value, dict):
         raise refusal("header-missing", contents.name, "holds a single value", "a list of records", row=1)
     lists: dict[str, list[Any]] = {}
-    for key, inner in flat(value, lists=False):
+    for key, inner in _flat(value, lists=False):
         if isinstance(inner, list) and inner and isinstance(inner[0], dict):
             lists[key] = inner
         else:

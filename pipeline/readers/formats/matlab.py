@@ -8,15 +8,21 @@ A Simulink "Structure with time" is such a struct: ``scope.time``, ``scope.signa
 from __future__ import annotations
 
 import warnings
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.io import loadmat
 
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.frame import Array, Contents
 from pipeline.readers.isolation import library
 from pipeline.readers.refusals import refusal
+
+if find_spec("matio"):  # here, where the time to import it does not count
+    import_module("matio")
 
 _SERIES = "s = struct('time', ts.Time, 'data', ts.Data)"
 _EXPORTS = {
@@ -47,15 +53,14 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
         # insides of objects have a name with # or __
         if not name.startswith(("#", "__")):
             _add(contents, name, value)
-    for name, label in contents.attributes.items():
+    for name in contents.columns:
         # Simulink writes what a signal is beside its values
-        if name.endswith(".label") and (stem := name.removesuffix("label") + "values") in contents.columns:
-            contents.hints[stem] = str(label)
+        stem, _, rest = name.rpartition(".values")
+        if stem and not rest.strip("[0123456789]") and (label := contents.attributes.get(f"{stem}.label")):
+            contents.hints[name] = str(label)
 
 
 def _by_scipy(path: Path) -> dict[str, Any]:
-    from scipy.io import loadmat
-
     with warnings.catch_warnings():
         warnings.simplefilter("error", np.exceptions.ComplexWarning)
         try:
@@ -95,10 +100,8 @@ def _advice(kind: str) -> str:
     """Return why an object of a class is not read, and how it is exported."""
     export = _EXPORTS.get(kind, "s = struct('time', <its times>, 'data', <its values>)")
     each = " for each of its elements" if kind.endswith(("Dataset", "Output")) else ""
-    return (
-        f"is a MATLAB object of class {kind[:80]}, whose form only MATLAB knows. Export it there{each}: {export}; "
-        + ("save('log.mat', 's', '-v7').")
-    )
+    text = f"is a MATLAB object of class {kind[:80]}, whose form only MATLAB knows. Export it there{each}: {export}; "
+    return text + "save('log.mat', 's', '-v7')."
 
 
 def _add(contents: Contents, path: str, value: Any) -> None:
@@ -108,8 +111,7 @@ def _add(contents: Contents, path: str, value: Any) -> None:
     elif hasattr(value, "columns"):  # a table or timetable
         frame = value.reset_index() if value.index.name else value
         for name in frame.columns:
-            column = frame[name].to_numpy()
-            contents.add(f"{path}.{name}", column, unit="ns" if column.dtype.kind in "mM" else "")
+            contents.add(f"{path}.{name}", frame[name].to_numpy())
     elif type(value).__name__ == "MatlabOpaque":  # as scipy has it
         own, _, kind, _ = (part.decode("utf-8", "replace") if isinstance(part, bytes) else "" for part in value.flat[0])
         contents.refused[own if path == "None" else path] = _advice(kind)
@@ -128,11 +130,11 @@ def _add(contents: Contents, path: str, value: Any) -> None:
     elif value.dtype.kind == "O" and not (texts := _texts(value)).size:
         for number, element in enumerate(value.reshape(-1, order="F")):
             _add(contents, f"{path}[{number}]", element)
+    elif value.dtype.kind in "UTO":
+        found = texts if value.dtype.kind == "O" else value.reshape(-1) if value.size else [""]
+        contents.add(path, np.array([str(text).rstrip() if len(found) > 1 else str(text) for text in found]))
     else:
-        text = value.dtype.kind in "UTO"
-        values = texts if value.dtype.kind == "O" else value if value.size or not text else np.array([""])
-        rows = np.array([str(row) if len(values) == 1 else str(row).rstrip() for row in values.reshape(-1)])
-        contents.add(path, rows if text else values, unit="ns" if value.dtype.kind in "mM" else "")
+        contents.add(path, value)
 
 
 def _texts(value: Array) -> Array:

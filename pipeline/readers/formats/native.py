@@ -1,15 +1,12 @@
 """Reads native logs, many at a time: the bodies are parsed as one text, which saves the cost per file.
 
-A body that breaks the common parse, or whose number of rows does not agree with its lines, is searched alone
-for the row at fault.
+A body that breaks the common parse, or whose number of rows does not agree with its lines, is read alone as delimited
+text, which finds the row at fault.
 """
 
 from __future__ import annotations
 
-import re
-from array import array
 from collections.abc import Sequence
-from io import BytesIO
 
 import numpy as np
 import pyarrow as pa
@@ -18,18 +15,26 @@ import pyarrow.csv as pacsv
 from pipeline.base.errors import LogError
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.file_kind import refuse_other_kind
-from pipeline.readers.limits import LONGEST_HEADER, LONGEST_HEADER_LINE, LONGEST_LINE
+from pipeline.readers.limits import LONGEST_HEADER, LONGEST_HEADER_LINE
 from pipeline.readers.log import Log, RawLog, check_samples
 from pipeline.readers.refusals import refusal
 from pipeline.records.batch import Floats
 from pipeline.records.native import COLUMN_LINE, NativeHeader, parse_header
 
 _NAMES = COLUMN_LINE.split(",")
-# float() would take digits of every script, which the common parse does not; no digit may belong to two parts, or a
-# million of them would be divided in every way
-_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _BLANK = b"\r\n\t "
 _LINE_FEED = 10
+
+_AS_TEXT = {
+    "name": "native",
+    "format": "delimited",
+    "files": ["*"],
+    "decimal": ".",
+    "columns": {key: {"name": key, "unit": unit, "sign": 1} for key, unit in (("command", "N"), ("position", "m"))}
+    | {"time": {"name": "time_s", "unit": "s"}},
+    "constants": {"device": "native", "experiment": "1", "sampling_period_s": 1.0},
+}
+"""Profile that reads the table of a native log."""
 
 Columns = tuple[Floats, Floats, Floats]
 
@@ -38,7 +43,7 @@ class _Body:
     """The samples of one log as text, and the line number of the first."""
 
     def __init__(self, raw: RawLog) -> None:
-        data = raw.data[0]
+        self.data = data = raw.data[0]
         if not data.startswith(b"#"):
             refuse_other_kind(raw.names[0], "native", data)
         self.header, start, self.first_row = _split(data)
@@ -50,11 +55,6 @@ class _Body:
         else:
             text = data[start:].rstrip(_BLANK) + b"\n"
             self.view, self.lines = memoryview(text), text.count(b"\n") if len(text) > 1 else 0
-
-    @property
-    def text(self) -> bytes:
-        """All lines, each with its end."""
-        return bytes(self.view)
 
 
 def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[tuple[Log, ...] | LogError]:
@@ -80,8 +80,8 @@ def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[tu
             bodies[index] = _Body(raw)
         except LogError as error:
             outcomes[index] = error
-    filled = {index: body for index, body in bodies.items() if body.lines}
-    columns = _parse(b"".join([b.view for b in filled.values()]), sum(b.lines for b in filled.values()), use_threads)
+    filled = [body for body in bodies.values() if body.lines]
+    columns = _parse(b"".join([body.view for body in filled]), sum(body.lines for body in filled), use_threads)
     end = 0
     for index, body in bodies.items():
         start, end = end, end + body.lines
@@ -95,34 +95,32 @@ def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[tu
 
 def _split(data: bytes) -> tuple[NativeHeader, int, int]:
     """Return the header, the offset of the first sample and its line number."""
-    head = data[:LONGEST_HEADER]
-    cure = "Correct the column line, or describe the file by a profile."
+    head, start = data[:LONGEST_HEADER], 0
     if not head.strip(b"\xef\xbb\xbf \t\r\n"):
         raise refusal("empty", "", "file is empty", "a header, the column line and samples", row=1)
     lines: list[str] = []
-    start = 0
-    while start < len(head):
-        end = head.find(b"\n", start) + 1 or len(head)
-        row = len(lines) + 1
-        if end - start > LONGEST_HEADER_LINE:
+    for row, line in enumerate(head.split(b"\n"), start=1):
+        if len(line) > LONGEST_HEADER_LINE:
             found = f"line has more than {LONGEST_HEADER_LINE} bytes"
             raise refusal("too-long-line", "", found, f"header lines and the column line {COLUMN_LINE!r}", row=row)
         try:
-            text = head[start:end].decode("utf-8-sig" if start == 0 else "utf-8").strip()
+            text = line.decode("utf-8-sig" if row == 1 else "utf-8").strip()
         except UnicodeDecodeError as error:
             found = f"line is no UTF-8 text ({error.reason})"
             raise refusal("encoding", "", found, row=row) from error
-        start = end
+        start += len(line) + 1
         if text and not text.startswith("#"):
             header = parse_header(lines)
             if [cell.strip() for cell in text.split(",")] != _NAMES:
                 found = f"columns must be exactly {COLUMN_LINE!r}, found {text[:200]!r}"
+                cure = "Correct the column line, or describe the file by a profile."
                 raise refusal("column-missing", "", found, cure=cure, row=row)
             return header, start, row + 1
         lines.append(text)
     parse_header(lines)
     found = f"column line {COLUMN_LINE!r} is missing below the header"
-    raise refusal("header-missing", "", found, cure="Add it and the samples.", row=len(lines) + 1)
+    row = len(lines) + (not head.endswith(b"\n"))
+    raise refusal("header-missing", "", found, cure="Add it and the samples.", row=row)
 
 
 def _parse(text: bytes, lines: int, use_threads: bool) -> Columns | None:
@@ -132,10 +130,10 @@ def _parse(text: bytes, lines: int, use_threads: bool) -> Columns | None:
     try:
         table = pacsv.read_csv(
             pa.BufferReader(text),
-            read_options=pacsv.ReadOptions(column_names=_NAMES, use_threads=use_threads),
+            pacsv.ReadOptions(column_names=_NAMES, use_threads=use_threads),
             # blank lines are rows and quotes are text, so that one line is one row
-            parse_options=pacsv.ParseOptions(quote_char=False, ignore_empty_lines=False),
-            convert_options=pacsv.ConvertOptions(
+            pacsv.ParseOptions(quote_char=False, ignore_empty_lines=False),
+            pacsv.ConvertOptions(
                 column_types=dict.fromkeys(_NAMES, pa.float64()), null_values=[], strings_can_be_null=False
             ),
         )
@@ -149,24 +147,22 @@ def _parse(text: bytes, lines: int, use_threads: bool) -> Columns | None:
 
 def _parse_alone(body: _Body) -> Columns:
     """Return the columns of a log whose lines the common parse does not take, if they are numbers all the same."""
-    columns = _parse(body.text, body.lines, use_threads=False)
+    columns = _parse(bytes(body.view), body.lines, use_threads=False)
     if columns is not None:
         return columns
-    values = array("d")
-    # one line at a time: lines as objects take ten times their bytes
-    for row, line in enumerate(BytesIO(body.text), start=body.first_row):
-        if len(line) > LONGEST_LINE:
-            found = f"line has more than {LONGEST_LINE} characters"
-            raise refusal("too-long-line", "", found, f"3 values ({COLUMN_LINE})", row=row)
-        text = line.decode("utf-8", "replace").removesuffix("\n")
-        cells = [cell.strip() for cell in text.split(",")]
-        if len(cells) != 3:
-            what = "a blank line" if not text.strip() else f"{len(cells)} values ({text.strip()[:200]!r})"
-            raise refusal("row-length", "", f"expected 3 values ({COLUMN_LINE}), found {what}", row=row)
-        for name, cell in zip(_NAMES, cells, strict=True):
-            if _NUMBER.fullmatch(cell) is None:
-                found = f"{name} must be a finite number with a decimal point, found {cell[:200]!r}"
-                raise refusal("not-a-number", "", found, row=row)
-            values.append(float(cell))
-    time, command, position = np.frombuffer(values).reshape(-1, 3).T
+    from pipeline.readers.isolation import read_file  # which sound logs do not pay for
+    from pipeline.readers.rows import rows_of
+
+    layout = Profile.model_validate({**_AS_TEXT, "skip_rows": body.first_row - 2})
+    try:
+        frame = read_file(layout, ("",), (body.data,), _NAMES).frame()
+        if len(frame) != body.lines:
+            lines = bytes(body.view).split(b"\n")
+            at = next((i for i, line in enumerate(lines) if line.count(b",") != 2), 0)
+            found = f"expected 3 values ({COLUMN_LINE}), found {lines[at][:200].decode(errors='replace')!r}"
+            raise refusal("row-length", "", found, row=body.first_row + at)
+        table, _ = rows_of(layout, "", ("",), (frame,), np.arange(len(frame)), body.header.sampling_period_s)
+    except LogError as error:  # there is no profile that a line could go to
+        raise LogError(error.reason.split(" This might help")[0], error.row, code=error.code) from error
+    time, command, position = (table[key].astype(np.float64) for key in ("time", "command", "position"))
     return time, command, position

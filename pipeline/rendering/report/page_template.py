@@ -1,13 +1,26 @@
-"""Pages from templates: what a log says is escaped, and a name that a template misspells is an error."""
+"""Pages from templates: what a log says is escaped, and a name that a template misspells is an error.
+
+A report's page makes no request to any host. Its policy forbids all but inline styles, images inside the page, and the
+scripts whose hashes it names, so that a name in a log that slipped through the escaping would still not run.
+"""
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import json
 from pathlib import Path
+from typing import Any
 
+from pipeline.base.wording import counted, listed
 from pipeline.rendering import labels
 
 TEMPLATES = Path(__file__).parents[1] / "templates"
 """Folder of templates, style sheets, scripts and the vendored plot library."""
+
+PAGE_SCRIPTS = ("report/tables.js", "report/viewer.js", "report/figures.js")
+TRIALS_SCRIPTS = ("report/plane.js", "report/response.js", "report/runs.js", "report/trials.js")
+PLOT, PLOT_LICENCE, PLOT_STYLE = "vendor/uPlot.iife.min.js", "vendor/uPlot.LICENSE", "vendor/uPlot.min.css"
 
 FILTERS = {
     "stiffness": labels.stiffness_text,
@@ -17,6 +30,10 @@ FILTERS = {
     "size": labels.size_text,
     "cost": lambda cost, criterion: labels.cost_range_text(criterion, cost, cost),
     "rounded": labels.estimate_texts,
+    "percent": labels.percent_text,
+    "criterion": labels.criterion_name,
+    "counted": counted,
+    "listed": listed,
 }
 """How templates write quantities."""
 
@@ -47,3 +64,36 @@ def fill_template(name: str, **content: object) -> str:
     )
     environment.filters |= FILTERS
     return environment.get_template(name).render(**content)
+
+
+def scripts(with_trials: bool) -> tuple[str, ...]:
+    """Return the inline scripts of a report in their order; those of the trials come with the plot library."""
+    tables = "".join(script_text(name) for name in PAGE_SCRIPTS)
+    if not with_trials:
+        return (tables,)
+    licence = f"/*! uPlot\n{script_text(PLOT_LICENCE).strip()}\n*/\n"
+    return tables, licence + script_text(PLOT), "".join(script_text(name) for name in TRIALS_SCRIPTS)
+
+
+def policy(inline: tuple[str, ...]) -> str:
+    """Return the Content-Security-Policy of a page with these inline scripts.
+
+    Styles may be inline: the plot library sets positions and colours by style attributes.
+    """
+    hashes = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in inline)
+    allowed = " ".join(f"'sha256-{each}'" for each in hashes) or "'none'"
+    return (
+        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:; "
+        "base-uri 'none'; form-action 'none'"
+    )
+
+
+def json_text(content: Any) -> str:
+    """Return JSON that may stand inside a ``<script>`` element: it holds no ``<``, ``>`` or ``&``."""
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def script_text(name: str) -> str:
+    """Return the text of a script or style sheet of the templates."""
+    return (TEMPLATES / name).read_text(encoding="utf-8")

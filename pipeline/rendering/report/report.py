@@ -1,65 +1,31 @@
 """One self-contained HTML file from finished numbers: no network, readable without its scripts, deterministic.
 
-The page holds every table cell under a name (see `report_tables`) and a digest over all of them; `cells`
-reads them back, which is what `pipeline verify` compares.
+The page holds every table cell under a name and a digest over all of them, which is what `pipeline verify` compares.
 """
 
 from __future__ import annotations
 
+import base64
 import json
-from collections.abc import Callable
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from pipeline.base.disk import write_text
 from pipeline.base.errors import PipelineError
 from pipeline.base.wording import duration, error_text, unbroken
 from pipeline.records.accuracy import AccuracyReport, own_rungs
 from pipeline.records.criteria import criterion_of
-from pipeline.records.results import ComparisonResult, ReportData
-from pipeline.records.trial_codec import NO_TRIALS, TrialPage, pack
-from pipeline.rendering.report import (
-    report_answer,
-    report_estimates,
-    report_figures,
-    report_parts,
-    report_scores,
-    report_scripts,
-    report_tables,
-    report_trend,
-    report_truth,
-)
+from pipeline.records.models import FigureKind
+from pipeline.records.results import ComparisonResult
+from pipeline.rendering.figures.drawing import Drawn, Figure, draw
+from pipeline.rendering.labels import UNITS
+from pipeline.rendering.report import page_template, report_parts
 from pipeline.rendering.report.page_template import fill_template
+from pipeline.rendering.report.tables import NO_TRIALS, TrialPage, tables_of
 from pipeline.rendering.table import Table, footnote, marked, word_table
-
-TABLES: dict[str, Callable[[ComparisonResult, TrialPage], Table | list[Table] | None]] = {
-    "scores": report_scores.score_table,
-    "estimate_scores": report_scores.estimate_score_table,
-    "experiments": report_estimates.experiment_table,
-    "optima": report_tables.optimum_tables,
-    "delay_tables": report_tables.delay_tables,
-    "measured_optima": report_tables.measured_optimum_table,
-    "boundary": report_tables.boundary_table,
-    "methods": report_estimates.method_table,
-    "loops": report_estimates.loop_table,
-    "causes": report_estimates.cause_table,
-    "model": report_estimates.model_table,
-    "outcomes": report_estimates.outcome_table,
-    "truth": report_truth.truth_table,
-    "use": report_answer.use_table,
-    "definitions": report_estimates.definition_table,
-    "missing": report_tables.missing_table,
-    "excluded": report_tables.excluded_table,
-    "notes": report_tables.notes_table,
-    "header": report_tables.header_table,
-    "trend": report_trend.trend_table,
-    "score_costs": report_scores.cost_score_table,
-    "score_rules": report_scores.rule_score_table,
-}
-"""Tables of a comparison by the names that the templates use."""
-
-PRINTED = tuple(name for name in TABLES if name not in ("score_costs", "score_rules"))
-"""Those that Markdown and LaTeX hold, in this order."""
 
 SEVERAL = ("optima", "delay_tables")
 """Names that stand for any number of tables."""
@@ -67,11 +33,36 @@ SEVERAL = ("optima", "delay_tables")
 ALWAYS = ("missing", "excluded", "notes", "loops", "causes", "accuracy", "stages", "provenance")
 """Tables that a reader needs to trust the others: no scene leaves them out."""
 
-PARTS = {"score_costs": "scores", "score_rules": "scores"}
-"""Tables that a scene asks for by the name of another one."""
+_DIGEST_SLOT, _PARTS_SLOT = "digest-of-cells", "digests-of-parts"
 
-_DIGEST_SLOT = "digest-of-cells"
-_PARTS_SLOT = "digests-of-parts"
+
+@dataclass(frozen=True)
+class ReportData:
+    """Everything that one HTML report shows.
+
+    Parameters
+    ----------
+    result : ComparisonResult
+    figures : tuple of Figure
+    stages : tuple of (str, str, str)
+        Stage, what was done with it (run, reuse, leave out), and why.
+    accuracy : AccuracyReport, optional
+        Error and run time of the methods behind the theory, where `pipeline accuracy` was run with this code here.
+    tables : tuple of str, optional
+        Names of the tables that are shown; None for all. What is missing, and the origin, is always shown.
+    trials : TrialPage, optional
+        All trials for the interactive part.
+    request : dict
+        How the report was asked for, in the page's head: what `verify` computes it anew from.
+    """
+
+    result: ComparisonResult
+    figures: tuple[Figure, ...] = ()
+    stages: tuple[tuple[str, str, str], ...] = ()
+    accuracy: AccuracyReport | None = None
+    tables: tuple[str, ...] | None = None
+    trials: TrialPage | None = None
+    request: dict[str, object] = field(default_factory=dict)
 
 
 def render(data: ReportData) -> str:
@@ -84,11 +75,13 @@ def render(data: ReportData) -> str:
     """
     from markupsafe import escape
 
-    result = data.result
-    trials = data.trials
-    inline = report_scripts.scripts(with_trials=trials is not None)
-    figures = report_figures.drawings(data)
-    numbers = {drawing.identifier: drawing.shown for drawn in figures.values() for drawing in drawn}
+    result, trials = data.result, data.trials
+    inline = page_template.scripts(with_trials=trials is not None)
+    drawn = [draw(figure) for figure in data.figures]
+    figures: dict[str, list[Drawn]] = {
+        kind: [d for d in drawn if d.figure.kind == kind] for kind in get_args(FigureKind)
+    }
+    numbers = {each.figure.identifier: each.shown for each in drawn}
     page = fill_template(
         "report.html.j2",
         result=result,
@@ -97,15 +90,15 @@ def render(data: ReportData) -> str:
         metas=report_parts,
         request=json.dumps(data.request, sort_keys=True),
         scripts=inline,
-        policy=report_scripts.policy(inline),
+        policy=page_template.policy(inline),
         trials=trials,
-        trials_json=report_scripts.json_text(trials.content) if trials else "",
-        plot_style=report_scripts.plot_style() if trials else "",
+        trials_json=page_template.json_text(trials.content) if trials else "",
+        plot_style=page_template.script_text(page_template.PLOT_STYLE) if trials else "",
         footnote=footnote,
         families=list(dict.fromkeys(criterion_of(name).family for name in result.criteria)),
         figures=figures,
-        figure_json=report_scripts.json_text({"figures": pack(numbers)}) if numbers else "",
-        **report_answer.answer_content(result),
+        figure_json=page_template.json_text({"figures": pack(numbers)}) if numbers else "",
+        **answer_content(result),
         **_tables(data),
     )
     page = unbroken(page)
@@ -126,28 +119,50 @@ def write(data: ReportData, path: Path) -> None:
     write_text(path, render(data))
 
 
-def tables_of(name: str, result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> list[Table]:
-    """Return the tables of `TABLES` by a name; none where there is nothing to say."""
-    found = TABLES[name](result, trials)
-    tables = found if isinstance(found, list) else [found] if found else []
-    return [marked(table, simulated=result.simulated) for table in tables]
+def pack(content: Any) -> str:
+    """Return a JSON value as deflated text in base64, which a browser unpacks by itself (``DecompressionStream``)."""
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
+    return base64.b64encode(zlib.compress(text.encode(), 7)).decode()
+
+
+def answer_content(result: ComparisonResult) -> dict[str, Any]:
+    """Return what the templates of the answer take beside the result: units, and the sampling period [s]."""
+    return {"units": UNITS[result.motion], "period": result.told.sampling_period_s if result.told else None}
+
+
+def answer_lines(result: ComparisonResult) -> tuple[str, ...]:
+    """Return the five answers as lines of text; none where there is no answer."""
+    if result.answer is None:
+        return ()
+    text = fill_template("answer.txt.j2", result=result, **answer_content(result))
+    return tuple(" ".join(line.split()) for line in text.splitlines() if line.strip())
+
+
+def printed_tables(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> list[Table]:
+    """Return all tables of a comparison as they are printed, those of simulated logs marked so."""
+    found = tables_of(result, trials)
+    return [marked(table, simulated=result.simulated) for tables in found.values() for table in tables]
 
 
 def _tables(data: ReportData) -> dict[str, Any]:
     """Return what the templates get: a table or None, or a list for a name that stands for several."""
-    found = {name: tables_of(name, data.result, data.trials or NO_TRIALS) for name in TABLES}
+    result = data.result
+    found = {
+        name: [marked(table, simulated=result.simulated) for table in tables]
+        for name, tables in tables_of(result, data.trials or NO_TRIALS).items()
+    }
     rest = {
         "accuracy": _accuracy_table(data.accuracy),
         "stages": word_table("stages", "Plan of stages", ("stage", "what", "why"), data.stages),
-        "provenance": word_table("provenance", "Origin", ("entry", "value"), sorted(data.result.provenance.items())),
+        "provenance": word_table("provenance", "Origin", ("entry", "value"), sorted(result.provenance.items())),
     }
     found |= {name: [table] if table else [] for name, table in rest.items()}
-    asked = {name: [table for table in tables if _is_asked(name, table, data.tables)] for name, tables in found.items()}
+    asked = {name: [t for t in tables if _is_asked(name, t.name, data.tables)] for name, tables in found.items()}
     return {name: tables if name in SEVERAL else next(iter(tables), None) for name, tables in asked.items()}
 
 
-def _is_asked(name: str, table: Table, names: tuple[str, ...] | None) -> bool:
-    own = {table.name} if name in SEVERAL else {table.name, PARTS.get(name, name)}
+def _is_asked(name: str, table: str, names: Sequence[str] | None) -> bool:
+    own = {table} if name in SEVERAL else {table, name}
     return names is None or bool(own & {*names, *ALWAYS})
 
 

@@ -1,4 +1,4 @@
-"""What stands on a page of a report, part by part and by name: cells of tables, figures, embedded data, sentences.
+"""What stands on a page of a report, part by part and by name: cells of tables, embedded data, sentences.
 
 `verify` takes two pages apart, the report and one that was computed anew, and compares the parts. Some parts no
 log determines, such as run times; for those `digests` keeps short hashes in the page itself.
@@ -33,7 +33,6 @@ DIGITS = 8
 _LEAVES = frozenset({"p", "li", "dt", "dd", "figcaption", "caption", "summary", "h1", "h2", "h3", "h4", "th", "td"})
 """Elements that hold one sentence, or a few; named cells are not among the sentences."""
 
-_FIGURE = re.compile(r'<figure\b[^>]*?\bid="([^"]*)"[^>]*>.*?</figure>', re.DOTALL)
 _DRAWING = re.compile(r"<svg\b.*?</svg>", re.DOTALL)
 _BLOCK = re.compile(r"<(script|style)\b([^>]*)>(.*?)</\1>", re.DOTALL)
 _ID = re.compile(r'\bid="([^"]*)"')
@@ -58,8 +57,6 @@ class Parts:
         Text of each named cell as a reader sees it, marks of notes included.
     doubles : list of str
         Names that occur twice.
-    figures : dict of str to str
-        Markup of each drawing, named ``<figure id>-<number>``.
     data : dict of str to str
         Content of each script and style block: by its id, or ``script-0``, ``style-0`` and so on.
     texts : dict of str to str
@@ -70,7 +67,6 @@ class Parts:
 
     cells: dict[str, str]
     doubles: list[str]
-    figures: dict[str, str]
     data: dict[str, str]
     texts: dict[str, str]
     metas: dict[str, str] = field(default_factory=dict)
@@ -95,9 +91,6 @@ class Parts:
 
 def take_apart(page: str) -> Parts:
     """Return the parts of a page that `report.render` made; other HTML has few or none."""
-    figures: dict[str, str] = {}
-    for figure in _FIGURE.finditer(page):
-        figures |= {f"{figure[1]}-{n}": drawing for n, drawing in enumerate(_DRAWING.findall(figure[0]))}
     data: dict[str, str] = {}
     counts: Counter[str] = Counter()
     for kind, attributes, content in _BLOCK.findall(page):
@@ -106,7 +99,7 @@ def take_apart(page: str) -> Parts:
         counts[kind] += not named
     # drawings are most of a page, and no cell stands in one
     reader = _Reader(_DRAWING.sub("", _BLOCK.sub("", page)))
-    return Parts(reader.cells, reader.doubles, figures, data, reader.texts, reader.metas)
+    return Parts(reader.cells, reader.doubles, data, reader.texts, reader.metas)
 
 
 def digests_of(page: str, parts: Parts | None = None) -> Digests:

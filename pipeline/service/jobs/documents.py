@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.base.file_names import path_of_text
+from pipeline.base.paths import path_of_text
 from pipeline.base.provenance import code_digest, digest, sha256
 from pipeline.device_data.devices import known_devices
 from pipeline.device_data.published import published_files

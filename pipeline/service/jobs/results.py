@@ -10,8 +10,8 @@ from typing import Any
 
 from pipeline.base.disk import write_text
 from pipeline.base.errors import DeviceError, PipelineError
-from pipeline.base.file_names import path_of_text
-from pipeline.comparison.against_run import against_experiments
+from pipeline.base.paths import path_of_text
+from pipeline.comparison.against import against_experiments
 from pipeline.comparison.compare import compare
 from pipeline.comparison.executors import LOCAL, executor_of
 from pipeline.comparison.scene.scene import needed_stages, open_scene

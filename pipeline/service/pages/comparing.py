@@ -14,8 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from pipeline.comparison.against import compare_pair
 from pipeline.records.against_records import PairDifference, Side
 from pipeline.records.criteria import REPORTED
-from pipeline.records.results import ExperimentResult
-from pipeline.records.score_records import TheoryParameters
+from pipeline.records.results import TheoryParameters
 from pipeline.service.pages.frame import busy, fields_of, page_of
 from pipeline.service.problems import Problem
 from pipeline.service.shared import ComparisonRequest, Service, Shared, run_of
@@ -134,8 +133,8 @@ def differences(first: Run, second: Run) -> tuple[PairDifference | None, str]:
         )
         for device, experiment, document in (first, second)
     )
-    a, b = (ExperimentResult.model_validate(document["experiments"][0]) for *_, document in (first, second))
-    return compare_pair(one, other, (a, b), None, (first[2]["motion"], second[2]["motion"]), scales), ""
+    documents = first[2]["experiments"][0], second[2]["experiments"][0]
+    return compare_pair((one, other), documents, first[2]["motion"], scales), ""
 
 
 def _units(document: Mapping[str, Any]) -> tuple[float, float] | None:

@@ -25,7 +25,6 @@ from pipeline.records.results import Answer
 from pipeline.rendering.labels import UNITS
 from pipeline.service import profiles
 from pipeline.service.catalogue import WORDS, Selection
-from pipeline.service.metrics import MEDIA
 from pipeline.service.pages.frame import HERE, busy, check, fields_of, kept, page_of, part_of, style_sheet
 from pipeline.service.problems import Problem
 from pipeline.service.rest import api, lab
@@ -334,12 +333,6 @@ def audit(service: Shared, request: Request, before: int = 2**62) -> Response:
 def readable(service: Shared, request: Request) -> Response:
     """Show the API, from its schema."""
     return page_of(service, request, "api.html.j2", schema=request.app.openapi())
-
-
-@pages.get("/metrics")
-def metrics(service: Shared) -> Response:
-    """Tell a monitor what was asked for and done."""
-    return Response(service.metrics.text(), media_type=MEDIA)
 
 
 def _csv(items: Sequence[Mapping[str, Any]]) -> Response:

@@ -349,7 +349,6 @@ async def receive(service: Service, request: Request, check: Any = lambda _: Non
         upload.discard()
         raise
     service.workers.wake()
-    service.metrics.uploaded(accepted["files"])
     return accepted
 
 

@@ -10,7 +10,7 @@ from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
-from pipeline.base.file_names import path_of_text
+from pipeline.base.paths import path_of_text
 from pipeline.intake.quarantine import excerpt_of, list_quarantine, record_id, release
 from pipeline.service import profiles
 from pipeline.service.jobs.documents import uploaded_name
@@ -188,7 +188,7 @@ async def plan(
          responses={200: {"content": {"image/svg+xml": {}}}, **QUEUED, **answers.NAMED})  # fmt: skip
 async def figure(service: Shared, device: Segment, experiment: Segment, name: str) -> Response:
     """Return a figure of an experiment: ``limits`` with theory, or ``response``."""
-    from pipeline.rendering.figures.figure_files import standalone
+    from pipeline.rendering.figures.drawing import standalone
 
     document, job = await experiment_document(service, device, experiment)
     if document is None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pipeline.base.errors import UsageError
-from pipeline.base.outputs import check_output
+from pipeline.base.paths import check_output
 from pipeline.shell import console
 from pipeline.shell.commands.options import Json
 
@@ -83,6 +83,7 @@ def design(
     document = {"device": known.name, "experiment": case, "hand": hand, **answer.document()}
     document["left_out"] = known.loop_of(next(e for e in known.experiments if e.name == case)).left_out
     document["quantum"] = _quantum(known, case, stiffness)
+    document["published"] = _published(known, case, loop, answer.wall["damping"] or 0.0)
     if as_json:
         console.print_json(document)
         return
@@ -125,6 +126,18 @@ def _quantum(device: Device, experiment: str, stiffness: float | None) -> dict[s
     return {"stiffness": quantum_limit(friction.coulomb, quantum), "quantum": quantum, "quantum_needed": needed}
 
 
+def _published(device: Device, experiment: str, loop: Loop, damping: float) -> list[dict[str, Any]]:
+    """Return what published conditions allow at the damping of the nearest wall."""
+    from pipeline.device_data.devices import find_experiment
+    from pipeline.rig.published import published_limits
+
+    friction = device.loop_of(find_experiment(device, experiment)).friction
+    coulomb = friction.coulomb if friction is not None else 0.0
+    found = published_limits(loop, damping, coulomb=coulomb, quantum=device.sensor.quantum)
+    rows: list[dict[str, Any]] = found.astype(object).where(found.notna(), None).to_dict("records")
+    return rows
+
+
 def _lines(document: dict[str, Any], loop: Loop) -> list[str]:
     """Return the answer as lines: reached or not, the wall, changes, sensitivities."""
     k, b = ("N/m", "Ns/m") if loop.motion == "translation" else ("Nm/rad", "Nms/rad")
@@ -156,6 +169,12 @@ def _lines(document: dict[str, Any], loop: Loop) -> list[str]:
         lines.append(
             f"  {row['quantity']} by {percent:+.3g} % per percent ({row['stiffness_max_per_unit']:.4g} {unit})"
         )
+    lines += ["", f"Published conditions at B = {wall['damping']:.4g} {b}, and what they leave out:"]
+    for row in document["published"]:
+        if row["stiffness"] is not None:
+            lines.append(
+                f"  K <= {row['stiffness']:.5g} {k} for {row['promises']}: {row['condition']} ({row['assumes']})"
+            )
     if document["left_out"]:
         lines.append(f"Left out of linear theory: {', '.join(document['left_out'])}.")
     quantum = document["quantum"]

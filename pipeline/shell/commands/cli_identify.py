@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pipeline.base.outputs import check_output
+from pipeline.base.paths import check_output
 from pipeline.shell import console
 from pipeline.shell.commands.options import Json, ProfileFile
 

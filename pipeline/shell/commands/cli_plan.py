@@ -18,8 +18,8 @@ from pipeline.shell import console
 from pipeline.shell.commands.options import Processed
 
 if TYPE_CHECKING:
-    from pipeline.plan.answer import Plan
     from pipeline.plan.course import Wish
+    from pipeline.plan.planner import Plan
 
 
 class Goal(StrEnum):
@@ -43,9 +43,6 @@ def plan(
     accuracy: Annotated[
         float, typer.Option("--accuracy", help="Wanted largest error of a limit, in percent of the largest limit.")
     ] = 2.0,
-    area: Annotated[
-        bool, typer.Option("--area", help="The accuracy is that of the area under the limits, relative to it.")
-    ] = False,
     gentle: Annotated[bool, typer.Option("--gentle", help="Prefer stable walls, approach limits from below.")] = False,
     max_stiffness: Annotated[
         float, typer.Option("--max-stiffness", help="Largest K to try.", show_default=False)
@@ -101,7 +98,6 @@ def plan(
         max_damping,
         max_force,
         max_travel,
-        area,
     )
     if watch:
         _watch(watch, device, processed, experiment, wish, profile, as_json)
@@ -162,8 +158,6 @@ def _print_limits(answer: Plan) -> None:
         ends = "no stable wall" if limit.low is None else f"stable at {limit.low:.5g}"
         ends += ", no unstable wall" if limit.high is None else f", unstable at {limit.high:.5g}"
         console.say(f"B = {limit.damping:g}: limit {value} ({ends}){'; ' + limit.note if limit.note else ''}")
-    if answer.area is not None:
-        console.say(f"area {answer.area.estimate:.5g}, between {answer.area.low:.5g} and {answer.area.high:.5g}")
 
 
 def _print(answer: Plan, as_json: bool, line: bool = False) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pipeline.base.errors import EXIT_ERROR, EXIT_QUARANTINED, OTHER_COLUMNS, UsageError
-from pipeline.base.outputs import check_output
+from pipeline.base.paths import check_output
 from pipeline.shell import console
 from pipeline.shell.commands.options import Json, Processed, ProfileFile
 
@@ -53,7 +53,7 @@ def check(
     if as_json:
         console.print_json(check_document(loaded, checked))
     else:
-        for line in check_lines(loaded, checked):
+        for line in check_lines(checked):
             console.say(line)
     if any(trial.other_gains for sample in checked for trial in sample.trials):
         raise typer.Exit(EXIT_ERROR)
@@ -224,7 +224,7 @@ def _show(wanted: str, processed: Path, as_json: bool) -> None:
 
 def _retry(paths: Sequence[str] | None, profile: str | None, processed: Path, as_json: bool) -> None:
     """Ingest logs in quarantine again."""
-    from pipeline.base.file_names import path_of_text
+    from pipeline.base.paths import path_of_text
     from pipeline.intake.ingest import ingest
     from pipeline.intake.quarantine import find_record, list_quarantine, quarantine_folder, record_id
 

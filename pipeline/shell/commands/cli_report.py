@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pipeline.base.errors import UsageError
-from pipeline.base.outputs import check_output
+from pipeline.base.paths import check_output
 from pipeline.shell import console
 from pipeline.shell.commands import cli_theory
 from pipeline.shell.commands.options import Criteria, ExecutorName, Experiments, Json, Store
@@ -65,14 +65,14 @@ def compare(
 
     Example: pipeline compare --device falcon --experiment 1 --criteria settle_2pct,overshoot
     """
-    from pipeline.comparison.against_run import against_document, read_document
+    from pipeline.comparison.against import against_document, read_document
     from pipeline.comparison.compare import compare as compare_device
     from pipeline.comparison.executors import executor_of
     from pipeline.comparison.scene.scene_file import read_scene
     from pipeline.rendering.table_export import export_tables, parse_formats, tables_folder
     from pipeline.shell.report_index import write_index
-    from pipeline.store.mirror import opened
     from pipeline.store.names import page_against_document, report_of
+    from pipeline.store.objects import opened
 
     earlier = Path(against) if against is not None and against.endswith(".json") else None
     two = against is not None and earlier is None
@@ -114,6 +114,7 @@ def compare(
             scene_file=scene,
             progress=None if as_json else console.note,
             executor=computes,
+            figures=figures,
         )
     if outcome.result is None:
         stages = [dict(zip(("stage", "action", "reason"), row, strict=True)) for row in outcome.stages]
@@ -128,7 +129,6 @@ def compare(
     if document is not None and earlier is not None:
         _print_against(against_document(outcome.result, document), page_against_document(target, earlier), as_json)
         return
-    drawn_files = _write_figures(outcome.report, figures) if figures and outcome.report else ()
     written = export_tables(outcome.result, tables_folder(target), formats) if formats else ()
     if as_json:
         console.print_json(outcome.result.model_dump(mode="json"))
@@ -139,21 +139,8 @@ def compare(
         console.say(f"report: {outcome.report}")
     if written:
         console.say(f"tables: {len(written)} files in {tables_folder(target)}")
-    if drawn_files:
-        console.say(f"figures: {len(drawn_files)} files in {figures}")
-
-
-def _write_figures(report: Path, folder: Path) -> tuple[Path, ...]:
-    """Write the figures that stand on a page as files of their own."""
-    import json
-
-    from pipeline.records.trial_codec import unpack
-    from pipeline.rendering.figures.figure_files import write_figures
-    from pipeline.rendering.report.report_parts import take_apart
-
-    parts = take_apart(report.read_text(encoding="utf-8"))
-    numbers = json.loads(parts.data.get("figure-data", "{}")).get("figures")
-    return write_figures(parts.figures, folder, unpack(numbers) if numbers else None)
+    if figures is not None:
+        console.say(f"figures: {figures}")
 
 
 def _compare_against(
@@ -165,7 +152,7 @@ def _compare_against(
     as_json: bool,
 ) -> None:
     """Compare the experiment of a device with another one, and print what differs."""
-    from pipeline.comparison.against_run import against_experiments, names_of
+    from pipeline.comparison.against import against_experiments, names_of
     from pipeline.store.names import page_against
     from pipeline.store.storage import list_experiments
 
@@ -211,7 +198,7 @@ def _save_scene(device: str, processed: str, path: Path) -> None:
     """Write a scene file with all that is stored of a device, to be shortened."""
     from pipeline.base.disk import write_text
     from pipeline.comparison.scene.scene_file import draft_scene
-    from pipeline.store.mirror import opened
+    from pipeline.store.objects import opened
 
     check_output(path, "--save-scene")
     if path.exists():

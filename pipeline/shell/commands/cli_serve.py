@@ -157,7 +157,7 @@ def push(
 
 
 def _check_installed() -> None:
-    needed = ("fastapi", "uvicorn", "python_multipart", "prometheus_client")
+    needed = ("fastapi", "uvicorn", "python_multipart")
     missing = [name for name in needed if find_spec(name) is None]
     if missing:
         raise UsageError(

@@ -58,7 +58,7 @@ def ingest(
     Example: pipeline ingest raw --profile lab.toml --wait 600
     """
     from pipeline.intake.ingest import ingest as ingest_logs
-    from pipeline.store.mirror import stored_by
+    from pipeline.store.objects import stored_by
 
     if jobs is not None and jobs < 1:
         raise UsageError(f"jobs must be at least 1, found {jobs}. Leave it out for one per processor.")
@@ -340,7 +340,7 @@ def delete(
 
 
 def _stored_by(processed: str, work: Callable[[Path], Result]) -> Result:
-    from pipeline.store.mirror import stored_by
+    from pipeline.store.objects import stored_by
 
     _must_exist(processed)
     return stored_by(processed, work)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from pipeline.base.errors import EXIT_ERROR, UsageError
-from pipeline.base.outputs import check_output
+from pipeline.base.paths import check_output
 from pipeline.shell import console
 from pipeline.shell.commands.options import Json
 

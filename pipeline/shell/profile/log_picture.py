@@ -19,17 +19,17 @@ from pipeline.device_data.devices import known_devices
 from pipeline.intake.reading import logs_of, motion_of
 from pipeline.intake.sources import find_sources
 from pipeline.measured.signal.marks import gaps, jumps, rests
-from pipeline.profiles.profile_columns import QUANTITIES
+from pipeline.profiles.profile_columns import QUANTITIES, si_unit
 from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
 from pipeline.records.batch import Floats
-from pipeline.records.figure_records import Figure, RecordedColumn
 from pipeline.records.models import Motion
-from pipeline.rendering.figures.log_drawing import recorded, words
+from pipeline.rendering.figures.drawing import draw
+from pipeline.rendering.figures.overview import RecordedColumn, recorded_figure
 from pipeline.rendering.report.page_template import fill_template
 from pipeline.shell.console import draft_hint
-from pipeline.shell.profile.profile_check import si_unit, step_of
+from pipeline.shell.profile.profile_check import step_of
 from pipeline.shell.profile.profile_draft import open_sample
 
 MOST_COLUMNS = 24
@@ -110,11 +110,10 @@ def _as_it_stands(log: Path) -> tuple[str, tuple[RecordedColumn, ...]]:
     """Return the columns of numbers of a file of which nothing is known."""
     sample = open_sample(log)
     shown = sample.numbers[:MOST_COLUMNS]
-    if not shown:
-        raise LogError(f"{log}: no columns of numbers are found in it.", code="empty")
-    frame, units = sample.frame(*shown), {info.name: info.hint for info in shown}
-    rows = np.arange(len(frame), dtype=np.float64)
-    columns = {name: np.asarray(frame.columns[name], dtype=np.float64) for name in units}
+    columns = dict(zip((info.name for info in shown), sample.columns(shown), strict=False))
+    if not columns:
+        raise LogError(f"{log}: its columns have different lengths; describe it by a profile.", code="lengths-differ")
+    rows, units = np.arange(shown[0].rows, dtype=np.float64), {info.name: info.hint for info in shown}
     # a column that rises in every row is a clock or a counter: its gaps are those of the log
     clock = next((values for values in columns.values() if len(values) > 1 and (np.diff(values) > 0).all()), rows)
     return sample.name, tuple(_column(name, units[name], rows, each, clock, None) for name, each in columns.items())
@@ -131,8 +130,8 @@ def page(pictures: Sequence[Picture]) -> str:
     for i, picture in enumerate(pictures):
         trials = []
         for j, (title, columns) in enumerate(picture.trials):
-            figure = Figure("response", f"log-{i}-{j}", title, "", columns)
-            trials.append((title, list(zip(recorded(figure, picture.abscissa), map(words, columns), strict=True))))
+            drawn_columns = draw(recorded_figure(f"log-{i}-{j}", title, columns, picture.abscissa)).panels
+            trials.append((title, list(zip(drawn_columns, (column.words for column in columns), strict=True))))
         drawn.append((picture, trials))
     return fill_template("log.html.j2", drawn=drawn, version=__version__)
 

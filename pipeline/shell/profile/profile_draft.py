@@ -9,29 +9,28 @@ no questions: the law tells them, and `check` holds it against the answers.
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from itertools import permutations
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pipeline.base.errors import LogError, ProfileError, UsageError
 from pipeline.base.units import UNITS, find_unit, unit_between, unit_in_heading
 from pipeline.profiles.patterns import find_groups
-from pipeline.profiles.profile_columns import QUANTITIES
+from pipeline.profiles.profile_columns import QUANTITIES, si_unit
 from pipeline.profiles.profile_lines import QUESTION
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Format, Profile
-from pipeline.readers.formats.delimited import PACKED, unpacked
-from pipeline.readers.formats.files import read_file
-from pipeline.readers.frame import ColumnInfo, Contents, Frame
-from pipeline.readers.layout import Layout, format_of, text_layout
+from pipeline.readers.file_kind import PACKED, format_of
+from pipeline.readers.formats.delimited import unpacked
+from pipeline.readers.frame import ColumnInfo, Contents
+from pipeline.readers.isolation import read_file
+from pipeline.readers.layout import Layout, text_layout
 from pipeline.readers.obeyed import Law, law_of
 from pipeline.records.models import Motion
-
-ROLES = ("time", "command", "position")
 
 KEYS: dict[str, tuple[Any, str]] = {
     "step_at": ("command edge", 'when does the step happen: "command edge", "first row", or step_row or step_time_s?'),
@@ -64,26 +63,32 @@ MOST_TRIED = 8
 SAME = 0.1
 """Part by which a number may differ from what the command obeys: names are rounded."""
 
-_UNITS = {
-    "time": (("s", "ms", "us", "ns"), 2e-5, 0.1),
-    "command": (("N", "mN", "Nm", "mNm"), 1e-3, 1e4),
-    "position": (("m", "mm", "um", "rad", "deg"), 1e-6, 0.8),
-}
-"""Units as they are proposed, and the range [SI] of sampling period, command and position in one log of a device."""
 
-_NAMES = {
-    "time": (r"t|time|times?tamps?|stamp|zeit|zeitstempel|tout|@stamp|@time", r"(?!)"),
-    "command": (
-        r"command|cmd|force[ _-]?(?:command|cmd|desired)|(?:tau|torque)[ _-]?(?:command|cmd|desired)",
-        r"f|u|tau|m|kraft|moment|force|torque|(?:f|u)[ _-]?(?:cmd|soll|des)",
+class _Role(NamedTuple):
+    """Names that a column of this role may have, units in the order in which they are proposed, and the range [SI] of
+    sampling period, command and position in one log of a device."""
+
+    names: str
+    units: tuple[str, ...]
+    low: float
+    high: float
+
+
+_ROLES = {
+    "time": _Role(r"t|time|times?tamps?|stamp|zeit|zeitstempel|tout|@stamp|@time", ("s", "ms", "us", "ns"), 2e-5, 0.1),
+    "command": _Role(
+        r"command|f|u|tau|m|kraft|moment|force|torque|((f|u|force|tau|torque)[ _-]?)?(cmd|soll|des(ired)?|command)",
+        ("N", "mN", "Nm", "mNm"),
+        1e-3,
+        1e4,
     ),
-    "position": (
-        r"position|pos|weg|lage|winkel|angle",
-        r"x|q|s|phi|theta|pos.*|x[ _-]?(?:ist|act|meas)|v|vel|velocity|speed|omega|dx|dq",
+    "position": _Role(
+        r"pos.*|weg|lage|winkel|angle|x|q|s|phi|theta|x[ _-]?(ist|act|meas)|v|vel|velocity|speed|omega|dx|dq",
+        ("m", "mm", "um", "rad", "deg"),
+        1e-6,
+        0.8,
     ),
 }
-"""Names that say beyond doubt what a column is, without their unit, and names that a question proposes."""
-
 _NAMED_WALL = re.compile(r"(?<![A-Za-z])([KB])([_=]?)(-?)\d+\.?\d*", re.IGNORECASE)
 """Stiffness or damping in the name of a file."""
 
@@ -101,9 +106,13 @@ class Sample:
     infos: list[ColumnInfo]
     refused: list[str]
 
-    def frame(self, *infos: ColumnInfo) -> Frame:
-        """Return columns as they stand in the file; raises LogError where they do not go together."""
-        return replace(self.contents, wanted=tuple(info.name for info in infos)).frame()
+    def columns(self, infos: Sequence[ColumnInfo]) -> list[np.ndarray]:
+        """Return columns as floats; none where they do not go together."""
+        try:
+            found = replace(self.contents, wanted=tuple(info.name for info in infos)).frame()
+            return [np.asarray(found.columns[info.name], dtype=np.float64) for info in infos]
+        except (LogError, ValueError):
+            return []
 
     @property
     def numbers(self) -> list[ColumnInfo]:
@@ -125,12 +134,11 @@ def open_sample(path: Path) -> Sample:
         data = path.read_bytes()
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror}). Give a log.") from error
-    kind = format_of(path.name, data)
-    if kind == "delimited" and data.startswith(tuple(PACKED)):
-        kind = format_of(path.name, unpacked(path.name, data))
+    packed = data.startswith(tuple(PACKED)) and format_of(path.name, data) == "delimited"
+    kind = format_of(path.name, unpacked(path.name, data) if packed else data)
     layout = text_layout(path.name, data) if kind == "delimited" else Layout()
     if kind == "native":
-        return Sample(path.name, kind, layout, Contents(path.name), [], [])
+        raise ProfileError(f"{path} is a native log, which needs no profile: `pipeline ingest {path}` reads it.")
     settings = Profile.model_construct(name="draft", format=kind, files=("*",), **layout.to_read())
     contents = read_file(settings, (path.name,), (data,))
     layout.keys |= contents.keys
@@ -143,14 +151,19 @@ def open_sample(path: Path) -> Sample:
     return sample
 
 
-@dataclass
-class Findings:
-    """Keys of a profile that a sample tells, answers that it proposes, and what it says of them."""
+class _Draft:
+    """Values of the keys of a profile, and the questions about those that the sample does not tell."""
 
-    known: dict[str, Any] = field(default_factory=dict)
-    proposed: dict[str, Any] = field(default_factory=dict)
-    said: dict[str, str] = field(default_factory=dict)
-    remarks: list[str] = field(default_factory=list)
+    def __init__(self, sample: Sample) -> None:
+        self.sample = sample
+        self.values = {key: default for key, (default, _) in KEYS.items()}
+        self.asked = {key: question for key, (_, question) in KEYS.items()}
+
+    def tell(self, key: str, value: Any, sure: bool = True, said: str = "") -> None:
+        """Set a key; one that is not sure is asked, with what the file says of it."""
+        self.values[key] = value
+        self.asked.pop(key, None)
+        self.asked |= {} if sure else {key: said + KEYS[key][1]}
 
 
 def draft_profile(path: Path, *others: Path) -> str:
@@ -165,90 +178,53 @@ def draft_profile(path: Path, *others: Path) -> str:
     """
     try:
         sample = open_sample(path)
-        if sample.kind == "native":
-            raise ProfileError(f"{path} is a native log, which needs no profile: `pipeline ingest {path}` reads it.")
-        lines = [*_lines(sample, _findings(sample, path, others)), *(_difference(sample, other) for other in others)]
+        lines = [*_lines(sample, path, others), *(_difference(sample, other) for other in others)]
     except LogError as error:
         raise ProfileError(f"{path}: no profile can be drafted: {error.reason}") from error
     # what TOML does not allow, or nobody sees, is escaped
-    shown = ("".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in line) for line in lines if line is not None)
-    return "".join(f"{line}\n" for line in shown)
+    shown = ("".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in line) for line in lines if line)
+    return "".join(f"{line}\n" for line in shown).replace("\n[", "\n\n[")
 
 
-def _difference(sample: Sample, path: Path) -> str | None:
-    """Return a comment on how another file differs from the sample; None where one profile reads both."""
+def _difference(sample: Sample, path: Path) -> str:
+    """Return a comment on how another file differs from the sample; empty where one profile reads both."""
     try:
         other = open_sample(path)
-    except LogError as error:
-        return f"# {path.name} is not of this form: {error.reason}"
-    forms = [
+    except (LogError, ProfileError) as error:
+        return f"# {path.name} is not of this form: {error}"
+    own, found = (
         {"format": s.kind, **s.layout.keys, **s.layout.questions, "columns": [info.name for info in s.infos]}
         for s in (sample, other)
-    ]
-    own, found = forms
+    )
     told = [f"{key} = {_toml(found.get(key))}" for key in own | found if own.get(key) != found.get(key)]
-    return f"# {path.name} is laid out otherwise: {', '.join(told)}" if told else None
+    return f"# {path.name} is laid out otherwise: {', '.join(told)}" if told else ""
 
 
-def _lines(sample: Sample, found: Findings) -> Iterator[str]:
+def _lines(sample: Sample, path: Path, others: Sequence[Path]) -> Iterator[str]:
     """Yield the lines of the draft: the keys that are known or asked, by table."""
     yield f"# Draft for {_toml(sample.name)}. Where a question stands: set the key below it."
     short = re.sub(r"[^a-z0-9]+", "_", Path(sample.name).stem.lower()).strip("_")
     yield from (f"name = {_toml(short or 'lab')}", f"format = {_toml(sample.kind)}")
     yield f"files = [{_toml(_files(sample.name))}] # names of the logs"
     yield from (f"{key} = {_toml(value)}" for key, value in sample.layout.keys.items())
-    asked = {key: (None, words) for key, words in sample.layout.questions.items()}
-    found.proposed |= {key: "," if key == "decimal" else "latin-1" for key in asked}
-    table = ""
-    for place, (default, words) in (asked | KEYS).items():
+    for key, words in sample.layout.questions.items():
+        yield from (f"{QUESTION} {key}: {words}", f"# {key} = {_toml(',' if key == 'decimal' else 'latin-1')}")
+    draft, table = _Draft(sample), ""
+    law = _fill(draft, path, others)
+    for place, value in draft.values.items():
         above, _, key = place.rpartition(".")
-        value = found.known.get(place, found.proposed.get(place, default))
         if value is None:
             continue
         if above != table:
-            yield from ("", *(found.remarks if not table else ()), f"[{above}]")
+            yield from (*(() if table else _remarks(sample, law)), f"[{above}]")
             table = above
         key = "column" if isinstance(value, int) and key == "name" else key
-        place = f"{above}.{key}" if above else key
-        if f"{above}.name" in found.known if key == "column" else place in found.known:
-            yield f"{key} = {_toml(value)}"
-        else:
-            yield from (f"{QUESTION} {place}: {found.said.get(place, '')}{words}", f"# {key} = {_toml(value)}")
-    if units := {key: value for key, value in found.known.items() if key.startswith("units.")}:
-        yield from ("", "[units] # the command obeys the numbers in the file name in these units")
-        yield from (f"{key.removeprefix('units.')} = {_toml(value)}" for key, value in units.items())
+        if place in draft.asked:
+            yield f"{QUESTION} {f'{above}.{key}' if above else key}: {draft.asked[place]}"
+        yield f"{'# ' if place in draft.asked else ''}{key} = {_toml(value)}"
 
 
-def _findings(sample: Sample, path: Path, others: Sequence[Path]) -> Findings:
-    """Return what a sample tells: its columns, the law that its command obeys, conditions in its name."""
-    found = Findings()
-    named, likely = _roles(sample)
-    by_position = not sample.layout.keys.get("header", True)
-    speed = _bare(likely["position"], "position")[1] if "position" in likely else ""
-    moving = getattr(find_unit(speed), "quantity", "") in _SPEEDS
-    seen = None if by_position or moving else _evidence(sample, likely)
-    if seen:
-        named = likely = seen.columns
-    for role in ROLES:
-        _column(found, sample, role, named.get(role), likely.get(role), by_position)
-    wall = _wall_in_name(Path(sample.name).stem)
-    groups = {key: float(value) for key, value in (find_groups(wall, sample.name) or {}).items()} if wall else {}
-    if moving:
-        found.proposed["columns.position.integrate"] = "difference"
-        found.said["columns.position.integrate"] = f"{likely['position'].name!r} is "
-    if wall:
-        sure = others and seen and all(find_groups(wall, other.name) for other in others)
-        (found.known if sure else found.proposed)["name_pattern"] = wall
-    if seen:
-        _by_law(found, seen, groups)
-        found.known["constants.experiment"] = path.absolute().parent.name or "1"
-    found.remarks += _remarks(sample, seen)
-    # what the name gives is no constant
-    found.known |= dict.fromkeys((f"constants.{key}" for key in groups), None)
-    return found
-
-
-def _remarks(sample: Sample, seen: Evidence | None) -> Iterator[str]:
+def _remarks(sample: Sample, law: str) -> Iterator[str]:
     yield "# Columns of the file:"
     for info in sample.infos[:LISTED]:
         hint = f", the file says {info.hint!r}" if info.hint else ""
@@ -261,135 +237,129 @@ def _remarks(sample: Sample, seen: Evidence | None) -> Iterator[str]:
         yield from (f"#   {_toml(key)}: {_toml(str(value)[:80])}" for key, value in list(attributes.items())[:LISTED])
     yield "# Conditions that differ from file to file may come from name_pattern, [attributes], [condition_columns] or"
     yield "# [[file]]. A log of motion without wall and step has no stiffness, damping and step."
-    if seen:
-        told = ", ".join(f"{key} {seen.si(key):.4g}" for key in ("stiffness", "damping", "step"))
+    if law:
         yield "# The command obeys a wall law in the columns below, which tells them, the step and the signs (but for"
-        yield f"# the direction that counts as positive): {told} in SI, if the units are right."
+        yield f"# the direction that counts as positive): {law} in SI, if the units are right."
 
 
-def _column(
-    found: Findings, sample: Sample, role: str, named: ColumnInfo | None, likely: ColumnInfo | None, by_position: bool
-) -> None:
-    """Put name and unit of a column into the findings."""
-    place, unit = f"columns.{role}", f"columns.{role}.unit"
-    likely = likely or sample.numbers[0]
-    name: str | int = int(likely.name) if by_position and likely.name.isdecimal() else likely.name
-    (found.known if named else found.proposed)[f"{place}.name"] = name
-    stated = _bare(likely, role)[1]
-    quantity = getattr(find_unit(stated), "quantity", None)
-    allowed = {*QUANTITIES[role].values()}
-    if role == "position" and quantity in _SPEEDS:
-        allowed = {str(quantity)}
-    known = [symbol for symbol, one in UNITS.items() if one.quantity in allowed]
-    found.proposed[unit] = stated if quantity in allowed else known[0]
-    said = f"the file says {stated!r}; is it right? " if stated else "the file does not say it. "
-    counts = " For counts give counts_per_unit, too." if role == "position" else ""
-    found.said[unit] = f"{said}One of {', '.join(known)}.{counts}"
+def _fill(draft: _Draft, path: Path, others: Sequence[Path]) -> str:
+    """Tell what a sample shows: columns, the law that the command obeys, conditions in the name; return the law."""
+    sample = draft.sample
+    likely, by_position = _roles(sample), not sample.layout.keys.get("header", True)
+    speed = _quantity(likely["position"], "position") in _SPEEDS
+    seen = None if by_position or speed else _seen(sample, likely)
+    likely, units = (seen.columns, seen.units) if seen else (likely, {})
+    for role, info in likely.items():
+        name = int(info.name) if by_position and info.name.isdecimal() else info.name
+        draft.tell(f"columns.{role}.name", name, seen is not None)
+        stated, quantity = _bare(info, role)[1], _quantity(info, role)
+        allowed = {quantity} if role == "position" and speed else {*QUANTITIES[role].values()}
+        known = [symbol for symbol, unit in UNITS.items() if unit.quantity in allowed]
+        said = f"the file says {stated!r}; is it right? " if stated else "the file does not say it. "
+        counts = " For counts give counts_per_unit, too." if role == "position" else ""
+        proposed = units.get(role) or [stated if quantity in allowed else known[0]]
+        sure = role == "time" and len(units.get(role, ())) == 1
+        draft.tell(f"columns.{role}.unit", proposed[0], sure, f"{said}One of {', '.join(known)}.{counts}")
+    integrated, said = ("difference", f"{likely['position'].name!r} is ") if speed else (None, "")
+    draft.tell("columns.position.integrate", integrated, False, said)
+    wall = _wall_in_name(Path(sample.name).stem)
+    groups = {key: float(value) for key, value in (find_groups(wall, sample.name) or {}).items()} if wall else {}
+    if wall:
+        draft.tell("name_pattern", wall, bool(others and seen and all(find_groups(wall, o.name) for o in others)))
+    told = _by_law(draft, seen, groups) if seen else ""
+    if seen:
+        draft.tell("constants.experiment", path.absolute().parent.name or "1")
+    draft.values |= dict.fromkeys(f"constants.{key}" for key in groups)  # what the name gives is no constant
+    return told
 
 
-@dataclass(frozen=True)
-class Evidence:
-    """What the numbers of a log show: the wall law that its command obeys, its columns by role, and their units.
+class _Seen(NamedTuple):
+    """The wall law that the command of a log obeys, its columns by role, and the units in which they are plausible.
 
-    ``units`` are those that the file states, else the first in which the numbers are plausible.
+    ``first_row`` says whether the command is at its step from the first row on.
     """
 
     law: Law
     columns: dict[str, ColumnInfo]
-    units: dict[str, str]
-    time_is_sure: bool
+    units: dict[str, list[str]]
     period_s: float
     first_row: bool
 
-    def si(self, key: str) -> float:
-        """Return stiffness, damping or step in SI, in the units that are proposed."""
-        length = 1.0 if key == "step" else UNITS[self.units["position"]].factor
-        return float(abs(getattr(self.law, key))) * UNITS[self.units["command"]].factor / length
 
-
-def _by_law(found: Findings, seen: Evidence, groups: dict[str, float]) -> None:
-    """Put what the law of the command tells into the findings."""
-    found.known |= {
-        "step_at": "first row" if seen.first_row else "command edge",
-        "columns.command.sign": 1,
-        "columns.position.sign": -1 if seen.law.stiffness < 0 else 1,
-        "constants.step": _round(math.copysign(seen.si("step"), seen.law.step)),
+def _by_law(draft: _Draft, seen: _Seen, groups: dict[str, float]) -> str:
+    """Tell what the law of the command shows, and return it in words."""
+    length, unit = UNITS[seen.units["position"][0]], UNITS[seen.units["command"][0]].factor
+    gains = {
+        key: float(f"{abs(getattr(seen.law, key)) * unit / length.factor:.4g}") for key in ("stiffness", "damping")
     }
-    motion: Motion = "rotation" if UNITS[seen.units["position"]].quantity == "angle" else "translation"
-    found.proposed |= {f"constants.{key}": _round(seen.si(key)) for key in ("stiffness", "damping")}
-    found.proposed |= {f"columns.{role}.unit": unit for role, unit in seen.units.items()} | {"constants.motion": motion}
-    sure = found.known if seen.time_is_sure else found.proposed
-    sure |= {"columns.time.unit": seen.units["time"], "constants.sampling_period_s": float(f"{seen.period_s:.9g}")}
-    for key, value in groups.items():
-        factor = seen.si(key) / abs(value) if value else 1.0
-        base = next(symbol for symbol, unit in UNITS.items() if unit == (CONDITION_QUANTITIES[key][motion], 1.0))
-        if abs(factor - 1) > SAME and (unit := unit_between(base, factor, SAME)):
-            found.known[f"units.{key}"] = "N/mm" if unit == "kN/m" else unit
+    step = float(f"{seen.law.step * unit:.4g}")
+    draft.tell("step_at", "first row" if seen.first_row else "command edge")
+    draft.tell("columns.command.sign", 1)
+    draft.tell("columns.position.sign", -1 if seen.law.stiffness < 0 else 1)
+    draft.tell("constants.step", step)
+    draft.tell("constants.sampling_period_s", float(f"{seen.period_s:.9g}"), len(seen.units["time"]) == 1)
+    motion: Motion = "rotation" if length.quantity == "angle" else "translation"
+    draft.tell("constants.motion", motion)  # another one is refused with the unit of the position
+    for key, value in gains.items():
+        draft.tell(f"constants.{key}", value, False)
+        factor = value / abs(groups[key]) if groups.get(key) else 1.0
+        base = si_unit(CONDITION_QUANTITIES[key][motion])
+        if abs(factor - 1) > SAME and (stated := unit_between(base, factor, SAME)):
+            # the command obeys the number in the file name in this unit
+            draft.tell(f"units.{key}", "N/mm" if stated == "kN/m" else stated)
+    return ", ".join(f"{key} {abs(value):.4g}" for key, value in {**gains, "step": step}.items())
 
 
-def _evidence(sample: Sample, likely: dict[str, ColumnInfo]) -> Evidence | None:
-    """Return what the numbers show; None where no columns obey a wall law with a stiffness."""
-    time, own = likely.get("time"), (likely.get("command"), likely.get("position"))
-    tried = [info for info in sample.numbers[:MOST_TRIED] if info is not time]
-    pairs = [(a, b) for a in tried for b in tried if a is not b and time is not None]
+def _seen(sample: Sample, likely: dict[str, ColumnInfo]) -> _Seen | None:
+    """Return what the numbers of a log show; None where no columns obey a wall law with a stiffness."""
+    time, own = likely["time"], (likely["command"], likely["position"])
+    pairs = permutations([info for info in sample.numbers[:MOST_TRIED] if info is not time], 2)
     for pair in sorted(pairs, key=lambda pair: pair != own):
-        assert time is not None
-        columns = dict(zip(ROLES, (time, *pair), strict=True))
-        try:
-            values = sample.frame(*columns.values()).columns.values()
-            stamps, force, place = (np.asarray(column, dtype=np.float64) for column in values)
-        except (LogError, ValueError):
+        columns = dict(zip(_ROLES, (time, *pair), strict=True))
+        if not (values := sample.columns([*columns.values()])):
             return None
-        pace = float(np.median(np.diff(stamps)))
-        spans = dict(zip(ROLES, (pace, float(np.ptp(force)), float(np.ptp(place))), strict=True))
-        units = {role: _plausible(role, columns[role], span) for role, span in spans.items()}
-        if not all(units.values()):
-            continue
-        factor = UNITS[units["time"][0]].factor
-        law = law_of(stamps * factor, force, place)
-        if law is not None and law.stiffness and law.step:
-            chosen, begun = {role: found[0] for role, found in units.items()}, abs(force[0]) > abs(law.step) / 2
-            return Evidence(law, columns, chosen, len(units["time"]) == 1, pace * factor, bool(begun))
+        stamps, force, place = values
+        spans = float(np.median(np.diff(stamps))), float(np.ptp(force)), float(np.ptp(place))
+        units = {role: _plausible(role, info, span) for (role, info), span in zip(columns.items(), spans, strict=True)}
+        counters = [column for column in (force, place) if (np.diff(column) > 0).all()]
+        if all(units.values()) and not counters:
+            factor = UNITS[units["time"][0]].factor
+            law = law_of(stamps * factor, force, place)
+            if law is not None and law.stiffness and law.step:
+                return _Seen(law, columns, units, spans[0] * factor, bool(abs(force[0]) > abs(law.step) / 2))
     return None
 
 
 def _plausible(role: str, info: ColumnInfo, span: float) -> list[str]:
     """Return the units in which the numbers of a column are those of a device; the stated one alone where it is."""
-    units, low, high = _UNITS[role]
+    _, units, low, high = _ROLES[role]
     fits = [unit for unit in units if low <= span * UNITS[unit].factor <= high]
     stated = _bare(info, role)[1].translate(str.maketrans("µμ", "uu"))
     return [stated] if stated in fits else fits
 
 
-def _roles(sample: Sample) -> tuple[dict[str, ColumnInfo], dict[str, ColumnInfo]]:
-    """Return the columns whose name says what they are, and for each role one that is likely."""
-    sure: dict[str, ColumnInfo] = {}
-    for role, (certain, _) in _NAMES.items():
-        fits = [info for info in sample.numbers if re.fullmatch(certain, _bare(info, role)[0])]
-        sure |= {role: fits[0]} if len(fits) == 1 else {}
-    likely = dict(sure)
-    for role, patterns in _NAMES.items():
+def _roles(sample: Sample) -> dict[str, ColumnInfo]:
+    """Return for each role a column that is likely by its name; a clock rises in every row."""
+    likely: dict[str, ColumnInfo] = {}
+    for role, (names, *_) in _ROLES.items():
         left = [info for info in sample.numbers if info not in likely.values()]
-        good = [info for pattern in patterns for info in left if re.fullmatch(pattern, _bare(info, role)[0])]
-        if role not in likely and (choice := [*(_clocks(sample, left) if role == "time" else good), *left]):
-            likely[role] = choice[0]
-    return sure, likely
-
-
-def _clocks(sample: Sample, numbers: list[ColumnInfo]) -> list[ColumnInfo]:
-    """Return the columns whose numbers rise in every row."""
-    try:
-        columns = sample.frame(*numbers[:LISTED]).columns
-    except LogError:
-        return []
-    rising = {name for name, values in columns.items() if (np.diff(values.astype(np.float64)) > 0).all()}
-    return [info for info in numbers if info.name in rising]
+        good = [info for info in left if re.fullmatch(names, _bare(info, role)[0])]
+        if role == "time" and not good:
+            columns = zip(left, sample.columns(left[:LISTED]), strict=False)
+            good = [info for info, values in columns if (np.diff(values) > 0).all()]
+        likely[role] = next(iter((*good, *left)), sample.numbers[0])
+    return likely
 
 
 def _bare(info: ColumnInfo, role: str) -> tuple[str, str]:
     """Return the last part of a name without its unit, and the unit that the file states there or in its hint."""
     name, unit = unit_in_heading(info.name, [*QUANTITIES[role].values(), *(_SPEEDS if role == "position" else ())])
     return re.split(r"[./]", name)[-1].strip().lower(), unit or info.hint
+
+
+def _quantity(info: ColumnInfo, role: str) -> str:
+    """Return the quantity of the unit that the file states for a column; empty where it states none."""
+    return getattr(find_unit(_bare(info, role)[1]), "quantity", "")
 
 
 def _files(name: str) -> str:
@@ -409,10 +379,6 @@ def _wall_in_name(stem: str) -> str:
     # a dash behind both letters parts them from their numbers; behind one alone it is its sign
     dash = "-" if len(found) > 1 and all(minus for *_, minus in found) else ""
     return ".*".join(f"{k}{sign}{dash}(?P<{groups[k.upper()]}>-?[0-9]+[.]?[0-9]*)" for k, sign, _ in found)
-
-
-def _round(value: float) -> float:
-    return float(f"{value:.4g}")
 
 
 def _toml(value: object) -> str:

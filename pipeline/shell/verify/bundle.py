@@ -17,7 +17,7 @@ from pathlib import Path
 
 from pipeline.base.disk import replacing
 from pipeline.base.errors import DeviceError, LogError, StoreError, UsageError
-from pipeline.base.file_names import path_of_text
+from pipeline.base.paths import path_of_text
 from pipeline.base.provenance import USER_FOLDER_VARIABLE, schema_folder
 from pipeline.base.wording import counted
 from pipeline.comparison.truths import TRUTH_FILE

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.records.findings import Record
 from pipeline.records.results import LogList
 from pipeline.records.tables import LOCATION
-from pipeline.store.batch_files import NewBatch, copy
+from pipeline.store.batch_files import Place, trials_of, write_batch
 from pipeline.store.corrections import Correction, Exclusion, read_exclusions, split_trials, write_corrections
 from pipeline.store.samples import load_groups
 from pipeline.store.storage import read_trials
@@ -212,14 +213,12 @@ def _keep(store: FreshStore, device: str, experiment: str, processed: Path, tria
     if not trials.num_rows:
         return
     files, rows = (np.array(trials.column(name).to_pylist()) for name in LOCATION)
-    new = NewBatch(store.folder, device, experiment, trials.column("motion")[0].as_py())
-    try:
-        for name in np.unique(files).tolist():
-            kept = np.isin(np.arange(pq.read_metadata(processed / name).num_rows), rows[files == name])
-            copy(processed / name, kept, new)
-        new.publish()
-    finally:
-        new.discard()
+    masks = {
+        processed / name: np.isin(np.arange(pq.read_metadata(processed / name).num_rows), rows[files == name])
+        for name in np.unique(files).tolist()
+    }
+    parts = chain.from_iterable(trials_of(file, kept) for file, kept in masks.items())
+    write_batch(store.folder, Place(device, experiment, trials.column("motion")[0].as_py()), parts)
 
 
 def _hold_samples(store: FreshStore, device: str, experiment: str, said: ReportedLogs) -> None:

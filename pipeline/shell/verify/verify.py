@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 import shutil
@@ -26,8 +25,7 @@ from pipeline.records.results import ComparisonResult, Truth
 from pipeline.rendering.report.report_parts import Parts, digests_of, is_free_cell, page_digest, take_apart
 from pipeline.shell.verify.fresh_logs import LogProblem, ReportedLogs, read_anew, store_of
 from pipeline.store.corrections import Exclusion
-from pipeline.store.mirror import opened
-from pipeline.store.objects import is_url
+from pipeline.store.objects import is_url, opened
 
 ROUNDING = 1e-9
 """Relative difference of two values that counts as none: other processors and builds of numpy round the last digits of
@@ -44,9 +42,6 @@ MOST_CHARACTERS = 200
 """Characters of a part that are quoted."""
 
 MISSING = "(missing)"
-
-TRIAL_DATA = "trial-data"
-"""Data block with the trials of the page."""
 
 _NUMBER = re.compile(r"[\N{MINUS SIGN}-]?\d+(?:\.\d+)?(?:[eE][+\N{MINUS SIGN}-]?\d+)?")
 
@@ -162,7 +157,7 @@ def verify(
             shutil.copy(kept, store / kept.name)
         say(f"computing anew: {fresh.read} trials from logs, {fresh.kept} from stored samples")
         again = Path(temporary) / "report.html"
-        result = _compare_anew(report, request, found, store, again, progress)
+        result = _compare_anew(report, request, store, again, progress)
         expected = take_apart(again.read_text(encoding="utf-8"))
     untouched = found.digests is not None and found.digests.page == page_digest(page)
     problems = (*devices, *fresh.problems)
@@ -265,17 +260,8 @@ def leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
         yield from leaves(part, f"{place}/{key}")
 
 
-def embedded_responses(found: Parts, experiments: int) -> list[int] | None:
-    """Return how many responses of each experiment a page holds; None where it does not say."""
-    try:
-        numbers = [int(e["shown"]) for e in json.loads(found.data[TRIAL_DATA])["experiments"]]
-    except (KeyError, TypeError, ValueError):
-        return None
-    return numbers if len(numbers) == experiments and min(numbers, default=0) >= 0 else None
-
-
 def _compare_anew(
-    report: Path, request: Request, found: Parts, store: Path, page: Path, progress: Callable[[str], None] | None
+    report: Path, request: Request, store: Path, page: Path, progress: Callable[[str], None] | None
 ) -> ComparisonResult | None:
     """Write a page from logs that were read just now, as large as the one that is checked, and return its document."""
     try:
@@ -286,7 +272,6 @@ def _compare_anew(
             criteria=request.scene.criteria,
             report=page,
             full=request.full,
-            responses=embedded_responses(found, len(request.scene.experiments)),
             shown=request.scene.shown,
             truth=request.truth,
             notes=request.notes,

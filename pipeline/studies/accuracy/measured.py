@@ -15,8 +15,8 @@ import numpy as np
 
 from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.loop.loop import Loop, Normalised
-from pipeline.measured.cost import settling_overshoot
-from pipeline.measured.cost.energy_intervals import energy_interval
+from pipeline.measured.cost import costs
+from pipeline.measured.cost.energy import energy_interval
 from pipeline.measured.cost.reading_error import reading_error
 from pipeline.measured.device import damping, delay, friction, mass, onset
 from pipeline.measured.fit.fit import fit_trials
@@ -211,15 +211,15 @@ def _costs(
     logs = cache(given)
 
     def settling(of: Trials) -> list[Floats]:
-        found = settling_overshoot.settling(of.batch, of.response, of.verdicts, of.samples)
-        return [found.samples["settle_2pct"]]
+        found = costs.settling(of.batch, of.response, of.verdicts, of.samples)
+        return [found["settle_2pct"].value]
 
     def about_last(of: Trials) -> list[Floats]:
         last = replace(of.response, position_final_expected=of.response.position_final_measured)
         return settling(replace(of, response=last))
 
     def overshoot(of: Trials) -> list[Floats]:
-        return [settling_overshoot.overshoot(of.batch, of.response, of.verdicts).overshoot]
+        return [costs.overshoot(of.batch, of.response, of.verdicts).value]
 
     def complete(of: Trials) -> list[Floats]:
         error = reading_error(of.batch, of.response, of.samples)

@@ -66,7 +66,7 @@ def picture(rungs: Sequence[Rung], identifier: str) -> str:
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator
 
-    from pipeline.rendering.figures import style
+    from pipeline.rendering.figures import drawing as style
 
     quantities = grouped(rungs, "quantity")
     lines = -(-len(quantities) // COLUMNS)
@@ -89,7 +89,7 @@ def picture(rungs: Sequence[Rung], identifier: str) -> str:
             axes.minorticks_off()
             axes.legend()
         text = "; ".join(f"{r.quantity} by {r.method}, {r.setting}: {r.error} in {r.seconds:.1e} s" for r in rungs)
-        return style.svg(drawing, identifier, "Error against run time of every method", text)
+        return style.svg_of(drawing, identifier, "Error against run time of every method", text)
 
 
 def _paths(sweeps: Sequence[Sweep]) -> Iterator[dict[str, object]]:

@@ -7,7 +7,7 @@ from kinds import kinds, record
 
 import pipeline
 from pipeline.comparison.compare import compare
-from pipeline.comparison.loops.loop_record import filter_parameters
+from pipeline.comparison.loops.told_loop import filter_parameters
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.records.loop_parts import Butterworth, Difference

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.comparison.loops.fitted_loop import loop_range
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.plan.found_device import FoundDevice
 from pipeline.records.batch import TrialBatch
 from pipeline.records.loop_parts import Butterworth, Friction
 from pipeline.records.models import Device
@@ -87,15 +87,13 @@ def test_limits_from_soft_walls_are_those_of_the_device(tmp_path, parts, experim
     assert set(device.parts) == expected
     assert device.holds
     velocity = Butterworth(**FILTER) if "velocity" in parts else None
-    loop = loop_range(device, course.setup.sampling_period_s, velocity)
+    loop = FoundDevice(device, course.setup.sampling_period_s, velocity)
     damping = course.batch.damping[: len(limit)]
-    low, high = loop.band(damping)
-    found = loop.at_values(damping)
+    found, reach = loop.limits(damping)
     assert found == pytest.approx(limit, rel=0.05)
     # three half widths, and what the course's bisection and the noise's stand-in leave
-    reach = 1.5 * (high - low) + 1e-3 * limit
-    assert (np.abs(found - limit) <= reach).all()
-    assert ((high - low) <= 0.05 * limit).all()
+    assert (np.abs(found - limit) <= 3 * reach + 1e-3 * limit).all()
+    assert (reach <= 0.025 * limit).all()
 
 
 def test_no_device_is_fitted_where_the_ideal_one_explains_the_logs(tmp_path):

@@ -8,32 +8,21 @@ import numpy as np
 import pytest
 from fine_loop import Body, run
 
-from pipeline.comparison.loops.large_motion import step_limits
-from pipeline.comparison.loops.loop_range import LoopPoint
-from pipeline.loop.motion import Mechanism
+from pipeline.plan.found_device import LoopPoint, Trial
 from pipeline.records.loop_parts import Friction, LoopParts
-from pipeline.simulation.setup import Setup
 
 MASS, DAMPING, T, DELAY, COULOMB = 0.456, 4.6, 0.001, 4, 0.9
 B = np.array([40.0, 100.0])
+DEVICE = LoopPoint(MASS, DAMPING, DELAY, 0.0, T, LoopParts(friction=Friction(coulomb=COULOMB)))
+LINEAR = DEVICE.limit(B)
 
 
-@pytest.fixture(scope="module")
-def setup():
-    parts = LoopParts(friction=Friction(coulomb=COULOMB))
-    plant = Mechanism.of(MASS, DAMPING, 0.0, parts)
-    return Setup(plant, T, step=8.0, rows=400, edge_row=1, delay_samples=DELAY)
+def of_step(step, device=DEVICE, **more):
+    return device.step_limits(B, Trial(step, 400, **more), np.full(2, 200.0))
 
 
-LINEAR = LoopPoint(MASS, DAMPING, DELAY, 0.0, T).limit(B)
-
-
-def of_step(setup, step):
-    return step_limits(replace(setup, step=step), B, LINEAR, np.full(2, 200.0))
-
-
-def test_a_harder_push_is_unstable_from_softer_walls_on_down_to_the_linear_limit(setup):
-    limits = np.array([of_step(setup, step) for step in (8.0, 16.0, 80.0, 800.0)])
+def test_a_harder_push_is_unstable_from_softer_walls_on_down_to_the_linear_limit():
+    limits = np.array([of_step(step) for step in (8.0, 16.0, 80.0, 800.0)])
     # verdicts tell a limit to some 0.3 %
     assert (np.diff(limits, axis=0) < np.array([[0.0], [0.0], [0.005]]) * limits[1:]).all()
     assert (limits >= LINEAR).all()
@@ -41,14 +30,22 @@ def test_a_harder_push_is_unstable_from_softer_walls_on_down_to_the_linear_limit
     assert limits[-1] == pytest.approx(LINEAR, rel=0.02)
 
 
-def test_the_limit_for_a_step_depends_on_the_share_of_friction_alone(setup):
-    half = Friction(coulomb=COULOMB / 2)
-    other = replace(setup, plant=replace(setup.plant, friction=half), step=4.0)
-    assert step_limits(other, B, LINEAR, np.full(2, 200.0)) == pytest.approx(of_step(setup, 8.0), rel=2e-3)
+def test_the_limit_for_a_step_depends_on_the_share_of_friction_alone():
+    half = replace(DEVICE, parts=LoopParts(friction=Friction(coulomb=COULOMB / 2)))
+    assert of_step(4.0, half) == pytest.approx(of_step(8.0), rel=2e-3)
 
 
-def test_a_second_simulator_says_the_same_of_walls_beside_the_limit(setup):
-    (limit, _), late = of_step(setup, 8.0), slice(-60, None)
+def test_a_linear_device_has_its_linear_limit_for_every_step_and_jitter_moves_it():
+    plain = replace(DEVICE, parts=LoopParts())
+    assert of_step(8.0, plain) == pytest.approx(LINEAR, rel=0.01)
+    # commands never overtake each other: the newest of three delays acts, which is earlier than their mean
+    early = replace(plain, delay_samples=DELAY - 1).limit(B)
+    jitters = of_step(8.0, plain, delays=3)
+    assert ((jitters > 1.02 * LINEAR) & (jitters < early)).all()
+
+
+def test_a_second_simulator_says_the_same_of_walls_beside_the_limit():
+    (limit, _), late = of_step(8.0), slice(-60, None)
     for share, grows in ((0.94, False), (1.06, True)):
         position, _ = run(
             Body(MASS, DAMPING, coulomb=COULOMB, stiction=COULOMB),

@@ -8,11 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pipeline.comparison.loops.loop_range import LoopRange
 from pipeline.comparison.loops.passive_wall import passive_wall
+from pipeline.comparison.loops.told_loop import ToldLoop
 from pipeline.loop.motion import Mechanism
+from pipeline.measured.experiment.fitted_device import FittedDevice
+from pipeline.measured.intervals import NORMAL_95
+from pipeline.plan.found_device import FoundDevice
 from pipeline.records.findings import BoundaryPoint
-from pipeline.records.loop_records import Parameter
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup
 
@@ -20,11 +22,11 @@ T = 1e-3
 MOTOR, FALCON = (1.2e-4, 7e-5), (0.58, 4.0)  # a small device, whose B of two decimals would be none
 
 
-def loop(device, delay, share):
+def loop(device, delay, share, error=0.0):
     """A loop whose mass, damping and delay may be off by a share, the delay by ten shares of a sample."""
-    ends = [(value, value * (1 - share), value * (1 + share)) for value in device]
-    numbers = (*ends, (delay, delay - 10 * share, delay + 10 * share))
-    return LoopRange(*(Parameter(value=v, low=low, high=high) for v, low, high in numbers), 0.0, T)
+    values = dict(zip(("mass", "damping", "delay_samples"), (*device, delay), strict=True))
+    covariance = np.diag(np.square([device[0] * share, device[1] * share, 10 * share]) / NORMAL_95**2)
+    return ToldLoop(FoundDevice(FittedDevice((), 1, 1, values, covariance, (), "", 0.0), T), error=error)
 
 
 def measured(limit=1e9, trials=20):
@@ -51,7 +53,8 @@ def test_the_named_wall_is_passive_and_stable_for_all_that_the_intervals_leave_o
     found = loop(device, delay, share)
     wall, reason = passive_wall(found, measured())
     assert reason is None
-    corners = product(*((p.low, p.high) for p in (found.mass, found.damping, found.delay_samples)))
+    numbers = [found.parameter(name) for name in ("mass", "damping", "delay_samples")]
+    corners = product(*((p.low, p.high) for p in numbers))
     for mass, damping, late in corners:
         assert needed_damping(wall.stiffness, wall.damping, late) <= damping
         setup = Setup(Mechanism(mass, damping), T, 1.0, 100, 10, late)
@@ -65,6 +68,17 @@ def test_the_named_wall_is_never_above_a_measured_limit():
     limit = 0.8 * free.stiffness
     wall, _ = passive_wall(loop(FALCON, 4.0, 1e-3), measured(limit))
     assert limit * 0.999 < wall.stiffness <= limit
+
+
+def test_a_replay_that_is_off_by_more_than_the_limit_leaves_no_wall():
+    free, _ = passive_wall(loop(FALCON, 4.0, 1e-3), measured())
+    (limit,) = loop(FALCON, 4.0, 1e-3).point.limit(np.array([free.damping]))
+    off = 1 - 0.5 * free.stiffness / limit
+    wall, _ = passive_wall(loop(FALCON, 4.0, 1e-3, error=off), measured())
+    assert wall.stiffness == pytest.approx(0.5 * free.stiffness, rel=0.01)
+    wall, reason = passive_wall(loop(FALCON, 4.0, 1e-3, error=1.0), measured())
+    assert wall is None
+    assert "no stable wall" in reason
 
 
 @pytest.mark.parametrize(

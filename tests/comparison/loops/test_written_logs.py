@@ -10,7 +10,7 @@ import pytest
 from logged import FORMATS, RIGS, lab, scattered, write
 
 from pipeline.comparison.compare import compare
-from pipeline.comparison.loops.log_evidence import found_filter, law_departures
+from pipeline.comparison.loops.departures import course_filter, law_departures
 from pipeline.intake.ingest import ingest
 
 
@@ -72,6 +72,6 @@ def recursive(pole):
 
 def test_a_filter_is_the_same_in_all_trials_or_none():
     same = [recursive(0.8 + 1e-4 * k) for k in range(9)]
-    assert found_filter(course(["velocity_filter"] * 9, same)) is not None
+    assert course_filter(course(["velocity_filter"] * 9, same)) is not None
     other = [recursive(0.1 * k) for k in range(1, 10)]
-    assert found_filter(course(["velocity_filter"] * 9, other)) is None
+    assert course_filter(course(["velocity_filter"] * 9, other)) is None

@@ -1,14 +1,11 @@
-"""Distances, verdicts and ranks against numbers by hand and against scipy."""
+"""Distances and verdicts against numbers by hand."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy.stats import spearmanr
 
-from pipeline.comparison.scores.agreement import FEWEST_TRIALS, boundary_distance, rank_agreement, verdict_agreement
+from pipeline.comparison.scores.agreement import boundary_distance, verdict_agreement
 from pipeline.comparison.scores.overlap import MeasuredLimits
 
 NONE = np.zeros(4, dtype=bool)
@@ -90,26 +87,3 @@ def test_verdicts_are_counted_in_four_fields():
     assert (found.undecided, found.without_wall) == (1, 1)
     assert found.agreement == pytest.approx(6 / 9, rel=1e-12)
     assert verdict_agreement(K, np.array(["undecided"] * 11), predicted) is None
-
-
-costs = st.lists(st.tuples(st.integers(0, 8), st.integers(0, 8)), min_size=FEWEST_TRIALS, max_size=40)
-
-
-@given(costs)
-def test_rank_correlation_is_that_of_scipy_with_ties(pairs):
-    a, b = (np.array(x, dtype=float) for x in zip(*pairs, strict=True))
-    found = rank_agreement(a, b)
-    if np.ptp(a) == 0 or np.ptp(b) == 0:
-        assert found.correlation is None
-        assert "equal" in str(found.reason)
-    else:
-        assert found.correlation == pytest.approx(spearmanr(a, b).statistic, abs=1e-12)
-
-
-def test_ratio_is_over_pairs_of_costs_above_zero():
-    theory = np.array([0.0, *range(1, 12)])
-    found = rank_agreement(1.25 * theory, theory)
-    assert (found.correlation, found.median_ratio, found.ratios) == pytest.approx((1.0, 1.25, 11), rel=1e-12)
-    few = rank_agreement(theory[:4], theory[:4])
-    assert few.correlation is None
-    assert "4 common" in str(few.reason)

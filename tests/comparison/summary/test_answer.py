@@ -12,7 +12,7 @@ from pipeline.comparison.summary.answer import COARSE, answer
 from pipeline.records.loop_records import Cause, LoopLimit
 from pipeline.records.models import ComparisonRow, Deviation
 from pipeline.rendering.labels import UNITS
-from pipeline.rendering.report.report_answer import answer_lines
+from pipeline.rendering.report.report import answer_lines
 
 FALCON = UNITS["translation"]
 
@@ -89,6 +89,17 @@ def test_friction_that_explains_the_limits_is_a_code_of_its_own(data, result):
     found = told(data, result, causes=(cause,), **changes).predicts
     assert found.code == "with_friction"
     assert found.percent_with_friction == pytest.approx(-1, abs=0.1)
+
+
+def test_parameters_of_a_file_outside_what_the_logs_tell_are_a_cause(data, result):
+    experiment = result.experiments[0]
+    distance = experiment.scores[0].distance.model_copy(update={"median": 0.1})
+    heavy = experiment.scores[0].parameters.model_copy(update={"mass": 0.9})
+    found = told(data, result, scores=scored(result, distance=distance, parameters=heavy)).causes
+    assert [cause.code for cause in found] == ["parameter_range"]
+    assert found[0].evidence.startswith("m = 0.900 kg, logs 0.5")
+    assert told(data, result, scores=scored(result, distance=distance)).causes == (), "those of the file are right"
+    assert told(data, result, scores=scored(result, parameters=heavy)).causes == (), "theory predicts the limits"
 
 
 def test_without_an_unstable_trial_nothing_is_said_to_be_predicted(data, result):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from not_ideal import simulate
 
-from pipeline.measured.signal.horizon import WEIGHTS
+from pipeline.measured.cost.energy import WEIGHTS
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.stages.stage_groups import TrialGroup

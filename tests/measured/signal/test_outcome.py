@@ -10,7 +10,7 @@ import pytest
 from labelled import GROUPS, Group, Labelled, cut, join, labelled_set
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.cost import settling_overshoot
+from pipeline.measured.cost import costs
 from pipeline.measured.signal.disturbance import LONGEST_SPAN, Device, find_disturbance, largest_force
 from pipeline.measured.signal.outcome import BAND, OUTCOMES, Outcomes, classify
 from pipeline.measured.signal.response import find_response
@@ -98,7 +98,7 @@ def test_evidence_of_settling_is_the_settling_time() -> None:
     batch = among(run(IDEAL, [3000.0, 4400.0], [60.0, 72.0]), IDEAL)
     response = find_response(batch)
     found = outcomes(batch)
-    settling = settling_overshoot.settling(batch, response, judge(batch, response), 4).samples["settle_2pct"]
+    settling = costs.settling(batch, response, judge(batch, response), 4)["settle_2pct"].value
     assert set(found.outcome) == {"settled"}
     assert (found.first_row - response.edge_row - 4).tolist() == settling.tolist()
     np.testing.assert_allclose(found.band, BAND * 8.0 / batch.stiffness, rtol=1e-12)
@@ -194,9 +194,8 @@ def shaped(positions: np.ndarray, K: float = 1.0, step: float = 1.0) -> TrialBat
 def settling(batch: TrialBatch) -> tuple[float, str, float]:
     response = find_response(batch)
     verdicts = judge(batch, response)
-    found = settling_overshoot.settling(batch, response, verdicts, 0)
-    over = settling_overshoot.overshoot(batch, response, verdicts)
-    return float(found.samples["settle_2pct"][0]), found.reason[0], float(over.overshoot[0])
+    found = costs.settling(batch, response, verdicts, 0)["settle_2pct"]
+    return float(found.value[0]), found.reason[0], float(costs.overshoot(batch, response, verdicts).value[0])
 
 
 def decaying(start: float, end: float, rows: int = 400) -> np.ndarray:
@@ -276,8 +275,7 @@ def test_a_log_has_settled_once_some_samples_lie_within_the_band(more: int, outc
     entry = int(classify(whole, response, judge(whole, response)).first_row[0])
     log = run(replace(IDEAL, rows=entry + more), [3000.0], [90.0])
     assert outcomes(log).outcome.tolist() == [outcome]
-    found = settling_overshoot.settling(log, find_response(log), judge(log), 4, bands={"2 %": 0.02})
-    settled = found.samples["2 %"][0]
+    settled = costs.settling(log, find_response(log), judge(log), 4, bands={"2 %": 0.02})["2 %"].value[0]
     assert np.isnan(settled) if more < 5 else settled == entry - 24
     # the band is 2 % of the final displacement
     error = np.abs(whole.position[0] - response.position_final_expected[0]) * 3000.0 / IDEAL.step

@@ -12,7 +12,7 @@ from stored import batch_of, replace_table
 
 from pipeline.base.errors import StoreError
 from pipeline.loop.loop import Normalised
-from pipeline.measured.cost import settling_overshoot
+from pipeline.measured.cost import costs
 from pipeline.measured.device import damping, delay, mass
 from pipeline.measured.experiment import boundary
 from pipeline.measured.signal import response, verdict
@@ -223,7 +223,7 @@ def forbid(monkeypatch):
         raise AssertionError("was computed again")
 
     monkeypatch.setattr(StageTables, "_computed", refuse)
-    for module in (boundary, settling_overshoot, damping, delay, mass, response, verdict):
+    for module in (boundary, costs, damping, delay, mass, response, verdict):
         for name in ("measured_boundary", "settling", "overshoot", "energy", "from_trials", "first_change"):
             if hasattr(module, name):
                 monkeypatch.setattr(module, name, refuse)

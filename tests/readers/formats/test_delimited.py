@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.base.errors import LogError
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers.formats.files import read_file
+from pipeline.readers.isolation import read_file
 
 POSITIONS = {"time": (1, "ms"), "position": (2, "mm"), "command": (3, "N")}
 CONDITIONS = {"device": "bench", "experiment": "1", "stiffness": 1, "damping": 1, "step": 1, "sampling_period_s": 0.001}

@@ -13,9 +13,8 @@ import pytest
 from report_data import HOSTILE, report_data
 from trial_pages import trial_page
 
-from pipeline.rendering.report import report, report_scripts
-from pipeline.rendering.report.page_template import TEMPLATES
-from pipeline.rendering.report.report_scripts import json_text, policy, scripts
+from pipeline.rendering.report import page_template, report
+from pipeline.rendering.report.page_template import TEMPLATES, json_text, policy, scripts
 
 NAMES = (
     HOSTILE,
@@ -43,7 +42,7 @@ def test_files_of_others_are_unchanged_and_named_with_version_and_licence() -> N
         content = (TEMPLATES / "vendor" / entry["name"]).read_bytes()
         assert hashlib.sha256(content).hexdigest() == entry["sha256"], entry["name"]
         assert entry["licence"] == "MIT"
-    assert b"(v1.6.32)" in (TEMPLATES / report_scripts.PLOT).read_bytes()
+    assert b"(v1.6.32)" in (TEMPLATES / page_template.PLOT).read_bytes()
 
 
 def test_licence_travels_with_the_page(page: str) -> None:
@@ -77,7 +76,7 @@ def test_page_without_trials_has_the_tables_script_only() -> None:
 
 def test_scripts_build_no_code_and_no_markup_from_data() -> None:
     own = "".join(
-        (TEMPLATES / name).read_text() for name in (*report_scripts.PAGE_SCRIPTS, *report_scripts.TRIALS_SCRIPTS)
+        (TEMPLATES / name).read_text() for name in (*page_template.PAGE_SCRIPTS, *page_template.TRIALS_SCRIPTS)
     )
     for word in (
         "eval",
@@ -91,7 +90,7 @@ def test_scripts_build_no_code_and_no_markup_from_data() -> None:
     ):
         assert word not in own
     assert "</script" not in "".join(scripts(with_trials=True)).lower()
-    assert not re.search(r"\beval\(|new Function|XMLHttpRequest|fetch\(", (TEMPLATES / report_scripts.PLOT).read_text())
+    assert not re.search(r"\beval\(|new Function|XMLHttpRequest|fetch\(", (TEMPLATES / page_template.PLOT).read_text())
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -1,9 +1,9 @@
 "use strict";
 // Figures tell their values on pointing, and are saved as SVG and CSV. What they show is in the page, packed.
 
-const REACH = 160; // largest distance of the pointer from a point that it means [units of the drawing, a tenth of a pixel]
+const REACH = 16; // largest distance of the pointer from a point that it means [units of the drawing]
 
-/** Base64 of deflated JSON, as `trial_codec.pack` made it. */
+/** Base64 of deflated JSON, as `report.pack` made it. */
 function unpack(packed) {
   const bytes = Uint8Array.from(atob(packed), (character) => character.charCodeAt(0));
   return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"))).json();
@@ -27,12 +27,12 @@ function save(text, name, type) {
   setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }
 
-/** A drawing as a file of its own, in colours of print: what `figure_files.standalone` writes. */
+/** A drawing as a file of its own, in colours of print: what `drawing.standalone` writes. */
 function standalone(svg) {
   const { width, height } = svg.viewBox.baseVal;
   const copy = svg.cloneNode(true);
-  copy.setAttribute("width", width / 10);
-  copy.setAttribute("height", height / 10);
+  copy.setAttribute("width", width);
+  copy.setAttribute("height", height);
   return new XMLSerializer().serializeToString(copy).replace(/var\(--[\w-]+,\s*([^()]*)\)/g, "$1").replaceAll("currentColor", "#000000");
 }
 

@@ -1,7 +1,7 @@
 "use strict";
 // The response of one trial: log, fitted model, band of the settling time, and the samples that are trimmed.
 
-const PARTS = 4096; // parts of one in which coefficients are written, as in `trial_codec`
+const PARTS = 4096; // parts of one in which coefficients are written, as in `trial_page`
 
 /** Values of a signal from what a prediction by its past missed: what `trial_codec.code` wrote. */
 function decode(coded, step) {

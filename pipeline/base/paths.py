@@ -1,0 +1,163 @@
+"""Paths that come from outside: as text that every output can hold, opened only as regular files, checked for output.
+
+On Linux a file name is any bytes; Python keeps those that are no UTF-8 as lone surrogates, which neither JSON nor
+Parquet can hold. JSON, HDF5 and MATLAB files may hold lone surrogates, too. And what has a name may be a pipe, a device
+or a link to elsewhere.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+import tempfile
+from pathlib import Path
+from typing import BinaryIO
+from urllib.parse import unquote_to_bytes, urlsplit
+
+from pipeline.base.errors import PipelineError, UsageError
+
+_SCHEME = "file:"
+
+
+def storable(text: str) -> str:
+    r"""Return a text with lone surrogates written as ``\udcff``, which no UTF-8 text can hold as such."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def path_text(path: Path | str) -> str:
+    r"""Return a path as text: as it is, or as ``file:`` URI of the absolute path where its bytes are no UTF-8.
+
+    Examples
+    --------
+    >>> path_text("/logs/K100.csv")
+    '/logs/K100.csv'
+    >>> path_text("/logs/K100\udcff.csv")
+    'file:///logs/K100%FF.csv'
+    """
+    text = os.fspath(path)
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return Path(os.path.abspath(text)).as_uri()
+    return text
+
+
+def path_of_text(text: str) -> Path:
+    r"""Return the path that `path_text` made a text of.
+
+    Examples
+    --------
+    >>> path_of_text("file:///logs/K100%FF.csv").name
+    'K100\udcff.csv'
+    """
+    return Path(os.fsdecode(unquote_to_bytes(urlsplit(text).path))) if text.startswith(_SCHEME) else Path(text)
+
+
+def open_regular(path: Path, within: str | None = None) -> BinaryIO:
+    """Open a file to be read, without waiting and only if it is a regular one.
+
+    A pipe would keep a reader waiting for ever, and a device does what its driver does.
+
+    Parameters
+    ----------
+    path : Path
+    within : str, optional
+        Real path of a folder that a link must not lead out of (`real_file`); by default links are followed.
+
+    Raises
+    ------
+    OSError
+        If it cannot be opened, is no regular file, or a link that leads elsewhere.
+    """
+    # a pipe, which may have come since `find_sources` looked, is opened at once by the first flag; files ignore it
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    if within is not None:
+        # what became a link since it was looked at is not followed either
+        flags |= getattr(os, "O_NOFOLLOW", 0)
+    handle = os.open(path if within is None else real_file(path, within), flags)
+    try:
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            raise OSError(errno.EINVAL, "no regular file")
+        return os.fdopen(handle, "rb")
+    except OSError:
+        os.close(handle)
+        raise
+
+
+class OutsideError(OSError):
+    """A link leads out of the folder that was given."""
+
+
+def real_file(path: Path, within: str) -> str:
+    """Return what a path stands for: itself, or what a link leads to, which must lie below a folder.
+
+    Parameters
+    ----------
+    path : Path
+    within : str
+        Real path of the folder.
+
+    Raises
+    ------
+    OutsideError
+        If it is a link to something elsewhere.
+    OSError
+        If it cannot be looked at.
+    """
+    if not os.path.islink(path):
+        return os.fspath(path)
+    real = os.path.realpath(path, strict=True)
+    if not real.startswith(os.path.join(within, "")):
+        raise OutsideError(errno.ELOOP, f"is a link to {real}, outside of {within}")
+    return real
+
+
+def is_gone(path: Path) -> bool:
+    """Return whether nothing bears a path any more; what may not be looked at is not gone, as far as one can tell."""
+    try:
+        os.lstat(path)
+    except (FileNotFoundError, NotADirectoryError):
+        return True
+    except OSError:
+        return False
+    return False
+
+
+def check_output(path: Path, option: str, *, document_beside: bool = False) -> None:
+    """See that a file can be written where an option says. Nothing is created.
+
+    Parameters
+    ----------
+    path : Path
+        File that the command will write; folders above it may be missing.
+    option : str
+        Name of the option, for the message; empty where a command has none.
+    document_beside : bool
+        Whether a JSON document of the same name is written beside it, which would replace a file that ends in .json.
+
+    Raises
+    ------
+    UsageError
+        If it is a folder, or ends in .json where the document beside it does.
+    PipelineError
+        If its folder takes no files.
+    """
+    place = f"{option} {path}".strip()
+    if path.is_dir():
+        raise UsageError(f"{place}: is a folder; expected a file. Add a file name, such as {path / 'report.html'}.")
+    if document_beside and path.suffix.lower() == ".json":
+        raise UsageError(
+            f"{place}: expected the name of the page, found that of the JSON document, which is written "
+            f"beside it and would replace it. Give {path.with_suffix('.html')}."
+        )
+    # the folder above a missing one decides; a missing current folder is told by the error below
+    folder = next((above for above in path.parents if above.exists()), Path("."))
+    try:
+        with tempfile.TemporaryFile(dir=folder):  # a file without a name: a folder's permissions alone do not tell
+            pass
+    except OSError as error:
+        raise PipelineError(
+            f"{place}: cannot be written, since {folder} takes no files ({error.strerror or error}). Choose "
+            "another place, or correct the permissions."
+        ) from error

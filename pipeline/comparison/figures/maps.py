@@ -1,0 +1,426 @@
+"""Cost maps of an experiment beside theory, and where measured costs depart from theory.
+
+Source: Hulin 2017, Figs. 6.5 to 6.7, 6.10 and 6.11.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.comparison.scene.scene import SceneData
+from pipeline.comparison.scores.deviation import FEWEST, smooth_of
+from pipeline.comparison.tables_d import layouts
+from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.records.batch import Booleans, Floats
+from pipeline.records.criteria import OVERSHOOT, criterion_of
+from pipeline.records.findings import Optimum
+from pipeline.records.models import Motion
+from pipeline.records.results import ExperimentResult
+from pipeline.rendering.figures.boundaries import by_theory, measured
+from pipeline.rendering.figures.drawing import BLUE, GREEN, INK, PAPER, VERMILLION, Figure, Panel, Series, dots, reach
+from pipeline.rendering.labels import (
+    UNITS,
+    cost_text,
+    criterion_label,
+    criterion_name,
+    percent_text,
+    printed_scale,
+    significant,
+    table_label,
+    with_unit,
+)
+from pipeline.theory.costs import cost_maps
+from pipeline.theory.predictions import Predictions, Theory
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+POINTS = 101
+"""Grid points along each axis of a drawn map; finer ones change no contour visibly."""
+
+FEW_NEIGHBOURS = 9
+"""Trials by which a cost is smoothed: a plane over more would fill its valleys."""
+
+FEWEST_DRAWN, LEAST_SHARE = 20, 0.2
+"""Stable trials with a cost, in number and as a share of all, below which no lines of equal cost are drawn: they would
+lie where few others have one."""
+
+LINES_PER_DOUBLING, DOUBLINGS = 2, 5
+"""Contour lines of costs without levels of their own, from the least cost to 32 times as much: beyond, they merge with
+the stability boundary."""
+
+FRONT_RANGE = 4.0
+"""The front view reaches to this multiple of the highest optimum: all that matters for a choice."""
+
+LONGEST_EDGE = 2.3
+"""Longest side, in grid steps, of a triangle that contours cross: spans one missing trial at most."""
+
+CELLS = (20, 14)
+"""Cells along both axes in which departures from theory are gathered: each is wider than the largest mark, and holds
+ten trials or more of a course of 2,500, so that its median says more than their scatter."""
+
+RATIO_STEPS, OVERSHOOT_STEPS = (1.05, 1.1, 1.25, 1.5), (0.01, 0.02, 0.05, 0.1)
+"""Departures from which marks grow: ratios of costs, one way or the other, and differences of overshoot, of which one
+percentage point is what a sensor's step makes."""
+
+SIZES, RING = (2.0, 4.0, 6.0, 8.5, 11.0), 2.6
+"""Sizes of the marks [px], from no departure to the largest; an open mark's hole is smaller by the ring."""
+
+
+@dataclass(frozen=True, eq=False)
+class CostMap:
+    """Costs of one criterion over the plane: theory on a grid, or the trials of an experiment, smoothed.
+
+    ``stiffness``, ``damping``, ``cost``: shape (n,) of points, (p,), (q,) and (q, p) of a grid. ``trials`` are
+    stiffness, damping and cost of the single trials, shape (3, m).
+    """
+
+    label: str
+    stiffness: Floats
+    damping: Floats
+    cost: Floats
+    boundary: tuple[Series, ...]
+    optimum: Optimum | None
+    trials: Floats
+
+    @property
+    def least(self) -> tuple[Floats, Floats]:
+        """Least cost for each stiffness, nowhere above a single trial."""
+        if self.cost.ndim == 2:
+            found = np.where(np.isfinite(self.cost), self.cost, np.inf).min(axis=0)
+            return self.stiffness, np.where(np.isfinite(found), found, np.nan)
+        K = np.concatenate([self.stiffness, self.trials[0]])
+        cost = np.concatenate([self.cost, self.trials[2]])
+        known = np.isfinite(cost)
+        every, place = np.unique(K[known], return_inverse=True)
+        found = np.full(len(every), np.inf)
+        np.minimum.at(found, place, cost[known])
+        return every, found
+
+
+def map_figures(
+    data: SceneData,
+    results: Sequence[ExperimentResult],
+    theories: Mapping[str, Theory],
+    predictions: Predictions,
+    motion: Motion,
+) -> list[Figure]:
+    """Return one cost figure for each criterion of each table of optima: theory, then each experiment."""
+    stages = {e.experiment: e for e in data.experiments}
+    found: dict[str, Figure] = {}
+    for table in (table for table in layouts(data) if table.kind == "optima"):
+        shown = [r for r in results if r.experiment in table.experiments]
+        theory = theories.get(table.theory_from)
+        maps = _theory_maps(theory, shown, table.criteria, predictions) if theory else {}
+        for criterion in table.criteria:
+            own = [maps[criterion]] if theory else []
+            own += [_measured_map(r, stages[r.experiment], criterion) for r in shown if criterion in r.optimum]
+            if own:
+                figure = map_figure(table.name, criterion, own, motion)
+                # experiments "a b" and "a-b" would share an identifier
+                taken = f"-{len(found)}" if figure.identifier in found else ""
+                found[figure.identifier + taken] = replace(figure, identifier=figure.identifier + taken)
+    return list(found.values())
+
+
+def _theory_maps(
+    theory: Theory, shown: Sequence[ExperimentResult], criteria: Sequence[str], predictions: Predictions
+) -> dict[str, CostMap]:
+    """Maps of theory by criterion over its stable region and all that was tested."""
+    points = [point for result in shown for point in result.boundary]
+    p, border, units = theory.parameters, theory.boundary, theory.units
+    stiffest = max([border.alpha_max * units.stiffness, *(p.unstable or p.stable or 0.0 for p in points)])
+    dampings = [border.beta_max * units.damping, *(p.damping for p in points)]
+    K, B = np.linspace(0, stiffest, POINTS), np.linspace(min(0.0, *dampings), max(dampings), POINTS)
+    label = f"theory, d = {p.delay_samples:g}, m = {p.mass:.3g}, b = {p.damping:.3g}"
+    maps = {}
+    for criterion, cost in cost_maps(theory.loop, K / units.stiffness, B / units.damping, criteria).items():
+        found = predictions.get(theory, f"{criterion}_discrete")
+        best = None if found is None else Optimum(stiffness=found.stiffness, damping=found.damping, cost=found.cost)
+        edge = (replace(by_theory(theory, "_boundary"), kind="edge"),)
+        maps[criterion] = CostMap(label, K, B, cost, edge, best, np.empty((3, 0)))
+    return maps
+
+
+def _measured_map(result: ExperimentResult, stages: ExperimentStages, criterion: str) -> CostMap:
+    """Map of an experiment: smoothed costs of its stable trials, and the trials as they are."""
+    cost = stages.sure_cost(criterion)
+    K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
+    verdict = stages.verdicts.verdict
+    shown, stable = (K > 0) & (verdict != "unstable"), (K > 0) & (verdict == "stable")
+    known = stable & np.isfinite(cost)
+    drawn = known if known.sum() >= max(FEWEST_DRAWN, LEAST_SHARE * stable.sum()) else np.zeros_like(known)
+    name = f"experiment {result.experiment}" + (f", {result.configuration}" if result.configuration else "")
+    edge = tuple(replace(s, kind="edge", label="_boundary", number=None) for s in measured(result, "", None))
+    smooth = _smoothed(K[drawn], B[drawn], cost[drawn], criterion)
+    trials = np.stack([K[shown], B[shown], cost[shown]])
+    return CostMap(name, K[drawn], B[drawn], smooth, edge, result.optimum.get(criterion), trials)
+
+
+def _smoothed(K: Floats, B: Floats, cost: Floats, criterion: str) -> Floats:
+    """Costs freed from the noise of single trials by planes over the trials around; as they are where these are few."""
+    if len(cost) < FEWEST:
+        return cost
+    if criterion_of(criterion).family.levels:
+        return np.maximum(smooth_of(K, B, cost, FEW_NEIGHBOURS).of(cost), 0.0)
+    values = np.log(np.maximum(cost, np.finfo(np.float64).tiny))
+    return np.asarray(np.exp(smooth_of(K, B, values, FEW_NEIGHBOURS).of(values)))
+
+
+def map_figure(table: str, criterion: str, maps: Sequence[CostMap], motion: Motion) -> Figure:
+    """Return maps of one criterion side by side, with the table that their optima stand in."""
+    family, label = criterion_of(criterion).family, table_label(table)
+    edges = [s for each in maps for s in each.boundary]
+    limits = (0.0, reach(*(s.x for s in edges), *(m.trials[0] for m in maps))[1]), reach(*(s.y for s in edges))
+    lowest = [float(np.nanmin(m.least[1])) for m in maps if np.isfinite(m.least[1]).any()]
+    top = family.levels[-1] if family.levels else FRONT_RANGE * max(lowest, default=1.0)
+    lines = (
+        "every 10 percentage points, the heavy one at 0.1 % around the region without"
+        if family is OVERSHOOT
+        else "two for each doubling, starting at the optimum"
+    )
+    tried = any(m.trials.size for m in maps)
+    caption = (
+        f"{'Theory left. ' if maps[0].cost.ndim == 2 else ''}Black: stability limit. Green: lines of equal cost, "
+        f"{lines}"
+        f"{'; measured costs are smoothed over the trials around' if tried else ''}. Plus: optimum as in {label}"
+        f"{', of experiments the best single trial' if tried else ''}. Below: least cost for each stiffness"
+        f"{' and all trials' if tried else ''}."
+    )
+    panels = tuple(_map_panel(each, criterion, limits, top, motion) for each in maps)
+    size = (350.0, 430.0) if len(maps) > 2 else (440.0, 500.0)
+    identifier = re.sub(r"[^A-Za-z0-9_-]", "-", f"{table}-{criterion}")
+    title = f"Cost maps, {criterion_label(criterion)}"
+    return Figure("maps", identifier, title, caption, panels, criterion_name(criterion), f"costs, {label}", size)
+
+
+def _map_panel(shown: CostMap, criterion: str, limits: Any, top: float, motion: Motion) -> Panel:
+    units, factor, family = UNITS[motion], printed_scale(criterion), criterion_of(criterion).family
+    K, B, cost = shown.trials
+    inside, best = cost <= top, shown.optimum
+    front = [
+        Series(
+            "_trials",
+            "dots",
+            K[inside],
+            cost[inside] * factor,
+            value=B[inside],
+            value_name=f"damping B [{units.damping}]",
+        )
+    ]
+    least = shown.least
+    front.append(Series("_least cost", "line", least[0], least[1] * factor))
+    map_series, told = list(shown.boundary), "No optimum is known."
+    if best is not None:
+        place = np.array([best.stiffness])
+        map_series.append(Series("_optimum", "optimum", place, np.array([best.damping])))
+        front.append(Series("_optimum", "optimum", place, np.array([best.cost * factor])))
+        at = f"{significant(best.stiffness, 4)} {units.stiffness} and {significant(best.damping, 4)} {units.damping}"
+        told = f"Optimum {cost_text(criterion, best.cost)} at {at}."
+    words = f"{shown.label}, {criterion_label(criterion)}: lines of equal cost. {told}"
+    names = (f"stiffness K [{units.stiffness}]", f"damping B [{units.damping}]")
+    below = Panel(
+        "",
+        (names[0], with_unit(family.title, family.printed_unit)),
+        tuple(front),
+        "",
+        (limits[0], (0.0, top * factor)),
+        partial(_tell_optimum, shown, criterion, top),
+    )
+    return Panel(
+        shown.label, ("", names[1]), tuple(map_series), words, limits, partial(_contours, shown, criterion), below
+    )
+
+
+def _tell_optimum(shown: CostMap, criterion: str, top: float, axes: Axes) -> None:
+    best, factor = shown.optimum, printed_scale(criterion)
+    if best is None or best.cost > top:
+        return
+    text = cost_text(criterion, best.cost) + (" %" if factor != 1 else "")
+    offset = (0, -15 if best.cost > 0.2 * top else 14)  # else the value would collide with the axis
+    look: dict[str, Any] = {"color": BLUE, "fontweight": "bold", "ha": "center", "va": "center"}
+    axes.annotate(text, (best.stiffness, best.cost * factor), offset, "data", textcoords="offset points", **look)
+
+
+def _contours(shown: CostMap, criterion: str, axes: Axes) -> None:
+    """Draw lines of equal cost, heavier at whole doublings, which can be counted also in grey; theory has numbers."""
+    from matplotlib.colors import to_rgb
+
+    known = np.isfinite(shown.cost)
+    levels = _levels(criterion, shown.cost[known]) if known.any() else np.empty(0)
+    if not levels.size:
+        few = "too few trials" if np.isfinite(shown.trials[2]).any() else "no trial"
+        if not known.any():
+            axes.text(0.5, 0.5, f"{few} with this cost", transform=axes.transAxes, ha="center")
+        return
+    edge = criterion_of(criterion).family.levels[:1]
+    whole = levels <= edge[0] if edge else np.arange(levels.size) % LINES_PER_DOUBLING == LINES_PER_DOUBLING - 1
+    look: dict[str, Any] = {"levels": levels, "linewidths": np.where(whole, 1.5, 0.9)}
+    look["colors"] = [(*to_rgb(GREEN), alpha) for alpha in np.linspace(1.0, 0.45, levels.size)]
+    if shown.cost.ndim == 2:
+        lines = axes.contour(shown.stiffness, shown.damping, _without_steps(shown.cost, criterion), **look)
+        factor = printed_scale(criterion)
+        numbered = levels[levels > edge[0]][::2] if edge else levels[1::LINES_PER_DOUBLING]
+        axes.clabel(lines, numbered[:2], fmt=lambda level: significant(level * factor, 3), fontsize=9.5, colors=INK)
+    elif (triangles := _triangles(shown.stiffness, shown.damping)) is not None:
+        axes.tricontour(triangles, shown.cost, **look)
+
+
+def _levels(criterion: str, cost: Floats) -> Floats:
+    """Return the contour levels inside the range of the costs: those of its family, else two a doubling."""
+    low, high = float(cost.min()), float(cost.max())
+    levels = np.array(criterion_of(criterion).family.levels)
+    if not levels.size:
+        # a level that equals many costs exactly (settling times are whole numbers) would fray into plateaus
+        exponents = np.arange(1, DOUBLINGS * LINES_PER_DOUBLING + 1) / LINES_PER_DOUBLING
+        levels = low * 2.0**exponents * (1 + 1e-6)
+    return np.asarray(levels[(levels > low) & (levels < high)])
+
+
+def _without_steps(cost: Floats, criterion: str) -> Floats:
+    """Return costs that are whole numbers as a smooth map: their steps fray lines of equal cost."""
+    if not criterion_of(criterion).family.whole:
+        return cost
+    from scipy.ndimage import gaussian_filter
+
+    known = np.isfinite(cost) & (cost > 0)
+    total = gaussian_filter(np.where(known, np.log(np.where(known, cost, 1.0)), 0.0), 1.0)
+    weight = gaussian_filter(known.astype(np.float64), 1.0)
+    return np.where(known, np.exp(total / np.where(known, weight, 1.0)), np.nan)
+
+
+def _triangles(K: Floats, B: Floats) -> Any:
+    """Triangulate tested walls; None where they span no area. Distances count in grid steps."""
+    from matplotlib.tri import Triangulation
+
+    order = np.lexsort((K, B))
+    same = np.diff(B[order]) == 0
+    steps = np.diff(K[order])[same]
+    k_step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+    b_steps = np.diff(np.unique(B))
+    b_step = float(np.median(b_steps)) if b_steps.size else 1.0
+    points, first = np.unique(np.column_stack([K / k_step, B / b_step]), axis=0, return_index=True)
+    if len(points) < 3 or np.linalg.matrix_rank(points - points[0]) < 2:
+        return None
+    triangles = Triangulation(K / k_step, B / b_step, first[Triangulation(points[:, 0], points[:, 1]).triangles])
+    corners = np.column_stack([triangles.x, triangles.y])[triangles.triangles]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    if (longest > LONGEST_EDGE).all():
+        return None
+    return Triangulation(K, B, triangles.triangles, mask=longest > LONGEST_EDGE)
+
+
+def departure_figures(
+    data: SceneData, theories: Mapping[str, Theory], predictions: Predictions, motion: Motion
+) -> list[Figure]:
+    """Return one figure a criterion of the tables: where measured costs depart from theory at the trials' own walls."""
+    asked = {c for table in layouts(data) for c in table.criteria}
+    criteria = tuple(c for c in data.scene.criteria if c in asked)
+    shown = [e for e in data.experiments if e.experiment in theories]
+    points = {e.experiment: (e.column("response", "stiffness"), e.column("response", "damping")) for e in shown}
+    edges = {name: replace(by_theory(theories[name], "_boundary"), kind="edge") for name in points}
+    every = [np.concatenate([edges[name].x, points[name][0]]) for name in points]
+    highest = [np.concatenate([edges[name].y, points[name][1]]) for name in points]
+    cell = (
+        float(max(map(np.max, every), default=1.0)) / CELLS[0],
+        float(max(map(np.max, highest), default=1.0)) / CELLS[1],
+    )
+    limits = ((0.0, reach(*(e.x for e in edges.values()))[1]), reach(*(e.y for e in edges.values()))) if edges else None
+    expected = {name: predictions.costs_at(theories[name], *points[name], criteria) for name in points if criteria}
+    figures = []
+    for criterion in criteria:
+        panels = []
+        for stages in shown:
+            name = stages.experiment
+            found = departures(stages.sure_cost(criterion), expected[name][criterion], criterion)
+            found[stages.verdicts.verdict != "stable"] = np.nan
+            if np.isfinite(found).any():
+                panels.append(
+                    _departure_panel(name, *points[name], found, edges[name], criterion, cell, limits, motion)
+                )
+        if panels:
+            title = f"Measured against theory, {criterion_name(criterion)}"
+            what = (
+                "difference in percentage points" if criterion_of(criterion).family.levels else "departure in percent"
+            )
+            caption = (
+                f"Median {what} of measured cost from theory over the stable trials of a cell. Filled marks: larger, "
+                "open: smaller; dots: less than the smallest step; size: the departure. Black: limit by theory."
+            )
+            show = "measured against theory, all experiments"
+            figures.append(
+                Figure(
+                    "residuals",
+                    f"residual-{criterion}",
+                    title,
+                    caption,
+                    tuple(panels),
+                    criterion_name(criterion),
+                    show,
+                    (350.0, 310.0),
+                )
+            )
+    return figures
+
+
+def departures(measured_: Floats, expected: Floats, criterion: str) -> Floats:
+    """Return measured against theoretical costs: difference of costs that may be zero, else ratio less one."""
+    family = criterion_of(criterion).family
+    expected = np.where(expected <= family.none, 0.0, expected)
+    if family.levels:
+        return np.asarray(measured_ - expected)
+    positive = (measured_ > 0) & (expected > 0)
+    return np.where(positive, np.where(positive, measured_, 1.0) / np.where(positive, expected, 1.0) - 1, np.nan)
+
+
+def _departure_panel(
+    name: str,
+    K: Floats,
+    B: Floats,
+    found: Floats,
+    edge: Series,
+    criterion: str,
+    cell: tuple[float, float],
+    limits: Any,
+    motion: Motion,
+) -> Panel:
+    import pandas as pd
+
+    differs, units = bool(criterion_of(criterion).family.levels), UNITS[motion]
+    frame = pd.DataFrame({"K": np.floor(K / cell[0]), "B": np.floor(B / cell[1]), "off": found}).dropna()
+    cells = frame.groupby(["B", "K"], as_index=False).median()
+    x, y, off = (
+        (cells["K"].to_numpy() + 0.5) * cell[0],
+        (cells["B"].to_numpy() + 0.5) * cell[1],
+        cells["off"].to_numpy(),
+    )
+    unit = "points" if differs else "%"
+    middle = f"{percent_text(100 * float(np.median(frame['off'])))} {unit}"
+    # ratios count the same one way and the other
+    size = np.abs(off) if differs else np.where(off > 0, 1 + off, 1 / (1 + off))
+    classes = (np.sign(off) * np.searchsorted(OVERSHOOT_STEPS if differs else RATIO_STEPS, size, side="right")).astype(
+        int
+    )
+    told = Series("_measured against theory", "told", x, y, value=100 * off, value_name=f"departure [{unit}]")
+    names = (f"stiffness K [{units.stiffness}]", f"damping B [{units.damping}]")
+    above, below = int((classes > 0).sum()), int((classes < 0).sum())
+    words = f"Measured against theory in {len(off)} cells: median {middle}; larger in {above}, smaller in {below}."
+    return Panel(
+        f"experiment {name}: median {middle}", names, (edge, told), words, limits, partial(_marks, x, y, classes)
+    )
+
+
+def _marks(x: Floats, y: Floats, classes: np.ndarray, axes: Axes) -> None:
+    dots(axes, x[classes == 0], y[classes == 0], INK, SIZES[0])
+    for value in sorted(set(classes.tolist()) - {0}):
+        at: Booleans = classes == value
+        size = SIZES[abs(value)]
+        dots(axes, x[at], y[at], VERMILLION if value > 0 else BLUE, size, square=True)
+        if value < 0:
+            dots(axes, x[at], y[at], PAPER, size - RING, square=True)

@@ -1,0 +1,342 @@
+"""Responses of single trials: the first step response of a report, and a trial beside the loops that may explain it.
+
+Source: Hulin 2017, Fig. 6.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from pipeline.base.errors import ParameterError
+from pipeline.comparison.loops.told_loop import adequate_theory
+from pipeline.comparison.scene.scene import SceneData
+from pipeline.measured.device.delay import first_change
+from pipeline.measured.fit.ghost import simulate_ghost
+from pipeline.measured.law.log_rows import LogRows
+from pipeline.measured.signal.response import find_response
+from pipeline.measured.stages.stage_groups import TrialGroup
+from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.records.batch import Booleans, Floats, TrialBatch
+from pipeline.records.models import Motion
+from pipeline.records.results import ExperimentResult
+from pipeline.rendering.figures.drawing import Figure, Panel, Series, around
+from pipeline.rendering.figures.overview import thinned
+from pipeline.rendering.labels import UNITS, damping_text, decimal, significant, size_text, stiffness_text
+from pipeline.store.samples import load_batch, load_groups
+from pipeline.store.storage import read_trials
+from pipeline.theory.predictions import Theory
+
+LONGEST_SHOWN = 1 << 14
+"""Rows after the command edge that are shown, 16 s at 1 kHz: among more the motion could not be seen."""
+
+CANDIDATES = 8
+"""Trials that are looked at: at the lowest stiffness a log may end before its second maximum, eight times that
+stiffness has a period a third as long."""
+
+CLEAR = 0.05
+"""Height of a maximum above the final position, relative to F_0/K, that counts: a sensor's steps make lower ones."""
+
+BEFORE, AFTER = 2, 6
+"""Sampling periods that the close-up shows before the command edge and after the first change."""
+
+REACH = 100.0
+"""Displacement, in that of the log, from which on a simulated response is left out."""
+
+MILLI = 1e3
+TIME = "time after the command edge [ms]"
+
+
+def _length(motion: Motion) -> str:
+    return f"displacement [{'mm' if motion == 'translation' else 'mrad'}]"
+
+
+def _force(motion: Motion) -> str:
+    return "N" if motion == "translation" else "Nm"
+
+
+def trials_of(stages: ExperimentStages) -> tuple[Floats, Floats, np.ndarray]:
+    """Return stiffness, damping and verdict of the trials of an experiment."""
+    K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
+    return K, B, stages.verdicts.verdict
+
+
+def response_figures(data: SceneData, motion: Motion) -> list[Figure]:
+    """Return the first response of the first experiment that has one, with its beginning; none without a step.
+
+    The lowest stiffness whose log shows two maxima is taken, at its lowest stable damping; where no log does, the
+    lowest stiffness of all. Experiments without operator come first.
+    """
+    grips = {stages.experiment: set(stages.trials.column("grip").to_pylist()) for stages in data.experiments}
+    for stages in sorted(data.experiments, key=lambda stages: grips[stages.experiment] != {"none"}):
+        found = list(_candidates(stages))
+        for batch, edge, change, period in [*(each for each in found if each[3] is not None), *found][:1]:
+            return [_response_figure(stages, batch, edge, change, period, motion)]
+    return []
+
+
+def _candidates(stages: ExperimentStages) -> Iterator[tuple[TrialBatch, int, int, tuple[float, float] | None]]:
+    """Yield the softest trials: log, row of the edge, rows to the first change, times of the first two maxima."""
+    k, b = stages.column("response", "stiffness"), stages.column("response", "damping")
+    chosen = softest(k, b, stages.verdicts.verdict == "stable")
+    if not len(chosen):
+        return
+    names = stages.texts("response", "trial_id")
+    wanted = pa.array([names[i] for i in chosen])
+    samples = load_groups(
+        stages.processed, stages.trials.filter(pc.is_in(stages.trials.column("trial_id"), value_set=wanted))
+    )
+    for place in np.argsort(samples.of_trials("stiffness"), kind="stable").tolist():
+        batch = next(one for _, one in samples.pick(np.array([place])))
+        response = find_response(batch)
+        first = int(first_change(batch, response).first_row[0])
+        edge = int(response.edge_row[0])
+        if first >= 0:
+            rows = slice(edge, min(int(batch.rows[0]), edge + LONGEST_SHOWN))
+            time, final = batch.time[0, rows] - batch.time[0, edge], float(batch.step[0] / batch.stiffness[0])
+            yield batch, edge, first - edge, oscillation_period(time, batch.displacement[0, rows], final)
+
+
+def softest(stiffness: Floats, damping: Floats, stable: Booleans) -> np.ndarray:
+    """Return stable trials at the lowest stiffnesses above zero, each at its lowest damping, `CANDIDATES` at most."""
+    usable = np.flatnonzero(stable & (stiffness > 0))
+    order = usable[np.lexsort((damping[usable], stiffness[usable]))]
+    return order[np.diff(stiffness[order], prepend=-np.inf) > 0][:CANDIDATES]
+
+
+def oscillation_period(time: Floats, displacement: Floats, final: float) -> tuple[float, float] | None:
+    """Return the times of the first two maxima of a step response, or None where it does not show two.
+
+    A maximum is the middle of the highest samples between two crossings of the final position, and only a stretch above
+    it that begins and ends counts.
+    """
+    relative = displacement / final
+    change = np.flatnonzero(np.diff(np.concatenate([[False], relative > 1, [False]]).astype(np.int8)))
+    maxima = []
+    for start, end in zip(change[::2].tolist(), change[1::2].tolist(), strict=True):
+        lobe = relative[start:end]
+        if end < len(relative) and lobe.max() >= 1 + CLEAR:  # a stretch that the log cuts off may still rise
+            maxima.append(float(time[start + np.flatnonzero(lobe == lobe.max())].mean()))
+    return (maxima[0], maxima[1]) if len(maxima) > 1 else None
+
+
+def _response_figure(
+    stages: ExperimentStages,
+    batch: TrialBatch,
+    edge: int,
+    change: int,
+    period: tuple[float, float] | None,
+    motion: Motion,
+) -> Figure:
+    rows = min(int(batch.rows[0]), edge + LONGEST_SHOWN)
+    time, position = MILLI * (batch.time[0, :rows] - batch.time[0, edge]), MILLI * batch.displacement[0, :rows]
+    K, B, step = (float(values[0]) for values in (batch.stiffness, batch.damping, MILLI * batch.sampling_period_s))
+    final = MILLI * float(batch.step[0]) / K
+    ends, units, at = np.array([time[0], time[-1]]), UNITS[motion], change * step
+    whole = [Series("_log", "log", *thinned(time, position)), Series("_final value", "final", ends, np.full(2, final))]
+    words = f"K = {stiffness_text(K)} {units.stiffness}, B = {damping_text(B)} {units.damping}"
+    told = ""
+    if period is not None:
+        between = MILLI * np.array(period)
+        whole.append(Series("oscillation period", "line", between, np.full(2, 0.5 * final)))
+        told = f" The oscillation period is {decimal(between[1] - between[0], 0)} ms."
+    near = (time >= -(BEFORE + 0.5) * step) & (time <= at + (AFTER + 0.5) * step)
+    spans = Series("_delay", "span", np.array([at - step, at]), np.zeros(2))
+    first = Series("first change", "mark", np.array([at]), position[near][np.argmin(np.abs(time[near] - at))][None])
+    command = np.repeat(batch.command[0, :rows][near], 2)[:-1]
+    below = Panel(
+        "",
+        (TIME, f"force [{_force(motion)}]"),
+        (Series("_command", "line", np.repeat(time[near], 2)[1:], command), spans),
+        "",
+        (None, around(command, np.zeros(1))),
+    )
+    begin = (spans, Series("_log", "log", time[near], position[near]), first)
+    panels = (
+        Panel("step response", (TIME, _length(motion)), tuple(whole), f"Displacement over time, {words}.{told}"),
+        Panel(
+            "beginning",
+            ("", _length(motion)),
+            begin,
+            f"First change of position after {decimal(at, 3)} ms.",
+            below=below,
+        ),
+    )
+    caption = (
+        f"Trial {batch.trial_id[0]} of experiment {stages.experiment}: {words}.{told} Right, the beginning: the "
+        f"position first changes at t_obs = {decimal(at, 3)} ms, so that the delay lies in the shaded period (6.3)."
+    )
+    return Figure("response", "first-response", "Step response", caption, panels, size=(440.0, 290.0))
+
+
+def trial_figure(stages: ExperimentStages, result: ExperimentResult, trial: str, motion: Motion) -> Figure:
+    """Return a trial beside theory and fitted loops, and the residual of the wall law.
+
+    Parameters
+    ----------
+    stages : ExperimentStages
+        Of its experiment. What these do not hold of the trial, as of one that is excluded, is left out.
+    result : ExperimentResult
+    trial : str
+        Its id.
+    motion : {"translation", "rotation"}
+    """
+    stored = read_trials(stages.processed, stages.device, stages.experiment)
+    own = stored.filter(pc.equal(stored.column("trial_id"), trial))
+    group = TrialGroup(load_batch(stages.processed, own))
+    batch, edge = group.batch, max(int(group.found.edge_row[0]), 0)
+    rows = min(int(batch.rows[0]), edge + LONGEST_SHOWN)
+    time, measured = MILLI * (batch.time[0, :rows] - batch.time[0, edge]), batch.displacement[0, :rows]
+    log = LogRows.of(group.logged, group.found, 0)
+    residual, rounding = log.residual[:rows], float(log.rounding.max())
+    beside, told = _beside(stages, result, trial, group, measured)
+    series = [Series("log", "wide log", *thinned(time, MILLI * measured))]
+    series += [Series(label, kind, *thinned(time, MILLI * position)) for label, kind, position in beside]
+    stiffness, ends = float(batch.stiffness[0]), np.array([time[0], time[-1]])
+    if stiffness > 0:
+        series.append(Series("_final value", "final", ends, np.full(2, MILLI * float(batch.step[0]) / stiffness)))
+    limits = (float(ends[0]), float(ends[1]) if ends[1] > ends[0] else float(ends[0]) + 1.0)
+    law = [Series("_residual", "log", *thinned(time, residual))]
+    law += [
+        Series("rounding", "final", ends, np.full(2, rounding)),
+        Series("_rounding", "final", ends, np.full(2, -rounding)),
+    ]
+    names = f"residual [{_force(motion)}]"
+    panels = (
+        Panel(
+            "response",
+            (TIME, _length(motion)),
+            tuple(series),
+            f"Displacement over time: {', '.join(s.label.lstrip('_') for s in series)}.",
+            (limits, around(*(s.y for s in series))),
+        ),
+        Panel(
+            "command minus wall law",
+            (TIME, names),
+            tuple(law),
+            "Logged command minus that of the wall law over time.",
+            (limits, around(residual, np.array([-rounding, rounding]))),
+        ),
+    )
+    told.append(_law(stages, trial, residual, rounding, _force(motion)))
+    words = ". ".join(text.rstrip(".") for text in told) + "."
+    simulated = bool(own.column("simulated")[0].as_py())
+    return Figure(
+        "response", f"trial-{trial}", f"Trial {trial}", words, panels, size=(440.0, 310.0), simulated=simulated
+    )
+
+
+def overlaid_figure(figures: Sequence[Figure], labels: Sequence[str]) -> Figure:
+    """Return the responses of several trials over each other, each with that of theory (dashed, in its colour)."""
+    series = []
+    for number, (figure, label) in enumerate(zip(figures, labels, strict=True)):
+        for each in figure.panels[0].series:
+            if each.label in ("log", "theory"):
+                kind = "theory" if each.label == "theory" else "course"
+                series.append(Series("_theory" if kind == "theory" else label, kind, each.x, each.y, number=number))
+    names = figures[0].panels[0].names
+    words = f"Displacement over time of {len(figures)} trials; dashed: theory."
+    panel = Panel("", names, tuple(series), words, (None, around(*(s.y for s in series))))
+    return Figure("response", "trials", "Trials", "", (panel,), size=(440.0, 310.0))
+
+
+def response(theory: Theory, stiffness: float, damping: float, force: Floats) -> Floats:
+    """Return the displacement [m, rad] of a loop at each sample, from rest, under an external force in the command.
+
+    Parameters
+    ----------
+    theory : Theory
+    stiffness, damping : float
+        Of the wall: K [N/m, Nm/rad], B [Ns/m, Nms/rad].
+    force : float64, shape (n,)
+        External force at each sample [N, Nm].
+
+    Raises
+    ------
+    ParameterError
+        If delay and velocity filter together are longer than 96 samples.
+
+    Source: Hulin 2017, eqs. 3.9 and 3.18, with the parts of a loop that is not ideal.
+    """
+    free, push, position, velocity = theory.loop.open_loop
+    units = theory.units
+    wall = stiffness / units.stiffness * position + damping / units.damping * velocity
+    closed = free - np.outer(push, wall)
+    state, found = np.zeros(len(push)), np.empty(len(force))
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop grows beyond all numbers
+        for k, pushed in enumerate(force / units.stiffness):
+            found[k] = position @ state
+            state = closed @ state + push * pushed
+    return found
+
+
+def _beside(
+    stages: ExperimentStages, result: ExperimentResult, trial: str, group: TrialGroup, measured: Floats
+) -> tuple[list[tuple[str, str, Floats]], list[str]]:
+    """Return label, kind and displacement of the responses beside a log, and how far off they are or why missing."""
+    batch, edge, rows = group.batch, int(group.found.edge_row[0]), len(measured)
+    if edge < 0:
+        return [], ["No step was found in this log, so that no loop can be held against it"]
+    force = np.where(np.arange(rows) >= edge, float(batch.step[0]), 0.0)
+    fitted = adequate_theory(result, stages)
+    loops = [("fitted loop", "fitted", fitted)] if fitted is not None else []
+    if result.theory is not None and (fitted is None or result.theory != fitted.parameters):
+        loops.insert(0, ("theory", "theory", Theory(result.theory)))
+    drawn, off, missing = [], [], []
+    size = float(np.nanmax(np.abs(measured), initial=0.0)) or 1.0
+
+    def add(label: str, kind: str, source: str, position: Floats) -> None:
+        beyond = ~(np.abs(position) <= REACH * size)
+        shown = np.where(np.logical_or.accumulate(beyond), np.nan, position)
+        error = (measured - shown)[edge:]
+        known = error[np.isfinite(error)]
+        much = size_text(100 * float(np.sqrt(np.mean(known**2))) / size) if len(known) else "any amount"
+        drawn.append((label, kind, shown))
+        off.append(f"{label} ({source}) by {much}")
+
+    for label, kind, theory in loops:
+        try:
+            position = response(theory, float(batch.stiffness[0]), float(batch.damping[0]), force)
+        except ParameterError as error:
+            missing.append(f"No {label}: {error}")
+        else:
+            add(label, kind, theory.parameters.source, position)
+    if fitted is None:
+        why = result.loop.reason if result.loop is not None else "no model was fitted to the logs"
+        missing.append(f"No loop is fitted to all logs: {why}")
+    model = _model(stages, trial)
+    if model is not None:
+        ghost = simulate_ghost(batch, group.found, *(np.array([value]) for value in model))
+        units = UNITS["rotation" if stages.rotation else "translation"]
+        named = zip(("m", "b", "delay"), model, (units.mass, units.damping, "samples"), strict=True)
+        source = ", ".join(f"{name} = {significant(value, 3)} {unit}" for name, value, unit in named)
+        add("model of this log", "model", source, ghost.position[0, :rows] - batch.position[0, 0])
+    told = [f"Off the log, root mean square over its largest displacement: {'; '.join(off)}"] if off else []
+    return drawn, [*told, *missing]
+
+
+def _model(stages: ExperimentStages, trial: str) -> tuple[float, ...] | None:
+    """Return mass, damping and delay of the model fitted to one log; None where there is none."""
+    ids = stages.texts("response", "trial_id")
+    if trial not in ids or not stages.is_stored("model"):
+        return None
+    row = ids.index(trial)
+    found = tuple(float(stages.column("model", f"model_{name}")[row]) for name in ("mass", "damping", "delay"))
+    return found if np.isfinite(found).all() else None
+
+
+def _law(stages: ExperimentStages, trial: str, residual: Floats, rounding: float, unit: str) -> str:
+    """Return in words how far the command of a log is from the wall law, and why where the stage has found that."""
+    largest = float(np.nanmax(np.abs(residual), initial=0.0))
+    if largest <= rounding:
+        return "The logged command is that of the wall law, up to rounding"
+    ids = stages.texts("response", "trial_id")
+    known = trial in ids and stages.is_stored("wall_law")
+    why = stages.texts("wall_law", "law_evidence")[ids.index(trial)] if known else ""
+    return (
+        f"The logged command is off the wall law by up to {significant(largest, 3)} {unit}, of which rounding is "
+        f"{significant(rounding, 2)} {unit}{': ' if why else ''}{why}"
+    )

@@ -1,0 +1,375 @@
+"""The trials of a comparison for the interactive part of its report: all as points, the most telling with response.
+
+A page that held every response of 11,000 trials would have 8 MB. So all trials come with stiffness, damping, verdict,
+outcome and costs, and responses up to a number of samples: first the optima, then by turns the trials at the stability
+boundary and a grid over the plane that gets finer. What coding loses cannot be seen: rounding moves a line by a quarter
+of a pixel, and rows are left out only where several fall into one column of pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.comparison.scene.scene import SceneData, needed_stages
+from pipeline.measured.fit.ghost import simulate_ghost
+from pipeline.measured.signal.outcome import OUTCOMES
+from pipeline.measured.stages.stage_groups import TrialGroup
+from pipeline.measured.stages.stages import ExperimentStages, cost_column
+from pipeline.records.batch import Floats, Integers, TrialBatch
+from pipeline.records.criteria import CRITERIA, criterion_of
+from pipeline.records.models import Motion
+from pipeline.records.results import ExperimentResult
+from pipeline.rendering.figures.boundaries import by_theory, measured
+from pipeline.rendering.labels import UNITS, cost_text, criterion_label, printed_scale, significant
+from pipeline.rendering.report.report import pack
+from pipeline.rendering.report.tables import TrialPage
+from pipeline.theory.predictions import Theory
+
+SAMPLES = 200_000
+"""Samples of responses that a report holds, some 280 kB: one of thesis size stays below 2 MB."""
+
+PORTION = 64
+"""Responses that are prepared at once: the simulated loop takes about as long for one as for these."""
+
+COST_DIGITS = 3
+"""Digits of a cost in the plane; a trial with its response shows the cost as the tables print it."""
+
+EDGE_TURNS = 3
+"""Trials at the boundary for each one of the grid: the tables name all of the former."""
+
+FINEST_GRID = 64
+"""Cells along each axis of the finest grid over the plane: a course has fewer dampings."""
+
+VERDICTS = ("stable", "unstable", "undecided")
+
+LEVELS = 500
+"""Steps into which the range of a response is divided: a plot is 250 pixels high, half a step is a quarter of one."""
+
+COLUMNS, WHOLE = 700, 30
+"""Columns of pixels of the plot, and samples from the command edge on that are all kept: delay and onset are read
+from them."""
+
+LAGS = (1, 2, 3, 4)
+"""Samples before that predict one: two oscillations, or one with drift and offset; more save nothing."""
+
+PARTS = 4096
+"""Parts of one in which coefficients are written: a power of two, by which a browser divides exactly."""
+
+
+def trial_page(
+    data: SceneData, results: Sequence[ExperimentResult], theories: Mapping[str, Theory], *, full: bool = False
+) -> TrialPage:
+    """Gather the trials of all experiments, which are in the order of ``data``; with ``full`` every response."""
+    criteria, modelled = data.scene.criteria, "model" in needed_stages(data)
+    share = None if full else SAMPLES // len(results)
+    gathered = [
+        _Experiment(number, stages, result, theories.get(stages.experiment), criteria, modelled)
+        for number, (stages, result) in enumerate(zip(data.experiments, results, strict=True))
+    ]
+    motion: Motion = "rotation" if data.experiments[0].rotation else "translation"
+    first = next((c for c in criteria if CRITERIA[c].tabled), criteria[0])
+    experiments = [e.content(share) for e in gathered]
+    content = {
+        "units": {"stiffness": UNITS[motion].stiffness, "damping": UNITS[motion].damping},
+        "position": "rad" if motion == "rotation" else "m",
+        "verdicts": VERDICTS,
+        "outcomes": [name.replace("_", " ") for name in OUTCOMES],
+        "criteria": [
+            {
+                "name": c,
+                "label": criterion_label(c),
+                "unit": criterion_of(c).family.printed_unit,
+                "band": criterion_of(c).band,
+                "first": c == first,
+            }
+            for c in criteria
+        ],
+        "experiments": experiments,
+    }
+    return TrialPage(
+        content=content,
+        trials=sum(len(e.verdict) for e in gathered),
+        responses=sum(e["shown"] for e in experiments),
+        places={(e.name, trial): place for e in gathered for trial, place in e.places().items()},
+        limits={(e.name, *point): reference(e.number, row) for e in gathered for point, row in e.boundary().items()},
+    )
+
+
+def reference(experiment: int, trial: int) -> str:
+    """Return how cells and addresses refer to a trial: numbers of experiment and trial in the page, from 0."""
+    return f"{experiment}-{trial}"
+
+
+@dataclass
+class _Experiment:
+    """One experiment on its way into the page; rows are those of its stages."""
+
+    number: int
+    stages: ExperimentStages
+    result: ExperimentResult
+    theory: Theory | None
+    criteria: tuple[str, ...]
+    modelled: bool
+
+    def __post_init__(self) -> None:
+        self.name = self.stages.experiment
+        self.stiffness = self.stages.column("response", "stiffness")
+        self.damping = self.stages.column("response", "damping")
+        self.verdict = self.stages.verdicts.verdict
+        self.ids = self.stages.texts("response", "trial_id")
+        self.costs = {c: self.stages.column(*cost_column(c)) for c in self.criteria}
+
+    def content(self, share: int | None) -> dict[str, Any]:
+        """What the page holds of the experiment, with responses of so many samples."""
+        limits = {s.kind: s for s in measured(self.result, "", None)}
+        line, bound = limits["measured"], limits.get("bound")
+        known = np.isfinite(line.x).any()
+        theory = by_theory(self.theory, "") if self.theory else None
+        columns: dict[str, Any] = {
+            "k": _numbers(self.stiffness, 6),
+            "b": _numbers(self.damping, 6),
+            "v": "".join(str(VERDICTS.index(v)) for v in self.verdict.tolist()),
+            "o": "".join(str(OUTCOMES.index(o)) for o in self.stages.texts("outcome", "outcome")),
+            "c": [_numbers(self.costs[c] * printed_scale(c), COST_DIGITS) for c in self.criteria],
+            "measured": [_numbers(line.x, 4), _numbers(line.y, 4)] if known else [[], []],
+            "open": [_numbers(bound.x, 4), _numbers(bound.y, 4)] if bound else [[], []],
+            "theory": [_numbers(theory.x, 4), _numbers(theory.y, 4)] if theory else None,
+        }
+        delay, entries = self.result.estimates["delay_samples"].value, list(self._responses(share))
+        return {
+            "name": self.name,
+            "trials": len(self.verdict),
+            "shown": len(entries),
+            "period": self.stages.sampling_period_s,
+            "delay": None if delay is None else int(delay),
+            "columns": pack(columns),
+            "responses": pack(entries),
+        }
+
+    def places(self) -> dict[str, str]:
+        """References of the trials that tables name."""
+        named = {str(best.trial_id) for best in self.result.optimum.values()}
+        named |= {self.result.use.point.trial_id} if self.result.use else set()
+        return {trial: reference(self.number, row) for row, trial in enumerate(self.ids) if trial in named}
+
+    def boundary(self) -> dict[tuple[float, float], int]:
+        """Rows of the trials at the boundary by damping and stiffness."""
+        rows = zip(self.damping.tolist(), self.stiffness.tolist(), self.verdict.tolist(), strict=True)
+        first: dict[tuple[float, float, str], int] = {}
+        for row, key in enumerate(rows):
+            first.setdefault(key, row)
+        ends = (
+            (point.damping, stiffness, verdict)
+            for point in self.result.boundary
+            for stiffness, verdict in ((point.stable, "stable"), (point.unstable, "unstable"))
+            if stiffness is not None
+        )
+        return {key[:2]: first[key] for key in ends if key in first}
+
+    def _responses(self, share: int | None) -> Iterator[dict[str, Any]]:
+        order, taken = self._order(), 0
+        for first in range(0, len(order), PORTION):
+            for entry in self._entries(order[first : first + PORTION]):
+                taken += len(entry["x"]["r"]) if entry["x"] else 0
+                if share is not None and taken > share:
+                    return
+                yield entry
+
+    def _order(self) -> Integers:
+        """All rows, the most telling first."""
+        place = {trial: row for row, trial in enumerate(self.ids)}
+        use = [self.result.use.point.trial_id] if self.result.use else []
+        best = [place[str(name)] for name in [*use, *(o.trial_id for o in self.result.optimum.values())]]
+        edge = np.array(list(self.boundary().values()), dtype=np.int64)
+        edge = edge[_spread(len(edge))]
+        grid = _coarse_to_fine(self.stiffness, self.damping)
+        turn = np.concatenate([np.arange(len(edge)) // EDGE_TURNS, np.arange(len(grid)) + 0.5])
+        both = np.concatenate([edge, grid])[np.argsort(turn, kind="stable")]
+        return _each_once(np.concatenate([np.array(best, dtype=np.int64), both]))
+
+    def _entries(self, rows: Integers) -> list[dict[str, Any]]:
+        """Responses of some trials."""
+        entries: dict[int, dict[str, Any]] = {}
+        for index, batch in self.stages.samples.pick(rows):
+            entries |= zip(index.tolist(), self._entries_of(rows[index], batch), strict=True)
+        return [entries[place] for place in range(len(rows))]
+
+    def _entries_of(self, rows: Integers, batch: TrialBatch) -> list[dict[str, Any]]:
+        stages, found = self.stages, TrialGroup(batch).found
+        nothing = np.full(len(rows), np.nan)
+        model = {
+            name: stages.column("model", f"model_{name}")[rows] if self.modelled else nothing
+            for name in ("mass", "damping", "delay")
+        }
+        beside = simulate_ghost(batch, found, model["mass"], model["damping"], model["delay"])
+        start = found.position_start[:, None]
+        position, ghost = batch.position - start, beside.position - start
+        final = found.position_final_expected - found.position_start
+        return [
+            {
+                "i": int(row),
+                **_signals(position[i], ghost[i], int(batch.rows[i]), max(int(found.edge_row[i]), 0), quantum),
+                **({} if np.isnan(final[i]) else {"f": _number(final[i], 6)}),
+                **{
+                    name: text
+                    for name, text in self._texts(int(row), {n: float(v[i]) for n, v in model.items()})
+                    if text
+                },
+            }
+            for i, (row, quantum) in enumerate(zip(rows.tolist(), found.sensor_quantum.tolist(), strict=True))
+        ]
+
+    def _texts(self, row: int, model: Mapping[str, float]) -> Iterator[tuple[str, Any]]:
+        """What is said of a trial: id, verdict, evidence, model, costs with intervals or the reason for none."""
+        units = UNITS["rotation" if self.stages.rotation else "translation"]
+        names = (("m", "mass", units.mass), ("b", "damping", units.damping), ("d", "delay", "samples"))
+        yield "id", self.ids[row]
+        yield "why", self.stages.texts("response", "reason")[row]
+        yield "evidence", self.stages.texts("outcome", "evidence")[row].replace("+-", "±")
+        if np.isfinite(model["mass"]):
+            yield "model", ", ".join(f"{symbol} = {significant(model[name], 3)} {unit}" for symbol, name, unit in names)
+        yield "costs", [self._cost_text(criterion, row) for criterion in self.criteria]
+
+    def _cost_text(self, criterion: str, row: int) -> str:
+        cost = float(self.costs[criterion][row])
+        if np.isnan(cost):
+            reasons = self.stages.texts(cost_column(criterion)[0], "reason")[row]
+            return f"none: {reason_of(criterion, reasons) or 'only stable trials have one'}"
+        ends = [float(end[row]) for end in self.stages.cost_interval(criterion)]
+        told = "" if np.isnan(ends).any() else f" ({' to '.join(cost_text(criterion, end) for end in ends)})"
+        return f"{cost_text(criterion, cost)}{told}"
+
+
+def reason_of(criterion: str, reasons: str) -> str:
+    """Return why a trial has no cost: of the reasons of a family those for this criterion, each once.
+
+    >>> reason_of("settle_1pct", "settle_1pct: too short; settle_1pct: too short; settle_2pct: coarse sensor")
+    'too short'
+    """
+    parts = [clause.partition(": ") for clause in reasons.split("; ")]
+    others = CRITERIA.keys() - {criterion}
+    own = [text if name == criterion else f"{name}{colon}{text}" for name, colon, text in parts if name not in others]
+    return "; ".join(dict.fromkeys(own))
+
+
+def _signals(position: Floats, ghost: Floats, rows: int, edge: int, quantum: float) -> dict[str, Any]:
+    """Log and model of one trial, coded; row of the command edge among the rows that are kept."""
+    kept = visible_rows((position, ghost), edge, rows)
+    shown = {} if kept is None else {"rows": np.diff(kept, prepend=0).tolist()}
+    kept = np.arange(rows) if kept is None else kept
+    step, model_step = step_size(position[kept], quantum), step_size(ghost[kept], 0.0)
+    result = {"edge": edge, **shown, "q": _number(step, 6), "x": code(position[kept], step)}
+    model = code(ghost[kept], model_step)
+    return {**result, "gq": _number(model_step, 6), "g": model} if model else result
+
+
+def visible_rows(signals: tuple[Floats, ...], edge: int, rows: int) -> Integers | None:
+    """Return the rows that a plot of some signals needs, or None where it needs all of them.
+
+    Of the rows in one column of pixels the lowest and highest value of each signal remain, and the first and last row
+    of all: what is drawn covers the same pixels. Rejected: every n-th row (loses peaks), largest triangles (Steinarsson
+    2013; of an oscillation faster than the pixels it keeps no envelope).
+
+    Parameters
+    ----------
+    signals : tuple of float64, shape (N,) each
+        Drawn over the same rows; NaN where there is nothing.
+    edge, rows : int
+        Row of the command edge, and number of rows.
+    """
+    if rows <= COLUMNS + WHOLE:
+        return None
+    inside = np.arange(rows)
+    starts = np.flatnonzero(np.diff(inside * COLUMNS // rows, prepend=-1))
+    kept = [np.array([0, rows - 1]), inside[edge : edge + WHOLE]]
+    width = int(np.diff(starts, append=rows).max())
+    place = np.minimum(starts[:, None] + np.arange(width), np.append(starts[1:], rows)[:, None] - 1)
+    for signal in signals:
+        values = signal[:rows][place]
+        known = np.isfinite(values)
+        for best in (np.where(known, values, np.inf).argmin(axis=1), np.where(known, values, -np.inf).argmax(axis=1)):
+            kept.append(place[np.arange(len(place)), best][known.any(axis=1)])
+    return np.unique(np.concatenate(kept))
+
+
+def step_size(values: Floats, quantum: float) -> float:
+    """Return the step in whose multiples values are written: a sensor's quantum, or a part of the range if larger."""
+    known = values[np.isfinite(values)]
+    return (max(float(np.ptp(known)) / LEVELS, quantum) if len(known) else 0.0) or 1.0
+
+
+def code(values: Floats, step: float) -> dict[str, list[int]] | None:
+    """Return a signal in steps as what a prediction from its past misses; None for a signal without any value.
+
+    Parameters
+    ----------
+    values : float64, shape (N,)
+        A value that is not finite repeats the one before.
+    step : float
+
+    Returns
+    -------
+    dict
+        ``c``: coefficients of the four samples before, the latest first, in parts of `PARTS`; ``r``: value minus
+        prediction [steps]. All are integers, so that a browser finds the same ones.
+
+    Notes
+    -----
+    A response of the loop is a sum of few decaying oscillations, each of which two samples predict. Rejected: second
+    differences (twice the bytes for an oscillation); the model simulated in the page (a second definition of the loop).
+    """
+    known = np.isfinite(values)
+    if not known.any():
+        return None
+    last = np.maximum.accumulate(np.where(known, np.arange(len(values)), 0))
+    counted = np.rint(np.nan_to_num(values[last]) / step).astype(np.int64)
+    past = np.stack([np.concatenate([np.zeros(lag, np.int64), counted])[: len(counted)] for lag in LAGS], axis=1)
+    # the first samples have no past: they would bend the coefficients
+    fitted = np.linalg.lstsq(past[len(LAGS) :].astype(float), counted[len(LAGS) :].astype(float), rcond=None)[0]
+    coefficients = np.rint(fitted * PARTS).astype(np.int64)
+    missed = counted - (past @ coefficients + PARTS // 2) // PARTS
+    return {"c": coefficients.tolist(), "r": missed.tolist()}
+
+
+def _spread(count: int) -> Integers:
+    """Indices 0 to count - 1 in an order whose beginning is spread over all: halves, quarters, eighths ..."""
+    bits = max(count - 1, 1).bit_length()
+    index = np.arange(1 << bits)
+    turned = sum((((index >> bit) & 1) << (bits - 1 - bit) for bit in range(bits)), np.zeros_like(index))
+    return np.asarray(turned[turned < count])
+
+
+def _coarse_to_fine(stiffness: Floats, damping: Floats) -> Integers:
+    """Trials in an order whose beginning covers the plane: nearest to the centres of 1, 4, 16 ... cells."""
+    if not len(stiffness):
+        return np.zeros(0, dtype=np.int64)
+    x, y = (
+        (np.searchsorted(np.unique(values), values) + 0.5) / len(np.unique(values)) for values in (stiffness, damping)
+    )
+    chosen, cells = [], 1
+    while cells <= FINEST_GRID:
+        column, row = np.floor(x * cells), np.floor(y * cells)
+        order = np.argsort(np.hypot(x * cells - column - 0.5, y * cells - row - 0.5), kind="stable")
+        _, first = np.unique((row * cells + column)[order], return_index=True)
+        chosen.append(order[first][_spread(len(first))])
+        cells *= 2
+    return _each_once(np.concatenate([*chosen, np.arange(len(x))]))
+
+
+def _each_once(rows: Integers) -> Integers:
+    _, first = np.unique(rows, return_index=True)
+    return np.asarray(rows[np.sort(first)], dtype=np.int64)
+
+
+def _numbers(values: Floats, digits: int) -> list[float | int | None]:
+    return [_number(v, digits) for v in values.tolist()]
+
+
+def _number(value: float, digits: int) -> float | int | None:
+    """A number with few digits, as an integer where it is one; None where there is none."""
+    rounded = float(f"{value:.{digits}g}") if np.isfinite(value) else None
+    return int(rounded) if rounded is not None and rounded == int(rounded) else rounded

@@ -1,0 +1,216 @@
+"""How logs depart from the wall law that their headers state, and the velocity filter that they show."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import PurePath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.base.wording import commonest, counted, listed
+from pipeline.measured.law.stated_wall import OTHER_WALL
+from pipeline.measured.law.velocity_filter import VelocityFilterFound
+from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.records.batch import Floats
+from pipeline.records.loop_parts import VelocityFilter
+from pipeline.records.loop_records import Cause
+from pipeline.rendering.labels import range_text, significant
+
+MATTERS = 0.02
+"""Change of a result, relative to it, that is worth a word: a course brackets a limit no closer. Share of the logs
+above which what they show is no accident of single trials, too."""
+
+FEWEST_LOGS = 3
+"""Logs below which what they show is an accident; all of fewer logs."""
+
+SAME_FILTER = 0.05
+"""Difference of the gains of two filters, at any frequency, up to which they are one: logs show theirs by rounding."""
+
+MOST = 0.5
+"""Share of logs from which on what they show is the course's: a filter is in all trials or none, and gains that are
+another's in most of them are no slip of the headers."""
+
+GAINS = 33
+"""Frequencies at which filters are compared."""
+
+NAMED = 10
+"""Logs that are named; the others are undecided in the list of trials, each with its reason."""
+
+SHORT = "the command obeys another wall than the headers state"
+
+SENTENCES = {
+    "saturation": "The command is clipped.",
+    "unilateral_wall": "The wall acts on one side only.",
+    "constant_force": "The command holds a constant force beside the wall law.",
+    "missing_rows": "Rows are missing in the logs.",
+    "repeated_rows": "Rows or readings of the position are repeated.",
+    "velocity_filter": "The velocity of the wall law is filtered.",
+    "adaptive_velocity": "The velocity of the wall law is taken over a window that adapts to the motion.",
+    "command_shifted": "The logged command is that of another row than its position.",
+    "rate_limit": "The rate of the command is limited.",
+    "sampling_period": "The sampling period is another one than the header states.",
+    "scattered_stamps": "The time stamps scatter, but no row is missing.",
+    "step_not_a_step": "The external force is not the step that the header states.",
+    "several_steps": "The external force has several steps.",
+    "other_wall": "The command obeys another wall than the header states.",
+    "other_unit": "The command obeys another wall than the header states, by a power of ten.",
+    "unknown": "The logged command is not that of the wall law.",
+}
+
+IMITATED = {
+    "several_steps": {"missing_rows": 1.0, "repeated_rows": 1.0, "velocity_filter": 1.0, "saturation": 1.0},
+    "step_not_a_step": {"rate_limit": 1.0},
+    "missing_rows": {"saturation": 1.0, "repeated_rows": 0.25},
+    "repeated_rows": {"missing_rows": 0.25},
+}
+"""Departures, and others by which single logs look like them: of how many logs of another one more must show it."""
+
+
+@dataclass(frozen=True)
+class LawDeparture:
+    """A way in which logs depart from the wall law: its code, how many of how many logs, and the first evidence."""
+
+    code: str
+    logs: int
+    of: int
+    evidence: str
+
+    @property
+    def most(self) -> bool:
+        """Whether it is the course's."""
+        return self.logs > MOST * self.of
+
+    @property
+    def shown(self) -> str:
+        """The evidence with the number of logs."""
+        return f"{self.logs} of {counted(self.of, 'log')}; {self.evidence}"
+
+
+def law_departures(stages: ExperimentStages) -> list[LawDeparture]:
+    """Return how the logs of an experiment depart from the wall law, in the order of how many do.
+
+    A log that is clipped where it diverges shows how it ended, not another loop; it does not count. Nor do those that
+    obey another wall than stated: they are left out, see `other_gains`.
+    """
+    unstable = stages.verdicts.verdict == "unstable"
+    codes = [set(filter(None, text.split(","))) for text in stages.texts("wall_law", "law_codes")]
+    evidence, residual = stages.texts("wall_law", "law_evidence"), stages.column("wall_law", "law_residual")
+    other = np.isfinite(stages.column("wall_law", "obeyed_stiffness"))
+    codes = [set() if off else each for each, off in zip(codes, other, strict=True)]
+    held = sum(seen or bool(of) for seen, of in zip(np.isfinite(residual) & ~other, codes, strict=True))
+    found = []
+    for code in SENTENCES:
+        logs = [i for i, each in enumerate(codes) if code in each and not (code == "saturation" and unstable[i])]
+        if len(logs) > MATTERS * held and len(logs) >= min(FEWEST_LOGS, held):
+            found.append(LawDeparture(code, len(logs), held, commonest(evidence[i] for i in logs)))
+    logs_of = {each.code: each.logs for each in found}
+    found = [e for e in found if all(e.logs > n * logs_of.get(o, 0) for o, n in IMITATED.get(e.code, {}).items())]
+    return sorted(found, key=lambda each: -each.logs)
+
+
+@dataclass(frozen=True)
+class CourseFilter:
+    """The velocity filter of a course, the one that single logs show each, and what it is in words."""
+
+    velocity: VelocityFilter
+    of_logs: Sequence[VelocityFilter]
+    words: str
+
+
+def course_filter(stages: ExperimentStages) -> CourseFilter | None:
+    """Return the velocity filter that most logs show and agree on, None where they do not.
+
+    A controller has the same filter in all trials or in none; single logs can imitate it, and what differs from log to
+    log is another thing than a filter.
+    """
+    if not any(each.code == "velocity_filter" and each.most for each in law_departures(stages)):
+        return None
+    texts = [text for text in stages.texts("wall_law", "velocity_filter") if text]
+    told = commonest(texts)
+    if not told:
+        return None
+    logs, own = [_found(text) for text in texts], _found(told)
+    apart = np.abs(np.array([_gain(each) for each in logs]) - _gain(own)).max(axis=1)
+    if (apart <= SAME_FILTER).mean() <= MOST:
+        return None
+    return CourseFilter(own.declared, [each.declared for each in logs], own.words())
+
+
+def _gain(found: VelocityFilterFound) -> NDArray[np.complex128]:
+    """Return the gain of a filter between rest and half the sampling frequency."""
+    z = np.exp(-1j * np.linspace(0, np.pi, GAINS))
+    gain = np.polyval(np.array(found.b[::-1], dtype=complex), z) / np.polyval(np.array(found.a[::-1], dtype=complex), z)
+    return np.asarray(gain, dtype=np.complex128)
+
+
+def _found(text: str) -> VelocityFilterFound:
+    found = json.loads(text)
+    return VelocityFilterFound(tuple(found["b"]), tuple(found["a"]), found["difference"], found["cutoff_hz"])
+
+
+@dataclass(frozen=True, eq=False)
+class OtherGains:
+    """Logs that obey another wall: their names, of how many, evidence of the first, and by what their gains differ."""
+
+    logs: tuple[str, ...]
+    of: int
+    evidence: str
+    words: str
+
+    @property
+    def most(self) -> bool:
+        """Whether so many logs obey another wall that nothing is told in units of K and B."""
+        return len(self.logs) > MOST * self.of
+
+    @property
+    def few(self) -> bool:
+        """Whether so few logs obey another wall that they say nothing of the course: they are left out by name."""
+        return len(self.logs) < min(FEWEST_LOGS, self.of)
+
+    @property
+    def cause(self) -> Cause:
+        """What they are as a cause."""
+        many = f"{len(self.logs)} of {counted(self.of, 'log')}"
+        names = ", ".join(self.logs[:NAMED]) + (f" and {len(self.logs) - NAMED} more" if self.logs[NAMED:] else "")
+        used = "no wall, limit or cost is told in these units" if self.most else "they are left out"
+        return Cause(
+            code="other_gains",
+            sentence=f"The command of {many} obeys another wall than the headers state: {self.words}; {used}.",
+            evidence=f"{names}; in the first of them {self.evidence}",
+        )
+
+
+def other_gains(stages: ExperimentStages) -> OtherGains | None:
+    """Return the logs of an experiment that obey another wall than stated, None where all obey their headers."""
+    obeyed = np.stack(
+        [stages.column("wall_law", f"obeyed_{name}") for name in ("stiffness", "damping", "step")], axis=1
+    )
+    off = np.flatnonzero(np.isfinite(obeyed).all(axis=1))
+    if not len(off):
+        return None
+    rows = {row["trial_id"]: row for row in stages.trials.select(["trial_id", "step", "source_path"]).to_pylist()}
+    trials = [rows[trial] for trial in stages.texts("wall_law", "trial_id")]
+    step = np.array([row["step"] for row in trials])
+    stated = np.stack([stages.column("wall_law", "stiffness"), stages.column("wall_law", "damping"), step], axis=1)
+    names = tuple(PurePath(trials[i]["source_path"]).name for i in off)
+    evidence = stages.texts("wall_law", "law_evidence")[off[0]]
+    return OtherGains(names, len(obeyed), evidence, _words(obeyed[off], stated[off]))
+
+
+def _words(obeyed: Floats, stated: Floats) -> str:
+    pairs = (stated[:, 1::-1], stated[:, :2])
+    swapped, same = (np.isclose(obeyed[:, :2], each, rtol=OTHER_WALL).all() for each in pairs)
+    if swapped and not same:
+        return "K and B are swapped"
+    found: dict[str, list[str]] = {}
+    for symbol, one, other in zip(("K", "B", "the step"), obeyed.T, stated.T, strict=True):
+        known = (other != 0) & (one != 0)
+        factor = one[known] / other[known]
+        if len(factor) and (np.abs(factor - 1) > OTHER_WALL).any():
+            low, high = np.quantile(factor, (0.05, 0.95))
+            found.setdefault(range_text(lambda value: significant(value, 3), low, high), []).append(symbol)
+    told = [f"{listed(symbols)} {factor} times as large" for factor, symbols in found.items()]
+    return "; ".join(told) or "one that the headers have without stiffness or damping"

@@ -1,0 +1,236 @@
+"""The found device behind tested walls that it was not fitted to: what it predicts there, and how far that is off."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.base.wording import counted
+from pipeline.comparison.loops.departures import MATTERS
+from pipeline.comparison.loops.told_loop import ToldLoop, found_device
+from pipeline.comparison.scores.overlap import measured_limits
+from pipeline.comparison.summary.advice import NARROW
+from pipeline.measured.cost.costs import settling
+from pipeline.measured.intervals import NORMAL_95
+from pipeline.measured.ladder.trials import spread_over_plane
+from pipeline.measured.signal.response import find_response
+from pipeline.measured.signal.verdict import judge
+from pipeline.measured.stages.stage_groups import Given, TrialGroup
+from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
+from pipeline.records.batch import Floats, Integers, TrialBatch
+from pipeline.records.loop_records import LoopLimit, WallReplay
+from pipeline.records.results import ExperimentResult
+from pipeline.rendering.labels import share_text, significant
+
+MOST_WALLS = 150
+"""Trials that are replayed, spread over the tested walls: a share of 95 % is then known to 2 %."""
+
+FOLDS = 5
+
+QUANTILES = (-1.2816, -0.5244, 0.0, 0.5244, 1.2816)
+"""Friction of each fold's trials, in standard deviations of its scatter: the middles of five equal shares."""
+
+LOW = 0.25
+"""Limit relative to the largest one below which none is compared in percent: at its ends a boundary tends to zero."""
+
+TYPICAL = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
+
+def usual_trial(result: ExperimentResult, stages: ExperimentStages) -> Trial:
+    """Return the usual trial of an experiment, with the jitter that its logs show, and a quantum that matters."""
+    jitter, share = result.estimates.get("jitter_samples"), coarse(stages)
+    spread = (jitter.value or 0.0) if jitter is not None and (jitter.low or 0.0) > 0 else 0.0
+    matters = len(share) and float(np.median(share)) > MATTERS
+    return Trial(
+        step=float(np.median(stages.step_sizes)),
+        rows=int(np.median(stages.trials.column("rows").to_numpy())),
+        quantum=float(np.nanmedian(stages.column("response", "sensor_quantum"))) if matters else 0.0,
+        # of n delays that are as likely the variance is (n^2 - 1)/12
+        delays=round(float(np.sqrt(12 * spread**2 + 1))),
+    )
+
+
+def softest(result: ExperimentResult, stages: ExperimentStages) -> Floats:
+    """Return half of the softest tested wall at each tested damping [N/m, Nm/rad]."""
+    K, B = (stages.column("response", name) for name in ("stiffness", "damping"))
+    least = np.array([K[(K > 0) & (each.damping == B)].min(initial=np.inf) for each in result.boundary])
+    return 0.5 * np.where(np.isfinite(least), least, 0.0)
+
+
+def coarse(stages: ExperimentStages) -> Floats:
+    """Return the quantum of the sensor relative to the final displacement of each stable trial, shape (n,)."""
+    moved = stages.column("response", "position_final_expected") - stages.column("response", "position_start")
+    stable = (stages.verdicts.verdict == "stable") & np.isfinite(moved) & (moved != 0)
+    return np.asarray(stages.column("response", "sensor_quantum")[stable] / np.abs(moved[stable]), dtype=np.float64)
+
+
+def wall_replay(
+    result: ExperimentResult, stages: ExperimentStages, found: FoundDevice, limits: Floats, trial: Trial
+) -> WallReplay | None:
+    """Return how a found device predicts the tested walls, each by the logs but a fifth; None without a wall.
+
+    Parameters
+    ----------
+    result : ExperimentResult
+    stages : ExperimentStages
+    found : FoundDevice
+    limits : float64, shape (n,)
+        That the device predicts by all logs at the tested dampings.
+    trial : Trial
+
+    Notes
+    -----
+    The walls of a fold are simulated with the device that the other folds tell, its friction drawn from its scatter.
+    Verdicts are compared where the log and the simulated one are decided.
+    """
+    K, B = (stages.column("response", name) for name in ("stiffness", "damping"))
+    verdict = stages.verdicts.verdict
+    usable = (K > 0) & (verdict != "undecided") & np.isnan(stages.column("wall_law", "obeyed_stiffness"))
+    chosen = spread_over_plane(K, B, usable, MOST_WALLS)
+    if not len(chosen):
+        return None
+    ids = stages.texts("response", "trial_id")
+    place = {name: i for i, name in enumerate(found.fitted.trials)}
+    # the fold in which a fit left a trial out, or the next in turn where none used it
+    fold = np.array([place.get(ids[i], number) % FOLDS for number, i in enumerate(chosen)])
+    said, fits, costs = np.empty(len(chosen), dtype="<U9"), np.full(len(chosen), np.nan), np.full(len(chosen), np.nan)
+    logged = dict(pair for part in stages.of_each(motions, chosen=[ids[i] for i in chosen]) for pair in part)
+    for number, point in enumerate(_without_each_fold(found)):
+        some = np.flatnonzero(fold == number)
+        if not len(some):
+            continue
+        batch = point.behind(K[chosen[some]], B[chosen[some]], trial)
+        # a spring that holds the device lets it rest at x_0 + F_0/(K + k)
+        batch = replace(batch, stiffness=batch.stiffness + max(point.stiffness, 0.0))
+        response = find_response(batch)
+        verdicts = judge(batch, response)
+        said[some] = verdicts.verdict
+        fits[some] = [_fit(logged[ids[chosen[i]]], batch, row) for row, i in enumerate(some)]
+        costs[some] = settling(batch, response, verdicts, int(max(point.delay_samples, 0.0)))["settle_2pct"].value
+    stable = (verdict[chosen] == "stable") & (said == "stable")
+    decided = said != "undecided"
+    return WallReplay(
+        fit_percent=median(fits[stable]),
+        verdicts_same=float((said == verdict[chosen])[decided].mean()) if decided.any() else None,
+        limits_off_percent=limits_off(result, limits),
+        costs_off_percent=_costs_off(result, stages, chosen[stable], costs[stable]),
+        trials=len(chosen),
+    )
+
+
+def _without_each_fold(found: FoundDevice) -> list[LoopPoint]:
+    """Return the device by the logs of all folds but one, its friction at another quantile of its scatter in each."""
+    fitted, devices = found.fitted, []
+    for fold, quantile in zip(fitted.folds or ({},) * FOLDS, QUANTILES, strict=True):
+        values: Mapping[str, float] = {**fitted.values, **fold}
+        scattered = values.get("coulomb", 0.0) + quantile * fitted.scatter.get("coulomb", 0.0)
+        devices.append(found.at({**values, "coulomb": max(scattered, 0.0)}))
+    return devices
+
+
+def replay_error(replay: WallReplay | None) -> float:
+    """Return the error of limits that a replay shows, relative, 95 % of a normal one with its median."""
+    return NORMAL_95 * TYPICAL * (replay.limits_off_percent or 0.0) / 100 if replay is not None else 0.0
+
+
+def replay_words(replay: WallReplay) -> str:
+    """Return how a found device predicts walls, as a clause."""
+    verdicts = share_text(replay.verdicts_same or 0.0, 0)
+    walls = counted(replay.trials, "wall")
+    text = f"behind {walls} that it was not fitted to the found device is right in {verdicts} % of verdicts"
+    if replay.limits_off_percent is None:
+        return text
+    return f"{text}, its limits within {significant(replay.limits_off_percent, 2)} %"
+
+
+def told_limits(
+    result: ExperimentResult, told: ToldLoop, limits: Sequence[tuple[Floats, Floats]]
+) -> tuple[LoopLimit, ...]:
+    """Return the limits of a loop at the tested dampings with their intervals; where they are not those of the linear
+    loop, these beside them."""
+    damping = np.array([each.damping for each in result.boundary])
+    stiffness, linear, (low, high) = limits[0][0], told.point.limit(damping), told.band(limits)
+    apart = not np.array_equal(stiffness, linear)
+    rows = zip(damping.tolist(), stiffness.tolist(), low.tolist(), high.tolist(), linear.tolist(), strict=True)
+    return tuple(
+        LoopLimit(damping=B, stiffness=K, low=a, high=b, stiffness_large_motion=far if apart else None)
+        for B, K, a, b, far in rows
+        if np.isfinite(K)
+    )
+
+
+def with_large_motion(result: ExperimentResult, stages: ExperimentStages) -> ExperimentResult:
+    """Return a result with causes, with limits for large motions beside those measured where its logs show friction.
+
+    Coulomb friction takes a part of a motion that falls with its size: to a large one it is none. A wall to use that
+    large motions make unstable is none.
+    """
+    found = found_device(result, stages)
+    rubs = any(cause.code == "coulomb_friction" for cause in result.causes)
+    if not rubs or found is None or not result.boundary:
+        return result
+    linear = found.point.limit(np.array([point.damping for point in result.boundary])).tolist()
+    points = tuple(
+        point.model_copy(update={"stiffness_large_motion": limit})
+        for point, limit in zip(result.boundary, linear, strict=True)
+    )
+    result = result.model_copy(update={"boundary": points})
+    if (use := result.use) is None:
+        return result
+    limit = float(found.point.limit(np.array([use.point.damping]))[0])
+    margin = limit / use.point.stiffness
+    if margin >= NARROW:
+        point = use.point.model_copy(update={"margin_large_motion": margin})
+        return result.model_copy(update={"use": use.model_copy(update={"point": point})})
+    why = (
+        f"the best wall for this step has K = {significant(use.point.stiffness, 3)}, and a harder push is unstable "
+        f"from {significant(limit, 3)} on: friction holds less of it"
+    )
+    return result.model_copy(update={"use": None, "use_reason": why})
+
+
+def limits_off(result: ExperimentResult, predicted: Floats) -> float | None:
+    """Return the median error of predicted limits at the dampings at which one was measured [%]."""
+    measured = measured_limits(result.boundary)
+    known = measured.known & ~measured.censored & (measured.low > 0)
+    known &= measured.limit > LOW * measured.limit[known].max(initial=0.0)
+    at = dict(zip([each.damping for each in result.boundary], predicted.tolist(), strict=True))
+    pairs = zip(measured.damping[known].tolist(), measured.limit[known].tolist(), strict=True)
+    return median(np.array([100 * abs(at.get(B, np.nan) / limit - 1) for B, limit in pairs]))
+
+
+def motions(group: TrialGroup, given: Given) -> list[tuple[str, Floats]]:
+    """Return name and positions from the step on, relative to rest, of the chosen trials of a group."""
+    batch, found, chosen = group.batch, group.found, set(given["chosen"])
+    return [
+        (name, batch.position[i, max(int(found.edge_row[i]), 0) : int(batch.rows[i])] - found.position_start[i])
+        for i, name in enumerate(batch.trial_id)
+        if name in chosen
+    ]
+
+
+def _fit(position: Floats, batch: TrialBatch, trial: int) -> float:
+    """Return the fit 100 (1 - |y - found| / |y - mean y|) of a simulated motion to a logged one, NaN without motion."""
+    rows = min(len(position), int(batch.rows[trial]) - 1)
+    y, found = position[:rows], batch.position[trial, 1 : rows + 1] - batch.position[trial, 0]
+    size = float(np.linalg.norm(y - y.mean())) if rows else 0.0
+    return 100 * (1 - float(np.linalg.norm(y - found)) / size) if size > 0 else np.nan
+
+
+def median(values: Floats) -> float | None:
+    """Return the median of the known values, None without one."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else None
+
+
+def _costs_off(result: ExperimentResult, stages: ExperimentStages, chosen: Integers, predicted: Floats) -> float | None:
+    """Return the median error of predicted settling times [%], None where none was asked for."""
+    if "settle_2pct" not in {*result.optimum, *result.missing}:
+        return None
+    cost = stages.cost("settle_2pct")[0][chosen]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return median(100 * np.abs(predicted / cost - 1))

@@ -1,0 +1,241 @@
+"""The loop that statements rest on: the device that logs show, or that of its file where that has the same limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.comparison.loops.departures import course_filter
+from pipeline.loop.loop import LARGEST_DELAY
+from pipeline.measured.experiment.fitted_device import FittedDevice, explaining_device
+from pipeline.measured.experiment.known_delay import whole_delay
+from pipeline.measured.explained import holds
+from pipeline.measured.intervals import NORMAL_95
+from pipeline.measured.law.velocity_filter import CUTOFF_DIGITS
+from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.plan.found_device import AT_LOAD, FoundDevice, LoopPoint, stated_device
+from pipeline.records.batch import Floats
+from pipeline.records.findings import Estimate
+from pipeline.records.loop_parts import Coefficients, LoopParts, VelocityFilter
+from pipeline.records.loop_records import Parameter
+from pipeline.records.models import Device, Experiment
+from pipeline.records.results import ExperimentResult, TheoryParameters
+from pipeline.theory.predictions import Theory
+
+
+@dataclass(frozen=True, eq=False)
+class ToldLoop:
+    """The loop by the logs, by the device file, or by both; ``error`` is that of its limits by replay, 95 %, relative.
+
+    ``held`` is the part of the damping that an operator has, by the file.
+    """
+
+    found: FoundDevice | None
+    stated: FoundDevice | None = None
+    error: float = 0.0
+    held: float = 0.0
+
+    @property
+    def devices(self) -> list[FoundDevice]:
+        """The device that statements rest on, and the other one."""
+        return [each for each in (self.stated, self.found) if each is not None]
+
+    @property
+    def point(self) -> LoopPoint:
+        """The device that statements rest on."""
+        return self.devices[0].point
+
+    @property
+    def points(self) -> list[LoopPoint]:
+        """All devices that the 95 % ranges hold, at their ends."""
+        return [p for each in self.devices for p in (each.point, *(end for both in each.ends for end in both))]
+
+    def band(self, limits: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
+        """Return the least and the largest limit that numbers and replay leave open, of the limits of its devices."""
+        middle = limits[0][0]
+        low = np.fmin.reduce([limit - reach for limit, reach in limits])
+        high = np.fmax.reduce([limit + reach for limit, reach in limits])
+        off = self.error * middle
+        return np.maximum(middle - np.hypot(middle - low, off), 0.0), middle + np.hypot(high - middle, off)
+
+    def parameter(self, name: str) -> Parameter:
+        """Return a number with its 95 % interval; that of a file reaches to what the logs show."""
+        found = self.found.fitted.known(name) if self.found else None
+        if self.stated is None:
+            assert found is not None, "a loop is found or stated"
+            return found
+        value, off = self.stated.fitted.values[name], 0.0
+        if name == "delay_samples" and self.found is not None:  # to a device that has no lag it is a delay
+            off = (
+                self.point.parts.actuator_lag_s - self.found.point.parts.actuator_lag_s
+            ) / self.point.sampling_period_s
+        ends = [value, *((found.low - off, found.high - off) if found else ())]
+        return Parameter(value=value, low=min(ends), high=max(ends))
+
+
+def found_device(result: ExperimentResult, stages: ExperimentStages) -> FoundDevice | None:
+    """Return the device fitted to all logs, with their filter; else that of the estimates; None without one."""
+    fitted = stages.once(explaining_device) or _of_estimates(result)
+    if fitted is None or "delay_samples" in fitted.open:
+        return None
+    velocity = stages.once(course_filter)
+    return FoundDevice(fitted, stages.sampling_period_s, velocity.velocity if velocity else None)
+
+
+def _of_estimates(result: ExperimentResult) -> FittedDevice | None:
+    """Return mass, damping and delay of single logs as a device; None where one is not known."""
+    found = {"mass": result.estimates["mass"], "damping": result.estimates["damping"]}
+    found["delay_samples"] = loop_delay(result)
+    values = {name: each.value for name, each in found.items() if each.value is not None}
+    if len(values) < len(found) or values["mass"] <= 0 or values["delay_samples"] > LARGEST_DELAY:
+        return None
+    ends = [
+        (v if e.low is None else e.low, v if e.high is None else e.high)
+        for v, e in zip(values.values(), found.values(), strict=True)
+    ]
+    reach = np.array([max(v - low, high - v) for v, (low, high) in zip(values.values(), ends, strict=True)])
+    count = result.trials
+    return FittedDevice((), count, count, values, np.diag((reach / NORMAL_95) ** 2), (), "", 0.0, likely=True)
+
+
+def told_loop(found: FoundDevice | None, device: Device | None, of: Experiment | None) -> ToldLoop | None:
+    """Return the loop by the file where there is one, and by the logs; None where there is neither."""
+    stated, held = None, 0.0
+    if device is not None and of is not None:
+        parts = device.loop_of(of)
+        stated = stated_device(device, of) if of.delay_samples <= LARGEST_DELAY else None
+        held = parts.operator.damping / parts.force_gain if parts.operator else 0.0
+    return ToldLoop(found, stated, held=held) if found or stated else None
+
+
+def loop_delay(result: ExperimentResult) -> Estimate:
+    """Return the delay that theory takes: the model's where it explains the logs, else the integer factor.
+
+    The model's is the whole number next to it where its interval holds that; see `known_delay.whole_delay`. Where a
+    device is fitted to all trials, it is that one's.
+    """
+    delay, check = result.estimates["delay_samples"], result.model_check
+    if "ladder" in delay.by_method:
+        return delay.by_method["ladder"]
+    model = delay.by_method.get("model")
+    if model is None or model.value is None or check is None or not holds(check.explained, check.trials):
+        return delay
+    return model.model_copy(update={"value": whole_delay(model)})
+
+
+def adequate_theory(result: ExperimentResult, stages: ExperimentStages) -> Theory | None:
+    """Return the theory by the found device of an experiment whose loop is adequate and has stable walls, else None.
+
+    A damping below zero counts as zero: the theory asks for b >= 0. Friction is in no theory.
+    """
+    found = found_device(result, stages) if result.loop is not None and result.loop.adequate else None
+    if found is None or found.point.coulomb:
+        return None
+    point = found.point
+    theory = Theory(
+        TheoryParameters(
+            mass=point.mass,
+            damping=max(point.damping, 0.0),
+            stiffness=max(point.stiffness, 0.0),
+            sampling_period_s=point.sampling_period_s,
+            delay_samples=max(point.delay_samples, 0.0),
+            loop=point.parts,
+            source="estimated from the logs",
+        )
+    )
+    return theory if theory.stabilised else None
+
+
+TERMS = {
+    "mass": "mass",
+    "damping": "damping",
+    "friction": "coulomb",
+    "device_stiffness": "stiffness",
+    "constant_force": "constant_force",
+    "jitter_samples": "jitter",
+}
+"""Estimates of an experiment, and the names of the numbers of a device that they are."""
+
+
+def fitted_estimates(found: Mapping[str, Estimate], device: FittedDevice) -> dict[str, Estimate]:
+    """Return the estimates of an experiment whose trials a device explains: its numbers, the others by method.
+
+    Of a part that it does not have nothing is said: it would explain no more.
+    """
+    result = {}
+    for name, term in TERMS.items():
+        # how a delay changes within a log no likelihood of these numbers tells
+        if name not in found or (device.likely and term == "jitter"):
+            continue
+        before, told = found[name], device.estimate(term, found[name].unit)
+        methods = {**before.by_method, "before": before.model_copy(update={"by_method": {}})}
+        reason = f"{device.method} explains the logs without it"
+        without = Estimate(value=None, reason=reason, unit=before.unit, method=device.method, trials=device.held_out)
+        result[name] = told.model_copy(update={"by_method": methods}) if told else without
+    delay, by_ladder = found["delay_samples"], device.estimate("delay_samples", "samples")
+    assert by_ladder is not None, "each device has a delay"
+    if by_ladder.value is not None:
+        result["delay_samples"] = delay.model_copy(update={"by_method": {**delay.by_method, "ladder": by_ladder}})
+    return result
+
+
+def loop_numbers(told: ToldLoop, of_logs: Sequence[VelocityFilter], parts: LoopParts | None) -> dict[str, Any]:
+    """Return the numbers of a loop as fields of a result: of the logs with intervals, those of a file as stated."""
+    point = told.point
+    numbers: dict[str, Any] = {name: told.parameter(name) for name in ("mass", "damping", "delay_samples")}
+    numbers["velocity"] = filter_parameters(point.parts.velocity, of_logs) if point.parts.velocity else None
+    if told.stated is not None and parts is not None:
+        mode, held = parts.mode, parts.operator.model_dump() if parts.operator else {}
+        vibrates = mode.model_dump(exclude={"sensor"}) | {"sensor_at_load": mode.sensor == "load"} if mode else {}
+        return numbers | {
+            "stiffness": exact(point.stiffness),
+            "actuator_lag_s": exact(parts.actuator_lag_s) if parts.actuator_lag_s else None,
+            "mode": {name: exact(float(value)) for name, value in vibrates.items()} or None,
+            "operator": {name: exact(float(value)) for name, value in held.items()} or None,
+        }
+    fitted = told.devices[0].fitted
+    names = {"frequency_hz": "frequency_hz", "damping_ratio": "damping_ratio", "mass": "far_mass"}
+    found = {name: fitted.known(of) for name, of in names.items() if of in fitted.values}
+    most = {"mass": fitted.values["mass"]}
+    mode_found = {
+        name: Parameter(value=each.value, low=max(each.low, 0.0), high=min(each.high, most.get(name, np.inf)))
+        for name, each in found.items()
+    }
+    at_load = {"sensor_at_load": exact(float(AT_LOAD in fitted.parts))}
+    return numbers | {
+        "stiffness": fitted.parameter("stiffness"),
+        "actuator_lag_s": fitted.parameter("actuator_lag_s"),
+        "mode": mode_found | at_load if mode_found else None,
+    }
+
+
+def filter_parameters(velocity: VelocityFilter, of_logs: Sequence[VelocityFilter] = ()) -> dict[str, Parameter]:
+    """Return a filter by the names of a device file, its numbers as far apart as those of single logs are.
+
+    A single log shows its filter to within the rounding of its commands, and may show a rounder number.
+    """
+    numbers = _filter_numbers(velocity)
+    kind = (numbers.keys(), numbers.get("order"))
+    others = [found for found in map(_filter_numbers, of_logs) if (found.keys(), found.get("order")) == kind]
+    result = {}
+    for name, value in numbers.items():
+        low, high = np.quantile([found[name] for found in (numbers, *others)], (0.025, 0.975))
+        # half of the last digit, as far as logs tell; a device file is exact
+        digit = 10.0 ** (np.floor(np.log10(value)) + 1 - CUTOFF_DIGITS) if of_logs and name == "cutoff_hz" else 0.0
+        result[name] = Parameter(value=value, low=min(low, value) - 0.5 * digit, high=max(high, value) + 0.5 * digit)
+    return result
+
+
+def _filter_numbers(velocity: VelocityFilter) -> dict[str, float]:
+    if not isinstance(velocity, Coefficients):
+        return {name: float(value) for name, value in velocity.model_dump(exclude={"kind"}).items()}
+    sides = (("b", velocity.b), ("a", velocity.a))
+    return {f"{name}{i}": value for name, values in sides for i, value in enumerate(values)}
+
+
+def exact(value: float) -> Parameter:
+    """Return a parameter that is its own interval."""
+    return Parameter(value=value, low=value, high=value)

@@ -1,0 +1,244 @@
+"""Figures of stability limits: every trial of one experiment, experiments over each other, and each with its loop.
+
+Source: Hulin 2017, Figs. 6.3, 6.4 and 6.9.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.records.batch import Floats
+from pipeline.records.models import FigureKind, Motion, Overlay, Shown
+from pipeline.records.results import ExperimentResult
+from pipeline.rendering.figures.drawing import Figure, Panel, Series, reach
+from pipeline.rendering.labels import UNITS, damping_text, stiffness_text
+from pipeline.theory.limits import robust_outline
+from pipeline.theory.predictions import Theory
+
+SEEN = 0.01
+"""Width of a passive region, relative to that of the stable one, from which it is more than a dot: three pixels."""
+
+OVERLAYS: dict[str, Overlay] = {
+    "theory": "theory",
+    "identified": "estimates",
+    "envelope": "band",
+    "linear": "linear",
+    "passive": "passive",
+    "friction": "friction",
+    "robust": "robust",
+}
+"""Overlay that a kind of series belongs to; measured ones are always drawn."""
+
+ANSWER = "boundaries-answer"
+"""Identifier of the figure beside the answer."""
+
+MEASURED = (
+    "Measured: largest stable stiffness at each damping; open marks: the tested range ended before an unstable trial."
+)
+
+
+def measured(result: ExperimentResult, label: str, number: int | None, *, intervals: bool = False) -> Iterator[Series]:
+    """Yield the last stable stiffness at each damping, 0 where none was stable, and apart from it lower bounds.
+
+    With ``intervals``: those of 95 % by the growth rates, else from the last stable to the first unstable trial.
+    """
+    stable = [p.stable is not None for p in result.boundary]
+    # dampings without a stable trial beside those with one close the curve; further ones tell nothing
+    points = [p for i, p in enumerate(result.boundary) if any(stable[max(i - 1, 0) : i + 2])]
+    ends = [(p.low, p.high) if None not in (p.low, p.high) else (p.stable, p.unstable) for p in points]
+    low, high = (np.array([pair[side] for pair in ends], dtype=np.float64) for side in (0, 1))
+    K, B = np.array([p.stable or 0.0 for p in points]), np.array([p.damping for p in points])
+    bound = np.array([p.censored for p in points], dtype=np.bool_)
+    line = np.where(bound, np.nan, K)  # a lower bound is no limit: a line through it would claim one
+    yield Series(label, "measured", line, B, low if intervals else None, high if intervals else None, number)
+    if bound.any():
+        yield Series(f"_{label}: at least", "bound", K[bound], B[bound], number=number)
+
+
+def by_theory(theory: Theory, label: str, number: int | None = None) -> Series:
+    """Return the boundary by theory in physical units, closed along K = -k."""
+    border, units = theory.boundary, theory.units
+    stiffness = np.append(border.alpha, -theory.loop.gamma) * units.stiffness
+    return Series(label, "theory", stiffness, np.append(border.beta, border.beta[-1]) * units.damping, number=number)
+
+
+def limits_figure(title: str, caption: str, panels: Sequence[Panel], identifier: str) -> Figure:
+    """Return a figure of limits on axes of equal range."""
+    series = [s for panel in panels for s in panel.series]
+    K = [s.x for s in series] + [s.high for s in series if s.high is not None and s.kind == "envelope"]
+    B = [s.y for s in series if s.kind != "linear"]
+    limits = (0.0, reach(*K)[1]), reach(*B)
+    width = 350.0 if len(panels) > 2 else 440.0
+    even = tuple(replace(panel, limits=limits) for panel in panels)
+    kind: FigureKind = "plane" if identifier == "boundaries-normalised" else "boundaries"
+    return Figure(kind, identifier, title, caption, even, size=(width, 0.78 * width))
+
+
+def limits_panel(title: str, series: Sequence[Series], motion: Motion, names: tuple[str, str] | None = None) -> Panel:
+    """Return axes of stiffness and damping, with what they show in words."""
+    units = UNITS[motion]
+    told = [
+        f"{s.label.lstrip('_')}: up to {stiffness_text(float(np.nanmax(s.x)))} {units.stiffness} and "
+        f"{damping_text(float(np.nanmax(s.y)))} {units.damping}"
+        for s in series
+        if np.isfinite(s.x).any()
+    ]
+    own = (f"stiffness K [{units.stiffness}]", f"damping B [{units.damping}]")
+    return Panel(title, names or own, tuple(series), f"Stability limits. {'; '.join(told)}.")
+
+
+def answer_figure(
+    result: ExperimentResult, theory: Theory | None, motion: Motion, number: int, trials: tuple[Floats, Floats, Floats]
+) -> Figure:
+    """Return the picture beside the answer: measured limits with intervals, theory, walls to use, and all trials.
+
+    Parameters
+    ----------
+    result : ExperimentResult
+    theory : Theory, optional
+    motion : Motion
+    number : int
+        Place of the experiment in its report.
+    trials : (float64, float64, array of str), shape (n,) each
+        Stiffness, damping and verdict.
+    """
+    K, B, verdict = trials
+    series = list(measured(result, "measured limit", number, intervals=True))
+    series += [by_theory(theory, "limit by theory")] if theory is not None else []
+    if result.use is not None:
+        u = result.use
+        corners = [(u.stiffness_low, u.damping_low), (u.stiffness_high, u.damping_low)]
+        corners += [(u.stiffness_high, u.damping_high), (u.stiffness_low, u.damping_high), corners[0]]
+        series.append(Series("walls to use", "use", *np.array(corners).T))
+    for kind in ("stable", "unstable"):
+        at = (K > 0) & (verdict == kind)
+        series += [Series(f"{kind} trial", kind, K[at], B[at])] if at.any() else []
+    bars = "; pale bars: 95 % intervals" if any(point.low for point in result.boundary) else ""
+    title = f"Where experiment {result.experiment} is stable"
+    caption = f"Every trial, and the largest stable stiffness at each damping{bars}."
+    return limits_figure(title, caption, [limits_panel("", series, motion)], ANSWER)
+
+
+def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory, int]], *, predicted: bool = True) -> Figure:
+    """Return measured limits of experiments, also of several devices, in the plane of alpha and beta.
+
+    Parameters
+    ----------
+    entries : sequence of (str, ExperimentResult, Theory, int)
+        Label, result, the theory whose mass and sampling period normalise it, and the number of its colour.
+    predicted : bool
+        Whether the boundaries of these theories stand beside.
+
+    Source: Hulin 2017, Table 3.1 (alpha = K T^2/m, beta = B T/m).
+    """
+    series = []
+    for label, result, theory, number in entries:
+        full = f"{label} (d = {theory.loop.delay:.3g}, δ = {theory.loop.delta:.2g})"
+        both = [*measured(result, full, number), *([by_theory(theory, "_theory", number)] if predicted else [])]
+        k, b = theory.units.stiffness, theory.units.damping
+        series += [replace(s, x=s.x / k, y=s.y / b) for s in both]
+    panel = limits_panel("", series, "translation", ("α = K T²/m", "β = B T/m"))
+    caption = (
+        f"Measured limits{' and theory (dashed, same colour)' if predicted else ''}. Experiments that differ in mass "
+        "or sampling period alone coincide here; what still differs is delay, relative damping δ = b T/m, or missing "
+        "in the model."
+    )
+    words = f"Stability limits in the normalised plane: {', '.join(label for label, *_ in entries)}."
+    return limits_figure(
+        "Limits in the normalised plane", caption, [replace(panel, words=words)], "boundaries-normalised"
+    )
+
+
+def boundary_figures(
+    results: Sequence[ExperimentResult], theories: Mapping[str, Theory], motion: Motion, shown: Shown, *, sweep: bool
+) -> list[Figure]:
+    """Return limits of all experiments over each other, each with its loop, and normalised, as far as asked for."""
+    figures = []
+    # one panel a configuration (Fig. 6.4); delays belong together (Fig. 6.9)
+    groups: dict[str, list[tuple[int, ExperimentResult]]] = {}
+    for number, result in enumerate(results):
+        groups.setdefault("" if sweep else result.configuration, []).append((number, result))
+    panels = [
+        limits_panel(title if len(groups) > 1 else "", _over_each_other(group, theories, shown), motion)
+        for title, group in groups.items()
+    ]
+    dashed = " Dashed, in the same colour: theory." if theories and shown.has_overlay("theory") else ""
+    if len(results) > 1 or shown.delays:
+        title = "Stability limits of all experiments"
+        figures.append(limits_figure(title, f"{MEASURED}{dashed}", panels, "boundaries-all"))
+    if shown.has_overlay("estimates"):
+        each = [
+            limits_panel(f"experiment {r.experiment}", series, motion)
+            for number, r in enumerate(results)
+            if len(series := _with_loop(r, theories.get(r.experiment), number, shown)) > 2
+        ]
+        caption = (
+            "Pale bars: 95 % intervals of the measured limits. Identified loop, shaded its 95 % interval: the limit "
+            "that the loop found in the logs predicts at each damping, friction included."
+        )
+        figures += [limits_figure("Limits by the identified loop", caption, each, "boundaries-loop")] if each else []
+    known = [
+        (f"experiment {r.experiment}", r, theories[r.experiment], n)
+        for n, r in enumerate(results)
+        if r.experiment in theories
+    ]
+    if len(known) > 1 and shown.has_figure("plane"):
+        figures.append(plane_figure(known, predicted=shown.has_overlay("theory")))
+    return [figure for figure in figures if shown.has_figure(figure.kind)]
+
+
+def _over_each_other(
+    group: Sequence[tuple[int, ExperimentResult]], theories: Mapping[str, Theory], shown: Shown
+) -> list[Series]:
+    series: list[Series] = []
+    for number, result in group:
+        grip = "" if result.grip == "none" else f", {result.grip} grip"
+        series += measured(result, f"experiment {result.experiment}{grip}", number)
+        theory = theories.get(result.experiment)
+        if theory is not None and shown.has_overlay("theory") and not shown.delays:
+            series.append(by_theory(theory, "_theory", number))
+    first = next((theories[r.experiment] for _, r in group if r.experiment in theories), None)
+    for number, delay in enumerate(shown.delays or () if first is not None else ()):
+        assert first is not None, "else there is no delay to draw"
+        changed = first.parameters.model_copy(update={"delay_samples": float(delay)})
+        series.append(by_theory(Theory(changed), f"theory, d = {delay:g}", number))
+    return series
+
+
+def _with_loop(result: ExperimentResult, theory: Theory | None, number: int, shown: Shown) -> list[Series]:
+    """Measured limits of one experiment with its theory, its identified loop, and conditions."""
+    series = list(measured(result, "measured limit", number, intervals=True))
+    if result.loop_boundary:
+        B, K, low, high = (
+            np.array([getattr(limit, name) for limit in result.loop_boundary])
+            for name in ("damping", "stiffness", "low", "high")
+        )
+        harder = np.array([limit.stiffness_large_motion for limit in result.loop_boundary], dtype=np.float64)
+        series.append(Series("identified loop", "identified", K, B))
+        series.append(Series("its 95 % interval", "envelope", high, B, low, high))
+        series += [Series("for a harder push", "friction", harder, B)] if np.isfinite(harder).any() else []
+    if theory is not None:
+        series += [by_theory(theory, "theory"), *conditions(theory)]
+    return [s for s in series if s.kind not in OVERLAYS or shown.has_overlay(OVERLAYS[s.kind])]
+
+
+def conditions(theory: Theory) -> Iterator[Series]:
+    """Yield the linear condition (3.25), the passive region, and what is stable with every spring (4.3.3).
+
+    Source: Hulin 2017, eqs. 3.25, 4.12 and sec. 4.3.3.
+    """
+    p, units = theory.parameters, theory.units
+    effective_delay = (p.delay_samples + 0.5) * p.sampling_period_s + p.loop.actuator_lag_s
+    stiffness = np.array([0.0, 0.6 * theory.boundary.alpha_max * units.stiffness])
+    yield Series("linear condition (3.25)", "linear", stiffness, stiffness * effective_delay - theory.wall_damping)
+    passive = theory.passive_outline
+    if passive is not None and passive[0].max() >= SEEN * theory.boundary.alpha_max:
+        alpha, beta = (np.append(values, values[0]) for values in passive)
+        yield Series("passive region (4.12)", "passive", alpha * units.stiffness, beta * units.damping)
+    if p.damping > 0 and not p.loop.words():
+        alpha, beta, _ = robust_outline(theory.loop.delta, p.delay_samples)
+        outline = np.pad(alpha, 1) * units.stiffness, np.pad(beta, 1, mode="edge") * units.damping
+        yield Series("stable with every spring (4.3.3)", "robust", *outline)

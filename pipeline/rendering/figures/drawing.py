@@ -1,0 +1,476 @@
+"""Figures by matplotlib: panels of series, as SVG in the colours of a page, as PDF, and as a data frame.
+
+A figure is data: panels of series, each of a kind that `LOOKS` tells how to draw. Two things are no series: contours
+and marks of a map (`Panel.paint`).
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.base.disk import replacing, write_text
+from pipeline.records.batch import Floats
+from pipeline.records.models import FigureKind
+from pipeline.rendering.labels import shortened
+
+if TYPE_CHECKING:  # takes half a second, which who draws nothing need not wait for
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Drawing
+
+# Colours of Okabe and Ito (2008), told apart by all common kinds of colour blindness; their yellow and black are left
+# out: one vanishes on white, the other on a dark page.
+BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
+INK, FAINT, PAPER, NOTE = "#010101", "#dddddd", "#fffffe", "#b87503"
+SERIES = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, INK)
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+"""Markers that tell the series apart in grey, in the order of `SERIES`."""
+
+ON_PAGE = {
+    INK: "currentColor",
+    FAINT: "var(--fig-faint,#ccc)",
+    PAPER: "var(--paper,#fff)",
+    NOTE: f"var(--note-line,{NOTE})",
+} | {
+    colour: f"var(--fig-{name},{colour})"
+    for name, colour in zip(("blue", "vermillion", "green", "purple", "orange", "sky"), SERIES[:6], strict=True)
+}
+"""Variables of the page's style sheet, so that one drawing serves light and dark."""
+
+RC: Any = {
+    "text.parse_math": False,  # a dollar sign in a name is no formula
+    "svg.fonttype": "none",
+    "pdf.fonttype": 42,
+    "path.simplify_threshold": 0.15,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "axes.formatter.limits": (-4, 7),
+    "axes.formatter.useoffset": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.labelsize": 11.0,
+    "axes.titlesize": 11.0,
+    "axes.titlelocation": "left",
+    "grid.color": FAINT,
+    "grid.linewidth": 0.6,
+    "font.size": 10.0,
+    "lines.solid_capstyle": "butt",
+    "legend.frameon": False,
+    **dict.fromkeys(("axes.edgecolor", "axes.labelcolor", "text.color", "xtick.color", "ytick.color"), INK),
+}
+
+_DASHED, _DOTTED = (0, (5, 2)), (0, (1, 1.8))
+LOOKS: dict[str, dict[str, Any]] = {
+    "use": {"color": GREEN, "lw": 1.4, "fill": 0.3},
+    "stable": {"color": INK, "dots": 2.6},
+    "unstable": {"color": INK, "ls": "none", "marker": "x", "ms": 5.0, "mew": 1.3},
+    "envelope": {"color": INK, "fill": 0.13},
+    "passive": {"color": INK, "lw": 0.8, "fill": 0.22},
+    "robust": {"color": INK, "lw": 0.8, "ls": "-."},
+    "measured": {"lw": 1.4, "ms": 3.4, "mew": 0, "interval": 6.0},
+    "bound": {"ls": "none", "ms": 5, "mfc": PAPER, "mew": 1.1},
+    "theory": {"lw": 1.4, "ls": _DASHED},
+    "identified": {"color": INK, "lw": 1.2, "ls": (0, (4, 1.5, 1, 1.5))},
+    "linear": {"color": INK, "lw": 1.6, "ls": _DOTTED},
+    "friction": {"color": INK, "lw": 1.2, "ls": (0, (3, 1, 1, 1, 1, 1))},
+    "edge": {"color": INK, "lw": 1.2},
+    "dots": {"color": GREEN, "dots": 2.6},
+    "told": {"color": INK},
+    "course": {"lw": 1.6},
+    "line": {"color": INK, "lw": 1.3},
+    "optimum": {"color": BLUE, "ls": "none", "marker": "+", "ms": 12, "mew": 2.3},
+    "log": {"color": BLUE, "lw": 1.2},
+    "wide log": {"color": BLUE, "lw": 3.4, "alpha": 0.45},
+    "model": {"color": VERMILLION, "lw": 1.2, "ls": _DOTTED},
+    "fitted": {"color": GREEN, "lw": 1.2, "ls": (0, (4, 1.5, 1, 1.5))},
+    "final": {"color": INK, "lw": 0.8, "ls": _DOTTED},
+    "span": {"color": SKY, "span": 0.3},
+    "gap": {"color": VERMILLION, "span": 0.5},
+    "mark": {"color": VERMILLION, "ls": "none", "marker": "o", "ms": 7, "mfc": "none", "mew": 1.5},
+    "estimate": {"color": BLUE, "ls": "none", "marker": "o", "ms": 6, "mew": 0, "interval": 1.4},
+}
+"""How each kind of series is drawn, in this order, which is that of the legend: what `plot` takes; ``fill`` is the
+opacity of an area, ``dots`` the size of dots drawn as one path, ``interval`` the width of the bar from ``low`` to
+``high``, ``span`` the opacity of a strip over the whole height. Without a colour a series has that of its number."""
+
+_BEHIND = ("use", "stable", "envelope", "passive", "span", "gap")
+"""Kinds that lie below the grid of lines."""
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """What is drawn as one: x and y, shape (n,), of a kind of `LOOKS`.
+
+    ``low`` and ``high`` are an interval along ``along`` ("x" or "y"), ``value`` a third number beside each point, with
+    its name. ``number`` is the place of an experiment in the report, by which it has the same colour in each figure. A
+    label that begins with an underscore stands in no legend.
+    """
+
+    label: str
+    kind: str
+    x: Floats
+    y: Floats
+    low: Floats | None = None
+    high: Floats | None = None
+    number: int | None = None
+    along: str = "x"
+    value: Floats | None = None
+    value_name: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Axes with series, named by quantity and unit, and what they show in words; ``below`` shares the abscissa.
+
+    ``paint`` draws what is no series. ``ticks`` are texts at the places 0, 1, 2 ... of the abscissa.
+    """
+
+    title: str
+    names: tuple[str, str]
+    series: tuple[Series, ...]
+    words: str
+    limits: tuple[tuple[float, float] | None, tuple[float, float] | None] = (None, None)
+    paint: Callable[[Axes], None] | None = None
+    below: Panel | None = None
+    ticks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """A figure of a report: panels side by side, with the words around them.
+
+    ``show`` and ``criterion`` are what a figure of costs is chosen by among the others; ``size`` is that of a panel.
+    """
+
+    kind: FigureKind
+    identifier: str
+    title: str
+    caption: str
+    panels: tuple[Panel, ...]
+    criterion: str = ""
+    show: str = ""
+    size: tuple[float, float] = (440.0, 345.0)
+    simulated: bool = False
+
+    @property
+    def frame(self) -> pd.DataFrame:
+        """All points: ``panel``, ``abscissa``, ``ordinate``, ``series``, ``x``, ``y``, ``low``, ``high``, ``value``."""
+        import pandas as pd
+
+        parts = [
+            pd.DataFrame(
+                {"x": s.x, "y": s.y, "low": s.low, "high": s.high, "value": s.value}, index=range(len(s.x))
+            ).assign(panel=panel.title, abscissa=own.names[0], ordinate=own.names[1], series=s.label.lstrip("_"))
+            for panel in self.panels
+            for own in _both(panel)
+            for s in own.series
+        ]
+        columns = ["panel", "abscissa", "ordinate", "series", "x", "y", "low", "high", "value"]
+        return pd.concat(parts, ignore_index=True)[columns] if parts else pd.DataFrame(columns=columns)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A figure on the page: panels as ``<svg>`` elements, with the numbers that pointing at them tells."""
+
+    figure: Figure
+    panels: tuple[str, ...]
+    shown: tuple[dict[str, Any], ...]
+
+
+def draw(figure: Figure) -> Drawn:
+    """Draw the panels of a figure for a page."""
+    svgs, shown = [], []
+    for index, (panel, drawing) in enumerate(_drawings(figure)):
+        name = f"{figure.identifier}-{index}"
+        title = f"{figure.title}{': ' if panel.title else ''}{panel.title}"
+        svgs.append(svg_of(drawing, name, title, panel.words))
+        height = float(drawing.get_size_inches()[1] * 72)
+        axes = [_numbers(own, axes, height) for own, axes in zip(_both(panel), drawing.axes, strict=True)]
+        shown.append({"name": panel.title, "axes": [each for each in axes if each["series"]]})
+    return Drawn(figure, tuple(svgs), tuple(shown))
+
+
+def svg_of(drawing: Drawing, identifier: str, title: str, words: str) -> str:
+    """Return a drawing as an ``<svg>`` element of a page: in the page's colours, the same for the same."""
+    import matplotlib
+
+    stream = io.StringIO()
+    with matplotlib.rc_context({"svg.hashsalt": identifier}):
+        drawing.savefig(stream, format="svg", metadata={"Date": None})
+    return _for_page(stream.getvalue(), identifier, title, words)
+
+
+def write_figures(figures: Sequence[Figure], folder: Path) -> tuple[Path, ...]:
+    """Write each panel as SVG and PDF, and the numbers of each figure as CSV; other files are left alone."""
+    written = []
+    for figure in figures:
+        written.append(folder / f"{figure.identifier}.csv")
+        write_text(written[-1], figure.frame.to_csv(index=False, lineterminator="\n"))
+        svgs = draw(figure).panels
+        for index, (_, drawing) in enumerate(_drawings(figure)):
+            path = folder / f"{figure.identifier}-{index}"
+            stream = io.BytesIO()
+            # no time, no name: the same report gives the same file
+            drawing.savefig(stream, format="pdf", metadata={"CreationDate": None, "Creator": None, "Producer": None})
+            for ending, content in ((".svg", standalone(svgs[index]).encode()), (".pdf", stream.getvalue())):
+                with replacing(path.with_name(path.name + ending)) as file:
+                    file.write(content)
+                written.append(path.with_name(path.name + ending))
+    return tuple(written)
+
+
+def standalone(svg: str) -> str:
+    """Return a drawing of a page as a file: with its namespaces, in colours of print."""
+    plain = re.sub(r"var\(--[\w-]+,([^()]*)\)", r"\1", svg).replace("currentColor", "#000000")
+    spaces = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
+    return plain.replace("<svg ", f"<svg {spaces} ", 1) + "\n"
+
+
+def reach(*values: Floats) -> tuple[float, float]:
+    """Return limits of an axis from zero, or below, to some room beyond all finite values."""
+    known = np.concatenate([np.zeros(1), *(each[np.isfinite(each)] for each in values)])
+    return float(known.min()) * 1.06, float(known.max()) * 1.06 or 1.0
+
+
+def around(*values: Floats) -> tuple[float, float]:
+    """Return limits of an axis with some room on both sides of all finite values."""
+    known = np.concatenate([each[np.isfinite(each)] for each in values])
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    room = 0.06 * (high - low) or 0.05 * abs(high) or 1.0
+    return low - room, high + room
+
+
+def _both(panel: Panel) -> Iterator[Panel]:
+    yield panel
+    if panel.below is not None:
+        yield panel.below
+
+
+def _drawings(figure: Figure) -> Iterator[tuple[Panel, Drawing]]:
+    """Yield each panel with its drawing, all of one size, within the settings of `RC`."""
+    import matplotlib
+    from matplotlib.figure import Figure as Drawing
+
+    width, height = figure.size
+    lines = max((_legend_lines(panel, width)[1] for panel in figure.panels), default=0)
+    legend = 15.0 * lines + 8.0 * bool(lines)
+    for panel in figure.panels:
+        with matplotlib.rc_context(RC):
+            drawing = Drawing(figsize=(width / 72, (height + legend) / 72), dpi=72)
+            top = 24.0 if any(each.title for each in figure.panels) else 10.0
+            floors = [44.0, 0.44 * height] if panel.below is not None else [44.0]
+            tops = [0.44 * height - 22.0, height - top] if panel.below is not None else [height - top]
+            for own, floor, end in zip(_both(panel), reversed(floors), reversed(tops), strict=True):
+                box = (
+                    58 / width,
+                    (floor + legend) / (height + legend),
+                    1 - 72 / width,
+                    (end - floor) / (height + legend),
+                )
+                _paint(drawing.add_axes(box), own)
+            if panel.below is not None:
+                drawing.axes[0].tick_params(labelbottom=False)
+            drawing.axes[0].set_title(shortened(panel.title, int(width / 6.6)))
+            columns, _ = _legend_lines(panel, width)
+            handles = [artist for axes in drawing.axes for artist in _named(axes)]
+            if handles and columns:
+                look: dict[str, Any] = {
+                    "handlelength": 2.2,
+                    "columnspacing": 1.4,
+                    "labelspacing": 0.25,
+                    "borderpad": 0.1,
+                }
+                drawing.legend(
+                    handles=handles,
+                    ncols=columns,
+                    loc="upper left",
+                    bbox_to_anchor=(52 / width, legend / (height + legend)),
+                    **look,
+                )
+            if figure.simulated:
+                drawing.text(1 - 12 / width, 1.0, "simulated", ha="right", va="top", fontsize=10, color=NOTE)
+            yield panel, drawing
+
+
+def _legend_lines(panel: Panel, width: float) -> tuple[int, int]:
+    """Return columns and lines of the legend of a panel; none where a single series needs no name."""
+    labels = [s.label for own in _both(panel) for s in own.series if not s.label.startswith("_")]
+    if not labels:
+        return 0, 0
+    columns = max(1, min(4, int((width - 60) / (36 + 5.6 * min(max(map(len, labels)), 60)))))
+    return columns, -(-len(labels) // columns)
+
+
+def _named(axes: Axes) -> list[Any]:
+    artists = [*axes.patches, *axes.lines, *axes.artists]
+    found = [artist for artist in artists if (label := str(artist.get_label())) and not label.startswith("_")]
+    return sorted(found, key=lambda artist: artist.get_gid() or "")
+
+
+def _paint(axes: Axes, panel: Panel) -> None:
+    order = list(LOOKS)
+    axes.set_xlabel(panel.names[0])
+    axes.set_ylabel(panel.names[1])
+    axes.locator_params(nbins=6, steps=[1, 2, 2.5, 5, 10])
+    if panel.limits[0] is not None:
+        axes.set_xlim(*panel.limits[0])
+    if panel.limits[1] is not None:
+        axes.set_ylim(*panel.limits[1])
+    if panel.paint is not None:
+        panel.paint(axes)
+    for series in sorted(panel.series, key=lambda series: order.index(series.kind)):
+        _paint_series(axes, series, f"{order.index(series.kind):02d}")
+    if panel.ticks:
+        axes.set_xticks(range(len(panel.ticks)), panel.ticks, fontsize=9.0)
+
+
+def _paint_series(axes: Axes, series: Series, place: str) -> None:
+    if series.kind == "told":  # what `Panel.paint` draws, for pointing and files
+        return
+    look = dict(LOOKS[series.kind])
+    fill, dots_, interval, span = (look.pop(name, 0.0) for name in ("fill", "dots", "interval", "span"))
+    number = series.number or 0
+    look.setdefault("color", INK if series.number is None else SERIES[number % len(SERIES)])
+    if series.kind in ("measured", "bound"):
+        look["marker"] = MARKERS[number % len(MARKERS)]
+    if "mfc" in look:
+        look["mec"] = look["color"]
+    named: dict[str, Any] = {"label": shortened(series.label, 60), "gid": place}
+    x, y = series.x, series.y
+    if span:
+        axes.axvspan(x[0], x[-1], color=look["color"], alpha=span, lw=0, **named)
+        return
+    if dots_:
+        dots(axes, x, y, look["color"], dots_)
+        axes.plot([], [], "o", ms=dots_ + 1, mew=0, color=look["color"], **named)
+        return
+    if series.low is not None and series.high is not None and fill:
+        known = np.isfinite(series.low) & np.isfinite(series.high)
+        axes.fill_betweenx(y[known], series.low[known], series.high[known], color=look["color"], alpha=fill, lw=0)
+        axes.fill([], [], color=look["color"], alpha=fill, lw=0, **named)
+        return
+    if series.low is not None and series.high is not None and interval:
+        # an interval from zero on bounds nothing from below
+        known = np.isfinite(series.low) & np.isfinite(series.high) & ((series.low > 0) | (series.along == "y"))
+        lines = axes.hlines if series.along == "x" else axes.vlines
+        at = y if series.along == "x" else x
+        alpha = 0.45 if interval > 2 else 1.0
+        lines(at[known], series.low[known], series.high[known], color=look["color"], alpha=alpha, lw=interval)
+    if fill:
+        axes.fill(x, y, color=look["color"], alpha=fill, lw=0)
+    axes.plot(x, y, **look, **named)
+
+
+def dots(axes: Axes, x: Floats, y: Floats, colour: str, size: float, *, square: bool = False) -> None:
+    """Draw points as one path of dots, small however many there are: lines without length and with round ends."""
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path as Outline
+
+    known = np.isfinite(x) & np.isfinite(y)
+    if known.any():
+        ends = np.repeat(np.column_stack([x[known], y[known]]), 2, axis=0)
+        outline = Outline(ends, np.tile(np.array([Outline.MOVETO, Outline.LINETO], dtype=np.uint8), known.sum()))
+        outline.should_simplify = False  # it would drop lines without length
+        cap: Any = "projecting" if square else "round"
+        look: dict[str, Any] = {"fill": False, "edgecolor": colour, "lw": size, "capstyle": cap, "zorder": 2.1}
+        axes.add_artist(PathPatch(outline, transform=axes.transData, label="_", **look))
+
+
+_STYLE = re.compile(r'style="([^"]*)"')
+_SHORTER = [
+    (re.compile(pattern, re.DOTALL), text)
+    for pattern, text in (
+        (r"<metadata>.*?</metadata>|<!--.*?-->|<defs>\s*<style.*?</style>\s*</defs>", ""),
+        (r'<g id="[^"]*"', "<g"),
+        (r' transform="rotate\(-0 [^)]*\)"', ""),
+        (r'<path d="[^"]*"(?: clip-path="[^"]*")? fill="none"/>', ""),  # areas of nothing
+        (r"M (\S+) (\S+)\s+L \1 \2\s", r"M\1 \2h0"),  # dots
+        (r"(?<=\d)\s+L (?=[-\d])", " "),
+        (r"\s*\n\s*", " "),
+        (r"> <", "><"),
+        (r' "(?=[ /])', '"'),
+    )
+]
+_NUMBER = re.compile(r"-?\d+\.\d{2,}(?:e-?\d+)?(?=[\s\"),z])")
+
+
+def _for_page(text: str, identifier: str, title: str, words: str) -> str:
+    """Return what matplotlib wrote as an ``<svg>`` element of a page: short, in its colours, with a name.
+
+    Places are rounded to a tenth of a pixel; styles become attributes, which a policy of a page does not forbid.
+    """
+    text = text[text.index("<svg ") :]
+    box = re.search(r'viewBox="[^"]*"', text)
+    body = _STYLE.sub(_attributes, text[text.index(">") + 1 : text.rindex("</svg>")])
+    body = _NUMBER.sub(lambda number: f"{float(number[0]):.1f}".removesuffix(".0"), body)
+    for pattern, shorter in _SHORTER:
+        body = pattern.sub(shorter, body)
+    body = _without_plain_groups(body)
+    for colour, variable in ON_PAGE.items():
+        body = body.replace(colour, variable)
+    return (
+        f'<svg {box[0] if box else ""} role="img" aria-labelledby="{identifier}-title {identifier}-desc" '
+        f'font-family="system-ui,\'Helvetica Neue\',Arial,sans-serif" stroke-linejoin="round" fill="currentColor">'
+        f'<title id="{identifier}-title">{escape(title)}</title><desc id="{identifier}-desc">{escape(words)}</desc>'
+        f"{body}</svg>"
+    )
+
+
+def _without_plain_groups(body: str) -> str:
+    """Return elements without the groups that say nothing."""
+    open_groups: list[bool] = []
+
+    def kept(tag: re.Match[str]) -> str:
+        if tag[0] == "</g>":
+            return "" if open_groups.pop() else tag[0]
+        open_groups.append(tag[0] == "<g>")
+        return "" if open_groups[-1] else tag[0]
+
+    return re.sub(r"<g(?: [^>]*)?>|</g>", kept, body)
+
+
+def _attributes(style: re.Match[str]) -> str:
+    pairs = (part.partition(":") for part in style[1].split(";") if part.strip())
+    kept = {name.strip(): value.strip() for name, _, value in pairs}
+    if "font" in kept:  # "font: 700 10px 'DejaVu Sans', ..."
+        found = re.search(r"([\d.]+)px", kept.pop("font"))
+        kept["font-size"] = found[1] if found else "10"
+    kept = {
+        name: value.removesuffix("px") for name, value in kept.items() if name not in ("font-family", "stroke-linejoin")
+    }
+    return " ".join(f'{name}="{value}"' for name, value in kept.items())
+
+
+def _numbers(panel: Panel, axes: Axes, height: float) -> dict[str, Any]:
+    """Return what axes show for pointing: their box in the drawing, the values at its ends, names and series."""
+    box = axes.bbox
+    third = next((s.value_name for s in panel.series if s.value_name), "")
+    found = []
+    for s in panel.series:
+        known = np.isfinite(s.x) & np.isfinite(s.y)
+        columns = [s.x, s.y, *([s.value] if s.value is not None else [])]
+        if known.any() and LOOKS[s.kind].get("fill") is None and "span" not in LOOKS[s.kind]:
+            found.append([s.label.lstrip("_"), *([_short(v) for v in column[known]] for column in columns)])
+    return {
+        "box": [round(float(end), 1) for end in (box.x0, height - box.y1, box.x1, height - box.y0)],
+        "x": [float(f"{end:.6g}") for end in axes.get_xlim()],
+        "y": [float(f"{end:.6g}") for end in axes.get_ylim()],
+        "names": [*panel.names, third],
+        "series": found,
+    }
+
+
+def _short(value: float) -> float | int | None:
+    found = float(f"{value:.4g}") if np.isfinite(value) else None
+    return int(found) if found is not None and found == int(found) else found

@@ -1,0 +1,178 @@
+"""Numbers over experiments (trend, costs over delay) and columns of a log over time.
+
+Source: Hulin 2017, Fig. 6.12 (costs over delay).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.records.batch import Floats
+from pipeline.records.models import ComparisonRow
+from pipeline.records.results import ComparisonResult
+from pipeline.rendering.figures.drawing import Figure, Panel, Series, around
+from pipeline.rendering.frames import frames
+from pipeline.rendering.labels import criterion_label, printed_scale, quantity_name, shortened, significant, unit_text
+from pipeline.rendering.report.tables import is_sweep
+from pipeline.rendering.table import records
+
+MOST_POINTS = 1600
+"""Points of a line; of more rows the least and the largest of each pixel are drawn."""
+
+
+def trend_figure(result: ComparisonResult) -> list[Figure]:
+    """Return limits and estimates over experiments; none where no header line differs between them."""
+    rows = records(frames(result)["trend"])
+    panels = []
+    for quantity in dict.fromkeys(row["quantity"] for row in rows):
+        own = [row for row in rows if row["quantity"] == quantity]
+        value, low, high = (np.array([row[name] for row in own], dtype=np.float64) for name in ("value", "low", "high"))
+        place, bound = np.arange(len(own), dtype=np.float64), np.array([bool(row["bound"]) for row in own])
+        name = f"{quantity_name(quantity)} [{unit_text(own[0]['unit'])}]"
+        series = [
+            Series(
+                "value, 95 % interval", "estimate", place[~bound], value[~bound], low[~bound], high[~bound], along="y"
+            )
+        ]
+        series += [Series("at least", "bound", place[bound], value[bound], number=0)] if bound.any() else []
+        ticks = tuple(f"{row['experiment']}\n{shortened(row['line'].partition(': ')[2], 12)}" for row in own)
+        told = "; ".join(f"experiment {row['experiment']}: {significant(row['value'], 3)}" for row in own)
+        limits = (-0.5, len(own) - 0.5), around(value, low, high)
+        panels.append(Panel(name, ("", name), tuple(series), f"{name} over experiments: {told}.", limits, ticks=ticks))
+    caption = (
+        f"Values with their 95 % intervals; below each its header line ({rows[0]['line'].partition(':')[0]})."
+        if rows
+        else ""
+    )
+    return (
+        [
+            Figure(
+                "trend",
+                "trend",
+                "Limits and estimates over the experiments",
+                caption,
+                tuple(panels),
+                size=(350.0, 250.0),
+            )
+        ]
+        if rows
+        else []
+    )
+
+
+def delay_figure(rows: Sequence[ComparisonRow]) -> list[Figure]:
+    """Return optimal costs over total delay, theory and experiment, of each table that is a sweep."""
+    figures: list[Figure] = []
+    for table in dict.fromkeys(row.table for row in rows):
+        own = [row for row in rows if row.table == table and row.delay_samples is not None and row.cost is not None]
+        if not is_sweep([dict(row) for row in own]):
+            continue
+        panels = []
+        for criterion in dict.fromkeys(row.criterion for row in own):
+            of = sorted((row for row in own if row.criterion == criterion), key=lambda row: row.delay_samples or 0.0)
+            scale, series = printed_scale(criterion), []
+            for label, kind, theory in (("theory", "line", True), ("experiment", "optimum", False)):
+                points = [
+                    (r.delay_samples, (r.cost or 0.0) * scale)
+                    for r in of
+                    if (r.condition == "theory_discrete") == theory
+                ]
+                series += [Series(label, kind, *np.array(points, dtype=np.float64).T)] if points else []
+            told = "; ".join(
+                f"{s.label} {', '.join(f'd = {x:g}: {y:.3g}' for x, y in zip(s.x, s.y, strict=True))}" for s in series
+            )
+            top = 1.05 * max(float(s.y.max()) for s in series)
+            name = criterion_label(criterion)
+            panels.append(
+                Panel(
+                    name,
+                    ("total delay d [samples]", name),
+                    tuple(series),
+                    f"Optimal cost over delay: {told}.",
+                    (None, (0.0, top or 1.0)),
+                )
+            )
+        caption = "Costs of the sampled response at the optimum, theory and experiment. In the manner of Fig. 6.12."
+        figures.append(
+            Figure(
+                "delay",
+                f"delay{len(figures) or ''}",
+                "Optimal costs over delay",
+                caption,
+                tuple(panels),
+                size=(440.0, 300.0),
+            )
+        )
+    return figures
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedColumn:
+    """A column of a log as it was recorded, over time [s] or the number of the row.
+
+    Parameters
+    ----------
+    name, unit : str
+        ``unit`` is empty where it is not known.
+    place, values : float64, shape (rows,)
+    jumps : tuple of int
+        Rows at which it jumps.
+    rests : tuple of (int, int)
+        First row of each rest, and the one behind its last.
+    gaps : tuple of int
+        Rows before which rows are missing.
+    step_row : int or None
+        Row of the step, where it is known.
+    """
+
+    name: str
+    unit: str
+    place: Floats
+    values: Floats
+    jumps: tuple[int, ...]
+    rests: tuple[tuple[int, int], ...]
+    gaps: tuple[int, ...]
+    step_row: int | None = None
+
+    @property
+    def words(self) -> str:
+        """What was found in it as a sentence."""
+        found = [] if self.step_row is None else [f"step in row {self.step_row}"]
+        found += [f"jumps in row {', '.join(map(str, self.jumps))}"] if self.jumps else []
+        found += [f"rests in rows {', '.join(f'{a} to {b - 1}' for a, b in self.rests)}"] if self.rests else []
+        found += [f"rows missing before row {', '.join(map(str, self.gaps))}"] if self.gaps else []
+        return f"{self.name}: {'; '.join(found) or 'no jump, rest or gap'}."
+
+
+def recorded_figure(identifier: str, title: str, columns: Sequence[RecordedColumn], abscissa: str) -> Figure:
+    """Return the columns of a log over an abscissa, each by itself."""
+    panels = []
+    for c in columns:
+        at, label = c.place, f"{c.name} [{c.unit}]" if c.unit else c.name
+        series = [Series("_rest", "span", at[[a, b - 1]], np.zeros(2)) for a, b in c.rests]
+        series += [Series("_gap", "gap", at[[row - 1, row]], np.zeros(2)) for row in c.gaps]
+        series.append(Series(f"_{c.name}", "log", *thinned(at, c.values)))
+        rows, limits = list(c.jumps), around(c.values)
+        series += [Series("_jump", "mark", at[rows], c.values[rows])] if rows else []
+        series += (
+            [Series("_step", "final", np.full(2, at[c.step_row]), np.array(limits))] if c.step_row is not None else []
+        )
+        panels.append(Panel(label, (abscissa, ""), tuple(series), c.words, (None, limits)))
+    return Figure("response", identifier, title, "", tuple(panels), size=(880.0, 190.0))
+
+
+def thinned(place: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Return a line with at most `MOST_POINTS` points that looks the same: least and largest of each part, in order."""
+    parts = MOST_POINTS // 2
+    each = len(values) // parts
+    if each <= 2:
+        return place, values
+    whole = values[: each * parts].reshape(parts, each)
+    blank = np.isnan(whole)
+    least, largest = np.where(blank, np.inf, whole).argmin(axis=1), np.where(blank, -np.inf, whole).argmax(axis=1)
+    rows = (np.sort(np.stack([least, largest], axis=1), axis=1) + each * np.arange(parts)[:, None]).ravel()
+    rows = np.append(rows, np.arange(each * parts, len(values)))
+    return place[rows], values[rows]

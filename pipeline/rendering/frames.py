@@ -1,0 +1,277 @@
+"""Every table of a comparison as one pandas data frame with units in ``attrs``, for page, files and Python.
+
+Values are SI, costs as in the JSON document: settling in samples (and seconds), overshoot as a fraction. Missing
+numbers are NaN, with their reason beside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from datetime import datetime
+from typing import TYPE_CHECKING, Any
+
+from pipeline.records.criteria import criterion_of
+from pipeline.records.findings import BoundaryPoint, Optimum, Record
+from pipeline.records.models import ComparisonRow, Deviation, Motion
+from pipeline.records.results import ComparisonResult, ExperimentResult
+from pipeline.records.tables import COLUMNS
+
+if TYPE_CHECKING:  # loads for half a second
+    import pandas as pd
+
+Row = dict[str, Any]
+
+TEXTS = """
+    table criterion condition note experiment trial_id quantity unit method reason warning basis score code sentence
+    evidence source adequate key text tags log since kind what line theory name device title motion grip verdict
+"""
+"""Columns of words, which hold None where others hold NaN."""
+
+MOTIONS: tuple[Motion, ...] = ("translation", "rotation")
+
+_ESTIMATES = """
+    experiment quantity value low high unit method recommended reason trials spread within warning
+"""
+_BOUNDARY = """
+    experiment damping stable unstable censored stiffness low high trials undecided stiffness_large_motion truth
+"""
+_OPTIMA = f"experiment criterion {' '.join(Optimum.model_fields)} cost_s reason"
+_SCORES = "experiment basis score quantity value low high reason"
+_PARTS = tuple(Deviation.model_fields)
+_TABLES = [n for name in ComparisonRow.model_fields for n in (_PARTS if name == "deviation" else (name,))] + ["cost_s"]
+_WALL = ("stiffness", "damping", "stable", "unstable", "low", "high")
+
+
+def frames(result: ComparisonResult) -> dict[str, pd.DataFrame]:
+    """Return the tables of a comparison by name, in the order in which files hold them; empty ones too."""
+    e, motion = result.experiments, result.motion
+    periods = {one.experiment: one.sampling_period_s for one in e}
+    stiffness = units_of(_WALL, {motion})
+    return {
+        "tables": frame_of(_TABLES, (_of_row(row, periods) for row in result.tables), units_of_tables(motion)),
+        "estimates": estimates_frame(e, all_methods=True),
+        "boundary": boundary_frame(e, motion),
+        "optima": optima_frame(e, motion),
+        "scores": frame_of(_SCORES, _scores(e), {}),
+        "loop_boundary": _records(e, "loop_boundary", stiffness),
+        **{name: _records(e, field, {}) for name, field in _PLAIN.items()},
+        "use": _records(e, "use", {name: unit for name, unit in stiffness.items() if name in ("stiffness", "damping")}),
+        "header": frame_of(["experiment", "key", "text", "trials"], _header(e), {}),
+        "counts": frame_of(["experiment", "kind", "what", "trials"], _counts(e), {}),
+        "missing": frame_of(["experiment", "what", "reason"], _missing(e), {}),
+        "excluded": _frame_of_records(result.excluded),
+        "notes": frame_of(
+            ["experiment", "trial_id", "tags", "text"],
+            ({**dict(n), "tags": ", ".join(n.tags)} for n in result.notes),
+            {},
+        ),
+        "trend": frame_of(
+            ["experiment", "line", "quantity", "unit", "value", "low", "high", "bound"], _trend(e, motion), {}
+        ),
+    }
+
+
+_PLAIN = {
+    "loops": "loop",
+    "replay": "replay",
+    "causes": "causes",
+    "model": "model_check",
+    "passive": "passive",
+}
+"""Frames of the fields of an experiment, a row a record."""
+
+
+def frame_of(names: str | Sequence[str], rows: Iterable[Mapping[str, Any]], units: Mapping[str, str]) -> pd.DataFrame:
+    """Return records as rows: the same columns and types whatever there is; units of those that have one."""
+    import numpy as np
+    import pandas as pd
+
+    columns = names.split() if isinstance(names, str) else list(names)
+    frame = pd.DataFrame([[row.get(name) for name in columns] for row in rows], columns=columns, dtype=object)
+    for name in columns:
+        values = frame[name]
+        if name in TEXTS.split():
+            continue
+        frame[name] = values.astype(np.float64) if values.isna().any() or not len(values) else values.infer_objects()
+    frame.attrs["units"] = {name: unit for name, unit in units.items() if name in columns}
+    return frame
+
+
+def units_of(columns: Iterable[str], motions: Collection[str] = MOTIONS) -> dict[str, str]:
+    """Return the units of stored columns, without those that have none; both where motions differ."""
+    units = {}
+    for name in (name for name in columns if name in COLUMNS):
+        of = {"translation": COLUMNS[name].unit, "rotation": COLUMNS[name].unit_rotation}
+        units[name] = " or ".join(dict.fromkeys(of[kind] for kind in MOTIONS if kind in motions))
+    return {name: unit for name, unit in units.items() if unit}
+
+
+def units_of_tables(motion: Motion) -> dict[str, str]:
+    """Return the units of Tables D.1 to D.6."""
+    wall = units_of(("stiffness", "damping"), {motion})
+    percent = dict.fromkeys(("deviation_percent", *_PARTS[:-1]), "%")
+    return {
+        **wall,
+        **{f"published_{name}": u for name, u in wall.items()},
+        **percent,
+        "delay_samples": "samples",
+        "cost_s": "s",
+    }
+
+
+def estimates_frame(results: Iterable[ExperimentResult], *, all_methods: bool = False) -> pd.DataFrame:
+    """Return the estimates: ``recommended`` ones, on request followed by those of the other methods."""
+    rows = []
+    for result in results:
+        for quantity, best in result.estimates.items():
+            named = {"experiment": result.experiment, "quantity": quantity}
+            rows.append({**dict(best), **named, "recommended": True})
+            for method, other in best.by_method.items() if all_methods else ():
+                rows.append({**dict(other), **named, "method": method, "recommended": False})
+    return frame_of(_ESTIMATES, rows, {})
+
+
+def boundary_frame(results: Iterable[ExperimentResult], motion: Motion) -> pd.DataFrame:
+    """Return the measured limits; ``stiffness`` is that by the growth rates, ``low`` and ``high`` its 95 % interval."""
+    rows = ({"experiment": e.experiment, **dict(p), "stiffness": p.estimate} for e in results for p in e.boundary)
+    units = units_of(_WALL, {motion})
+    more = dict.fromkeys(("stiffness_large_motion", "truth"), units["stiffness"])
+    return frame_of(_BOUNDARY, rows, units | more)
+
+
+def optima_frame(results: Iterable[ExperimentResult], motion: Motion) -> pd.DataFrame:
+    """Return the best trials, and why a criterion has none."""
+    rows: list[Row] = []
+    for e in results:
+        for criterion, best in e.optimum.items():
+            seconds = in_seconds(criterion, best.cost, e.sampling_period_s)
+            rows.append({"experiment": e.experiment, "criterion": criterion, **dict(best), "cost_s": seconds})
+        rows += [{"experiment": e.experiment, "criterion": name, "reason": why} for name, why in e.missing.items()]
+    return frame_of(_OPTIMA, rows, units_of(("stiffness", "damping"), {motion}) | {"cost_s": "s"})
+
+
+def in_seconds(criterion: str, cost: float | None, period: float | None) -> float | None:
+    """Return a cost that counts samples in seconds, None for others."""
+    return cost * period if cost is not None and period and criterion_of(criterion).family.unit == "samples" else None
+
+
+def flat(record: Record) -> Row:
+    """Return the numbers and words of a record; a parameter's interval beside it, lists left out."""
+    row: Row = {}
+    for name, value in record:
+        if isinstance(value, Record):
+            inner = flat(value)
+            row |= {name if key == "value" else f"{name}_{key}": each for key, each in inner.items()}
+        elif not isinstance(value, (dict, tuple, list)):
+            row[name] = value
+    return row
+
+
+def _records(results: Sequence[ExperimentResult], field: str, units: Mapping[str, str]) -> pd.DataFrame:
+    """Return a field of all experiments that holds a record, or several."""
+    rows = []
+    for e in results:
+        found = getattr(e, field) or ()
+        rows += [
+            {"experiment": e.experiment, **flat(each)} for each in (found if isinstance(found, tuple) else (found,))
+        ]
+    return frame_of(list(dict.fromkeys(name for row in rows for name in row)), rows, units)
+
+
+def _frame_of_records(records: Sequence[Record]) -> pd.DataFrame:
+    rows = [flat(record) for record in records]
+    return frame_of(list(rows[0]) if rows else [], rows, {})
+
+
+def _of_row(row: ComparisonRow, periods: Mapping[str, float | None]) -> Row:
+    period = periods.get(row.experiment or "") or next((p for p in periods.values() if p), None)
+    return {**dict(row), **dict(row.deviation or {}), "cost_s": in_seconds(row.criterion, row.cost, period)}
+
+
+def _scores(results: Iterable[ExperimentResult]) -> Iterator[Row]:
+    """Yield the numbers of all scores; those called ``x_low`` and ``x_high`` beside an x are its interval."""
+    for e, scores in ((each, scores) for each in results for scores in each.scores):
+        about = {"experiment": e.experiment, "basis": scores.basis}
+        for name, found in scores:
+            values = flat(found) if isinstance(found, Record) and name != "parameters" else {}
+            ends = {f"{key}_{end}" for key in values for end in ("low", "high")}
+            for key in (key for key in values if key not in ends):
+                interval = {end: values.get(f"{key}_{end}") for end in ("low", "high")}
+                yield {**about, "score": name, "quantity": key, "value": float(values[key]), **interval}
+        for name, reason in scores.missing.items():
+            yield {**about, "score": name, "reason": reason}
+
+
+def _header(results: Iterable[ExperimentResult]) -> Iterator[Row]:
+    for e in results:
+        for line in e.header:
+            for value, trials in line.values.items():
+                yield {"experiment": e.experiment, "key": line.key, "text": value, "trials": trials}
+
+
+def _counts(results: Iterable[ExperimentResult]) -> Iterator[Row]:
+    for e in results:
+        for kind, counts in (("verdict", e.verdicts), ("outcome", e.outcomes)):
+            for what, number in counts.items():
+                yield {"experiment": e.experiment, "kind": kind, "what": what, "trials": number}
+
+
+def _missing(results: Iterable[ExperimentResult]) -> Iterator[Row]:
+    for e in results:
+        for what, why in e.missing.items():
+            yield {"experiment": e.experiment, "what": what, "reason": why}
+
+
+def _trend(results: Sequence[ExperimentResult], motion: Motion) -> Iterator[Row]:
+    """Yield limits and estimates by experiment, beside the header lines by which these differ; nothing without any."""
+    keys = differing_lines(results)
+    for e in in_order(results, keys) if keys else ():
+        about = {"experiment": e.experiment, "line": ", ".join(f"{key}: {line_text(e, key)}" for key in keys)}
+        point = e.stiffest
+        if point is not None:
+            limit = {"value": limit_of(point), "low": point.low, "high": point.high, "bound": point.censored}
+            yield {
+                **about,
+                "quantity": "stiffest limit",
+                "unit": units_of(("stiffness",), {motion})["stiffness"],
+                **limit,
+            }
+        for name in ("delay_samples", "mass", "damping"):
+            found = e.estimates.get(name)
+            if found is not None and found.value is not None:
+                yield {**about, **dict(found), "quantity": name, "bound": False}
+
+
+def differing_lines(results: Sequence[ExperimentResult]) -> tuple[str, ...]:
+    """Return the header lines that two experiments or more have, not all with the same values; dates first."""
+    values: dict[str, list[str]] = {}
+    for e in results:
+        for line in e.header:
+            values.setdefault(line.key, []).append(line_text(e, line.key))
+    keys = [key for key, told in sorted(values.items()) if len(told) > 1 and len(set(told)) > 1]
+    return tuple(sorted(keys, key=lambda key: not all(_date(line_text(e, key)) for e in results)))
+
+
+def line_text(result: ExperimentResult, key: str) -> str:
+    """Return what the logs of an experiment say in a header line: its value, or the first of several; else nothing."""
+    line = next((line for line in result.header if line.key == key), None)
+    return f"{next(iter(line.values))}{' …' if line.different > 1 else ''}" if line else ""
+
+
+def in_order(results: Sequence[ExperimentResult], keys: Sequence[str]) -> list[ExperimentResult]:
+    """Return experiments in the order of the dates in the first of some header lines; as they are without dates."""
+    dates = [_date(line_text(e, keys[0])) for e in results]
+    return [results[n] for n in sorted(range(len(dates)), key=lambda n: (dates[n], n))] if all(dates) else list(results)
+
+
+def _date(text: str) -> str:
+    """Return a date in ISO 8601, which sorts as text does; nothing for another text."""
+    try:
+        return datetime.fromisoformat(text.removesuffix(" …")).isoformat()
+    except ValueError:
+        return ""
+
+
+def limit_of(point: BoundaryPoint) -> float | None:
+    """Return the limit at a damping: by the growth rates where they tell it, else the largest stable stiffness."""
+    return point.stable if point.censored or point.estimate is None else point.estimate

@@ -1,0 +1,705 @@
+"""The tables of a report: which columns of which frame stand where, how they are printed, and why a cell is empty."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from pipeline.base.wording import counted
+from pipeline.records.findings import DRIFTS, Estimate
+from pipeline.records.results import ComparisonResult, ExperimentResult, TheoryParameters
+from pipeline.rendering.frames import flat, frames
+from pipeline.rendering.labels import (
+    UNITS,
+    condition_label,
+    cost_text,
+    criterion_label,
+    criterion_name,
+    damping_text,
+    estimate_texts,
+    percent_text,
+    printed_scale,
+    published_text,
+    quantity_name,
+    range_text,
+    share_text,
+    significant,
+    stiffness_text,
+    table_label,
+    unit_text,
+)
+from pipeline.rendering.table import Column, Row, Table, records, table_of
+
+MAIN = ("delay_samples", "mass", "damping")
+"""Quantities that stand beside the experiments; the others stand in the table of methods only."""
+
+CENSORED = "At the edge of the tested range (censored): the true value may lie outside."
+UNDECIDED_BELOW = "A trial below it is undecided: no evidence against it, and worth a look or a repetition."
+RANGE_ENDED = "The tested range ended before an unstable trial."
+MISSED = "Outside the interval."
+PARTS = (
+    "Parts, whose factors (1 + x/100) multiply to the whole: range, theory's least cost in the tested range against "
+    "its least anywhere; grid, that at the tested points against that; model, the measured cost freed from the scatter "
+    "of single trials against theory's (95 %); selection, the best single trial against that."
+)
+DRIFT = "Drifts with the setting of the wall: the model does not hold for all trials."
+OUTCOMES = {
+    "settled": "settled",
+    "moving": "still moving",
+    "limit_cycle": "limit cycle",
+    "diverged": "diverged",
+    "saturated": "saturated",
+    "travel_limit": "hit a limit",
+    "too_short": "too short",
+    "disturbed": "disturbed",
+    "no_step": "no step",
+}
+
+
+@dataclass(frozen=True)
+class TrialPage:
+    """Trials of all experiments of a report.
+
+    Parameters
+    ----------
+    content : dict
+        What the page's script reads: plain JSON values, with the trials of each experiment packed.
+    trials, responses : int
+        Number of trials, and of those whose response is in the page.
+    places : dict
+        ``(experiment, trial id)`` to the trial's reference in the page.
+    limits : dict
+        ``(experiment, damping, stiffness)`` to the reference of the trial that stands in the boundary there; the
+        stiffness is that of the table of limits.
+    """
+
+    content: dict[str, Any]
+    trials: int
+    responses: int
+    places: dict[tuple[str, str], str] = field(default_factory=dict)
+    limits: dict[tuple[str, float, float], str] = field(default_factory=dict)
+
+    def place(self, experiment: str | None, trial_id: str | None) -> str:
+        """Return how tables refer to a trial; empty where the page does not show it."""
+        return self.places.get((experiment or "", trial_id or ""), "")
+
+
+NO_TRIALS = TrialPage({}, 0, 0)
+"""Of a report without trials."""
+
+
+def _digits(count: int) -> Callable[[Any, Row], str]:
+    return lambda value, _: significant(value, count)
+
+
+def _number(value: Any, _: Row) -> str:
+    return f"{value:.0f}"
+
+
+def _percent(value: float, _: Row) -> str:
+    return percent_text(value)
+
+
+def _share(value: float, _: Row) -> str:
+    return share_text(value)
+
+
+def _stiffness(value: float, _: Row) -> str:
+    return stiffness_text(value)
+
+
+def _damping(value: float, _: Row) -> str:
+    return damping_text(value)
+
+
+def _cost(value: float, row: Row) -> str:
+    return cost_text(row["criterion"], value)
+
+
+def _published_cost(value: float, row: Row) -> str:
+    return published_text(value * printed_scale(row["criterion"]))
+
+
+def _published(value: float, _: Row) -> str:
+    return published_text(value)
+
+
+def _of_experiment(row: Row) -> str:
+    return f"experiment {row['experiment']}"
+
+
+def _name(row: Row) -> str:
+    return str(row["experiment"])
+
+
+def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[str, list[Table]]:
+    """Return the tables of a report by the names that its templates and scenes use; empty where there is nothing."""
+    f = {name: records(frame) for name, frame in frames(result).items()}
+    units = UNITS[result.motion]
+    place = _place(trials)
+    made: dict[str, Table | None] = {
+        "scores": _scores(result, units.stiffness),
+        "experiments": _experiments(result),
+        "measured_optima": table_of(
+            "optima",
+            "Trials with the least cost",
+            (
+                Column("criterion_label", "criterion"),
+                Column("stiffness", "stiffness", units.stiffness, show=_stiffness, notes=_at_edge, linked=True),
+                Column("damping", "damping", units.damping, show=_damping, linked=True),
+                Column("cost", "cost, 95 %", show=_cost, ends=("cost_low", "cost_high"), linked=True),
+                Column("ties", "equal trials", show=_number),
+            ),
+            [
+                row | {"criterion_label": criterion_label(row["criterion"])}
+                for row in f["optima"]
+                if row["cost"] is not None
+            ],
+            lambda row: f"{row['experiment']}/{row['criterion']}",
+            _of_experiment,
+            place,
+        ),
+        "boundary": _boundary(f["boundary"], units, trials),
+        "methods": _methods(f["estimates"], result),
+        "loops": _loops(result),
+        "causes": table_of(
+            "causes",
+            "What the logs show beside mass, damping and delay",
+            (Column("code", "cause"), Column("sentence", "what it is"), Column("evidence")),
+            [row | {"code": row["code"].replace("_", " ")} for row in f["causes"]],
+            lambda row: f"{row['experiment']}/{row['code']}",
+            _of_experiment,
+        ),
+        "model": table_of(
+            "model",
+            "Does the model (mass, damping, delay) explain the logs? Misfit is 1 where the sensor explains the errors",
+            (
+                Column("experiment"),
+                Column("trials", show=_number),
+                Column("explained", show=_number),
+                Column("left", "leave its noise band", show=_number),
+                *(
+                    Column(name, label, unit, "median of the trials", _digits(2), why="no sensor noise, or no fit")
+                    for name, label, unit in (
+                        ("misfit", "misfit", ""),
+                        ("whiteness", "whiteness p", ""),
+                        ("percent", "log − simulated loop", "%"),
+                    )
+                ),
+            ),
+            [row | {"percent": None if row["ghost"] is None else 100 * row["ghost"]} for row in f["model"]],
+            _name,
+        ),
+        "outcomes": _outcomes(result),
+        "truth": _truth(result),
+        "use": _use(result, place),
+        "missing": table_of(
+            "missing",
+            "Results that the logs do not allow",
+            (Column("experiment"), Column("result"), Column("reason")),
+            [row | {"result": criterion_name(row["what"])} for row in f["missing"]],
+            lambda row: f"{row['experiment']}/{row['what']}",
+        ),
+        "excluded": table_of(
+            "excluded",
+            "Trials excluded by hand: kept, and used for no number of this report",
+            [
+                Column(name, label)
+                for name, label in (
+                    ("experiment", ""),
+                    ("trial_id", "trial"),
+                    ("log", ""),
+                    ("reason", ""),
+                    ("since", ""),
+                )
+            ],
+            f["excluded"],
+            lambda row: str(row["trial_id"]),
+        ),
+        "notes": table_of(
+            "notes",
+            "Notes and tags of the lab; no number rests on them",
+            (Column("trial_id", "trial"), Column("tags", why="no tag"), Column("text", "note", why="no text")),
+            [row | {"trial_id": row["trial_id"] or "all"} for row in f["notes"]],
+            lambda row: f"{row['experiment']}/{row['trial_id']}",
+            _of_experiment,
+        ),
+        "header": _header(result),
+        "trend": table_of(
+            "trend",
+            "Limits and estimates with 95 % intervals over the experiments, beside header lines that differ",
+            (Column("line", "header lines"), Column("value", show=_digits(4), ends=("low", "high"), notes=_at_end)),
+            f["trend"],
+            lambda row: f"{row['quantity']}/{row['experiment']}",
+            lambda row: f"{quantity_name(row['quantity'])} [{unit_text(row['unit'])}]",
+        ),
+    }
+    tables = {name: [table] if table else [] for name, table in made.items()}
+    return tables | _optima(f["tables"], units, place)
+
+
+def _place(trials: TrialPage) -> Callable[[Row], str]:
+    return lambda row: trials.place(row.get("experiment"), row.get("trial_id"))
+
+
+def _at_edge(row: Row) -> list[str | None]:
+    return [CENSORED if row.get("censored") else None]
+
+
+def _at_end(row: Row) -> list[str | None]:
+    return [RANGE_ENDED if row["bound"] else None]
+
+
+def _scores(result: ComparisonResult, stiffness: str) -> Table | None:
+    rows = []
+    for e in result.experiments:
+        for scores in e.scores:
+            row = {"experiment": e.experiment, "reason": "; ".join(dict.fromkeys(scores.missing.values()))}
+            for name in ("region", "distance", "verdicts", "stiffness"):
+                found = getattr(scores, name)
+                row |= {f"{name}_{key}": value for key, value in flat(found).items()} if found else {}
+            rows.append(row)
+    bases = {scores.basis for e in result.experiments for scores in e.scores}
+    columns = (
+        Column("experiment"),
+        _interval("region_overlap", "overlap of the regions", "%", _share),
+        _interval("region_covered", "stable part of theory's region", "%", _share),
+        _interval("region_area_ratio", "area, measured : theory", "", _digits(3)),
+        Column(
+            "stiffness_deviation_percent",
+            "largest stable K",
+            "%",
+            show=lambda value, row: ("≥ " if row["stiffness_lower_bound"] else "") + percent_text(value),
+            aside=lambda row: _ratio(row, "stiffness_measured", "stiffness_theory"),
+        ),
+        Column("distance_median", "distance of limits, median", "%", show=lambda value, _: percent_text(100 * value)),
+        Column(
+            "distance_largest",
+            "largest",
+            "%",
+            show=lambda value, _: percent_text(100 * value),
+            aside=lambda row: (
+                f"at B = {damping_text(row['distance_largest_damping'])}"
+                if row.get("distance_largest") is not None
+                else ""
+            ),
+        ),
+        Column("distance_rms", "rms", stiffness, show=_digits(3)),
+        Column(
+            "verdicts_agreement",
+            "equal verdicts",
+            "%",
+            show=_share,
+            aside=lambda row: _ratio(row, "verdicts_only_theory_stable", "verdicts_only_log_stable"),
+        ),
+    )
+    basis = " and ".join(f"theory by the {basis}" for basis in sorted(bases))
+    return table_of("scores", f"Measured against theory ({basis})", columns, rows, _name)
+
+
+def _interval(name: str, label: str, unit: str, show: Callable[[Any, Row], str]) -> Column:
+    return Column(name, label, unit, show=show, ends=(f"{name}_low", f"{name}_high"))
+
+
+def _ratio(row: Row, first: str, second: str) -> str:
+    return "" if row.get(first) is None else f"{row[first]:.0f} : {row[second]:.0f}"
+
+
+def _experiments(result: ComparisonResult) -> Table | None:
+    verdicts = list(dict.fromkeys(v for e in result.experiments for v in e.verdicts))
+    quantities = [q for q in MAIN if any(q in e.estimates for e in result.experiments)]
+    unit_of = {q: e.estimates[q].unit for e in reversed(result.experiments) for q in e.estimates}
+    rows = []
+    for e in result.experiments:
+        grip = f"{e.grip} grip" if e.grip != "none" else "no operator"
+        row: dict[str, Any] = {v: e.verdicts.get(v, 0) for v in verdicts}
+        row |= {
+            "experiment": e.experiment,
+            "set-up": ", ".join(filter(None, [e.configuration, grip])),
+            "trials": e.trials,
+        }
+        row |= {"theory": _theory(e.theory, result), "source": e.theory.source if e.theory else ""}
+        rows.append(row | e.estimates | {"delay_samples": e.delay})
+    columns = [Column("experiment"), Column("set-up"), Column("trials", "all", group="trials", show=_number)]
+    columns += [Column(v, group="trials", show=_number) for v in verdicts]
+    columns += [estimate_column(q, unit_of[q], "estimated, with 95 % interval") for q in quantities]
+    columns += [
+        Column("theory", "theory uses", aside=lambda row: row["source"], optional=True, why="no parameters for theory")
+    ]
+    return table_of("experiments", "Experiments, verdicts on stability and estimated parameters", columns, rows, _name)
+
+
+def estimate_column(quantity: str, unit: str, group: str = "") -> Column:
+    """Return the column of an estimate, its interval beside it and warnings as notes; rows hold the record."""
+
+    def texts(row: Row) -> tuple[str, str, str]:
+        return estimate_texts(row[quantity])
+
+    def notes(row: Row) -> list[str | None]:
+        found: Estimate | None = row.get(quantity)
+        clauses = (found.warning or "").split("; ") if found else []
+        drifts = any(clause.startswith(DRIFTS) for clause in clauses)
+        others = "; ".join(clause for clause in clauses if not clause.startswith(DRIFTS))
+        return [found.reason if found else None, DRIFT if drifts else None, others]
+
+    return Column(
+        quantity,
+        quantity_name(quantity),
+        unit_text(unit),
+        group,
+        show=lambda _, row: texts(row)[0] or "–",
+        aside=lambda row: (
+            "" if row.get(quantity) is None or not texts(row)[1] else f"{texts(row)[1]} to {texts(row)[2]}"
+        ),
+        why="not asked for in this scene",
+        notes=notes,
+    )
+
+
+def _theory(theory: TheoryParameters | None, result: ComparisonResult) -> str:
+    if theory is None:
+        return ""
+    units = UNITS[result.motion]
+    parts = [("m", theory.mass, f" {units.mass}"), ("b", theory.damping, f" {units.damping}")]
+    parts += [("k", theory.stiffness, f" {units.stiffness}")] if theory.stiffness else []
+    parts.append(("d", theory.delay_samples, ""))
+    texts = (f"{symbol} = {significant(value, 3)}{unit}" for symbol, value, unit in parts)
+    return ", ".join(text.replace(" ", "\N{NO-BREAK SPACE}") for text in texts)
+
+
+def _optima(rows: Sequence[Row], units: Any, place: Callable[[Row], str]) -> dict[str, list[Table]]:
+    """Tables D.1 to D.5 and others like them, and those over delay, as D.6."""
+    found: dict[str, list[Table]] = {"optima": [], "delay_tables": []}
+    for name in dict.fromkeys(row["table"] for row in rows):
+        own = [dict(row) for row in rows if row["table"] == name]
+        swept = is_sweep(own)
+        for row, after in zip(own, [*own[1:], own[-1]], strict=True):
+            # over delay, theory of each experiment stands before it
+            row |= {"reason": row["note"], "raw": row["condition"], "of": row["experiment"] or after["experiment"]}
+            row["condition"] = condition_label(row["condition"])
+            if row["delay_samples"] is not None and (swept or not row["condition"].startswith("theory")):
+                row["condition"] += f" (d = {significant(row['delay_samples'], 3)})"
+        here = "this report" if any(row["published_cost"] is not None for row in own) else ""
+        columns = (
+            Column("condition", notes=lambda row: [row["note"], *_at_edge(row)]),
+            Column("stiffness", "stiffness K", units.stiffness, here, _stiffness, linked=True),
+            Column("damping", "damping B", units.damping, here, _damping, linked=True),
+            Column("cost", "", "", here, _cost, linked=True),
+            Column(
+                "deviation_percent",
+                "deviation",
+                "%",
+                here,
+                _percent,
+                aside=_parts,
+                notes=_has_parts,
+                why="no theory, or the cost of theory is zero",
+                optional=True,
+            ),
+            Column("published_stiffness", "K", "", "published", _published, why="not published", optional=True),
+            Column("published_damping", "B", "", "published", _published, why="not published", optional=True),
+            Column("published_cost", "cost", "", "published", _published_cost, why="not published", optional=True),
+        )
+        criteria = "; ".join(dict.fromkeys(criterion_name(row["criterion"]) for row in own))
+        label = table_label(name)
+        what = "Optimal costs over total delay" if swept else f"Optimal points: {criteria}"
+        caption = f"{label[:1].upper()}{label[1:]}. {what}"
+        order = list(dict.fromkeys(row["criterion"] for row in own))
+        own.sort(key=lambda row: order.index(row["criterion"]))
+        table = table_of(
+            name or "optima-theory",
+            caption,
+            columns,
+            own,
+            _named(own),
+            lambda row: criterion_label(row["criterion"]),
+            place,
+        )
+        found["delay_tables" if swept else "optima"] += [table] if table else []
+    return found
+
+
+def is_sweep(rows: Sequence[Row]) -> bool:
+    """Tell whether rows of one table are over delay: its measured ones differ in their experiment only."""
+    measured = [(row["criterion"], row["condition"]) for row in rows if not row["condition"].startswith("theory")]
+    return len(set(measured)) < len(measured)
+
+
+def _named(rows: Sequence[Row]) -> Callable[[Row], str]:
+    """Return how rows are named: by criterion and condition, and by delay and experiment where others share these."""
+
+    def names(row: Row) -> list[str]:
+        delay = "" if row["delay_samples"] is None else f"/d={significant(row['delay_samples'], 3)}"
+        plain = f"{row['criterion']}/{row['raw']}"
+        return [plain, plain + delay, f"{plain}{delay}/{row['of']}"] if delay else [plain, f"{plain}/{row['of']}"]
+
+    counts = Counter(name for row in rows for name in set(names(row)))
+    return lambda row: next((name for name in names(row) if counts[name] == 1), names(row)[0])
+
+
+def _parts(row: Row) -> str:
+    """What a deviation is made of, in a line; parts that are printed as zero are left out, but for the model's."""
+    if row["model"] is None:
+        return ""
+    nothing, low, high = (percent_text(value) for value in (0.0, row["model_low"], row["model_high"]))
+    interval = "" if low == high == nothing else f" ({low} to {high})"
+    others = {name: percent_text(row[name]) for name in ("range", "grid", "selection")}
+    told = [f"{name} {text}" for name, text in others.items() if text != nothing]
+    return ", ".join([f"model {percent_text(row['model'])}{interval}", *told])
+
+
+def _has_parts(row: Row) -> list[str | None]:
+    return [None if row["model"] is None else PARTS]
+
+
+def _boundary(rows: Sequence[Row], units: Any, trials: TrialPage) -> Table | None:
+    def place(row: Row, name: str) -> str:
+        return trials.limits.get((row["experiment"], row["damping"], row[name] or 0.0), "")
+
+    def below(row: Row) -> list[str | None]:
+        return [UNDECIDED_BELOW if row["undecided"] else None]
+
+    def ended(row: Row) -> list[str | None]:
+        return [RANGE_ENDED if row["censored"] else None]
+
+    def limit(_: Any, row: Row) -> str:
+        if row["stiffness"] is not None:
+            return stiffness_text(row["stiffness"])
+        return f"≥ {stiffness_text(row['low'])}" if row["low"] else f"≤ {stiffness_text(row['high'])}"
+
+    def interval(row: Row) -> str:
+        if None in (row["stiffness"], row["low"], row["high"]):
+            return ""
+        return f"{stiffness_text(row['low'])} to {stiffness_text(row['high'])}"
+
+    harder = any(row["stiffness_large_motion"] is not None for row in rows)
+    caption = (
+        f"Largest stable and smallest unstable stiffness [{units.stiffness}] at each damping, and the limit by the "
+        "growth rates of the trials around it"
+    ) + (
+        "; with friction both hold for this step, and a harder push is unstable from the linear limit on"
+        if harder
+        else ""
+    )
+    columns = (
+        Column("damping", "damping", units.damping, show=_damping),
+        Column("stable", show=_stiffness, why="no stable trial", notes=below, link=lambda row: place(row, "stable")),
+        Column(
+            "unstable", show=_stiffness, why="no unstable trial", notes=ended, link=lambda row: place(row, "unstable")
+        ),
+        Column("limit", "limit, 95 %", show=limit, aside=interval, why="no trial is surely stable or surely unstable"),
+        Column("stiffness_large_motion", "harder push", show=_stiffness, why="no limit", optional=True),
+        Column("truth", show=_stiffness, why="no truth", optional=True),
+    )
+    shown = [row | {"limit": row["stiffness"] or row["low"] or row["high"] or None} for row in map(dict, rows)]
+    return table_of(
+        "boundary",
+        caption,
+        columns,
+        shown,
+        lambda row: f"{row['experiment']}/{damping_text(row['damping'])}",
+        _of_experiment,
+    )
+
+
+def _methods(rows: Sequence[Row], result: ComparisonResult) -> Table | None:
+    found = {e.experiment: e.estimates for e in result.experiments}
+    shown = []
+    for row in map(dict, rows):
+        best = found[row["experiment"]][row["quantity"]]
+        if (best.value is None and not best.by_method) or (not row["recommended"] and row["method"] == best.method):
+            continue
+        one = best if row["recommended"] else best.by_method[row["method"]]
+        texts = dict(zip(("value", "low", "high"), estimate_texts(one), strict=True))
+        row |= {name: text or None for name, text in texts.items()} | {"left_out": len(one.outliers) + one.refused}
+        outliers = ", ".join(one.outliers[:3]) + (" ..." if len(one.outliers) > 3 else "")
+        remarks = [
+            one.reason,
+            one.warning,
+            f"{counted(len(one.outliers), 'outlier')}: {outliers}" if outliers else None,
+        ]
+        remarks += [f"{counted(one.refused, 'trial')} without an interval" if one.refused else None]
+        row |= {"remark": "; ".join(filter(None, remarks)), "method": row["method"].replace("_", " ")}
+        shown.append(row | {"used": f"{row['method']} (used)" if row["recommended"] else row["method"]})
+    columns = (
+        Column("used", "method"),
+        *(
+            Column(name, show=lambda text, _: str(text), why="the method gives none")
+            for name in ("value", "low", "high")
+        ),
+        Column("within", "one trial ±", show=_digits(2), why="the method gives none"),
+        Column("spread", show=_digits(2), why="the method gives none"),
+        Column("trials", "used", show=_number),
+        Column("left_out", "left out", show=_number),
+        Column("remark", why="no remark"),
+    )
+    return table_of(
+        "methods",
+        "Estimates by method, with 95 % intervals",
+        columns,
+        shown,
+        lambda row: f"{row['experiment']}/{row['quantity']}/{row['used']}",
+        lambda row: f"experiment {row['experiment']}: {quantity_name(row['quantity'])} [{unit_text(row['unit'])}]",
+    )
+
+
+def _loops(result: ComparisonResult) -> Table | None:
+    """The loop of each experiment and whether it bears statements."""
+    units = UNITS[result.motion]
+    rows = []
+    for e in result.experiments:
+        if e.loop is None:
+            continue
+        row: dict[str, Any] = {"experiment": e.experiment, "adequate": "yes" if e.loop.adequate else "no"}
+        row |= {"why": e.loop.reason, "source": e.loop.source}
+        for name in ("delay_samples", "mass", "damping"):
+            found = getattr(e.loop, name)
+            row[name] = None if found is None else Estimate(**dict(found), unit="", method="")
+        if e.replay is not None and e.replay.verdicts_same is not None:
+            off = {"limits": e.replay.limits_off_percent, "settling times": e.replay.costs_off_percent}
+            told = [f"{name} within {percent:.2g} %" for name, percent in off.items() if percent is not None]
+            told += [] if e.replay.fit_percent is None else [f"motion to {e.replay.fit_percent:.3g} %"]
+            right = f"{100 * e.replay.verdicts_same:.3g} % of {e.replay.trials} verdicts right"
+            row["replay"] = ", ".join([right, *told])
+        if e.passive:
+            row["passive"] = (
+                f"K = {e.passive.stiffness:.4g} {units.stiffness}, B = {e.passive.damping:.4g} {units.damping}"
+            )
+        rows.append(row | {"reason": e.passive_reason})
+    columns = [
+        Column("experiment"),
+        Column("adequate", "adequate loop"),
+        Column("why"),
+        Column("source", "parameters by"),
+    ]
+    columns += [
+        estimate_column(name, unit)
+        for name, unit in (("delay_samples", "samples"), ("mass", units.mass), ("damping", units.damping))
+    ]
+    columns += [
+        Column("replay", "behind walls it was not fitted to", why="no wall to replay"),
+        Column("passive", "stiffest passive wall"),
+    ]
+    return table_of("loops", "Identified loops, with 95 % intervals", columns, rows, _name)
+
+
+def _outcomes(result: ComparisonResult) -> Table | None:
+    shown = [name for name in OUTCOMES if any(e.outcomes.get(name) for e in result.experiments)]
+    rows = [
+        {"experiment": e.experiment, **{name: e.outcomes.get(name, 0) for name in shown}} for e in result.experiments
+    ]
+    columns = [Column("experiment"), *(Column(name, OUTCOMES[name], show=_number) for name in shown)]
+    table = table_of("outcomes", "Number of trials by outcome", columns, rows if shown else [], _name)
+    if table is not None and "settled" in shown:
+        table.mark("Settled: stays within 2 % of x_0 + F_0/K. More logs come to rest, some of them elsewhere.")
+    if table is not None and "disturbed" in shown:
+        table.mark(
+            "Disturbed: a force of 5 % of the step or more acts that neither command nor mass and damping explain."
+        )
+    return table
+
+
+def _truth(result: ComparisonResult) -> Table | None:
+    """The truth of simulated experiments beside what was found."""
+    known = [e for e in result.experiments if e.truth and e.truth_held]
+    rows = []
+    for e in known:
+        for name, one in e.estimates.items():
+            if one.truth is None:
+                continue
+            _, low, high = estimate_texts(one)
+            outside = None not in (one.value, one.low, one.high) and not (one.low or 0.0) <= one.truth <= (
+                one.high or 0.0
+            )
+            row = {
+                "experiment": e.experiment,
+                "quantity": name,
+                "truth": one.truth,
+                "outside": outside,
+                "unit": one.unit,
+            }
+            rows.append(
+                row
+                | {
+                    "interval": f"{low} to {high}" if low and high else "",
+                    "name": f"{quantity_name(name)} [{unit_text(one.unit)}]",
+                }
+            )
+    reasons = [f"No limits: {e.truth.limit_reason}." for e in known if e.truth and e.truth.limit_reason]
+    held = [e.truth_held for e in known if e.truth_held]
+    total = sum(one.estimates + one.limits for one in held)
+    kept = sum(one.estimates_held + one.limits_held for one in held)
+    caption = f"Truth of the simulation: {kept} of {total} intervals of 95 % hold it, those of the limits included"
+    columns = (
+        Column("name", "quantity"),
+        Column("truth", show=_digits(4), notes=lambda row: [MISSED if row["outside"] else None]),
+        Column("interval", "95 %", show=lambda text, _: str(text), why="no interval"),
+    )
+    table = table_of(
+        "truth", caption, columns, rows, lambda row: f"{row['experiment']}/{row['quantity']}", _of_experiment
+    )
+    if table is not None:
+        table.mark(*reasons)
+    return table
+
+
+def _use(result: ComparisonResult, place: Callable[[Row], str]) -> Table | None:
+    """The walls to use of each experiment with the costs of the trials there."""
+    units = UNITS[result.motion]
+    names = [name for name in result.criteria if any(e.use and name in e.use.costs for e in result.experiments)]
+    rows = []
+    for e in result.experiments:
+        row: dict[str, Any] = {"experiment": e.experiment, "reason": e.use_reason, "note": use_note(e)}
+        if e.use is not None:
+            row |= flat(e.use) | {"trial_id": e.use.point.trial_id}
+            for name, cost in e.use.costs.items():
+                row |= {name: cost.median, f"{name}_low": cost.low, f"{name}_high": cost.high}
+        rows.append(row)
+    around = "walls around it: costs in the median, from the least to the largest"
+
+    def between(name: str, show: Callable[[float], str]) -> Callable[[Any, Row], str]:
+        return lambda _, row: range_text(show, row[f"{name}_low"], row[f"{name}_high"])
+
+    columns = (
+        Column("experiment", notes=lambda row: [row["note"]]),
+        Column("point_stiffness", "K", units.stiffness, "wall to set", _stiffness, linked=True),
+        Column("point_damping", "B", units.damping, "wall to set", _damping, linked=True),
+        Column("point_margin", "limit over K, at least", group="wall to set", show=_digits(2)),
+        Column("stiffness_low", "K", units.stiffness, around, between("stiffness", stiffness_text)),
+        Column("damping_low", "B", units.damping, around, between("damping", damping_text)),
+        Column("trials", group=around, show=_number),
+        *(
+            Column(name, criterion_label(name), "", around, _cost_of(name), (f"{name}_low", f"{name}_high"))
+            for name in names
+        ),
+        Column("margin", "limit over K, at least", group=around, show=_digits(2)),
+    )
+    caption = "Walls to use: all stable, and far from the limit; of each, the wall to set, and walls around it"
+    return table_of("use", caption, columns, rows if names else [], _name, trial=place)
+
+
+def _cost_of(criterion: str) -> Callable[[Any, Row], str]:
+    return lambda value, _: significant(value * printed_scale(criterion), 3)
+
+
+def use_note(result: ExperimentResult) -> str:
+    """Return why no cost chose the walls to use, or why there are none; empty where a cost did."""
+    if not result.use_reason:
+        return ""
+    return f"{'None' if result.use is None else 'Chosen by stiffness'}: {result.use_reason}."
+
+
+def _header(result: ComparisonResult) -> Table | None:
+    rows = []
+    for e in result.experiments:
+        for line in e.header:
+            told = [f"{value or 'empty'} ({count})" for value, count in line.values.items()]
+            told += [f"{line.different - len(told)} more"] if line.different > len(told) else []
+            rows.append(
+                {"experiment": e.experiment, "line": line.key, "trials": line.trials, "values": "; ".join(told)}
+            )
+    columns = (Column("line"), Column("trials", show=_number), Column("values", "values (trials)"))
+    caption = "Header lines of the logs that only the lab knows; no number rests on them"
+    return table_of("header", caption, columns, rows, lambda row: f"{row['experiment']}/{row['line']}", _of_experiment)

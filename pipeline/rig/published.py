@@ -1,0 +1,179 @@
+"""Published conditions for the stiffness of a virtual wall, beside the exact limit of stability."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+from pipeline.base.errors import ParameterError
+from pipeline.records.batch import Floats
+from pipeline.surface.physical_loop import Loop
+
+_ANGLES = 4000
+"""Angles at which (4.6) is looked at; between them the limit is at most 1e-7 lower."""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Coulomb friction f_c [N, Nm] and sensor quantum [m, rad] of a device, 0 where not known."""
+
+    coulomb: float = 0.0
+    quantum: float = 0.0
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A published condition: where it stands, what it promises, what it leaves out, and its largest K at dampings B."""
+
+    name: str
+    source: str
+    promises: Literal["stability", "passivity"]
+    assumes: str
+    stiffness: Callable[[Loop, Sensor, Floats], Floats]
+
+
+def _late(loop: Loop) -> float:
+    """Effective delay t_d + T/2 [s]: the hold delays by half a sample."""
+    return (loop.delay_samples + 0.5) * loop.sampling_period_s
+
+
+def _held(loop: Loop) -> tuple[float, float]:
+    """Damping and stiffness that the wall feels, with those of a hand [Ns/m, N/m or Nms/rad, Nm/rad]."""
+    hand = {name: value for name, value in (loop.operator or {}).items() if isinstance(value, (int, float))}
+    return loop.damping + hand.get("damping", 0.0), loop.stiffness + hand.get("stiffness", 0.0)
+
+
+def _minsky(loop: Loop, _: Sensor, B: Floats) -> Floats:
+    b, k = _held(loop)
+    return (b + B) / _late(loop) - k
+
+
+def _linear(loop: Loop, _: Sensor, B: Floats) -> Floats:
+    return (_held(loop)[0] + B) / _late(loop)
+
+
+def _gil(loop: Loop, sensor: Sensor, B: Floats) -> Floats:
+    return _linear(replace(loop, delay_samples=0.0), sensor, B)
+
+
+def _colgate(loop: Loop, _: Sensor, B: Floats) -> Floats:
+    return 2 * (loop.damping - np.abs(B)) / loop.sampling_period_s
+
+
+def _salcudean(loop: Loop, _: Sensor, B: Floats) -> Floats:
+    return np.asarray(Loop(loop.mass, 0.0, loop.sampling_period_s, 1.0).limits(B)["stiffness"])
+
+
+def _abbott(loop: Loop, sensor: Sensor, B: Floats) -> Floats:
+    held = 2 * sensor.coulomb / sensor.quantum if sensor.quantum > 0 else np.nan
+    return np.where(B == 0, np.minimum(2 * loop.damping / loop.sampling_period_s, held), np.nan)
+
+
+def _hulin(loop: Loop, _: Sensor, B: Floats) -> Floats:
+    d = loop.delay_samples
+    angle = np.linspace(0, np.pi / (d + 1), _ANGLES + 1)[1:]
+    # (4.6), whose sums of cosines are products: b >= K T sin((d + 1/2) w)/(2 sin(w/2)) - B cos((d + 1) w)
+    room = np.append(1 / (d + 0.5), 2 * np.sin(angle / 2) / np.sin((d + 0.5) * angle)) / loop.sampling_period_s
+    held = loop.damping + np.outer(B, np.cos((d + 1) * np.append(0.0, angle)))
+    return np.asarray((held * room).min(axis=1))
+
+
+CONDITIONS = (
+    Condition(
+        "Minsky et al. 1990",
+        "Minsky, Ouh-young, Steele, Brooks, Behensky: Feeling and seeing, Computer Graphics 24 (2)",
+        "stability",
+        "sampling as a delay, slow motion; a hand's stiffness counts as that of the wall",
+        _minsky,
+    ),
+    Condition(
+        "Colgate and Schenkel 1997",
+        "Passivity of a class of sampled-data systems, J. Robotic Systems 14 (1); Hulin 2017, eq. 4.7",
+        "passivity",
+        "no delay, plain difference; any passive hand",
+        _colgate,
+    ),
+    Condition(
+        "Salcudean and Vlaar 1997",
+        "On the emulation of stiff walls and static friction, ASME J. Dyn. Syst. Meas. Control 119 (1)",
+        "stability",
+        "mass alone, no damping, one sample of delay; exact",
+        _salcudean,
+    ),
+    Condition(
+        "Gil et al. 2004",
+        "Stability analysis of a 1 DOF haptic interface using the Routh-Hurwitz criterion, IEEE Trans. CST 12 (4)",
+        "stability",
+        "no delay, slow motion; a hand's damping helps, its stiffness does not matter",
+        _gil,
+    ),
+    Condition(
+        "Abbott and Okamura 2005, Diolaiti et al. 2006",
+        "IEEE Trans. Robotics 21 (5) and 22 (2): K <= min(2 b/T, 2 f_c/quantum)",
+        "passivity",
+        "no virtual damping, no delay; Coulomb friction and quantum known",
+        _abbott,
+    ),
+    Condition(
+        "Hulin et al. 2006, linear",
+        "Stability boundary for haptic rendering: influence of physical damping, IROS; Hulin 2017, eq. 3.25",
+        "stability",
+        "slow motion, any delay",
+        _linear,
+    ),
+    Condition(
+        "Hulin et al. 2014",
+        "Passivity and stability boundaries for haptic systems with time delay, IEEE Trans. CST 22 (4); eq. 4.6",
+        "passivity",
+        "any delay, plain difference; any passive hand",
+        _hulin,
+    ),
+)
+
+
+def published_limits(loop: Loop, damping: object, *, coulomb: float = 0.0, quantum: float = 0.0) -> pd.DataFrame:
+    """Return the largest stiffness that published conditions allow at dampings, and the exact limit of stability.
+
+    Parameters
+    ----------
+    loop : Loop
+        Filter, lag and mode are in the exact limit alone: no condition knows them.
+    damping : array of float
+        B of the wall [Ns/m, Nms/rad].
+    coulomb, quantum : float
+        Coulomb friction f_c [N, Nm] and sensor quantum [m, rad] of the device, 0 where not known.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``condition``, ``promises`` (stability, passivity), ``assumes``, ``source``, ``damping``, ``stiffness`` [N/m,
+        Nm/rad]; nan where a condition says nothing, 0 where it allows no wall. The last rows are the exact limit.
+
+    Raises
+    ------
+    ParameterError
+        If friction or quantum is negative or not finite.
+
+    Examples
+    --------
+    >>> rig = Loop(mass=0.58, damping=4.0, sampling_period_s=0.001, delay_samples=0)
+    >>> table = published_limits(rig, [0.0], coulomb=1.0, quantum=1e-4).set_index("condition")["stiffness"]
+    >>> table["Colgate and Schenkel 1997"], table["Abbott and Okamura 2005, Diolaiti et al. 2006"]
+    (8000.0, 8000.0)
+    """
+    for name, value in (("coulomb", coulomb), ("quantum", quantum)):
+        if not 0 <= value < np.inf:
+            raise ParameterError(f"{name} = {value}: expected a finite number that is not negative.")
+    B = np.atleast_1d(np.asarray(damping, dtype=np.float64))
+    sensor, frames = Sensor(coulomb, quantum), []
+    exact = Condition("exact", "this package", "stability", "nothing beside the loop", lambda *_: K)
+    K = np.asarray(loop.limits(B)["stiffness"])
+    for condition in (*CONDITIONS, exact):
+        stiffness = np.maximum(condition.stiffness(loop, sensor, B), 0.0)
+        told = {"promises": condition.promises, "assumes": condition.assumes, "source": condition.source}
+        frames.append(pd.DataFrame({"condition": condition.name, **told, "damping": B, "stiffness": stiffness}))
+    return pd.concat(frames, ignore_index=True)

@@ -1,0 +1,66 @@
+"""Cost maps and departures from theory: numbers that are drawn are those of the trials."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.comparison.compare_experiment import nominal_theories
+from pipeline.comparison.figures.maps import departure_figures, departures, map_figures
+from pipeline.comparison.scene.scene import open_scene
+from pipeline.comparison.tables_d import TableBuilder
+from pipeline.rendering.figures.drawing import draw
+from pipeline.theory.predictions import Predictions
+
+
+@pytest.fixture(scope="module")
+def of_falcon(falcon, falcon_outcome):
+    data = open_scene("falcon", falcon.processed, None, None)
+    theories = nominal_theories(data)
+    predictions = Predictions(falcon.processed / "theory")
+    assert predictions.missing(TableBuilder(data, theories).requests()) == []
+    return data, falcon_outcome.result.experiments, theories, predictions
+
+
+def test_each_criterion_of_each_table_has_a_figure_with_theory_first(of_falcon):
+    figures = map_figures(*of_falcon, "translation")
+    assert [f.identifier for f in figures][:2] == ["D-1-settle_2pct", "D-1-overshoot"]
+    assert all(f.panels[0].title.startswith("theory, d = 4") for f in figures)
+    assert all(panel.title.startswith("experiment") for f in figures for panel in f.panels[1:])
+    assert len({panel.limits for panel in figures[0].panels}) == 1, "panels of a figure share their axes"
+
+
+def test_front_view_holds_the_trials_and_the_optimum_of_the_document(of_falcon):
+    data, results, *_ = of_falcon
+    figure = map_figures(*of_falcon, "translation")[0]
+    panel = figure.panels[1]
+    front = {s.label: s for s in panel.below.series}
+    best = results[0].optimum["settle_2pct"]
+    assert (front["_optimum"].x[0], front["_optimum"].y[0]) == (best.stiffness, best.cost)
+    cost = data.experiments[0].sure_cost("settle_2pct")
+    assert set(front["_trials"].y.tolist()) <= set(cost[np.isfinite(cost)].tolist())
+    line = front["_least cost"]
+    # the line of least cost lies nowhere above a single trial
+    assert (np.interp(front["_trials"].x, line.x, line.y) <= front["_trials"].y + 1e-9).all()
+    svg, *_ = draw(figure).panels
+    assert "settling time" in svg
+
+
+def test_where_all_trials_cost_as_theory_says_no_departure_is_drawn(of_falcon):
+    data, _, theories, predictions = of_falcon
+    figures = departure_figures(data, theories, predictions, "translation")
+    assert {f.identifier for f in figures} == {
+        f"residual-{c}" for c in data.scene.criteria if "1pct" not in c and "5pct" not in c
+    }
+    # the shared course is simulated by the device file: medians are small
+    settling = next(f for f in figures if f.identifier == "residual-settle_2pct")
+    for panel in settling.panels:
+        told = next(s for s in panel.series if s.kind == "told")
+        assert abs(np.median(told.value)) < 10
+
+
+def test_departure_is_a_ratio_or_a_difference():
+    one = np.array([2.0, 0.0, 3.0])
+    assert departures(one, np.array([1.0, 1.0, 4.0]), "settle_2pct")[[0, 2]].tolist() == [1.0, -0.25]
+    assert np.isnan(departures(one, np.array([1.0, 1.0, 4.0]), "settle_2pct")[1])
+    assert departures(np.array([0.1]), np.array([1e-13]), "overshoot").tolist() == [0.1]

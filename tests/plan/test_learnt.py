@@ -1,0 +1,70 @@
+"""The device of the logs so far foretells limits that it was not told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from kinds import kinds
+
+from pipeline.device_data.devices import load_device
+from pipeline.measured.model.parts import chosen
+from pipeline.plan.course import Wish, foretold, open_course
+from pipeline.plan.found_device import FoundDevice, stated_device
+from pipeline.plan.learnt import learn
+from pipeline.simulation.setup import setup_of
+from pipeline.simulation.simulate import simulate
+
+DAMPINGS = np.array([20.0, 60.0, 100.0])
+K, B = np.array([1500.0, 4000.0, 6000.0]), np.array([10.0, 30.0, 50.0])
+
+
+def logs(kind, count=3):
+    device = kinds(load_device("falcon"))[kind](2).device
+    return device, simulate(setup_of(device, device.experiments[0]), K[:count], B[:count], seed=3)
+
+
+def truth(device):
+    return stated_device(device, device.experiments[0]).point.limit(DAMPINGS)
+
+
+@pytest.mark.parametrize("kind", ["ideal", "actuator lag", pytest.param("butterworth filter", marks=pytest.mark.slow)])
+def test_limits_of_devices_that_three_logs_show(kind):
+    device, batch = logs(kind)
+    found = learn(batch, 3, None, chosen)
+    assert found.device.point.limit(DAMPINGS) == pytest.approx(truth(device), rel=0.01)
+    assert (found.device.limits(DAMPINGS)[1] < 0.02 * truth(device).max()).all()
+    assert found.looked == 3
+
+
+def test_no_search_for_parts_is_waited_for_and_one_is_asked_for_when_there_are_three_times_as_many_logs():
+    device, batch = logs("ideal")
+    asked = []
+    assert learn(batch, 3, None, lambda recordings: asked.append(len(recordings))) is None
+    known = learn(batch, 3, None, chosen)
+    for count in (4, 8, 9):
+        found = learn(batch, count, known, lambda recordings: asked.append(len(recordings)))
+        assert found.device.point.limit(DAMPINGS) == pytest.approx(truth(device), rel=0.01)
+    assert asked == [3, 3], "at the first log and at the ninth"
+
+
+def test_logs_without_motion_teach_nothing():
+    _, batch = logs("ideal", 1)
+    still = replace(batch, position=np.zeros_like(batch.position))
+    assert learn(still, 1, None, lambda _: pytest.fail("asked")) is None
+
+
+def test_friction_raises_the_limit_for_the_step_and_widens_what_is_foretold(tmp_path):
+    case = kinds(load_device("falcon"))["friction strong"](2)
+    course = open_course("falcon", tmp_path / "none", "1", Wish())
+    device = stated_device(case.device, case.device.experiments[0])
+    sure = replace(course, found=device)
+    names = list(device.fitted.values)
+    covariance = np.diag([(0.2 * device.point.coulomb * (name == "coulomb")) ** 2 for name in names])
+    loose = replace(course, found=FoundDevice(replace(device.fitted, covariance=covariance), 1e-3))
+    linear = device.point.limit(DAMPINGS)
+    plain, wide = foretold(sure, DAMPINGS.tolist()), foretold(loose, DAMPINGS.tolist())
+    assert (plain.limit > 1.05 * linear).all()
+    assert wide.limit == pytest.approx(plain.limit)
+    assert wide.error == pytest.approx(0.2 * (plain.limit - linear), rel=0.02)

@@ -1,0 +1,129 @@
+"""Limits that are drawn, held against the formulas that define them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import simulated
+from report_data import experiment
+
+from pipeline.records.findings import BoundaryPoint
+from pipeline.records.loop_records import LoopLimit
+from pipeline.records.models import Shown
+from pipeline.records.results import TheoryParameters
+from pipeline.rendering.figures.boundaries import (
+    answer_figure,
+    boundary_figures,
+    by_theory,
+    conditions,
+    measured,
+    plane_figure,
+)
+from pipeline.theory.predictions import Theory
+
+
+def theory(mass: float = 0.58, damping: float = 4.0, delay: float = 4.0, period: float = 1e-3) -> Theory:
+    return Theory(
+        TheoryParameters(
+            mass=mass, damping=damping, stiffness=0, sampling_period_s=period, delay_samples=delay, source="test"
+        )
+    )
+
+
+@pytest.mark.parametrize("plant", [simulated.FALCON, {**simulated.FALCON, "mass": 1.0, "b": 34.0}])
+def test_drawn_boundary_is_the_limit_of_an_independent_loop(plant) -> None:
+    curve = by_theory(theory(plant["mass"], plant["b"], plant["delay"]), "x")
+    assert curve.x[-1] == 0  # closed along K = -k
+    for K, B in zip(curve.x[1:-1:6], curve.y[1:-1:6], strict=True):
+        if 0.05 * curve.x.max() < K:  # near K = 0 the pole at z = 1 hides the others
+            assert simulated.spectral_radius(K, B, **plant) == pytest.approx(1, abs=1e-9)
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0, 4.0])
+def test_outline_of_the_passive_region_needs_all_of_the_device_damping(delay: float) -> None:
+    curve = next(s for s in conditions(theory(delay=delay)) if s.kind == "passive")
+    w = np.linspace(1e-6, np.pi, 40_001)
+    inner = curve.x > 1e-6 * curve.x.max()
+    k, b = curve.x[inner] * 1e-3, curve.y[inner]
+    # (4.6): b must exceed this at every frequency; on the outline the largest of them is b itself
+    need = (np.sin((delay + 0.5) * w) * k[:, None] + 2 * np.sin(w / 2) * np.cos((delay + 1) * w) * -b[:, None]) / (
+        2 * np.sin(w / 2)
+    )
+    assert need.max(axis=1) == pytest.approx(4.0, rel=1e-3)  # a pixel of the drawing is 0.3 %
+
+
+def test_walls_stable_with_any_spring_hold_the_passive_ones_and_are_drawn_where_asked_for() -> None:
+    found = {s.kind: s for s in conditions(theory())}
+    inner = found["passive"].x > 0.05 * found["passive"].x.max()
+    for stiffness, damping in zip(found["passive"].x[inner][::6], found["passive"].y[inner][::6], strict=True):
+        # a chord of the outline, 0.2 Ns/m long, is 0.1 % inside it at most
+        assert stiffness < 1.001 * np.interp(damping, found["robust"].y, found["robust"].x)
+    assert {s.kind for s in conditions(theory(damping=0.0))} == {"linear"}, "nothing is passive without damping"
+    assert not Shown().has_overlay("robust")
+
+
+def test_measured_limits_have_the_interval_of_their_estimate_or_their_trials() -> None:
+    points = (
+        BoundaryPoint(damping=0, stable=100, unstable=300, censored=False),
+        BoundaryPoint(damping=4, stable=500, unstable=700, censored=False, estimate=590, low=560, high=640),
+        BoundaryPoint(damping=8, stable=900, unstable=None, censored=True, low=850),
+    )
+    result = experiment("1").model_copy(update={"boundary": points})
+    line, bound = measured(result, "limit", 3, intervals=True)
+    assert line.low.tolist() == [100, 560, 900]
+    assert line.high[:2].tolist() == [300, 640]
+    assert np.isnan(line.high[2])
+    assert (line.x[:2].tolist(), bound.x.tolist(), bound.number) == ([100, 500], [900], 3)
+    assert np.isnan(line.x[2]), "a lower bound is no limit: a line through it would claim one"
+
+
+def test_experiments_share_colours_over_all_figures_and_overlays_are_those_asked_for() -> None:
+    results = [experiment("1"), experiment("2"), experiment("6", "firm")]
+    theories = {"1": theory(), "6": theory(mass=0.7)}
+    everything = boundary_figures(results, theories, "translation", Shown(), sweep=False)
+    assert [f.identifier for f in everything] == ["boundaries-all", "boundaries-loop", "boundaries-normalised"]
+    for figure in everything:
+        lines = [s for panel in figure.panels for s in panel.series if s.label.startswith("experiment ")]
+        numbers = {s.label.split(" ")[1].strip(","): s.number for s in lines}
+        assert numbers.items() <= {"1": 0, "2": 1, "6": 2}.items()
+    few = boundary_figures(results, theories, "translation", Shown(overlays=()), sweep=False)
+    assert {s.kind for f in few for p in f.panels for s in p.series} == {"measured", "bound"}
+    delays = boundary_figures(results, theories, "translation", Shown(delays=(2, 3), overlays=("theory",)), sweep=True)
+    assert [s.label for s in delays[0].panels[0].series if s.kind == "theory"] == ["theory, d = 2", "theory, d = 3"]
+
+
+def test_identified_loop_is_drawn_with_its_interval_and_the_limit_for_a_harder_push() -> None:
+    limits = tuple(LoopLimit(damping=b, stiffness=900, low=800, high=1000, stiffness_large_motion=700) for b in (0, 4))
+    result = experiment("1").model_copy(update={"loop_boundary": limits})
+    (figure,) = boundary_figures([result], {}, "translation", Shown(), sweep=False)
+    found = {s.kind: s for s in figure.panels[0].series}
+    assert (found["identified"].x.tolist(), found["friction"].x.tolist()) == ([900, 900], [700, 700])
+    assert (found["envelope"].low.tolist(), found["envelope"].high.tolist()) == ([800, 800], [1000, 1000])
+
+
+def test_answer_shows_every_trial_behind_a_wall() -> None:
+    K, B = np.array([0.0, 100, 200, 300]), np.array([0.0, 4, 4, 8])
+    verdict = np.array(["stable", "stable", "unstable", "undecided"])
+    figure = answer_figure(experiment("1"), theory(), "rotation", 0, (K, B, verdict))
+    found = {s.kind: s for s in figure.panels[0].series}
+    assert (found["stable"].x.tolist(), found["unstable"].x.tolist()) == ([100], [200])
+    assert figure.panels[0].names[0] == "stiffness K [Nm/rad]"
+
+
+def test_normalised_plane_holds_several_devices_each_with_its_theory() -> None:
+    light, heavy = theory(), theory(mass=1.16, damping=8.0)  # twice all: the same loop in alpha and beta
+    slow = theory(mass=0.2, damping=0.0, delay=2.0, period=2e-3)
+    entries = [(f"device {i}", experiment("1"), t, i) for i, t in enumerate((light, heavy, slow))]
+    (panel,) = plane_figure(entries).panels
+    lines = [s for s in panel.series if s.kind == "measured"]
+    assert [s.label for s in lines] == [
+        "device 0 (d = 4, δ = 0.0069)",
+        "device 1 (d = 4, δ = 0.0069)",
+        "device 2 (d = 2, δ = 0)",
+    ]
+    predicted = [s for s in panel.series if s.kind == "theory"]
+    assert predicted[0].x == pytest.approx(predicted[1].x)
+    physical = next(measured(experiment("1"), "", None))
+    # alpha = K T^2/m, beta = B T/m (Table 3.1)
+    assert lines[2].x == pytest.approx(physical.x * 4e-6 / 0.2, nan_ok=True)
+    assert lines[2].y == pytest.approx(physical.y * 2e-3 / 0.2)
