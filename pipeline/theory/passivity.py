@@ -49,7 +49,7 @@ def required_damping(loop: Loop, alpha: Floats, beta: Floats) -> Floats:
         raise ParameterError("the position is sensed beyond the vibration mode: no wall is passive for every hand.")
     lowest = _NEAR_ZERO / (loop.delay + loop.lag + 1)
     found = search_lines(
-        lambda line, angle, _: -_needed(loop, alpha[line], beta[line], angle),
+        lambda line, angle, _: -_needed(loop, alpha[line], beta[line], np.clip(angle, lowest, np.pi)),
         *(np.full(len(alpha), lowest), np.full(len(alpha), np.pi)),
         coarse=int(_ANGLES * (loop.oldest_force + 2)) + 1,
     )
