@@ -50,8 +50,8 @@ from pipeline.rendering.figures.overview import delay_figure, trend_figure
 from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report.report import ReportData, answer_lines
 from pipeline.rendering.report.report import write as write_report
-from pipeline.store.gone import gone
 from pipeline.store.objects import origin
+from pipeline.store.storage import gone
 from pipeline.theory.predictions import Predictions, Theory
 
 

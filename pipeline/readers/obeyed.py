@@ -82,9 +82,12 @@ def obeyed(log: Log) -> Obeyed | None:
     header, command = log.header, log.command
     stated = {"stiffness": header.stiffness, "damping": header.damping, "step": header.step}
     gains, size = np.array([*stated.values()]), float(np.sqrt(np.mean(command**2)))
-    terms, free = _terms(log.time, command, log.position, header.sampling_period_s, header.extra.get("step_row"))
+    terms = _terms(log.time, command, log.position, header.sampling_period_s, header.extra.get("step_row"))
     off = command - terms @ gains
-    if not header.step or not size or free.sum() < LEAST_ROWS or np.sqrt(np.mean(off**2)) <= EXACT * size:
+    if not header.step or not size or np.sqrt(np.mean(off**2)) <= EXACT * size:
+        return None
+    free = _free(command)
+    if free.sum() < LEAST_ROWS:
         return None
     largest = float(np.abs(command).max())
     values, error, left = _fit(terms[free], command[free])
@@ -130,7 +133,7 @@ def law_of(time: Floats, command: Floats, position: Floats) -> Law | None:
     """
     if len(time) < LEAST_ROWS or not (np.diff(time) > 0).all() or not np.ptp(command) or not np.ptp(position):
         return None
-    terms, free = _terms(time, command, position, float(np.median(np.diff(time))), None)
+    terms, free = _terms(time, command, position, float(np.median(np.diff(time))), None), _free(command)
     if free.sum() < LEAST_ROWS:
         return None
     values, _, left = _fit(terms[free], command[free])
@@ -140,26 +143,26 @@ def law_of(time: Floats, command: Floats, position: Floats) -> Law | None:
     return Law(*map(float, np.where(told, values, 0.0)))
 
 
-def _terms(
-    time: Floats, command: Floats, position: Floats, period: float, declared: str | None
-) -> tuple[Floats, Booleans]:
-    """Return the terms of stiffness, damping and step in the command, shape (rows, 3), and the rows that count.
-
-    These are the rows in which the command stands at no limit that it keeps; none where they are less than half.
-    """
+def _terms(time: Floats, command: Floats, position: Floats, period: float, declared: str | None) -> Floats:
+    """Return the terms of stiffness, damping and step in the command, shape (rows, 3)."""
     passed = np.diff(time, prepend=time[:1] - period)
     jump = np.abs(np.diff(command))
     edge = int(declared) if declared is not None else int(jump.argmax()) + 1
     if declared is None and abs(command[0]) > 0.5 * jump.max():
         edge = 0
     after = (np.arange(len(time)) >= edge).astype(np.float64)
+    return np.stack([position[0] - position, -np.diff(position, prepend=position[:1]) / passed, after], axis=1)
+
+
+def _free(command: Floats) -> Booleans:
+    """Return the rows in which the command stands at no limit that it keeps; none where they are less than half."""
     free = np.ones(len(command), dtype=np.bool_)
     for limit in (command.max(), command.min()):
         at = command == limit
         if at.sum() >= LIMIT_ROWS and limit != command[0]:
             free &= ~at
-    terms = np.stack([position[0] - position, -np.diff(position, prepend=position[:1]) / passed, after], axis=1)
-    return terms, free & (2 * free.sum() >= len(free))
+    kept: Booleans = free & (2 * free.sum() >= len(free))
+    return kept
 
 
 def _fit(terms: Floats, command: Floats) -> tuple[Floats, Floats, float]:

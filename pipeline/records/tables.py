@@ -51,6 +51,8 @@ def _cost(criterion: Criterion) -> dict[str, Column]:
     }
 
 
+_BIASES, _TAILS = (tuple(f"energy_w{w}_{part}" for w in (0, 1, 2)) for part in ("bias", "tail"))
+
 COLUMNS: dict[str, Column] = {
     # identity and conditions of a trial
     "trial_id": _same(_S, "", "first 16 digits of the SHA-256 of the source log, or of that SHA-256 with the label"),
@@ -93,15 +95,8 @@ COLUMNS: dict[str, Column] = {
     "position": Column(_L, "m", "rad", "measured position"),
     "force": Column(_L, "N", "Nm", "measured force, where the log has one", True),
     "velocity": Column(_L, "m/s", "rad/s", "velocity as logged; no cost or estimate uses it", True),
-    "raw_time": _same(
-        _L, "", "time stamp as it stands in the source, where it is no whole number and not time_s", True
-    ),
-    "raw_count": _same(
-        _LI,
-        "",
-        "time stamp as it stands in the source, where it is a whole number (a date: without its decimal sign)",
-        True,
-    ),
+    "raw_time": _same(_L, "", "time stamp in the source, where it is no whole number and not time_s", True),
+    "raw_count": _same(_LI, "", "whole time stamp in the source (a date: without its decimal sign)", True),
     # stages with a row a trial
     "samples_sha256": _same(_S, "", "first 16 digits of the SHA-256 of conditions and samples that the row rests on"),
     # response stage
@@ -120,9 +115,7 @@ COLUMNS: dict[str, Column] = {
     "law_codes": _same(_S, "", "why it departs: codes of `wall_law.CODES`, comma separated; empty where it does not"),
     "law_evidence": _same(_S, "", "the evidence for them, in words"),
     "law_rows": _same(_I, "", "rows concerned"),
-    "obeyed_stiffness": Column(
-        _F, "N/m", "Nm/rad", "stiffness that the command obeys, where it is not the stated one", True
-    ),
+    "obeyed_stiffness": Column(_F, "N/m", "Nm/rad", "stiffness that the command obeys, if not the stated", True),
     "obeyed_damping": Column(_F, "Ns/m", "Nms/rad", "damping of the same wall", True),
     "obeyed_step": Column(_F, "N", "Nm", "step of the same command", True),
     "velocity_filter": _same(_S, "", "filter b(z)/a(z) of the velocity that the log shows, as JSON", True),
@@ -146,9 +139,7 @@ COLUMNS: dict[str, Column] = {
     "model_jitter": _same(_F, "samples", "standard deviation of the delay within the trial", True),
     "model_jitter_error": _same(_F, "samples", "its standard error", True),
     "model_start": Column(_F, "m", "rad", "position before the step by the model", True),
-    "misfit": _same(
-        _F, "1", "root mean square of the whitened errors of the model; 1 where the sensor explains them", True
-    ),
+    "misfit": _same(_F, "1", "RMS of the whitened errors of the model; 1 where the sensor explains them", True),
     "whiteness": _same(_F, "1", "p-value of a test that these errors are not correlated", True),
     "friction_gain": _same(_F, "1", "fall of the deviance by friction beside the jitter of the model", True),
     "ghost_deviation": Column(_F, "m", "rad", "root mean square of log minus simulated loop (ghost)", True),
@@ -167,14 +158,8 @@ COLUMNS: dict[str, Column] = {
     # cost stages
     **{name: column for criterion in MEASURED for name, column in _cost(criterion_of(criterion)).items()},
     "overshoot_floor": _same(_F, "1", "overshoot that sensor and chatter alone can cause"),
-    **{
-        name: column
-        for w in (0, 1, 2)
-        for name, column in {
-            f"energy_w{w}_bias": _same(_F, "1", "what noise and quantum add to the sum, taken off", True),
-            f"energy_w{w}_tail": _same(_F, "1", "part of the cost that lies beyond the horizon, extrapolated", True),
-        }.items()
-    },
+    **dict.fromkeys(_BIASES, _same(_F, "1", "what noise and quantum add to the sum, taken off", True)),
+    **dict.fromkeys(_TAILS, _same(_F, "1", "part of the cost that lies beyond the horizon, extrapolated", True)),
     "horizon_samples": _same(_I, "samples", "number of samples summed before the noise floor or the end", True),
     # ladder stage
     "role": _same(_S, "", "best, next best, or alike: as many parts and not to be told apart from the best"),
@@ -196,10 +181,7 @@ COLUMNS: dict[str, Column] = {
 
 _BESIDE = {
     "overshoot": ("overshoot_floor",),
-    "energy": (
-        *(f"energy_w{w}_{part}" for w in (0, 1, 2) for part in ("bias", "tail")),
-        "horizon_samples",
-    ),
+    "energy": (*(name for pair in zip(_BIASES, _TAILS, strict=True) for name in pair), "horizon_samples"),
 }
 """Columns of a cost stage beside those of the costs."""
 

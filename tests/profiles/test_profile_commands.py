@@ -11,19 +11,13 @@ import numpy as np
 import pytest
 from native_logs import FAULTS, log_text
 
-from pipeline.base.errors import LogError, ParameterError, ProfileError
-from pipeline.profiles.profile_files import read_profile, shipped_profiles
+from pipeline.base.errors import LogError
+from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.profiles.profile_lines import find_questions
 from pipeline.readers.file_kind import format_of
 from pipeline.readers.layout import text_layout
 from pipeline.shell.cli import run
 from pipeline.shell.profile.profile_draft import draft_profile
-
-COMMANDS = {
-    "profile check": ["--json"],
-    "profile draft": ["--out", "--overwrite", "--json"],
-    "quarantine": ["--retry", "--profile", "--processed", "--json"],
-}
 
 TOML = """name = "lab"
 format = "delimited"
@@ -84,14 +78,6 @@ def lab(tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_help_names_purpose_options_and_an_example(call, command):
-    status, out, _ = call(*command.split(), "--help")
-    assert status == 0
-    assert [option for option in COMMANDS[command] if option not in out] == []
-    assert f"Example: pipeline {command}" in out
-
-
 # check
 
 
@@ -122,12 +108,6 @@ def test_check_shows_values_in_si_and_where_they_come_from(call, lab):
     assert re.search(r"stiffness +300 N/m +from name_pattern", out)
     assert re.search(r"position +0 to 0\.00075 m +from x \[mm\]", out)
     assert re.search(r"step +row 2: found in the command", out)
-
-
-def test_check_names_the_most_special_place(call, lab):
-    (lab / "K7.csv").write_text(LOG, encoding="utf-8")
-    _, out, _ = call("profile", "check", "lab.toml", "K7.csv")
-    assert re.search(r"damping +3 Ns/m +from file, match = 'K7\*'", out)
 
 
 def test_check_shows_what_ingest_stores(call, lab):
@@ -170,21 +150,6 @@ def test_check_shows_the_refusal_that_ingest_would_give(call, lab, name, text, r
     assert status == 3
     if row is not None:
         assert json.loads(out)["quarantined"][0]["reason"] == document["samples"][0]["reason"]
-
-
-def test_a_wrong_profile_leaves_with_1_and_all_of_its_mistakes(call, lab):
-    wrong = (
-        TOML.replace('unit = "mm"', 'unit = "kg"').replace('decimal = ","', 'decimals = ","').replace("step = 8\n", "")
-    )
-    (lab / "lab.toml").write_text(wrong, encoding="utf-8")
-    status, out, err = call("profile", "check", "lab.toml", "K300.csv")
-    assert (status, out) == (1, "")
-    lines = [line for line in err.splitlines() if line.startswith("lab.toml:")]
-    assert [re.match(r"lab\.toml:(\d+): key '(.*?)'", line).groups() for line in lines] == [
-        ("5", "decimals"),
-        ("20", "columns.position.unit"),
-        ("23", "constants.step"),
-    ]
 
 
 def test_check_reads_native_logs_and_shipped_profiles(call, tmp_path):
@@ -277,12 +242,6 @@ def test_a_decimal_mark_that_could_part_thousands_is_asked(cells, asked):
     assert layout.keys.get("decimal") == (None if asked else "," if "," in cells else ".")
 
 
-@pytest.mark.parametrize("text", ["", "hello\n", "a;b\nc;d\ne;f\n"])
-def test_a_text_without_a_table_is_refused(text):
-    with pytest.raises(LogError, match=r"no table of numbers|is empty"):
-        text_layout("x", text.encode())
-
-
 def test_a_draft_asks_and_is_refused_until_it_is_answered(call, tmp_path):
     (tmp_path / "K300.csv").write_bytes(GERMAN.encode("latin-1"))
     assert call("profile", "draft", "K300.csv", "--out", "lab.toml") == (0, "lab.toml: 17 questions are open\n", "")
@@ -332,15 +291,6 @@ def test_a_draft_as_one_json_document(call, tmp_path):
     _, out, _ = call("profile", "draft", "K300.csv", "--out", "lab.toml", "--json")
     assert json.loads(out) == document | {"out": "lab.toml"}
     assert (tmp_path / "lab.toml").read_text(encoding="utf-8") == document["profile"]
-
-
-def test_one_open_question_is_enough_to_refuse(tmp_path):
-    path = tmp_path / "lab.toml"
-    path.write_text(
-        TOML.replace('unit = "N"\nsign = 1', 'unit = "N"\n# QUESTION: columns.command.sign: 1 or -1?\n# sign = 1')
-    )
-    with pytest.raises(ProfileError, match=r"lab\.toml:16: key 'columns\.command\.sign': open question: 1 or -1\?"):
-        read_profile(path)
 
 
 WRITTEN = {
@@ -509,34 +459,6 @@ def test_a_trial_without_a_step_is_stored_and_has_no_step_row(call, tmp_path):
     assert "step is 0 (none was commanded), but the step is declared in row 3" in out
 
 
-def test_a_wall_without_a_step_has_no_verdict_and_no_costs(falcon):
-    from dataclasses import replace
-
-    from pipeline.measured.cost.costs import overshoot
-    from pipeline.measured.cost.energy import energy_interval
-    from pipeline.measured.cost.reading_error import reading_error
-    from pipeline.measured.fit.ghost import simulate_ghost
-    from pipeline.measured.signal import outcome, verdict
-    from pipeline.measured.signal.response import find_response
-    from pipeline.store.samples import load_batch
-    from pipeline.store.storage import read_trials
-
-    batch = load_batch(falcon.processed, read_trials(falcon.processed, "falcon", "1")).select(np.arange(4, 12))
-    batch = replace(batch, step=np.where(np.arange(8) == 3, 0.0, batch.step))
-    found = find_response(batch)
-    judged = verdict.judge(batch, found)
-    assert (judged.verdict[3], judged.reason[3]) == ("undecided", "no step was commanded (step is 0)")
-    assert np.isnan(judged.growth_per_s[3])
-    assert outcome.classify(batch, found, judged).outcome[3] == "no_step"
-    error = reading_error(batch, found, 4)
-    energies = energy_interval(batch, found, judged, error, 4, 0.58)
-    assert np.isnan(energies.value[3]).all()
-    assert "no step was commanded" in energies.reason[3]
-    assert np.isnan(overshoot(batch, found, judged).value[3])
-    ones = np.ones(8)
-    assert np.isnan(simulate_ghost(batch, found, 0.58 * ones, 4 * ones, 4 * ones).relative[3])
-
-
 def test_shipped_profiles_claim_no_file_twice():
     names = ("2024-10-26_12h23m42.json", "own_ctrl_pop.mat", "a.simulink.mat", "june.trials.csv", "fri_K1_B1_F1.csv")
     for name in names:
@@ -566,20 +488,6 @@ def test_documents_beside_logs_are_no_logs(call, tmp_path):
     assert json.loads(call("ingest", "logs", "--json")[1])["found"] == 1
     # one that is named is looked at
     assert call("ingest", Path("logs/README.md"))[0] == 3
-
-
-def test_si_units_exist_for_all_quantities():
-    from pipeline.base.units import factor_to_si
-    from pipeline.profiles.profile_columns import QUANTITIES
-    from pipeline.profiles.profile_model import CONDITION_QUANTITIES
-    from pipeline.shell.profile.profile_check import si_unit
-
-    for table in (QUANTITIES, CONDITION_QUANTITIES):
-        for quantities in table.values():
-            for quantity in quantities.values():
-                assert factor_to_si(si_unit(quantity), (quantity,)) == 1.0
-    with pytest.raises(ParameterError):
-        factor_to_si(si_unit("force"), ("torque",))
 
 
 @pytest.mark.parametrize("text", ["x\n1.0\n2.0\n3.5\n", "1.0\n2.0\n3.5\n", "0.1;\n0.2;\n0.3;\n"])

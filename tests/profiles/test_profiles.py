@@ -15,7 +15,7 @@ from pipeline.base.units import UNITS, factor_to_si
 from pipeline.profiles.profile_files import claim, load_profile, read_profile, shipped_profiles
 from pipeline.profiles.profile_lines import key_lines
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers import Log, RawLog, reader_of
+from pipeline.readers import RawLog, reader_of
 
 PENDULUM = SHARED / "real" / "dfki_pendulum"
 
@@ -85,41 +85,6 @@ def test_a_unit_of_another_quantity_is_refused():
 def test_shipped_profiles_are_found_by_name():
     assert {"native", "dfki_pendulum"} <= {p.name for p in shipped_profiles()}
     assert load_profile("native").format == "native"
-
-
-def test_delimited_log_is_converted_to_si(profile_file):
-    log = read_one(load_profile(profile_file(TOML)), TEXT)
-    assert isinstance(log, Log)
-    np.testing.assert_allclose(log.time, [0, 0.001, 0.002], rtol=1e-15)
-    np.testing.assert_allclose(log.command, [-1, -0.0025, 0.004], rtol=1e-15)
-    np.testing.assert_allclose(log.position, [0.5e-6, 1e-6, 1e-3], rtol=1e-15)
-    assert (log.header.device, log.header.stiffness, log.header.damping) == ("bench", 300.0, 2.0)
-    assert log.header.motion == "translation"
-
-
-@pytest.mark.parametrize(
-    ("text", "row", "words"),
-    [
-        (
-            TEXT.replace("x;", "y;"),
-            2,
-            r"wants column 'x' for columns.position once, found it 0 times among 4 columns: \['t'",
-        ),
-        (TEXT.replace("ignored", "x"), 2, "found it 2 times"),
-        (TEXT.replace("2,5", "much"), 4, "command must be a number .*found 'much'"),
-        (TEXT.replace("1;b;", "1;"), 4, "expected 4 values, found 3"),
-        (TEXT.replace("1e3", "nan"), 5, "position has no value: column 'x' is blank, or no number"),
-        (TEXT.replace("2;c", "1;c"), 5, "in two rows"),
-        ("made by lab\n", 1, "is empty"),
-        ("made by lab\nt;ignored;x;F\n", 3, "0 samples"),
-    ],
-)
-def test_a_delimited_log_is_refused_with_its_row(profile_file, text, row, words):
-    error = read_one(load_profile(profile_file(TOML)), text)
-    assert isinstance(error, LogError)
-    assert error.row == row
-    with pytest.raises(LogError, match=words):
-        raise error
 
 
 def test_a_file_name_without_its_constants_is_refused(profile_file):

@@ -171,18 +171,17 @@ def damage_and_ingest(folder: Path, kind: str, count: int, seed: int) -> tuple[i
     return report.ingested - len(GOOD_ROWS), len(report.quarantined)
 
 
-@pytest.mark.parametrize("kind", FORMATS)
-def test_forty_damaged_logs_of_each_format(tmp_path, kind):
-    _, refused = damage_and_ingest(tmp_path, kind, 40, 0)
-    assert refused > 10, "the damage is hardly noticed"
+@pytest.mark.parametrize("kind", ["native", "delimited", "json", "parquet", "matlab 7.3", "mcap"])
+def test_damaged_logs(tmp_path, kind):
+    _, refused = damage_and_ingest(tmp_path, kind, 10, 0)
+    assert refused > 2, "the damage is hardly noticed"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("kind", FORMATS)
-def test_damaged_logs_of_each_format(tmp_path, kind, seed):
-    _, refused = damage_and_ingest(tmp_path, kind, 150, seed)
-    assert refused > 40, "the damage is hardly noticed"
+def test_many_damaged_logs_of_each_format(tmp_path, kind):
+    _, refused = damage_and_ingest(tmp_path, kind, 400, 0)
+    assert refused > 80, "the damage is hardly noticed"
 
 
 NATIVE = next(profile for profile in shipped_profiles() if profile.format == "native")
@@ -196,7 +195,7 @@ PIECES = st.one_of(
 )
 
 
-@settings(max_examples=500, deadline=None, database=None, derandomize=True)
+@settings(max_examples=100, deadline=None, database=None, derandomize=True)
 @given(st.lists(PIECES, max_size=30), st.sampled_from(["", "\n", "\r\n"]), st.integers(0, len(LINES)))
 @example(["\ud800"], "\n", 0)
 def test_any_text_is_a_native_log_or_refused(pieces, end, kept):

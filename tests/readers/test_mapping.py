@@ -2,16 +2,12 @@
 
 import gzip
 import json
-import os
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from native_logs import log_text
 
-from pipeline.base import disk
-from pipeline.intake import ingest as ingest_module
 from pipeline.intake.ingest import ingest
 from pipeline.records.table_files import read_table
 from pipeline.records.tables import SAMPLES
@@ -312,14 +308,6 @@ def test_a_measured_step_of_two_thirds_of_the_commanded_one_is_kept_beside_it(la
     assert trial["extra"]["provenance.force"] == "motor current"
 
 
-@pytest.mark.parametrize("name", ["K3200 🦾\nrun\n2.txt", "K3200 %'\" $(x).txt", "K3200 [a]*?.txt"])
-def test_a_path_with_strange_characters(lab, name):
-    toml = HEAD + 'name_pattern = "K(?P<stiffness>[0-9]+)"\n' + COLUMNS + CONSTANTS.replace("stiffness = 300\n", "")
-    trial, _, _ = lab.one(toml, "t,F,x\n0,0,0\n1,8,0\n", name)
-    assert trial["source_path"] == str(lab.logs / name)
-    assert trial["stiffness"] == 3200
-
-
 def test_a_packed_log(lab):
     toml = HEAD.replace("*.txt", "*.txt.gz") + COLUMNS + CONSTANTS
     _, samples, _ = lab.one(toml, gzip.compress(b"t,F,x\n0,0,0\n1,8,0.5\n"), "run.txt.gz")
@@ -364,42 +352,6 @@ def test_one_refused_trial_refuses_its_file(lab):
     row, reason = lab.refused(LONG_TOML, LONG.replace("c,3,1,8,3", ",3,1,8,3"))
     assert row == 7
     assert "trial_column) is blank" in reason
-
-
-def test_trials_of_a_former_version_are_not_read_even_before_they_are_removed(lab, monkeypatch):
-    lab.ingest(LONG_TOML, {"long.txt": LONG})
-    monkeypatch.setattr(ingest_module, "tidy", lambda *_, **__: None)
-    shorter = "".join(line for line in LONG.splitlines(keepends=True) if not line.startswith("c"))
-    lab.ingest(LONG_TOML, {"long.txt": shorter})
-    assert sum(read_table(file).num_rows for file in lab.processed.glob("trials/**/*.parquet")) == 5
-    assert sorted(trial["label"] for trial in lab.trials) == ["a", "b"]
-
-
-@pytest.mark.parametrize("call", range(1, 4))
-def test_an_interrupted_source_is_completed(lab, monkeypatch, call):
-    toml = LONG_TOML.replace('stiffness = "K" }', 'stiffness = "K", experiment = "run" }').replace(
-        'experiment = "1"\n', ""
-    )
-    calls = []
-
-    def replace_or_fail(old, new):
-        calls.append(new)
-        if len(calls) == call:
-            raise OSError(28, "No space left on device")
-        return original(old, new)
-
-    original = os.replace
-    monkeypatch.setattr(disk.os, "replace", replace_or_fail)
-    with pytest.raises(Exception, match="No space left"):
-        lab.ingest(toml, {"long.txt": LONG})
-    monkeypatch.undo()
-    assert len(lab.trials) < 3
-    report = lab.ingest(toml, {"other.txt": LONG.replace("b,2", "b,7")})  # written together with the rest of the first
-    assert (report.found, report.ingested) == (2, 2)
-    assert sorted(trial["experiment"] for trial in lab.trials) == ["a", "a", "b", "b", "c", "c"]
-    assert len(lab.samples(lab.trials[0])["time_s"]) == 3
-    assert sum(read_table(file).num_rows for file in lab.processed.glob("trials/**/*.parquet")) == 6
-    assert lab.again().skipped == 2
 
 
 def test_several_steps_in_one_file(lab):
@@ -511,24 +463,6 @@ def test_a_refusal_names_file_row_column_and_the_line_to_add(lab, text, row, wor
     assert found == row
     assert "run.txt" in reason
     assert words in reason
-
-
-def test_a_native_log_has_flags_and_no_raw_time(tmp_path):
-    (tmp_path / "a.csv").write_text(log_text())
-    ingest([tmp_path / "a.csv"], tmp_path / "processed", jobs=1)
-    (trial,) = read_trials(tmp_path / "processed").to_pylist()
-    quality = json.loads(trial["time_quality"])
-    assert (quality["gaps"], quality["dropped"], trial["label"], trial["source_trials"]) == (0, 0, None, 1)
-    table = read_table(tmp_path / "processed" / trial["sample_file"])
-    assert table.column("raw_time").null_count == table.column("raw_count").null_count == table.num_rows
-
-
-def test_a_profile_whose_sources_are_large_keeps_trials_of_a_file_together(lab, monkeypatch):
-    monkeypatch.setattr(ingest_module, "PENDING_BYTES", 1)
-    report = lab.ingest(LONG_TOML, {f"{name}.txt": LONG.replace("b,2", f"b,{name}") for name in (4, 5, 6)})
-    assert report.ingested == 3
-    assert len(lab.trials) == 9
-    assert lab.again().skipped == 3
 
 
 def test_stamps_of_two_parts_in_nanoseconds_are_kept_exactly(lab):

@@ -89,11 +89,3 @@ def test_an_empty_table_has_no_rows():
     buffer = BytesIO()
     parquet.write_table(arrow_table().slice(0, 0), buffer)
     assert len(frame(buffer.getvalue(), "t", "label")) == 0
-
-
-def test_a_claim_of_many_rows_is_refused_before_they_are_read():
-    buffer = BytesIO()
-    parquet.write_table(pa.table({"t": pa.array(np.zeros(20_000_000))}), buffer)
-    assert len(buffer.getvalue()) < 1e5
-    with pytest.raises(LogError, match="claims more than 8388608 values"):
-        frame(buffer.getvalue(), "t")

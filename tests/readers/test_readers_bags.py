@@ -132,6 +132,18 @@ def test_a_recording_that_was_cut_is_refused_with_what_mends_it(bags, kind):
         frame(kind, whole[: int(0.9 * len(whole))], "/arm/joints.position[0]")
 
 
+def without_definitions(data):
+    """The same database as ROS 2 wrote it before it kept definitions."""
+    database = sqlite3.connect(":memory:")
+    database.deserialize(data)
+    for table in ("message_definitions", "schema", "metadata"):
+        database.execute(f"DROP TABLE {table}")
+    database.commit()
+    image = bytes(database.serialize())
+    database.close()
+    return image
+
+
 def test_own_message_types_come_with_their_definition():
     text = (
         "float64[3] q\nbuiltin_interfaces/Duration lag\nint8 LOW=1\nSub[] parts\n"
@@ -159,18 +171,6 @@ def test_own_message_types_come_with_their_definition():
         frame("db3", old, "/state.lag")
 
 
-def without_definitions(data):
-    """The same database as ROS 2 wrote it before it kept definitions."""
-    database = sqlite3.connect(":memory:")
-    database.deserialize(data)
-    for table in ("message_definitions", "schema", "metadata"):
-        database.execute(f"DROP TABLE {table}")
-    database.commit()
-    image = bytes(database.serialize())
-    database.close()
-    return image
-
-
 def test_an_old_database_is_read_where_ros_never_changed_the_type(bags):
     old = without_definitions(bags["db3", ""])
     read = frame("db3", old, "/arm/joints.position[1]")
@@ -191,26 +191,6 @@ def text(value):
     return struct.pack("<I", len(value)) + value.encode()
 
 
-def test_definitions_in_idl():
-    idl = (
-        "=" * 80
-        + "\nIDL: lab_msgs/msg/State\nmodule lab_msgs { module msg { struct State { double q[2]; int32 n; }; }; };\n"
-    )
-    parts = [b"\x89MCAP0\r\n", record(1, text("ros2") + text("lab"))]
-    parts.append(record(3, struct.pack("<H", 1) + text("lab_msgs/msg/State") + text("ros2idl") + text(idl)))
-    parts.append(record(4, struct.pack("<HH", 1, 1) + text("/state") + text("cdr") + struct.pack("<I", 0)))
-    for n in range(3):
-        parts.append(record(5, struct.pack("<HIQQ", 1, n, n, n) + b"\0\1\0\0" + struct.pack("<ddi", n, 2 * n, -n)))
-    read = frame(
-        "mcap",
-        b"".join([*parts, record(15, bytes(4)), record(2, bytes(20)), b"\x89MCAP0\r\n"]),
-        "/state.q[1]",
-        "/state.n",
-    )
-    assert read.columns["/state.q[1]"].tolist() == [0.0, 2.0, 4.0]
-    assert read.columns["/state.n"].tolist() == [0, -1, -2]
-
-
 def test_other_files_are_refused(bags):
     for kind, name, data, words in (
         ("rosbag", "log.bag", bags["mcap", ""], 'format = "mcap"'),
@@ -224,18 +204,6 @@ def test_other_files_are_refused(bags):
     with pytest.raises(LogError, match="missing tables"):
         frame("db3", bytes(database.serialize()), "/command.data")
     database.close()
-
-
-def test_a_packed_list_may_be_longer_than_the_file():
-    def fill(writer, store, is_ros1):
-        floats, layout = store.types["std_msgs/msg/Float64MultiArray"], store.types["std_msgs/msg/MultiArrayLayout"]
-        connection = writer.add_connection("/zeros", floats.__msgtype__, typestore=store)
-        message = floats(layout=layout(dim=[], data_offset=0), data=np.zeros(50_000))
-        writer.write(connection, 1, store.serialize_cdr(message, floats.__msgtype__))
-
-    data = bag_file("mcap", fill, "zstd")
-    assert len(data) < 50_000
-    assert frame("mcap", data, "/zeros.data[49999]").columns["/zeros.data[49999]"].tolist() == [0.0]
 
 
 def test_lists_of_several_lengths_have_gaps():

@@ -1,94 +1,22 @@
 """Damaged, cut, empty and hostile files: a frame or a `LogError` comes out, whatever the bytes."""
 
-import random
-import time
 import tomllib
 from concurrent.futures import ThreadPoolExecutor
-from itertools import islice
 
 import misbehaving
 import numpy as np
 import pytest
 from foreign_files import (
-    arrow_log,
-    bag_file,
     hdf5_file,
-    hdf5_log,
-    joint_log,
-    json_log,
     list_columns,
-    matlab5_log,
-    matlab73_log,
     read_frame,
-    tdms_log,
 )
 from places import ROOT
 
 from pipeline.base.errors import LogError
 from pipeline.readers.formats import FORMATS
-from pipeline.readers.frame import ColumnInfo, Contents
 from pipeline.readers.isolation import isolated, library
 from pipeline.readers.limits import allowed_bytes
-
-FILES = {
-    "json": ("json", json_log),
-    "parquet": ("parquet", lambda: arrow_log("parquet")),
-    "feather": ("feather", lambda: arrow_log("lz4")),
-    "feather unpacked": ("feather", lambda: arrow_log("uncompressed")),
-    "matlab 5": ("matlab", lambda: matlab5_log(False)),
-    "matlab 5 packed": ("matlab", lambda: matlab5_log(True)),
-    "matlab 7.3": ("matlab", lambda: hdf5_file(matlab73_log, 512)),
-    "hdf5": ("hdf5", lambda: hdf5_file(hdf5_log)),
-    "tdms": ("tdms", tdms_log),
-    "bag": ("rosbag", lambda: bag_file("bag", joint_log)),
-    "bag packed": ("rosbag", lambda: bag_file("bag", joint_log, "lz4")),
-    "db3": ("rosbag", lambda: bag_file("db3", joint_log)),
-    "mcap": ("mcap", lambda: bag_file("mcap", joint_log)),
-    "mcap packed": ("mcap", lambda: bag_file("mcap", joint_log, "zstd")),
-}
-DAMAGES = 200
-LONGEST_S = 15.0
-"""Wait for one file: 0.6 s of processor time (isolation.CPU_SECONDS) on a machine with 20 times that load."""
-
-
-def damaged(data, seed):
-    """Yield copies of a file that are cut, or have up to 40 changed bytes."""
-    rng = random.Random(seed)
-    while True:
-        copy = bytearray(data)
-        if rng.random() < 0.25:
-            del copy[rng.randrange(len(copy)) :]
-        for _ in range(rng.choice((1, 1, 2, 8, 40)) if copy else 0):
-            copy[rng.randrange(len(copy))] = rng.choice((0, 0x7F, 0x80, 0xFF, rng.randrange(256)))
-        yield bytes(copy)
-
-
-@pytest.mark.sampled
-@pytest.mark.parametrize("kind", FILES)
-def test_only_frames_and_log_errors_come_out(kind):
-    form, make = FILES[kind]
-    name = f"log.{'bag' if 'bag' in kind else kind.split()[0]}"
-    settings = {"records": "entries"} if kind == "json" else {}
-    whole = make()
-    assert len(list_columns(form, name, whole, **settings)) > 3
-    refusals = []
-    longest = 0.0
-    for number, data in enumerate(islice(damaged(whole, kind), DAMAGES)):
-        start = time.monotonic()
-        try:
-            if number % 2:
-                found = list_columns(form, name, data, **settings)
-                assert all(isinstance(info, ColumnInfo) for info in found)
-            else:
-                found = read_frame(form, name, data, **settings)
-                assert isinstance(found, Contents)
-                assert {len(column) for column in found.columns.values()} <= {len(found.row)}
-        except LogError as error:
-            refusals.append(str(error))
-        longest = max(longest, time.monotonic() - start)
-    assert refusals, "no damage was noticed"
-    assert [refusal for refusal in refusals if not refusal.startswith("log")] == [], "a refusal names the file"
-    assert longest < LONGEST_S
 
 
 @pytest.mark.parametrize("form", ["json", "parquet", "feather", "matlab", "hdf5", "tdms", "rosbag", "mcap", "mdf"])

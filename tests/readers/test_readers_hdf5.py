@@ -109,14 +109,6 @@ def test_no_other_file_is_opened(tmp_path):
             frame(data, name)
 
 
-def test_a_claim_of_many_values_is_refused_before_they_are_read():
-    data = hdf5_file(lambda file: file.create_dataset("t", (10**12,), "f8", chunks=(1000,)))
-    with pytest.raises(LogError, match="takes more memory than a file of its size may"):
-        frame(data, "t")
-    (info,) = list_columns("hdf5", "log.h5", data)
-    assert "claims more values" in info.hint
-
-
 def test_loops_of_groups_end():
     def write(file):
         file["a/t"] = np.arange(2.0)

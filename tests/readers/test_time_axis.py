@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import LogError
-from pipeline.profiles.profile_columns import Fraction, TimeSource
-from pipeline.readers.rows import add_seconds, distinct, in_order
+from pipeline.profiles.profile_columns import TimeSource
+from pipeline.readers.rows import add_seconds, in_order
 from pipeline.readers.time_axis import step_flags
 
 PERIOD = 1e-3
@@ -25,25 +25,6 @@ def stamps(values, rest=None, **keys):
     return table | add_seconds(source(**keys), table, PERIOD, "a.csv, column 't' (columns.time)") | table
 
 
-def test_absolute_stamps_keep_their_origin():
-    found = stamps([5.0, 6.5, 8.0])
-    np.testing.assert_allclose(found["time"], [0.005, 0.0065, 0.008], rtol=1e-15)
-    assert found["raw_time"].tolist() == [5.0, 6.5, 8.0]
-
-
-def test_steps_are_summed_from_the_row_before():
-    np.testing.assert_allclose(stamps([9.0, 1.0, 2.0, 1.0], kind="steps")["time"], [0, 1e-3, 3e-3, 4e-3], rtol=1e-15)
-
-
-def test_a_counter_counts_from_the_first_row_without_rounding():
-    ticks = 1_700_000_000_123_456_789 + np.array([0, 1_000_001, 3_000_003])
-    found = stamps(ticks, kind="counter", unit="ns")
-    assert found["time"].tolist() == [0.0, 1_000_001 * 1e-9, 3_000_003 * 1e-9]
-    assert found["raw_time"].tolist() == ticks.tolist()
-    clock = stamps([100, 350, 600], kind="counter", unit="s", counts_per_unit=250_000)
-    np.testing.assert_allclose(clock["time"], [0, 1e-3, 2e-3], rtol=1e-15)
-
-
 @pytest.mark.parametrize("dtype", [np.int64, np.float64])
 @pytest.mark.parametrize("wrap", [2**16, 2**32])
 def test_a_wrapped_counter_equals_one_that_goes_on(wrap, dtype):
@@ -59,16 +40,6 @@ def test_a_counter_above_its_wrap_is_refused():
     with pytest.raises(LogError, match=r"the counter is 65536; expected 0 to 65536.*where it starts again") as error:
         stamps([65535, 65536], kind="counter", wrap=65536)
     assert error.value.row == 11
-
-
-def test_seconds_and_nanoseconds_are_joined_without_rounding():
-    seconds, rest = np.array([1_700_000_000, 1_700_000_001]), np.array([999_999_999, 1])
-    fraction = Fraction(name="ns", unit="ns")
-    joined = stamps(seconds, rest, unit="s", kind="counter", fraction=fraction)
-    assert joined["raw_time"].tolist() == [1_700_000_000_999_999_999, 1_700_000_001_000_000_001]
-    assert joined["time"].tolist() == [0.0, 2e-9]
-    with pytest.raises(LogError, match=r"0.5 is no whole number; expected whole numbers where a stamp has two parts"):
-        stamps(np.array([0.5, 1.0]), rest, unit="s", fraction=fraction)
 
 
 def test_sampled_time_needs_no_stamps_and_agrees_with_coarse_ones():
@@ -98,34 +69,10 @@ def test_sampled_time_sees_one_lost_sample_where_each_stamp_differs():
     assert len(stamps(np.sort(late), kind="sampled")["time"]) == 30
 
 
-def test_rows_out_of_order_are_refused_or_sorted():
-    time = np.array([0.3, 0.4, 0.1, 0.2, 0.5])
-    with pytest.raises(
-        LogError, match=r"0.1\d* s after 0.4\d* s.*kind = \"counter\" and wrap.*order = \"sort\""
-    ) as error:
-        in_order(source(), table_of(time), "a")
-    assert error.value.row == 12
-    order, late = in_order(source(order="sort"), table_of(time), "a")
-    assert (time[order].tolist(), late) == (sorted(time), 2)
-    assert in_order(source(), table_of(np.sort(time)), "a")[1] == 0
-
-
 def test_rows_with_one_stamp_keep_their_order_when_sorted():
     time = np.random.default_rng(2).integers(0, 5, size=400).astype(float)
     order, _ = in_order(source(order="sort"), table_of(time), "a")
     assert all((np.diff(order[time[order] == stamp]) > 0).all() for stamp in range(5))
-
-
-def test_doubled_stamps_are_refused_or_thinned():
-    time = np.array([0.0, 1.0, 1.0, 1.0, 2.0])
-    with pytest.raises(
-        LogError, match=r"time is 1 s in two rows.*kind = \"sampled\".*duplicates = \"keep first\""
-    ) as error:
-        distinct(source(), table_of(time), "a")
-    assert error.value.row == 12
-    assert distinct(source(duplicates="keep first"), table_of(time), "a").tolist() == [True, True, False, False, True]
-    assert distinct(source(duplicates="keep last"), table_of(time), "a").tolist() == [True, False, False, True, True]
-    assert distinct(source(), table_of(time[:0]), "a").tolist() == []
 
 
 def test_flags_are_those_put_into_the_time():

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.wording import commonest, counted, listed
-from pipeline.measured.law.stated_wall import OTHER_WALL
 from pipeline.measured.law.velocity_filter import VelocityFilterFound
+from pipeline.measured.law.wall_law import OTHER_WALL
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import VelocityFilter

@@ -17,14 +17,11 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.measured.cost.reading_error import ReadingError
 from pipeline.measured.intervals import CONFIDENCE, NORMAL_95
-from pipeline.measured.signal.motion_end import reach
+from pipeline.measured.signal.motion_end import SETTLED_SAMPLES, reach
 from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.criteria import RISE_LEVELS, SETTLING_BANDS
-
-SETTLED_SAMPLES = 5
-"""Samples inside the band at the end: fewer may be a mere passage of the band."""
 
 NO_OVERSHOOT = 1e-12
 """Overshoot that counts as none (footnote 4 of 5.2.2), and so the smallest upper end."""

@@ -11,10 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.measured.law.log_rows import LogRows
-from pipeline.measured.law.lost_rows import EQUAL, PLATEAU, hidden_rows, is_equal
+from pipeline.measured.law.log_rows import EQUAL, PLATEAU, LogRows, hidden_rows, is_equal
 from pipeline.measured.law.velocity_filter import VelocityFilterFound, find_filter
-from pipeline.measured.law.wall_scale import fit, power_of_ten, scale_in
 from pipeline.records.batch import Booleans, Floats
 
 LONGEST_RAMP = 0.25
@@ -38,6 +36,10 @@ EXPLAINED = 1e-6
 
 CLIPPED = 1e-3
 """Part of a limit by which what a filtered wall demands may stay below it: its filter is known as well as that."""
+
+
+SCALE_TOLERANCE = 0.2
+"""Part by which the factor between two units may be off in a log whose velocity is filtered or clipped."""
 
 
 @dataclass(frozen=True)
@@ -185,11 +187,19 @@ def _other_step(log: LogRows) -> tuple[Departure, ...] | None:
     return (Departure("several_steps", text, len(e) - log.edge, float(len(turns))),)
 
 
+def _fit(terms: Floats, command: Floats) -> Floats:
+    """Return the factors of terms, shape (N, terms), whose sum is nearest to the command; 0 for a term of zeros."""
+    size = np.abs(terms).max(axis=0)
+    size[size == 0] = 1.0
+    result: Floats = np.linalg.lstsq(terms / size, command, rcond=None)[0] / size
+    return result
+
+
 def _other_wall(log: LogRows) -> tuple[Departure, ...] | None:
     """Another stiffness, damping, step or sign than the header's."""
     terms = np.stack([log.after.astype(np.float64), -log.displacement, -log.change / log.period], axis=1)
     weight = (log.kept / log.rounding)[:, None]
-    values = fit(terms * weight, log.command * weight[:, 0])
+    values = _fit(terms * weight, log.command * weight[:, 0])
     if log.off(np.matmul(terms, values).astype(np.float64)):
         return None
     # what moves the command by less than its rounding is nothing
@@ -204,16 +214,21 @@ def _other_wall(log: LogRows) -> tuple[Departure, ...] | None:
 
 def _other_unit(log: LogRows) -> tuple[Departure, ...] | None:
     """Stiffness and damping that are a power of ten times the header's, however the velocity is filtered."""
-    scale = scale_in(log)
-    if scale is None or not power_of_ten(scale.wall):
+    terms = np.stack([log.step * log.after, -log.wall], axis=1)
+    values = _fit(terms, log.command)
+    step, wall = map(float, values)
+    left = log.command - np.matmul(terms, values)
+    # a twentieth of the largest command, and nine tenths of its square, tell a factor
+    told = np.abs(wall * terms[:, 1]).max() > 0.05 * np.abs(log.command).max(initial=0.0)
+    power = 10.0 ** np.rint(np.log10(abs(wall))) if told and wall else 1.0
+    if power == 1.0 or abs(abs(wall) / power - 1) > SCALE_TOLERANCE or left @ left > 0.1 * (log.command @ log.command):
         return None
-    stiffness, damping = scale.wall * log.stiffness, scale.wall * log.damping
     evidence = (
-        f"the command obeys about K = {stiffness:.3g}, B = {damping:.3g}; its header says K = {log.stiffness:.6g}, "
-        f"B = {log.damping:.6g}"
+        f"the command obeys about K = {wall * log.stiffness:.3g}, B = {wall * log.damping:.3g}; its header says "
+        f"K = {log.stiffness:.6g}, B = {log.damping:.6g}"
     )
-    obeyed = (stiffness, damping, scale.step * log.step)
-    return (Departure("other_unit", evidence, len(log.command), scale.wall, obeyed=obeyed),)
+    obeyed = (wall * log.stiffness, wall * log.damping, step * log.step)
+    return (Departure("other_unit", evidence, len(log.command), wall, obeyed=obeyed),)
 
 
 def _velocity(log: LogRows) -> tuple[Floats, Floats]:

@@ -1,4 +1,8 @@
-"""One log as rows, with the residual of its wall law and what rounding of its printed numbers leaves of it."""
+"""One log as rows: what its printed digits leave open, the residual of its wall law, and rows missing or repeated.
+
+A file may print decimals or significant digits, or hold single precision, perhaps in print again. Which of these a
+column did shows in its numbers: the fewest digits that have them all. Each leaves half a unit in its last digit open.
+"""
 
 from __future__ import annotations
 
@@ -10,17 +14,133 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.measured.law.digits import full_resolution, printed, stated_resolution
 from pipeline.measured.signal.response import Response
-from pipeline.records.batch import Booleans, Floats, TrialBatch
+from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+
+FULL_DIGITS = 15
+"""Digits that a double holds whatever its size; more are those of arithmetic."""
+
+ROUNDED = 4.0
+"""Units of rounding by which a number may miss its digits: it was read, and perhaps converted to another unit."""
+
+FEWEST_NUMBERS = 3
+"""Different numbers that show digits: a column of 0 and 8 shows none."""
+
+SINGLE_DIGITS = (7, 9)
+"""Digits with which single precision is printed."""
+
+STATED_DIGITS = 5
+"""Digits from which on a number of a header was cut off rather than chosen."""
+
+_EPS, _SINGLE = float(np.finfo(np.float64).eps), float(np.finfo(np.float32).eps)
+
+
+@dataclass(frozen=True, eq=False)
+class Printed:
+    """How a column was printed.
+
+    Parameters
+    ----------
+    digits : int
+        Fewest significant digits that have all numbers, at most `FULL_DIGITS`.
+    decimal : float
+        Half a unit in the last decimal that all numbers have, 0 for none.
+    single : bool
+        Whether they are, or were before they were printed, of single precision.
+    half : float64, shape (N,)
+        Half a unit in the last digit of each number; 0 for 0 and for NaN.
+    """
+
+    digits: int
+    decimal: float
+    single: bool
+    half: Floats
+
+    @property
+    def in_full(self) -> bool:
+        """Whether the digits leave nothing open but rounding of doubles."""
+        return self.digits == FULL_DIGITS and not self.single
+
+
+def printed(values: Floats) -> Printed:
+    """Return how a column was printed, shape (N,), in its own unit or in degrees.
+
+    Notes
+    -----
+    Numbers with decimals have as many significant digits as their size allows, and few where they are small: of both
+    the coarser counts. No number is better than `FULL_DIGITS` digits.
+    """
+    found = _printed(np.where(np.isfinite(values), np.abs(values), 0.0))
+    if found.digits < FULL_DIGITS or found.single:
+        return found
+    degrees = _printed(np.rad2deg(np.where(np.isfinite(values), np.abs(values), 0.0)))
+    if degrees.digits == FULL_DIGITS:
+        return found
+    return replace(degrees, half=np.deg2rad(degrees.half), decimal=float(np.deg2rad(degrees.decimal)), single=False)
+
+
+def _printed(size: Floats) -> Printed:
+    full = _half(size, FULL_DIGITS)
+    if len(np.unique(size)) < FEWEST_NUMBERS:
+        return Printed(FULL_DIGITS, 0.0, False, full)
+    digits, decimal = _digits(size), _of_decimals(size)
+    half = np.maximum(_half(size, digits), decimal)
+    single = size.astype(np.float32).astype(np.float64)
+    if np.array_equal(single, size):
+        # single precision has its own digits; fewer are those of print
+        half = np.maximum(half * (digits < SINGLE_DIGITS[0]), 0.5 * _SINGLE * size)
+        return Printed(digits, decimal, True, np.maximum(half, full))
+    rounded = SINGLE_DIGITS[0] <= digits <= SINGLE_DIGITS[1] and bool((np.abs(single - size) <= half).all())
+    return Printed(digits, decimal, rounded, np.maximum(half + 0.5 * _SINGLE * size * rounded, full))
+
+
+def full_resolution(values: Floats) -> Floats:
+    """Return half a unit in the last digit of numbers that are printed in full, shape (N,)."""
+    return _half(np.where(np.isfinite(values), np.abs(values), 0.0), FULL_DIGITS)
+
+
+def stated_resolution(value: float) -> float:
+    """Return half a unit in the last digit of a number of a header, 0 where it has few digits."""
+    size = np.abs(np.array([value]))
+    digits = _digits(size)
+    return float(_half(size, digits)[0]) if digits >= STATED_DIGITS else 0.0
+
+
+def _digits(size: Floats) -> int:
+    return next((n for n in range(1, FULL_DIGITS) if _on_grid(size, n - 1 - _exponent(size)).all()), FULL_DIGITS)
+
+
+def _exponent(size: Floats) -> Floats:
+    """Return the power of ten of the first digit; 0 for 0."""
+    with np.errstate(divide="ignore"):
+        result: Floats = np.where(size > 0, np.floor(np.log10(size) + _EPS), 0.0)
+    return result
+
+
+def _half(size: Floats, digits: int) -> Floats:
+    return np.where(size > 0, 0.5 * 10.0 ** (_exponent(size) - digits + 1), 0.0)
+
+
+def _on_grid(size: Floats, decimals: Floats | int) -> Booleans:
+    """Return which numbers have so many decimals, up to rounding."""
+    scaled = size * 10.0 ** np.asarray(decimals, dtype=np.float64)
+    result: Booleans = np.abs(scaled - np.rint(scaled)) <= ROUNDED * _EPS * scaled
+    return result
+
+
+def _of_decimals(size: Floats) -> float:
+    """Return half a unit in the last decimal that all numbers have, 0 where they have more than digits allow."""
+    top = int(_exponent(np.array([size.max()]))[0])
+    found = (n for n in range(-top, FULL_DIGITS - 1 - top) if _on_grid(size, n).all())
+    decimals = next(found, None)
+    return 0.0 if decimals is None else 0.5 * 10.0**-decimals
+
 
 ROUNDINGS = 16.0
 """Units of rounding of the terms of the law up to which its residual is rounding: they are a dozen operations."""
 
 SINGLE_ROUNDINGS = 1.0
 """The same where commands are of single precision: less than its own digit leaves open."""
-
-_EPS, _SINGLE = float(np.finfo(np.float64).eps), float(np.finfo(np.float32).eps)
 
 CAUGHT_UP = 1.3
 """Way in the row after one that was held, relative to the way before it: twice at an even speed."""
@@ -153,4 +273,72 @@ def stands_still(change: Floats, after: Booleans, least: float | Floats) -> Bool
     before = np.where(np.roll(change, 1, axis=-1) != 0, np.roll(change, 1, axis=-1), np.roll(change, 2, axis=-1))
     still = (change == 0) & after & (np.abs(behind) > least) & (np.abs(before) > least) & (behind * before > 0)
     result: Booleans = still & (np.abs(behind) > CAUGHT_UP * np.abs(before))
+    return result
+
+
+PLATEAU = 2
+"""Rows of equal extreme command that show a limit: two equal numbers are no chance."""
+
+EQUAL = 1e-12
+"""Relative difference of commands that are the same number."""
+
+MOST_SPIKES = 0.34
+"""Largest share of rows off the law that single lost or repeated rows cause; with more, nothing is single."""
+
+STILL_FLOORS = 3.0
+"""Change of position on both sides of a row, in sensor floors, between which a device cannot stand still for a row."""
+
+STILL_DIGITS = 60.0
+"""The same in half units of the last digit: a quantum of a few of these is not seen as one."""
+
+GRID = 0.05
+"""Part of a quantum that a reading may be off its grid."""
+
+
+def hidden_rows(log: LogRows) -> Integers:
+    """Return the rows before which rows are missing by the wall law, while the stamps may not show it."""
+    none = np.empty(0, dtype=np.int64)
+    off = (np.abs(log.residual) > log.rounding) & log.after
+    if not off.any() or log.damping == 0 or off.mean() > MOST_SPIKES:
+        return none
+    # over a row that is missing the position changed by more than since the row before: the residual is a part of
+    # the damping force that the logged rows would give
+    moving = off & (log.change != 0)
+    if not moving.any():
+        return none
+    part = log.residual[moving] * log.period / (log.damping * log.change[moving])
+    single = off & ~np.roll(off, 1)
+    if np.median(part) > 0 and np.mean((part > -1) & (part < 2)) > 0.9 and single.sum() > 0.7 * off.sum():
+        return np.flatnonzero(off) if _on_sensor_grid(log, off) else none
+    return none
+
+
+def _on_sensor_grid(log: LogRows, off: Booleans) -> bool:
+    """Return whether the readings that would be missing lie on the grid of the sensor, as far as digits tell."""
+    scale = log.period / abs(log.damping)
+    tolerance = GRID * log.quantum + scale * log.rounding[off]
+    lost = scale * np.abs(log.residual[off])
+    told = tolerance < 2 * GRID * log.quantum
+    away = np.abs(lost - np.rint(lost / log.quantum) * log.quantum) if log.quantum else lost
+    return bool((away <= tolerance)[told].all())
+
+
+def repeated_rows(log: LogRows, *, by_law: bool = True) -> Integers:
+    """Return the rows that stand still while the device moves before and after them; one alone may be chance.
+
+    ``by_law`` counts those, too, that only the plain wall law tells from a device that is slow.
+    """
+    least = STILL_FLOORS * log.floor + EQUAL * np.ptp(log.position) + STILL_DIGITS * log.of_position
+    still = stands_still(log.change, log.after, least)
+    # the row itself is off the law where the device moved before, the row behind where it moves on
+    off = np.abs(log.residual) > log.rounding
+    same = np.diff(log.command, prepend=np.nan) == 0
+    still |= by_law & log.after & (log.change == 0) & ((same & off) | ((same | off) & np.append(off[1:], False)))
+    rows = np.flatnonzero(still)
+    return rows if len(rows) >= PLATEAU else rows[:0]
+
+
+def is_equal(values: Floats, limit: float) -> Booleans:
+    """Return which values are the same number as a limit, up to rounding."""
+    result: Booleans = np.abs(values - limit) <= EQUAL * max(abs(limit), 1e-300)
     return result

@@ -10,11 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.measured.law.log_rows import LogRows
-from pipeline.measured.law.lost_rows import STILL_FLOORS
 from pipeline.measured.law.stamps import ODD, read_stamps
-from pipeline.measured.law.wall_law import account
-from pipeline.measured.signal.response import NO_ROW, Response, external_force
-from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+from pipeline.measured.law.wall_law import WallLaw
+from pipeline.measured.signal.response import NO_ROW, Response
+from pipeline.records.batch import Booleans, Integers, TrialBatch
 
 LONGEST_GAP = 8
 """Missing rows in a row beyond which a motion is not interpolated: a quarter of a period of the fastest walls."""
@@ -24,9 +23,6 @@ MOST_MISSING = 0.1
 
 LARGEST_UNTOLD = 0.005
 """Part of the way of a device, there and back, that changes may be wrong by without a row that explains it."""
-
-DEPARTURE = 1e-3
-"""Departure from the wall law, relative to the step, from which on a log is looked at row by row."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +46,13 @@ class SampleGrid:
     filled: Integers
 
 
-def sample_grid(batch: TrialBatch, response: Response) -> SampleGrid:
+def sample_grid(batch: TrialBatch, response: Response, law: WallLaw) -> SampleGrid:
     """Return trials on the grid of their sampling period.
 
     Parameters
     ----------
     batch : TrialBatch
-    response : Response
+    response, law : Response, WallLaw
         Of the same trials.
 
     Notes
@@ -68,42 +64,30 @@ def sample_grid(batch: TrialBatch, response: Response) -> SampleGrid:
     """
     with np.errstate(invalid="ignore"):
         odd = np.abs(np.diff(batch.time, axis=1) / batch.sampling_period_s[:, None] - 1) > ODD
-    suspect = np.flatnonzero(odd.any(axis=1) | _doubtful(batch, response))
     filled, reason, trials = np.zeros(len(batch), dtype=np.int64), {}, {}
-    for i in suspect.tolist():
-        rows = int(batch.rows[i])
+    for i, of in enumerate(law.accounts):
+        rows, edge = int(batch.rows[i]), int(response.edge_row[i])
         seen, hidden = np.ones(rows, dtype=np.bool_), 0
-        if response.edge_row[i] > 0:
-            of = account(LogRows.of(batch, response, i))
+        if of is not None and edge > 0:
             skipped = of.stamps.skipped
             seen[of.repeated] = False
             hidden = 0 if skipped.any() else of.lost if of.departures is not None else _untold(of.log, seen)
-        else:
+        elif odd[i].any():
             skipped = read_stamps(batch.time[i, :rows], float(batch.sampling_period_s[i])).skipped
+        else:
+            continue
         index = np.concatenate([[0], np.cumsum(skipped + 1)])
         filled[i] = index[-1] + 1 - seen.sum()
-        reason[i] = _refused(index, int(response.edge_row[i]), int(filled[i]), hidden)
+        reason[i] = _refused(index, edge, int(filled[i]), hidden)
         trials[i] = index, seen
     if not filled.any() and not any(reason.values()):
         return SampleGrid(batch, response, batch, filled)
-    edge = response.edge_row.copy()
+    edges = response.edge_row.copy()
     for i, (index, _) in trials.items():
-        edge[i] = NO_ROW if reason[i] or edge[i] < 0 else index[edge[i]]
+        edges[i] = NO_ROW if reason[i] or edges[i] < 0 else index[edges[i]]
     text = tuple(reason.get(i) or old for i, old in enumerate(response.edge_reason))
-    moved = replace(response, edge_row=edge, edge_reason=text)
+    moved = replace(response, edge_row=edges, edge_reason=text)
     return SampleGrid(_placed(batch, trials, straight=False), moved, _placed(batch, trials, straight=True), filled)
-
-
-def _doubtful(batch: TrialBatch, response: Response) -> Booleans:
-    """Where a command departs from the wall law, or a device stands for one row while it moves before and after it."""
-    after = np.arange(batch.position.shape[1])[None, :] >= response.edge_row[:, None]
-    step = np.abs(batch.step)[:, None]
-    off = np.abs(np.nan_to_num(external_force(batch) - after * batch.step[:, None])) > DEPARTURE * step
-    change = np.abs(np.nan_to_num(np.diff(batch.position, axis=1)))
-    fast = change > STILL_FLOORS * response.floor[:, None]
-    stands = (change[:, 1:-1] == 0) & fast[:, 2:] & fast[:, :-2]
-    result: Booleans = response.has_edge & ((off & batch.valid).any(axis=1) | stands.any(axis=1))
-    return result
 
 
 def _untold(log: LogRows, seen: Booleans) -> int:
@@ -136,6 +120,8 @@ def _refused(index: Integers, edge: int, filled: int, hidden: int) -> str:
 
 def _placed(batch: TrialBatch, trials: dict[int, tuple[Integers, Booleans]], straight: bool) -> TrialBatch:
     """Return the trials with a row for every sample; those that are not named stay as they are."""
+    from scipy.interpolate import make_interp_spline
+
     rows = batch.rows.copy()
     for i, (index, _) in trials.items():
         rows[i] = index[-1] + 1
@@ -145,33 +131,9 @@ def _placed(batch: TrialBatch, trials: dict[int, tuple[Integers, Booleans]], str
         values = np.full((len(batch), columns), np.nan)
         values[:, : batch.position.shape[1]] = getattr(batch, name)
         for i, (index, seen) in trials.items():
-            own = getattr(batch, name)[i, : len(index)]
-            line = straight or name != "position"
-            values[i, : rows[i]] = (_lines if line else _cubics)(int(rows[i]), index[seen], own[seen])
+            own, all_rows = getattr(batch, name)[i, : len(index)][seen], np.arange(rows[i])
+            line = straight or name != "position" or len(own) == rows[i]
+            at = np.interp(all_rows, index[seen], own) if line else make_interp_spline(index[seen], own)(all_rows)
+            values[i, : rows[i]] = at
         wide[name] = values
     return replace(batch, rows=rows, force=None, velocity=None, step_row=None, **wide)  # type: ignore[arg-type]
-
-
-def _lines(count: int, index: Integers, values: Floats) -> Floats:
-    result: Floats = np.interp(np.arange(count), index, values)
-    return result
-
-
-def _cubics(count: int, index: Integers, values: Floats) -> Floats:
-    """Cubic through the two samples before and the two behind each of so many places; a line at the ends."""
-    result = _lines(count, index, values)
-    known = np.zeros(count, dtype=np.bool_)
-    known[index] = True
-    missing = np.flatnonzero(~known)
-    behind = np.searchsorted(index, missing)
-    inner = (behind >= 2) & (behind <= len(index) - 2)
-    missing, behind = missing[inner], behind[inner]
-    nodes = behind[:, None] + np.arange(-2, 2)
-    place, height = index[nodes].astype(np.float64), values[nodes]
-    total = np.zeros(len(missing))
-    for own in range(4):
-        others = [other for other in range(4) if other != own]
-        share = np.prod([(missing - place[:, other]) / (place[:, own] - place[:, other]) for other in others], axis=0)
-        total += share * height[:, own]
-    result[missing] = total
-    return result

@@ -13,14 +13,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.measured.law.candidates import Departure, explanation, hidden
-from pipeline.measured.law.log_rows import ROUNDINGS, LogRows, stands_still
-from pipeline.measured.law.lost_rows import EQUAL, PLATEAU, STILL_FLOORS, repeated_rows
+from pipeline.measured.law.log_rows import EQUAL, PLATEAU, ROUNDINGS, STILL_FLOORS, LogRows, repeated_rows, stands_still
 from pipeline.measured.law.stamps import ODD, Stamps, read_stamps
 from pipeline.measured.signal.response import CHUNK, Response, external_force
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
 PRINTED_IN_FULL = float(ROUNDINGS**2 * np.finfo(np.float64).eps)
 """Rounding of the law relative to its largest force where all numbers are printed in full, as `LogRows.of` has it."""
+
+OTHER_WALL = 0.02
+"""Departure from the stated law, relative to the step, from which on the wall is another one: a course brackets its
+limits no closer. A header that rounds K and B stays below."""
 
 CODES = (
     "saturation",
@@ -56,16 +59,40 @@ class WallLaw:
         What rounding of the printed numbers leaves of it at most.
     departures : tuple of tuple of Departure
         Why it is more, most certain first; empty where the law holds.
+    accounts : tuple of Account or None
+        What explains the rows of each log that was looked at row by row.
     """
 
     residual: Floats
     rounding: Floats
     departures: tuple[tuple[Departure, ...], ...]
+    accounts: tuple[Account | None, ...]
 
     @property
     def holds(self) -> Booleans:
         """Where the law holds up to rounding and nothing else speaks against the rows, shape (n,)."""
         return np.array([not found for found in self.departures]) & np.isfinite(self.residual)
+
+
+@dataclass(frozen=True, eq=False)
+class OtherWalls:
+    """Of each trial K, B and step that its command obeys, shape (n, 3), NaN where the stated ones; and this in words.
+
+    ``reason`` is empty where the command obeys what its header states.
+    """
+
+    obeyed: Floats
+    reason: tuple[str, ...]
+
+
+def other_walls(law: WallLaw) -> OtherWalls:
+    """Return which commands obey another wall or step than stated: nothing in K and B rests on them."""
+    obeyed, reason = np.full((len(law.departures), 3), np.nan), [""] * len(law.departures)
+    for i, found in enumerate(law.departures):
+        other = next((each for each in found if each.obeyed is not None), None)
+        if other is not None and law.residual[i] > OTHER_WALL:
+            obeyed[i], reason[i] = other.obeyed, other.evidence
+    return OtherWalls(obeyed, tuple(reason))
 
 
 def wall_law(batch: TrialBatch, response: Response) -> WallLaw:
@@ -91,6 +118,7 @@ def wall_law(batch: TrialBatch, response: Response) -> WallLaw:
     n = len(batch)
     residual, rounding = np.full(n, np.nan), np.full(n, np.nan)
     departures: list[tuple[Departure, ...]] = [()] * n
+    accounts: list[Account | None] = [None] * n
     for place, some in batch.portions(CHUNK):
         of, external = response.select(place), external_force(some)
         seen = of.has_edge & (some.step != 0)
@@ -100,11 +128,12 @@ def wall_law(batch: TrialBatch, response: Response) -> WallLaw:
         for i in np.flatnonzero(seen & ((off > least) | _odd_rows(some, of))):
             log = LogRows.of(some, of, int(i))
             rounding[place.start + i] = log.rounding.max() / size[i]
-            departures[place.start + i] = tuple(_departures(log))
+            accounts[place.start + i] = of_rows = account(log)
+            departures[place.start + i] = tuple(_departures(of_rows, log))
     for i in np.flatnonzero(response.steps > 1):
         found = Departure("several_steps", response.edge_reason[i], int(batch.rows[i]), float(response.steps[i]))
         departures[i] = (found,)
-    return WallLaw(residual, rounding, tuple(departures))
+    return WallLaw(residual, rounding, tuple(departures), tuple(accounts))
 
 
 def _largest_residual(batch: TrialBatch, response: Response, external: Floats) -> tuple[Floats, Floats]:
@@ -167,9 +196,8 @@ def account(log: LogRows) -> Account:
     return Account(log, stamps, held[: 0 if found else None], found[0].rows if found else 0, found)
 
 
-def _departures(log: LogRows) -> Iterator[Departure]:
+def _departures(of: Account, log: LogRows) -> Iterator[Departure]:
     """Yield what departs from the law: what the stamps show, then the rows and the law that explain the command."""
-    of = account(log)
     yield from (told := [*_by_stamps(of.stamps, log)])
     codes = {each.code for each in told}
     if of.departures is not None:

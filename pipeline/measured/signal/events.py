@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.measured.signal.disturbance import Disturbance
+from pipeline.measured.signal.disturbance import Device, Disturbance
 from pipeline.measured.signal.modes import FEWEST_SAMPLES
 from pipeline.measured.signal.response import NO_ROW, Response, external_force
-from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
-
-IDEAL_FLOOR = 1e-9
-"""Floor of a log without noise and quantum, relative to its range: rounding of positions is far below."""
+from pipeline.records.batch import Floats, Integers, TrialBatch
 
 STANDING_SAMPLES = 5
 """Rows for which a position stands at its extreme before it counts as a stop."""
@@ -19,42 +16,20 @@ IMPACT = 6.0
 """Last change before a stand, in floors: a smooth turn that stays within a floor and the rounding of a quantum for 5
 rows enters with 4 at most."""
 
-ABRUPT = 4.0
-"""Way in the two samples before an abrupt turn, relative to the two after it: a smooth turn comes to 2.2."""
+ABRUPT, REBOUNDS, LOUD = 4.0, 3, 40.0
+"""Way in the two samples before a turn, relative to the two after it, of which as many turns at the same extreme show a
+stop; a smooth turn comes to 2.2. And that way in floors: below it a smooth turn stays for several samples."""
 
-ROUNDING = 1e-3
-"""Part of a floor by which rounding moves a position over the edge of a quantum."""
-
-REBOUNDS = 3
-"""Abrupt turns at the same extreme that show a stop."""
-
-LOUD = 40.0
-"""Way in the two samples before an abrupt turn, in floors: below it a smooth turn stays within a floor of its extreme
-for several samples, and its first one lies far before the turn."""
+BLOW = 2.0
+"""Force of an impact relative to the step: hands push by less, and impacts of 0.2 m/s give more."""
 
 UNMOVED_SAMPLES = 36
 """Samples after the step within which a device that has not moved may still be waiting for the command: 12 of
 delay, and twice what a verdict needs."""
 
-ONSET = 0.01
-"""Part of the largest displacement within `UNMOVED_SAMPLES` that is a movement: sensor noise moves a soft device
-before the step does."""
-
-BLOW = 2.0
-"""Force of an impact relative to the step: hands push by less, and impacts of 0.2 m/s give more."""
-
 DEPARTURE = 1e-3
 """Smallest departure of the command from the wall law, relative to the step, that shows clipping: logs with few
 digits are rounded by less."""
-
-CLIPPED_ROWS = 2
-"""Rows of equal largest command off the wall law: two equal numbers are no chance."""
-
-EQUAL = 1e-9
-"""Commands within this part of the largest one are equal to it."""
-
-CHUNK = 64
-"""Trials that are looked at together: an array of theirs, 0.5 MB at 1,000 rows, stays in a processor's cache."""
 
 
 def usual_length(rows: Integers) -> int:
@@ -83,7 +58,8 @@ def left_travel(batch: TrialBatch, response: Response, usual: int) -> Integers:
     """
     centre = np.where(batch.stiffness > 0, response.position_final_expected, response.position_start)
     distance = np.where(batch.valid, np.abs(batch.position - centre[:, None]), 0.0)
-    end, before = (_row(distance, batch.rows - back) for back in (1, 2))
+    last = np.maximum(batch.rows[:, None] - [[1, 2]], 0)
+    end, before = np.take_along_axis(distance, last, axis=1).T
     farthest = end >= distance.max(axis=1, initial=0.0)
     beyond = np.where(batch.stiffness > 0, np.abs(response.position_start - centre), 0.0)
     left = (batch.rows < usual) & farthest & (end > beyond + response.floor) & (end - before > response.floor)
@@ -92,13 +68,13 @@ def left_travel(batch: TrialBatch, response: Response, usual: int) -> Integers:
     return np.where(left, batch.rows - 1, NO_ROW).astype(np.int64)
 
 
-def first_stop(batch: TrialBatch, response: Response, outside: Disturbance) -> Integers:
+def first_stop(batch: TrialBatch, response: Response, outside: Disturbance, device: Device) -> Integers:
     """Return the first row at a rigid stop, -1 where there is none, shape (n,).
 
     Parameters
     ----------
     batch : TrialBatch
-    response, outside : Response, Disturbance
+    response, outside, device : Response, Disturbance, Device
         Of the same trials.
 
     Notes
@@ -108,51 +84,41 @@ def first_stop(batch: TrialBatch, response: Response, outside: Disturbance) -> I
     several times, each time faster on the way there than on the way back, where a free oscillation is as fast. A
     stop that is touched gently is not seen, nor is a soft one.
     """
-    first = np.full(len(batch), NO_ROW, dtype=np.int64)
-    for some, part in batch.portions(CHUNK):
-        first[some] = _first_stop(part, response.select(some), outside.select(some))
-    return first
-
-
-def _first_stop(batch: TrialBatch, response: Response, outside: Disturbance) -> Integers:
-    x = batch.position
-    column = np.arange(x.shape[1])[None, :]
+    x, columns = batch.position, batch.position.shape[1]
+    column = np.arange(columns)[None, :]
     after = batch.valid & (column >= np.maximum(response.edge_row, 0)[:, None])
     highest = np.max(np.where(after, x, -np.inf), axis=1, initial=-np.inf)[:, None]
     lowest = np.min(np.where(after, x, np.inf), axis=1, initial=np.inf)[:, None]
-    floor = np.maximum(response.floor[:, None], IDEAL_FLOOR * (highest - lowest))
-    change = np.zeros_like(x)
-    change[:, 1:] = np.abs(np.diff(x, axis=1))
+    # rounding of positions is far below a billionth of their range
+    floor = np.maximum(response.floor[:, None], 1e-9 * (highest - lowest))
+    change = np.abs(np.diff(x, axis=1, prepend=x[:, :1]))
     # the device may arrive between two samples: then the change before that one tells its speed
     speed = np.nan_to_num(np.maximum(change, np.roll(change, 1, axis=1)))
     before, behind = np.zeros_like(x), np.full_like(x, np.inf)
-    before[:, 2:] = np.abs(x[:, 2:] - x[:, :-2])
-    behind[:, :-2] = before[:, 2:]
-    before, behind = np.nan_to_num(before), np.nan_to_num(behind, nan=np.inf)
-    first = np.full(len(batch), x.shape[1], dtype=np.int64)
+    before[:, 2:] = np.nan_to_num(np.abs(x[:, 2:] - x[:, :-2]))
+    behind[:, :-2] = np.where(batch.valid[:, 2:], before[:, 2:], np.inf)
     blown = (outside.first_row >= 0) & (np.abs(outside.force) > BLOW * np.abs(batch.step))
-    about = np.abs(column - outside.largest_row[:, None]) <= outside.span
+    about = np.abs(column - outside.largest_row[:, None]) <= device.span
+    first = np.full(len(batch), columns, dtype=np.int64)
     for side, depth in ((-1, highest - x), (1, x - lowest)):
         # twice the floor: from a quiet baseline the noise of a coarse sensor is read too small
         there = after & (depth <= 2 * floor)
         # a device that rests at its extreme before it moves has reached no stop
         there &= np.maximum.accumulate(after & ~there, axis=1)
-        near = there & (depth <= (1 + ROUNDING) * floor)
-        # the force is inwards, at the extreme: the first time that the device was there
-        thrown = blown & (np.sign(outside.force) == side) & (there & about).any(axis=1)
-        first = np.where(thrown, np.minimum(first, np.argmax(there, axis=1)), first)
+        near = there & (depth <= 1.001 * floor)  # as far as rounding moves a position over the edge of a quantum
         arrives = near.copy()
         arrives[:, 1:] &= ~near[:, :-1]
         rebounds = arrives & (behind < before / ABRUPT) & (before > LOUD * floor)
-        often = rebounds.sum(axis=1) >= REBOUNDS
-        first = np.where(often, np.minimum(first, np.argmax(rebounds, axis=1)), first)
+        rebounds &= rebounds.sum(axis=1, keepdims=True) >= REBOUNDS
         stands = near.copy()
         for shift in range(1, STANDING_SAMPLES):
             stands[:, :-shift] &= near[:, shift:]
             stands[:, -shift:] = False
-        hit = stands & arrives & (speed > IMPACT * floor)
+        # the force is inwards, at the extreme: the first time that the device was there
+        thrown = there & (blown & (np.sign(outside.force) == side) & (there & about).any(axis=1))[:, None]
+        hit = thrown | rebounds | (stands & arrives & (speed > IMPACT * floor))
         first = np.where(hit.any(axis=1), np.minimum(first, np.argmax(hit, axis=1)), first)
-    return np.where(first < x.shape[1], first, NO_ROW).astype(np.int64)
+    return np.where(first < columns, first, NO_ROW).astype(np.int64)
 
 
 def first_clipped(batch: TrialBatch) -> tuple[Integers, Floats]:
@@ -160,31 +126,18 @@ def first_clipped(batch: TrialBatch) -> tuple[Integers, Floats]:
 
     Notes
     -----
-    A clipped command equals the largest one of the log and is not what the wall law asks for: nearer to zero by
-    more than rounding. A velocity filter departs from the wall law too, but its extremes are not equal.
+    A clipped command equals the largest one of the log, in two rows or more, and is not what the wall law asks for:
+    nearer to zero by more than rounding. A velocity filter departs from the wall law too, but its extremes are not
+    equal.
     """
-    first, largest = np.full(len(batch), NO_ROW, dtype=np.int64), np.zeros(len(batch))
-    for some, part in batch.portions(CHUNK):
-        first[some], largest[some] = _first_clipped(part)
-    return first, largest
-
-
-def _first_clipped(batch: TrialBatch) -> tuple[Integers, Floats]:
     size = np.where(batch.valid, np.abs(batch.command), 0.0)
     largest = size.max(axis=1, initial=0.0)
-    departure = external_force(batch)
+    departure, step = external_force(batch), batch.step[:, None]
     # 0 or F_0 was asked for, whichever is nearer: before the edge and after it
-    step = batch.step[:, None]
     departure = np.where(np.abs(departure) < np.abs(departure - step), departure, departure - step)
-    inwards = np.nan_to_num(-departure * np.sign(batch.command)) > DEPARTURE * np.abs(step)
-    clipped = inwards & (size >= (1 - EQUAL) * largest[:, None])
-    found = clipped.sum(axis=1) >= CLIPPED_ROWS
-    return np.where(found, np.argmax(clipped, axis=1), NO_ROW).astype(np.int64), largest
-
-
-def _row(values: Floats, row: Integers) -> Floats:
-    result: Floats = np.take_along_axis(values, np.maximum(row, 0)[:, None], axis=1)[:, 0]
-    return result
+    clipped = np.nan_to_num(-departure * np.sign(batch.command)) > DEPARTURE * np.abs(step)
+    clipped &= size >= (1 - 1e-9) * largest[:, None]
+    return np.where(clipped.sum(axis=1) >= 2, np.argmax(clipped, axis=1), NO_ROW).astype(np.int64), largest
 
 
 def free_samples(batch: TrialBatch, response: Response) -> Integers:
@@ -192,16 +145,15 @@ def free_samples(batch: TrialBatch, response: Response) -> Integers:
 
     Notes
     -----
-    The first movement shows one delay; after another one the past before the step is forgotten. A log without
-    any movement holds none.
+    The first movement shows one delay; after another one the past before the step is forgotten. Sensor noise moves a
+    soft device before the step does: a hundredth of the motion near the step is none. A log without any movement
+    holds none.
     """
     column = np.arange(batch.position.shape[1])[None, :]
+    edge = np.maximum(response.edge_row, 0)
     size = np.nan_to_num(np.abs(batch.displacement))
-    soon = column <= (np.maximum(response.edge_row, 0) + UNMOVED_SAMPLES)[:, None]
-    largest = np.where(soon, size, 0.0).max(axis=1, initial=0.0)
-    still = np.maximum(np.maximum(response.floor, response.baseline_motion), ONSET * largest)
-    moved: Booleans = size > still[:, None]
-    moved &= column > response.edge_row[:, None]
-    onset = np.argmax(moved, axis=1)
-    count = np.where(moved.any(axis=1), batch.rows - 1 - (2 * onset - np.maximum(response.edge_row, 0)), 0)
+    largest = np.where(column <= (edge + UNMOVED_SAMPLES)[:, None], size, 0.0).max(axis=1, initial=0.0)
+    still = np.maximum(np.maximum(response.floor, response.baseline_motion), 0.01 * largest)
+    moved = (size > still[:, None]) & (column > response.edge_row[:, None])
+    count = np.where(moved.any(axis=1), batch.rows - 1 - (2 * np.argmax(moved, axis=1) - edge), 0)
     return np.maximum(count, 0).astype(np.int64)

@@ -1,8 +1,8 @@
 """Stable or unstable, judged from the log alone: no mass, no delay, no model of the loop.
 
-With K other than 0 the free motion after the step is a sum of modes about a resting place; the trial is
-unstable if a visible mode grows. With K = 0 the position runs away at constant force; there the trial is
-stable if the acceleration decays, and the rate at which it does is (b + B)/m.
+The free motion after the step is a sum of modes about a resting place; the trial is unstable if a visible mode grows.
+With K = 0 the position runs away at constant force, and the trial is stable if its acceleration decays, at the rate
+(b + B)/m. Either way one growth rate with its standard error decides, by the modes, else by the size of the motion.
 """
 
 from __future__ import annotations
@@ -11,60 +11,41 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.signal.course import LASTING, Course, course_of, in_first_swing, sizes
-from pipeline.measured.signal.edge import first_step_alone
-from pipeline.measured.signal.modes import FEWEST_SAMPLES, NARROW, WIDE, Growth, fastest_growth
+from pipeline.measured.signal.edge import external_force, first_step_alone
+from pipeline.measured.signal.modes import FEWEST_SAMPLES, NARROW, WIDE, fastest_growth
 from pipeline.measured.signal.response import NOISE_FACTOR, Response, find_response
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
-CHUNK = 128
-"""Trials judged at once: bounds the memory of the windows to about 8 MB."""
-
-FLOOR_FACTOR = 2.0
-"""Motion below this many sensor floors at the end is a rest or a limit cycle that only the sensor causes."""
-
-NOT_TOLD = "growth rate not told: the motion has died away"
-"""Reason of a stable trial without a growth rate."""
-
-IDEAL_RANGE = 1e-9
-"""Motion below this fraction of its peak counts as rest in a log without noise and quantum."""
-
-ROUNDING_RANGE = 1e3
-"""As `IDEAL_RANGE`, in units of rounding of the position."""
-
-AT_REST_FROM = 0.8
-"""Part of the motion after which it must be at rest to be called stable without asking for a growth rate."""
-
-TREND_FACTOR = 3.0
-"""Change from first to last quarter that decides a motion that no mode explains; noise alone changes less."""
+SIGMAS = 3.0
+"""Standard errors by which a growth rate differs from zero to decide: 0.3 % of the logs at the limit by chance."""
 
 REST_FLOORS = 8.0
 """Amplitude at the end, in sensor floors, up to which quanta may keep an oscillation up in a stable loop: the
 describing function of a quantizer departs from 1 by 0.16 (q/A)^1.5 at most, so that a larger one needs a wall within
 0.7 % of the limit."""
 
-SENSOR_SHARE = 0.5
-"""Standard deviation of what the sensor adds to a motion from sample to sample, in floors: the noise of a baseline is
-told badly, and a quantum adds 0.4."""
-
 LEAST_FALL = 3.0
-"""Motion relative to what is left of it, or to the sensor floor where that is less, from which on its end there is a
-decay: a mode of a third of the motion at the start has not grown."""
+"""Factor by which a motion falls to what is left of it at the floor of the sensor, where a mode of a third of it has
+not grown, and by which the size of a motion without modes changes, to decide."""
 
-LEFT = 0.5
-"""Part of the motion that may be left of it at its end for a limit cycle that only the sensor causes."""
+END = 0.8
+"""Part of the motion behind which is its end, by which it has come down to the floor of the sensor."""
 
-LIMIT_SIGMAS = 3.0
-"""Rates within this many standard errors of zero decide nothing: where K = 0, and of a motion near the floor."""
+BENT = 1e-3
+"""Departure of a command from the wall law, relative to the step, at one of its limits, by which it is bent: a log in
+few digits is rounded by less."""
 
-FEWEST_TURNS = 8
-"""Changes of sign, of what no rigid device explains with K = 0, that show a vibration: a smooth error has three."""
+BLOCKS = 8
+"""Parts of the motion whose size tells a growth rate: half a period each of what a wall does within its log."""
 
-TONE = 7.0
-"""How far, in ln, the power of a vibration stands above the largest of white errors: a chance of 1e-3."""
+CHUNK = 128
+"""Trials judged at once: bounds the memory of the windows to about 8 MB."""
 
-RATE_ROUNDING = 1e-9
-"""Smallest change of the acceleration over a whole log that double precision positions can tell."""
+NOT_TOLD = "growth rate not told: the motion has died away"
+"""Reason of a stable trial without a growth rate."""
+
+ROUNDING = 1e3 * float(np.finfo(np.float64).eps)
+"""Motion relative to the positions that is arithmetic in a log without a sensor; of its own peak a billionth is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,32 +88,20 @@ def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
 
     Notes
     -----
-    In a log without noise and quantum a mode that grows at all makes the trial unstable. With a sensor floor growth or
-    decay over the log must exceed the floor to decide. An oscillation that lasts above `REST_FLOORS` floors is
-    unstable where the command stands at a limit in it, or where it has grown before; a motion that falls ever faster
-    (friction) is stable; what has come down to the floor from far above it is stable, a limit cycle of quantum size
-    included, unless a mode grows in what is left. What neither grows nor decays beyond the floor, a motion that hardly
-    exceeds it, one shorter than `FEWEST_SAMPLES`, and a trial without a step (F_0 = 0) cannot be judged; of several
-    steps the response to the first
-    is. With K = 0 a vibration beside the motion of a rigid device makes a trial unstable where it grows, and leaves it
-    open where it lasts.
+    A growth rate that is `SIGMAS` standard errors from zero decides. What comes down to the floor of the sensor from
+    far above it is stable, a limit cycle of quantum size included, unless a mode grows in what is left. An oscillation
+    that lasts above `REST_FLOORS` floors while the command stands at a limit is unstable. What neither grows nor decays
+    by more than its standard errors, a motion that hardly exceeds the floor, one shorter than `FEWEST_SAMPLES` or still
+    in its first swing, and a trial without a step (F_0 = 0) cannot be judged; of several steps the response to the
+    first is.
 
     Source: Hulin 2017, sec. 3.3 (stability), eq. 3.25 (K = 0) and sec. 6.1.1 (procedure).
     """
     response = find_response(batch) if response is None else response
-    verdict = np.full(len(batch), "undecided", dtype="<U9")
-    growth = np.full(len(batch), np.nan)
-    reason = [""] * len(batch)
-    for first in range(0, len(batch), CHUNK):
-        chunk = np.arange(first, min(first + CHUNK, len(batch)))
-        for judged, free in ((_judge_wall, False), (_judge_free, True)):
-            index = chunk[(batch.stiffness[chunk] == 0) == free]
-            if not len(index):
-                continue
-            found = judged(batch.select(index), response.select(index))
-            verdict[index], growth[index] = found.verdict, found.growth_per_s
-            for i, text in zip(index, found.reason, strict=True):
-                reason[i] = text
+    parts = [_judge(part, response.select(some)) for some, part in batch.portions(CHUNK)]
+    verdict = np.concatenate([part.verdict for part in parts] or [np.empty(0, dtype="<U9")])
+    growth = np.concatenate([part.growth_per_s for part in parts] or [np.empty(0)])
+    reason = [text for part in parts for text in part.reason]
     # what moves a device without a step says nothing of the loop: a hand, a trajectory
     for i in np.flatnonzero(batch.step == 0):
         verdict[i], growth[i], reason[i] = "undecided", np.nan, response.edge_reason[i]
@@ -142,253 +111,189 @@ def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
     return Verdicts(verdict, growth, tuple(reason))
 
 
-def _free_motion(batch: TrialBatch, edge: Integers, floor: Floats) -> Integers:
-    """First row from which the motion is free: the input constant and the delay line filled by it.
-
-    The first movement after the edge shows one delay; after another one the past before the step is
-    forgotten.
-    """
-    start = np.maximum(edge, 0)
-    moved = np.abs(np.nan_to_num(batch.displacement)) > floor[:, None]
-    moved &= np.arange(moved.shape[1])[None, :] > start[:, None]
-    onset = np.where(moved.any(axis=1), np.argmax(moved, axis=1), start)
-    return (2 * onset - start).astype(np.int64)
-
-
-def _judge_wall(batch: TrialBatch, response: Response) -> Verdicts:
-    floor = response.floor
-    start = _free_motion(batch, response.edge_row, floor)
-    change = np.nan_to_num(np.diff(batch.position, axis=1))
-    column = np.arange(change.shape[1])[None, :]
-    count = np.maximum(batch.rows - 1 - start, 0)
-    free = (column >= start[:, None]) & (column < (batch.rows - 1)[:, None])
-    size = np.where(free, np.abs(change), 0.0)
+def _judge(batch: TrialBatch, response: Response) -> Verdicts:
+    floor, wall = response.floor, batch.stiffness != 0
+    rounding = ROUNDING * np.nanmax(np.abs(batch.position), axis=1, initial=0.0)
+    signal, start, count = _free_motion(batch, response)
+    size = np.abs(signal)
     peak = size.max(axis=1, initial=0.0)
-    ideal = floor == 0
-    rounding = np.finfo(np.float64).eps * np.nanmax(np.abs(batch.position), axis=1, initial=0.0)
-    rest = np.where(ideal, np.maximum(IDEAL_RANGE * peak, ROUNDING_RANGE * rounding), floor)
-    moving = size > rest[:, None]
-    lasted = np.where(moving.any(axis=1), size.shape[1] - np.argmax(moving[:, ::-1], axis=1) - start, 0)
-    still = np.where(ideal, lasted < AT_REST_FROM * count, _end_spread(batch, start, count) <= 2 * FLOOR_FACTOR * floor)
-    at_rest = still & (count >= FEWEST_SAMPLES) & (peak > 0)
-    # a motion that comes to rest is fitted while it lasts, with some rest behind it where that is too short
-    length = np.where(at_rest | ideal, np.maximum(lasted, np.minimum(count, 2 * FEWEST_SAMPLES)), count)
-    take = np.minimum(start[:, None] + column, change.shape[1] - 1)
-    signal = np.take_along_axis(change, take, axis=1)
+    rest = np.where(floor > 0, floor, np.maximum(1e-9 * peak, rounding))
+    moving = size > np.where(wall, rest, 2 * rest)[:, None]
+    lasted = np.where(moving.any(axis=1), signal.shape[1] - np.argmax(moving[:, ::-1], axis=1), 0)
+    begin, end = (_half_range(batch, start, count, part) for part in (0.0, END))
+    # what is left may be a limit cycle of the sensor, if it came down from far above
+    left = np.where(floor > 0, end <= REST_FLOORS * floor, lasted < END * count) & wall
+    above = (begin >= LEAST_FALL * np.where(left, end, np.minimum(end, floor))) | ~wall
+    enough = (count >= FEWEST_SAMPLES) & (peak > np.where(wall, 0.0, 4 * floor))
+    # a motion that comes to rest is seen while it lasts, with some rest behind it where that is too short
+    seen = np.where(~wall | left | (floor == 0), np.maximum(lasted, np.minimum(count, 2 * FEWEST_SAMPLES)), count)
     # the floor is six standard deviations of the noise wide, or one quantum, whose error is far smaller
-    grown = fastest_growth(signal, length, np.maximum(floor / NOISE_FACTOR, rounding))
-    rate = grown.per_sample
-    grows = _adds(grown, floor) & ~at_rest
-    course = course_of(batch, start, count)
-    told = _told(rate, grown, course.end, floor)
-    _look_again(signal, length, course, floor, grown, grows, told)
-    # motion that no mode explains to its end: it has died away in the noise, or it has risen out of it
-    unexplained = np.isnan(rate)
-    grows = np.where(grown.clean, grows, (grows | (told & (rate > 0))) & ~course.falls)
-    grows |= unexplained & (course.trend > TREND_FACTOR)
-    grows |= ~grown.clean & (course.bent & course.lasts | course.risen) & (course.end > REST_FLOORS * floor)
-    falls = np.where(
-        grown.clean, ~grows, told & (rate < 0) & ~(course.bent & ~course.falls) & ~course.contradicts(rate)
-    )
-    falls |= unexplained & (course.trend < 1 / TREND_FACTOR)
-    # what is left may be a limit cycle of the sensor only if it came down from far above
-    falls |= ~grows & (course.end <= np.minimum(REST_FLOORS * floor, LEFT * course.begin))
-    falls |= ~grown.clean & (course.brakes | (course.falls & (rate < 0)))
-    high = course.begin >= LEAST_FALL * np.minimum(course.end, floor)
-    enough = (count >= FEWEST_SAMPLES) & (peak > 0)
+    noise = np.where(wall, 1.0, np.sqrt(6)) * np.maximum(floor / NOISE_FACTOR, 1e-3 * rounding)
+    rate, error, clean = _growth(signal, seen, noise)
+    slope, scatter = _slope(signal, seen, noise)
+    # a motion without modes, or whose views differ, has the rate of its size
+    sized = ~clean & ~(np.abs(rate) > SIGMAS * error)
+    change = np.maximum(SIGMAS * scatter, np.log(LEAST_FALL) / np.maximum(seen, 1))
+    falls, grows = slope < -SIGMAS * scatter, slope > change
+    rises = np.where(sized, grows, (rate > SIGMAS * error) & ~(falls & wall & ~clean))
+    lasts = _bent(batch, start, count) & ~falls & wall
+    early = wall & _in_first_swing(batch, response) & ~falls & ~left
+    rises = (rises | lasts) & enough & ~left & ~early
+    sinks = (np.where(sized, slope < -change, rate < -SIGMAS * error) & ~lasts) | left
+    sinks &= above & enough & ~rises & ~early
     # a mode that the step hardly excites begins below the floor, whatever has died away above it
-    rising = _rising(signal, count, response, enough & ~ideal & (falls | at_rest) & ~course.brakes)
-    sunk = np.isnan(rising)
-    rate = np.where(sunk, rate, rising)
-    early = in_first_swing(batch, response, change)
-    grows &= enough & ~at_rest & sunk & ~early
-    falls = enough & (at_rest | falls) & ~grows & high & sunk
-    verdict = np.where(grows, "unstable", np.where(falls, "stable", "undecided"))
-    rate = np.where(falls & (rate > 0), np.nan, rate)
+    hidden = np.full(len(batch), np.nan)
+    some = np.flatnonzero(sinks & wall & (floor > 0))
+    if len(some):
+        hidden[some] = _hidden(signal[some], count[some], noise[some], response.select(some))
+    sinks &= np.isnan(hidden)
+    verdict = np.where(rises, "unstable", np.where(sinks, "stable", "undecided"))
+    rate = np.where(np.isnan(hidden), np.where(sized & (rises | sinks), np.where(rises, slope, rate), rate), hidden)
+    rate = np.where((sinks & (rate > 0)) | ~enough, np.nan, rate) / batch.sampling_period_s
     reason = [
-        _undecided(*each) if text == "undecided" else NOT_TOLD if np.isnan(r) else ""
+        NOT_TOLD if text == "stable" and np.isnan(r) else _undecided(*each) if text == "undecided" else ""
         for text, r, *each in zip(
-            verdict, rate, enough, high, early, count, course.end, rising / batch.sampling_period_s, strict=True
+            verdict, rate, enough, early, count, end, hidden / batch.sampling_period_s, rate,
+            SIGMAS * error / batch.sampling_period_s, strict=True,
         )
-    ]
-    return Verdicts(verdict, rate / batch.sampling_period_s, tuple(reason))
+    ]  # fmt: skip
+    return Verdicts(verdict, rate, tuple(reason))
 
 
-def _look_again(
-    signal: Floats, length: Integers, course: Course, floor: Floats, grown: Growth, grows: Booleans, told: Booleans
-) -> None:
-    """Keep of the growth and of what is told of a noisy motion that which windows of another width show, too.
-
-    There a mode may grow by chance. Changes ``grows``, ``told`` and the rates of ``grown``.
-    """
-    rate = grown.per_sample
-    doubtful = np.flatnonzero((grows | (told & (rate > 0))) & ~grown.clean)
-    if len(doubtful):
-        again = fastest_growth(signal[doubtful], length[doubtful], grown.noise[doubtful], NARROW)
-        agree = _told(again.per_sample, again, course.end[doubtful], floor[doubtful])
-        told[doubtful] &= agree & (np.sign(again.per_sample) == np.sign(rate[doubtful]))
-        rate[doubtful] = np.where(rate[doubtful] > 0, np.fmin(rate[doubtful], again.per_sample), rate[doubtful])
-        grows[doubtful] &= _adds(again, floor[doubtful])
-
-
-def _rising(signal: Floats, count: Integers, response: Response, falls: Booleans) -> Floats:
-    """Growth per sample of what grows beside or below a motion that falls, NaN where none is told.
-
-    Differences show it where a slow motion hides a vibration. However small the mode, its standard error tells it: the
-    standard error of the growth of one mode over n samples is sqrt(6) noise/(amplitude n^1.5) at least, with the root
-    mean square of the mode in the middle; the mode must grow by `LIMIT_SIGMAS` of it in both views. A quantum errs by a
-    pattern and not by chance, as far as noise does not blur it: growth must add more than it can, as a limit cycle that
-    it keeps up seems to grow a bit.
-    """
-    growth = np.full(len(signal), np.nan)
-    noise = response.floor / NOISE_FACTOR
-    pattern = np.maximum(SENSOR_SHARE * response.sensor_quantum - np.nan_to_num(response.sensor_noise), 0.0)
-    # a difference of differences bears more of the errors: sqrt(3) times where they are white
-    index = np.flatnonzero(falls)
-    for motion, length, more in ((signal, count, 1), (np.diff(signal, axis=1), count - 1, 2)) if len(index) else ():
-        n, views = length[index], []
-        for part in (WIDE, NARROW):
-            view = fastest_growth(motion[index], n, more * noise[index], part, 0.0)
-            least = view.per_sample
-            error = np.sqrt(6) * view.noise / (view.amplitude * np.exp(-least * n / 2) * n**1.5)
-            told = (least > LIMIT_SIGMAS * error) & (-view.amplitude * np.expm1(-least * n) > more * pattern[index])
-            views.append(np.where(told, least, np.nan))
-        growth[index] = np.fmax(growth[index], np.minimum(*views))
-    return growth
-
-
-def _undecided(visible: bool, high: bool, early: bool, samples: int, left: float, rate: float) -> str:
-    if early and visible:
-        return "the log ends before the motion turns or passes its final position: behind any wall it speeds up so far"
-    if rate > 0:
-        return f"a mode grows at {rate:.3g} 1/s in a motion that falls to an amplitude of {left:.3g}"
+def _undecided(visible: bool, early: bool, samples: int, left: float, hidden: float, rate: float, error: float) -> str:
     if not visible:
         return (
             f"no visible motion to judge: {samples} samples after the step, of which {FEWEST_SAMPLES} must stand above "
             "the sensor floor"
         )
-    if not high:
-        return "the motion hardly exceeds what the sensor can cause: growth would not show"
-    return f"at the limit: an amplitude of {left:.3g} is left that grows or decays by no more than the sensor can cause"
+    if early:
+        return "the log ends before the motion turns or passes its final position: behind any wall it speeds up so far"
+    if hidden > 0:
+        return f"a mode grows at {hidden:.3g} 1/s in a motion that falls to an amplitude of {left:.3g}"
+    told = f" (growth rate {rate:.3g} +- {error:.2g} 1/s)" if np.isfinite(rate) else ""
+    return f"at the limit: an amplitude of {left:.3g} is left that neither grows nor decays for sure{told}"
 
 
-def _told(rate: Floats, grown: Growth, end: Floats, floor: Floats) -> Booleans:
-    """Whether a rate changes the amplitude of the position over the log by more than the sensor can."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        change = np.abs(np.expm1(-rate * grown.span))
-        # what neither modes nor the sensor explain (jitter) is no independent noise, and does not average out
-        unexplained = np.sqrt(np.maximum(grown.noise**2 - (SENSOR_SHARE * floor) ** 2, 0.0))
-    result: Booleans = (end * change > floor) & (end > REST_FLOORS * floor)
-    return result & (np.nan_to_num(grown.amplitude) * change > NOISE_FACTOR * unexplained)
+def _free_motion(batch: TrialBatch, response: Response) -> tuple[Floats, Integers, Integers]:
+    """Return the free motion without a constant part, its first row, and its number of samples.
 
-
-def _adds(grown: Growth, floor: Floats) -> Booleans:
-    """Whether growth adds more to the motion over the log than sensor and unexplained motion can."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        added = grown.amplitude * -np.expm1(-grown.per_sample * grown.span)
-    noise = np.where(grown.clean, 0.0, NOISE_FACTOR * grown.noise)
-    result: Booleans = np.nan_to_num(added) > np.maximum(floor, noise)
-    return result
-
-
-def _end_spread(batch: TrialBatch, start: Integers, count: Integers) -> Floats:
-    """Peak to peak of the position over the last part of the motion."""
+    The input is constant and the delay line filled by it: the first movement after the edge shows one delay; after
+    another one the past before the step is forgotten. Behind a wall it is the change from sample to sample; with K = 0
+    the second difference over a third of the motion, in which the uniform motion leaves nothing.
+    """
+    edge = np.maximum(response.edge_row, 0)
     column = np.arange(batch.position.shape[1])[None, :]
-    end = batch.valid & (column >= (start + AT_REST_FROM * count)[:, None])
-    largest = np.max(np.where(end, batch.position, -np.inf), axis=1, initial=-np.inf)
-    spread: Floats = largest - np.min(np.where(end, batch.position, np.inf), axis=1, initial=np.inf)
-    return spread
+    moved = (np.abs(np.nan_to_num(batch.displacement)) > response.floor[:, None]) & (column > edge[:, None])
+    onset = np.where(moved.any(axis=1), np.argmax(moved, axis=1), edge)
+    start = 2 * onset - edge
+    wall = batch.stiffness != 0
+    # without a wall the fast modes of the delay line are forgotten after some more delays
+    extra = np.minimum(3 * np.maximum(start - edge, 2), (batch.rows - start) // 4)
+    start = np.where(wall, start, start + np.maximum(extra, 0))
+    lag = np.where(wall, 1, np.maximum((batch.rows - start) // 3, 1))
+    count = np.maximum(batch.rows - start - np.where(wall, 1, 2) * lag, 0)
+    here, there, beyond = (
+        np.take_along_axis(
+            batch.position, np.minimum(start[:, None] + column + times * lag[:, None], len(column[0]) - 1), axis=1
+        )
+        for times in (0, 1, 2)
+    )
+    motion = np.where(wall[:, None], there - here, beyond - 2 * there + here)
+    return np.where(column < count[:, None], motion, 0.0), start.astype(np.int64), count.astype(np.int64)
 
 
-def _judge_free(batch: TrialBatch, response: Response) -> Verdicts:
-    """Judge trials with K = 0 by x = A + C t + E exp(rate t), fitted without knowing A, C, E.
+def _growth(signal: Floats, length: Integers, noise: Floats) -> tuple[Floats, Floats, Booleans]:
+    """Return the growth of the slowest mode and its standard error, per sample, and where few modes explain all.
 
-    For samples of this form x_k is linear in 1, k, k^2 and the running sum of x, and the factor of the sum is
-    exp(rate T) - 1, exactly. Sums average the noise, where differences would amplify it.
+    Over n samples that of a mode of amplitude A in the middle is sqrt(6) s/(A n^1.5) by white noise s at least. What
+    neither modes nor sensor explain (jitter, friction) is no independent noise and does not average out: it may move
+    the amplitude over the log by twice itself. Of two views, by windows of different width, the nearer to zero counts,
+    and none where one grows and one decays.
     """
-    edge, floor = response.edge_row, response.floor
-    start = _free_motion(batch, edge, floor)
-    # fast modes of the delay line are forgotten after some more delays; a third of the log is left at least
-    extra = np.minimum(3 * np.maximum(start - np.maximum(edge, 0), 2), (batch.rows - start) // 4)
-    start = start + np.maximum(extra, 0)
-    count = np.maximum(batch.rows - start, 0)
-    column = np.arange(batch.position.shape[1])[None, :]
-    inside = column < count[:, None]
-    take = np.minimum(start[:, None] + column, batch.position.shape[1] - 1)
-    x = np.where(inside, np.take_along_axis(batch.position, take, axis=1), 0.0)
-    x = np.where(inside, x - x[:, :1], 0.0)
-    scale = np.maximum(np.abs(x).max(axis=1, initial=0.0), np.finfo(np.float64).tiny)
-    t = np.where(inside, 2 * column / np.maximum(count - 1, 1)[:, None] - 1, 0.0)
-    running = np.cumsum(x, axis=1) - x
-    design = np.stack([np.where(inside, 1.0, 0.0), t, np.where(inside, t * t, 0.0)], axis=2)
-    basis, _ = np.linalg.qr(design)
-    left = _project_out(basis, np.where(inside, running, 0.0))
-    right = _project_out(basis, x)
-    power = (left * left).sum(axis=1)
-    enough = (count >= FEWEST_SAMPLES) & (power > 0) & (scale > 4 * floor)
-    factor = np.where(enough, (left * right).sum(axis=1) / np.where(power > 0, power, 1.0), 0.0)
-    unfitted = right - factor[:, None] * left
-    residual = np.sqrt((unfitted**2).sum(axis=1) / np.maximum(count - 4, 1))
-    error = residual / np.sqrt(np.where(power > 0, power, 1.0))
-    error = np.maximum(error, RATE_ROUNDING / np.maximum(count, 1))
-    rate = np.log1p(np.maximum(factor, -0.999))
-    resolved = enough & (np.abs(rate) > LIMIT_SIGMAS * error)
-    turns = (inside[:, 1:] & (unfitted[:, 1:] * unfitted[:, :-1] < 0)).sum(axis=1)
-    vibrates = enough & (residual > np.maximum(0.5 * floor, IDEAL_RANGE * scale)) & (turns >= FEWEST_TURNS)
-    vibrates &= _is_tone(np.where(inside, unfitted, 0.0), count)
-    grown = _vibration(x, count, floor, vibrates)
-    size = sizes(unfitted, count)
-    lasts = vibrates & np.isnan(grown) & (size[:, 3] >= LASTING * size[:, 2])
-    rate, resolved = np.fmax(rate, grown), (resolved & ~lasts) | np.isfinite(grown)
-    verdict = np.where(~resolved, "undecided", np.where(rate > 0, "unstable", "stable"))
-    growth = np.where(enough & ~lasts, rate / batch.sampling_period_s, np.nan)
-    spread = LIMIT_SIGMAS * error / batch.sampling_period_s
-    reasons = []
-    for done, usable, shakes, g, s in zip(resolved, enough, lasts, growth, spread, strict=True):
-        if done:
-            reasons.append("")
-        elif shakes:
-            reasons.append("a vibration lasts that neither grows nor decays by more than the sensor can cause")
-        elif usable:
-            reasons.append(f"at the limit: growth of the acceleration {g:.3g} +- {s:.2g} 1/s does not differ from 0")
-        else:
-            reasons.append(
-                f"too little motion at K = 0: at least {FEWEST_SAMPLES} samples above the sensor floor needed"
-            )
-    return Verdicts(verdict, growth, tuple(reasons))
+    views = [fastest_growth(signal, length, noise, part) for part in (WIDE, NARROW)]
+    errors = []
+    for view in views:
+        with np.errstate(over="ignore", invalid="ignore"):
+            middle = view.amplitude * np.exp(np.minimum(-view.per_sample * length / 2, 300.0))
+            white = np.sqrt(6 / np.maximum(length, 1)) * np.minimum(view.noise, 3 * noise)
+            unexplained = np.sqrt(np.maximum(view.noise**2 - (3 * noise) ** 2, 0.0))
+            errors.append(np.hypot(white, 2 * unexplained) / (middle * length))
+    rates = np.stack([view.per_sample for view in views])
+    rate = np.where(np.abs(rates[0]) <= np.abs(rates[1]), *rates)
+    error = np.where(rates[0] * rates[1] > 0, np.maximum(*errors), np.inf)
+    clean = views[0].clean
+    # as far as rounding of positions lets a rate be told over a log
+    least = 1e-9 / np.maximum(length, 1)
+    return np.where(clean, rates[0], rate), np.maximum(np.where(clean, errors[0], error), least), clean
 
 
-def _is_tone(rest: Floats, count: Integers) -> Booleans:
-    """Whether one frequency bears more of a motion than chance gives it among errors that know nothing of each other.
+def _hidden(signal: Floats, count: Integers, noise: Floats, response: Response) -> Floats:
+    """Return the growth per sample of what grows beside or below a motion that falls, NaN where none is told.
 
-    Of m powers of white noise the largest is above (ln m + TONE)/m of their sum with a chance of exp(-TONE).
+    Differences show it where a slow motion hides a vibration; they bear twice the error. A quantum errs by a pattern
+    and not by chance, as far as noise does not blur it: growth must add more than half of it.
     """
-    power = np.abs(np.fft.rfft(rest, axis=1)) ** 2
-    total, number = power.sum(axis=1), np.maximum(count / 2, 1.0)
-    share = power.max(axis=1, initial=0.0) / np.where(total > 0, total, 1.0)
-    # zeros behind a log make its spectrum finer, not its powers more
-    finer = power.shape[1] / number
-    result: Booleans = share * finer > (np.log(number) + TONE) / number
-    return result
-
-
-def _vibration(x: Floats, count: Integers, floor: Floats, vibrates: Booleans) -> Floats:
-    """Growth per sample of vibrations beside the motion of a rigid device, NaN where none is seen to grow.
-
-    Second differences leave nothing of the uniform motion, and hardly anything of its slow growth or decay.
-    """
-    growth, some = np.full(len(x), np.nan), np.flatnonzero(vibrates)
-    if len(some):
-        bend, length = np.diff(x[some], n=2, axis=1), count[some] - 2
-        noise = np.maximum(2 * floor[some] / NOISE_FACTOR, np.finfo(np.float64).eps * np.abs(x[some]).max(axis=1))
-        wide, narrow = (fastest_growth(bend, length, noise, part) for part in (WIDE, NARROW))
-        grows = _adds(wide, 2 * floor[some]) & _adds(narrow, 2 * floor[some])
-        growth[some] = np.where(grows, np.fmin(wide.per_sample, narrow.per_sample), np.nan)
+    growth = np.full(len(signal), np.nan)
+    pattern = np.maximum(0.5 * response.sensor_quantum - np.nan_to_num(response.sensor_noise), 0.0)
+    for motion, n, more in ((signal, count, 1), (np.diff(signal, axis=1), count - 1, 2)):
+        views = []
+        for part in (WIDE, NARROW):
+            view = fastest_growth(motion, n, more * noise, part, 0.0)
+            rate = view.per_sample
+            with np.errstate(over="ignore", invalid="ignore"):
+                error = np.sqrt(6) * view.noise / (view.amplitude * np.exp(-rate * n / 2) * n**1.5)
+                told = (rate > SIGMAS * error) & (-view.amplitude * np.expm1(-rate * n) > more * pattern)
+            views.append(np.where(told, rate, np.nan))
+        growth = np.fmax(growth, np.minimum(*views))
     return growth
 
 
-def _project_out(basis: Floats, values: Floats) -> Floats:
-    """Remove from each row of values what the columns of its orthonormal basis explain."""
-    for _ in range(2):  # twice: once leaves rounding of the large part in the small one
-        values = values - (basis @ (np.swapaxes(basis, 1, 2) @ values[:, :, None]))[:, :, 0]
-    return values
+def _slope(signal: Floats, length: Integers, noise: Floats) -> tuple[Floats, Floats]:
+    """Return the growth per sample of the size of a motion over its parts, and its standard error by their scatter."""
+    place = np.arange(signal.shape[1])[None, :] * BLOCKS / np.maximum(length, 1)[:, None]
+    blocks = [(place >= i) & (place < i + 1) for i in range(BLOCKS)]
+    power = np.stack([np.where(part, signal**2, 0.0).sum(axis=1) / np.maximum(part.sum(axis=1), 1) for part in blocks])
+    size = 0.5 * np.log(np.maximum(power - noise**2, np.finfo(np.float64).tiny) + noise**2)
+    x = np.arange(BLOCKS) - 0.5 * (BLOCKS - 1)
+    square = float(x @ x)
+    slope = x @ size / square
+    rest = size - size.mean(axis=0) - np.outer(x, slope)
+    step = np.maximum(length, 1) / BLOCKS
+    return slope / step, np.sqrt((rest**2).sum(axis=0) / (BLOCKS - 2) / square) / step
+
+
+def _bent(batch: TrialBatch, start: Integers, count: Integers) -> Booleans:
+    """Return whether the command stands at a limit, or at the step alone, late in the motion, shape (n,).
+
+    It does so in two rows or more of the last quarter although the wall law asks for more: it is clipped, or the wall
+    does not push.
+    """
+    column = np.arange(batch.position.shape[1])[None, :] - start[:, None]
+    after = batch.valid & (column >= 0)
+    step = batch.step[:, None]
+    off = after & (column >= (0.75 * count)[:, None])
+    off &= np.abs(np.nan_to_num(external_force(batch) - step)) > BENT * np.abs(step)
+    lowest = np.where(after, batch.command, np.inf).min(axis=1, initial=np.inf)
+    highest = np.where(after, batch.command, -np.inf).max(axis=1, initial=-np.inf)
+    bent = np.zeros(len(batch), dtype=np.bool_)
+    for limit in (lowest, highest, batch.step):
+        bent |= (off & np.isclose(batch.command, limit[:, None], rtol=1e-9, atol=0.0)).sum(axis=1) >= 2
+    return bent
+
+
+def _half_range(batch: TrialBatch, start: Integers, count: Integers, since: float) -> Floats:
+    """Return half the range of the position from a part of the motion on, shape (n,)."""
+    inside = batch.valid & (np.arange(batch.position.shape[1])[None, :] >= (start + since * count)[:, None])
+    high = np.max(np.where(inside, batch.position, -np.inf), axis=1, initial=-np.inf)
+    low = np.min(np.where(inside, batch.position, np.inf), axis=1, initial=np.inf)
+    result: Floats = np.where(high >= low, 0.5 * (high - low), 0.0)
+    return result
+
+
+def _in_first_swing(batch: TrialBatch, response: Response) -> Booleans:
+    """Return which motions have neither turned nor passed their final position: behind any wall these speed up."""
+    way, floor = np.sign(batch.step)[:, None], response.floor[:, None]
+    travel = np.abs(response.position_final_expected - response.position_start)[:, None]
+    moved = np.nan_to_num(batch.displacement) * way
+    turns = (np.nan_to_num(np.diff(batch.position, axis=1)) * way < -floor).any(axis=1)
+    return np.asarray(~(turns | (moved > travel + floor).any(axis=1)))

@@ -14,8 +14,7 @@ import numpy as np
 
 from pipeline.measured.law.sample_grid import SampleGrid, sample_grid
 from pipeline.measured.law.stamps import even
-from pipeline.measured.law.stated_wall import OtherWalls, other_walls
-from pipeline.measured.law.wall_law import WallLaw, wall_law
+from pipeline.measured.law.wall_law import OtherWalls, WallLaw, other_walls, wall_law
 from pipeline.measured.signal.response import NO_ROW, Response, declare_edge, find_response
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.records.batch import Booleans, Integers, TrialBatch
@@ -137,7 +136,7 @@ class TrialGroup:
     @cached_property
     def grid(self) -> SampleGrid:
         """The trials with a row for every sample."""
-        return sample_grid(self.batch, self.found)
+        return sample_grid(self.batch, self.found, self.law)
 
     @cached_property
     def on_grid(self) -> TrialGroup:

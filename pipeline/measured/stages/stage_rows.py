@@ -31,7 +31,7 @@ from pipeline.measured.experiment.rest_forces import rest_spring
 from pipeline.measured.fit import fit
 from pipeline.measured.fit.ghost import simulate_ghost
 from pipeline.measured.signal import outcome, verdict
-from pipeline.measured.signal.disturbance import Device, largest_force, learn_device, with_least
+from pipeline.measured.signal.disturbance import Device, learn_device
 from pipeline.measured.signal.events import usual_length
 from pipeline.measured.signal.response import NO_ROW, sensor_floor
 from pipeline.measured.stages.stage_given import Experiment, is_open_loop
@@ -119,21 +119,13 @@ def given_to_outcome(of: Experiment) -> Given:
     edge = np.nan_to_num(of.column("response", "edge_row"), nan=NO_ROW).astype(np.int64)
     rows, step, period = (of.samples.of_trials(name) for name in ("rows", "step", "sampling_period_s"))
     device = learn_device(of.samples, edge, sensor_floor(quantum, noise), rows, step, period)
-    largest = np.concatenate(of.of_each(_largest_force, device=asdict(device)))
-    return {"usual_rows": usual_length(rows), "device": asdict(with_least(device, largest))}
-
-
-def _largest_force(of: TrialGroup, given: Given) -> Floats:
-    return of.once(largest_force, Device(**given["device"])).ratio
+    return {"usual_rows": usual_length(rows), "device": asdict(device)}
 
 
 def outcomes(of: TrialGroup, given: Given) -> Sources:
     """Return how each trial ended, and what shows it."""
     device = Device(**given["device"])
-    largest = of.once(largest_force, replace(device, least=1.0))
-    found = outcome.classify(
-        *(of.batch, of.found, of.verdicts), usual_rows=given["usual_rows"], device=device, largest=largest
-    )
+    found = outcome.classify(of.batch, of.found, of.verdicts, usual_rows=given["usual_rows"], device=device)
     return found, {"outcome_row": found.first_row}
 
 

@@ -41,13 +41,13 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
     text, whole = plain_text(settings, contents.name, path.read_bytes())
     lines = text.split("\n")[:-1]
     top = _top(settings, contents, lines)
-    names = _split(settings, contents, lines[top], top + 1)
+    names = [name.strip() for name in _split(settings, contents, lines[top], top + 1)]
     names = names if settings.header else [str(i + 1) for i in range(len(names))]
     first = top + settings.header + settings.unit_line
     units = _split(settings, contents, lines[first - 1], first) if settings.unit_line and first <= len(lines) else []
     places = _places(settings, contents, names, top + 1)
-    row, rows = _rows(settings, contents, lines, first, names)
-    cells = {key: pa.array([cells[place] for cells in rows], pa.string()) for key, place in places.items()}
+    row, found = _rows(settings, contents, lines, first, names, set(places.values()))
+    cells = {key: pa.array(found[place], pa.string()) for key, place in places.items()}
     columns = {key: _values(settings, values) for key, values in cells.items()}
     cut = contents.warnings != ()
     if not cut and not whole and len(row) > 1:
@@ -59,7 +59,7 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
         contents.warnings += (f"line {row[-1]} is the last one and has no line end: its last value may be cut",)
     contents.row = np.array(row, np.int64)
     for key, place in places.items():
-        contents.add(key, columns[key], units[place].strip("[]() ") if place < len(units) else "")
+        contents.add(key, columns[key], units[place].strip(" []()") if place < len(units) else "")
         if settings.columns and settings.columns.time and key == settings.columns.time.key:
             contents.keep_stamps(key, _numbers(settings, cells[key][: len(row)])[1])
 
@@ -171,20 +171,19 @@ def _split(layout: TextLayout, contents: Contents, line: str, row: int) -> list[
     if layout.trailing_delimiter:
         line = line.rstrip(" \t".replace(layout.delimiter, "")).removesuffix(layout.delimiter)
     if '"' not in line:
-        return [cell.strip() for cell in line.split(layout.delimiter)]
+        return line.split(layout.delimiter)
     try:
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=layout.delimiter, strict=True))]
+        return next(csv.reader([line], delimiter=layout.delimiter, strict=True))
     except csv.Error as error:
-        raise refusal(
-            "row-length", contents.name, f"is a quotation mark not closed here ({error})?", row=row
-        ) from error
+        text = f"is a quotation mark not closed here ({error})?"
+        raise refusal("row-length", contents.name, text, row=row) from error
 
 
 def _rows(
-    layout: Profile, contents: Contents, lines: list[str], first: int, names: list[str]
-) -> tuple[list[int], list[list[str]]]:
-    """Return number and cells of each row; a last row that is cut is left out, and kept verbatim."""
-    row, rows, width = [], [], len(names)
+    layout: Profile, contents: Contents, lines: list[str], first: int, names: list[str], places: set[int]
+) -> tuple[list[int], dict[int, list[str]]]:
+    """Return the number of each row, and cells by column; a last row that is cut is left out, and kept verbatim."""
+    row, columns, width = list[int](), {place: list[str]() for place in places}, len(names)
     for number, line in enumerate(lines[first:], start=first + 1):
         if not line.strip(" \t") and layout.blank_lines == "refuse":
             help_line = 'blank_lines = "skip"'
@@ -194,19 +193,20 @@ def _rows(
         cells = _split(layout, contents, line, number)
         if len(cells) == width:
             row.append(number)
-            rows.append(cells)
+            for place, column in columns.items():
+                column.append(cells[place])
         elif row and number == len(lines) and len(cells) < width:
             contents.cut_row(line, number)
         elif not _take_label(layout, contents, line, number):
-            more = (len(cells) == width + 1 and not cells[-1]) or (len(cells) == width - 1 and not names[-1])
+            more = (len(cells) == width + 1 and not cells[-1].strip()) or (len(cells) == width - 1 and not names[-1])
             commas = 'If these are decimal commas, write decimal = "," and another delimiter.'
             cure = commas if layout.delimiter == "," and len(cells) > width else ""
             found = f"expected {width} values, found {len(cells)} ({line[:200]!r})"
             help_line = "trailing_delimiter = true" if more else ""
             raise refusal("row-length", contents.name, found, "", cure, number, help_line)
-    if not rows:
+    if not row:
         raise refusal("too-short", contents.name, "has 0 samples", "at least 2", row=first + 1)
-    return row, rows
+    return row, columns
 
 
 def _places(profile: Profile, contents: Contents, names: list[str], row: int) -> dict[str, int]:

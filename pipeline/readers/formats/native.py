@@ -7,6 +7,7 @@ text, which finds the row at fault.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from io import BytesIO
 
 import numpy as np
 import pyarrow as pa
@@ -99,7 +100,7 @@ def _split(data: bytes) -> tuple[NativeHeader, int, int]:
     if not head.strip(b"\xef\xbb\xbf \t\r\n"):
         raise refusal("empty", "", "file is empty", "a header, the column line and samples", row=1)
     lines: list[str] = []
-    for row, line in enumerate(head.split(b"\n"), start=1):
+    for row, line in enumerate(BytesIO(head), start=1):
         if len(line) > LONGEST_HEADER_LINE:
             found = f"line has more than {LONGEST_HEADER_LINE} bytes"
             raise refusal("too-long-line", "", found, f"header lines and the column line {COLUMN_LINE!r}", row=row)
@@ -108,7 +109,7 @@ def _split(data: bytes) -> tuple[NativeHeader, int, int]:
         except UnicodeDecodeError as error:
             found = f"line is no UTF-8 text ({error.reason})"
             raise refusal("encoding", "", found, row=row) from error
-        start += len(line) + 1
+        start += len(line)
         if text and not text.startswith("#"):
             header = parse_header(lines)
             if [cell.strip() for cell in text.split(",")] != _NAMES:
@@ -119,8 +120,7 @@ def _split(data: bytes) -> tuple[NativeHeader, int, int]:
         lines.append(text)
     parse_header(lines)
     found = f"column line {COLUMN_LINE!r} is missing below the header"
-    row = len(lines) + (not head.endswith(b"\n"))
-    raise refusal("header-missing", "", found, cure="Add it and the samples.", row=row)
+    raise refusal("header-missing", "", found, cure="Add it and the samples.", row=len(lines) + 1)
 
 
 def _parse(text: bytes, lines: int, use_threads: bool) -> Columns | None:

@@ -339,9 +339,10 @@ def estimate_column(quantity: str, unit: str, group: str = "") -> Column:
 
     def notes(row: Row) -> list[str | None]:
         found: Estimate | None = row.get(quantity)
-        clauses = (found.warning or "").split("; ") if found else []
+        clauses = found.warning.split("; ") if found and found.warning else []
         drifts = any(clause.startswith(DRIFTS) for clause in clauses)
-        others = "; ".join(clause for clause in clauses if not clause.startswith(DRIFTS))
+        # the interval of a value that may be zero stands beside it
+        others = "; ".join(c.partition(" (95 % interval")[0] for c in clauses if not c.startswith(DRIFTS))
         return [found.reason if found else None, DRIFT if drifts else None, others]
 
     return Column(

@@ -11,7 +11,7 @@ from labelled import GROUPS, Group, Labelled, cut, join, labelled_set
 
 from pipeline.base.errors import ParameterError
 from pipeline.measured.cost import costs
-from pipeline.measured.signal.disturbance import LONGEST_SPAN, Device, find_disturbance, largest_force
+from pipeline.measured.signal.disturbance import LONGEST_SPAN, Device, find_disturbance
 from pipeline.measured.signal.outcome import BAND, OUTCOMES, Outcomes, classify
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
@@ -124,11 +124,10 @@ def test_a_log_shorter_than_two_spans_shows_no_force() -> None:
     """As beside a coarse sensor, whose errors are told from a force over many rows."""
     whole = run(FALCON, [3000.0, 4000.0], [60.0, 60.0])
     batch = whole.window(0, FALCON.edge_row + 30)
-    device = Device(0.58, 4.0, 0.0, 4, 1, span=LONGEST_SPAN, least=1.2)
+    device = Device(0.58, 4.0, 0.0, 4, span=LONGEST_SPAN, least=1.2)
     found = find_disturbance(batch, find_response(batch), device)
     assert found.first_row.tolist() == found.largest_row.tolist() == [-1, -1]
     assert found.force.tolist() == [0.0, 0.0]
-    assert largest_force(batch, find_response(batch), device).ratio.tolist() == [0.0, 0.0]
 
 
 def test_device_that_rests_elsewhere_is_held_by_another_force() -> None:

@@ -1,11 +1,9 @@
 """Delimited text: the frame holds what stands in the file, by line; what cannot be read is refused with its line."""
 
 import csv
-import gzip
 import io
 
 import numpy as np
-import pyarrow as pa
 import pytest
 
 from pipeline.base.errors import LogError
@@ -104,19 +102,6 @@ def test_encodings_hold_the_same_names_and_values(encoding, layout):
     assert values(frame) == {"Weg [µm] größer": EXPECTED["x"], "F": EXPECTED["F"]}
 
 
-@pytest.mark.parametrize("pack", [gzip.compress, lambda data: pa.compress(data, codec="zstd", asbytes=True)])
-def test_packed_files_hold_the_same_values(pack):
-    packed = pack(PLAIN.encode())
-    assert values(read(packed)) == EXPECTED
-    with pytest.raises(LogError, match=r"run.txt: cannot be unpacked \((gzip|zstd)\)"):
-        read(packed[:-6])
-
-
-def test_a_file_that_unpacks_to_too_much_is_refused():
-    with pytest.raises(LogError, match=r"unpacks to more than|takes more memory"):
-        read(gzip.compress(PLAIN.encode() + b"3,0,0\n" * (45 << 20)))
-
-
 def test_columns_without_names_are_taken_by_position():
     frame = read("7\t1.5 \t-3\n8\t2.5\t-4\n", ("1", "3"), header=False, delimiter="blanks")
     assert values(frame) == {"1": [7, 8], "3": [-3, -4]}
@@ -133,14 +118,6 @@ def test_a_column_of_a_table_with_names_may_be_taken_by_position():
     )
     frame = read_frame(two.model_copy(update={"columns": columns}), "a", b"t,x,x\n0,1,2\n1,2,3\n", ("t", "3"))
     assert values(frame) == {"t": [0, 1], "3": [2, 3]}
-
-
-def test_labels_above_and_between_rows_are_attributes():
-    text = "Device: bench 7\n\nGain : 32 N/m\n# Offset: 1\nt,x,F\n0,1,2\nEvent: pushed, at 12:30\n1,2,3\n"
-    frame = read(text, labels=":", comment="#")
-    assert frame.attributes == {"Device": "bench 7", "Gain": "32 N/m", "Offset": "1", "Event": "pushed, at 12:30"}
-    assert values(frame) == {"t": [0, 1], "x": [1, 2], "F": [2, 3]}
-    assert frame.row.tolist() == [6, 8]
 
 
 def test_a_blank_last_cell_of_a_sparse_column_is_no_cut():
@@ -217,16 +194,6 @@ def test_what_cannot_be_read_is_refused_with_its_line(data, layout, row, words):
     assert error.value.row == row
 
 
-def test_columns_are_listed_for_a_check():
-    infos = list_columns("a", "t,x,x\nms,µm,\n0,1.5,a\n1,2.5,b\n".encode(), profile(unit_line=True))
-    assert [(i.name, i.dtype, i.rows, i.first, i.hint) for i in infos] == [
-        ("t", "integer", 2, ("0", "1"), "ms"),
-        ("x", "number", 2, ("1.5", "2.5"), "µm"),
-        ("x (3)", "text", 2, ("a", "b"), ""),
-    ]
-    assert [i.name for i in list_columns("a", PLAIN.encode(), profile())] == ["t", "x", "F"]
-
-
 def test_any_table_of_the_csv_module_is_read_back():
     rng = np.random.default_rng(5)
     for delimiter in ",;\t|":
@@ -239,20 +206,3 @@ def test_any_table_of_the_csv_module_is_read_back():
         writer.writerows(table.tolist())
         frame = read(stream.getvalue(), delimiter=delimiter)
         assert np.column_stack(list(frame.columns.values())).tolist() == table.tolist()
-
-
-def test_damaged_files_give_a_frame_or_a_refusal():
-    rng = np.random.default_rng(11)
-    body = "".join(f"{i};{i / 7:.6f};{i % 9}\n".replace(".", ",") for i in range(60))
-    clean = ("Gain: 3\nt;x;F\n" + body).encode("utf-8-sig")
-    layout = {"delimiter": ";", "decimal": ",", "labels": ":", "comment": "#"}
-    for _ in range(300):
-        data = bytearray(clean)
-        for at in rng.integers(0, len(data), size=rng.integers(1, 5)):
-            data[at] = rng.integers(0, 256)
-        data = bytes(data[: rng.integers(0, len(data) + 1)])
-        try:
-            frame = read(data, **layout)
-        except LogError:
-            continue
-        assert {len(column) for column in frame.columns.values()} == {len(frame)}
