@@ -178,8 +178,9 @@ def _places(loop: Loop) -> Floats:
     turns = place_of(np.arange(step, np.pi - 0.5 * step, step))
     low, high = np.append(middle, turns[0]).min() - _BEFORE, np.append(middle, turns[-1]).max() + _BEYOND
     tails = np.append(np.arange(low, turns[0], _SPACING), np.arange(turns[-1], high, _SPACING)[1:])
-    found = np.unique(np.concatenate([turns, tails, around.ravel()]))
-    return np.asarray(found[(found >= low) & (found <= min(high, -LOWEST))])
+    found = np.sort(np.concatenate([turns, tails, around.ravel()]))
+    apart = np.append(True, np.diff(found) > 0)  # np.unique would load numpy.ma
+    return np.asarray(found[apart & (found >= low) & (found <= min(high, -LOWEST))])
 
 
 def _passings(width: Floats, beta: Floats) -> Floats:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,12 +19,14 @@ from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, criterion_of, with_discrete
-from pipeline.records.models import Device, Experiment
 from pipeline.theory.costs import check_criteria, point_costs_by_name
 from pipeline.theory.limits import boundary, has_islands, outline, robust_outline
 from pipeline.theory.optimum import POINT_CRITERIA, marked_point, optimal_point
 from pipeline.theory.poles import slowest_poles, spectral_radius, stable_by_radius
 from pipeline.theory.transient import LONGEST
+
+if TYPE_CHECKING:  # its classes take longer to load than a short command to run
+    from pipeline.records.models import Device, Experiment
 
 WALL_COLUMNS = ("stiffness", "damping")
 """Columns of a CSV file of walls in SI."""

@@ -103,9 +103,10 @@ def chart(loop: Loop) -> Chart:
     mode's limit may be many times the stiffness that settles soonest; and the way along the outline as a share of its
     length, with the region's height and width as units.
     """
-    beta = np.unique(boundary(loop).beta)
+    beta = np.sort(boundary(loop).beta)
     alpha = limits(loop, beta, exact=False).alpha
-    beta, alpha = beta[np.isfinite(alpha)], alpha[np.isfinite(alpha)]
+    kept = np.isfinite(alpha) & np.append(True, np.diff(beta) > 0)
+    beta, alpha = beta[kept], alpha[kept]
     way = np.abs(np.diff(beta)) / (beta[-1] - beta[0]) + np.abs(np.diff(alpha)) / (alpha.max() + loop.gamma)
     along = np.append(0.0, np.cumsum(way) / way.sum())
 
