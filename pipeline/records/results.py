@@ -222,7 +222,7 @@ class ExperimentResult(Record):
     def delay(self) -> Estimate:
         """The delay that logs tell: of an adequate loop as it was fitted, else the integer factor (6.3)."""
         factor = self.estimates["delay_samples"]
-        fitted = factor.by_method.get("ladder", factor.by_method.get("model"))
+        fitted = factor.by_method.get("model")
         told = self.loop is not None and self.loop.adequate and fitted is not None and fitted.value is not None
         return fitted if fitted is not None and told else factor
 

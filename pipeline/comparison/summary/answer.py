@@ -98,7 +98,7 @@ def _estimates(result: ExperimentResult, units: Units, *, limit: bool) -> tuple[
         estimate = result.estimates.get(name)
         if estimate is None:
             continue
-        estimate = result.delay if name == "delay_samples" else estimate.by_method.get("ladder", estimate)
+        estimate = result.delay if name == "delay_samples" else estimate.by_method.get("model", estimate)
         if estimate.value is not None:
             ends = (None, None) if _doubt(result) and name != "friction" else (estimate.low, estimate.high)
             unit = estimate.unit.replace("^2", "²")
@@ -124,7 +124,7 @@ def _estimates(result: ExperimentResult, units: Units, *, limit: bool) -> tuple[
 
 def _doubt(result: ExperimentResult) -> str:
     """Return why there are no intervals of delay, mass and damping; empty where a fitted device has them."""
-    loop, fitted = result.loop, "ladder" in result.estimates["delay_samples"].by_method
+    loop, fitted = result.loop, "model" in result.estimates["delay_samples"].by_method
     if loop is None or loop.adequate or fitted:
         return ""
     return f"No interval where the loop does not hold: {first_clause(loop.reason)}."
