@@ -31,7 +31,6 @@ def test_two_delays_that_are_as_likely_jitter(tmp_path):
     """In more than half of the trials the motion begins after the same delay: a median calls that no scatter."""
     course, found = compared(tmp_path, load_device("falcon"), "jitter", 9100)
     assert len(course.setup.jitter_samples) == 2
-    assert found.estimates["delay_samples"].by_method["onset"].spread < 0.1
     (cause,) = found.causes
     assert cause.code == "delay_jitter"
     assert "0.5 samples or more earlier or later" in cause.evidence

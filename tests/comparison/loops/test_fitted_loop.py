@@ -116,7 +116,7 @@ def test_costs_behind_a_lag_are_counted_from_the_delay_and_not_from_the_motion_t
     """The motion that is seen begins one or two samples late, which takes 4 to 6 % from the energies."""
     stages, course, _ = soft_course({"actuator_lag_s": lag}, tmp_path, delay_samples=3)
     setup, stiffness = course.setup, stages.column("response", "stiffness")
-    assert stages.delay_estimate.value > 3
+    assert stages.delay_estimate.value == 3  # the lag is a part of its own
     exact = simulate(
         replace(setup, noise=0.0, quantum=0.0, rows=3000), stiffness, stages.column("response", "damping"), seed=1
     )
