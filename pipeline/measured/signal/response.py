@@ -44,9 +44,6 @@ FEWEST_ON_GRID = 12
 ROUNDING_UNITS = 64.0
 """Changes below this many units of rounding are arithmetic, not the sensor."""
 
-CHUNK = 64
-"""Trials whose quantum is looked for at once: their changes stay in a processor's cache, at 1,000 rows in 1 MB."""
-
 
 @dataclass(frozen=True, eq=False)
 class Response:
@@ -225,7 +222,7 @@ def _quantum(batch: TrialBatch) -> Floats:
     sensor's: a grid that is coarser, and on which they lie but for that rounding, goes first.
     """
     quantum = np.zeros(len(batch))
-    for some, part in batch.portions(CHUNK):
+    for some, part in batch.portions():
         # padding does not move; a fast motion never changes by one quantum a sample, but its changes differ by one
         steps = [np.abs(np.nan_to_num(np.diff(part.position, n=n, axis=1))) for n in (1, 2)]
         rounding = ROUNDING_UNITS * np.finfo(np.float64).eps * np.nanmax(np.abs(part.position), axis=1, initial=0.0)

@@ -38,9 +38,6 @@ few digits is rounded by less."""
 BLOCKS = 8
 """Parts of the motion whose size tells a growth rate: half a period each of what a wall does within its log."""
 
-CHUNK = 128
-"""Trials judged at once: bounds the memory of the windows to about 8 MB."""
-
 NOT_TOLD = "growth rate not told: the motion has died away"
 """Reason of a stable trial without a growth rate."""
 
@@ -98,7 +95,7 @@ def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
     Source: Hulin 2017, sec. 3.3 (stability), eq. 3.25 (K = 0) and sec. 6.1.1 (procedure).
     """
     response = find_response(batch) if response is None else response
-    parts = [_judge(part, response.select(some)) for some, part in batch.portions(CHUNK)]
+    parts = [_judge(part, response.select(some)) for some, part in batch.portions()]
     verdict = np.concatenate([part.verdict for part in parts] or [np.empty(0, dtype="<U9")])
     growth = np.concatenate([part.growth_per_s for part in parts] or [np.empty(0)])
     reason = [text for part in parts for text in part.reason]
