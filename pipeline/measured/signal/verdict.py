@@ -132,7 +132,7 @@ def _judge(batch: TrialBatch, response: Response) -> Verdicts:
     sized = ~clean & ~(np.abs(rate) > SIGMAS * error)
     change = np.maximum(SIGMAS * scatter, np.log(LEAST_FALL) / np.maximum(seen, 1))
     falls, grows = slope < -SIGMAS * scatter, slope > change
-    rises = np.where(sized, grows, (rate > SIGMAS * error) & ~(falls & wall & ~clean))
+    rises = np.where(sized, grows, rate > SIGMAS * error)
     lasts = _bent(batch, start, count) & ~falls & wall
     early = wall & _in_first_swing(batch, response) & ~falls & ~left
     rises = (rises | lasts) & enough & ~left & ~early
@@ -204,8 +204,8 @@ def _growth(signal: Floats, length: Integers, noise: Floats) -> tuple[Floats, Fl
 
     Over n samples that of a mode of amplitude A in the middle is sqrt(6) s/(A n^1.5) by white noise s at least. What
     neither modes nor sensor explain (jitter, friction) is no independent noise and does not average out: it may move
-    the amplitude over the log by twice itself. Of two views, by windows of different width, the nearer to zero counts,
-    and none where one grows and one decays.
+    the amplitude over the log by twice itself. Two views, by windows of different width, err by their difference, too:
+    the nearer to zero counts, and none where one grows and one decays.
     """
     views = [fastest_growth(signal, length, noise, part) for part in (WIDE, NARROW)]
     errors = []
@@ -217,7 +217,7 @@ def _growth(signal: Floats, length: Integers, noise: Floats) -> tuple[Floats, Fl
             errors.append(np.hypot(white, 2 * unexplained) / (middle * length))
     rates = np.stack([view.per_sample for view in views])
     rate = np.where(np.abs(rates[0]) <= np.abs(rates[1]), *rates)
-    error = np.where(rates[0] * rates[1] > 0, np.maximum(*errors), np.inf)
+    error = np.where(rates[0] * rates[1] > 0, np.hypot(np.maximum(*errors), rates[1] - rates[0]), np.inf)
     clean = views[0].clean
     # as far as rounding of positions lets a rate be told over a log
     least = 1e-9 / np.maximum(length, 1)
