@@ -11,13 +11,11 @@ import numpy as np
 from pipeline.comparison.figures.maps import CostMap, map_figure
 from pipeline.device_data.devices import load_device
 from pipeline.measured.cost.energy import WEIGHTS, energy_terms
-from pipeline.measured.device.delay import first_change
-from pipeline.measured.device.onset import motion_onset, rounded
-from pipeline.measured.experiment.aggregate import choose_optimum
 from pipeline.measured.experiment.boundary import measured_boundary
-from pipeline.measured.experiment.known_delay import estimate_delay
+from pipeline.measured.experiment.optimum import choose_optimum
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
+from pipeline.measured.thesis import estimate_delay, first_change
 from pipeline.records.findings import Optimum
 from pipeline.records.results import TheoryParameters
 from pipeline.rendering.figures.boundaries import by_theory
@@ -76,7 +74,7 @@ def measured_map(course: Course) -> CostMap:
     response = find_response(batch)
     verdicts = judge(batch, response)
     first = first_change(batch, response)
-    delay = estimate_delay(rounded(first, motion_onset(batch, response, first)))
+    delay = estimate_delay(first.delay_samples)
     assert delay.value is not None, delay.reason
     terms = energy_terms(batch, response, verdicts, int(delay.value))
     cost = terms.summed(course.experiment.mass)[:, WEIGHTS.index(WEIGHT)]

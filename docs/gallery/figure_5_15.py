@@ -24,6 +24,6 @@ for row, criteria in zip(grid, groups, strict=True):
                 delays, 100 * np.array(share), style, ms=4, label=f"{criterion}: {100 * share[-1]:.1f} % at d = 8"
             )
     for axes, name in zip(row, ("stiffness", "damping"), strict=True):
-        axes.set(xlabel="delay factor d", ylabel=f"optimal by largest {name} [%]", ylim=(-2, 75))
+        axes.set(xlabel="delay factor d", ylabel=f"optimal by largest {name} [%]", ylim=(-2, 92))
         axes.legend(fontsize=7, loc="upper right")
 figure.savefig("figure_5_15.svg")

@@ -9,18 +9,14 @@ from pipeline.comparison.loops.departures import SHORT as OTHER_WALL
 from pipeline.comparison.loops.departures import law_departures, other_gains
 from pipeline.comparison.loops.findings import loop_findings
 from pipeline.comparison.loops.replay import with_large_motion
-from pipeline.comparison.loops.told_loop import adequate_theory, fitted_estimates
+from pipeline.comparison.loops.told_loop import adequate_theory
 from pipeline.comparison.scene.origin import header_lines
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.comparison.summary.advice import region_to_use
 from pipeline.loop.device_loop import longest_delay
 from pipeline.measured.experiment.boundary_area import boundary_area
-from pipeline.measured.experiment.estimates import (
-    by_joint_balance,
-    stiffness_estimate,
-    with_model_delay,
-)
-from pipeline.measured.experiment.fitted_device import explaining_device
+from pipeline.measured.experiment.estimates import by_model
+from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.records.findings import Estimate, Optimum
 from pipeline.records.loop_parts import LoopParts
@@ -119,7 +115,7 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
         use, why = region_to_use(result, stages)
     causes = () if gains is None or gains.few else (gains.cause,)
     result = result.model_copy(update={"use": use, "use_reason": why or None, "causes": causes})
-    return _with_loop(data, stages, result, units) if "delay" in needed else result
+    return _with_loop(data, stages, result, units) if "device" in needed else result
 
 
 _OF_A_LOOP = ("delay_samples", "mass", "damping", "device_stiffness")
@@ -135,8 +131,8 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
     findings = loop_findings(result, stages, data.device, units)
     found = dict(result.estimates)
     if not findings.loop.adequate:
-        device = stages.once(explaining_device)
-        if device is None or not device.is_trusted:
+        device = stages.once(fitted_device)
+        if device is None or not device.tells:
             found |= {name: _doubted(found[name]) for name in _OF_A_LOOP if name in found}
     named = {name: getattr(findings, name) for name in LoopFindings.model_fields}
     return with_large_motion(result.model_copy(update={**named, "estimates": found}), stages)
@@ -151,25 +147,21 @@ def _doubted(estimate: Estimate) -> Estimate:
 
 def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) -> dict[str, Estimate]:
     """Estimates of an experiment: delay, mass and damping, and what follows from its boundary."""
-    left_out = "left out: neither a criterion that was asked for nor a theory curve needs it"
-    found = {
-        "delay_samples": stages.delay_estimate if "delay" in needed else _without("samples", left_out),
-        "mass": stages.mass_estimate if "mass" in needed else _without(units.mass, left_out),
-        "damping": stages.damping_estimate if "damping" in needed else _without(units.damping, left_out),
-        "boundary_area": boundary_area(stages.boundary_points, f"{units.stiffness} {units.damping}"),
+    area = boundary_area(stages.boundary_points, f"{units.stiffness} {units.damping}")
+    if "device" not in needed:
+        why = "left out: neither a criterion that was asked for nor a theory curve needs it"
+        of = {"delay_samples": "samples", "mass": units.mass, "damping": units.damping}
+        return {name: _without(unit, why) for name, unit in of.items()} | {"boundary_area": area}
+    return {
+        "delay_samples": stages.delay_estimate,
+        "mass": stages.mass_estimate if "mass" in needed else by_model(stages, "mass"),
+        "damping": stages.damping_estimate,
+        "boundary_area": area,
+        "friction": by_model(stages, "coulomb"),
+        "device_stiffness": by_model(stages, "stiffness"),
+        "constant_force": by_model(stages, "constant_force"),
+        "jitter_samples": stages.jitter_estimate,
     }
-    if "damping" in needed:
-        found |= {
-            "friction": by_joint_balance(stages, "friction"),
-            "device_stiffness": stiffness_estimate(stages),
-            "constant_force": by_joint_balance(stages, "constant_force"),
-        }
-    if "model" in needed:
-        found["jitter_samples"] = stages.jitter_estimate
-        found["delay_samples"] = with_model_delay(stages, found["delay_samples"])
-    if "ladder" in needed and (device := stages.once(explaining_device)) is not None:
-        found |= fitted_estimates(found, device)
-    return found
 
 
 def _without(unit: str, reason: str) -> Estimate:

@@ -25,9 +25,8 @@ from pipeline.intake.ingest import ingest
 from pipeline.intake.quarantine import RECORD, quarantine_folder
 from pipeline.profiles.profile_files import load_profile
 from pipeline.records.findings import Record
-from pipeline.store.batch_files import Place, write_batch
-from pipeline.store.gone import Gone, gone
-from pipeline.store.storage import TABLE, read_rows
+from pipeline.store.batch_files import GROUP_TRIALS, Place, write_batch
+from pipeline.store.storage import TABLE, Gone, gone, read_rows
 
 DAMAGED_FOLDER = "damaged"
 """Folder below `processed` for damaged files that cannot be made again; nothing there is ever removed."""
@@ -178,10 +177,10 @@ def _rows_of(file: Path) -> list[dict[str, str]]:
     with suppress(*_UNREADABLE), pq.ParquetFile(file, page_checksum_verification=True) as stored:
         for number in range(stored.num_row_groups):
             for name, values in columns.items():
-                try:
-                    values += stored.read_row_group(number, [name], use_threads=False).column(0).to_pylist()
-                except _UNREADABLE:
-                    values += [""] * stored.metadata.row_group(number).num_rows
+                rows, found = min(stored.metadata.row_group(number).num_rows, GROUP_TRIALS), list[str]()
+                with suppress(*_UNREADABLE):
+                    found = stored.read_row_group(number, [name], use_threads=False).column(0).to_pylist()
+                values += found if len(found) == rows and all(found) else [""] * rows
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
@@ -215,11 +214,14 @@ def _of_trials(
 
     Without `repair` this is only told.
     """
-    stored = set(read_rows(processed, ["source_path"], dict(faults)).column("source_path"))
+    # the same logs make the same file, which is whole again where all of them were read
+    there = {other: text for other, text in faults.items() if other.exists()}
+    damaged = {other: text for other, text in there.items() if content_of(other) != said_content(other.name)}
+    stored = set(read_rows(processed, ["source_path"], damaged).column("source_path"))
     if not repair:
         stored |= {row["source_path"] for row in rows if _is_there(row)}
     places, kept = defaultdict[Place, list[pa.Table]](list), set[str]()
-    for group in _groups(file):
+    for group in _groups(file) if file in damaged else ():
         new = group.filter(pa.array([path not in stored for path in group.column("source_path").to_pylist()]))
         if new.num_rows:
             device, experiment, motion = (new.column(name)[0].as_py() for name in ("device", "experiment", "motion"))
@@ -236,9 +238,9 @@ def _of_trials(
         lost=tuple(LostTrial(trial_id=row["trial_id"], source_path=row["source_path"]) for row in lost),
     )
     if repair:
-        for place, parts in places.items():
-            write_batch(processed, place, parts)
-        _set_aside(processed, file)
+        written = [write_batch(processed, place, parts) for place, parts in places.items()]
+        if file in damaged and file not in written:
+            _set_aside(processed, file)
         if lost:
             text = json.dumps([one.model_dump() for one in found.lost], indent=1)
             write_text(processed / DAMAGED_FOLDER / f"{found.file.removesuffix(TABLE)}.lost.json", text + "\n")

@@ -17,7 +17,7 @@ from pipeline.base.errors import UsageError
 from pipeline.base.lock import WAIT_S, writing
 from pipeline.base.paths import path_of_text, path_text, storable
 from pipeline.base.wording import counted
-from pipeline.intake.known import alike
+from pipeline.intake.trialstore import alike
 from pipeline.store.batch_files import KEY_COLUMNS, Key, rewrite, without
 from pipeline.store.corrections import (
     IDENTITY,

@@ -21,11 +21,19 @@ from pipeline.base.process import Ended
 from pipeline.base.provenance import digest
 from pipeline.base.wording import counted
 from pipeline.intake.ingest_report import Action, ChangedSource, IngestReport, LogWarning, PlannedSource, Refusal
-from pipeline.intake.known import Periods, StoredSource, StoredSources
 from pipeline.intake.quarantine import QuarantineRecord, Refused, keep, list_quarantine, record_of, release
 from pipeline.intake.reading import Read, batches_of, in_order, read_and_check
 from pipeline.intake.sources import Source, find_sources, is_settled, told_by_name
-from pipeline.intake.trialstore import LOG_BYTES, Accepted, accepted_logs, store_logs, trial_id
+from pipeline.intake.trialstore import (
+    LOG_BYTES,
+    Accepted,
+    Periods,
+    StoredSource,
+    StoredSources,
+    accepted_logs,
+    store_logs,
+    trial_id,
+)
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log

@@ -1,9 +1,14 @@
-"""Which files are logs: walks folders, lets a profile claim each file, joins the files of a pair or a bag."""
+"""Which files are logs: walks folders, lets a profile claim each file, joins the files of a pair or a ROS 2 bag.
+
+``ros2 bag record`` makes a folder with ``metadata.yaml`` and one or more ``.db3`` or ``.mcap`` files: a long recording
+is split over several. Together they are one log.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import stat
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -14,11 +19,91 @@ from pathlib import Path
 
 from pipeline.base.disk import READABLE, shared_mode
 from pipeline.base.errors import Code, UsageError
-from pipeline.base.paths import OutsideError, path_text, real_file, storable
-from pipeline.intake.bags import bag_of
+from pipeline.base.paths import OutsideError, open_regular, path_text, real_file, storable
 from pipeline.profiles.patterns import find_groups
 from pipeline.profiles.profile_files import claim
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile
+
+METADATA = "metadata.yaml"
+ENDINGS = (".db3", ".mcap")
+
+LARGEST_METADATA = 1 << 20
+"""Bytes of ``metadata.yaml`` that are read; it has some hundred for each file and topic."""
+
+_MARK = "rosbag2_bagfile_information"
+_LISTED = re.compile(r"relative_file_paths:\s*(\[[^\]]*\]|(?:[ ]*-[^\n]*(?:\n|$))+)")
+_RECORDED = re.compile(rf"""[^/'",\[\]\n]*({"|".join(map(re.escape, ENDINGS))})(\.zstd)?\b""")
+"""List of the files in the metadata, and the name of one in it, without its folder."""
+
+
+@dataclass(frozen=True)
+class Bag:
+    """A folder that is one recording: its files in their order, and why it is not whole."""
+
+    folder: Path
+    files: tuple[Path, ...]
+    problem: str | None = None
+
+
+def bag_of(file: Path, within: str | None = None) -> Bag | None:
+    """Return the bag that a file belongs to, or None where it stands for itself.
+
+    Parameters
+    ----------
+    file : Path
+        A recorded file, or ``metadata.yaml``. Other files, and those that their folder's metadata does not list, belong
+        to no bag.
+    within : str, optional
+        As for `open_regular`: metadata elsewhere are not opened.
+    """
+    if file.name != METADATA and file.suffix.lower() not in ENDINGS:
+        return None
+    folder, own = file.parent, _numbered(file.parent)
+    try:
+        with open_regular(folder / METADATA, within) as stream:
+            text = stream.read(LARGEST_METADATA).decode("utf-8", "replace")
+    except OSError:
+        if len(own) < 2 or file.name not in own:
+            return None
+        unlisted = (
+            f"{len(own)} files {own[0]}, ... look like one bag, but {METADATA}, which lists its files, is missing. "
+            "Run `ros2 bag reindex` on the folder; if each is a recording of its own, rename the folder."
+        )
+        return Bag(folder, tuple(folder / name for name in own), unlisted)
+    if _MARK not in text:
+        return None
+    # early versions wrote folders; one that was unpacked by hand has lost its second ending
+    section = _LISTED.search(text)
+    listed = [name[0].lstrip("- ") for name in _RECORDED.finditer(section[1])] if section else []
+    listed = [plain if os.path.exists(folder / (plain := name.removesuffix(".zstd"))) else name for name in listed]
+    if not listed:
+        return Bag(
+            folder, (folder / METADATA,), f"{METADATA} lists no files; expected relative_file_paths. Reindex it."
+        )
+    if file.name not in {METADATA, *listed, *own}:
+        return None
+    problem: str | None = None
+    # unlike that of a path this takes names that no file system allows
+    if lost := [name for name in listed if not os.path.exists(folder / name)]:
+        problem = f"{lost} of the bag {_title(folder)} are missing, which {METADATA} lists; expected all together."
+    elif more := [name for name in own if name not in listed]:
+        problem = f"{more} of the bag {_title(folder)} are not listed in {METADATA}. Run `ros2 bag reindex` on it."
+    return Bag(folder, tuple(folder / name for name in listed), problem)
+
+
+def _title(folder: Path) -> str:
+    return os.path.basename(os.path.abspath(folder))
+
+
+def _numbered(folder: Path) -> list[str]:
+    """Return the files that `ros2 bag record` calls by their folder and counts, in that order."""
+    try:
+        names = os.listdir(folder)
+    except OSError:  # whoever opens the file says why
+        return []
+    pattern = re.compile(rf"{re.escape(_title(folder))}_(\d+)({'|'.join(map(re.escape, ENDINGS))})")
+    return [match[0] for match in sorted(filter(None, map(pattern.fullmatch, names)), key=lambda found: int(found[1]))]
+
 
 UNCOUNTED = frozenset({"truth.json", "readme", "readme.md", "readme.txt", "license", "license.md", "license.txt"})
 """Files that stand beside logs and are none (the first by the simulator), in small letters; not counted in folders."""

@@ -12,8 +12,8 @@ import numpy as np
 
 from pipeline.base.errors import DeviceError, UsageError
 from pipeline.device_data.devices import declared_spring, find_experiment, known_devices, read_device
+from pipeline.measured.experiment.boundary import spread_over_plane
 from pipeline.measured.intervals import NORMAL_95
-from pipeline.measured.ladder.trials import spread_over_plane
 from pipeline.measured.model.parts import chosen as look_at_once
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import FoundDevice, Trial, stated_device

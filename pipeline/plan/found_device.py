@@ -234,5 +234,5 @@ def stated_device(device: Device, of: Experiment) -> FoundDevice:
         names.append("friction")
         values["coulomb"] = parts.friction.coulomb
     none = np.zeros((len(values), len(values)))
-    fitted = FittedDevice(tuple(names), 0, 0, values, none, (), "", 0.0, likely=True)
+    fitted = FittedDevice(tuple(names), values, none)
     return FoundDevice(fitted, device.sampling_period_s, parts.velocity)

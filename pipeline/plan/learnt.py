@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.experiment.fitted_device import FittedDevice
+from pipeline.measured.experiment.fitted_device import NAMES, PARTS, FittedDevice
 from pipeline.measured.law.wall_law import wall_law
 from pipeline.measured.model.intervals import BOUNDED, NEEDED, Errors, physical
 from pipeline.measured.model.parts import Choice, again
 from pipeline.measured.model.recordings import Recording
 from pipeline.measured.model.told import is_told
 from pipeline.measured.signal.response import Response, find_response
-from pipeline.measured.stages.stage_likelihood import NAMES, PARTS
 from pipeline.plan.found_device import FoundDevice
 from pipeline.records.batch import TrialBatch
 from pipeline.records.loop_parts import VelocityFilter
@@ -105,13 +104,7 @@ def fitted_of(choice: Choice) -> FittedDevice | None:
     values = {NAMES[name]: quantities[name](errors.numbers) * each for name, each in zip(names, unit, strict=True)}
     late = 0 if "delay_samples" in values else 1
     return FittedDevice(
-        parts=tuple(PARTS[name] for name, gain in choice.parts.items() if gain > 0),
-        explained=0,
-        held_out=0,
-        values=values | ({"delay_samples": 0.0} if late else {}),
-        covariance=np.pad(covariance, (0, late)),
-        alike=(),
-        next_best="",
-        saturated=0.0,
-        likely=True,
+        tuple(PARTS[name] for name, gain in choice.parts.items() if gain > 0),
+        values | ({"delay_samples": 0.0} if late else {}),
+        np.pad(covariance, (0, late)),
     )

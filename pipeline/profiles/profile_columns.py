@@ -149,7 +149,7 @@ class Source(Record):
 
     @property
     def key(self) -> str:
-        """Name of the column in a `Frame`."""
+        """Name of the column in `Contents`."""
         return str(self.column) if self.name is None else self.name
 
 

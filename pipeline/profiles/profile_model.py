@@ -278,7 +278,7 @@ class Profile(TextLayout, StepTime):
         return {} if self.columns is None else self.columns.sources()
 
     def wanted(self, file: Literal["source", "partner"] = "source") -> dict[str, str]:
-        """Return what a profile asks for of a file: key of the profile -> name of the column in a `Frame`."""
+        """Return what a profile asks for of a file: key of the profile -> name of the column in `Contents`."""
         found = {
             f"columns.{key}": source.key
             for key, source in self.column_sources().items()

@@ -1,6 +1,6 @@
 """Readers: one small module per file format, and one that maps what they find to SI.
 
-A format module turns bytes into a `Frame` (`pipeline.readers.frame`), `pipeline.readers.mapping` turns
+A format module turns bytes into a `Contents` (`pipeline.readers.frame`), `pipeline.readers.mapping` turns
 frames into logs. The native log has a reader of its own, which parses many files at once.
 """
 

@@ -74,19 +74,14 @@ class Estimate(Record):
 
 
 class ModelCheck(Record):
-    """How well the fitted model explains the logs of an experiment.
+    """How well the likeliest device explains the logs of an experiment: ``explained`` of ``trials``.
 
-    ``explained`` of ``trials`` fits are right within what sensor and chance allow. Medians over trials: ``misfit`` of
-    the whitened errors (1 where the sensor explains them), ``whiteness`` (p-value), ``ghost`` (root mean square of
-    log minus simulated loop, relative to the final displacement). ``left`` trials leave the model's noise band.
+    ``fit_percent`` is the median fit of its free runs to logs that it was not fitted to.
     """
 
     trials: int
     explained: int
-    left: int
-    misfit: float | None
-    whiteness: float | None
-    ghost: float | None
+    fit_percent: float | None
 
 
 class BoundaryPoint(Record):

@@ -184,12 +184,8 @@ def _statements(lines: Iterable[str]) -> tuple[dict[str, tuple[str, int]], dict[
         key, value = match[1].rstrip(), match[2]
         if key in _REQUIRED or key in _OPTIONAL:
             if key in values:
-                raise LogError(
-                    f"header gives {key!r} twice, first in line {values[key][1]}; expected it once. "
-                    "Remove the wrong line.",
-                    row,
-                    code="condition-wrong",
-                )
+                first = f"first in line {values[key][1]}; expected it once. Remove the wrong line."
+                raise _wrong(f"header gives {key!r} twice, {first}", row)
             values[key] = (value, row)
         else:
             value = _NOTE_BEHIND_TEXT.sub("", value).strip()
@@ -202,29 +198,22 @@ def _incomplete(missing: list[str], values: dict[str, tuple[str, int]], extra: d
     """Return the refusal of a header that lacks keys."""
     found = ", ".join([*values, *extra]) or "no `# key: value` line"
     if not values:
-        return LogError(
-            f"header has none of {', '.join(_REQUIRED)}; found {found}. Add a line `# key: <value>` for each, or "
-            "describe the file by a profile.",
-            1,
-            code="header-missing",
-        )
-    return LogError(
-        f"header has no {' and no '.join(repr(key) for key in missing)}; found {found}. "
-        + " ".join(f"Add a line `# {key}: <value>` with {_REQUIRED[key]}." for key in missing),
-        1,
-        code="condition-missing",
-    )
+        remedy = "Add a line `# key: <value>` for each, or describe the file by a profile."
+        return LogError(f"header has none of {', '.join(_REQUIRED)}; found {found}. {remedy}", 1, code="header-missing")
+    remedy = " ".join(f"Add a line `# {key}: <value>` with {_REQUIRED[key]}." for key in missing)
+    lacking = " and no ".join(map(repr, missing))
+    return LogError(f"header has no {lacking}; found {found}. {remedy}", 1, code="condition-missing")
+
+
+def _wrong(reason: str, row: int) -> LogError:
+    return LogError(reason, row, code="condition-wrong")
 
 
 def _name(key: str, value: str, row: int) -> str:
     name = _NOTE_BEHIND_TEXT.sub("", value).strip()
     if not name or len(name) > LONGEST_NAME or not name.isprintable():
-        raise LogError(
-            f"{key} must be a printable name of 1 to {LONGEST_NAME} characters, found {name!r}. "
-            f"Write {_REQUIRED[key]}.",
-            row,
-            code="condition-wrong",
-        )
+        expected = f"a printable name of 1 to {LONGEST_NAME} characters"
+        raise _wrong(f"{key} must be {expected}, found {name!r}. Write {_REQUIRED[key]}.", row)
     return name
 
 
@@ -234,47 +223,35 @@ def _number(key: str, value: str, row: int) -> float:
     unit = re.split(r"[\s,;\]]", note.strip(), maxsplit=1)[0] if bracket else ""
     known = find_unit(unit)
     if known is not None and known.factor != 1.0:
-        raise LogError(
-            f"{key} is given in {unit}; native logs are SI (N, m, rad, s). Multiply the value by "
-            f"{known.factor:.9g} and correct the note, or describe the file by a profile.",
-            row,
-            code="condition-wrong",
-        )
+        remedy = f"Multiply the value by {known.factor:.9g} and correct the note, or describe the file by a profile."
+        raise _wrong(f"{key} is given in {unit}; native logs are SI (N, m, rad, s). {remedy}", row)
     try:
         # float() would take 1_000 and digits of every script, which no other reader does
         number = float(text.replace("_", "?")) if text.isascii() else math.nan
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise LogError(
-            f"{key} must be a finite number with a decimal point, found {text!r}. Write `# {key}: <number>`; "
-            "a remark belongs into square brackets behind it.",
-            row,
-            code="condition-wrong",
-        )
+        remedy = f"Write `# {key}: <number>`; a remark belongs into square brackets behind it."
+        raise _wrong(f"{key} must be a finite number with a decimal point, found {text!r}. {remedy}", row)
     return number
 
 
 def _period(value: str, row: int) -> float:
     period = _number("sampling_period_s", value, row)
     if period <= 0:
-        raise LogError(
-            f"sampling_period_s must be above 0 s, found {period:g}. Write the period, such as 0.001.",
-            row,
-            code="condition-wrong",
-        )
+        raise _wrong(f"sampling_period_s must be above 0 s, found {period:g}. Write the period, such as 0.001.", row)
     return period
 
 
 def _count(key: str, value: str, row: int) -> int:
     number = _number(key, _OPTIONAL_NOTE.sub("", value), row)
     if number < 0 or number != int(number):
-        raise LogError(f"{key} must be a whole number of samples >= 0, found {number:g}.", row, code="condition-wrong")
+        raise _wrong(f"{key} must be a whole number of samples >= 0, found {number:g}.", row)
     return int(number)
 
 
 def _choice(key: str, allowed: tuple[str, ...], value: str, row: int) -> str:
     word = _OPTIONAL_NOTE.sub("", value.partition("[")[0]).strip()
     if word not in allowed:
-        raise LogError(f"{key} must be one of {', '.join(allowed)}; found {word!r}.", row, code="condition-wrong")
+        raise _wrong(f"{key} must be one of {', '.join(allowed)}; found {word!r}.", row)
     return word

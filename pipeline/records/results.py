@@ -123,8 +123,8 @@ class Prediction(Record):
     """Whether theory predicts the device: distance of the measured limits from it, and of the costs on tested walls.
 
     ``percent`` is the median distance of ``limits`` limits, null where it is no headline (`scores.agreement`);
-    ``percent_with_friction`` that from the found device with its friction. ``safe`` where all walls that theory calls
-    stable are. ``reason`` says why it is unknown.
+    ``percent_with_friction`` that from the found device with its friction, which is right within 5 % where it is null.
+    ``safe`` where all walls that theory calls stable are. ``reason`` says why it is unknown.
     """
 
     code: Literal["yes", "with_friction", "no", "unknown"]
@@ -222,7 +222,7 @@ class ExperimentResult(Record):
     def delay(self) -> Estimate:
         """The delay that logs tell: of an adequate loop as it was fitted, else the integer factor (6.3)."""
         factor = self.estimates["delay_samples"]
-        fitted = factor.by_method.get("ladder", factor.by_method.get("model"))
+        fitted = factor.by_method.get("model")
         told = self.loop is not None and self.loop.adequate and fitted is not None and fitted.value is not None
         return fitted if fitted is not None and told else factor
 

@@ -51,6 +51,8 @@ def _cost(criterion: Criterion) -> dict[str, Column]:
     }
 
 
+_BIASES, _TAILS = (tuple(f"energy_w{w}_{part}" for w in (0, 1, 2)) for part in ("bias", "tail"))
+
 COLUMNS: dict[str, Column] = {
     # identity and conditions of a trial
     "trial_id": _same(_S, "", "first 16 digits of the SHA-256 of the source log, or of that SHA-256 with the label"),
@@ -93,15 +95,8 @@ COLUMNS: dict[str, Column] = {
     "position": Column(_L, "m", "rad", "measured position"),
     "force": Column(_L, "N", "Nm", "measured force, where the log has one", True),
     "velocity": Column(_L, "m/s", "rad/s", "velocity as logged; no cost or estimate uses it", True),
-    "raw_time": _same(
-        _L, "", "time stamp as it stands in the source, where it is no whole number and not time_s", True
-    ),
-    "raw_count": _same(
-        _LI,
-        "",
-        "time stamp as it stands in the source, where it is a whole number (a date: without its decimal sign)",
-        True,
-    ),
+    "raw_time": _same(_L, "", "time stamp in the source, where it is no whole number and not time_s", True),
+    "raw_count": _same(_LI, "", "whole time stamp in the source (a date: without its decimal sign)", True),
     # stages with a row a trial
     "samples_sha256": _same(_S, "", "first 16 digits of the SHA-256 of conditions and samples that the row rests on"),
     # response stage
@@ -120,9 +115,7 @@ COLUMNS: dict[str, Column] = {
     "law_codes": _same(_S, "", "why it departs: codes of `wall_law.CODES`, comma separated; empty where it does not"),
     "law_evidence": _same(_S, "", "the evidence for them, in words"),
     "law_rows": _same(_I, "", "rows concerned"),
-    "obeyed_stiffness": Column(
-        _F, "N/m", "Nm/rad", "stiffness that the command obeys, where it is not the stated one", True
-    ),
+    "obeyed_stiffness": Column(_F, "N/m", "Nm/rad", "stiffness that the command obeys, if not the stated", True),
     "obeyed_damping": Column(_F, "Ns/m", "Nms/rad", "damping of the same wall", True),
     "obeyed_step": Column(_F, "N", "Nm", "step of the same command", True),
     "velocity_filter": _same(_S, "", "filter b(z)/a(z) of the velocity that the log shows, as JSON", True),
@@ -132,57 +125,25 @@ COLUMNS: dict[str, Column] = {
     "outcome_row": _same(_I, "", "first row of the evidence, counted from 0", True),
     "band": Column(_F, "m", "rad", "half width of the band about the final position that was used", True),
     "amplitude_end": Column(_F, "m", "rad", "half of peak to peak over the last fifth of the log", True),
-    # delay, mass, damping and model stages
-    "delay_samples": _same(_I, "samples", "integer delay factor: onset where sure, else first change", True),
+    # model, delay and mass stages
     "first_change_samples": _same(_I, "samples", "integer delay factor by the first position change (6.2, 6.3)", True),
-    "onset_samples": _same(_F, "samples", "delay to the onset of motion, by the motion that the quantum hid", True),
-    "onset_error": _same(_F, "samples", "its standard error", True),
-    "model_mass": Column(_F, "kg", "kg m^2", "mass by the model fitted to the response", True),
-    "model_mass_error": Column(_F, "kg", "kg m^2", "its standard error", True),
-    "model_damping": Column(_F, "Ns/m", "Nms/rad", "viscous damping b by the model fitted to the response", True),
-    "model_damping_error": Column(_F, "Ns/m", "Nms/rad", "its standard error", True),
-    "model_delay": _same(_F, "samples", "mean delay of the command in force by the model", True),
-    "model_delay_error": _same(_F, "samples", "its standard error", True),
-    "model_jitter": _same(_F, "samples", "standard deviation of the delay within the trial", True),
-    "model_jitter_error": _same(_F, "samples", "its standard error", True),
-    "model_start": Column(_F, "m", "rad", "position before the step by the model", True),
-    "misfit": _same(
-        _F, "1", "root mean square of the whitened errors of the model; 1 where the sensor explains them", True
+    "model_mass": Column(
+        _F, "kg", "kg m^2", "mass of the trial, a step by its own likelihood from the common one", True
     ),
-    "whiteness": _same(_F, "1", "p-value of a test that these errors are not correlated", True),
-    "friction_gain": _same(_F, "1", "fall of the deviance by friction beside the jitter of the model", True),
-    "ghost_deviation": Column(_F, "m", "rad", "root mean square of log minus simulated loop (ghost)", True),
-    "ghost_relative": _same(_F, "1", "the same relative to the final displacement", True),
-    "ghost_row": _same(_I, "", "first row where the log leaves the noise band about the ghost", True),
-    "leaves_row": _same(_I, "", "first row where the log leaves the noise band of the model", True),
+    "model_mass_error": Column(_F, "kg", "kg m^2", "its standard error", True),
+    "model_damping": Column(_F, "Ns/m", "Nms/rad", "viscous damping b in the same way", True),
+    "model_damping_error": Column(_F, "Ns/m", "Nms/rad", "its standard error", True),
+    "model_delay": _same(_F, "samples", "mean delay of the command in force in the same way", True),
+    "model_delay_error": _same(_F, "samples", "its standard error", True),
     "mass_momentum": Column(_F, "kg", "kg m^2", "mass by the momentum balance (6.4), biased by b", True),
-    "damping_share": _same(_F, "s", "what viscous damping b adds to mass_momentum, divided by b", True),
-    "mass": Column(_F, "kg", "kg m^2", "mass by the momentum balance corrected for viscous damping", True),
-    "balance_mass": Column(_F, "kg", "kg m^2", "mass by the momentum balance with damping and friction", True),
-    "balance_mass_error": Column(_F, "kg", "kg m^2", "its standard error", True),
-    "force_mass": Column(_F, "kg", "kg m^2", "as balance_mass, by the measured force", True),
-    "force_mass_error": Column(_F, "kg", "kg m^2", "its standard error", True),
-    "viscous_damping": Column(_F, "Ns/m", "Nms/rad", "viscous damping b from the trial", True),
-    "balance_sums": _same(_L, "", "weighted sums of its joint balance, see `forces.balance_sums`", True),
     # cost stages
     **{name: column for criterion in MEASURED for name, column in _cost(criterion_of(criterion)).items()},
     "overshoot_floor": _same(_F, "1", "overshoot that sensor and chatter alone can cause"),
-    **{
-        name: column
-        for w in (0, 1, 2)
-        for name, column in {
-            f"energy_w{w}_bias": _same(_F, "1", "what noise and quantum add to the sum, taken off", True),
-            f"energy_w{w}_tail": _same(_F, "1", "part of the cost that lies beyond the horizon, extrapolated", True),
-        }.items()
-    },
+    **dict.fromkeys(_BIASES, _same(_F, "1", "what noise and quantum add to the sum, taken off", True)),
+    **dict.fromkeys(_TAILS, _same(_F, "1", "part of the cost that lies beyond the horizon, extrapolated", True)),
     "horizon_samples": _same(_I, "samples", "number of samples summed before the noise floor or the end", True),
-    # ladder stage
-    "role": _same(_S, "", "best, next best, or alike: as many parts and not to be told apart from the best"),
-    "parts": _same(_S, "", "what the device has beside mass, damper and delay, comma separated"),
-    "explained": _same(_I, "", "number of held-out trials that it explains within what the sensor leaves open"),
-    "held_out": _same(_I, "", "number of held-out trials"),
-    "score": _same(_F, "1", "logarithm of the likelihood of the held-out trials"),
-    "numbers": _same(_S, "", "names, values in SI and covariance of its numbers, as JSON", True),
+    # device stage
+    "numbers": _same(_S, "", "the likeliest device: names, values in SI, covariance, parts, scatter, as JSON"),
     # boundary stage
     "stable": Column(_F, "N/m", "Nm/rad", "largest stable stiffness below the smallest unstable one", True),
     "unstable": Column(_F, "N/m", "Nm/rad", "smallest unstable stiffness", True),
@@ -196,10 +157,7 @@ COLUMNS: dict[str, Column] = {
 
 _BESIDE = {
     "overshoot": ("overshoot_floor",),
-    "energy": (
-        *(f"energy_w{w}_{part}" for w in (0, 1, 2) for part in ("bias", "tail")),
-        "horizon_samples",
-    ),
+    "energy": (*(name for pair in zip(_BIASES, _TAILS, strict=True) for name in pair), "horizon_samples"),
 }
 """Columns of a cost stage beside those of the costs."""
 
@@ -218,18 +176,15 @@ _NAMES = {
     "wall_law": f"""{_TRIAL} law_residual law_rounding law_codes law_evidence law_rows
         obeyed_stiffness obeyed_damping obeyed_step velocity_filter""",
     "outcome": f"{_TRIAL} outcome evidence outcome_row band amplitude_end",
-    "delay": f"{_TRIAL} delay_samples first_change_samples onset_samples onset_error reason",
-    "model": f"""{_TRIAL} model_mass model_mass_error model_damping model_damping_error model_delay
-        model_delay_error model_jitter model_jitter_error model_start misfit whiteness friction_gain leaves_row
-        ghost_deviation ghost_relative ghost_row reason""",
-    "mass": f"""{_TRIAL} mass_momentum damping_share mass balance_mass balance_mass_error
-        force_mass force_mass_error reason""",
-    "damping": f"{_TRIAL} viscous_damping balance_sums reason",
+    "device": "numbers reason",
+    "model": f"""{_TRIAL} model_mass model_mass_error model_damping model_damping_error model_delay model_delay_error
+        reason""",
+    "delay": f"{_TRIAL} first_change_samples reason",
+    "mass": f"{_TRIAL} mass_momentum reason",
     **{
         name: " ".join((_TRIAL, *(c for m in members(family) for c in _cost(m)), *_BESIDE.get(name, ()), "reason"))
         for name, family in FAMILIES.items()
     },
-    "ladder": "role parts explained held_out score numbers",
     "boundary": "damping stable unstable censored estimate low high trials undecided",
 }
 

@@ -31,7 +31,7 @@ SCHEME = "s3://"
 """What the URL of a store begins with."""
 
 RETRIES = 10
-"""Attempts after one that failed by the network or a busy server, with growing pauses of 0.1 to 5 s: some 15 s."""
+"""Attempts after one that failed by the network or a busy server, with growing pauses from 0.1 s on."""
 
 PATIENCE_S = 30.0
 """How long one request is tried [s]: a server that restarts is back by then, one that is gone is told soon."""
@@ -74,15 +74,7 @@ class Objects:
         try:
             self._store = S3Store.from_url(
                 self.url,
-                retry_config={
-                    "max_retries": RETRIES,
-                    "retry_timeout": timedelta(seconds=PATIENCE_S),
-                    "backoff": {
-                        "init_backoff": timedelta(milliseconds=100),
-                        "max_backoff": timedelta(seconds=5),
-                        "base": 4,  # each pause is drawn at random below this multiple of the one before
-                    },
-                },
+                retry_config={"max_retries": RETRIES, "retry_timeout": timedelta(seconds=PATIENCE_S)},
                 # options that are given take the place of those in variables
                 client_options={"connect_timeout": "5s", "timeout": "120s", "allow_http": _allows_http()},
             )

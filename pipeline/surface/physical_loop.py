@@ -129,10 +129,16 @@ class Loop:
     def _parts(self) -> LoopParts:
         named = {name: getattr(self, name) for name in LoopParts.model_fields if hasattr(self, name)}
         try:
-            return LoopParts.model_validate(named)
+            parts = LoopParts.model_validate(named)
         except ValidationError as error:
             told = (f"{'.'.join(map(str, e['loc']))} = {e['input']!r}: {e['msg']}" for e in error.errors())
             raise ParameterError(f"{'; '.join(told)}. The keys are those of a device file (docs/devices.md).") from None
+        if parts.left_out:
+            raise ParameterError(
+                f"velocity.kind = {parts.velocity.kind if parts.velocity else None}: no linear loop; expected "
+                "difference, butterworth, coefficients or kalman. Simulate it instead (pipeline simulate)."
+            )
+        return parts
 
     @cached_property
     def _scale(self) -> normalised.Normalised:
@@ -442,11 +448,12 @@ class Loop:
 
 
 def loop_of_device(device: Device, experiment: Experiment) -> Loop:
-    """Return the loop of an experiment of a device, friction left out."""
-    parts = device.loop_of(experiment).model_dump(exclude={"friction"})
+    """Return the loop of an experiment of a device, without what linear theory leaves out."""
+    parts = device.loop_of(experiment)
+    given = parts.model_dump(exclude={"friction", *parts.left_out})
     e = experiment
     numbers = e.mass, e.damping, device.sampling_period_s, e.delay_samples, e.stiffness
-    return Loop(*numbers, motion=device.motion, **parts)
+    return Loop(*numbers, motion=device.motion, **given)
 
 
 def _as_walls(stiffness: object, damping: object) -> tuple[Floats, Floats]:

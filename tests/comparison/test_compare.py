@@ -208,7 +208,7 @@ def test_other_criteria_run_only_what_is_missing(lwr, tmp_path, plain_page):
     }
     second = plan(["overshoot", "energy_step_w0"])
     assert {s for s, a in second.items() if a == RUN and s.startswith("delay-4")} == {
-        f"delay-4: {stage}" for stage in ("delay", "model", "ladder", "damping", "mass", "energy")
+        f"delay-4: {stage}" for stage in ("device", "model", "delay", "mass", "energy")
     }
     assert second["report"] == RUN
     third = plan(["overshoot"])  # all is stored, but the report shows other criteria
@@ -297,10 +297,7 @@ def test_a_damaged_stage_file_is_made_anew(own):
     assert run(own).result == expected
 
 
-@pytest.mark.parametrize(
-    "tree",
-    ["trials", pytest.param("stages", marks=pytest.mark.slow)],
-)
+@pytest.mark.parametrize("tree", ["trials", pytest.param("stages", marks=pytest.mark.slow)])
 def test_a_damaged_experiment_keeps_no_other_from_being_compared(own, tree):
     expected = run(own, experiments=["delay-4"]).result
     for path in (own / "processed" / tree / "lwr" / "delay-2").iterdir():

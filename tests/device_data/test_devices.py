@@ -149,18 +149,6 @@ def test_all_wrong_fields_are_named_at_once(tmp_path: Path) -> None:
         assert field in str(refused.value)
 
 
-def test_a_list_of_wrong_entries_is_not_called_too_short_besides(tmp_path: Path) -> None:
-    path = altered(tmp_path)
-    path.write_text(path.read_text(encoding="utf-8").replace("\ngrip = ", "\ngrab = "), encoding="utf-8")
-    with pytest.raises(DeviceError, match=r"7 field\(s\) to correct") as refused:
-        read_device(path)
-    assert "at least 1" not in str(refused.value)
-    text = path.read_text(encoding="utf-8")
-    path.write_text("experiment = []\n" + text[: text.index("[[experiment]]")], encoding="utf-8")
-    with pytest.raises(DeviceError, match=r"experiment.*at least 1"):
-        read_device(path)
-
-
 def test_a_copied_file_that_bears_the_old_name_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     altered(tmp_path, name="mine.toml")
     monkeypatch.setenv(USER_FOLDER_VARIABLE, str(tmp_path))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import math
 from pathlib import Path
 
 import pytest
@@ -82,13 +81,6 @@ def test_rows_belong_to_tables_and_experiments_of_the_shipped_devices() -> None:
                 assert row.condition.removeprefix("experiment_") in tables[row.table].experiments
 
 
-def test_what_is_not_printed_is_not_found() -> None:
-    assert find("D.1", "settle_2pct", "experiment_3") is None
-    assert find("D.6", "settle_2pct", "experiment", 9) is None
-    assert find("D.6", "settle_2pct", "experiment") is None  # a delay is needed there
-    assert find("D.4", "settle_2pct", "experiment", 2) is not None  # and is not part of the other tables
-
-
 def test_a_damaged_or_missing_file_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pipeline.device_data.published, "schema_folder", lambda: tmp_path)
     pipeline.device_data.published.published_rows.cache_clear()
@@ -102,9 +94,3 @@ def test_a_damaged_or_missing_file_is_named(tmp_path: Path, monkeypatch: pytest.
             published_rows()
     finally:
         pipeline.device_data.published.published_rows.cache_clear()
-
-
-def test_costs_are_numbers() -> None:
-    for row in published_rows():
-        assert math.isfinite(row.cost)
-        assert row.cost >= 0

@@ -12,7 +12,6 @@ from pydantic import ValidationError
 import pipeline.device_data.published_theory as module
 from pipeline.base.errors import ParameterError, StoreError
 from pipeline.device_data.published_theory import (
-    QUANTITIES,
     THEORY_TABLES,
     PrintedNumber,
     PublishedPoint,
@@ -79,17 +78,6 @@ def test_every_factor_of_5_1_is_there() -> None:
         assert point.scaling == row["scaling"]
 
 
-def test_the_tables_have_their_sizes() -> None:
-    sizes = {name: len(published_points([name])) for name in THEORY_TABLES}
-    assert sizes == {
-        **{f"B.{i}": 26 for i in (1, 2, 3, 4)},
-        **{f"C.{i}": 57 for i in (1, 2, 3)},
-        "5.1(a)": 8,
-        "5.1(b)": 7,
-    }
-    assert len(published_points()) == sum(sizes.values())
-
-
 def test_every_criterion_can_be_computed() -> None:
     known = {*POINT_CRITERIA, *with_discrete(CRITERIA)}
     assert {point.criterion for point in published_points()} - known == set()
@@ -130,13 +118,6 @@ def test_an_erratum_belongs_to_a_printed_number_and_has_a_reason() -> None:
     ):
         with pytest.raises(ValidationError):
             PublishedPoint.model_validate({**given, **wrong})
-
-
-def test_printed_numbers_come_in_a_fixed_order() -> None:
-    for point in published_points():
-        names = list(point.printed())
-        assert names == [name for name in QUANTITIES if name in names]
-        assert names
 
 
 def test_an_unknown_table_is_refused_with_the_list() -> None:

@@ -9,8 +9,8 @@ import pytest
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from pipeline.intake.bags import bag_of
 from pipeline.intake.ingest import ingest
+from pipeline.intake.sources import bag_of
 from pipeline.profiles.profile_files import load_profile
 from pipeline.shell.profile.profile_check import check_samples
 from pipeline.store.samples import load_batch

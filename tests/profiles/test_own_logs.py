@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 
 import pytest
 from native_logs import FAULTS
@@ -11,6 +12,7 @@ from pipeline.intake.quarantine import list_quarantine
 from pipeline.profiles.profile_columns import QUANTITIES
 from pipeline.profiles.profile_lines import find_questions
 from pipeline.shell.cli import run
+from pipeline.shell.profile.log_picture import look
 from pipeline.shell.profile.profile_draft import draft_profile
 
 PROFILE = """name = "mine"
@@ -143,7 +145,7 @@ def test_equal_reasons_are_told_once_with_what_helps(call):
     assert "3 logs, first " in out
     assert "pipeline profile draft " in out
     assert len(json.loads(call("quarantine", "--json")[1])) == 3
-    assert hint.format("") in call("look", "logs/wall_K200_B5.csv")[1]
+    assert hint.format("") in look(Path("logs/wall_K200_B5.csv")).notes
 
 
 def test_a_profile_that_does_not_fit_leaves_the_better_reason(call, tmp_path):

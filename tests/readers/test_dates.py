@@ -132,8 +132,9 @@ def read(form, data, names, unit, **time) -> Log:
     return log
 
 
-@pytest.mark.parametrize("kind", ["absolute", "counter"])
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize(
+    ("name", "kind"), [*((name, "absolute") for name in FILES), ("delimited s", "counter"), ("parquet", "counter")]
+)
 def test_differences_of_dates_are_exact_and_the_stamps_are_kept(name, kind):
     form, write, names, unit, decimals = FILES[name]
     log = read(form, write(), names, unit, kind=kind)

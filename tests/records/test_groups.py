@@ -26,7 +26,6 @@ from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.measured.cost import costs
-from pipeline.measured.experiment import known_delay
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.stages import stage_groups, stage_tables, stages
 from pipeline.measured.stages import stage_rows as rows_of
@@ -190,9 +189,7 @@ def test_no_row_outlives_what_it_rests_on(lab, tmp_path, monkeypatch, edit, chan
     if changed == "code":
         edit(costs)
     elif changed == "given":
-        other = of.delay_estimate.model_copy(update={"value": 5.0, "high": 7.0})
-        for module in (known_delay, rows_of):
-            monkeypatch.setattr(module, "delay_estimate", lambda _: other)
+        monkeypatch.setattr(rows_of, "delay_factor", lambda _: (5, 5, 6))
     else:
         moved = [replace(part, position=part.position + 1e-9 * (part.position > 0)) for part in of.samples.parts]
         of.__dict__["samples"] = TrialGroups(of.samples.places, tuple(moved))
@@ -205,18 +202,6 @@ def test_no_row_outlives_what_it_rests_on(lab, tmp_path, monkeypatch, edit, chan
     monkeypatch.setattr(stage_tables, "stage_rows", counting)
     of.table("settling")
     assert sum(computed) == of.trials.num_rows
-
-
-def test_masses_are_corrected_with_the_damping_of_now(lab, tmp_path, monkeypatch):
-    of = lab.stages("1", copy_store(lab, tmp_path))
-    masses = of.table("mass")
-    share = masses.column("damping_share").to_numpy()
-    other = lab.stages("1", tmp_path)
-    estimate = other.damping_estimate
-    more = estimate.model_copy(update={"value": estimate.value + 1.0})
-    monkeypatch.setattr(rows_of, "damping_estimate", lambda *_: more)
-    found = rows_of.corrected(other, masses)["mass"]
-    np.testing.assert_allclose(found, masses.column("mass").to_numpy() - share, rtol=1e-12)
 
 
 @pytest.mark.slow

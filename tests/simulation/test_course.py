@@ -105,27 +105,6 @@ def test_course_equals_testing_one_after_the_other(
     assert set(course.passes) == {1, 2}
 
 
-def test_verdicts_from_the_logs_lead_through_the_course_that_theory_predicts(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    theory = run_course(FALCON, "1", ideal=True, coarsen=5, judge=judge_by_theory(FALCON, "1")).batch
-    for wave in (5, 12):
-        monkeypatch.setattr(procedure, "WAVE", wave)
-        found = run_course(FALCON, "1", ideal=True, coarsen=5).batch
-        assert found.trial_id == theory.trial_id
-
-
-def test_kept_trials_are_those_of_a_single_simulation() -> None:
-    course = run_course(FALCON, "6", seed=5, coarsen=9, judge=judge_by_noise)
-    for i in (0, len(course.batch) // 2, len(course.batch) - 1):
-        K, B = course.batch.stiffness[[i]], course.batch.damping[[i]]
-        alone = simulate(course.setup, K, B, seed=5, stream="falcon/6")
-        rows = course.batch.rows[i]
-        assert alone.rows[0] == rows
-        assert np.array_equal(alone.position[0], course.batch.position[i, :rows])
-        assert np.isnan(course.batch.position[i, rows:]).all()
-
-
 @pytest.mark.parametrize(
     ("device", "experiment", "size"), [(FALCON, "1", 2320), (FALCON, "6", 1080), (LWR, "delay-2", 1420)]
 )
@@ -231,13 +210,6 @@ def test_logs_hold_the_trials_to_the_last_bit(small: Course, tmp_path: Path) -> 
         assert np.array_equal(values[:, 0], small.batch.time[i, :rows])
         assert np.array_equal(values[:, 1], small.batch.command[i, :rows])
         assert np.array_equal(values[:, 2], small.batch.position[i, :rows])
-
-
-def test_names_are_readable_and_sortable(small: Course) -> None:
-    names = small.batch.trial_id
-    assert names[0] == "B000_K003600_p1"
-    assert any(name.startswith("B-010_K000000_p1") for name in names)
-    assert len(set(names)) == len(names)
 
 
 def test_truth_says_what_was_simulated(small: Course, tmp_path: Path) -> None:

@@ -26,13 +26,6 @@ def test_every_kind_simulates_a_short_course(name: str) -> None:
         assert set(course.verdict) <= kept[case.keep]
 
 
-@pytest.mark.parametrize("name", ["all parts", "gravity", "ideal"])
-def test_a_seed_names_the_device(name: str) -> None:
-    one, again, other = (KINDS[name](seed) for seed in (5, 5, 6))
-    assert one == again
-    assert one.device.experiments[0].mass != other.device.experiments[0].mass
-
-
 def test_the_stated_device_is_ideal_and_the_true_one_holds_what_was_drawn() -> None:
     case = KINDS["all parts"](1)
     true, stated = case.device, case.stated

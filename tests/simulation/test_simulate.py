@@ -14,7 +14,6 @@ from pipeline.base.errors import ParameterError
 from pipeline.device_data.devices import load_device
 from pipeline.loop.motion import Mechanism
 from pipeline.records.batch import Floats, Integers, TrialBatch
-from pipeline.records.loop_parts import Butterworth
 from pipeline.records.simulation_parts import SimulationParts
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
@@ -59,23 +58,6 @@ def test_ideal_loop_equals_an_independent_loop(p: int, q: int, k: float, b: floa
         # positions are read at 0.12 m: rounding of 1e-17 m, 1e-14 of a response, times the gain of the loop
         assert np.abs(batch.displacement[i, :rows] - position[:rows]).max() <= 1e-12 * np.abs(position).max()
         assert np.abs(batch.command[i, :rows] - command[:rows]).max() <= 1e-12 * np.abs(command).max() * 20
-
-
-@pytest.mark.parametrize("d", [0.0, 2.0, 4.5])
-@pytest.mark.parametrize("tau", [0.0, 0.002])
-def test_spectral_radius_is_the_growth_of_the_simulated_response(d: float, tau: float) -> None:
-    low_pass = Butterworth(kind="butterworth", order=1, cutoff_hz=1 / (2 * np.pi * tau)) if tau else None
-    setup = replace(IDEAL, delay_samples=d, travel=np.inf, rows=3000, velocity=low_pass)
-    plant = Mechanism(0.58, 4.0)
-    # beyond the stability limit one pair of modes wins in the end: x_{k+2} = p x_{k+1} + q x_k, |z|^2 = -q
-    K, B = np.array([60_000.0, 60_000.0]), np.array([0.0, -20.0])
-    rho = spectral_radius(plant, setup, K, B)
-    assert (rho > 1.003).all()
-    for i in range(2):
-        rows = min(setup.rows, int(np.log(1e12) / np.log(rho[i])))
-        x = simulate(replace(setup, rows=rows), K[i : i + 1], B[i : i + 1]).displacement[0, -60:]
-        recurrence = np.linalg.lstsq(np.stack((x[1:-1], x[:-2]), axis=1) / x[-1], x[2:] / x[-1])[0]
-        assert np.sqrt(-recurrence[1]) == pytest.approx(rho[i], rel=1e-6)
 
 
 def test_spectral_radius_at_zero_stiffness_leaves_out_the_integrator() -> None:
@@ -162,13 +144,6 @@ def test_jitter_delays_lie_in_the_set_and_commands_do_not_overtake() -> None:
     assert (np.diff(sources) >= 0).all()
 
 
-def test_jitter_of_one_value_is_a_constant_delay() -> None:
-    K, B = np.array([400.0, 4000.0]), np.array([10.0, 60.0])
-    jittered = simulate(replace(IDEAL, jitter_samples=(4,)), K, B)
-    constant = simulate(IDEAL, K, B)
-    assert np.array_equal(jittered.position, constant.position)
-
-
 def test_positions_lie_on_the_grid_of_the_quantum() -> None:
     setup = replace(FALCON, quantum=1e-5)
     batch = simulate(setup, np.array([500.0, 4000.0]), np.array([10.0, 60.0]))
@@ -198,18 +173,6 @@ def test_force_limit_clips_what_the_plant_feels_and_the_log_only_where_it_says_s
     head = IDEAL.edge_row + 12  # as long as the wall takes less than 5 N off the 8 N
     assert np.allclose(limited.displacement[0, :head], free.displacement[0, :head], rtol=0, atol=1e-15)
     assert limited.displacement[0, head - 1] > 1e-4
-
-
-def test_a_trial_does_not_depend_on_its_batch() -> None:
-    K = np.array([500.0, 3000.0, 12_000.0, 20_000.0, 0.0])
-    B = np.array([10.0, 60.0, 100.0, 4.0, -4.0])
-    together = simulate(FALCON, K, B, seed=3, stream="falcon/1")
-    for i in (4, 2, 0):
-        alone = simulate(FALCON, K[[i]], B[[i]], seed=3, stream="falcon/1")
-        rows = alone.rows[0]
-        assert rows == together.rows[i]
-        assert np.array_equal(alone.position[0], together.position[i, :rows])
-        assert np.array_equal(alone.command[0], together.command[i, :rows])
 
 
 def test_a_longer_trial_begins_like_the_shorter_one() -> None:
@@ -251,12 +214,6 @@ class HalfSteps:
         plant = Mechanism(0.58, 4.0)
         half = plant.advance(state[:2], command, push, time_s / 2)
         return np.vstack((plant.advance(half, command, push, time_s / 2), state[2:] + time_s))
-
-
-def test_the_plant_can_be_replaced() -> None:
-    K, B = np.array([400.0, 4000.0]), np.array([10.0, 60.0])
-    one, other = simulate(IDEAL, K, B), simulate(replace(IDEAL, plant=HalfSteps()), K, B)
-    assert np.abs(one.displacement - other.displacement).max() < 1e-12 * one.displacement.max()
 
 
 def test_no_trials_give_an_empty_batch() -> None:

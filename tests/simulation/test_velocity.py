@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_are
 
-from pipeline import Loop
+from pipeline import Loop, PipelineError
 from pipeline.loop.motion import Mechanism
 from pipeline.records.loop_parts import AdaptiveWindow, Kalman, Levant, LoopParts, VelocityFilter
 from pipeline.simulation.setup import Setup
@@ -131,5 +131,7 @@ def test_a_simulated_wall_is_damped_by_the_estimate(kind: VelocityFilter) -> Non
 
 
 def test_what_linear_theory_leaves_out_is_said() -> None:
+    with pytest.raises(PipelineError, match="foaw: no linear loop"):
+        Loop(0.5, 4.0, T, 2, velocity={"kind": "foaw", "bound": 1e-5})
     assert LoopParts(velocity=AdaptiveWindow(kind="foaw", bound=1e-5)).left_out == ["velocity"]
     assert LoopParts(velocity=Kalman(kind="kalman", acceleration=1.0, noise=1e-6)).left_out == []

@@ -6,7 +6,6 @@ import json
 import sys
 from dataclasses import replace
 from html.parser import HTMLParser
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,7 @@ from pipeline.rendering.report import report as comparison_report
 from pipeline.rendering.report.report_parts import take_apart
 from pipeline.shell import cli
 from pipeline.studies.accuracy import extremes, page, peers, run
-from pipeline.studies.accuracy.measure import Row, Table, best_time, grouped, mean, median
+from pipeline.studies.accuracy.measure import Row, Table, best_time, mean, median
 from pipeline.studies.accuracy.theory import QUANTITIES, reference, theory_tables
 
 CASE = peers.Case(0.001, 0.02, 4)
@@ -73,14 +72,6 @@ def test_a_library_that_is_not_installed_leaves_its_row_out() -> None:
     assert rungs_of(Row("m", dict, needs="no_such_library")) == []
 
 
-def test_rungs_keep_the_order_in_which_their_groups_begin() -> None:
-    rungs = [Rung(quantity=q, method=m, setting="", error=0.0, seconds=1.0) for q, m in ("bx", "ay", "by", "ax")]
-    assert {name: [r.method for r in of] for name, of in grouped(rungs, "quantity").items()} == {
-        "b": ["x", "y"],
-        "a": ["y", "x"],
-    }
-
-
 def test_time_is_the_least_of_repetitions() -> None:
     calls: list[int] = []
     result, seconds = best_time(lambda: calls.append(1) or len(calls), 0.005)
@@ -112,12 +103,6 @@ def test_radii_agree(delay: int) -> None:
     assert peers.radius_by_roots(case, *wall) == pytest.approx(exact, rel=1e-11)
     assert peers.radius_by_eigenvalues(case, *wall) == pytest.approx(exact, rel=1e-11)
     assert peers.radius_by_squaring(peers.matrices(case, *wall), 40) == pytest.approx(exact, rel=1e-9)
-
-
-def test_settling_is_missing_where_the_response_ends_outside_the_band() -> None:
-    found = peers.settling_of(np.array([[-1.0, -1.0], [0.5, -0.01], [0.1, 0.0]]), 1, 0.02)
-    assert np.isnan(found[0])
-    assert found[1] == pytest.approx(0.98 / 0.99)
 
 
 def test_nelder_mead_finds_the_minimum_of_a_smooth_bowl() -> None:
@@ -193,12 +178,6 @@ def test_extreme_cases_find_where_each_method_fails(report: AccuracyReport) -> N
     assert found["resonant", "polynomial roots"].wrong_verdicts
     assert found["margin", "polynomial roots"].worst  # the path can tell a wrong verdict
     assert set(run.words()["sweeps"]) == {s.sweep for s in report.sweeps}
-
-
-def test_left_out_methods_have_reasons() -> None:
-    entries = run.left_out()
-    assert all(entry.reason for entry in entries)
-    assert (find_spec("control") is None) == any(entry.method == "python-control" for entry in entries)
 
 
 def test_a_method_is_wrong_from_its_first_missing_number_or_verdict() -> None:

@@ -203,18 +203,9 @@ def map_figure(table: str, criterion: str, maps: Sequence[CostMap], motion: Moti
 def _map_panel(shown: CostMap, criterion: str, limits: Any, top: float, motion: Motion) -> Panel:
     units, factor, family = UNITS[motion], printed_scale(criterion), criterion_of(criterion).family
     K, B, cost = shown.trials
-    inside, best = cost <= top, shown.optimum
-    front = [
-        Series(
-            "_trials",
-            "dots",
-            K[inside],
-            cost[inside] * factor,
-            value=B[inside],
-            value_name=f"damping B [{units.damping}]",
-        )
-    ]
-    least = shown.least
+    inside, best, least = cost <= top, shown.optimum, shown.least
+    third = {"value": B[inside], "value_name": f"damping B [{units.damping}]"}
+    front = [Series("_trials", "dots", K[inside], cost[inside] * factor, **third)]
     front.append(Series("_least cost", "line", least[0], least[1] * factor))
     map_series, told = list(shown.boundary), "No optimum is known."
     if best is not None:
@@ -225,21 +216,15 @@ def _map_panel(shown: CostMap, criterion: str, limits: Any, top: float, motion: 
         told = f"Optimum {cost_text(criterion, best.cost)} at {at}."
     words = f"{shown.label}, {criterion_label(criterion)}: lines of equal cost. {told}"
     names = (f"stiffness K [{units.stiffness}]", f"damping B [{units.damping}]")
-    below = Panel(
-        "",
-        (names[0], with_unit(family.title, family.printed_unit)),
-        tuple(front),
-        "",
-        (limits[0], (0.0, top * factor)),
-        partial(_tell_optimum, shown, criterion, top),
-    )
-    return Panel(
-        shown.label, ("", names[1]), tuple(map_series), words, limits, partial(_contours, shown, criterion), below
-    )
+    value, axes = partial(_tell_optimum, shown, criterion), (names[0], with_unit(family.title, family.printed_unit))
+    below = Panel("", axes, tuple(front), "", (limits[0], (0.0, top * factor)), value)
+    contours = partial(_contours, shown, criterion)
+    return Panel(shown.label, ("", names[1]), tuple(map_series), words, limits, contours, below)
 
 
-def _tell_optimum(shown: CostMap, criterion: str, top: float, axes: Axes) -> None:
+def _tell_optimum(shown: CostMap, criterion: str, axes: Axes) -> None:
     best, factor = shown.optimum, printed_scale(criterion)
+    top = axes.get_ylim()[1] / factor
     if best is None or best.cost > top:
         return
     text = cost_text(criterion, best.cost) + (" %" if factor != 1 else "")
@@ -267,7 +252,7 @@ def _contours(shown: CostMap, criterion: str, axes: Axes) -> None:
         lines = axes.contour(shown.stiffness, shown.damping, _without_steps(shown.cost, criterion), **look)
         factor = printed_scale(criterion)
         numbered = levels[levels > edge[0]][::2] if edge else levels[1::LINES_PER_DOUBLING]
-        axes.clabel(lines, numbered[:2], fmt=lambda level: significant(level * factor, 3), fontsize=9.5, colors=INK)
+        axes.clabel(lines, numbered[:2], fmt=lambda level: significant(level * factor, 3), fontsize=10.5, colors=INK)
     elif (triangles := _triangles(shown.stiffness, shown.damping)) is not None:
         axes.tricontour(triangles, shown.cost, **look)
 
@@ -331,7 +316,7 @@ def departure_figures(
         float(max(map(np.max, every), default=1.0)) / CELLS[0],
         float(max(map(np.max, highest), default=1.0)) / CELLS[1],
     )
-    limits = ((0.0, reach(*(e.x for e in edges.values()))[1]), reach(*(e.y for e in edges.values()))) if edges else None
+    limits = ((0.0, reach(*(e.x for e in edges.values()))[1]), reach(*(e.y for e in edges.values())))
     expected = {name: predictions.costs_at(theories[name], *points[name], criteria) for name in points if criteria}
     figures = []
     for criterion in criteria:
@@ -341,31 +326,18 @@ def departure_figures(
             found = departures(stages.sure_cost(criterion), expected[name][criterion], criterion)
             found[stages.verdicts.verdict != "stable"] = np.nan
             if np.isfinite(found).any():
-                panels.append(
-                    _departure_panel(name, *points[name], found, edges[name], criterion, cell, limits, motion)
-                )
+                panel = _departure_panel(name, (*points[name], found), criterion, cell, motion)
+                panels.append(replace(panel, series=(edges[name], *panel.series), limits=limits))
         if panels:
-            title = f"Measured against theory, {criterion_name(criterion)}"
-            what = (
-                "difference in percentage points" if criterion_of(criterion).family.levels else "departure in percent"
-            )
+            name = criterion_name(criterion)
+            differs = criterion_of(criterion).family.levels
             caption = (
-                f"Median {what} of measured cost from theory over the stable trials of a cell. Filled marks: larger, "
-                "open: smaller; dots: less than the smallest step; size: the departure. Black: limit by theory."
+                f"Median {'difference in percentage points' if differs else 'departure in percent'} of measured cost "
+                "from theory over the stable trials of a cell. Filled marks: larger, open: smaller; dots: less than "
+                "the smallest step; size: the departure. Black: limit by theory."
             )
-            show = "measured against theory, all experiments"
-            figures.append(
-                Figure(
-                    "residuals",
-                    f"residual-{criterion}",
-                    title,
-                    caption,
-                    tuple(panels),
-                    criterion_name(criterion),
-                    show,
-                    (350.0, 310.0),
-                )
-            )
+            about = (f"residual-{criterion}", f"Measured against theory, {name}", caption, tuple(panels), name)
+            figures.append(Figure("residuals", *about, "measured against theory, all experiments", (350.0, 310.0)))
     return figures
 
 
@@ -380,40 +352,29 @@ def departures(measured_: Floats, expected: Floats, criterion: str) -> Floats:
 
 
 def _departure_panel(
-    name: str,
-    K: Floats,
-    B: Floats,
-    found: Floats,
-    edge: Series,
-    criterion: str,
-    cell: tuple[float, float],
-    limits: Any,
-    motion: Motion,
+    name: str, trials: tuple[Floats, Floats, Floats], criterion: str, cell: tuple[float, float], motion: Motion
 ) -> Panel:
+    """Return marks of an experiment; ``trials`` are stiffness, damping and departure, ``cell`` width and height."""
     import pandas as pd
 
     differs, units = bool(criterion_of(criterion).family.levels), UNITS[motion]
-    frame = pd.DataFrame({"K": np.floor(K / cell[0]), "B": np.floor(B / cell[1]), "off": found}).dropna()
+    K, B, departure = trials
+    frame = pd.DataFrame({"K": np.floor(K / cell[0]), "B": np.floor(B / cell[1]), "off": departure}).dropna()
     cells = frame.groupby(["B", "K"], as_index=False).median()
-    x, y, off = (
-        (cells["K"].to_numpy() + 0.5) * cell[0],
-        (cells["B"].to_numpy() + 0.5) * cell[1],
-        cells["off"].to_numpy(),
-    )
-    unit = "points" if differs else "%"
-    middle = f"{percent_text(100 * float(np.median(frame['off'])))} {unit}"
+    x, y = ((cells[axis].to_numpy() + 0.5) * width for axis, width in zip("KB", cell, strict=True))
+    off = cells["off"].to_numpy()
     # ratios count the same one way and the other
     size = np.abs(off) if differs else np.where(off > 0, 1 + off, 1 / (1 + off))
-    classes = (np.sign(off) * np.searchsorted(OVERSHOOT_STEPS if differs else RATIO_STEPS, size, side="right")).astype(
-        int
-    )
+    step = np.searchsorted(OVERSHOOT_STEPS if differs else RATIO_STEPS, size, side="right")
+    classes = (np.sign(off) * step).astype(int)
+    unit = "points" if differs else "%"
+    middle = f"{percent_text(100 * float(np.median(frame['off'])))} {unit}"
     told = Series("_measured against theory", "told", x, y, value=100 * off, value_name=f"departure [{unit}]")
     names = (f"stiffness K [{units.stiffness}]", f"damping B [{units.damping}]")
     above, below = int((classes > 0).sum()), int((classes < 0).sum())
     words = f"Measured against theory in {len(off)} cells: median {middle}; larger in {above}, smaller in {below}."
-    return Panel(
-        f"experiment {name}: median {middle}", names, (edge, told), words, limits, partial(_marks, x, y, classes)
-    )
+    title = f"experiment {name}: median {middle}"
+    return Panel(title, names, (told,), words, paint=partial(_marks, x, y, classes))
 
 
 def _marks(x: Floats, y: Floats, classes: np.ndarray, axes: Axes) -> None:

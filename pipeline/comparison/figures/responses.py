@@ -14,12 +14,11 @@ import pyarrow.compute as pc
 from pipeline.base.errors import ParameterError
 from pipeline.comparison.loops.told_loop import adequate_theory
 from pipeline.comparison.scene.scene import SceneData
-from pipeline.measured.device.delay import first_change
-from pipeline.measured.fit.ghost import simulate_ghost
 from pipeline.measured.law.log_rows import LogRows
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.stages.stage_groups import TrialGroup
 from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.thesis import first_change
 from pipeline.records.batch import Booleans, Floats, TrialBatch
 from pipeline.records.models import Motion
 from pipeline.records.results import ExperimentResult
@@ -307,25 +306,8 @@ def _beside(
     if fitted is None:
         why = result.loop.reason if result.loop is not None else "no model was fitted to the logs"
         missing.append(f"No loop is fitted to all logs: {why}")
-    model = _model(stages, trial)
-    if model is not None:
-        ghost = simulate_ghost(batch, group.found, *(np.array([value]) for value in model))
-        units = UNITS["rotation" if stages.rotation else "translation"]
-        named = zip(("m", "b", "delay"), model, (units.mass, units.damping, "samples"), strict=True)
-        source = ", ".join(f"{name} = {significant(value, 3)} {unit}" for name, value, unit in named)
-        add("model of this log", "model", source, ghost.position[0, :rows] - batch.position[0, 0])
     told = [f"Off the log, root mean square over its largest displacement: {'; '.join(off)}"] if off else []
     return drawn, [*told, *missing]
-
-
-def _model(stages: ExperimentStages, trial: str) -> tuple[float, ...] | None:
-    """Return mass, damping and delay of the model fitted to one log; None where there is none."""
-    ids = stages.texts("response", "trial_id")
-    if trial not in ids or not stages.is_stored("model"):
-        return None
-    row = ids.index(trial)
-    found = tuple(float(stages.column("model", f"model_{name}")[row]) for name in ("mass", "damping", "delay"))
-    return found if np.isfinite(found).all() else None
 
 
 def _law(stages: ExperimentStages, trial: str, residual: Floats, rounding: float, unit: str) -> str:

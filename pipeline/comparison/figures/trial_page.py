@@ -9,13 +9,14 @@ of a pixel, and rows are left out only where several fall into one column of pix
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from pipeline.comparison.loops.replay import usual_trial
+from pipeline.comparison.loops.told_loop import found_device
 from pipeline.comparison.scene.scene import SceneData, needed_stages
-from pipeline.measured.fit.ghost import simulate_ghost
 from pipeline.measured.signal.outcome import OUTCOMES
 from pipeline.measured.stages.stage_groups import TrialGroup
 from pipeline.measured.stages.stages import ExperimentStages, cost_column
@@ -205,9 +206,19 @@ class _Experiment:
             name: stages.column("model", f"model_{name}")[rows] if self.modelled else nothing
             for name in ("mass", "damping", "delay")
         }
-        beside = simulate_ghost(batch, found, model["mass"], model["damping"], model["delay"])
+        device, run = (
+            found_device(self.result, stages) if self.modelled else None,
+            np.full(batch.position.shape, np.nan),
+        )
+        if device is not None:
+            usual = usual_trial(self.result, stages)
+            alone = device.point.behind(batch.stiffness, batch.damping, replace(usual, quantum=0.0, delays=1))
+            for i in np.flatnonzero(found.edge_row >= 0).tolist():
+                edge, rest = int(found.edge_row[i]), found.position_start[i]
+                moved = alone.displacement[i, 1 : min(int(batch.rows[i]) - edge, int(alone.rows[i]) - 1) + 1]
+                run[i, :edge], run[i, edge : edge + len(moved)] = rest, rest + moved * batch.step[i] / usual.step
         start = found.position_start[:, None]
-        position, ghost = batch.position - start, beside.position - start
+        position, ghost = batch.position - start, run - start
         final = found.position_final_expected - found.position_start
         return [
             {

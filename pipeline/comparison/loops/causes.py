@@ -19,10 +19,6 @@ from pipeline.rendering.labels import Units, percent_text, share_text, significa
 FEW = 10
 """Trials below which nothing that differs between trials can be told: a share of them is known to 30 % at best."""
 
-APART, OTHERS = 0.5, 0.2
-"""Distance from the median onset [samples] beyond which a trial's delay is another one, and the share of such trials
-from which on it jitters: two delays as likely make a half."""
-
 ALONG = np.linspace(0.0, 1.0, 6)
 """Dampings, relative to that of the stiffest wall, at which a change of the limit is looked for: beyond it the limit
 falls so steeply that any change is large."""
@@ -116,6 +112,9 @@ PARTS = {
     "force": Part(
         "constant_force", "constant_force", "A constant force of {value} {force} acts on the device.", "step"
     ),
+    "saturation": Part(
+        "saturation", "force_limit", "The drive gives no more than {value} {force}, whatever is commanded."
+    ),
     "mode": Part("vibration_mode", "frequency_hz", "The device vibrates at {value} Hz, as seen by a sensor {at}."),
 }
 
@@ -138,7 +137,9 @@ def _parts(shown: Shown) -> Iterator[Candidate]:
         left = {key: value for key, value in values.items() if kind != "mode" or key != "far_mass"}
         left |= {part.number: 0.0} if kind != "mode" else {}
         effect, change = _beside(found.point, found.at(left), shown)
-        if rest > effect:
+        if kind == "saturation":
+            effect, change = fitted.saturated, f"{share_text(fitted.saturated)} % of the stable trials command more"
+        elif rest > effect:
             effect, change = rest, f"{significant(100 * rest, 2)} % of the final displacement at most"
         words = {"value": significant(part.unit * number.value, 3), "stiffness": shown.units.stiffness, "at": at}
         words |= {"force": shown.force, "more": _held(number.value, shown.trial.step) if kind == "friction" else ""}
@@ -182,7 +183,7 @@ def _shared(shown: Shown, found: FoundDevice) -> Iterator[Candidate]:
             _beside(point, replace(point, delay_samples=delay.value - part), shown)[0],
             f"The delay is no whole number of samples, {significant(delay.value, 3)}, or an actuator lag of less than "
             "a sample adds to a whole one: logs do not tell which.",
-            f"model fitted to the whole response, 95 %: {_span(delay)}",
+            f"by the likelihood of all trials, 95 %: {_span(delay)}",
         )
     stated = shown.stated_mass
     if stated is not None and max(mass.low - stated, stated - mass.high) > MATTERS * stated:
@@ -197,25 +198,14 @@ def _shared(shown: Shown, found: FoundDevice) -> Iterator[Candidate]:
 
 
 def _jitter(shown: Shown, point: LoopPoint) -> Iterator[Candidate]:
-    """Yield jitter of the delay within trials, by an amount that matters, that differs between them, too.
-
-    Friction and lag look like jitter within a trial; the first motion, which nothing but the step causes, comes after
-    the same delay with them.
-    """
+    """Yield jitter of the delay within trials."""
     jitter = shown.result.estimates.get("jitter_samples")
-    if jitter is None or (jitter.low or 0.0) <= 0:
-        return
-    onset, error = (shown.stages.column("delay", f"onset_{name}") for name in ("samples", "error"))
-    sure = error < APART / 4
-    others = np.abs(onset - np.median(onset[sure]))[sure] > APART if sure.any() else np.zeros(1)
-    if others.mean() >= OTHERS:
+    if jitter is not None and (jitter.low or 0.0) > 0:
         yield Candidate(
             "delay_jitter",
             _beside(point, replace(point, delay_samples=point.delay_samples + (jitter.low or 0.0)), shown)[0],
             f"The delay jitters, by {significant(jitter.value or 0.0, 2)} samples within a trial.",
-            f"95 %: {span(lambda value: significant(value, 4), jitter.low, jitter.high)}; the first motion comes "
-            f"{significant(APART, 1)} samples or more earlier or later than in the median in {int(others.sum())} of "
-            f"{counted(len(others), 'trial')}",
+            f"95 %: {span(lambda value: significant(value, 4), jitter.low, jitter.high)}",
         )
 
 

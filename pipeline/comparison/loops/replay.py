@@ -13,8 +13,8 @@ from pipeline.comparison.loops.told_loop import ToldLoop, found_device
 from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.comparison.summary.advice import NARROW
 from pipeline.measured.cost.costs import settling
+from pipeline.measured.experiment.boundary import spread_over_plane
 from pipeline.measured.intervals import NORMAL_95
-from pipeline.measured.ladder.trials import spread_over_plane
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.stages.stage_groups import Given, TrialGroup

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,11 +10,8 @@ import numpy as np
 
 from pipeline.comparison.loops.departures import course_filter
 from pipeline.loop.device_loop import longest_delay
-from pipeline.loop.loop import LARGEST_DELAY
-from pipeline.measured.experiment.fitted_device import FittedDevice, explaining_device
-from pipeline.measured.experiment.known_delay import whole_delay
-from pipeline.measured.explained import holds
-from pipeline.measured.intervals import NORMAL_95
+from pipeline.measured.experiment.estimates import whole_delay
+from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.law.velocity_filter import CUTOFF_DIGITS
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import AT_LOAD, FoundDevice, LoopPoint, stated_device
@@ -79,27 +76,11 @@ class ToldLoop:
 
 def found_device(result: ExperimentResult, stages: ExperimentStages) -> FoundDevice | None:
     """Return the device fitted to all logs, with their filter; else that of the estimates; None without one."""
-    fitted = stages.once(explaining_device) or _of_estimates(result)
+    fitted = stages.once(fitted_device)
     if fitted is None or "delay_samples" in fitted.open:
         return None
     velocity = stages.once(course_filter)
     return FoundDevice(fitted, stages.sampling_period_s, velocity.velocity if velocity else None)
-
-
-def _of_estimates(result: ExperimentResult) -> FittedDevice | None:
-    """Return mass, damping and delay of single logs as a device; None where one is not known."""
-    found = {"mass": result.estimates["mass"], "damping": result.estimates["damping"]}
-    found["delay_samples"] = loop_delay(result)
-    values = {name: each.value for name, each in found.items() if each.value is not None}
-    if len(values) < len(found) or values["mass"] <= 0 or values["delay_samples"] > LARGEST_DELAY:
-        return None
-    ends = [
-        (v if e.low is None else e.low, v if e.high is None else e.high)
-        for v, e in zip(values.values(), found.values(), strict=True)
-    ]
-    reach = np.array([max(v - low, high - v) for v, (low, high) in zip(values.values(), ends, strict=True)])
-    count = result.trials
-    return FittedDevice((), count, count, values, np.diag((reach / NORMAL_95) ** 2), (), "", 0.0, likely=True)
 
 
 def told_loop(found: FoundDevice | None, device: Device | None, of: Experiment | None) -> ToldLoop | None:
@@ -113,16 +94,13 @@ def told_loop(found: FoundDevice | None, device: Device | None, of: Experiment |
 
 
 def loop_delay(result: ExperimentResult) -> Estimate:
-    """Return the delay that theory takes: the model's where it explains the logs, else the integer factor.
+    """Return the delay that theory takes: that of the model, else the integer factor.
 
-    The model's is the whole number next to it where its interval holds that; see `known_delay.whole_delay`. Where a
-    device is fitted to all trials, it is that one's.
+    It is the whole number next to it where its interval holds that; see `estimates.whole_delay`.
     """
-    delay, check = result.estimates["delay_samples"], result.model_check
-    if "ladder" in delay.by_method:
-        return delay.by_method["ladder"]
+    delay = result.estimates["delay_samples"]
     model = delay.by_method.get("model")
-    if model is None or model.value is None or check is None or not holds(check.explained, check.trials):
+    if model is None or model.value is None:
         return delay
     return model.model_copy(update={"value": whole_delay(model)})
 
@@ -148,39 +126,6 @@ def adequate_theory(result: ExperimentResult, stages: ExperimentStages) -> Theor
         )
     )
     return theory if theory.stabilised else None
-
-
-TERMS = {
-    "mass": "mass",
-    "damping": "damping",
-    "friction": "coulomb",
-    "device_stiffness": "stiffness",
-    "constant_force": "constant_force",
-    "jitter_samples": "jitter",
-}
-"""Estimates of an experiment, and the names of the numbers of a device that they are."""
-
-
-def fitted_estimates(found: Mapping[str, Estimate], device: FittedDevice) -> dict[str, Estimate]:
-    """Return the estimates of an experiment whose trials a device explains: its numbers, the others by method.
-
-    Of a part that it does not have nothing is said: it would explain no more.
-    """
-    result = {}
-    for name, term in TERMS.items():
-        # how a delay changes within a log no likelihood of these numbers tells
-        if name not in found or (device.likely and term == "jitter"):
-            continue
-        before, told = found[name], device.estimate(term, found[name].unit)
-        methods = {**before.by_method, "before": before.model_copy(update={"by_method": {}})}
-        reason = f"{device.method} explains the logs without it"
-        without = Estimate(value=None, reason=reason, unit=before.unit, method=device.method, trials=device.held_out)
-        result[name] = told.model_copy(update={"by_method": methods}) if told else without
-    delay, by_ladder = found["delay_samples"], device.estimate("delay_samples", "samples")
-    assert by_ladder is not None, "each device has a delay"
-    if by_ladder.value is not None:
-        result["delay_samples"] = delay.model_copy(update={"by_method": {**delay.by_method, "ladder": by_ladder}})
-    return result
 
 
 def loop_numbers(told: ToldLoop, of_logs: Sequence[VelocityFilter], parts: LoopParts | None) -> dict[str, Any]:

@@ -119,7 +119,7 @@ def open_scene(
         device=known,
         experiments=data,
         simulated=any(any(d.trials.column("simulated").to_pylist()) for d in data),
-        overlay=estimates and (known is None or {"delay", "mass", "damping"} <= needed),
+        overlay=estimates and (known is None or {"device", "mass"} <= needed),
         excluded=tuple(one for d in every for one in d.excluded),
     )
 
@@ -136,17 +136,15 @@ def needed_stages(data: SceneData) -> set[str]:
     if data.scene.shown.has_table("outcomes") or data.scene.shown.has_figure("trials"):
         needed |= {"outcome"}
     if data.overlay:
-        needed |= required(("delay", "mass", "damping"))
-    # where the ideal loop explains the logs, the stage is an empty table
-    return needed | {"ladder"} if {"delay", "model"} <= needed else needed
+        needed |= required(("model", "delay", "mass"))
+    return needed
 
 
 _LEFT_OUT = {  # but for what a report holds only by name
     "outcome": "neither the table of outcomes nor the trials are shown",
-    "ladder": "no device is described: neither delay nor model is asked for",
+    "device": "neither the measured boundary nor a cost that is asked for needs delay or mass",
+    "model": "neither delay nor mass is asked for",
     "delay": "neither the measured boundary nor a cost that is asked for needs the delay",
-    "model": "neither mass nor damping nor settling time is asked for",
-    "damping": "damping enters no measured cost, and no theory is drawn from estimates",
     "mass": "only energy costs need the mass",
     **{name: f"no {family.title} is asked for" for name, family in FAMILIES.items() if members(family, REPORTED)},
 }

@@ -20,6 +20,7 @@ from pipeline.plan.planner import plan_of
 from pipeline.records.loop_records import Cause
 from pipeline.records.models import ComparisonRow
 from pipeline.records.results import Answer, AnswerEstimate, ExperimentResult, NextWall, Prediction
+from pipeline.records.score_records import DistanceScore
 from pipeline.rendering.labels import Units, share_text, significant
 
 COARSE = 5.0
@@ -97,7 +98,7 @@ def _estimates(result: ExperimentResult, units: Units, *, limit: bool) -> tuple[
         estimate = result.estimates.get(name)
         if estimate is None:
             continue
-        estimate = result.delay if name == "delay_samples" else estimate.by_method.get("ladder", estimate)
+        estimate = result.delay if name == "delay_samples" else estimate.by_method.get("model", estimate)
         if estimate.value is not None:
             ends = (None, None) if _doubt(result) and name != "friction" else (estimate.low, estimate.high)
             unit = estimate.unit.replace("^2", "²")
@@ -123,7 +124,7 @@ def _estimates(result: ExperimentResult, units: Units, *, limit: bool) -> tuple[
 
 def _doubt(result: ExperimentResult) -> str:
     """Return why there are no intervals of delay, mass and damping; empty where a fitted device has them."""
-    loop, fitted = result.loop, "ladder" in result.estimates["delay_samples"].by_method
+    loop, fitted = result.loop, "model" in result.estimates["delay_samples"].by_method
     if loop is None or loop.adequate or fitted:
         return ""
     return f"No interval where the loop does not hold: {first_clause(loop.reason)}."
@@ -157,7 +158,7 @@ def _prediction(result: ExperimentResult, rows: Sequence[ComparisonRow], misled:
     region = result.scores[0].region if result.scores else None
     distance = result.scores[0].distance if result.scores else None
     if not misled and region is None and (rubbed := _with_friction(result)) is not None:
-        return Prediction(code="with_friction", percent_with_friction=rubbed, limits=len(result.loop_boundary or ()))
+        return Prediction(code="with_friction", percent_with_friction=_percent(rubbed), limits=rubbed.dampings)
     if misled or region is None or distance is None:
         why = "the command obeys another wall than the headers state" if misled else "no theory to compare limits with"
         return Prediction(code="unknown", reason=why)
@@ -173,8 +174,8 @@ def _prediction(result: ExperimentResult, rows: Sequence[ComparisonRow], misled:
     rubbed = None if region.overlap >= WELL else _with_friction(result)
     return Prediction(
         code="yes" if region.overlap >= WELL else "with_friction" if rubbed is not None else "no",
-        percent=100 * distance.median if distance.steady else None,
-        percent_with_friction=rubbed,
+        percent=_percent(distance),
+        percent_with_friction=_percent(rubbed),
         limits=distance.dampings,
         overlap_percent=100 * region.overlap,
         safe=distance.above > 0 and distance.agreeing + distance.above == distance.bounded,
@@ -183,16 +184,23 @@ def _prediction(result: ExperimentResult, rows: Sequence[ComparisonRow], misled:
     )
 
 
-def _with_friction(result: ExperimentResult) -> float | None:
-    """Return how far limits are off the found device with its friction [%], None where that predicts them neither."""
+def _with_friction(result: ExperimentResult) -> DistanceScore | None:
+    """Return how far limits are off the found device with its friction, None where that predicts them neither.
+
+    Where the sign of so small a distance rests on one limit, all intervals must hold those of the device.
+    """
     if all(cause.code != "coulomb_friction" for cause in result.causes) or not result.loop_boundary:
         return None
     limits = {limit.damping: limit.stiffness for limit in result.loop_boundary}
     points = [point for point in result.boundary if point.damping in limits]
-    distance = boundary_distance(measured_limits(points), np.array([limits[point.damping] for point in points]))
-    if distance is None or not distance.steady or abs(distance.median) > CLOSE:
+    found = boundary_distance(measured_limits(points), np.array([limits[point.damping] for point in points]))
+    if found is None or abs(found.median) > CLOSE or found.dampings < FEWEST_COMPARISONS:
         return None
-    return 100 * distance.median
+    return found if found.steady or found.agreeing == found.bounded else None
+
+
+def _percent(distance: DistanceScore | None) -> float | None:
+    return 100 * distance.median if distance is not None and distance.steady else None
 
 
 def _next(data: SceneData, result: ExperimentResult, stages: ExperimentStages) -> tuple[NextWall | None, str]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pipeline.base.errors import ParameterError
-from pipeline.records.batch import Floats
+from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.findings import BoundaryPoint
 
 
@@ -66,3 +66,12 @@ def measured_boundary(
         )
         for b, low, high, count in zip(levels, stable, unstable, undecided, strict=True)
     )
+
+
+def spread_over_plane(stiffness: Floats, damping: Floats, usable: Booleans, most: int) -> Integers:
+    """Return the indices of at most ``most`` usable trials, evenly from the order of damping and stiffness."""
+    index = np.flatnonzero(usable)
+    order = index[np.lexsort((stiffness[index], damping[index]))]
+    if len(order) <= most:
+        return order
+    return np.asarray(order[np.round(np.linspace(0, len(order) - 1, most)).astype(np.int64)])

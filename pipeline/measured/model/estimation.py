@@ -26,6 +26,7 @@ FIXED_STEPS = 4
 """Steps at first without such scatter: far from the solution it would explain everything."""
 
 LIMITS = {
+    "limit": (1e-3, np.inf),
     "gain": (1e-12, np.inf),
     "delta": (-0.01, 2.0),
     "gamma": (-1e-4, 2.0),
@@ -35,7 +36,16 @@ LIMITS = {
     "ratio": (0.0, 0.5),
     "share": (1e-4, 0.97),
 }
-LARGEST_STEP = {"delta": 0.2, "gamma": 0.2, "delay": 1.5, "lag": 1.5, "turn": 0.1, "ratio": 0.1, "share": 0.1}
+LARGEST_STEP = {
+    "limit": 0.05,
+    "delta": 0.2,
+    "gamma": 0.2,
+    "delay": 1.5,
+    "lag": 1.5,
+    "turn": 0.1,
+    "ratio": 0.1,
+    "share": 0.1,
+}
 """Change of a number in one step within which the response is near a straight line."""
 
 SMALL = 1e-5
@@ -66,8 +76,14 @@ JITTERS = (0.02, 4.0)
 ROUGH = 0.7
 """Change of the logarithm of a variance that is near enough for a start: intervals grow with its root."""
 
-NOISE_STRETCHES = 40
-"""Stretches by which the noise is found: a variance from 12,000 rows is known to 1 %."""
+JITTERY_ROW = 0.01
+"""Gain of log-likelihood by a random force, a row, up to which it is rounding and no jitter is looked for."""
+
+LEAST_JITTER = 0.05
+"""Jitter [samples] from which on one is believed: what rounding leaves may look like less."""
+
+NOISE_STRETCHES = 24
+"""Stretches by which the noise is found: a variance from 8,000 rows is known to 2 %."""
 
 WORTH = 5.0
 """Gain of log-likelihood from which on a part, of the device or of its noise, is one: odds of 150 to 1."""
@@ -102,7 +118,8 @@ class Device:
 
     def driven(self, held: Stretches) -> Floats:
         """Return the mean of the command that acts on it, shape (lead + N, S)."""
-        return blurred(held.driven, self.noise.jitter)
+        limit = self.numbers.get("limit", np.inf)
+        return blurred(np.clip(held.driven, -limit, limit), self.noise.jitter)
 
     def own(self, name: str, trials: np.ndarray) -> Floats:
         """Return a number of the trial of each stretch, shape (S,); 0 where the device has none."""
@@ -168,7 +185,7 @@ def moments_of(held: Stretches, device: Device, trials: int) -> tuple[Moments, f
     return Moments(total, rows, float(np.median(held.least))), spreads
 
 
-def _errors(
+def errors_of(
     held: Stretches, passage: Passage, found: Filter, columns: list[Column]
 ) -> tuple[list[Floats], Floats, Floats]:
     """Return whitened columns (N, S) each, and a basis (S, N, c) of those of the unknown starts with its triangle."""
@@ -178,7 +195,7 @@ def _errors(
     return errors[: len(columns)], basis, triangle
 
 
-def _force_of(held: Stretches, device: Device) -> Column:
+def force_of(held: Stretches, device: Device) -> Column:
     """Return all that is logged of stretches and acts on a device, as one column."""
     gain, coulomb, force = (device.own(name, held.trial) for name in LINEAR)
     return Column(held.position, device.driven(held) * gain, force - coulomb * held.direction)
@@ -203,9 +220,12 @@ def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats]:
         "coulomb": Column(direct=-held.direction),
         "force": Column(direct=nothing),
     }
+    if "limit" in device.numbers:
+        clipped = np.sign(held.driven) * (np.abs(held.driven) > device.numbers["limit"])
+        linear["limit"] = Column(command=clipped * device.own("gain", held.trial))
     asked = [name for name in device.names if name in linear]
-    whole = _force_of(held, device)
-    (left, *base), q, r = _errors(held, passage, found, [whole, *(linear[name] for name in asked)])
+    whole = force_of(held, device)
+    (left, *base), q, r = errors_of(held, passage, found, [whole, *(linear[name] for name in asked)])
     columns = {name: -each for name, each in zip(asked, base, strict=True)}
     common = left
     if device.effects is not None:
@@ -288,22 +308,24 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
     some = held.chosen(spread(held, NOISE_STRETCHES))
     passage, constant = Passage(some, device.shape), Column(direct=np.ones_like(some.direction))
     # an impulse by a jitter of one sample, in standard deviations of a reading
-    impulse = device.numbers["gain"] / np.sqrt(_white(some))
+    white = max(_white(some), float(np.median(some.least)))
+    impulse = float(device.numbers["gain"] / np.sqrt(white))
 
     def of(force: float, jitter: float) -> Noise:
         return Noise(force, (impulse * jitter) ** 2, jitter)
 
     def cost(noise: Noise) -> float:
-        found, whole = Filter.of(passage, noise), _force_of(some, replace(device, noise=noise))
+        found, whole = Filter.of(passage, noise), force_of(some, replace(device, noise=noise))
         # the constant force of each stretch is free, so that it is not taken for a random one
-        (left, push), q, r = _errors(some, passage, found, [whole, constant])
+        (left, push), q, r = errors_of(some, passage, found, [whole, constant])
         both = np.stack([left, push], axis=-1).transpose(1, 0, 2)
         both = both - q @ (q.transpose(0, 2, 1) @ both)
         products = both.transpose(0, 2, 1) @ both
         pushed = np.maximum(products[:, 1, 1], 1e-300)
         squares = np.maximum(products[:, 0, 0] - products[:, 0, 1] ** 2 / pushed, 1e-300)
         rows = np.maximum(some.rows - q.shape[2] - 1, 1)
-        variance = np.maximum(squares / rows, some.least)
+        # the strength of a jitter is that of its impulses, beside readings whose noise is seen
+        variance = white if noise.late else np.maximum(squares / rows, some.least)
         lost = 0.5 * (rows * np.log(variance) + squares / variance + np.log(pushed)).sum()
         return float(lost) + _log_spread(some, found, r)
 
@@ -317,11 +339,13 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
 
     none = cost(WHITE), WHITE
     alone = [likeliest(lambda force: of(force, 0.0), MEMORIES)]
+    jitters = jitters and none[0] - alone[0][0] > WORTH + JITTERY_ROW * float(some.rows.sum())
     if jitters:
         alone.append(likeliest(lambda jitter: of(0.0, jitter), JITTERS))
-    worth = [each for each in alone if each[0] < none[0] - WORTH]
+    # what rounding leaves may look like a little of either
+    worth = [each for each in alone if each[0] < none[0] - WORTH and not 0 < each[1].jitter < LEAST_JITTER]
     best = min([none, *worth], key=lambda each: each[0])
-    if not jitters or not worth:
+    if not jitters or alone[1] not in worth:
         return best[1]
     # both together, from the likelier one and a tenth of the other
     shares = [1.0 if each is best else 0.1 for each in alone]
@@ -334,7 +358,13 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
     force, jitter = np.exp(both.x).tolist()
     simpler = [*((cost(each), each) for each in (of(force, 0.0), of(0.0, jitter))), *worth]
     found = [(float(both.fun), of(force, jitter)), *((lost - WORTH, each) for lost, each in simpler)]
-    return min(found, key=lambda each: each[0])[1]
+    best_noise = min(found, key=lambda each: each[0])[1]
+    if not best_noise.jitter:
+        return best_noise
+    # the curvature of the likelihood, as that of all stretches
+    ends = [cost(of(best_noise.force, best_noise.jitter * factor)) for factor in (0.9, 1.0, 1.1)]
+    curvature = max((ends[0] - 2 * ends[1] + ends[2]) / 0.01, 1e-3) * len(held) / len(some)
+    return replace(best_noise, jitter_error=float(best_noise.jitter / np.sqrt(curvature)))
 
 
 def _white(held: Stretches) -> float:

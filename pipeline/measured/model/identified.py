@@ -18,8 +18,11 @@ from pipeline.records.batch import Floats
 
 FOLDS = 5
 
-MOST_REPLAYED = 100
+MOST_REPLAYED = 40
 """Logs that are replayed, spread over all."""
+
+EXPLAINS = 0.5
+"""Weight of a trial from which on the device explains it; see `scatter.OWN_ROWS`."""
 
 LAST = 0.4
 """Share of a single log that is replayed by the device fitted to what came before."""
@@ -51,6 +54,13 @@ class Identified:
     covariance: Floats
     folds: list[dict[str, float]]
     choice: Choice
+    names: list[str]
+    bounds: dict[str, float]
+
+    @property
+    def explained(self) -> int:
+        """Logs that the device and its noise explain: what is left of them is less than twice as much as of most."""
+        return self.trials if self.choice.fit.few else int((self.choice.fit.solved.weight > EXPLAINS).sum())
 
 
 def identified(recordings: list[Recording]) -> Identified:
@@ -108,6 +118,8 @@ def identified(recordings: list[Recording]) -> Identified:
         if len(recordings) >= FEWEST
         else [],
         choice,
+        [each.name for each in recordings],
+        choice.bounds,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,7 +15,13 @@ from pipeline.measured.model.whitening import WHITE
 BASE = ("gain", "delta", "delay", "force")
 """Numbers of every device."""
 
-NUMBERS = {"friction": ("coulomb",), "stiffness": ("gamma",), "lag": ("lag",), "mode": ("turn", "ratio", "share")}
+NUMBERS = {
+    "friction": ("coulomb",),
+    "stiffness": ("gamma",),
+    "saturation": ("limit",),
+    "lag": ("lag",),
+    "mode": ("turn", "ratio", "share"),
+}
 """Numbers of each part."""
 
 FOLDS = 5
@@ -36,6 +42,9 @@ TURNS = (0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7, 1.0)
 LAGS = (0.5, 1.0, 2.0, 4.0, 8.0)
 """Lags [samples] from which one is looked for, each of which the next one resembles."""
 
+CLIPPED = (0.1, 0.15, 0.22, 0.33, 0.45, 0.6, 0.75, 0.9)
+"""Largest forces, relative to the largest command, from which one is looked for."""
+
 LOOKED_AT = 30
 """Stretches by which lag and mode are looked for at first: what these do not show moves no limit."""
 
@@ -48,6 +57,10 @@ LAST_STEPS = 3
 OPEN = 0.02
 """Friction, relative to the largest command, that may act unseen before it must be taken along as unknown: a mass is
 too large by as much."""
+
+SLIGHT = 1e-6
+"""Force of a spring or of friction, relative to the largest command, below which it is none: exact logs tell rounding
+apart from nothing."""
 
 CONSTANT = 1e-3
 """Change of the commands, relative to the largest, below which they count as one constant command."""
@@ -65,6 +78,7 @@ class Choice:
     scales: Scales
     parts: dict[str, float]
     assumed: tuple[str, ...]
+    bounds: dict[str, float] = field(default_factory=dict)
 
     @property
     def moving(self) -> bool:
@@ -107,9 +121,9 @@ def chosen(recordings: list[Recording]) -> Choice:
     if "force" not in base:
         # a spring is then taken as relaxed where the logs begin
         scales = replace(scales, origin=float(np.median([each.position[0] for each in some])))
-    delay = _delay(some, scales, base, int(np.clip(rows // 8, 2, LONGEST_DELAY)))
-    lead, trials = int(np.ceil(delay)) + 3, len(some)
-    fit, held, parts = _first(some, scales, lead, (base, delay))
+    begin = _begin(some, scales, base, int(np.clip(rows // 8, 2, LONGEST_DELAY)))
+    lead, trials = int(np.ceil(begin.numbers.get("delay", 0.0))) + 3, len(some)
+    fit, held, parts, bounds = _first(some, scales, lead, begin)
     holding = None
     if parts.get("friction", 0.0) > 0:
         holding = _holding(fit, scales)
@@ -122,7 +136,7 @@ def chosen(recordings: list[Recording]) -> Choice:
         held = stretches(recordings, scales, lead, "friction" in parts, holding)
         alone = replace(fit.device, effects=None)
         fit = refined(held, alone, len(recordings), steps=LAST_STEPS, far=False, noisy=False)
-    return Choice(fit, held, scales, parts, assumed)
+    return Choice(fit, held, scales, parts, assumed, {name: end for name, end in bounds.items() if name not in parts})
 
 
 def again(choice: Choice, recordings: list[Recording]) -> Choice:
@@ -136,35 +150,43 @@ def again(choice: Choice, recordings: list[Recording]) -> Choice:
 
 
 def _first(
-    recordings: list[Recording], scales: Scales, lead: int, start: tuple[tuple[str, ...], float]
-) -> tuple[Fit, Stretches, dict[str, float]]:
-    """Return the fit with friction and spring where there are some or may be, with its stretches and those parts."""
-    (base, delay), trials = start, len(recordings)
-    held, fit = stretches(recordings, scales, lead, True), None
-    if len(held):
-        begin = begun(held, (*base, "gamma", "coulomb"), delay + 2)
-        fit, parts = _worth(held, refined(held, begin, trials), trials)
-        gain = _loss(fit, "coulomb")
-        friction = Errors.of(fit).interval(lambda n: n["coulomb"] / n["gain"], bounded=True)
-        if gain > WORTH or friction.high >= OPEN:
-            return fit, held, {"friction": gain if gain > WORTH else 0.0} | parts
+    recordings: list[Recording], scales: Scales, lead: int, begin: Device
+) -> tuple[Fit, Stretches, dict[str, float], dict[str, float]]:
+    """Return the fit with friction and spring where there are some or may be, its stretches, those parts, and bounds.
+
+    Bounds are the upper ends of friction and spring [SI] with both in the fit.
+    """
+    trials, bounds, fit = len(recordings), {}, None
+    if "coulomb" in begin.numbers and len(held := stretches(recordings, scales, lead, True)):
+        whole = refined(held, begin, trials)
+        bounds = {name: _upper(whole, name, scales) for name in ("friction", "stiffness")}
+        fit, parts = _worth(held, whole, trials)
+        gain, numbers = _loss(fit, "coulomb"), fit.device.numbers
+        rubs = gain > WORTH and numbers["coulomb"] / numbers["gain"] > SLIGHT
+        if rubs or _upper(fit, "friction", scales) >= OPEN * scales.command:
+            return fit, held, {"friction": gain if rubs else 0.0} | parts, bounds
     held = stretches(recordings, scales, lead, False)
-    if fit is None:
-        fit = refined(held, begun(held, (*base, "gamma"), delay + 2), trials)
-    else:
-        numbers = {name: value for name, value in fit.device.numbers.items() if name != "coulomb"}
-        fit = refined(held, Device({"gamma": 0.0} | numbers, fit.device.noise), trials, far=False)
+    near = begin if fit is None else fit.device
+    numbers = {"gamma": 0.0} | {name: value for name, value in near.numbers.items() if name != "coulomb"}
+    fit = refined(held, Device(numbers, near.noise), trials, far=fit is None)
+    bounds["stiffness"] = _upper(fit, "stiffness", scales)
     fit, parts = _worth(held, fit, trials)
-    return fit, held, parts
+    return fit, held, parts, bounds
+
+
+def _upper(fit: Fit, name: str, scales: Scales) -> float:
+    """Return the upper end of the interval of a quantity that is not negative."""
+    return Errors.of(fit).interval(physical(scales)[name], bounded=True).high
 
 
 def _worth(held: Stretches, fit: Fit, trials: int) -> tuple[Fit, dict[str, float]]:
     """Return the fit with its spring where there is one, else without."""
-    gain = _loss(fit, "gamma")
-    if gain > WORTH:
+    gain, numbers = _loss(fit, "gamma"), fit.device.numbers
+    # in units of the largest command, at the largest displacement
+    if gain > WORTH and abs(numbers["gamma"] / numbers["gain"]) > SLIGHT:
         return fit, {"stiffness": gain}
     left = {name: value for name, value in fit.device.numbers.items() if name != "gamma"}
-    return refined(held, Device(left, fit.device.noise), trials, far=False), {}
+    return refined(held, Device(left, fit.device.noise), trials, far=False, noisy=False), {}
 
 
 def _holding(fit: Fit, scales: Scales) -> Holding:
@@ -188,13 +210,12 @@ def _base(recordings: list[Recording]) -> tuple[tuple[str, ...], tuple[str, ...]
     return ("gain", "delta"), ("delay", "constant_force")
 
 
-def _delay(recordings: list[Recording], scales: Scales, base: tuple[str, ...], lead: int) -> float:
-    """Return the delay [samples] of the best start with a spring and friction."""
-    names = (*base, "gamma", "coulomb")
-    held = stretches(recordings, scales, lead, True)
+def _begin(recordings: list[Recording], scales: Scales, base: tuple[str, ...], lead: int) -> Device:
+    """Return a device from which a search starts, with a spring, and with friction where directions are seen."""
+    held, names = stretches(recordings, scales, lead, True), (*base, "gamma", "coulomb")
     if not len(held):
         names, held = (*base, "gamma"), stretches(recordings, scales, lead, False)
-    return begun(held, names, lead).numbers.get("delay", 0.0)
+    return begun(held, names, lead)
 
 
 def _pruned(
@@ -206,8 +227,7 @@ def _pruned(
         if name not in parts or _loss(fit, number) > WORTH:
             continue
         if name == "friction":
-            friction = Errors.of(fit).interval(lambda n: n["coulomb"] / n["gain"], bounded=True)
-            if friction.high >= OPEN:
+            if _upper(fit, "friction", scales) >= OPEN * scales.command:
                 parts = parts | {"friction": 0.0}
                 continue
             held = stretches(recordings, scales, lead, False)
@@ -226,20 +246,22 @@ def _loss(fit: Fit, name: str) -> float:
 def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) -> tuple[Fit, dict[str, float]]:
     """Return the fit with lag and mode, where held-out units are likelier with them."""
     some = held.chosen(spread(held, LOOKED_AT))
-    for name, size in (("lag", "lag"), ("mode", "share")):
+    for name, size in (("saturation", ""), ("lag", "lag"), ("mode", "share")):
         # what leaves the noise of readings alone needs no other part
         if "delay" not in fit.device.numbers or fit.device.noise == WHITE:
             break
         alone = replace(fit.device, effects=None)
         other = refined(some, _having(some, alone, trials, name), trials, SOME_STEPS)
-        if _loss(other, size) < WORTH or other.likelihood - refined(some, alone, trials, far=False).likelihood < WORTH:
+        if (size and _loss(other, size) < WORTH) or other.likelihood - refined(
+            some, alone, trials, far=False
+        ).likelihood < WORTH:
             continue
         if len(some) < len(held):
             other = refined(held, replace(other.device, effects=None), trials, far=False)
         # the search for the part went on where that without it had ended
         fit = refined(held, alone, trials, far=False)
         gain = held_out(other) - held_out(fit)
-        if _loss(other, size) > WORTH and gain > WORTH * len(NUMBERS[name]):
+        if gain > WORTH * len(NUMBERS[name]):
             fit, parts = other, parts | {name: gain}
     return fit, parts
 
@@ -251,6 +273,8 @@ def _having(held: Stretches, device: Device, trials: int, part: str) -> Device:
     """
     device = replace(device, noise=WHITE)
     delay = device.numbers["delay"]
+    if part == "saturation":
+        return _best(held, device, trials, part, [{"limit": limit} for limit in CLIPPED])
     if part == "lag":
         return _best(held, device, trials, part, [{"lag": lag, "delay": max(delay - lag, 0.0)} for lag in LAGS])
     modes = [{"turn": turn, "ratio": 0.04, "share": share} for turn in TURNS for share in SHARES]

@@ -48,6 +48,21 @@ class Recording:
     period: float
     edge: int | None = None
 
+    @cached_property
+    def motion(self) -> Motion:
+        """How it moves."""
+        return motion_of(self)
+
+    @cached_property
+    def noise(self) -> float:
+        """Standard deviation of a reading's error."""
+        return reading_noise(self.position)
+
+    @cached_property
+    def rounding(self) -> float:
+        """Standard deviation of a reading's rounding, 0 where none is seen."""
+        return rounding(self.position)
+
 
 @dataclass(frozen=True)
 class Scales:
@@ -151,7 +166,7 @@ class Motion:
 def motion_of(recording: Recording) -> Motion:
     """Return the smoothed motion: a parabola over as many rows as bring the error to a thirtieth of the top speed."""
     x, rows = recording.position, len(recording.position)
-    noise = reading_noise(x)
+    noise = recording.noise
     half, velocity, error = 1, np.gradient(x), np.inf
     while 2 * half + 1 <= max(rows // 4, 3):
         about = np.arange(half, -half - 1, -1.0)
@@ -219,7 +234,7 @@ def stretches(
     for trial, (each, grid) in enumerate(zip(recordings, even, strict=True)):
         pauses = np.flatnonzero((np.diff(grid) > GAP * each.period / scales.period) & (np.diff(each.command) != 0)) + 1
         bounds = [0, *pauses.tolist(), len(grid)]
-        seen = motion_of(each) if moving else None
+        seen = each.motion if moving else None
         stuck = holding.rows(each, scales.origin) if holding else np.zeros(len(grid), dtype=bool)
         for first, behind in pairwise(bounds):
             start = first if first == 0 and _starts_at_rest(each) else first + lead
@@ -242,7 +257,7 @@ def _even(time: Floats) -> Floats:
 def _starts_at_rest(recording: Recording) -> bool:
     """Return whether position and command do not change in the first rows, so that what came before does not matter."""
     few = min(5, len(recording.position) - 1)
-    noise = reading_noise(recording.position)
+    noise = recording.noise
     first = recording.position[: few + 1]
     return bool(np.ptp(first) <= max(6 * noise, 1e-4 * np.ptp(recording.position))) and bool(
         np.ptp(recording.command[:few]) <= 1e-3 * np.ptp(recording.command) + 1e-12
@@ -357,7 +372,7 @@ def _padded(recordings: list[Recording], even: list[Floats], cuts: list[_Cut], s
     time = np.zeros((lead + n + 1, count))
     command, acts = np.zeros((lead + n, count)), np.ones((lead + n, count))
     position, direction, distinct = np.zeros((n, count)), np.zeros((n, count)), np.zeros(count)
-    least = [(rounding(each.position) / scales.position) ** 2 for each in recordings]
+    least = [(each.rounding / scales.position) ** 2 for each in recordings]
     for s, cut in enumerate(cuts):
         each, grid = recordings[cut.trial], even[cut.trial]
         rows = np.arange(cut.first - lead, cut.first + n)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.model.estimation import Device
+from pipeline.measured.model.estimation import Device, errors_of, force_of
 from pipeline.measured.model.motion import at_times
 from pipeline.measured.model.recordings import Stretches
-from pipeline.measured.model.whitening import Passage
+from pipeline.measured.model.whitening import WHITE, Filter, Passage
 from pipeline.records.batch import Floats
 
 PARTS = 4
@@ -36,9 +36,29 @@ def replayed(held: Stretches, device: Device) -> Replay:
 
     The fit is 100 (1 - |y - found| / |y - mean y|), that of system identification; NaN where a log does not move.
     """
-    count, states = len(held), len(device.shape.system[1])
-    if not count:
+    if not len(held):
         return Replay(held, held.position, np.empty(0))
+    found = _sliding(held, device) if device.numbers.get("coulomb") else _linear(held, device)
+    mean = (held.position * held.valid).sum(axis=0) / held.rows
+    error = np.sqrt(((held.position - found) ** 2 * held.valid).sum(axis=0))
+    size = np.sqrt(((held.position - mean) ** 2 * held.valid).sum(axis=0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fit = np.where(size > 1e-3, 100 * (1 - error / size), np.nan)
+    return Replay(held, found, fit)
+
+
+def _linear(held: Stretches, device: Device) -> Floats:
+    """Return the free run of a device without friction, in whose start it is linear."""
+    passage = Passage(held, device.shape)
+    errors, basis, _ = errors_of(held, passage, Filter.of(passage, WHITE), [force_of(held, device)])
+    left = errors[0].T[..., None]
+    left = left - basis @ (basis.transpose(0, 2, 1) @ left)
+    return np.asarray(held.position - left[..., 0].T)
+
+
+def _sliding(held: Stretches, device: Device) -> Floats:
+    """Return the free run of a device with friction, from the start that fits best by Newton's steps."""
+    count, states = len(held), len(device.shape.system[1])
     start = np.zeros((count, states))
     start[:, 0] = held.position[0]
     few = np.minimum(held.rows - 1, 5)
@@ -55,12 +75,7 @@ def replayed(held: Stretches, device: Device) -> Replay:
         columns = ((runs[:, 1:] - runs[:, :1]) / NUDGE * held.valid[:, None]).transpose(2, 0, 1)
         step = np.einsum("scn,sn->sc", np.linalg.pinv(columns, rcond=1e-6), left.T)
         tried = start + np.where(better[:, None], step, 0.0)
-    mean = (held.position * held.valid).sum(axis=0) / held.rows
-    error = np.sqrt(((held.position - found) ** 2 * held.valid).sum(axis=0))
-    size = np.sqrt(((held.position - mean) ** 2 * held.valid).sum(axis=0))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        fit = np.where(size > 1e-3, 100 * (1 - error / size), np.nan)
-    return Replay(held, found, fit)
+    return found
 
 
 def _runs(held: Stretches, device: Device, starts: Floats) -> Floats:

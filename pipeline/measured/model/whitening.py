@@ -41,11 +41,14 @@ class Noise:
         Variance of the impulse that a change of the command by 1 gives as it comes early or late, in that of a reading.
     jitter : float
         Standard deviation of the delay [samples], from which ``late`` follows.
+    jitter_error : float
+        Standard error of it.
     """
 
     force: float = 0.0
     late: float = 0.0
     jitter: float = 0.0
+    jitter_error: float = 0.0
 
 
 WHITE = Noise()

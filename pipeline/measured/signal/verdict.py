@@ -127,12 +127,13 @@ def _judge(batch: TrialBatch, response: Response) -> Verdicts:
     # the floor is six standard deviations of the noise wide, or one quantum, whose error is far smaller
     noise = np.where(wall, 1.0, np.sqrt(6)) * np.maximum(floor / NOISE_FACTOR, 1e-3 * rounding)
     rate, error, clean = _growth(signal, seen, noise)
-    slope, scatter = _slope(signal, seen, noise)
+    slope, scatter, late = _slope(signal, seen, noise)
     # a motion without modes, or whose views differ, has the rate of its size
     sized = ~clean & ~(np.abs(rate) > SIGMAS * error)
     change = np.maximum(SIGMAS * scatter, np.log(LEAST_FALL) / np.maximum(seen, 1))
     falls, grows = slope < -SIGMAS * scatter, slope > change
-    rises = np.where(sized, grows, rate > SIGMAS * error)
+    # what falls ever faster is braked: the size of modes falls ever slower
+    rises = np.where(sized, grows, (rate > SIGMAS * error) & (clean | ~falls | (late > slope)))
     lasts = _bent(batch, start, count) & ~falls & wall
     early = wall & _in_first_swing(batch, response) & ~falls & ~left
     rises = (rises | lasts) & enough & ~left & ~early
@@ -245,8 +246,11 @@ def _hidden(signal: Floats, count: Integers, noise: Floats, response: Response) 
     return growth
 
 
-def _slope(signal: Floats, length: Integers, noise: Floats) -> tuple[Floats, Floats]:
-    """Return the growth per sample of the size of a motion over its parts, and its standard error by their scatter."""
+def _slope(signal: Floats, length: Integers, noise: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the growth per sample of the size of a motion over its parts, with its standard error by their scatter.
+
+    And that of the last half.
+    """
     place = np.arange(signal.shape[1])[None, :] * BLOCKS / np.maximum(length, 1)[:, None]
     blocks = [(place >= i) & (place < i + 1) for i in range(BLOCKS)]
     power = np.stack([np.where(part, signal**2, 0.0).sum(axis=1) / np.maximum(part.sum(axis=1), 1) for part in blocks])
@@ -256,7 +260,8 @@ def _slope(signal: Floats, length: Integers, noise: Floats) -> tuple[Floats, Flo
     slope = x @ size / square
     rest = size - size.mean(axis=0) - np.outer(x, slope)
     step = np.maximum(length, 1) / BLOCKS
-    return slope / step, np.sqrt((rest**2).sum(axis=0) / (BLOCKS - 2) / square) / step
+    late = 0.25 * (size[-1] + size[-2] - size[-3] - size[-4])
+    return slope / step, np.sqrt((rest**2).sum(axis=0) / (BLOCKS - 2) / square) / step, late / step
 
 
 def _bent(batch: TrialBatch, start: Integers, count: Integers) -> Booleans:

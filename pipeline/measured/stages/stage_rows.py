@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import numpy as np
 import pyarrow as pa
 
+from pipeline.measured import thesis
 from pipeline.measured.cost.costs import Measure, joined
 from pipeline.measured.cost.reading_error import (
     as_known,
@@ -22,32 +23,20 @@ from pipeline.measured.cost.reading_error import (
     sensor_error,
     usual_gain,
 )
-from pipeline.measured.device import damping, delay, forces, friction, mass, onset
 from pipeline.measured.experiment.boundary_band import boundary_band
-from pipeline.measured.experiment.estimates import damping_estimate, explaining_factor, mass_estimate, standard_error
-from pipeline.measured.experiment.fitted_device import explaining_device
-from pipeline.measured.experiment.known_delay import delay_estimate, delay_range, with_delay
+from pipeline.measured.experiment.estimates import by_model, delay_factor, first_change, standard_error
 from pipeline.measured.experiment.rest_forces import rest_spring
-from pipeline.measured.fit import fit
-from pipeline.measured.fit.ghost import simulate_ghost
 from pipeline.measured.signal import outcome, verdict
 from pipeline.measured.signal.disturbance import Device, learn_device
 from pipeline.measured.signal.events import usual_length
 from pipeline.measured.signal.response import NO_ROW, sensor_floor
-from pipeline.measured.stages.stage_given import Experiment, is_open_loop
+from pipeline.measured.stages.stage_given import Experiment
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 from pipeline.records.batch import Floats
 from pipeline.records.tables import COLUMNS, TABLES, to_arrow
 
 Sources = Sequence[object]
 """Where the columns of a stage are found: records with attributes of their names, and mappings."""
-
-BALANCE_TERMS = ("damping", "friction")
-"""Forces that the corrected momentum balance allows for beside the inertia: those of every drive."""
-
-OPEN_LOOP_TERMS = ("damping", "friction", "start")
-"""As `BALANCE_TERMS` for logs without a wall: their delay is uncertain, so that momentum may be missing at the start.
-A rotating device in the open loop may be a pendulum, for which gravity is added."""
 
 
 def stage_rows(
@@ -142,89 +131,20 @@ def boundary(of: Experiment) -> Columns:
 
 
 def delays(of: TrialGroup, given: Given) -> Sources:
-    """Return the delay of each trial by its first position change and by the onset of its motion."""
-    first = delay.first_change(of.batch, of.found)
-    began = onset.motion_onset(of.batch, of.found, first)
-    told = {"delay_samples": onset.rounded(first, began), "first_change_samples": first.delay_samples}
-    return told, {"onset_samples": began.delay_samples, "onset_error": began.standard_error}, first
-
-
-def model(of: TrialGroup, given: Given) -> Sources:
-    """Return the model fitted to the whole response of each trial, and the loop simulated with it."""
-    begin, first = of.beginning()
-    found = fit.fit_trials(begin.batch, begin.found)
-    beside = simulate_ghost(of.batch, of.found, found.mass, found.damping, found.delay)
-    numbers = [end for name in ("mass", "damping", "delay", "jitter") for end in (name, f"{name}_error")]
-    told = {
-        **{f"model_{name}": getattr(found, name) for name in (*numbers, "start")},
-        "leaves_row": np.where(found.leaves_row < 0, NO_ROW, found.leaves_row + first),
-        "ghost_deviation": beside.deviation,
-        "ghost_relative": beside.relative,
-        "ghost_row": beside.leaves_row,
-    }
-    return told, found
-
-
-def given_to_damping(of: Experiment) -> Given:
-    """Return what the damping of a trial takes from the whole experiment."""
-    return {**with_delay(of), "pendulum": of.rotation and is_open_loop(of)}
-
-
-def dampings(of: TrialGroup, given: Given) -> Sources:
-    """Return the viscous damping of each trial by its momentum balance, and its part of the joint balance."""
-    begin, _ = of.beginning()
-    found = damping.from_trials(begin.batch, begin.found, given["delay"])
-    sums = forces.balance_sums(begin.batch, begin.found, given["delay"], pendulum=given["pendulum"])
-    return found, {"balance_sums": list(sums)}
+    """Return the delay of each trial by its first position change."""
+    found = thesis.first_change(of.batch, of.found)
+    return {"first_change_samples": found.delay_samples}, found
 
 
 def given_to_mass(of: Experiment) -> Given:
-    """Return what the mass of a trial takes from the whole experiment."""
-    return {**with_delay(of), "open_loop": is_open_loop(of), "rotation": of.rotation}
+    """Return what the momentum balance takes from the whole experiment: the delay that the thesis would take."""
+    value = of.once(first_change).value
+    return {"missing": "needs the delay, which is not known"} if value is None else {"delay": int(value)}
 
 
 def masses(of: TrialGroup, given: Given) -> Sources:
-    """Return the mass of each trial by momentum balances, as those of the thesis and with friction."""
-    nothing = np.full(len(of.batch), np.nan)
-    samples = given["delay"]
-    begin, _ = of.beginning()
-    found = mass.by_momentum(begin.batch, begin.found, samples)
-    terms: tuple[str, ...] = BALANCE_TERMS
-    if given["open_loop"]:
-        terms = (*OPEN_LOOP_TERMS, "gravity") if given["rotation"] else OPEN_LOOP_TERMS
-        samples = 0  # the start term stands for the delay, which friction hides
-    balance = _with_friction(friction.fit_balance(begin.batch, begin.found, samples, terms=terms))
-    told: Columns = {
-        "mass": nothing,
-        "balance_mass": balance.mass,
-        "balance_mass_error": balance.mass_error,
-        "force_mass": nothing,
-        "force_mass_error": nothing,
-        "reason": joined(found.reason, balance.reason),
-    }
-    if begin.batch.force is not None:
-        # a force measured at the device has passed the delay already
-        measured = friction.fit_balance(begin.batch, begin.found, 0, terms=terms, force=begin.batch.force, held=False)
-        force = _with_friction(measured)
-        told |= {"force_mass": force.mass, "force_mass_error": force.mass_error}
-    return told, found
-
-
-def _with_friction(balance: friction.BalanceFit) -> friction.BalanceFit:
-    """Return the balance without the masses of which friction may be a part: those of trials that do not tell it."""
-    lost = ["friction is not told" in text for text in balance.dropped]
-    reason = tuple(
-        f"no balance with friction: {text}" if without else ""
-        for text, without in zip(balance.dropped, lost, strict=True)
-    )
-    return replace(balance, mass=np.where(lost, np.nan, balance.mass), reason=reason)
-
-
-def corrected(of: Experiment, rows: pa.Table) -> Columns:
-    """Return the masses that follow from the others by the damping of the whole experiment."""
-    plain, share = (rows.column(name).to_numpy() for name in ("mass_momentum", "damping_share"))
-    b = of.once(damping_estimate).value
-    return {"mass": np.full(rows.num_rows, np.nan) if b is None else mass.correct(mass.Masses(plain, share, ()), b)}
+    """Return the mass of each trial by the momentum balance."""
+    return (thesis.by_momentum(of.batch, of.found, given["delay"]),)
 
 
 def given_to_costs(of: Experiment) -> Given:
@@ -234,18 +154,16 @@ def given_to_costs(of: Experiment) -> Given:
 
 def given_to_timed(of: Experiment) -> Given:
     """Return what costs take from the whole experiment that are counted from the delay on."""
-    found = with_delay(of)
-    if "missing" in found:
-        return found
-    first, last = delay_range(of.once(delay_estimate))
-    first, samples, last = of.once(explaining_factor) or (first, found["delay"], last)
+    factor = of.once(delay_factor)
+    if factor is None:
+        return {"missing": "needs the delay, which is not known"}
+    first, samples, last = factor
     return {**_sensor(of, samples, _spring(of)), "delay_range": (first, last)}
 
 
 def given_to_energy(of: Experiment) -> Given:
     """Return what energies take from the whole experiment: the mass, too."""
-    device = of.once(explaining_device)
-    found = (device and device.estimate("mass", "")) or of.once(mass_estimate)
+    found = by_model(of, "mass")
     if found.value is None:
         return {"missing": f"energy needs the mass: {found.reason}"}
     error = as_known(standard_error(found))
@@ -268,12 +186,11 @@ def _gain_at_rest(of: TrialGroup, given: Given) -> Floats:
 
 
 def _spring(of: Experiment) -> float:
-    """Return the stiffness k [N/m, Nm/rad]: as declared, else of the device that explains the trials, else by rest."""
-    device = of.once(explaining_device)
-    if of.spring or device is None:
+    """Return the stiffness k [N/m, Nm/rad]: as declared, else of the likeliest device, else by where it rests."""
+    k = by_model(of, "stiffness")
+    if of.spring or k.value is None:
         return rest_spring(of)
-    k = device.estimate("stiffness", "")
-    return max(as_known(k.value, standard_error(k)), 0.0) if k is not None and k.value is not None else 0.0
+    return max(as_known(k.value, standard_error(k)), 0.0)
 
 
 def costs(of: TrialGroup, given: Given, measure: Measure, names: Sequence[str]) -> Sources:

@@ -10,8 +10,8 @@ import numpy as np
 from pipeline.base.wording import commonest
 from pipeline.measured.cost.costs import FAMILIES, Measure
 from pipeline.measured.cost.energy import energy
-from pipeline.measured.experiment import aggregate, estimates, known_delay
-from pipeline.measured.stages import stage_ladder
+from pipeline.measured.experiment import estimates, optimum
+from pipeline.measured.stages import stage_device
 from pipeline.measured.stages import stage_rows as rows
 from pipeline.measured.stages.stage_tables import SAMPLED, Stage, StageTables
 from pipeline.records.batch import Floats
@@ -35,11 +35,10 @@ STAGES: dict[str, Stage] = {
     "wall_law": Stage(("response",), rows.wall_law),
     "outcome": Stage(("response",), rows.outcomes, rows.given_to_outcome),
     "boundary": Stage(("response", "wall_law"), whole=rows.boundary),
+    "device": Stage(("response", "wall_law"), whole=stage_device.device),
+    "model": Stage(("response", "wall_law", "device"), whole=stage_device.model),
     "delay": Stage(("response",), rows.delays),
-    "model": Stage(("response",), rows.model),
-    "ladder": Stage(("response", "wall_law", "model"), whole=stage_ladder.columns),
-    "damping": Stage(("response", "delay", "model"), rows.dampings, rows.given_to_damping),
-    "mass": Stage(("response", "delay", "model", "damping"), rows.masses, rows.given_to_mass, derived=rows.corrected),
+    "mass": Stage(("response", "delay"), rows.masses, rows.given_to_mass),
     **{name: _cost_stage(family) for name, family in CRITERION_FAMILIES.items()},
 }
 """Stages in the order in which they can be computed; the plan is made backwards along what they need."""
@@ -58,7 +57,7 @@ class ExperimentStages(StageTables):
     @cached_property
     def delay_estimate(self) -> Estimate:
         """Integer delay factor of the experiment."""
-        return self.once(known_delay.delay_estimate)
+        return self.once(estimates.delay_estimate)
 
     @cached_property
     def damping_estimate(self) -> Estimate:
@@ -67,7 +66,7 @@ class ExperimentStages(StageTables):
 
     @cached_property
     def mass_estimate(self) -> Estimate:
-        """Mass of the experiment."""
+        """Mass of the experiment, beside that of the thesis's momentum balance."""
         return self.once(estimates.mass_estimate)
 
     @cached_property
@@ -99,7 +98,7 @@ class ExperimentStages(StageTables):
     def sure_cost(self, criterion: str) -> Floats:
         """Return the cost of each trial as `cost`, zero where it counts as none."""
         cost, floor = self.column(*cost_column(criterion)), self.floor(criterion)
-        return cost if floor is None else np.where(aggregate.without_overshoot(cost, floor), 0.0, cost)
+        return cost if floor is None else np.where(optimum.without_overshoot(cost, floor), 0.0, cost)
 
     def cost_interval(self, criterion: str) -> tuple[Floats, Floats]:
         """Return lower and upper end of the 95 % interval of each trial's cost, NaN where there is none."""
@@ -112,7 +111,7 @@ class ExperimentStages(StageTables):
         trials, floor = self.texts("response", "trial_id"), self.floor(criterion)
         # what obeys another wall than stated was not tested there
         stated = np.flatnonzero(np.isnan(self.column("wall_law", "obeyed_stiffness")))
-        best = aggregate.choose_optimum(
+        best = optimum.choose_optimum(
             cost[stated],
             self.column("response", "stiffness")[stated],
             self.column("response", "damping")[stated],

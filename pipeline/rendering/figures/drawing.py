@@ -395,7 +395,7 @@ _SHORTER = [
         (r'<g id="[^"]*"', "<g"),
         (r' transform="rotate\(-0 [^)]*\)"', ""),
         (r'<path d="[^"]*"(?: clip-path="[^"]*")? fill="none"/>', ""),  # areas of nothing
-        (r"M (\S+) (\S+)\s+L \1 \2\s", r"M\1 \2h0"),  # dots
+        (r"M (\S+) (\S+)\s+L \1 \2\s+(?=[M\"])", r"M\1 \2h0"),  # dots
         (r"(?<=\d)\s+L (?=[-\d])", " "),
         (r"\s*\n\s*", " "),
         (r"> <", "><"),

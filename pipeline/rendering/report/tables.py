@@ -174,22 +174,14 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
         ),
         "model": table_of(
             "model",
-            "Does the model (mass, damping, delay) explain the logs? Misfit is 1 where the sensor explains the errors",
+            "Does one device explain the logs? Fit of its free runs under the commands of logs it was not fitted to",
             (
                 Column("experiment"),
                 Column("trials", show=_number),
                 Column("explained", show=_number),
-                Column("left", "leave its noise band", show=_number),
-                *(
-                    Column(name, label, unit, "median of the trials", _digits(2), why="no sensor noise, or no fit")
-                    for name, label, unit in (
-                        ("misfit", "misfit", ""),
-                        ("whiteness", "whiteness p", ""),
-                        ("percent", "log − simulated loop", "%"),
-                    )
-                ),
+                Column("fit_percent", "fit of free runs", "%", "median", _digits(3), why="no log could be replayed"),
             ),
-            [row | {"percent": None if row["ghost"] is None else 100 * row["ghost"]} for row in f["model"]],
+            f["model"],
             _name,
         ),
         "outcomes": _outcomes(result),
@@ -339,9 +331,10 @@ def estimate_column(quantity: str, unit: str, group: str = "") -> Column:
 
     def notes(row: Row) -> list[str | None]:
         found: Estimate | None = row.get(quantity)
-        clauses = (found.warning or "").split("; ") if found else []
+        clauses = found.warning.split("; ") if found and found.warning else []
         drifts = any(clause.startswith(DRIFTS) for clause in clauses)
-        others = "; ".join(clause for clause in clauses if not clause.startswith(DRIFTS))
+        # the interval of a value that may be zero stands beside it
+        others = "; ".join(c.partition(" (95 % interval")[0] for c in clauses if not c.startswith(DRIFTS))
         return [found.reason if found else None, DRIFT if drifts else None, others]
 
     return Column(

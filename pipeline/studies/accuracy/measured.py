@@ -18,11 +18,13 @@ from pipeline.loop.loop import Loop, Normalised
 from pipeline.measured.cost import costs
 from pipeline.measured.cost.energy import energy_interval
 from pipeline.measured.cost.reading_error import reading_error
-from pipeline.measured.device import damping, delay, friction, mass, onset
-from pipeline.measured.fit.fit import fit_trials
+from pipeline.measured.model.identified import identified
+from pipeline.measured.model.own import OWN, own_numbers
 from pipeline.measured.signal.response import Response, find_response
 from pipeline.measured.signal.verdict import Verdicts, judge
-from pipeline.measured.stages.stage_rows import BALANCE_TERMS
+from pipeline.measured.stages.stage_device import recordings
+from pipeline.measured.stages.stage_groups import TrialGroup
+from pipeline.measured.thesis import Masses, by_momentum, first_change
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.simulation.setup import Setup, setup_of
 from pipeline.simulation.simulate import simulate
@@ -38,8 +40,8 @@ DELAY, DELAYS = 4.0, (4.1, 4.3, 4.5, 4.7, 4.9)
 USUAL_ROWS, ROWS = 400, (60, 100, 200, 400, 1000)
 """Rows of a Falcon's log, and of the logs that are compared; 20 of them are the baseline."""
 
-WINDOWS_MS, FRICTION_WINDOWS_MS = (5, 10, 15, 30, 80), (30, 100, 380)
-"""Windows of the momentum balances [ms]: a delay of 4 samples fills one of 5 ms."""
+WINDOWS_MS = (5, 10, 15, 30, 80)
+"""Windows of the momentum balance [ms]: a delay of 4 samples fills one of 5 ms."""
 
 QUANTA = (2e-6, 10e-6, 60e-6)
 """Sensor quantum [m]: the shipped Falcon has 2 um, encoders of haptic devices 10 to 60 um."""
@@ -58,7 +60,7 @@ LONGEST = 20000
 DELAY_OF, MASS, DAMPING = (f"{name} of a trial" for name in ("delay", "mass", "damping"))
 
 MODEL, SETTLE, LARGEST, COMPLETE = RECOMMENDED = (
-    "model of the whole response",
+    "likelihood of all trials",
     "band about x₀ + F₀/K",
     "largest reading",
     "bias off, tail added",
@@ -145,24 +147,31 @@ def measured_tables(quick: bool = False) -> Iterator[Table]:
 def _delay(name: str, trials: Trials, lengths: tuple[int, ...]) -> Table:
     logs, words = trials.shortened(USUAL_ROWS), ("{} rows", lengths)
 
-    def first_change() -> Values:
+    def by_first_change() -> Values:
         """Middle of the period in which the position changes first (6.3)."""
-        found = delay.first_change(logs.batch, logs.response).delay_samples
+        found = first_change(logs.batch, logs.response).delay_samples
         return {name: np.where(found >= 0, found + 0.5, np.nan)}
-
-    def motion_onset() -> Values:
-        first = delay.first_change(logs.batch, logs.response)
-        return {name: onset.motion_onset(logs.batch, logs.response, first).delay_samples}
 
     return Table(
         {name: trials.delay},
         (
-            Row("first change (6.2, 6.3)", first_change),
-            Row("onset of motion", motion_onset),
-            Row(MODEL, lambda of: {name: fit_trials(of.batch, of.response).delay}, *words, given=trials.shortened),
+            Row("first change (6.2, 6.3)", by_first_change),
+            Row(MODEL, lambda of: {name: by_model(of)["delay"]}, *words, given=trials.shortened),
         ),
         *(median, {name: 1.0}, len(trials.delay)),
     )
+
+
+def by_model(of: Trials) -> Values:
+    """Return mass, damping and delay of each trial by the likelihood of all that have the same delay."""
+    values = np.full((len(of.delay), 2 * len(OWN)), np.nan)
+    for delay in np.unique(of.delay):
+        some = np.flatnonzero(of.delay == delay)
+        batch = of.batch.select(some)
+        found = own_numbers(identified(recordings(TrialGroup(batch), {"chosen": batch.trial_id})))
+        for row, trial in zip(some, batch.trial_id, strict=True):
+            values[row] = found.get(trial, np.nan)
+    return {name: values[:, 2 * place] for place, name in enumerate(OWN)}
 
 
 def _mass_and_damping(trials: Trials, lengths: tuple[int, ...]) -> Table:
@@ -170,27 +179,18 @@ def _mass_and_damping(trials: Trials, lengths: tuple[int, ...]) -> Table:
     logs = trials.shortened(USUAL_ROWS)
     of_logs = logs.batch, logs.response, logs.samples
 
-    def momentum(window_ms: float) -> mass.Masses:
-        return mass.by_momentum(*of_logs, window_s=window_ms / 1000)
-
-    def with_friction(window_ms: float) -> Values:
-        found = friction.fit_balance(*of_logs, terms=BALANCE_TERMS, window_s=(0.0, window_ms / 1000))
-        return {MASS: found.mass, DAMPING: found.coefficients[:, 0]}
-
-    def least_squares(of: Trials) -> Values:
-        return {DAMPING: damping.from_trials(of.batch, of.response, of.samples).viscous_damping}
+    def momentum(window_ms: float) -> Masses:
+        return by_momentum(*of_logs, window_s=window_ms / 1000)
 
     def model(of: Trials) -> Values:
-        found = fit_trials(of.batch, of.response)
-        return {MASS: found.mass, DAMPING: found.damping}
+        found = by_model(of)
+        return {MASS: found["mass"], DAMPING: found["damping"]}
 
     windows, shortened = ("{} ms", WINDOWS_MS), ("{} rows", lengths)
     return Table(
         {MASS: np.full(count, plant.mass), DAMPING: np.full(count, plant.damping)},
         (
             Row("momentum balance (6.4)", lambda w: {MASS: momentum(w).mass_momentum}, *windows, of=(MASS,)),
-            Row("balance with damping and friction", with_friction, "{} ms", FRICTION_WINDOWS_MS),
-            Row("balance, least squares", least_squares, *shortened, given=trials.shortened, of=(DAMPING,)),
             Row(MODEL, model, *shortened, given=trials.shortened),
         ),
         median,

@@ -61,15 +61,15 @@ def summary_rows(report: AccuracyReport) -> tuple[dict[str, str], ...]:
 
 
 def picture(rungs: Sequence[Rung], identifier: str) -> str:
-    """Return error (abscissa) against run time, a panel a quantity and a line a method, as one ``<svg>``."""
+    """Return error (abscissa) against run time, a panel a quantity with several methods, a line each, as ``<svg>``."""
     import matplotlib  # takes half a second that other commands do without
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator
 
     from pipeline.rendering.figures import drawing as style
 
-    quantities = grouped(rungs, "quantity")
-    lines = -(-len(quantities) // COLUMNS)
+    quantities = {q: of for q, of in grouped(rungs, "quantity").items() if len(grouped(of, "method")) > 1}
+    lines = -(-max(len(quantities), 1) // COLUMNS)
     with matplotlib.rc_context(style.RC | {"font.size": 8.0, "axes.titlesize": 9.0, "legend.fontsize": 6.5}):
         drawing = Figure(figsize=(COLUMNS * WIDTH, lines * HEIGHT), dpi=72, layout="constrained")
         panels = drawing.subplots(lines, COLUMNS, squeeze=False).ravel()
@@ -87,7 +87,7 @@ def picture(rungs: Sequence[Rung], identifier: str) -> str:
                 axis.set_major_locator(LogLocator(numticks=5))
                 axis.set_major_formatter(lambda value, _: power_of_ten(round(np.log10(value))))
             axes.minorticks_off()
-            axes.legend()
+            axes.legend(markerscale=0.6)
         text = "; ".join(f"{r.quantity} by {r.method}, {r.setting}: {r.error} in {r.seconds:.1e} s" for r in rungs)
         return style.svg_of(drawing, identifier, "Error against run time of every method", text)
 

@@ -113,7 +113,7 @@ def test_what_logs_show_is_named_and_no_other_loop_bears_a_statement(compared, n
         assert all((e.low, e.high) == (None, None) for e in of_the_loop)
         assert result.answer.estimates_reason.startswith("No interval where the loop does not hold")
     else:
-        assert "ladder" in found.estimates["delay_samples"].by_method
+        assert "model" in found.estimates["delay_samples"].by_method
 
 
 def test_a_force_of_several_steps_leaves_the_loop_as_it_is(compared):

@@ -12,9 +12,9 @@ from pipeline.store.storage import stage_file
 ALWAYS = {"response", "wall_law", "outcome", "boundary"}
 NEEDED = {
     ("overshoot",): ALWAYS | {"overshoot"},
-    ("settle_2pct",): ALWAYS | {"wall_law", "delay", "model", "ladder", "settling"},
-    ("settle_1pct", "overshoot"): ALWAYS | {"wall_law", "delay", "model", "ladder", "settling", "overshoot"},
-    ("energy_step_w1",): ALWAYS | {"wall_law", "delay", "model", "ladder", "energy", "mass", "damping"},
+    ("settle_2pct",): ALWAYS | {"wall_law", "device", "model", "delay", "settling"},
+    ("settle_1pct", "overshoot"): ALWAYS | {"wall_law", "device", "model", "delay", "settling", "overshoot"},
+    ("energy_step_w1",): ALWAYS | {"wall_law", "device", "model", "delay", "energy", "mass"},
 }
 
 
@@ -32,12 +32,12 @@ def test_unknown_device_needs_its_estimates_for_any_theory(unknown):
     data = open_scene("mydevice", unknown.processed, None, ("overshoot",))
     assert data.device is None
     assert data.overlay
-    assert needed_stages(data) == ALWAYS | {"wall_law", "overshoot", "delay", "model", "ladder", "mass", "damping"}
+    assert needed_stages(data) == ALWAYS | {"wall_law", "overshoot", "device", "model", "delay", "mass"}
 
 
 def test_all_criteria_need_all_stages(falcon):
     data = open_scene("falcon", falcon.processed, None, None)
-    assert len(needed_stages(data)) == 12
+    assert len(needed_stages(data)) == 11
     assert data.overlay
     assert len(data.scene.criteria) == 7
 
@@ -90,7 +90,7 @@ def test_plan_goes_from_run_to_reuse_and_follows_changes(falcon, noisy, tmp_path
         "wall_law",
         "delay",
         "model",
-        "ladder",
+        "device",
         "settling",
     }
     assert {s for s, (action, _) in plan.items() if action == RUN} == {"overshoot"}

@@ -62,11 +62,7 @@ def test_the_code_follows_the_overlap(data, result, overlap, code):
 
 @pytest.mark.parametrize(
     ("median", "words"),
-    [
-        (0.057, "lie 5.7 % above theory"),
-        (-0.2, "lie 20 % below theory"),
-        (0.0002, "agree with theory within 0.1 %"),
-    ],
+    [(0.057, "lie 5.7 % above theory"), (-0.2, "lie 20 % below theory"), (0.0002, "agree with theory within 0.1 %")],
 )
 def test_words_tell_how_far_the_limits_are_off(data, result, median, words):
     distance = result.experiments[0].scores[0].distance.model_copy(update={"median": median})
@@ -89,6 +85,13 @@ def test_friction_that_explains_the_limits_is_a_code_of_its_own(data, result):
     found = told(data, result, causes=(cause,), **changes).predicts
     assert found.code == "with_friction"
     assert found.percent_with_friction == pytest.approx(-1, abs=0.1)
+    changes["loop_boundary"] = tuple(
+        limit.model_copy(update={"stiffness": limit.stiffness * (0.98 + 0.02 * (n % 2))})
+        for n, limit in enumerate(limits)
+    )
+    around = told(data, result, causes=(cause,), **changes)
+    assert (around.predicts.code, around.predicts.percent_with_friction) == ("with_friction", None)
+    assert "friction within 5 %" in answer_lines(result.model_copy(update={"answer": around}))[2]
 
 
 def test_parameters_of_a_file_outside_what_the_logs_tell_are_a_cause(data, result):

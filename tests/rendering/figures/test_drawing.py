@@ -70,6 +70,12 @@ def test_many_dots_are_one_path(drawn) -> None:
     assert max(path.count("h0") for path in paths) == len(X)
 
 
+def test_a_line_that_begins_with_one_point_twice_is_no_dot() -> None:
+    twice = Series("twice", "line", np.array([0.0, 0.0, 1.0, 2.0]), np.array([0.0, 0.0, 3.0, 1.0]))
+    svg = draw(Figure("plane", "twice", "Twice", "", (Panel("", ("x", "y"), (twice,), ""),))).panels[0]
+    assert "h0" not in svg
+
+
 def test_numbers_for_pointing_are_those_of_the_series(drawn) -> None:
     (axes,) = drawn.shown[0]["axes"]
     assert axes["names"][:2] == list(NAMES)

@@ -7,7 +7,7 @@ import pytest
 from native_logs import log_text
 
 from pipeline.shell.cli import run
-from pipeline.shell.profile.log_picture import MOST_COLUMNS
+from pipeline.shell.profile.log_picture import MOST_COLUMNS, look
 
 PROFILE = """name = "lab"
 format = "delimited"
@@ -101,8 +101,8 @@ def test_a_native_log_needs_no_profile(call):
 def test_no_more_columns_are_drawn_than_can_be_looked_at(call):
     rows = [",".join(f"c{i}" for i in range(60)), *(",".join(str(i * j) for i in range(60)) for j in range(20))]
     Path("wide.dat").write_text("\n".join(rows) + "\n", encoding="utf-8")
-    _, out, _ = call("look", "wide.dat", "--json")
-    assert len(json.loads(out)["trials"][0]["columns"]) == MOST_COLUMNS
+    ((_, columns),) = look(Path("wide.dat")).trials
+    assert len(columns) == MOST_COLUMNS
 
 
 @pytest.mark.parametrize(

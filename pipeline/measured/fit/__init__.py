@@ -1,1 +1,0 @@
-"""Delay, mass and damping of a trial by one model of its whole response."""

@@ -1,0 +1,165 @@
+"""Stages `device` and `model`: one device by the likelihood of all trials, and what each trial says of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from pipeline.base.errors import ParameterError
+from pipeline.measured.experiment.fitted_device import NAMES, PARTS
+from pipeline.measured.model.identified import Identified, identified
+from pipeline.measured.model.own import own_numbers
+from pipeline.measured.model.recordings import GAP, Recording
+from pipeline.measured.stages.stage_given import Experiment
+from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
+from pipeline.records.batch import TrialBatch
+from pipeline.records.tables import TABLES
+
+MOST_ROWS = 600
+"""Rows of a log from shortly before the step on: behind any wall that is of use motion has come to its end."""
+
+AHEAD = 40
+"""Rows before the step that are kept."""
+
+IN_FORCE, SHAPE = 0.9026, 0.025
+"""Standard deviation of the delay of the command in force over that of the delays drawn, of which later ones overtake
+none: sqrt(44/81)/sqrt(2/3) for three that are as likely (by enumeration), and how far other shapes are off."""
+
+LEAST = 1e-300
+"""Variance of a number that is known exactly."""
+
+WITHOUT = {"command_shifted"}
+"""Departures from the wall law by which a logged command is not the one that drives the device at that time."""
+
+NOT_TOLD = "the logs do not tell the mass from the force on the device; record steps of two sizes, or walls"
+
+
+def found_device(of: Experiment) -> tuple[Identified | None, str]:
+    """Return the likeliest device of all logs of an experiment, or None and why."""
+    codes = [set(filter(None, text.split(","))) for text in of.texts("wall_law", "law_codes")]
+    stiffness = of.column("response", "stiffness")
+    usable = np.array([each.isdisjoint(WITHOUT) for each in codes])
+    # without a wall a device ends somewhere, and says less of what the walls of the others do
+    usable &= (stiffness > 0) | (stiffness <= 0).all()
+    usable &= np.isnan(of.column("wall_law", "obeyed_stiffness"))
+    ids = of.texts("response", "trial_id")
+    parts = of.of_each(recordings, chosen=[ids[i] for i in np.flatnonzero(usable)])
+    order = np.lexsort((np.array(ids), stiffness, of.column("response", "damping")))
+    rank = {ids[i]: number for number, i in enumerate(order.tolist())}
+    found = sorted((one for part in parts for one in part), key=lambda one: rank[one.name])
+    if not found:
+        return None, "no log's command is that of its wall and time"
+    try:
+        device = identified(found)
+    except ParameterError as error:
+        return None, str(error)
+    return (None, NOT_TOLD) if "mass" in device.untold else (device, "")
+
+
+def device(of: Experiment) -> Columns:
+    """Return the one row of the stage `device`."""
+    found, reason = of.once(found_device)
+    numbers = _nothing() if found is None else _numbers(found, of)
+    return {"numbers": [json.dumps(numbers)], "reason": [reason or None]}
+
+
+def model(of: Experiment) -> Columns:
+    """Return what each trial says alone of mass, damping and delay: a step from the common ones."""
+    found, reason = of.once(found_device)
+    ids = of.texts("response", "trial_id")
+    columns: Columns = {name: of.column("response", name) for name in ("stiffness", "damping")}
+    columns |= {name: of.texts("response", name) for name in ("trial_id", "samples_sha256")}
+    own = {} if found is None else own_numbers(found)
+    for place, name in enumerate(name for name in TABLES["model"] if name.startswith("model_")):
+        columns[name] = [own[trial][place] if trial in own else None for trial in ids]
+    columns["reason"] = [
+        None if trial in own else reason or "left out: its command is not that which moves it" for trial in ids
+    ]
+    return columns
+
+
+def _nothing() -> dict[str, Any]:
+    return {"names": [], "values": [], "covariance": [], "parts": []}
+
+
+def _numbers(found: Identified, of: Experiment) -> dict[str, Any]:
+    """Return the numbers of a device in SI as the stage holds them, with their scatter and those without each fold."""
+    period, parameters = found.scales.period, found.parameters
+    unit = {name: 1 / period if name == "delay" else 1.0 for name in parameters}
+    units = np.array(list(unit.values()))
+    folds = [{NAMES[name]: value * unit[name] for name, value in fold.items()} for fold in found.folds]
+    # a delay that nothing tells is none
+    late = set() if "delay" in unit else {"delay_samples"}
+    values = {NAMES[name]: each.value * unit[name] for name, each in parameters.items()}
+    # an interval may be wider than the likelihood alone says
+    told = np.sqrt(np.maximum(found.covariance.diagonal(), LEAST))
+    wider = units * np.maximum([each.error for each in parameters.values()] / told, 1.0)
+    covariance = found.covariance * np.outer(wider, wider)
+    noise = found.choice.fit.device.noise
+    fits = found.replay.fit[np.isfinite(found.replay.fit)]
+    return {
+        "parts": [PARTS[name] for name, gain in found.parts.items() if gain > 0],
+        "names": [*values, *late],
+        "values": [*values.values(), *(0.0 for _ in late)],
+        "covariance": np.pad(covariance, (0, len(late))).tolist(),
+        "bounds": {NAMES[name]: value for name, value in found.bounds.items()},
+        "jitter": [noise.jitter / IN_FORCE, float(np.hypot(noise.jitter_error, SHAPE * noise.jitter))],
+        "noise": found.noise,
+        "disturbance": found.disturbance,
+        "scatter": {NAMES[name]: value * unit.get(name, 1.0) for name, value in found.scatter.items()},
+        "open": sorted({NAMES[name] for name in found.untold} | late),
+        "folds": folds,
+        "trials": found.names,
+        "explained": found.explained,
+        "fit_percent": float(np.median(fits)) if len(fits) else None,
+        "saturated": _saturated(of, values.get("force_limit", np.inf)),
+    }
+
+
+def _saturated(of: Experiment, limit: float) -> float:
+    """Return the share of the stable trials that command more than a force."""
+    if not np.isfinite(limit):
+        return 0.0
+    largest = np.concatenate(of.of_each(_largest_command))
+    stable = of.verdicts.verdict == "stable"
+    return float((largest[stable] > limit).mean()) if stable.any() else 0.0
+
+
+def _largest_command(group: TrialGroup, given: Given) -> Any:
+    return np.nanmax(np.abs(group.batch.command), axis=1)
+
+
+def recordings(group: TrialGroup, given: Mapping[str, Any]) -> list[Recording]:
+    """Return the chosen trials of a group as the model takes them."""
+    chosen = set(given["chosen"])
+    batch, found = group.batch, []
+    for i in np.flatnonzero([name in chosen for name in batch.trial_id]).tolist():
+        edge = max(int(group.found.edge_row[i]), 0)
+        declared = batch.step_row is not None and int(batch.step_row[i]) >= 0
+        first = max(edge - AHEAD, 0)
+        rows = _complete(batch, i, slice(first, min(int(batch.rows[i]), first + MOST_ROWS)))
+        found.append(
+            Recording(
+                batch.trial_id[i],
+                batch.time[i, rows],
+                batch.command[i, rows],
+                batch.position[i, rows],
+                float(batch.sampling_period_s[i]),
+                edge - first if declared and rows.start == first else None,
+            )
+        )
+    return found
+
+
+def _complete(batch: TrialBatch, trial: int, rows: slice) -> slice:
+    """Return the rows between two that are lost in which the device moves most; all where none is lost."""
+    time, position = batch.time[trial, rows], batch.position[trial, rows]
+    gaps = np.flatnonzero(np.diff(time) > GAP * batch.sampling_period_s[trial]) + 1
+    bounds = [0, *gaps.tolist(), len(time)]
+    way = [float(np.abs(np.diff(position[a:b])).sum()) for a, b in pairwise(bounds)]
+    best = int(np.argmax(way)) if way else 0
+    return slice(rows.start + bounds[best], rows.start + bounds[best + 1])
