@@ -35,6 +35,9 @@ BENT = 1e-3
 """Departure of a command from the wall law, relative to the step, at one of its limits, by which it is bent: a log in
 few digits is rounded by less."""
 
+FADES = 0.9
+"""Ratio of the sizes of neighbouring quarters up to which a motion fades: parts of a period make 5 % of difference."""
+
 BLOCKS = 8
 """Parts of the motion whose size tells a growth rate: half a period each of what a wall does within its log."""
 
@@ -121,19 +124,18 @@ def _judge(batch: TrialBatch, response: Response) -> Verdicts:
     # what is left may be a limit cycle of the sensor, if it came down from far above
     left = np.where(floor > 0, end <= REST_FLOORS * floor, lasted < END * count) & wall
     above = (begin >= LEAST_FALL * np.where(left, end, np.minimum(end, floor))) | ~wall
-    enough = (count >= FEWEST_SAMPLES) & (peak > np.where(wall, 0.0, 4 * floor))
     # a motion that comes to rest is seen while it lasts, with some rest behind it where that is too short
     seen = np.where(~wall | left | (floor == 0), np.maximum(lasted, np.minimum(count, 2 * FEWEST_SAMPLES)), count)
     # the floor is six standard deviations of the noise wide, or one quantum, whose error is far smaller
     noise = np.where(wall, 1.0, np.sqrt(6)) * np.maximum(floor / NOISE_FACTOR, 1e-3 * rounding)
     rate, error, clean = _growth(signal, seen, noise)
-    slope, scatter, late = _slope(signal, seen, noise)
+    slope, scatter, fades = _slope(signal, seen, noise)
     # a motion without modes, or whose views differ, has the rate of its size
     sized = ~clean & ~(np.abs(rate) > SIGMAS * error)
     change = np.maximum(SIGMAS * scatter, np.log(LEAST_FALL) / np.maximum(seen, 1))
     falls, grows = slope < -SIGMAS * scatter, slope > change
-    # what falls ever faster is braked: the size of modes falls ever slower
-    rises = np.where(sized, grows, (rate > SIGMAS * error) & (clean | ~falls | (late > slope)))
+    # a growing mode shows once the others have died away: what fades to its end is braked
+    rises = np.where(sized, grows, (rate > SIGMAS * error) & (clean | ~fades))
     lasts = _bent(batch, start, count) & ~falls & wall
     early = wall & _in_first_swing(batch, response) & ~falls & ~left
     rises = (rises | lasts) & enough & ~left & ~early
@@ -246,10 +248,10 @@ def _hidden(signal: Floats, count: Integers, noise: Floats, response: Response) 
     return growth
 
 
-def _slope(signal: Floats, length: Integers, noise: Floats) -> tuple[Floats, Floats, Floats]:
+def _slope(signal: Floats, length: Integers, noise: Floats) -> tuple[Floats, Floats, Booleans]:
     """Return the growth per sample of the size of a motion over its parts, with its standard error by their scatter.
 
-    And that of the last half.
+    And whether it fades: from each of its last quarters to the next.
     """
     place = np.arange(signal.shape[1])[None, :] * BLOCKS / np.maximum(length, 1)[:, None]
     blocks = [(place >= i) & (place < i + 1) for i in range(BLOCKS)]
@@ -260,8 +262,9 @@ def _slope(signal: Floats, length: Integers, noise: Floats) -> tuple[Floats, Flo
     slope = x @ size / square
     rest = size - size.mean(axis=0) - np.outer(x, slope)
     step = np.maximum(length, 1) / BLOCKS
-    late = 0.25 * (size[-1] + size[-2] - size[-3] - size[-4])
-    return slope / step, np.sqrt((rest**2).sum(axis=0) / (BLOCKS - 2) / square) / step, late / step
+    quarter = power[2::2] + power[3::2]
+    fades = (quarter[2] < FADES**2 * quarter[1]) & (quarter[1] < FADES**2 * quarter[0])
+    return slope / step, np.sqrt((rest**2).sum(axis=0) / (BLOCKS - 2) / square) / step, fades
 
 
 def _bent(batch: TrialBatch, start: Integers, count: Integers) -> Booleans:
