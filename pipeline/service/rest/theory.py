@@ -7,17 +7,15 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pipeline.base.errors import ParameterError
 from pipeline.device_data.devices import find_experiment, load_device
-from pipeline.loop.loop import Loop
 from pipeline.records.criteria import CRITERIA, with_discrete
 from pipeline.service.problems import Problem
-from pipeline.theory import cases as device_cases
-from pipeline.theory.cases import Cases, DeviceCase, boundary_document, optimum_document, point_costs
+from pipeline.theory.cases import LARGEST, Case, boundary_document, case_of, optimum_document, point_documents
 from pipeline.theory.optimum import POINT_CRITERIA
 
 LONGEST_DELAY = 64.0
@@ -74,30 +72,14 @@ class Theory:
             self._pool = None
 
 
-def boundary(gamma: float, delta: float, delay: float) -> dict[str, Any]:
-    """Return the document of `theory boundary`."""
-    return boundary_document(Loop(gamma, delta, delay))
-
-
-def optimum(gamma: float, delta: float, delay: float, criterion: str, signal: str | None) -> dict[str, Any]:
-    """Return the document of `theory optimum`."""
-    return optimum_document(Loop(gamma, delta, delay), criterion, signal)
-
-
-def points(rows: list[tuple[float, ...]]) -> list[dict[str, Any]]:
-    """Return the document of `theory points` for rows of alpha, beta, gamma, delta, delay."""
-    values = np.array(rows, dtype=np.float64)
-    return point_costs(Cases(Path("points"), values, tuple(range(1, len(rows) + 1))))
-
-
-def of_device(what: str, device: str, experiment: str | None, *values: Any) -> Any:
-    """Return the document of a theory command with ``--device``: in SI."""
-    known = load_device(device)
-    case = DeviceCase(known, find_experiment(known, experiment) if experiment else known.experiments[0])
-    if what == "boundary":
-        return device_cases.device_boundary(case)
-    if what == "optimum":
-        criterion, signal = values
-        return optimum_document(case.loop, criterion, signal, case.units, **case.names)
-    walls = np.array(values[0], dtype=np.float64)
-    return device_cases.wall_documents(case, Cases(Path("points"), walls, tuple(range(1, len(walls) + 1))))
+def document(what: str, case: Case | tuple[str, str | None], *values: Any) -> Any:
+    """Return what a theory command prints for a loop, or in SI for a device and its experiment by name."""
+    if isinstance(case, tuple):
+        device, name = load_device(case[0]), case[1]
+        case = case_of(device, find_experiment(device, name) if name else device.experiments[0])
+    if what == "points":
+        walls = np.array(values[0], dtype=np.float64)
+        if np.abs(walls).max() > LARGEST:
+            raise ParameterError(f"{' or '.join(case.axes)}: expected at most {LARGEST:g}.")
+        return point_documents(case, walls)
+    return boundary_document(case) if what == "boundary" else optimum_document(case, *values)

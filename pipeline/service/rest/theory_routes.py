@@ -4,10 +4,12 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query
 
+from pipeline.loop.loop import Loop
 from pipeline.service.problems import Problem
 from pipeline.service.rest import answers, theory
 from pipeline.service.rest.api import FiniteNumber, Name
 from pipeline.service.shared import Shared
+from pipeline.theory.cases import Case
 
 theories = APIRouter(prefix="/api/v1/theory", responses={**answers.EVERYWHERE, **answers.problems(404, 504)})
 
@@ -17,17 +19,16 @@ Delay = Annotated[float | None, Query(ge=0, le=theory.LONGEST_DELAY, description
 Device = Annotated[Name | None, Query(description="Name of a device; all is then in SI, for its experiment.")]
 
 
-def _delay(delay: float | None) -> float:
-    if delay is None:
-        raise Problem(422, "Give the delay in samples, or a device.", where="delay")
-    return delay
-
-
-def _alone(device: str | None, delay: float | None, gamma: float, delta: float) -> bool:
-    """Return whether a device is asked for, which has all that the others say."""
+def _case(device: str | None, experiment: str | None, *numbers: float | None) -> Case | tuple[str, str | None]:
+    """Return the loop of gamma, delta and delay, or the names of a device and its experiment."""
+    gamma, delta, delay = numbers
     if device is not None and (delay is not None or gamma or delta):
         raise Problem(422, "A device has a delay, gamma and delta of its own. Leave these out.", where="device")
-    return device is not None
+    if device is not None:
+        return device, experiment
+    if delay is None:
+        raise Problem(422, "Give the delay in samples, or a device.", where="delay")
+    return Case(Loop(gamma or 0.0, delta or 0.0, delay))
 
 
 @theories.get("/boundary", response_model=answers.Boundary | dict[str, Any])
@@ -40,9 +41,7 @@ def boundary(
     experiment: Name | None = None,
 ) -> Any:
     """Return the stability boundary."""
-    if _alone(device, delay, gamma, delta):
-        return service.theory.compute(theory.of_device, "boundary", device, experiment)
-    return service.theory.compute(theory.boundary, gamma, delta, _delay(delay))
+    return service.theory.compute(theory.document, "boundary", _case(device, experiment, gamma, delta, delay))
 
 
 @theories.get("/optimum", response_model=answers.BestPoint | dict[str, Any], response_model_exclude_unset=True)
@@ -57,9 +56,8 @@ def optimum(
     experiment: Name | None = None,
 ) -> Any:
     """Return the point of least cost by a criterion."""
-    if _alone(device, delay, gamma, delta):
-        return service.theory.compute(theory.of_device, "optimum", device, experiment, criterion, signal)
-    return service.theory.compute(theory.optimum, gamma, delta, _delay(delay), criterion, signal)
+    case = _case(device, experiment, gamma, delta, delay)
+    return service.theory.compute(theory.document, "optimum", case, criterion, signal)
 
 
 @theories.get("/points", response_model=list[answers.Point | dict[str, Any]])
@@ -76,14 +74,10 @@ def points(
     experiment: Name | None = None,
 ) -> Any:
     """Return stability and costs of points: alpha and beta, or with a device stiffness and damping."""
-    own = _alone(device, delay, gamma, delta)
+    case = _case(device, experiment, gamma, delta, delay)
     (name, first), (other, second) = (
-        (("stiffness", stiffness), ("damping", damping)) if own else (("alpha", alpha), ("beta", beta))
+        (("stiffness", stiffness), ("damping", damping)) if device is not None else (("alpha", alpha), ("beta", beta))
     )
     if len(first) != len(second) or not first:
         raise Problem(422, f"Each point needs {name} and {other}.", where=f"{name}, {other}")
-    if own:
-        walls = list(zip(first, second, strict=True))
-        return service.theory.compute(theory.of_device, "points", device, experiment, walls)
-    rows = [(a, b, gamma, delta, _delay(delay)) for a, b in zip(first, second, strict=True)]
-    return service.theory.compute(theory.points, rows)
+    return service.theory.compute(theory.document, "points", case, list(zip(first, second, strict=True)))
