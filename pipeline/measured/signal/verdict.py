@@ -124,6 +124,7 @@ def _judge(batch: TrialBatch, response: Response) -> Verdicts:
     # what is left may be a limit cycle of the sensor, if it came down from far above
     left = np.where(floor > 0, end <= REST_FLOORS * floor, lasted < END * count) & wall
     above = (begin >= LEAST_FALL * np.where(left, end, np.minimum(end, floor))) | ~wall
+    enough = (count >= FEWEST_SAMPLES) & (peak > np.where(wall, 0.0, 4 * floor))
     # a motion that comes to rest is seen while it lasts, with some rest behind it where that is too short
     seen = np.where(~wall | left | (floor == 0), np.maximum(lasted, np.minimum(count, 2 * FEWEST_SAMPLES)), count)
     # the floor is six standard deviations of the noise wide, or one quantum, whose error is far smaller
