@@ -167,7 +167,9 @@ def _beside(point: LoopPoint, other: LoopPoint, shown: Shown) -> tuple[float, st
     place = int(np.argmax(np.where(some, np.abs(own - others) / np.where(some, larger, 1.0), 0.0)))
     K, B = shown.units.stiffness, shown.units.damping
     text = f"limit at B = {significant(where[place], 3)} {B}: K = {significant(own[place], 3)} {K} with it, "
-    return float(abs(own - others)[place] / larger[place]), text + f"{significant(others[place], 3)} without"
+    return float(
+        abs(own - others)[place] / max(larger[place], 1e-300)
+    ), text + f"{significant(others[place], 3)} without"
 
 
 def _shared(shown: Shown, found: FoundDevice) -> Iterator[Candidate]:
