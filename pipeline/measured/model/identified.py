@@ -76,7 +76,10 @@ def identified(recordings: list[Recording]) -> Identified:
     errors = Errors.of(choice.fit)
     quantities = physical(choice.scales)
     names = [name for name, number in NEEDED.items() if number in errors.numbers]
-    parameters = {name: errors.interval(quantities[name], name in BOUNDED) for name in names}
+    mass, period = quantities["mass"](errors.numbers), choice.scales.period
+    units = {"damping": mass / period, "stiffness": mass / period**2, "delay": period}
+    units |= dict.fromkeys(("friction", "constant_force"), choice.scales.command)
+    parameters = {name: errors.interval(quantities[name], name in BOUNDED, units.get(name, 0.0)) for name in names}
     if "constant_force" in choice.assumed and "friction" in parameters:
         parameters = _held_before(parameters, choice.scales.command)
     untold = {name for name in ("mass",) if not is_told(parameters[name])}
@@ -92,7 +95,7 @@ def identified(recordings: list[Recording]) -> Identified:
     command = choice.scales.command
     scatter = np.sqrt(choice.fit.solved.scatter)
     gain = choice.fit.device.numbers["gain"]
-    units = {"delay": choice.scales.period, "coulomb": command / gain, "force": command / gain}
+    scattered = {"delay": period, "coulomb": command / gain, "force": command / gain}
     named = {"delay": "delay", "coulomb": "friction", "force": "constant_force"}
     replay, replay_names = _replay(recordings, choice)
     noise = float(np.sqrt(choice.fit.solved.noise))
@@ -103,7 +106,7 @@ def identified(recordings: list[Recording]) -> Identified:
         choice.assumed,
         combinations(choice, errors, recorded, untold),
         {
-            named[name]: float(scatter[i] * units[name])
+            named[name]: float(scatter[i] * scattered[name])
             for i, name in enumerate(choice.fit.device.names)
             if name in named and len(recordings) >= FEWEST
         },

@@ -110,12 +110,15 @@ class Errors:
             fit.device.numbers, wider**2 * fit.alike * solved.covariance, wider * steps, max(float(told.sum() - 1), 1.0)
         )
 
-    def interval(self, quantity: Quantity, bounded: bool = False) -> Interval:
-        """Return a quantity's value and interval; one that is not negative by its profile likelihood at 0."""
+    def interval(self, quantity: Quantity, bounded: bool = False, unit: float = 0.0) -> Interval:
+        """Return a quantity's value and interval; one that is not negative by its profile likelihood at 0.
+
+        ``unit`` is the size of what it is told beside, of which computing leaves an error.
+        """
         from scipy.special import stdtrit
 
         value, slope = quantity(self.numbers), self._slope(quantity)
-        error = max(float(np.sqrt(self._spread(slope[None])[0])), COMPUTED * abs(value))
+        error = max(float(np.sqrt(self._spread(slope[None])[0])), COMPUTED * max(abs(value), unit))
         reach = float(stdtrit(self.freedom, 0.5 + CONFIDENCE / 2)) * error
         if bounded and value - reach < 0:
             # from the likeliest value that is allowed the likelihood falls by as much as it does inside
