@@ -106,10 +106,11 @@ class TrialBatch:
         force = None if self.force is None else self.force - level[:, None]
         return replace(self, command=self.command - level[:, None], force=force)
 
-    def portions(self, trials: int) -> Iterator[tuple[slice, TrialBatch]]:
+    def portions(self, trials: int = 64) -> Iterator[tuple[slice, TrialBatch]]:
         """Cut the batch into portions of at most so many trials, which share its arrays; each with its place.
 
-        What is computed of some trials stays in a processor's cache, where that of all of them would not.
+        What is computed of some trials stays in a processor's cache, where that of all of them would not: an array of
+        64 takes 0.5 MB at 1,000 rows.
         """
         for first in range(0, max(len(self), 1), trials):
             some = slice(first, min(first + trials, len(self)))

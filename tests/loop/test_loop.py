@@ -49,6 +49,7 @@ def test_samples_are_those_of_a_loop_stepped_through_time(signal: str, record_pr
         assert sum(case[2] % case[3] != 0 for case in some) >= len(some) // 4  # fractional delays
 
 
+@pytest.mark.slow
 def test_positions_between_samples_are_those_of_a_loop_stepped_through_time(record_property) -> None:
     worst, cases = 0.0, RANDOM + EXTREME
     for signal in ("step", "impulse"):

@@ -25,7 +25,7 @@ from pipeline.base.disk import write_text
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
-from pipeline.measured.cost import costs, energy
+from pipeline.measured.cost import costs
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.stages import stage_groups, stage_tables, stages
 from pipeline.measured.stages import stage_rows as rows_of
@@ -209,7 +209,6 @@ def test_one_long_log_costs_as_much_as_itself(lab, tmp_path, monkeypatch):
     """Padded to the longest, the experiment would take seven times the long log."""
     longest = 1 << 11
     monkeypatch.setattr(stage_groups, "LONGEST_MOTION", longest)
-    monkeypatch.setattr(energy, "LONGEST_ANSWER", longest)
     rows = 16 * longest
     raw = tmp_path / "raw"
     raw.mkdir()

@@ -38,6 +38,7 @@ def followed(monkeypatch, *arguments, **options):
         return transient_costs(*arguments, **options)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("kind", ["", *EXTREMES])
 def test_costs_are_those_of_responses_followed_to_their_end(kind, monkeypatch):
     loop, alpha, beta = points(np.random.default_rng(41), kind)

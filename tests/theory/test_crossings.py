@@ -44,6 +44,7 @@ def checked(example: Example, rng: np.random.Generator) -> int:
     return 1
 
 
+@pytest.mark.slow
 def test_limits_of_random_devices_are_right_to_1e_9():
     rng = np.random.default_rng(5)
     assert sum(checked(random_device(rng), rng) for _ in range(10)) > 7

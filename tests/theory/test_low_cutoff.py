@@ -14,6 +14,7 @@ from pipeline.theory.transient import transient_costs
 
 
 @pytest.mark.sampled
+@pytest.mark.sampled
 @pytest.mark.parametrize(("order", "cutoff"), [(4, 0.01), (4, 0.001), (3, 0.003), (2, 0.3)])
 def test_every_wall_of_a_slow_filter_has_costs(order, cutoff):
     loop = Loop(0, 1e-3, 2.0, velocity=Butterworth(kind="butterworth", order=order, cutoff_hz=cutoff))

@@ -56,6 +56,7 @@ def generated(loop, alpha, beta, angle, aliases=ALIASES):
     return values[-1], w, speeds
 
 
+@pytest.mark.slow
 @pytest.mark.sampled
 @pytest.mark.parametrize(
     "loop",

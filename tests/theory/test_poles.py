@@ -188,6 +188,7 @@ def test_pole_settling_time() -> None:
             pole_settling_time(radius)
 
 
+@pytest.mark.slow
 def test_smallest_radius_is_not_beaten_by_random_points() -> None:
     rng = np.random.default_rng(4)
     for values in ((0, 0, 1), (0.001, 0.02, 0.5), (2.0, 0.0, 0), (0.0, 5.0, 2)):

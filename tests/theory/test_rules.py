@@ -40,6 +40,7 @@ SCALING = [
 limit is 2.1454, and 2.16 is the smallest value at 0.8 % of alpha_max, two lines of the thesis's grid inside."""
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("criterion", "printed", "unit"), SCALING)
 def test_scaling_factors_of_table_5_1(criterion: str, printed: float, unit: float) -> None:
     assert scaling_factor(criterion) == pytest.approx(printed, abs=1.001 * unit)

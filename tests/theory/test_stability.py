@@ -65,6 +65,7 @@ def check_radius(point: tuple[float, float, float, float, float], tolerance: flo
     assert not stable_by_schur_cohn(polynomial, found * (1 - tolerance)), (point, found)
 
 
+@pytest.mark.slow
 def test_spectral_radius_of_random_points(record_property) -> None:
     points = random_points(300, seed=2, largest=4)
     for point in points:

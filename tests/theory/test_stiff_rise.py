@@ -41,6 +41,7 @@ def rise_time(loop, alpha, beta):
     return np.nan
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(4))
 def test_rise_times_of_stiff_devices(seed):
     random = np.random.default_rng(seed)

@@ -98,6 +98,7 @@ def note(record_property, kind: str, cases: list[tuple[float, ...]], seen: Seen)
     record_property("overshoot at samples", seen.sampled)
 
 
+@pytest.mark.slow
 def test_random_points(record_property) -> None:
     cases = stable_walls(random_loops(60, seed=33), each=5, seed=35, slowest=0.8)
     seen = compare_many(cases, decades=6.0, fine=12)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,8 +15,6 @@ from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.criteria import ENERGY, members
-
-Sampled = TypeVar("Sampled", "EnergyTerms", ReadingError)
 
 WEIGHTS = (0, 1, 2)
 """Exponents w of the weighting by time."""
@@ -50,12 +48,6 @@ NOTHING_LEFT = 1e-9
 
 LARGEST_EXPONENT = 700.0
 """Where exp overflows."""
-
-CHUNK = 64
-"""Trials whose cost is computed at once: an array of theirs, 0.5 MB at 1,000 rows, stays in a processor's cache."""
-
-LONGEST_ANSWER = 1 << 16
-"""Rows up to which trials are computed together, in their whole length; a longer one alone, up to its horizon."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,14 +230,11 @@ def energy_interval(
     delays = delay_bounds(delay_samples, delay_range)
     shifts = delays[0] - delay_samples, delays[1] - delay_samples
     parts = []
-    for some, part in batch.portions(CHUNK if batch.position.shape[1] <= LONGEST_ANSWER else 1):
+    for some, part in batch.portions(max((1 << 16) // max(batch.position.shape[1], 1 << 10), 1)):
         seen, told, each = response.select(some), verdicts.select(some), error.select(some)
         last = np.maximum(part.rows - 1, 0)[:, None]
         level = LEVEL_SIGMAS * np.nan_to_num(np.take_along_axis(each.deviation, last, axis=1)[:, 0])
         terms = energy_terms(part, seen, told, delay_samples, level)
-        if part.position.shape[1] > LONGEST_ANSWER:
-            summed = int(terms.stop.max(initial=1))
-            terms, each = _until(terms, summed), _until(each, summed)
         growth = told.growth_per_s * part.sampling_period_s
         parts.append(_interval(part, seen, growth, _sums(part, terms, each, mass), level, mass_error, shifts))
     names = [name for name in EnergyInterval.__dataclass_fields__ if name != "reason"]
@@ -432,12 +421,6 @@ def _at_rest(batch: TrialBatch, response: Response, sums: _Sums) -> Floats:
     energy = np.where(np.abs(off) > response.floor, sums.spring * off**2, 0.0)
     index = np.where(behind, column - sums.terms.first[:, None], 0).astype(np.float64)
     return np.stack([energy * np.where(behind, index**w, 0.0).sum(axis=1) for w in WEIGHTS], axis=1)
-
-
-def _until(of: Sampled, columns: int) -> Sampled:
-    """Return the same of the first samples alone, as arrays of their own, so that those of all take no more memory."""
-    arrays = {name: value[:, :columns].copy() for name, value in vars(of).items() if np.ndim(value) == 2}
-    return replace(of, **arrays)
 
 
 def _sensor_error(sums: _Sums) -> Floats:

@@ -53,9 +53,6 @@ EXCESS = 2.0
 """Motion at rest relative to what sensor and weights tell, from which on the loop answers by more: without jitter that
 of a slow response, which has two independent values in a fifth, is larger by chance in 2 % of the trials."""
 
-CHUNK = 64
-"""Trials that are computed at once: an array of theirs, 0.5 MB at 1,000 rows, stays in a processor's cache."""
-
 LARGEST_REST = 0.05
 """Motion relative to the final displacement up to which it may be rest: as the widest settling band."""
 
@@ -173,7 +170,7 @@ def gain_at_rest(batch: TrialBatch, response: Response, delay_samples: int, sens
     known = response.has_edge & np.isfinite(sensor)
     found = (
         _variances(part, response.select(some), delay_samples, np.full(len(part), sensor), known[some]).gain
-        for some, part in batch.portions(CHUNK)
+        for some, part in batch.portions()
     )
     return np.concatenate(list(found))
 
@@ -245,7 +242,7 @@ def reading_error(
     each = np.where(known, one, np.nan)
     found = [
         _variances(part, response.select(some), delay_samples, each[some], known[some])
-        for some, part in batch.portions(CHUNK)
+        for some, part in batch.portions()
     ]
     weight, weight_noise, change_noise, own = (
         np.concatenate([getattr(part, name) for part in found])
@@ -253,7 +250,7 @@ def reading_error(
     )
     gain_of_each = np.where(np.isfinite(own), own, usual_gain(own) if gain is None else gain)
     deviation, change = np.empty((n, columns)), np.empty((n, columns))
-    for (some, part), variances in zip(batch.portions(CHUNK), found, strict=True):
+    for (some, part), variances in zip(batch.portions(), found, strict=True):
         hidden = ~(known[some, None] & part.valid)
         # slow motion, which hardly adds to the changes from reading to reading
         square = variances.kept + gain_of_each[some, None] * variances.answered

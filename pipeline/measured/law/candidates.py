@@ -28,9 +28,6 @@ LEVEL_ROWS = 5
 FEWEST_AT_LIMIT = 3
 """Rows whose command changes by the same that show a limit of that."""
 
-MOST_LEVELS = 12
-"""Levels beyond which an external force is no staircase."""
-
 EXPLAINED = 1e-6
 """Part of what a filter changes that it may leave unexplained, beside rounding: what is found is exact or not it."""
 
@@ -162,7 +159,7 @@ def _constant(log: LogRows, rows: Booleans | slice) -> float | None:
 
 
 def _other_step(log: LogRows) -> tuple[Departure, ...] | None:
-    """An external force that rises over several rows, or in several steps, and rests on each level."""
+    """An external force that rises over several rows, from level to level; several steps have no one edge (`edge`)."""
     e = log.external
     turns = np.flatnonzero(np.abs(np.diff(e)) > log.rounding[1:] + log.rounding[:-1]) + 1
     ends = np.append(turns, len(e))
@@ -170,8 +167,7 @@ def _other_step(log: LogRows) -> tuple[Departure, ...] | None:
     from_zero = replace(log, step=0.0)
     found = [_constant(from_zero, slice(a, b)) for a, b in zip(starts, ends, strict=True)]
     levels = [level for level in found if level is not None]
-    stays = lengths >= LEVEL_ROWS
-    if len(turns) < 2 or not stays[0] or len(levels) < len(found):
+    if len(turns) < 2 or lengths[0] < LEVEL_ROWS or len(levels) < len(found):
         return None
     force = np.repeat(levels, lengths)
     first, last = int(turns[0]), int(turns[-1])
@@ -180,11 +176,7 @@ def _other_step(log: LogRows) -> tuple[Departure, ...] | None:
     if ramp <= max(LONGEST_RAMP * len(e), 2) and rising.all():
         text = f"the step rises over {ramp} rows, from row {first} to row {last}, to {levels[-1]:.4g}"
         return (Departure("step_not_a_step", text, ramp, float(ramp)),)
-    if not stays.all() or len(levels) > MOST_LEVELS:
-        return None
-    told = ", ".join(f"{level:.4g} from row {row}" for level, row in zip(levels[1:], turns, strict=True))
-    text = f"the external force has {len(turns)} steps: {told}"
-    return (Departure("several_steps", text, len(e) - log.edge, float(len(turns))),)
+    return None
 
 
 def _fit(terms: Floats, command: Floats) -> Floats:

@@ -15,7 +15,7 @@ import numpy as np
 from pipeline.measured.law.candidates import Departure, explanation, hidden
 from pipeline.measured.law.log_rows import EQUAL, PLATEAU, ROUNDINGS, STILL_FLOORS, LogRows, repeated_rows, stands_still
 from pipeline.measured.law.stamps import ODD, Stamps, read_stamps
-from pipeline.measured.signal.response import CHUNK, Response, external_force
+from pipeline.measured.signal.response import Response, external_force
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
 PRINTED_IN_FULL = float(ROUNDINGS**2 * np.finfo(np.float64).eps)
@@ -119,7 +119,7 @@ def wall_law(batch: TrialBatch, response: Response) -> WallLaw:
     residual, rounding = np.full(n, np.nan), np.full(n, np.nan)
     departures: list[tuple[Departure, ...]] = [()] * n
     accounts: list[Account | None] = [None] * n
-    for place, some in batch.portions(CHUNK):
+    for place, some in batch.portions():
         of, external = response.select(place), external_force(some)
         seen = of.has_edge & (some.step != 0)
         size = np.abs(np.where(seen, some.step, np.nan))

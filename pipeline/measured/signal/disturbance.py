@@ -95,7 +95,7 @@ def find_disturbance(batch: TrialBatch, response: Response, device: Device | Non
     n = len(batch)
     device = device_of(batch, response) if device is None else device
     first, largest, force = np.full(n, NO_ROW), np.full(n, NO_ROW), np.zeros(n)
-    for some, part in batch.portions(128):
+    for some, part in batch.portions():
         if device.mass > 0 and part.position.shape[1] > 2 * device.span:
             ratio, left = _ratio(part, response.edge_row[some], response.floor[some], device)
             at, trial = np.argmax(ratio, axis=1), np.arange(len(part))

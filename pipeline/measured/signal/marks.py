@@ -45,28 +45,12 @@ def rests(values: Floats) -> list[tuple[int, int]]:
     """Return the stretches in which a column rests, or creeps: first row, and the one behind the last."""
     rows, reach = len(values), _reach(values)
     least = max(FEWEST_ROWS, int(SHORTEST_REST * rows))
-    if not reach > 0:
-        return [(0, rows)] if rows >= least and np.isfinite(values).all() else []
-    found: list[tuple[int, int]] = []
-    first = 0
-    # a window that holds more than the range of a rest moves its start behind what is too far off
-    while first + least <= rows:
-        window = values[first : first + least]
-        low, high = float(window.min()), float(window.max())
-        if not high - low <= STILL * reach:
-            off = np.flatnonzero(~(np.abs(window - window[-1]) <= STILL * reach))
-            first += int(off[-1]) + 1 if len(off) else 1
-            continue
-        after = values[first + least :]
-        inside = np.maximum(np.maximum.accumulate(after), high) - np.minimum(np.minimum.accumulate(after), low)
-        out = np.flatnonzero(~(inside <= STILL * reach))
-        end = first + least + (int(out[0]) if len(out) else len(after))
-        if found and found[-1][1] == first and abs(values[first] - values[first - 1]) <= STILL * reach:
-            found[-1] = (found[-1][0], end)
-        else:
-            found.append((first, end))
-        first = end
-    return found
+    if rows < least:
+        return []
+    window = np.lib.stride_tricks.sliding_window_view(values, least)
+    quiet = np.concatenate([[False], np.ptp(window, axis=1) <= STILL * reach, [False]])
+    turns = np.flatnonzero(quiet[1:] != quiet[:-1]).tolist()
+    return [(first, end + least - 1) for first, end in zip(turns[::2], turns[1::2], strict=True)]
 
 
 def gaps(time: Floats) -> Integers:

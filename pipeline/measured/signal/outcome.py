@@ -24,6 +24,7 @@ from pipeline.measured.signal.events import (
 from pipeline.measured.signal.modes import FEWEST_SAMPLES
 from pipeline.measured.signal.motion_end import SETTLED_SAMPLES, reach
 from pipeline.measured.signal.response import NO_ROW, NOISE_FACTOR, Response
+from pipeline.measured.signal.verdict import REST_FLOORS as SENSOR_FLOORS
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
@@ -34,14 +35,14 @@ LASTING = 0.8
 """Smallest ratio of amplitudes of the last and the third fifth of the response, up to its inverse, of an oscillation
 that lasts: those that a sensor keeps up are irregular."""
 
+LASTING_CHANGE = 0.1
+"""Change of its amplitude over the response by the growth rate of the verdict, up to which it lasts."""
+
 CROSSINGS = 4
 """Crossings of the final position in the last three fifths: two periods, fewer show no lasting oscillation."""
 
 REST_FLOORS = 2.0
 """Range of the last two fifths, in sensor floors, up to which the device is at rest."""
-
-CHUNK = 64
-"""Trials that are looked at together: an array of theirs, 0.5 MB at 1,000 rows, stays in a processor's cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +209,7 @@ def classify(
     device = device_of(batch, response) if device is None else device
     parts = [
         _classified(part, response.select(some), verdicts.select(some), usual, device)
-        for some, part in batch.portions(CHUNK)
+        for some, part in batch.portions()
     ]
     arrays = ("outcome", "first_row", "band", "amplitude_end")
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
@@ -268,6 +269,10 @@ def _end(batch: TrialBatch, response: Response, verdicts: Verdicts, band: Floats
     crossings = (late & ((error[:, 1:] > 0) != (error[:, :-1] > 0))).sum(axis=1)
     lasting = (crossings >= CROSSINGS) & (fifth_range > response.floor) & ~np.isnan(band)
     lasting &= np.minimum(third, fifth_range) >= LASTING * np.maximum(third, fifth_range)
+    # above what quanta keep up, a rate that the verdict tells is surer than ratios of amplitudes
+    told = (verdicts.verdict != "undecided") & (fifth_range > 2 * SENSOR_FLOORS * response.floor)
+    change = np.abs(verdicts.growth_per_s) * batch.sampling_period_s * (batch.rows - edge)
+    lasting &= ~(told & (change > LASTING_CHANGE))
     # an oscillation about the edge of the band leaves it now and then, and a growing one may pass it at its smallest
     settled &= ~((lasting | (verdicts.verdict == "unstable")) & (entry >= edge + 4 * fifth))
     rests = np.maximum(fourth, fifth_range) <= REST_FLOORS * response.floor

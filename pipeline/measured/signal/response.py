@@ -44,9 +44,6 @@ FEWEST_ON_GRID = 12
 ROUNDING_UNITS = 64.0
 """Changes below this many units of rounding are arithmetic, not the sensor."""
 
-CHUNK = 64
-"""Trials whose quantum is looked for at once: their changes stay in a processor's cache, at 1,000 rows in 1 MB."""
-
 
 @dataclass(frozen=True, eq=False)
 class Response:
@@ -225,78 +222,52 @@ def _quantum(batch: TrialBatch) -> Floats:
     sensor's: a grid that is coarser, and on which they lie but for that rounding, goes first.
     """
     quantum = np.zeros(len(batch))
-    for first in range(0, len(batch), CHUNK):
-        position = batch.position[first : first + CHUNK]
-        # padding does not move
-        change = np.diff(position, axis=1)
-        change = np.where(np.isnan(change), 0.0, change)
-        # a fast motion never changes by one quantum a sample, but its changes differ by one
-        bend = np.diff(position, n=2, axis=1)
-        bend = np.where(np.isnan(bend), 0.0, bend)
-        size = np.abs(np.concatenate([change, bend], axis=1))
-        rounding = ROUNDING_UNITS * np.finfo(np.float64).eps * np.nanmax(np.abs(position), axis=1, initial=0.0)
-        exact, stored = _exact_grid(size, change.shape[1], rounding), _stored_grid(size, rounding)
-        quantum[first : first + CHUNK] = np.where(stored > STORED_GAP * exact, stored, exact)
+    for some, part in batch.portions():
+        # padding does not move; a fast motion never changes by one quantum a sample, but its changes differ by one
+        steps = [np.abs(np.nan_to_num(np.diff(part.position, n=n, axis=1))) for n in (1, 2)]
+        rounding = ROUNDING_UNITS * np.finfo(np.float64).eps * np.nanmax(np.abs(part.position), axis=1, initial=0.0)
+        size = np.concatenate(steps, axis=1)
+        size = np.sort(np.where(size > rounding[:, None], size, np.inf), axis=1)
+        if not size.shape[1]:
+            continue
+        change = np.where(steps[0] > rounding[:, None], steps[0], 0.0)
+        exact = _grid(change, size[:, 0], GRID_TOLERANCE, np.inf, 1)
+        # beyond 1/tolerance multiples the rounding of the positions themselves hides the grid
+        exact[exact <= rounding / GRID_TOLERANCE] = 0.0
+        with np.errstate(invalid="ignore"):
+            ratio = np.where(np.isfinite(size[:, 1:]), size[:, 1:] / size[:, :-1], 0.0)
+        # without a gap the smallest change is no candidate: those of a smooth motion have common measures of their own
+        gap, trial = np.argmax(ratio, axis=1), np.arange(len(part))
+        above = np.where(ratio[trial, gap] > STORED_GAP, size[trial, gap + 1], np.inf)
+        finite = np.where(np.isfinite(size), size, 0.0)
+        stored = _grid(finite, above, STORED_TOLERANCE, STORED_MULTIPLES, FEWEST_ON_GRID)
+        quantum[some] = np.where(stored > STORED_GAP * exact, stored, exact)
     return quantum
 
 
-def _stored_grid(size: Floats, rounding: Floats) -> Floats:
-    """Step of the grid on which the positions lie but for a rounding when they were stored, 0 where none."""
+def _grid(size: Floats, smallest: Floats, tolerance: float, most: float, fewest: int) -> Floats:
+    """Step of the grid on which changes of up to ``most`` steps lie, ``fewest`` at least; 0 for none."""
     result = np.zeros(len(size))
-    if size.shape[1] < FEWEST_ON_GRID:
-        return result
-    size = np.sort(np.where(size > rounding[:, None], size, np.inf), axis=1)
-    with np.errstate(invalid="ignore"):
-        ratio = np.where(np.isfinite(size[:, 1:]), size[:, 1:] / size[:, :-1], 0.0)
-    gap = np.argmax(ratio, axis=1)
-    trial = np.arange(len(size))
-    # without a gap the smallest change is no candidate: those of a smooth motion have common measures of their own
-    with_gap = np.flatnonzero(ratio[trial, gap] > STORED_GAP)
-    if not len(with_gap):
-        return result
-    smallest = size[with_gap, gap[with_gap] + 1]
-    finite = np.where(np.isfinite(size[with_gap]), size[with_gap], 0.0)
-    for parts in (1, 2, 3):  # as for an exact grid
-        grid = smallest / parts
-        # the smallest change carries the rounding of two readings, the mean of all hardly any: step by step, for
-        # an error of the grid is one of its multiples as many times over
-        for limit in (3.0 * parts, 8.0 * parts, STORED_MULTIPLES):
-            multiple = np.round(finite / grid[:, None])
+    # no single change may have been one step: then the smallest is two or three of them
+    for parts in (1, 2, 3):
+        open_ = np.flatnonzero(np.isfinite(smallest) & (result == 0))
+        if not len(open_):
+            break
+        own, grid = size[open_], smallest[open_] / parts
+        # the smallest change carries the rounding of two readings, the mean of all hardly any: step by step, for an
+        # error of the grid is one of its multiples as many times over
+        for limit in (3.0 * parts, 8.0 * parts, most) if np.isfinite(most) else ():
+            multiple = np.round(own / grid[:, None])
             tested = (multiple >= 1) & (multiple <= limit)
             square = np.where(tested, multiple**2, 0.0).sum(axis=1)
-            with np.errstate(invalid="ignore", divide="ignore"):
-                mean = np.where(tested, multiple * finite, 0.0).sum(axis=1) / square
+            mean = np.where(tested, multiple * own, 0.0).sum(axis=1) / np.maximum(square, 1.0)
             grid = np.where(square > 0, mean, np.inf)
-        multiple = np.round(finite / grid[:, None])
-        tested = (multiple >= 1) & (multiple <= STORED_MULTIPLES)
-        error = np.abs(finite / grid[:, None] - multiple)
-        worst = np.max(np.where(multiple <= STORED_MULTIPLES, error, 0.0), axis=1, initial=0.0)
-        found = np.isfinite(grid) & (worst < STORED_TOLERANCE) & (tested.sum(axis=1) >= FEWEST_ON_GRID)
-        result[with_gap] = np.where((result[with_gap] == 0) & found, grid, result[with_gap])
+        multiple = np.round(own / grid[:, None])
+        error = np.where(multiple <= most, np.abs(own / grid[:, None] - multiple), 0.0).max(axis=1, initial=0.0)
+        number = ((multiple >= 1) & (multiple <= most)).sum(axis=1)
+        found = np.isfinite(grid) & (error < tolerance) & (number >= fewest)
+        result[open_] = np.where(found, grid, 0.0)
     return result
-
-
-def _exact_grid(size: Floats, changes: int, rounding: Floats) -> Floats:
-    """Smallest change of which all changes of the position are multiples, 0 where there is none.
-
-    The first ``changes`` columns are the changes, the others the differences of neighbouring ones.
-    """
-    smallest = np.min(np.where(size > rounding[:, None], size, np.inf), axis=1, initial=np.inf)
-    change = size[:, :changes]
-    change = np.where(change > rounding[:, None], change, 0.0)
-    quantum = np.zeros(len(change))
-    # no single change may have been one quantum: then the smallest is two or three of them
-    for parts in (1, 2, 3):
-        open_trials = np.flatnonzero(np.isfinite(smallest) & (quantum == 0))
-        if not len(open_trials):
-            break
-        grid = smallest[open_trials] / parts
-        multiple = change[open_trials] / grid[:, None]
-        error = np.max(np.abs(multiple - np.round(multiple)), axis=1, initial=0.0)
-        # beyond 1/tolerance multiples the rounding of the positions themselves hides the grid
-        on_grid = (error < GRID_TOLERANCE) & (grid > rounding[open_trials] / GRID_TOLERANCE)
-        quantum[open_trials[on_grid]] = grid[on_grid]
-    return quantum
 
 
 def _baseline(batch: TrialBatch, quantum: Floats, edge: Integers) -> dict[str, Any]:

@@ -35,11 +35,11 @@ BENT = 1e-3
 """Departure of a command from the wall law, relative to the step, at one of its limits, by which it is bent: a log in
 few digits is rounded by less."""
 
+FADES = 0.9
+"""Ratio of the sizes of neighbouring quarters up to which a motion fades: parts of a period make 5 % of difference."""
+
 BLOCKS = 8
 """Parts of the motion whose size tells a growth rate: half a period each of what a wall does within its log."""
-
-CHUNK = 128
-"""Trials judged at once: bounds the memory of the windows to about 8 MB."""
 
 NOT_TOLD = "growth rate not told: the motion has died away"
 """Reason of a stable trial without a growth rate."""
@@ -98,7 +98,7 @@ def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
     Source: Hulin 2017, sec. 3.3 (stability), eq. 3.25 (K = 0) and sec. 6.1.1 (procedure).
     """
     response = find_response(batch) if response is None else response
-    parts = [_judge(part, response.select(some)) for some, part in batch.portions(CHUNK)]
+    parts = [_judge(part, response.select(some)) for some, part in batch.portions()]
     verdict = np.concatenate([part.verdict for part in parts] or [np.empty(0, dtype="<U9")])
     growth = np.concatenate([part.growth_per_s for part in parts] or [np.empty(0)])
     reason = [text for part in parts for text in part.reason]
@@ -130,12 +130,13 @@ def _judge(batch: TrialBatch, response: Response) -> Verdicts:
     # the floor is six standard deviations of the noise wide, or one quantum, whose error is far smaller
     noise = np.where(wall, 1.0, np.sqrt(6)) * np.maximum(floor / NOISE_FACTOR, 1e-3 * rounding)
     rate, error, clean = _growth(signal, seen, noise)
-    slope, scatter = _slope(signal, seen, noise)
+    slope, scatter, fades = _slope(signal, seen, noise)
     # a motion without modes, or whose views differ, has the rate of its size
     sized = ~clean & ~(np.abs(rate) > SIGMAS * error)
     change = np.maximum(SIGMAS * scatter, np.log(LEAST_FALL) / np.maximum(seen, 1))
     falls, grows = slope < -SIGMAS * scatter, slope > change
-    rises = np.where(sized, grows, (rate > SIGMAS * error) & ~(falls & wall & ~clean))
+    # a growing mode shows once the others have died away: what fades to its end is braked
+    rises = np.where(sized, grows, (rate > SIGMAS * error) & (clean | ~fades))
     lasts = _bent(batch, start, count) & ~falls & wall
     early = wall & _in_first_swing(batch, response) & ~falls & ~left
     rises = (rises | lasts) & enough & ~left & ~early
@@ -207,8 +208,8 @@ def _growth(signal: Floats, length: Integers, noise: Floats) -> tuple[Floats, Fl
 
     Over n samples that of a mode of amplitude A in the middle is sqrt(6) s/(A n^1.5) by white noise s at least. What
     neither modes nor sensor explain (jitter, friction) is no independent noise and does not average out: it may move
-    the amplitude over the log by twice itself. Of two views, by windows of different width, the nearer to zero counts,
-    and none where one grows and one decays.
+    the amplitude over the log by twice itself. Two views, by windows of different width, err by their difference, too:
+    the nearer to zero counts, and none where one grows and one decays.
     """
     views = [fastest_growth(signal, length, noise, part) for part in (WIDE, NARROW)]
     errors = []
@@ -220,7 +221,7 @@ def _growth(signal: Floats, length: Integers, noise: Floats) -> tuple[Floats, Fl
             errors.append(np.hypot(white, 2 * unexplained) / (middle * length))
     rates = np.stack([view.per_sample for view in views])
     rate = np.where(np.abs(rates[0]) <= np.abs(rates[1]), *rates)
-    error = np.where(rates[0] * rates[1] > 0, np.maximum(*errors), np.inf)
+    error = np.where(rates[0] * rates[1] > 0, np.hypot(np.maximum(*errors), rates[1] - rates[0]), np.inf)
     clean = views[0].clean
     # as far as rounding of positions lets a rate be told over a log
     least = 1e-9 / np.maximum(length, 1)
@@ -248,8 +249,11 @@ def _hidden(signal: Floats, count: Integers, noise: Floats, response: Response) 
     return growth
 
 
-def _slope(signal: Floats, length: Integers, noise: Floats) -> tuple[Floats, Floats]:
-    """Return the growth per sample of the size of a motion over its parts, and its standard error by their scatter."""
+def _slope(signal: Floats, length: Integers, noise: Floats) -> tuple[Floats, Floats, Booleans]:
+    """Return the growth per sample of the size of a motion over its parts, with its standard error by their scatter.
+
+    And whether it fades: from each of its last quarters to the next.
+    """
     place = np.arange(signal.shape[1])[None, :] * BLOCKS / np.maximum(length, 1)[:, None]
     blocks = [(place >= i) & (place < i + 1) for i in range(BLOCKS)]
     power = np.stack([np.where(part, signal**2, 0.0).sum(axis=1) / np.maximum(part.sum(axis=1), 1) for part in blocks])
@@ -259,7 +263,9 @@ def _slope(signal: Floats, length: Integers, noise: Floats) -> tuple[Floats, Flo
     slope = x @ size / square
     rest = size - size.mean(axis=0) - np.outer(x, slope)
     step = np.maximum(length, 1) / BLOCKS
-    return slope / step, np.sqrt((rest**2).sum(axis=0) / (BLOCKS - 2) / square) / step
+    quarter = power[2::2] + power[3::2]
+    fades = (quarter[2] < FADES**2 * quarter[1]) & (quarter[1] < FADES**2 * quarter[0])
+    return slope / step, np.sqrt((rest**2).sum(axis=0) / (BLOCKS - 2) / square) / step, fades
 
 
 def _bent(batch: TrialBatch, start: Integers, count: Integers) -> Booleans:

@@ -63,7 +63,7 @@ def clipped(departure):
     ("name", "factor", "batch", "told", "otherwise"),
     [
         ("FEWEST_SAMPLES", 0.7, unstable(42), "undecided", "unstable"),
-        ("FEWEST_SAMPLES", 1.3, unstable(44), "unstable", "undecided"),
+        ("FEWEST_SAMPLES", 1.3, unstable(46), "unstable", "undecided"),
         ("SIGMAS", 0.7, growing(1.5e-5), "undecided", "unstable"),
         ("SIGMAS", 1.3, growing(2e-5), "unstable", "undecided"),
         ("REST_FLOORS", 0.7, left(7), "stable", "undecided"),
