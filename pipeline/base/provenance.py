@@ -53,7 +53,6 @@ def digest_all(parts: Iterable[str]) -> str:
 CODE = {
     "stages": ("base", "records", "store", "loop", "measured"),
     "theory": ("base", "records", "loop", "theory"),
-    "ingest": ("base", "records", "device_data", "profiles", "readers", "store", "intake"),
     "report": (".",),
 }
 """Folders of the package that make a kind of stored result, with all that these may import."""
@@ -65,13 +64,10 @@ def code_digest(result: str) -> str:
 
     A stored result is reused only while the code that made it, and what that loads, is the same.
     """
-    files = {file for folder in CODE[result] for file in (PACKAGE_FOLDER / folder).rglob("*") if _counts(file)}
+    every = {file for folder in CODE[result] for file in (PACKAGE_FOLDER / folder).rglob("*")}
+    files = {file for file in every if file.suffix != ".pyc" and file.is_file()}
     named = sorted((file.relative_to(PACKAGE_FOLDER).as_posix(), file) for file in files)
     return digest_all([text for name, file in named for text in (name, sha256(_source(file)))])
-
-
-def _counts(file: Path) -> bool:
-    return file.suffix != ".pyc" and file.is_file()
 
 
 def _source(file: Path) -> bytes:

@@ -39,11 +39,7 @@ from pipeline.device_data.published import published_files
 from pipeline.records import accuracy as measured_accuracy
 from pipeline.records.findings import Note
 from pipeline.records.models import ComparisonRow, Shown
-from pipeline.records.results import (
-    ComparisonResult,
-    ExperimentResult,
-    Truth,
-)
+from pipeline.records.results import ComparisonResult, ExperimentResult, Truth
 from pipeline.rendering.figures.boundaries import answer_figure, boundary_figures
 from pipeline.rendering.figures.drawing import Figure, write_figures
 from pipeline.rendering.figures.overview import delay_figure, trend_figure

@@ -13,7 +13,7 @@ from pipeline.comparison.loops.told_loop import adequate_theory
 from pipeline.comparison.scene.origin import header_lines
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.comparison.summary.advice import region_to_use
-from pipeline.loop.device_loop import longest_delay
+from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.measured.experiment.boundary_area import boundary_area
 from pipeline.measured.experiment.estimates import by_model
 from pipeline.measured.experiment.fitted_device import fitted_device
@@ -54,7 +54,7 @@ def nominal_theories(data: SceneData) -> dict[str, Theory]:
             )
         )
         for e in device.experiments
-        if e.delay_samples <= longest_delay(device.loop_of(e))
+        if e.delay_samples <= LARGEST_DELAY
     }
     return {name: theory for name, theory in found.items() if theory.stabilised}
 

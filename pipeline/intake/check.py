@@ -25,7 +25,7 @@ from pipeline.intake.ingest import ingest
 from pipeline.intake.quarantine import RECORD, quarantine_folder
 from pipeline.profiles.profile_files import load_profile
 from pipeline.records.findings import Record
-from pipeline.store.batch_files import Place, write_batch
+from pipeline.store.batch_files import GROUP_TRIALS, Place, write_batch
 from pipeline.store.storage import TABLE, Gone, gone, read_rows
 
 DAMAGED_FOLDER = "damaged"
@@ -177,10 +177,10 @@ def _rows_of(file: Path) -> list[dict[str, str]]:
     with suppress(*_UNREADABLE), pq.ParquetFile(file, page_checksum_verification=True) as stored:
         for number in range(stored.num_row_groups):
             for name, values in columns.items():
-                try:
-                    values += stored.read_row_group(number, [name], use_threads=False).column(0).to_pylist()
-                except _UNREADABLE:
-                    values += [""] * stored.metadata.row_group(number).num_rows
+                rows, found = min(stored.metadata.row_group(number).num_rows, GROUP_TRIALS), list[str]()
+                with suppress(*_UNREADABLE):
+                    found = stored.read_row_group(number, [name], use_threads=False).column(0).to_pylist()
+                values += found if len(found) == rows and all(found) else [""] * rows
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 

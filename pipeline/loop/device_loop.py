@@ -10,8 +10,8 @@ import math
 from typing import TYPE_CHECKING
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import LARGEST_DELAY, LARGEST_ORDER, Loop, Normalised, Vibration
-from pipeline.loop.velocity_filter import filter_order, per_sample
+from pipeline.loop.loop import Loop, Normalised, Vibration
+from pipeline.loop.velocity_filter import per_sample
 
 if TYPE_CHECKING:  # its classes take longer to load than a short command to run
     from pipeline.records.loop_parts import LoopParts
@@ -62,8 +62,6 @@ def loop_of(
             stiffness + operator.stiffness,
         )
     ideal = Normalised(everything, sampling_period_s).loop(stiffness, damping, delay_samples)
-    if _is_ideal(parts):
-        return ideal
     vibration = None
     if mode is not None:
         # the free-free resonance is that of the device alone, without the operator
@@ -80,14 +78,3 @@ def loop_of(
         vibration,
         per_sample(parts.velocity, sampling_period_s),
     )
-
-
-def longest_delay(parts: LoopParts) -> int:
-    """Return the delay [samples] up to which theory is computed for a loop with these parts."""
-    return LARGEST_DELAY if _is_ideal(parts) else LARGEST_ORDER - filter_order(parts.velocity)
-
-
-def _is_ideal(parts: LoopParts) -> bool:
-    velocity = parts.velocity
-    plain = velocity is None or (velocity.kind == "difference" and velocity.samples == 1)
-    return plain and parts.mode is None and parts.actuator_lag_s == 0

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, bilinear, exponential, many_digits, total
-from pipeline.loop.plant import Flow, flow, horner, motion_series
 from pipeline.loop.velocity_filter import filter_in_w, filter_in_z, filter_order, filter_steps
 from pipeline.records.batch import Floats
 
@@ -32,8 +31,8 @@ _Number = TypeVar("_Number", np.float64, np.complex128)
 LARGEST_DELAY = 256
 """Largest delay factor; beyond it the loop matrices of a map no longer fit into memory sensibly."""
 
-LARGEST_ORDER = 96
-"""Delay [samples] plus length of the filter; its square is the time that the boundary takes: seconds beyond this."""
+LARGEST_FILTER = 96
+"""Samples that a velocity filter remembers; beyond it boundaries and modes take seconds."""
 
 LARGEST_RATE = 1e7
 """Largest entry of the device's normalised matrix; a lag of 1e-7 samples is none."""
@@ -147,12 +146,12 @@ class Loop:
         Normalised physical stiffness and damping, >= 0; gamma <= pi^2 + delta^2/4, both <= 1e7. With a mode those of
         the motor's side with what holds it, per mass of all.
     delay : float
-        Delay factor d = t_d/T, integer or fractional, 0 <= d <= 256; with parts delay and filter together at most 96.
+        Delay factor d = t_d/T, integer or fractional, 0 <= d <= 256.
     lag : float
         Time constant of the actuator [T], >= 0.
     mode : Vibration, optional
     velocity : LinearFilter, optional
-        With frequencies per sampling rate.
+        With frequencies per sampling rate; it remembers at most 96 samples.
 
     Raises
     ------
@@ -182,11 +181,9 @@ class Loop:
                 raise ParameterError(f"{name} = {value}: expected a finite number that is not negative.")
         if self.delay > LARGEST_DELAY:
             raise ParameterError(f"delay = {self.delay} samples: expected at most {LARGEST_DELAY}.")
-        order = self.delay + filter_order(self.velocity)
-        if self.has_parts and order > LARGEST_ORDER:
-            raise ParameterError(
-                f"delay and velocity filter together last {order:g} samples: expected at most {LARGEST_ORDER}."
-            )
+        order = filter_order(self.velocity)
+        if order > LARGEST_FILTER:
+            raise ParameterError(f"the velocity filter remembers {order} samples: expected at most {LARGEST_FILTER}.")
         if self.delta > LARGEST_RATE:
             raise ParameterError(f"delta = {self.delta}: expected at most {LARGEST_RATE:g}.")
         largest = math.pi**2 + self.delta**2 / 4
@@ -195,7 +192,7 @@ class Loop:
                 f"gamma = {self.gamma}: expected at most pi^2 + delta^2/4 = {largest:.6g} (4.15); above it the plant "
                 "swings faster than it is sampled."
             )
-        rate = float(np.abs(self.device[0]).max()) if self.has_parts else self.gamma
+        rate = float(np.abs(self.device[0]).max())
         if rate > LARGEST_RATE:
             raise ParameterError(
                 f"the device changes within {1 / rate:.2g} sampling periods: expected no faster than "
@@ -206,11 +203,6 @@ class Loop:
         given = (part for part in fields(self) if part.default is MISSING or getattr(self, part.name) != part.default)
         return f"Loop({', '.join(f'{part.name}={getattr(self, part.name)!r}' for part in given)})"
 
-    @property
-    def has_parts(self) -> bool:
-        """Whether the loop has lag, mode or velocity filter: it is not ideal then."""
-        return self.lag > 0 or self.mode is not None or self.velocity is not None
-
     @cached_property
     def segments(self) -> tuple[Segment, ...]:
         """Parts of a sampling interval, in order: one for an integer delay, two for a fractional one."""
@@ -220,43 +212,10 @@ class Loop:
             return (Segment(1.0, whole),)
         return Segment(fraction, whole + 1), Segment(1.0 - fraction, whole)
 
-    @cached_property
-    def flows(self) -> tuple[Flow, ...]:
-        """Exact motion over each segment, of an ideal loop."""
-        self._refuse_parts()
-        return tuple(flow(self.gamma, self.delta, s.duration) for s in self.segments)
-
-    @cached_property
-    def period(self) -> Flow:
-        """Exact motion over a whole sampling interval, of an ideal loop."""
-        self._refuse_parts()
-        return flow(self.gamma, self.delta, 1.0)
-
-    @cached_property
-    def _series(self) -> tuple[list[float], list[float]] | None:
-        return motion_series(self.gamma, self.delta)
-
-    def position_after(self, time: Floats, position: Floats, velocity: Floats, force: Floats) -> Floats:
-        """Return the deviation after times in [0, 1] with constant input, from position and velocity at its start.
-
-        All have one shape, that of the result, and are normalised (Table 3.1).
-        """
-        if self._series is not None:
-            impulse, gain = self._series
-            moved: Floats = time * (velocity * horner(impulse, time))
-            return position + moved + time * time * ((force - self.gamma * position) * horner(gain, time))
-        motion = flow(self.gamma, self.delta, time)
-        moved = motion.transition[..., 0, 1] * velocity + motion.gain[..., 0] * force
-        return motion.transition[..., 0, 0] * position + moved
-
     @property
     def oldest_force(self) -> int:
         """Age in samples of the oldest wall force that still acts."""
         return self.segments[0].age
-
-    def _refuse_parts(self) -> None:
-        if self.has_parts:
-            raise ParameterError(f"{self}: this quantity is known for ideal loops only, without filter, lag and mode.")
 
     @cached_property
     def device(self) -> tuple[Floats, Floats, Floats]:

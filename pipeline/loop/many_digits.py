@@ -89,13 +89,28 @@ def value(polynomial: Digits, place: Decimal) -> Decimal:
     return result
 
 
+def shifted(polynomial: Digits, by: int) -> Digits:
+    """Return p(x + by)."""
+    result = as_exact([0] * len(polynomial))
+    for coefficient in polynomial[::-1]:
+        result[1:], result[0] = result[:-1] + by * result[1:], by * result[0]
+        result[0] += coefficient
+    return result
+
+
 def bilinear(polynomial: Digits, degree: int) -> Digits:
     """Return (1 - w)^degree p(z) as a polynomial in w, z = (1 + w)/(1 - w); the unit circle is w = j tan(theta/2)."""
-    up, down = as_exact([1, 1]), as_exact([1, -1])
-    result, rising, falling = as_exact([0]), as_exact([1]), [as_exact([1])]
-    for _ in range(degree):
-        falling.append(np.convolve(falling[-1], down))
-    for k, coefficient in enumerate(polynomial):
-        result = total(result, coefficient * np.convolve(rising, falling[degree - k]))
-        rising = np.convolve(rising, up)
-    return result
+    # z = 2/(1 - w) - 1
+    by_y = shifted(np.append(polynomial, as_exact([0] * (degree + 1 - len(polynomial)))), -1)
+    scaled = by_y * as_exact([2**k for k in range(degree + 1)])
+    return np.asarray(shifted(scaled[::-1] * _signs(degree + 1), -1), dtype=object)
+
+
+def from_w(polynomial: Digits) -> Digits:
+    """Return (1 + z)^degree p(w) as a polynomial in z, w = (z - 1)/(z + 1)."""
+    back = bilinear(polynomial, len(polynomial) - 1)[::-1]
+    return np.asarray(back * _signs(len(back))[::-1], dtype=object)
+
+
+def _signs(count: int) -> Digits:
+    return as_exact([(-1) ** k for k in range(count)])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.loop.many_digits import Digits, as_exact, bilinear
+from pipeline.loop.many_digits import Digits, as_exact, bilinear, shifted
 
 if TYPE_CHECKING:  # its classes take longer to load than a short command to run
     from pipeline.records.loop_parts import LinearFilter, VelocityFilter
@@ -28,12 +28,14 @@ def filter_order(velocity: VelocityFilter | None) -> int:
 
 
 def per_sample(velocity: VelocityFilter | None, sampling_period_s: float) -> LinearFilter | None:
-    """Return a filter with its frequencies per sampling rate; the plain difference for what is not linear."""
-    if velocity is not None and (velocity.kind == "foaw" or velocity.kind == "levant"):
+    """Return a filter with its frequencies per sampling rate; None for the plain difference, and what is not linear."""
+    if velocity is None or velocity.kind == "foaw" or velocity.kind == "levant":
         return None
-    if velocity is not None and velocity.kind == "kalman":
+    if velocity.kind == "difference" and velocity.samples == 1:
+        return None
+    if velocity.kind == "kalman":
         return velocity.coefficients(sampling_period_s)
-    if velocity is not None and velocity.kind == "butterworth":
+    if velocity.kind == "butterworth":
         return velocity.model_copy(update={"cutoff_hz": velocity.cutoff_hz * sampling_period_s})
     return velocity
 
@@ -84,16 +86,7 @@ def filter_steps(velocity: LinearFilter | None) -> tuple[Digits, Digits, float, 
     if velocity is None or velocity.kind != "butterworth":
         return b, a, 0.0, 1.0
     n = len(a) - 1
-    moved = [_shifted(part[::-1]) for part in (b, a)]  # in powers of z - 1, lowest first
+    moved = [shifted(part[::-1], 1) for part in (b, a)]  # in powers of z - 1, lowest first
     rise = float(abs(moved[1][0])) ** (1 / n)
     unit = as_exact([1, *(Decimal(rise) ** (i - 1) for i in range(1, n + 1))])
     return moved[0][::-1] / unit, moved[1][::-1] / unit, 1.0, rise
-
-
-def _shifted(polynomial: Digits) -> Digits:
-    """Return p(x + 1)."""
-    result = as_exact([0])
-    for coefficient in polynomial[::-1]:
-        result = np.append(result, as_exact([0])) + np.append(as_exact([0]), result)
-        result[0] += coefficient
-    return np.asarray(result[: len(polynomial)], dtype=object)

@@ -18,7 +18,7 @@ from pipeline.measured.model.parts import chosen as look_at_once
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import FoundDevice, Trial, stated_device
 from pipeline.plan.learnt import TRIALS, Learnt, Look, learn
-from pipeline.plan.limits import START, Forecast
+from pipeline.plan.limits import Forecast
 from pipeline.plan.requests import NOTHING_ASKED, Requests, Wall, read_requests, requests_folder, walls_of
 from pipeline.plan.verdicts import Tried
 from pipeline.records.batch import Floats, TrialBatch
@@ -31,7 +31,7 @@ DAMPINGS = 12
 """Dampings at which limits are looked for where none are named."""
 
 START_ERROR = 0.1
-"""Relative error of a limit by the parameters of a device file."""
+"""Error of limits by the parameters of a device file, relative to the largest."""
 
 RANGE_NEEDED = (
     "a range to start from is needed: a device file with mass, delay_samples, damping_first and damping_last "
@@ -230,4 +230,4 @@ def foretold(course: Course, dampings: Sequence[float]) -> Forecast | None:
     largest = float(limit.max()) or float(point.limit(np.array([point.stiffest]))[0])
     if not largest > 0:
         raise DeviceError(f"device {course.name!r}: by its file no wall is stable; {RANGE_NEEDED}.")
-    return Forecast(limit, START_ERROR * np.maximum(limit, START * largest))
+    return Forecast(limit, np.full(len(limit), START_ERROR * largest))

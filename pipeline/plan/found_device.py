@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.loop.device_loop import longest_delay, loop_of, wall_units
-from pipeline.loop.loop import Loop, Normalised
+from pipeline.loop.device_loop import loop_of, wall_units
+from pipeline.loop.loop import LARGEST_DELAY, Loop, Normalised
 from pipeline.loop.motion import Mechanism
 from pipeline.measured.experiment.fitted_device import FittedDevice
 from pipeline.measured.intervals import NORMAL_95
@@ -64,7 +64,7 @@ class LoopPoint:
     def loop(self) -> Loop:
         """Normalised; a damping, delay or stiffness below zero counts as zero."""
         damping, stiffness = max(self.damping, 0.0), max(self.stiffness, 0.0)
-        delay = min(max(self.delay_samples, 0.0), longest_delay(self.parts))
+        delay = min(max(self.delay_samples, 0.0), LARGEST_DELAY)
         return loop_of(self.mass, damping, stiffness, delay, self.sampling_period_s, self.parts)
 
     @property

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from pipeline.plan.requests import NOTHING_ASKED, Requests
-from pipeline.plan.verdicts import Bracket, Tried, bracket
+from pipeline.plan.verdicts import VOTES, Bracket, Tried, bracket
 from pipeline.records.batch import Floats
 
 MISFIT = 0.007
@@ -36,17 +36,11 @@ CLOSE = 1.8
 """Width of a bracket that is narrow enough, in wanted accuracies: a little less than twice, since a verdict next to the
 limit may be wrong, and the largest limit is not known to the last."""
 
-UNTOLD = 3
-"""Undecided trials between the ends of a bracket after which verdicts do not tell the limit."""
-
 START = 0.5
 """Stiffest first wall, relative to the limit that a device file predicts: a file may state half the true delay."""
 
 HIGHER = 1.3
 """How far above the largest limit known a limit is looked for, relative to it."""
-
-LEAST = 0.01
-"""Stiffness below which no limit is looked for any more, relative to the stiffest wall that was tried."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +155,7 @@ def state(
     found = [bracket(own.stiffness, own.verdict) for own in rows]
     ends = np.array([(of.bottom, of.top) for of in found])
     ahead = corrected(by, ends, np.array(aim.dampings)) if by is not None else Forecast.none(len(found))
-    largest = _largest(ahead.limit, ends, float(tried.stiffness.max(initial=0.0)))
+    largest = _largest(ahead.limit, ends, aim.accuracy * float(tried.stiffness.max(initial=0.0)))
     width = CLOSE * aim.accuracy * largest
     columns = []
     for i, own in enumerate(rows):
@@ -196,14 +190,15 @@ def corrected(by: Forecast, ends: Floats, dampings: Floats) -> Forecast:
     return Forecast(limit, largest * np.sqrt(np.maximum(size**2 - (gain * toward).sum(axis=1), 1e-6)), misfit)
 
 
-def _largest(limit: Floats, ends: Floats, stiffest: float) -> float:
-    """Return the largest limit: of dampings that were tried, or a little more where the forecast says so of others."""
+def _largest(limit: Floats, ends: Floats, least: float) -> float:
+    """Return the largest limit, or the least that is looked for: of dampings that were tried, or a little more where
+    the forecast says so of others."""
     low, high = ends.T
     expected = np.clip(np.where(np.isnan(limit), 0.5 * (low + np.where(np.isinf(high), low, high)), limit), low, high)
     tested = (low > 0) & np.isfinite(high)
     known = max(float(expected[tested].max(initial=0.0)), float(low.max()))
     largest = float(expected.max())
-    return max(min(largest, HIGHER * known) if tested.any() else largest, known, LEAST * stiffest)
+    return max(min(largest, HIGHER * known) if tested.any() else largest, known, least)
 
 
 @dataclass(frozen=True)
@@ -243,7 +238,7 @@ def _column(damping: float, of: Bracket, own: Tried, task: Task, *, holds: bool)
             return Column(damping, replace(of, again=tuple(weak)), value, None, weak[0], "weak")
         return Column(damping, of, float(np.clip(value, of.high - half, of.bottom + half)))
     inside = own.select((own.stiffness > of.bottom) & (own.stiffness < of.top) & (own.verdict == "undecided"))
-    if len(inside) >= UNTOLD:
+    if len(inside) >= VOTES:
         return Column(damping, of, None, note="undecided")
     if of.bottom >= 0.99 * top or top <= aim.lowest:
         return Column(damping, of, value, note="limit of the tests")
@@ -260,7 +255,7 @@ def _column(damping: float, of: Bracket, own: Tried, task: Task, *, holds: bool)
         return Column(damping, of, value, note="step of the rig")
     wall = float(edges[split.place])
     if aim.gentle and not np.isnan(task.limit):
-        safe = max(task.limit - max(0.4 * half, SAFE * task.error), BOLD * task.limit)
+        safe = max(task.limit - SAFE * task.error, BOLD * task.limit)
         if safe > of.bottom + 0.2 * half:
             wall = safe if holds else min(wall, safe)
     return Column(damping, of, value, split, wall)

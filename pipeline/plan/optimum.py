@@ -13,7 +13,7 @@ from scipy.special import ndtr
 
 from pipeline.plan.found_device import LoopPoint
 from pipeline.plan.requests import NOTHING_ASKED, SAME, Requests
-from pipeline.plan.verdicts import Tried
+from pipeline.plan.verdicts import VOTES, Tried
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.theory.costs import point_costs_by_name
@@ -24,9 +24,6 @@ LENGTHS = np.array([0.12, 0.08])
 
 HIGHEST = 0.95
 """Share of the limit from which on responses last too long to be followed, or to be a good wall's."""
-
-NUGGET = 0.03
-"""Part of the logarithm of a cost that does not change smoothly: settling times jump from one swing to the next."""
 
 DAMPINGS, SHARES = 36, np.linspace(0.03, 0.9, 32)
 """Places of the grid over the stable region: dampings, and shares of the limit at each."""
@@ -41,21 +38,15 @@ LONGEST = 1000
 FIRST, FIRST_ELSE = 6, 15
 """Costs below which no search is done, however right the device seems; and where its limits are off."""
 
-LEAST_SIZE, WRONG, NONE = 0.03, 0.15, 0.5
-"""Least standard deviation of what the logarithm of a cost differs by from that of a device with the measured limits,
-of one without, and without any device."""
-
-USUAL = 0.15
-"""Logarithm by which all measured costs may differ from those of the device alike: whole samples, friction."""
+ROUGH, WRONG = 0.03, 0.15
+"""Standard deviation of the logarithm of a cost about that of a device with the measured limits, as settling times jump
+from one swing to the next, and about one without them: as much may all costs differ alike."""
 
 FINALISTS, BESIDE = 150, ((-0.004, 0.0), (0.004, 0.0), (0.0, -0.004), (0.0, 0.004))
 """Most promising walls, and how far from each others are looked at: so far device and rig may be off."""
 
 NO_COST = 1.0
 """Logarithm by which a wall without a cost counts as worse than expected: it keeps the search away."""
-
-OFTEN = 2
-"""Trials of one wall after which its cost is known."""
 
 OFFSET = 0.01
 """Added to costs that may be zero, so that they have a logarithm: one percent of overshoot is as good as none."""
@@ -110,7 +101,7 @@ class Target:
     @property
     def least_size(self) -> float:
         """Least standard deviation of what costs differ by from what is foretold."""
-        return NONE if self.by is None else LEAST_SIZE if self.holds else WRONG
+        return ROUGH if self.by is not None and self.holds else WRONG
 
     def highest_at(self, damping: Floats) -> Floats:
         """Return the largest stiffness that is thought to be stable at dampings."""
@@ -174,7 +165,7 @@ def look_for(tried: Tried, target: Target, accuracy: float, count: int) -> Searc
     record = float(cost[best]) if best is not None else np.inf
     place, seen = np.column_stack([B, K]) / target.scale, seen / target.scale
     tests = np.column_stack([tried.damping, tried.stiffness]) / target.scale
-    often = ((np.abs(place[:, None] - tests) <= SAME).all(axis=2)).sum(axis=1) >= OFTEN
+    often = ((np.abs(place[:, None] - tests) <= SAME).all(axis=2)).sum(axis=1) >= VOTES
     walls: list[tuple[float, float, float]] = []
     first = mean, spread = _expected(seen, value, place, ahead, target)
     for _ in range(count):
@@ -259,10 +250,10 @@ def _expected(seen: Floats, value: Floats, place: Floats, ahead: Floats, target:
     if not len(value):
         return ahead, np.full(len(place), target.least_size)
     # a device may be off a little everywhere; one that is off by more is wrong, and not its scale
-    most = np.inf if target.by is None else USUAL
+    most = np.inf if target.by is None else WRONG
     usual = float(np.clip(np.median(value), -most, most))
     size = max(float(np.sqrt(np.mean((value - usual) ** 2))), target.least_size)
-    among = _likeness(seen, seen) + np.eye(len(seen)) * ((NUGGET / size) ** 2 + 1e-9)
+    among = _likeness(seen, seen) + np.eye(len(seen)) * ((ROUGH / size) ** 2 + 1e-9)
     toward = _likeness(place, seen)
     gain = np.linalg.solve(among, toward.T).T
     variance = np.maximum(1 - (gain * toward).sum(axis=1), 1e-9)

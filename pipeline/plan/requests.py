@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.disk import write_text
-from pipeline.plan.verdicts import Tried
+from pipeline.plan.verdicts import VOTES, Tried
 from pipeline.records.batch import Booleans, Floats
 from pipeline.store.names import folder_name
 
@@ -24,9 +24,6 @@ Wall = tuple[float, float]
 
 SAME = 0.002
 """Difference relative to the largest at which two walls are one: a tenth of the usual accuracy of a limit."""
-
-IN_VAIN = 3
-"""Requests that were answered by other walls, after which the rig is taken at its word."""
 
 BEYOND = 0.25
 """How far beyond a wall that was rounded its neighbours are thought to be, relative to what was rounded off."""
@@ -78,7 +75,7 @@ class Requests:
 
     def sets(self, stiffness: float, damping: float) -> bool:
         """Whether a wall may be asked for again."""
-        return [asked for asked, _ in self.others].count((stiffness, damping)) < IN_VAIN
+        return [asked for asked, _ in self.others].count((stiffness, damping)) < VOTES
 
     def reachable(self, dampings: Sequence[float], tried: Floats) -> tuple[float, ...]:
         """Return the dampings that the rig sets where others are wanted; none where it sets others each time."""
@@ -87,7 +84,7 @@ class Requests:
         for (_, asked), (_, logged) in self.others:
             if abs(asked - logged) > size:
                 missed.setdefault(asked, []).append(logged)
-        if sum(map(len, missed.values())) > max(self.kept, IN_VAIN * len(dampings)):
+        if sum(map(len, missed.values())) > max(self.kept, VOTES * len(dampings)):
             return ()
         # one may be a slip; where one was none, others are none either
         needed = 1 if any(len(each) > 1 for each in missed.values()) else 2

@@ -11,7 +11,8 @@ from pipeline.base.errors import ParameterError
 from pipeline.records.batch import Booleans, Floats
 
 VOTES = 3
-"""Trials of one wall after which a contradiction is no chance: most of them decide."""
+"""Trials of one wall after which a contradiction is no chance: most of them decide; as many undecided ones, requests
+that a rig answers by other walls, or costs of one wall are enough."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import sqrt
 from typing import Literal
 
 from pydantic import Field
@@ -106,8 +107,9 @@ class WallReplay(Record):
     """How the found device, friction and scatter included, predicts tested walls that it was not fitted to.
 
     ``fit_percent`` of the position behind stable walls, median; ``verdicts_same`` share of the decided verdicts;
-    ``limits_off_percent`` and ``costs_off_percent`` median errors of limits and settling times. None where there is
-    nothing to compare. ``trials`` were replayed.
+    ``limits_off_percent`` and ``costs_off_percent`` median errors of limits and settling times,
+    ``limits_known_percent`` that of the measured limits by themselves. None where there is nothing to compare.
+    ``trials`` were replayed.
     """
 
     fit_percent: float | None
@@ -115,11 +117,18 @@ class WallReplay(Record):
     limits_off_percent: float | None
     costs_off_percent: float | None
     trials: int
+    limits_known_percent: float | None = None
+
+    @property
+    def limits_error_percent(self) -> float:
+        """Median error of limits without what the measured ones leave open; 0 where there are none."""
+        off, known = self.limits_off_percent or 0.0, self.limits_known_percent or 0.0
+        return float(sqrt(max(off**2 - known**2, 0.0)))
 
     @property
     def is_right(self) -> bool:
         """Whether limits are within 5 %, and 95 % of the verdicts are right."""
-        limits = self.limits_off_percent is None or self.limits_off_percent <= LIMITS_WITHIN
+        limits = self.limits_error_percent <= LIMITS_WITHIN
         if self.verdicts_same is None:
             return False
         # of few trials one may be chance

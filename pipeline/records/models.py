@@ -39,7 +39,7 @@ class Limits(Record):
 class Experiment(Record):
     """One course of measurements: configuration, plant as published, and the grid of (K, B) that is tested.
 
-    A grid that is left out is laid over the walls that theory calls stable (`theory.device_cases.tested_grid`).
+    A grid that is left out is laid over the walls that theory calls stable (`theory.cases.tested_grid`).
     """
 
     name: Name

@@ -71,13 +71,7 @@ def frames(result: ComparisonResult) -> dict[str, pd.DataFrame]:
     }
 
 
-_PLAIN = {
-    "loops": "loop",
-    "replay": "replay",
-    "causes": "causes",
-    "model": "model_check",
-    "passive": "passive",
-}
+_PLAIN = {"loops": "loop", "replay": "replay", "causes": "causes", "model": "model_check", "passive": "passive"}
 """Frames of the fields of an experiment, a row a record."""
 
 

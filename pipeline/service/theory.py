@@ -6,15 +6,15 @@ import multiprocessing
 import threading
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pipeline.base.errors import ParameterError
 from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.loop.loop import Loop
 from pipeline.service.problems import Problem
-from pipeline.theory import cases
+from pipeline.theory.cases import LARGEST, Case, boundary_document, case_of, optimum_document, point_documents
 
 WAIT_S = 2.0
 """Time that a request waits for another one [s]: those that wait keep others from being answered."""
@@ -74,18 +74,13 @@ def document(what: str, of: tuple[str, str | None] | tuple[float, float, float],
         Criterion and signal of an optimum; walls as pairs, in SI or normalised.
     """
     if len(of) == 3:
-        if what == "points":
-            return cases.point_costs(_listed([(*wall, *of) for wall in values[0]]))
-        return getattr(cases, f"{what}_document")(Loop(*of), *values)
-    known = load_device(of[0])
-    case = cases.DeviceCase(known, find_experiment(known, of[1]) if of[1] else known.experiments[0])
-    if what == "boundary":
-        return cases.device_boundary(case)
-    if what == "optimum":
-        criterion, signal = values
-        return cases.optimum_document(case.loop, criterion, signal, case.units, **case.names)
-    return cases.wall_documents(case, _listed(values[0]))
-
-
-def _listed(rows: list[tuple[float, ...]]) -> cases.Cases:
-    return cases.Cases(Path("points"), np.array(rows, dtype=np.float64), tuple(range(1, len(rows) + 1)))
+        case = Case(Loop(*of))
+    else:
+        device = load_device(of[0])
+        case = case_of(device, find_experiment(device, of[1]) if of[1] else device.experiments[0])
+    if what != "points":
+        return boundary_document(case) if what == "boundary" else optimum_document(case, *values)
+    walls = np.array(values[0], dtype=np.float64)
+    if np.abs(walls).max() > LARGEST:
+        raise ParameterError(f"{' or '.join(case.axes)}: expected at most {LARGEST:g}.")
+    return point_documents(case, walls)

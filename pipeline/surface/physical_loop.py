@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import pandas as pd
 from pydantic import ValidationError
-from scipy.optimize import minimize_scalar
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop import loop as normalised
@@ -21,13 +20,13 @@ from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import Device, Experiment, Motion
 from pipeline.rendering.frames import units_of
-from pipeline.theory.cases import POINT_COSTS, islands_in_si, optimum_document, points_of_loop
+from pipeline.theory.cases import POINT_COSTS, Case, costs_of_walls, islands_in_si, optimum_document, why_missing
 from pipeline.theory.costs import MAP_DEFAULT, check_criteria
 from pipeline.theory.curves import Curve, best_damping, best_stiffness
 from pipeline.theory.limits import boundary, stiffness_limit
 from pipeline.theory.map import CostMap
 from pipeline.theory.margins import Margins, margins
-from pipeline.theory.passivity import passive_outline, required_damping
+from pipeline.theory.passivity import passive_outline, stiffest_passive
 from pipeline.theory.poles import spectral_radius
 
 if TYPE_CHECKING:  # takes longer to load than most answers to compute
@@ -212,12 +211,11 @@ class Loop:
         alpha, beta = K / self._scale.stiffness, B / self._scale.damping
         check_criteria(criteria)
         radius = spectral_radius(self._normalised, alpha, beta)
-        found = points_of_loop(self._normalised, alpha, beta, radius, criteria)
-        numbers = ("spectral_radius", *criteria)
-        columns = {name: np.array([point[name] for point in found], dtype=np.float64) for name in numbers}
-        stable = np.array([point["stable"] for point in found], dtype=np.bool_)
-        frame = self._frame({"stiffness": K, "damping": B, "stable": stable, **columns})
-        frame["reason"] = [point["reason"] for point in found]
+        stable, costs = costs_of_walls(self._normalised, alpha, beta, radius, criteria)
+        frame = self._frame({"stiffness": K, "damping": B, "stable": stable, "spectral_radius": radius, **costs})
+        missing = [[name for name, values in costs.items() if np.isnan(values[i])] for i in range(len(K))]
+        known = zip(alpha.tolist(), radius.tolist(), missing, strict=True)
+        frame["reason"] = [why_missing(self._normalised, *point) for point in known]
         return frame
 
     def limits(self, damping: object) -> pd.DataFrame:
@@ -239,7 +237,7 @@ class Loop:
 
         Source: Hulin 2017, ch. 5.
         """
-        found = optimum_document(self._normalised, criterion, units=self._scale)
+        found = optimum_document(Case(self._normalised, self._scale), criterion)
         box = tuple(found["box"].values()) if "box" in found else None
         return LoopOptimum(**{f.name: found.get(f.name) for f in fields(LoopOptimum)} | {"box": box})
 
@@ -294,19 +292,11 @@ class Loop:
         """
         loop, delta = self._normalised, self.damping / self._scale.damping
         alpha, beta = passive_outline(loop, delta)
-        best = np.zeros(2)
-        if delta > 0:
-            top = int(np.clip(alpha.argmax(), 2, len(alpha) - 3))
-            ends = beta[top - 1] / alpha[top - 1], beta[top + 1] / alpha[top + 1]
-            one = np.ones(1)
-            found = minimize_scalar(
-                lambda slope: required_damping(loop, one, slope * one)[0], bounds=ends, options={"xatol": 1e-13}
-            )
-            best = delta / found.fun * np.array([1.0, found.x])
+        best = stiffest_passive(loop, delta) if delta > 0 else (0.0, 0.0)
         closed = {"damping": np.append(beta, beta[0]), "stiffness": np.append(alpha, alpha[0])}
         frame = self._frame({name: values * getattr(self._scale, name) for name, values in closed.items()})
-        frame.attrs["stiffness_max"] = float(best[0]) * self._scale.stiffness
-        frame.attrs["damping_at_stiffness_max"] = float(best[1]) * self._scale.damping
+        frame.attrs["stiffness_max"] = best[0] * self._scale.stiffness
+        frame.attrs["damping_at_stiffness_max"] = best[1] * self._scale.damping
         return frame
 
     def response(

@@ -1,7 +1,7 @@
-"""Branches of a loop whose device has two states and whose velocity is the plain difference: sampled, which is faster.
+"""Branches by samples, which is faster: the first one of a plain device, and all behind a long delay.
 
-A fast path of `crossings`, seen by nothing else. Such branches are smooth on the scale of a turn of the delayed device,
-and towards theta = pi on the scale of its zeros and poles there. Mostly the first branch alone encloses what is stable.
+A fast path of `crossings`. Branches are smooth on the scale of a turn of the delayed device, and on that of the
+distance of its zeros and poles, and of the filter's. Mostly the first branch alone encloses what is stable.
 
 Source: Hulin 2017, sec. 3.4.
 """
@@ -15,21 +15,25 @@ from functools import cached_property, lru_cache, partial
 import numpy as np
 
 from pipeline.loop.loop import Loop
+from pipeline.loop.many_digits import as_floats
 from pipeline.records.batch import Floats, Integers
-from pipeline.theory.circle import LOWEST, Cells, CirclePoints, circle_points, ends, place_of, solved
+from pipeline.theory.circle import LOWEST, Cells, CirclePoints, circle_points, ends, inverse_and_rate, place_of, solved
 from pipeline.theory.zoom import bisect
 
 _PER_TURN = 48
 """Samples of each turn of the delayed device."""
 
-_PER_DECADE = 8
-"""Samples per decade of the distance from theta = pi, where zeros or poles of the device may lie close together."""
+_SPACING = 0.5
+"""Places between both ends of these turns and all zeros and poles of device and filter: ln s, 9 a decade of s."""
 
-_NONE = 1e-90
-"""Scale up to which it is none."""
+_BEFORE, _BEYOND = 5.0, 28.0
+"""Places before the first of them, an angle of a tenth; and beyond the last, a distance from pi of 1e-6 of it."""
 
-_CLOSE = 1e-6
-"""Smallest sampled distance from theta = pi, relative to that of the nearest zero or pole."""
+_AROUND = np.linspace(-5, 5, 33)
+"""Places around each zero and pole, in units of its distance from the circle: sinh of this."""
+
+_BESIDE = 1e-12
+"""Distance of places beside a break."""
 
 _LONG = 16
 """Delay from which on polynomials, whose degree is the delay's, take longer."""
@@ -78,7 +82,7 @@ class FirstBranch:
 
 def is_sampled(loop: Loop) -> bool:
     """Return whether the branches of a loop are better known by samples than by their polynomials' roots."""
-    return _is_smooth(loop) and loop.oldest_force > _LONG
+    return loop.oldest_force > _LONG
 
 
 def _is_smooth(loop: Loop) -> bool:
@@ -124,20 +128,28 @@ def first_branch(loop: Loop) -> FirstBranch | None:
     return FirstBranch(loop, Cells(edges[:-1], edges[1:], b[:-1], b[1:]), int(np.argmax(falls)))
 
 
-def sampled_cells(loop: Loop) -> Cells:
-    """Return the cells of all branches."""
+def sampled_cells(loop: Loop, breaks: Floats) -> tuple[Cells, Integers]:
+    """Return the cells of all branches, and unstable poles that alpha gains or loses by rising through each.
+
+    ``breaks`` are the places, in order, at which beta is infinite.
+    """
     place = _places(loop)
-    turns = _zeros(loop, place, lambda p: p.beta_slope)
-    edges = np.concatenate([[LOWEST], turns, [-LOWEST]])
-    beta = np.append(ends(loop).start, circle_points(loop, edges[1:]).beta)
-    return Cells(edges[:-1], edges[1:], beta[:-1], beta[1:])
+    inner = np.sort(np.append(_zeros(loop, place, breaks, lambda p: p.beta_slope), breaks))
+    edges = np.concatenate([[LOWEST], inner, [-LOWEST]])
+    beta, start = circle_points(loop, edges).beta, ends(loop).start
+    beta[0] = beta[0] if np.isnan(start) else start
+    middle = 0.5 * (np.maximum(edges[:-1], place[0]) + np.minimum(edges[1:], place[-1]))
+    rises, rate = circle_points(loop, middle).beta_slope > 0, inverse_and_rate(loop, middle)[0, 1].imag
+    endless, far = np.isin(edges, breaks), np.where(rises, np.inf, -np.inf)
+    low, high = np.where(endless[:-1], -far, beta[:-1]), np.where(endless[1:], far, beta[1:])
+    return Cells(edges[:-1], edges[1:], low, high), np.where(rises == (rate > 0), 2, -2)
 
 
-def sampled_turns(loop: Loop, levels: list[float]) -> Floats:
+def sampled_turns(loop: Loop, levels: list[float], breaks: Floats) -> Floats:
     """Return beta where alpha has an extremum along a branch, or one of some values."""
     place = _places(loop)
-    found = [_zeros(loop, place, lambda p: p.alpha_slope)]
-    found += [_zeros(loop, place, partial(_above, level)) for level in levels]
+    found = [_zeros(loop, place, breaks, lambda p: p.alpha_slope)]
+    found += [_zeros(loop, place, breaks, partial(_above, level)) for level in levels]
     return circle_points(loop, np.concatenate(found)).beta
 
 
@@ -145,25 +157,30 @@ def _above(level: float, p: CirclePoints) -> Floats:
     return p.alpha - level
 
 
-def _zeros(loop: Loop, place: Floats, of: Callable[[CirclePoints], Floats]) -> Floats:
-    positive = of(circle_points(loop, place)) > 0
-    at = np.flatnonzero(positive[1:] != positive[:-1])
+def _zeros(loop: Loop, place: Floats, breaks: Floats, of: Callable[[CirclePoints], Floats]) -> Floats:
+    place = np.unique(np.concatenate([place, breaks * (1 - _BESIDE), breaks * (1 + _BESIDE)]))
+    positive, part = of(circle_points(loop, place)) > 0, np.searchsorted(breaks, place)
+    at = np.flatnonzero((positive[1:] != positive[:-1]) & (part[1:] == part[:-1]))
     low, high = bisect(lambda x: (of(circle_points(loop, x)) > 0) == positive[at], place[at], place[at + 1])
     return np.asarray(0.5 * (low + high))
 
 
 def _places(loop: Loop) -> Floats:
-    """Return places that sample all branches, in order."""
+    """Return places that sample all branches, in order: on the scale of a turn, and around all zeros and poles."""
     step = np.pi / int(_PER_TURN * (loop.delay + 1))
-    theta = np.arange(step, np.pi - 0.5 * step, step)
-    scales = [1.0]
-    for part in (loop.sampled.motion, loop.sampled.force):
-        last = [abs(float(c)) for c in part[::-1]]
-        scales += [scale for n, c in enumerate(last[1:], 1) if c and (scale := (last[0] / c) ** (1 / n)) > _NONE]
-    decades = max(1.0, np.log10(step / (min(scales) * _CLOSE)))
-    close = step * 10.0 ** -np.linspace(0, decades, int(_PER_DECADE * decades) + 2)[1:]
-    near = -2 * np.log(np.tan(0.5 * close))
-    return np.append(place_of(theta), near[near < -LOWEST])
+    b, a = (np.roots(part) for part in loop.filter_in_z)
+    root = np.concatenate([np.roots(as_floats(part)[::-1]) for part in (loop.sampled.motion, loop.sampled.force)])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        root = np.concatenate([root, (b - 1) / (b + 1), (a - 1) / (a + 1)])
+        middle = 2 * np.log(np.abs(root))
+    root, middle = (values[np.abs(middle) < -LOWEST] for values in (root, middle))
+    around = middle[:, None] + np.abs(root.real / root)[:, None] * np.sinh(_AROUND)
+    turns = place_of(np.arange(step, np.pi - 0.5 * step, step))
+    low, high = np.append(middle, turns[0]).min() - _BEFORE, np.append(middle, turns[-1]).max() + _BEYOND
+    tails = np.append(np.arange(low, turns[0], _SPACING), np.arange(turns[-1], high, _SPACING)[1:])
+    found = np.sort(np.concatenate([turns, tails, around.ravel()]))
+    apart = np.append(True, np.diff(found) > 0)  # np.unique would load numpy.ma
+    return np.asarray(found[apart & (found >= low) & (found <= min(high, -LOWEST))])
 
 
 def _passings(width: Floats, beta: Floats) -> Floats:

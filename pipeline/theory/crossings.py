@@ -194,10 +194,13 @@ def on_circle(loop: Loop) -> OnCircle:
 @lru_cache(maxsize=64)
 def branches(loop: Loop) -> Branches:
     """Return what is known of a loop's crossings once."""
-    if is_sampled(loop):
-        cells = sampled_cells(loop)
-        return Branches(cells, np.where(cells.beta_high > cells.beta_low, 2, -2))
-    return exact_branches(loop)
+    return Branches(*sampled_cells(loop, _breaks(loop))) if is_sampled(loop) else exact_branches(loop)
+
+
+def _breaks(loop: Loop) -> Floats:
+    """Return the places at which beta is infinite, in order."""
+    with many_digits(loop.digits):
+        return np.array([float(root.ln()) for root in positive_roots(on_circle(loop).rate, loop.digits)])
 
 
 def exact_branches(loop: Loop) -> Branches:
@@ -229,7 +232,7 @@ def turning_dampings(loop: Loop) -> Floats:
     where two branches cross.
     """
     cells, known, levels = branches(loop).cells, ends(loop), sorted({0.0, -loop.gamma})
-    dampings = sampled_turns(loop, levels) if is_sampled(loop) else _exact_turns(loop, levels)
+    dampings = sampled_turns(loop, levels, _breaks(loop)) if is_sampled(loop) else _exact_turns(loop, levels)
     line = [(known.last - level) / known.slope for level in levels] if known.slope else []
     found = np.concatenate([dampings, cells.beta_low, cells.beta_high, line])
     return np.unique(found[np.isfinite(found)])

@@ -15,7 +15,7 @@ from pipeline.loop.loop import Loop
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.criteria import CRITERIA, DISCRETE, SETTLING_BANDS, criterion_of, with_discrete
 from pipeline.theory.energy import energy_costs
-from pipeline.theory.limits import boundary
+from pipeline.theory.limits import boundary, is_well_inside
 from pipeline.theory.optimum import (
     UNDAMPED_LOSS,
     impulse_energy_limit,
@@ -23,7 +23,7 @@ from pipeline.theory.optimum import (
 )
 from pipeline.theory.poles import damping_ratio, spectral_radius
 from pipeline.theory.search import Cost, where_stable
-from pipeline.theory.transient import NO_OVERSHOOT, transient_costs
+from pipeline.theory.transient import NO_OVERSHOOT, late_deviation, transient_costs
 from pipeline.theory.zoom import LEVELS, LineCost, LineOptima, extents, search_lines
 
 _LONGEST = 1024
@@ -157,14 +157,16 @@ class _Lines:
 
     def late_deviation(self, first: Floats) -> LineCost:
         """Largest deviation from a sample on, a number of its own for each line."""
+        decided = int(_DECIDED * (self.loop.delay + 1))
 
         def along(line: Integers, place: Floats, _: float) -> Floats:
-            pair = (self.given[line], place) if self.stiffness_given else (place, self.given[line])
+            alpha, beta = (self.given[line], place) if self.stiffness_given else (place, self.given[line])
+            stable = is_well_inside(self.loop, alpha, beta, islands=False)
             result = np.full(len(place), np.inf)
-            stable = np.flatnonzero(np.isfinite(where_stable(self.loop, lambda a, b, _: np.zeros(len(a)))(*pair, 0.0)))
-            if len(stable):
-                alpha, beta = (values[stable] for values in pair)
-                result[stable] = _late_deviation(self.loop, alpha, beta, first[line[stable]])
+            if stable.any():
+                begin = first[line[stable]]
+                longest = max(2 * int(begin.max()), decided)
+                result[stable] = late_deviation(self.loop, alpha[stable], beta[stable], begin, longest)
             return result
 
         return along
@@ -313,26 +315,6 @@ def _steps(lines: _Lines, band: float, criterion: str) -> Floats:
     deviation = part.late_deviation(count[which])
     low[which], high[which] = extents(deviation, inside, part.low, part.high, coarse=_STEP_LOOK, halvings=30)
     return np.array([0.5 * (low + high), np.where(np.isfinite(place), count, np.nan), low, high])
-
-
-def _late_deviation(loop: Loop, alpha: Floats, beta: Floats, first: Floats) -> Floats:
-    """Largest deviation of the samples from ``first`` on, a number of its own for each point.
-
-    `transient.late_deviation` has one number for all points; called for each number, the curves would take
-    10 s.
-    """
-    largest = np.zeros(len(alpha))
-    octave = np.floor(np.log2(first))
-    for group in np.unique(octave):  # so that a slow line does not make all others be followed as long
-        which = np.flatnonzero(octave == group)
-        matrix, start = loop.matrix(alpha[which], beta[which]), first[which]
-        sensor, state = loop.open_loop[2], loop.starts(alpha[which], "step")[:, :, None]
-        most = np.zeros(len(which))
-        for k in range(1, max(2 * int(start.max()), int(_DECIDED * (loop.delay + 1))) + 1):
-            state = matrix @ state
-            most = np.where(k >= start, np.maximum(most, np.abs(sensor @ state)[:, 0]), most)
-        largest[which] = most
-    return largest
 
 
 OPTIMA = {"settling": _settling, "overshoot": _overshoot, "energy": _energy, "poles": _poles}

@@ -1,36 +1,30 @@
 """Energy costs of the loop's step and impulse response, summed exactly to infinity.
 
 The energy of a sampling interval is a form of few numbers, the device's state at its start and the wall's forces in it;
-every energy cost follows from the sums of their products with the weights k^w. These are refined to the last digit
-(`refinement`); for many points they come from the modes, much faster, and are refined only where these lose digits.
+every energy cost follows from the sums of their products with the weights k^w. They come from the modes; where these
+lose digits, from the transfer function in many.
 """
 
 from __future__ import annotations
 
+from decimal import Decimal
 from math import comb
 
 import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
+from pipeline.loop.many_digits import Digits, as_exact, as_floats, from_w, many_digits
 from pipeline.records.batch import Booleans, Floats
 from pipeline.theory.modes import TOGETHER, Modes, modes
 from pipeline.theory.motion import WEIGHTS, energy_forms
-from pipeline.theory.refinement import refined_sums
-
-_ENTRIES = 1 << 18
-"""Entries of the matrices that are doubled at a time: of some ten arrays, 20 MB."""
+from pipeline.theory.poles import characteristic
 
 _CACHED = 1 << 15
 """Pairs of modes that are summed at a time."""
 
-_FEW, _SHORT = 128, 12
-"""Points and states up to which all sums are refined: that takes less time than the other ways."""
-
-_EPS = np.finfo(np.float64).eps
-
 _SKEW = 1e-11
-"""Bound of the share that rounding may have in sums by modes, above which they are refined."""
+"""Bound of the share that rounding may have in sums by modes, above which they are computed in many digits."""
 
 
 def energy_costs(loop: Loop, alpha: object, beta: object, signal: str = "step") -> dict[str, Floats]:
@@ -90,18 +84,13 @@ def _energies(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> list[Floa
 def _sums(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> Floats:
     """Return sum_k k^w g_k g_k' of what an interval sees (`Loop.seen`), shape (3, n, q, q)."""
     law, n, q = loop.law(alpha, beta), len(alpha), len(loop.device[1]) + len(loop.segments)
-    sums, rest = np.empty((len(WEIGHTS), n, q, q)), np.arange(n)
-    if n > _FEW or loop.states > _SHORT:
-        found, size = modes(loop, alpha, beta, signal), max(1, _CACHED // loop.states**2)
-        good = np.zeros(n, np.bool_)
-        for first in range(0, n, size):
-            near = slice(first, first + size)
-            sums[:, near], good[near] = _by_modes(loop, law[near], found.part(near))
-        rest = np.flatnonzero(~good)
-    chunk = max(1, _ENTRIES // loop.states**2)
-    for some in (rest[i : i + chunk] for i in range(0, len(rest), chunk)):
-        for w, part in enumerate(refined_sums(loop, alpha[some], beta[some], signal)):
-            sums[w, some] = loop.seen(law[some], np.swapaxes(loop.seen(law[some], part), 1, 2))
+    found, sums, good = modes(loop, alpha, beta, signal), np.empty((len(WEIGHTS), n, q, q)), np.zeros(n, np.bool_)
+    size = max(1, _CACHED // loop.states**2)
+    for first in range(0, n, size):
+        near = slice(first, first + size)
+        sums[:, near], good[near] = _by_modes(loop, law[near], found.part(near))
+    for i in np.flatnonzero(~good):
+        sums[:, i] = _exact(loop, float(alpha[i]), float(beta[i]), signal)
     return sums
 
 
@@ -115,8 +104,64 @@ def _by_modes(loop: Loop, law: Floats, found: Modes) -> tuple[Floats, Booleans]:
         first = ratio * once * once
         weights = (once, first, (1 + ratio) * first * once)  # sum_k k^w ratio^k
         sums = np.stack([((seen @ weight) @ back).real for weight in weights])
-        # poles are rounded by 1e-16 and more, and count by 1/(1 - ratio); modes that cancel magnify that
+        # what moves 1/(1 - ratio) by a share moves the sum of k^2 ratio^k by three
         size, slowness = np.abs(seen), np.abs(once)
-        gross = ((size @ slowness) * size).sum(axis=2) / np.einsum("nii->ni", sums[0])
-        good = (_EPS * slowness.max(axis=(1, 2)) * gross.max(axis=1) < _SKEW) & (np.abs(found.pole) < 1).all(axis=1)
+        doubt = 3 * (found.rounding[:, :, None] + found.rounding[:, None, :]) * slowness**2
+        share = ((size @ doubt) * size).sum(axis=2) / np.einsum("nii->ni", sums[0])
+        good = (share.max(axis=1) < _SKEW) & (np.abs(found.pole) < 1).all(axis=1)
         return sums, np.asarray(good)
+
+
+def _exact(loop: Loop, alpha: float, beta: float, signal: str) -> Floats:
+    """Return the sums of one point in many digits, shape (3, q, q); nan where it is not stable.
+
+    With G = B/A the transform of the sequences, sum_k k^w g_k^2 is the w-th derivative by s, at 0, of the sum of those
+    of G(z exp(-s/2)): Astroem's recursion for it, on coefficients with their derivatives.
+
+    Source: Astroem 1970, Introduction to Stochastic Control Theory, ch. 5, theorem 2.1.
+    """
+    bottom = characteristic(loop, alpha, beta)
+    with many_digits(loop.digits):
+        a = from_w(bottom)[::-1]
+        a = a / a[0]
+        place, orders = _sequences(loop, alpha, beta, signal, len(a)), as_exact(np.arange(len(a))) / 2
+        b = np.array([[row[: i + 1] @ a[i::-1] for i in range(len(a))] for row in place.T])
+        powers = np.array([as_exact(np.ones(len(a))), orders, orders * orders])
+        a, b = powers * a, powers[:, None] * b
+        total = as_exact(np.zeros((len(WEIGHTS), len(b[0]), len(b[0]))))
+        for _ in range(a.shape[1]):
+            last = b[:, :, -1]
+            total = total + _ratio(_times(last[:, :, None], last[:, None, :]), a[:, 0, None, None])
+            share, each = _ratio(a[:, -1], a[:, 0]), _ratio(last, a[:, 0, None])
+            if a.shape[1] > 1 and abs(share[0]) >= 1:
+                return np.full(total.shape, np.nan)
+            turned = a[:, ::-1]
+            b = (b - _times(each[:, :, None], turned[:, None, :]))[:, :, :-1]
+            a = (a - _times(share[:, None], turned))[:, :-1]
+        return as_floats(total)
+
+
+def _times(x: Digits, y: Digits) -> Digits:
+    """Return products of numbers with their first two derivatives along the first axis."""
+    return np.array([x[0] * y[0], x[1] * y[0] + x[0] * y[1], x[2] * y[0] + 2 * x[1] * y[1] + x[0] * y[2]])
+
+
+def _ratio(x: Digits, y: Digits) -> Digits:
+    """Return ratios of such numbers."""
+    value = x[0] / y[0]
+    slope = (x[1] - value * y[1]) / y[0]
+    return np.array([value, slope, (x[2] - 2 * slope * y[1] - value * y[2]) / y[0]])
+
+
+def _sequences(loop: Loop, alpha: float, beta: float, signal: str, count: int) -> Digits:
+    """Return the first samples of what an interval sees, shape (count, q)."""
+    steps, p = loop.own, len(loop.device[1])
+    start = as_exact(loop.starts(np.array([alpha]), signal)[0])
+    state, forces = start[: len(steps.free)], list(start[len(steps.free) :][::-1])  # in order of time
+    law, result = -(Decimal(alpha) * steps.position + Decimal(beta) * steps.velocity), []
+    for _ in range(count):
+        forces.append(law @ state)
+        acting = [forces[len(forces) - 1 - segment.age] for segment in loop.segments]
+        result.append([*state[:p], *acting])
+        state = steps.free @ state + sum(gain * force for gain, force in zip(steps.gains, acting, strict=True))
+    return np.array(result, dtype=object)

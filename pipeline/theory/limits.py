@@ -238,8 +238,7 @@ def boundary(loop: Loop, points: int = 400) -> Boundary:
     -----
     Mostly it is one branch: it starts at theta -> 0 on the line alpha = -gamma, and ends where it meets that line
     again. Where several branches bound the region (a plant that resonates within the delay, damping above about 2 m/T
-    without delay, filters), it is followed over the damping, with both sides of each corner. Walls softer than none
-    count on a loop without parts only.
+    without delay, filters), it is followed over the damping, with both sides of each corner.
 
     Source: Hulin 2017, sec. 3.4; reproduces Tables B.1 to B.4.
     """
@@ -272,14 +271,11 @@ def _along(first: FirstBranch, points: int) -> Boundary:
 
 
 def _over_dampings(loop: Loop, points: int) -> Boundary:
-    floor = 0.0 if loop.has_parts else -loop.gamma
-    found = outline(loop, points, floor)
+    found = outline(loop, points, -loop.gamma)
     if not len(found.beta):
         raise ParameterError(f"{loop}: no damping stabilises a soft wall. Check delay, lag and velocity filter.")
     f, b, extremes = found.limits, found.beta, [(found.alpha_max, found.beta_at_alpha_max)]
     lowest, top = found.ends[0], (found.ends[1], float(f.alpha[-1]))
-    if loop.has_parts:
-        return Boundary(f.alpha, b, f.angle, *extremes[0], *top, lowest, found.islands)
     extremes += [(high, beta) for beta, _, high in found.islands.tolist()]
     # back along what bounds it from below; what is stable beyond gaps follows
     below, (at, ends) = np.flatnonzero(f.low > -loop.gamma)[::-1], (found.islands[:, 0], found.islands[:, 1:].T)

@@ -136,7 +136,7 @@ def _least_energy(loop: Loop, criterion: str) -> OptimalPoint:
     base = criterion_of(criterion)
     if base.name == "energy_impulse_w0":
         return _least_impulse_energy(loop, criterion)
-    bounds = region(loop) if base.signal == "step" else region(loop, _IMPULSE_INSET)
+    bounds = region() if base.signal == "step" else region(_IMPULSE_INSET)
     return search(loop, lambda a, b, _: energy_costs(loop, a, b, base.signal)[criterion], SMOOTH, bounds)
 
 
@@ -149,12 +149,12 @@ def _soonest_settled(loop: Loop, criterion: str) -> OptimalPoint:
 
 def _settling(loop: Loop, alpha: Floats, beta: Floats, band: float, best: float) -> dict[str, Floats]:
     longest = int(_ENDLESS * (loop.delay + 1))
-    return transient_costs(loop, alpha, beta, (band,), overshoot=False, longest=longest, cutoff=best)
+    return transient_costs(loop, alpha, beta, (band,), overshoot=False, longest=longest, cutoff=min(best, longest))
 
 
 def _smallest_radius(loop: Loop) -> OptimalPoint:
     """Smallest pole modulus; where three real poles meet there, their place in closed form."""
-    (low, high), place = region(loop, inset=0.0), chart(loop)
+    (low, high), place = region(inset=0.0), chart(loop)
     radius = where_stable(loop, lambda alpha, beta, _: spectral_radius(loop, alpha, beta))
     *at, cost = search_plane(lambda a, b, best: radius(*place(a, b), best), low, high, levels=_KINK_LEVELS)
     alpha, beta = (float(values[0]) for values in place(*(np.array([value]) for value in at)))
@@ -211,7 +211,7 @@ def _least_impulse_energy(loop: Loop, criterion: str) -> OptimalPoint:
         # closer to the line the limit stands for the cost, which a search must not gain on by rounding
         return np.where(alpha >= nearest, energy_costs(loop, alpha, beta, "impulse")[criterion], np.inf)
 
-    inside = search(loop, cost, SMOOTH, region(loop, _IMPULSE_INSET))
+    inside = search(loop, cost, SMOOTH, region(_IMPULSE_INSET))
     end = np.array([low[1]]), np.array([high[1]])
     line = search_lines(lambda _, beta, __: impulse_energy_limit(loop, beta, criterion), *end, coarse=61, levels=12)
     if line.cost[0] <= inside.cost:
@@ -263,11 +263,13 @@ def _settling_region(loop: Loop, band: float, criterion: str) -> OptimalPoint:
         return late_deviation(loop, alpha, beta, first, longest)
 
     def samples_to_settle(alpha: Floats, beta: Floats, _: float) -> Floats:
-        costs = transient_costs(loop, alpha, beta, (band,), overshoot=False, continuous=False, longest=longest)
+        costs = transient_costs(
+            loop, alpha, beta, (band,), overshoot=False, continuous=False, longest=longest, cutoff=longest
+        )
         return costs[criterion]
 
     # a first number that can surely be had; below it, each number is tried in turn
-    alpha, beta = chart(loop)(*grid(*region(loop), JUMPING.coarse))
+    alpha, beta = chart(loop)(*grid(*region(), JUMPING.coarse))
     tried = where_stable(loop, samples_to_settle)(alpha, beta, np.inf)
     index = int(np.argmin(tried))
     if not np.isfinite(tried[index]):

@@ -19,6 +19,7 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
+from pipeline.theory.zoom import search_lines
 
 _ANGLES = 40
 """Angles of a turn of the delayed force; maxima are looked for between them."""
@@ -28,12 +29,6 @@ _NEAR_ZERO = 8e-3
 angle, is continued to 0 to 1e-9."""
 
 _DIRECTIONS = 181
-
-_ROUNDS = 3
-"""Looks at directions, each between the neighbours of the best one before."""
-
-_ZOOMS = 12
-"""Zooms onto the worst angle, each to a quarter: a flat maximum to 1e-13."""
 
 
 def required_damping(loop: Loop, alpha: Floats, beta: Floats) -> Floats:
@@ -52,20 +47,14 @@ def required_damping(loop: Loop, alpha: Floats, beta: Floats) -> Floats:
     """
     if loop.mode is not None and loop.mode.sensor_far:
         raise ParameterError("the position is sensed beyond the vibration mode: no wall is passive for every hand.")
-    count = int(_ANGLES * (loop.oldest_force + 2)) + 1
     lowest = _NEAR_ZERO / (loop.delay + loop.lag + 1)
-    angle = np.linspace(lowest, np.pi, count)
-    step = angle[1] - angle[0]
-    values = _needed(loop, alpha[:, None], beta[:, None], angle)
+    found = search_lines(
+        lambda line, angle, _: -_needed(loop, alpha[line], beta[line], np.clip(angle, lowest, np.pi)),
+        *(np.full(len(alpha), lowest), np.full(len(alpha), np.pi)),
+        coarse=int(_ANGLES * (loop.oldest_force + 2)) + 1,
+    )
     near, twice = (_needed(loop, alpha, beta, np.array([a])) for a in (lowest, 2 * lowest))
-    best, largest = angle[values.argmax(axis=1)], values.max(axis=1)
-    for _ in range(_ZOOMS):
-        around = np.clip(best[:, None] + step * np.linspace(-1, 1, 9), lowest, np.pi)
-        values = _needed(loop, alpha[:, None], beta[:, None], around)
-        best = np.take_along_axis(around, values.argmax(axis=1)[:, None], axis=1)[:, 0]
-        largest = np.maximum(largest, values.max(axis=1))
-        step /= 4
-    return np.asarray(np.maximum(np.maximum(largest, (4 * near - twice) / 3), 0.0))
+    return np.asarray(np.maximum(np.maximum(-found.cost, (4 * near - twice) / 3), 0.0))
 
 
 def passive_outline(loop: Loop, delta: float) -> tuple[Floats, Floats]:
@@ -75,13 +64,11 @@ def passive_outline(loop: Loop, delta: float) -> tuple[Floats, Floats]:
 
 def stiffest_passive(loop: Loop, delta: float) -> tuple[float, float]:
     """Return alpha and beta of the stiffest passive wall; the region is convex, so that it has one peak."""
-    low, high = -0.5 * np.pi, 0.5 * np.pi
-    for _ in range(_ROUNDS):
-        angle = np.linspace(low, high, _DIRECTIONS)
-        alpha, beta = _reached(loop, delta, angle)
-        best = int(np.argmax(alpha))
-        low, high = angle[max(best - 1, 0)], angle[min(best + 1, _DIRECTIONS - 1)]
-    return float(alpha[best]), float(beta[best])
+    best = search_lines(
+        lambda _, angle, __: -_reached(loop, delta, angle)[0], np.array([-0.5 * np.pi]), np.array([0.5 * np.pi])
+    )
+    alpha, beta = _reached(loop, delta, best.place)
+    return float(alpha[0]), float(beta[0])
 
 
 def _reached(loop: Loop, delta: float, angle: Floats) -> tuple[Floats, Floats]:

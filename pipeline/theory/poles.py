@@ -165,7 +165,7 @@ def damping_ratio(loop: Loop, alpha: object, beta: object) -> Floats:
 def threefold_pole(loop: Loop, near: float) -> tuple[float, float, float] | None:
     """Return alpha, beta and z of the threefold real pole next to a modulus, or None if there is none within 4 %.
 
-    Known for ideal loops; None for others, whose search then stands alone.
+    Known for devices of mass, damper and spring without filter; None for others, whose search then stands alone.
 
     Notes
     -----
@@ -174,7 +174,7 @@ def threefold_pole(loop: Loop, near: float) -> tuple[float, float, float] | None
     beta = W', alpha = W - beta s. An eigenvalue solver splits such poles by eps^(1/3), 1e-5, on each processor
     otherwise; here they are simple roots of a polynomial.
     """
-    if loop.has_parts:
+    if len(loop.sampled.motion) > 3 or len(loop.sampled.filter) > 1:
         return None
     top, bottom, power = _delayed_plant(loop)
     u, slope, bend = Polynomial([1.0, -1.0]), top.deriv(), bottom.deriv()

@@ -91,30 +91,30 @@ def box(loop: Loop, inset: float = _INSET) -> tuple[Floats, Floats]:
     )
 
 
-def region(loop: Loop, inset: float = _INSET) -> tuple[Floats, Floats]:
+def region(inset: float = _INSET) -> tuple[Floats, Floats]:
     """Return the corners of the stable region in the coordinates of `chart`."""
-    return (np.array([inset, 0.0]), np.ones(2)) if loop.has_parts else box(loop, inset)
+    return np.array([np.sqrt(inset), 0.0]), np.ones(2)
 
 
 def chart(loop: Loop) -> Chart:
-    """Return the coordinates of a loop's searches: of an ideal one alpha and beta.
+    """Return the coordinates of a loop's searches.
 
-    Of a general one the root of the share of alpha + gamma in its limit, which is even in the frequency that the wall
-    swings at, since a mode's limit may be many times the stiffness that settles soonest; and the way along the outline
-    as a share of its length, with the region's height and width as units.
+    The root of the share of alpha + gamma in its limit, which is even in the frequency that the wall swings at, since a
+    mode's limit may be many times the stiffness that settles soonest; and the way along the outline as a share of its
+    length, with the region's height and width as units.
     """
-    if not loop.has_parts:
-        return lambda alpha, beta: (alpha, beta)
-    border = boundary(loop)
-    reach = border.beta[-1] - border.beta[0], border.alpha_max + loop.gamma
-    way = np.abs(np.diff(border.beta)) / reach[0] + np.abs(np.diff(border.alpha)) / reach[1]
+    beta = np.sort(boundary(loop).beta)
+    alpha = limits(loop, beta, exact=False).alpha
+    kept = np.isfinite(alpha) & np.append(True, np.diff(beta) > 0)
+    beta, alpha = beta[kept], alpha[kept]
+    way = np.abs(np.diff(beta)) / (beta[-1] - beta[0]) + np.abs(np.diff(alpha)) / (alpha.max() + loop.gamma)
     along = np.append(0.0, np.cumsum(way) / way.sum())
 
     def place(root: Floats, way: Floats) -> tuple[Floats, Floats]:
         rows, of = np.unique(way, return_inverse=True)
-        beta = np.interp(rows, along, border.beta)
-        limit = limits(loop, beta, exact=False).alpha
-        return np.square(root) * (limit[of] + loop.gamma) - loop.gamma, beta[of]
+        at = np.interp(rows, along, beta)
+        limit = limits(loop, at, exact=False).alpha
+        return np.square(root) * (limit[of] + loop.gamma) - loop.gamma, at[of]
 
     return place
 
@@ -141,7 +141,7 @@ def search(loop: Loop, cost: Cost, grids: Grids = JUMPING, bounds: tuple[Floats,
     def guarded(first: Floats, second: Floats, best: float) -> Floats:
         return plain(*place(first, second), best)
 
-    low, high = bounds or region(loop)
+    low, high = bounds or region()
     second = np.linspace(low[1], high[1], grids.coarse)
     found = search_lines(
         lambda line, place, best: guarded(place, second[line], best),

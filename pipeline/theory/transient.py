@@ -37,6 +37,9 @@ _LARGEST_BLOCK = 32768
 _FARTHEST = 1 << 18
 """Samples before the end of an envelope that are followed: next to the limit it may lie far above the motion."""
 
+_CREEPING = 4.0
+"""The same in cutoffs: what an envelope, larger than the motion where modes cancel, may end later."""
+
 _AT_ONCE = 1024
 """Points that are advanced together: products of their matrices stay in a cache, and on one processor."""
 
@@ -241,7 +244,7 @@ class _Found:
 
     def in_reach(self, ahead: Motion, band: float) -> Motion:
         """Return the points that settle soon enough after a sample to follow them there; of the others note no time."""
-        late = ahead.stop - ahead.sample > _FARTHEST
+        late = ahead.stop - ahead.sample > min(_FARTHEST, _CREEPING * self.asked.cutoff)
         self.late[band].append(ahead.index[late])
         return ahead.part(~late)
 
@@ -367,7 +370,7 @@ def _finished(run: Motion, found: _Found, size: Floats) -> Booleans:
     if not asked.bands:
         done |= np.maximum(found.peak, found.sampled_peak)[at] > asked.enough
     elif not asked.overshoot:
-        late = (np.abs(run.position[-1]) > max(asked.bands)) & (run.sample > asked.cutoff) & np.isinf(run.stop)
+        late = (np.abs(run.position[-1]) > max(asked.bands)) & (run.sample >= asked.cutoff) & np.isinf(run.stop)
         found.unfinished.append(at[late])
         found.restless.append(at[late])
         done |= late

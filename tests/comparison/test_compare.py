@@ -297,10 +297,7 @@ def test_a_damaged_stage_file_is_made_anew(own):
     assert run(own).result == expected
 
 
-@pytest.mark.parametrize(
-    "tree",
-    ["trials", pytest.param("stages", marks=pytest.mark.slow)],
-)
+@pytest.mark.parametrize("tree", ["trials", pytest.param("stages", marks=pytest.mark.slow)])
 def test_a_damaged_experiment_keeps_no_other_from_being_compared(own, tree):
     expected = run(own, experiments=["delay-4"]).result
     for path in (own / "processed" / tree / "lwr" / "delay-2").iterdir():

@@ -91,6 +91,7 @@ def test_translation_and_rotation_keep_their_own_files(tmp_path):
     assert {pq.read_schema(file).field("position").metadata[b"unit"] for file in files} == {b"m", b"rad"}
 
 
+@pytest.mark.slow
 def test_bytes_are_rewritten_once_for_each_factor(grow, monkeypatch):
     """Of 26 logs that come alone, with groups of 3, each is written at most 1 + log3(26) times: 26 = 2*9 + 2*3 + 2."""
     written: Counter[str] = Counter()

@@ -204,7 +204,7 @@ def work(lab: Lab, rng: random.Random, new: int, named: bool) -> None:
 
 
 @pytest.mark.parametrize("is_named", [False, True])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_whatever_is_done_to_the_folder_each_log_is_stored_once(tmp_path, seed, is_named):
     lab = Lab(tmp_path, named=is_named)
     rng = random.Random(seed)

@@ -298,6 +298,7 @@ def lab(course, tmp_path) -> Lab:
     return Lab(course.device, course.courses, course.raw, tmp_path / "processed")
 
 
+@pytest.mark.slow
 def test_the_best_trial_is_excluded_and_every_number_follows(lab, tmp_path):
     page = tmp_path / "falcon.html"
 

@@ -11,7 +11,6 @@ import pytest
 from native_logs import HEADER_LINES, log_text, short_log, with_cell
 from stored import check_whole
 
-from pipeline.base import lock
 from pipeline.base.errors import StoreError, UsageError
 from pipeline.intake.ingest import ingest
 from pipeline.shell.watch import Watched, run_pass
@@ -95,19 +94,6 @@ def test_a_look_at_files_that_move_is_repeated_and_one_at_damage_is_not(store):
     with pytest.raises(StoreError, match="damaged"):
         steadily(store, damaged)
     assert calls.count(-1) == 1
-
-
-def test_what_a_writer_has_not_completed_is_not_told_as_left(store, capsys):
-    from pipeline.shell.commands.cli_storage import status as command
-
-    (store / "trials" / ".x.0123456789abcdef.tmp").write_bytes(b"12345")
-    command(store, store)
-    assert "left by interrupted commands: 5e-06 MB; `pipeline ingest` removes it" in capsys.readouterr().out
-    with lock.writing(store, 0):
-        command(store, store)
-    words = capsys.readouterr().out
-    assert "not complete, or left by interrupted commands" in words
-    assert "pipeline ingest" not in words
 
 
 def test_a_pass_on_a_disk_that_takes_nothing_is_told(store, logs, monkeypatch):

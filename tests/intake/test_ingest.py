@@ -11,7 +11,6 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 from native_logs import FAULTS, GOOD, HEADER_LINES, ROWS, log_text
-from places import SHARED
 
 from pipeline.base.errors import ProfileError, UsageError
 from pipeline.intake import ingest as ingest_module
@@ -21,8 +20,6 @@ from pipeline.intake.quarantine import excerpt_of, list_quarantine
 from pipeline.store import batch_files
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import list_devices, list_experiments, read_trials
-
-PENDULUM = SHARED / "real" / "dfki_pendulum"
 
 
 @pytest.fixture
@@ -346,16 +343,3 @@ def test_measured_force_logged_velocity_and_declared_step_are_kept(tmp_path, run
     assert sorted(everything.step_row.tolist()) == [-1, 0, 1]
     native = read_trials(processed).filter(pc.field("device") != "pair")
     assert load_batch(processed, native).force is None
-
-
-@pytest.mark.skipif(not PENDULUM.is_dir(), reason="recorded logs in ../shared are not there")
-@pytest.mark.parametrize("profile", [None, "dfki_pendulum"])
-def test_pendulum_is_one_trial(run, processed, profile):
-    assert counts(run(PENDULUM, profile=profile)) == (1, 1, 0, 0)
-    (row,) = read_trials(processed, "dfki_pendulum", "torque-step").to_pylist()
-    assert (row["motion"], row["step"], row["stiffness"], row["rows"]) == ("rotation", 0.9, 0.0, 797)  # up to 4 s
-    batch = load_batch(processed, read_trials(processed))
-    assert batch.command[0, 0] == 0.9
-    assert batch.time[0, 1] == 2.349305152893066406e-02
-    assert batch.force[0, 1] == 4.087912087912073389e-01
-    assert batch.step_row.tolist() == [0]

@@ -43,6 +43,7 @@ def test_another_period_is_another_experiment(logs, processed, at_once):
     assert ingest([logs], processed, jobs=1).skipped == len(periods)
 
 
+@pytest.mark.slow
 def test_a_course_whose_clocks_differ_a_little_is_compared(tmp_path):
     from pipeline.comparison.compare import compare
 

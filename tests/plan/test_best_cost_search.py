@@ -56,6 +56,16 @@ def test_a_wrong_loop_is_corrected_by_costs():
     assert len(walls) >= 15, "it does not believe the loop"
 
 
+def test_a_search_is_done_from_six_costs_on_where_the_device_holds_and_else_from_fifteen_on():
+    K, B = np.linspace(1000.0, 4000.0, 15), np.full(15, 50.0)
+    tried = Tried(K, B, np.full(15, "stable"), np.full(15, np.nan), cost=costs_of(BY, K, B, "settle_2pct"))
+    for holds, enough in ((True, 6), (False, 15)):
+        for rows in (enough - 1, enough):
+            # to an accuracy that any wall reaches
+            target = Target("settle_2pct", DAMPINGS, LIMITS, BY, holds)
+            assert look_for(tried.select(slice(0, rows)), target, 1000.0, 1).done is (rows == enough)
+
+
 def test_no_search_is_done_before_some_costs_are_known():
     K, B = np.array([1500.0]), np.array([40.0])
     tried = Tried(K, B, np.array(["stable"]), np.array([np.nan]), cost=np.array([1.0]))

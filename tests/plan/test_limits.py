@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.plan.limits import Aim, Forecast, corrected, doubtful_ends, order, state
+from pipeline.plan.limits import Aim, Forecast, chances, corrected, doubtful_ends, order, state
 from pipeline.plan.verdicts import Bracket, Tried
 
 DAMPINGS = tuple(np.linspace(0, 180, 7))
@@ -159,3 +159,37 @@ def test_a_bracket_is_narrow_enough_from_18_tenths_of_the_accuracy_on():
         trials = walls_at((10_000.0 - width, "stable", -9.0), (10_000.0, "unstable", 9.0))
         column = state(trials, Aim((60.0,)), Forecast(np.array([10_000.0]), np.array([1.0]))).columns[0]
         assert (column.wall is None) is done
+
+
+def test_chances_are_those_of_the_forecast_and_a_twelfth_lies_anywhere():
+    edges = np.array([0.0, 4000.0, 4900.0, 5100.0, 10_000.0])
+    found = chances(edges, 5000.0, 10.0)
+    assert found[2] == pytest.approx(0.92 + 0.08 * 0.02, abs=1e-3)
+    assert found[0] == pytest.approx(0.08 * 0.4, rel=0.01)
+    assert chances(edges, np.nan, np.nan) == pytest.approx([0.4, 0.09, 0.02, 0.49])
+
+
+def test_a_forecast_that_missed_nothing_is_still_unsure_of_what_verdicts_call_stable():
+    by = Forecast(np.full(7, 1000.0), np.zeros(7))
+    assert corrected(by, np.array([(0.0, np.inf)] * 7), np.array(DAMPINGS)).error == pytest.approx(7.0)
+
+
+def test_a_spared_rig_stays_one_and_a_half_standard_errors_below_and_searches_from_below():
+    own = walls_at((3000.0, "stable", -9.0))
+    by = Forecast(np.array([10_000.0]), np.zeros(1))
+    wall = state(own, Aim((60.0,), gentle=True), by).columns[0].wall
+    assert (10_000.0 - wall) / 70.0 == pytest.approx(1.5, abs=0.3)
+    # an unstable trial costs six stable ones: without a forecast the first of a bracket is tried at a quarter of it
+    ends = walls_at((1000.0, "stable", -9.0), (9000.0, "unstable", 9.0))
+    plain, gentle = (state(ends, Aim((60.0,), gentle=gentle)).columns[0].wall for gentle in (False, True))
+    assert plain == pytest.approx(5000.0, abs=500.0)
+    assert 1500.0 < gentle < 3600.0
+
+
+def test_a_limit_is_looked_for_three_tenths_above_the_largest_one():
+    trials = walls_at((9000.0, "stable", -9.0))
+    (column,) = state(trials, Aim((60.0,))).columns
+    assert 9000.0 < column.wall < 2 * 9000.0
+    other = Tried(np.array([9000.0, 9100.0]), np.full(2, 60.0), np.array(["stable", "unstable"]), np.full(2, 9.0))
+    by = Forecast(np.array([9050.0, 30_000.0]), np.ones(2))
+    assert state(other, Aim((60.0, 90.0)), by).largest == pytest.approx(1.3 * 9050.0, rel=0.01)

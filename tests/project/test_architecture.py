@@ -140,7 +140,7 @@ def test_imports_are_found_wherever_they_stand() -> None:
         "readers.formats.native",
         "loop",
         "loop.loop",
-        "loop.plant",
+        "loop.motion",
         "measured.stages.stages",
     }
     source = (
@@ -148,7 +148,7 @@ def test_imports_are_found_wherever_they_stand() -> None:
         "from pipeline import __version__\n"
         "from pipeline.loop import loop\n"
         "def f():\n"
-        "    from pipeline.loop.plant import flow\n"
+        "    from pipeline.loop.motion import Mechanism\n"
         "    if True:\n"
         "        import pipeline.readers.formats.native as n\n"
         "    importlib.import_module('pipeline.measured.stages.stages')\n"

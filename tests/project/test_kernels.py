@@ -23,7 +23,7 @@ FILES = [
 SENSITIVE = (
     "threefold and (known or plant0-0)",  # multiple poles
     "slow_responses and step and not loop2",  # sums over 1e4 samples, modes that are skew
-    "energies_of_doubling and step",  # equations by elimination beside sums
+    "same_sums and step",  # modes beside transfer functions
     "growth_of_one_known_mode",  # singular values and eigenvectors
     "exact_on_ideal_logs",  # least squares
 )

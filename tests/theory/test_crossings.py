@@ -1,5 +1,6 @@
 """Limits of general loops against poles in many digits, by another road (`general_devices`)."""
 
+from dataclasses import replace
 from decimal import Decimal
 
 import mpmath as mp
@@ -11,9 +12,10 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.loop.loop import Loop
 from pipeline.loop.many_digits import as_exact, many_digits, product
-from pipeline.records.loop_parts import Coefficients, LoopParts
+from pipeline.records.loop_parts import Coefficients, Difference, LoopParts
+from pipeline.theory.branches import sampled_cells
 from pipeline.theory.circle import right_half
-from pipeline.theory.crossings import positive_roots
+from pipeline.theory.crossings import Branches, _breaks, counted_stretches, exact_branches, positive_roots
 from pipeline.theory.limits import boundary, is_inside, limits, outline, stiffness_limit
 from pipeline.theory.poles import spectral_radius
 
@@ -110,7 +112,14 @@ def test_a_loop_that_nothing_stabilises_has_an_empty_outline():
 
 
 @pytest.mark.parametrize(
-    "arguments", [{"lag": -1.0}, {"delay": 120.0, "lag": 1.0}, {"delay": 257.0}, {"lag": 1e-9}, {"delta": np.nan}]
+    "arguments",
+    [
+        {"lag": -1.0},
+        {"velocity": Difference(kind="difference", samples=98)},
+        {"delay": 257.0},
+        {"lag": 1e-9},
+        {"delta": np.nan},
+    ],
 )
 def test_loops_out_of_range_are_refused(arguments):
     with pytest.raises(ParameterError, match="expected"):
@@ -131,3 +140,26 @@ def test_right_half_counts_roots():
     with many_digits(60):
         assert right_half(product(as_exact([-1, 1]), as_exact([2, 1]), as_exact([5, -2, 1]))) == 3
         assert right_half(product(as_exact([1, 1]), as_exact([5, 2, 1]))) == 0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_branches_by_samples_are_those_by_roots(seed):
+    """Samples stand for the roots of long polynomials; where both are quick they count the same stretches."""
+    loop = replace(loop_of(*random_device(np.random.default_rng(seed), "").arguments), delay=7.3)
+    beta = np.unique(np.concatenate([np.linspace(-0.3, 0.9, 61), np.linspace(-1e-2, 1e-2, 21)]))
+    sampled = Branches(*sampled_cells(loop, _breaks(loop)))
+    exact, found = (counted_stretches(loop, known, beta) for known in (exact_branches(loop), sampled))
+    np.testing.assert_array_equal(found.index, exact.index)
+    for name in ("low", "high"):
+        np.testing.assert_allclose(getattr(found, name), getattr(exact, name), rtol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("delay", [96.0, 255.4, 256.0])
+def test_limits_behind_long_delays_are_where_poles_leave_the_circle(delay):
+    loop = replace(loop_of(*random_device(np.random.default_rng(11), "").arguments), delay=delay)
+    found = outline(loop, 24)
+    some = np.linspace(1, len(found.beta) - 2, 4).astype(int)
+    for factor, stable in ((1 - 1e-6, True), (1 + 1e-6, False)):
+        poles = np.linalg.eigvals(loop.matrix(found.alpha[some] * factor, found.beta[some]))
+        assert ((np.abs(poles).max(axis=1) < 1) == stable).all()

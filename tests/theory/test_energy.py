@@ -23,10 +23,9 @@ from independent import (
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, Normalised
-from pipeline.theory.energy import _by_modes, energy_costs
+from pipeline.theory.energy import _by_modes, _exact, energy_costs
 from pipeline.theory.limits import boundary
 from pipeline.theory.modes import Modes, modes
-from pipeline.theory.refinement import weighted_sums
 
 RANDOM = stable_walls(random_loops(60, seed=21), each=5, seed=22, slowest=0.85)
 EXTREME = extreme_cases()
@@ -207,14 +206,6 @@ def test_close_to_the_boundary() -> None:
         assert ratio == pytest.approx(10.0 ** (w + 1), rel=1e-3)
 
 
-def test_weighted_sums_of_a_single_mode() -> None:
-    for r in (0.5, -0.9, 0.999):
-        sums = weighted_sums(np.array([[[r]]]), np.array([2.0]))
-        x = r * r
-        exact = [4 / (1 - x), 4 * x / (1 - x) ** 2, 4 * x * (1 + x) / (1 - x) ** 3]
-        np.testing.assert_allclose([float(s[0, 0, 0]) for s in sums], exact, rtol=1e-11)
-
-
 @pytest.mark.parametrize("factor", [1.0001, 1.5, 100.0])
 def test_unstable_points_have_no_energy_and_end_nothing(factor: float) -> None:
     border = boundary(Loop(0, 0, 1))
@@ -240,20 +231,23 @@ def test_wrong_arguments_are_named(alpha: float, beta: float, signal: str, what:
 
 
 @pytest.mark.filterwarnings("error")
-def test_sums_that_do_not_converge_are_missing():
-    # beside a stable matrix, ones that grow slowly and until their powers overflow
-    for total in weighted_sums(np.array([0.5, 1.0, 1.5])[:, None, None], np.ones(1)):
-        assert np.isfinite(total[0]).all()
-        assert np.isnan(total[1:]).all()
-
-
-@pytest.mark.filterwarnings("error")
 def test_a_pole_on_the_circle_is_left_to_other_sums():
     loop = Loop(0.0, 0.0, 1)
     alpha, beta = np.full(3, 0.01), np.full(3, 0.2)
     found = modes(loop, alpha, beta, "step")
     pole = found.pole.copy()
     pole[1, 0] = 1.0
-    sums, good = _by_modes(loop, loop.law(alpha, beta), Modes(pole, found.state))
+    sums, good = _by_modes(loop, loop.law(alpha, beta), Modes(pole, found.state, found.rounding))
     assert good.tolist() == [True, False, True]
     assert np.isfinite(sums[:, [0, 2]]).all()
+
+
+@pytest.mark.parametrize("loop", [Loop(0, 0, 4), Loop(0.3, 0.2, 2.5), Loop(0, 0.01, 1, lag=0.7)], ids=str)
+@pytest.mark.parametrize("signal", ["step", "impulse"])
+def test_modes_and_transfer_functions_have_the_same_sums(loop: Loop, signal: str) -> None:
+    alpha, beta = np.array([0.01, 0.005]), np.array([0.15, 0.1])
+    sums, good = _by_modes(loop, loop.law(alpha, beta), modes(loop, alpha, beta, signal))
+    assert good.all()
+    for i in range(2):
+        exact = _exact(loop, alpha[i], beta[i], signal)
+        np.testing.assert_allclose(sums[:, i], exact, rtol=1e-10, atol=1e-12 * np.abs(exact).max())

@@ -19,7 +19,7 @@ def written(tmp_path, text):
 
 def points(tmp_path, *rows):
     text = HEADER + "".join(",".join(str(v) for v in row) + "\n" for row in rows)
-    return theory.point_costs(theory.read_cases(written(tmp_path, text)))
+    return theory.case_documents(theory.read_cases(written(tmp_path, text)))
 
 
 FINE = 64
@@ -160,7 +160,7 @@ def test_columns_may_come_in_any_order_with_others_between(tmp_path):
 )
 def test_wrong_cases_are_named_with_their_row(tmp_path, text, message):
     with pytest.raises(ParameterError, match=r"cases\.csv.*" + message):
-        theory.point_costs(theory.read_cases(written(tmp_path, text)))
+        theory.case_documents(theory.read_cases(written(tmp_path, text)))
 
 
 def test_missing_and_binary_files_are_named(tmp_path):
@@ -180,7 +180,7 @@ def test_header_alone_is_an_empty_list(tmp_path):
     [((0, 0, 1), 0.14447, 0.425, 0.82843), ((0.001, 0.02, 4), 0.02567, 0.178, 0.32929)],  # B.1, B.4
 )
 def test_boundary_document_reproduces_table_b(plant_of, alpha_max, beta_at, beta_max):
-    found = theory.boundary_document(Loop(*plant_of))
+    found = theory.boundary_document(theory.Case(Loop(*plant_of)))
     assert found["alpha_max"] == pytest.approx(alpha_max, abs=5e-6)
     assert found["beta_at_alpha_max"] == pytest.approx(beta_at, abs=1e-3)
     assert found["beta_max"] == pytest.approx(beta_max, abs=5e-6)
@@ -190,29 +190,29 @@ def test_boundary_document_reproduces_table_b(plant_of, alpha_max, beta_at, beta
 
 def test_optima_on_the_boundary_have_no_cost():
     # Table C.1
-    largest = theory.optimum_document(Loop(0.001, 0.02, 0), "alpha_max")
+    largest = theory.optimum_document(theory.Case(Loop(0.001, 0.02, 0)), "alpha_max")
     assert (largest["alpha"], largest["beta"]) == pytest.approx((0.7127, 0.82423), abs=5e-5)
     assert largest["cost"] is None
     assert largest["reason"]
-    top = theory.optimum_document(Loop(0.001, 0.02, 0), "beta_max")
+    top = theory.optimum_document(theory.Case(Loop(0.001, 0.02, 0)), "beta_max")
     assert (top["alpha"], top["beta"]) == pytest.approx((-0.001, 2.0270), abs=5e-5)
 
 
 def test_criteria_without_cost_or_point_say_so():
-    tuning = theory.optimum_document(Loop(0, 0, 1), "ziegler_nichols")
+    tuning = theory.optimum_document(theory.Case(Loop(0, 0, 1)), "ziegler_nichols")
     assert (tuning["alpha"], tuning["beta"]) == pytest.approx((0.056, 0.373), abs=5e-4)  # Table C.2
     assert (tuning["cost"], tuning["reason"]) == (None, "a tuning rule has no cost")
-    assert theory.optimum_document(Loop(0, 0, 1), "energy_impulse_w0")["reason"].startswith("a limit")
-    poles = theory.optimum_document(Loop(0, 0, 1), "pole_radius", "discrete")
+    assert theory.optimum_document(theory.Case(Loop(0, 0, 1)), "energy_impulse_w0")["reason"].startswith("a limit")
+    poles = theory.optimum_document(theory.Case(Loop(0, 0, 1)), "pole_radius", "discrete")
     assert (poles["criterion"], poles["cost"]) == ("pole_radius", pytest.approx(0.752, abs=5e-4))
     assert "reason" not in poles
 
 
 def test_signal_and_suffix_mean_the_same():
     loop = Loop(0, 0, 2)  # the LWR of Table D.5: 8.21 continuous, 8.690 discrete
-    by_signal = theory.optimum_document(loop, "energy_step_w0", "discrete")
-    assert by_signal == theory.optimum_document(loop, "energy_step_w0_discrete")
-    continuous = theory.optimum_document(loop, "energy_step_w0")
+    by_signal = theory.optimum_document(theory.Case(loop), "energy_step_w0", "discrete")
+    assert by_signal == theory.optimum_document(theory.Case(loop), "energy_step_w0_discrete")
+    continuous = theory.optimum_document(theory.Case(loop), "energy_step_w0")
     assert continuous["cost"] == pytest.approx(8.21, abs=5e-3)
     assert by_signal["cost"] == pytest.approx(8.690, abs=5e-4)
 
@@ -229,12 +229,12 @@ def test_signal_and_suffix_mean_the_same():
 )
 def test_unsupported_optima_are_refused(criterion, signal, message):
     with pytest.raises(ParameterError, match=message):
-        theory.optimum_document(Loop(0, 0, 0), criterion, signal)
+        theory.optimum_document(theory.Case(Loop(0, 0, 0)), criterion, signal)
 
 
 @pytest.mark.slow
 def test_robust_outline_is_the_limit_of_its_worst_spring_and_of_no_other() -> None:
-    found = theory.boundary_document(Loop(0.5, 0.03, 1.25), robust=True)["robust"]
+    found = theory.boundary_document(theory.Case(Loop(0.5, 0.03, 1.25)), robust=True)["robust"]
     assert len(found["alpha"]) > 20
     assert found["beta"][0] < 0
     assert found["beta"][-1] > 0.02
@@ -243,5 +243,5 @@ def test_robust_outline_is_the_limit_of_its_worst_spring_and_of_no_other() -> No
             assert stable_by_schur_cohn(characteristic(worst, 0.03, 1.25, alpha * factor, beta)) == (factor < 1)
         for spring in np.linspace(0, np.pi**2, 12):
             assert stable_by_schur_cohn(characteristic(float(spring), 0.03, 1.25, alpha * (1 - 1e-6), beta))
-    assert theory.boundary_document(Loop(0.0, 0.0, 1.0), robust=True)["robust"]["alpha"] == []
-    assert "robust" not in theory.boundary_document(Loop(0.0, 0.03, 1.25))
+    assert theory.boundary_document(theory.Case(Loop(0.0, 0.0, 1.0)), robust=True)["robust"]["alpha"] == []
+    assert "robust" not in theory.boundary_document(theory.Case(Loop(0.0, 0.03, 1.25)))

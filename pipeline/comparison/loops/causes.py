@@ -23,9 +23,6 @@ ALONG = np.linspace(0.0, 1.0, 6)
 """Dampings, relative to that of the stiffest wall, at which a change of the limit is looked for: beyond it the limit
 falls so steeply that any change is large."""
 
-SETTLING = 0.02
-"""Friction relative to the step from which on settling times depend on it: half width of the usual band."""
-
 
 @dataclass(frozen=True)
 class Candidate:
@@ -39,7 +36,8 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What causes are read from: the experiment, its usual trial, departures, filter, and the device that was found."""
+    """What causes are read from: the experiment, its usual trial, departures, filter, the device that was found, and
+    the error of its limits by replay, relative."""
 
     result: ExperimentResult
     stages: ExperimentStages
@@ -50,6 +48,7 @@ class Shown:
     gains: OtherGains | None
     found: FoundDevice | None
     stated_mass: float | None
+    error: float
 
     @property
     def force(self) -> str:
@@ -149,8 +148,8 @@ def _parts(shown: Shown) -> Iterator[Candidate]:
 
 
 def _held(coulomb: float, step: float) -> str:
-    """Return what friction does where it is more than a settling band."""
-    if not step or abs(coulomb) <= SETTLING * abs(step):
+    """Return what friction does where it is more than half the usual settling band, 2 %."""
+    if not step or abs(coulomb) <= MATTERS * abs(step):
         return ""
     return f", {share_text(coulomb / abs(step), 0)} % of the step: it rests off target, and settling times show that"
 
@@ -178,9 +177,10 @@ def _shared(shown: Shown, found: FoundDevice) -> Iterator[Candidate]:
     jitter = list(_jitter(shown, point))
     yield from jitter
     if not (jitter or point.parts.actuator_lag_s or delay.low <= round(delay.value) <= delay.high):
+        effect, _ = _beside(point, replace(point, delay_samples=delay.value - part), shown)
         yield Candidate(
             "fractional_delay",
-            _beside(point, replace(point, delay_samples=delay.value - part), shown)[0],
+            effect * (effect > shown.error),
             f"The delay is no whole number of samples, {significant(delay.value, 3)}, or an actuator lag of less than "
             "a sample adds to a whole one: logs do not tell which.",
             f"by the likelihood of all trials, 95 %: {_span(delay)}",

@@ -81,7 +81,8 @@ def loop_findings(
         if told.stated is not None and found is not None:
             told, limits, refused = _judged(told, result, limits)
     stated = told.point.mass if told is not None and told.stated is not None else None
-    shown = Shown(result, stages, trial, units, departures, velocity, gains, found, stated)
+    error = told.error if told is not None else 0.0
+    shown = Shown(result, stages, trial, units, departures, velocity, gains, found, stated, error)
     parts = device.loop_of(of) if device is not None and of is not None else None
     causes = causes_of(shown)
     adequate = told is not None and replay is not None and replay.is_right

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.comparison.loops.causes import FEW
 from pipeline.comparison.loops.told_loop import ToldLoop
 from pipeline.comparison.scores.overlap import measured_limits
-from pipeline.loop.device_loop import longest_delay
+from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.plan.found_device import LoopPoint
 from pipeline.records.loop_records import PassiveWall
 from pipeline.records.results import ExperimentResult
@@ -85,7 +85,7 @@ def _points(loop: ToldLoop) -> list[LoopPoint]:
     """
     delay, point = loop.parameter("delay_samples"), loop.point
     low, high = max(delay.low, 0.0), max(delay.high, 0.0)
-    if high > longest_delay(point.parts):
+    if high > LARGEST_DELAY:
         return []
     delays = {low, high, *np.arange(np.ceil(low), floor(high) + 1).tolist()}
     return loop.points + [replace(point, delay_samples=each) for each in sorted(delays)]

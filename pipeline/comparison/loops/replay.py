@@ -117,6 +117,7 @@ def wall_replay(
         fit_percent=median(fits[stable]),
         verdicts_same=float((said == verdict[chosen])[decided].mean()) if decided.any() else None,
         limits_off_percent=limits_off(result, limits),
+        limits_known_percent=median(_limit_errors(result, limits)[1]),
         costs_off_percent=_costs_off(result, stages, chosen[stable], costs[stable]),
         trials=len(chosen),
     )
@@ -134,7 +135,7 @@ def _without_each_fold(found: FoundDevice) -> list[LoopPoint]:
 
 def replay_error(replay: WallReplay | None) -> float:
     """Return the error of limits that a replay shows, relative, 95 % of a normal one with its median."""
-    return NORMAL_95 * TYPICAL * (replay.limits_off_percent or 0.0) / 100 if replay is not None else 0.0
+    return NORMAL_95 * TYPICAL * replay.limits_error_percent / 100 if replay is not None else 0.0
 
 
 def replay_words(replay: WallReplay) -> str:
@@ -195,12 +196,18 @@ def with_large_motion(result: ExperimentResult, stages: ExperimentStages) -> Exp
 
 def limits_off(result: ExperimentResult, predicted: Floats) -> float | None:
     """Return the median error of predicted limits at the dampings at which one was measured [%]."""
+    return median(_limit_errors(result, predicted)[0])
+
+
+def _limit_errors(result: ExperimentResult, predicted: Floats) -> tuple[Floats, Floats]:
+    """Return the errors of predicted limits, and those that measured ones have by themselves in the median [%]."""
     measured = measured_limits(result.boundary)
     known = measured.known & ~measured.censored & (measured.low > 0)
     known &= measured.limit > LOW * measured.limit[known].max(initial=0.0)
     at = dict(zip([each.damping for each in result.boundary], predicted.tolist(), strict=True))
-    pairs = zip(measured.damping[known].tolist(), measured.limit[known].tolist(), strict=True)
-    return median(np.array([100 * abs(at.get(B, np.nan) / limit - 1) for B, limit in pairs]))
+    ahead = np.array([at.get(B, np.nan) for B in measured.damping[known].tolist()])
+    limit, reach = measured.limit[known], 0.5 * (measured.high - measured.low)[known]
+    return 100 * np.abs(ahead / limit - 1), 100 * reach / limit / (NORMAL_95 * TYPICAL)
 
 
 def motions(group: TrialGroup, given: Given) -> list[tuple[str, Floats]]:

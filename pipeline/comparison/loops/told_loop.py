@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.comparison.loops.departures import course_filter
-from pipeline.loop.device_loop import longest_delay
+from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.measured.experiment.estimates import whole_delay
 from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.law.velocity_filter import CUTOFF_DIGITS
@@ -88,7 +88,7 @@ def told_loop(found: FoundDevice | None, device: Device | None, of: Experiment |
     stated, held = None, 0.0
     if device is not None and of is not None:
         parts = device.loop_of(of)
-        stated = stated_device(device, of) if of.delay_samples <= longest_delay(parts) else None
+        stated = stated_device(device, of) if of.delay_samples <= LARGEST_DELAY else None
         held = parts.operator.damping / parts.force_gain if parts.operator else 0.0
     return ToldLoop(found, stated, held=held) if found or stated else None
 

@@ -154,12 +154,7 @@ class Deviations:
 
 
 def deviation(
-    alpha: Floats,
-    beta: Floats,
-    expected: Floats,
-    measured: Floats,
-    use: Booleans,
-    least: tuple[float, float, float],
+    alpha: Floats, beta: Floats, expected: Floats, measured: Floats, use: Booleans, least: tuple[float, float, float]
 ) -> Deviation:
     """Return the four parts, in percent, with the 95 % interval of the model's.
 

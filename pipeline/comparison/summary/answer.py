@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from statistics import median
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from pipeline.base.errors import DeviceError, UsageError
 from pipeline.base.wording import counted, first_clause
 from pipeline.comparison.loops.departures import MATTERS, other_gains
+from pipeline.comparison.loops.told_loop import found_device
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import FEWEST_COMPARISONS, boundary_distance
 from pipeline.comparison.scores.overlap import measured_limits
@@ -209,7 +211,9 @@ def _next(data: SceneData, result: ExperimentResult, stages: ExperimentStages) -
     of_file = next((each for each in device.experiments if each.name == name), None) if device else None
     wish = Wish()
     try:
-        plan = plan_of(course_of(stages, device, of_file, wish), wish)
+        # limits alone need no device
+        found = found_device(result, stages) if result.loop is not None else None
+        plan = plan_of(replace(course_of(stages, device, of_file, wish), found=found), wish)
     except (DeviceError, UsageError) as error:
         return None, str(error).rstrip(".")
     if not plan.next:

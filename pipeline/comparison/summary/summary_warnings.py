@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from pipeline.comparison.scene.scene import SceneData
-from pipeline.loop.device_loop import longest_delay
 from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.records.criteria import ENERGY, members
 from pipeline.records.findings import DRIFTS
@@ -105,8 +104,7 @@ def _of_device(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator
 def _too_late(device: Device, name: str) -> float:
     """Return the longest delay that theory is computed for, where that of an experiment is longer; else 0."""
     entry = next(e for e in device.experiments if e.name == name)
-    longest = longest_delay(device.loop_of(entry))
-    return longest if entry.delay_samples > longest else 0.0
+    return LARGEST_DELAY if entry.delay_samples > LARGEST_DELAY else 0.0
 
 
 def _of_estimates(results: Sequence[ExperimentResult]) -> Iterator[dict[str, Any]]:

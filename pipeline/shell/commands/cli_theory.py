@@ -14,8 +14,7 @@ from pipeline.shell import console
 from pipeline.shell.commands.options import Criteria, Json
 
 if TYPE_CHECKING:
-    from pipeline.loop.loop import Loop
-    from pipeline.theory.cases import DeviceCase
+    from pipeline.theory.cases import Case
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -68,16 +67,13 @@ def points(
     """
     from pipeline.theory import cases as theory
 
-    columns: tuple[str, ...]
     names = theory.POINT_COSTS if criteria is None else split(criteria)
-    if device is not None:
-        from pipeline.theory import cases as device_cases
-
-        columns = theory.WALL_COLUMNS
-        documents = device_cases.wall_documents(_case(device, experiment), theory.read_cases(cases, columns), names)
+    columns = theory.CASE_COLUMNS if device is None else theory.WALL_COLUMNS
+    found = theory.read_cases(cases, columns)
+    if device is None:
+        documents = theory.case_documents(found, names)
     else:
-        columns = theory.CASE_COLUMNS
-        documents = theory.point_costs(theory.read_cases(cases), names)
+        documents = theory.point_documents(_case(None, 0.0, 0.0, device, experiment), found.values, names)
     if as_json:
         console.print_json(documents)
         return
@@ -106,21 +102,27 @@ def boundary(
     """
     if device is not None and robust:
         raise UsageError("--robust is of the normalised loop. Give --delay and --delta in place of --device.")
-    if device is not None:
-        _device_boundary(device, experiment, as_json)
-        return
-    from pipeline.theory import cases as theory
+    from pipeline.theory.cases import boundary_document
 
-    document = theory.boundary_document(_loop(delay, gamma, delta), robust)
+    case = _case(delay, gamma, delta, device, experiment)
+    document = boundary_document(case, robust)
     if as_json:
         console.print_json(document)
         return
-    console.say(f"largest alpha {document['alpha_max']:.6g} at beta {document['beta_at_alpha_max']:.6g}")
-    console.say(f"largest beta  {document['beta_max']:.6g} at alpha {document['alpha_at_beta_max']:.6g}")
+    if device is not None:
+        console.say(f"device {document['device']}, experiment {document['experiment']}")
+    for first, second in (case.axes, case.axes[::-1]):
+        if document.get(f"{first}_max") is not None:
+            at = f"{document[f'{first}_max']:.6g} at {second} {document[f'{second}_at_{first}_max']:.6g}"
+            console.say(f"largest {first} {at}")
     if robust:
         largest = max(document["robust"]["alpha"], default=None)
         console.say("no wall is stable with every spring" if largest is None else f"with every spring {largest:.6g}")
-    console.say(f"({len(document['alpha'])} points along the boundary: --json)")
+    if document.get("islands"):
+        console.say(f"stable stretches beyond the limit: {len(document['islands'])}")
+    if document.get("left_out"):
+        console.say(f"left out of linear theory: {', '.join(document['left_out'])}")
+    console.say(f"({len(document[case.axes[0]])} points along the boundary: --json)")
 
 
 @app.command("optimum")
@@ -148,22 +150,16 @@ def optimum(
 
     Example: pipeline theory optimum --criterion settle_2pct --delay 1 --signal discrete --json
     """
-    response = signal.value if signal else None
-    from pipeline.theory import cases as theory
+    from pipeline.theory.cases import optimum_document
 
-    names = theory.CASE_COLUMNS[:2] if device is None else theory.WALL_COLUMNS
-    if device is not None:
-        case = _case(device, experiment)
-        document = theory.optimum_document(case.loop, criterion, response, case.units, **case.names)
-    else:
-        document = theory.optimum_document(_loop(delay, gamma, delta), criterion, response)
+    case = _case(delay, gamma, delta, device, experiment)
+    document = optimum_document(case, criterion, signal.value if signal else None)
     if as_json:
         console.print_json(document)
         return
     cost = "" if document["cost"] is None else f", cost {document['cost']:.6g}"
-    console.say(
-        f"{document['criterion']}: {names[0]} {document[names[0]]:.6g}, {names[1]} {document[names[1]]:.6g}{cost}"
-    )
+    wall = ", ".join(f"{name} {document[name]:.6g}" for name in case.axes)
+    console.say(f"{document['criterion']}: {wall}{cost}")
 
 
 @app.command("map")
@@ -193,9 +189,8 @@ def cost_map(
 
     check_output(out, "--out")
     names = MAP_DEFAULT if criteria is None else split(criteria)
-    case = None if device is None else _case(device, experiment)
-    loop, units = (_loop(delay, gamma, delta), None) if case is None else (case.loop, case.units)
-    cost_map = CostMap(loop, size, names, units=units)
+    case = _case(delay, gamma, delta, device, experiment)
+    cost_map = CostMap(case.loop, size, names, units=case.units)
     with console.progress("map", "points", silent=as_json) as advance:
         stable = write_map(out, cost_map, advance)
     if as_json:
@@ -236,40 +231,20 @@ def tables(
     console.say(theory.summary_line(rows))
 
 
-def _loop(delay: float | None, gamma: float, delta: float) -> Loop:
-    from pipeline.loop.loop import Loop
+def _case(delay: float | None, gamma: float, delta: float, device: str | None, experiment: str | None) -> Case:
+    """Return the loop of numbers, or of a device by name or file."""
+    from pipeline.theory.cases import Case, case_of
 
+    if device is not None:
+        from pipeline.device_data.devices import find_experiment, load_device, read_device
+
+        known = read_device(Path(device)) if device.endswith(".toml") else load_device(device)
+        return case_of(known, find_experiment(known, experiment) if experiment else known.experiments[0])
     if delay is None:
         raise ParameterError("expected --delay, or --device for the loop of a device file.")
-    return Loop(gamma, delta, delay)
+    from pipeline.loop.loop import Loop
 
-
-def _case(device: str, experiment: str | None) -> DeviceCase:
-    """Return the loop of a device by name or file."""
-    from pipeline.device_data.devices import find_experiment, load_device, read_device
-    from pipeline.theory.cases import DeviceCase
-
-    known = read_device(Path(device)) if device.endswith(".toml") else load_device(device)
-    return DeviceCase(known, find_experiment(known, experiment) if experiment else known.experiments[0])
-
-
-def _device_boundary(device: str, experiment: str | None, as_json: bool) -> None:
-    from pipeline.theory.cases import device_boundary
-
-    document = device_boundary(_case(device, experiment))
-    if as_json:
-        console.print_json(document)
-        return
-    console.say(f"device {document['device']}, experiment {document['experiment']}")
-    if document["stiffness_max"] is None:
-        console.say("no soft wall is stable at any damping")
-    else:
-        stiffest = f"{document['stiffness_max']:.6g} at damping {document['damping_at_stiffness_max']:.6g}"
-        console.say(f"largest stiffness {stiffest}")
-    for word, what in (("islands", "stable stretches beyond the limit"), ("left_out", "left out of linear theory")):
-        if document[word]:
-            console.say(f"{what}: {len(document[word]) if word == 'islands' else ', '.join(document[word])}")
-    console.say(f"({len(document['stiffness'])} points along the boundary: --json)")
+    return Case(Loop(gamma, delta, delay))
 
 
 def split(text: str) -> tuple[str, ...]:

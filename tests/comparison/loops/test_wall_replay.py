@@ -43,3 +43,7 @@ def test_right_is_95_percent_of_the_verdicts_and_limits_within_5_percent(verdict
         fit_percent=None, verdicts_same=verdicts, limits_off_percent=limits, costs_off_percent=None, trials=trials
     )
     assert replay.is_right == right
+    # what the measured limits leave open is no error of the device
+    coarse = replay.model_copy(update={"limits_off_percent": 13.0, "limits_known_percent": 12.0, "verdicts_same": 1.0})
+    assert coarse.limits_error_percent == pytest.approx(5.0)
+    assert coarse.is_right

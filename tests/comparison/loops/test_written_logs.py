@@ -59,7 +59,8 @@ def course(codes, filters=None):
 
 
 @pytest.mark.parametrize(
-    ("logs", "of", "named"), [(1, 24, False), (2, 24, False), (3, 24, True), (1, 1, True), (2, 2, True)]
+    ("logs", "of", "named"),
+    [(1, 24, False), (2, 24, False), (3, 24, True), (1, 1, True), (2, 2, True), (3, 149, True), (3, 151, False)],
 )
 def test_one_log_or_two_of_a_course_name_nothing(logs, of, named):
     found = law_departures(course(["repeated_rows"] * logs + [""] * (of - logs)))
@@ -75,3 +76,8 @@ def test_a_filter_is_the_same_in_all_trials_or_none():
     assert course_filter(course(["velocity_filter"] * 9, same)) is not None
     other = [recursive(0.1 * k) for k in range(1, 10)]
     assert course_filter(course(["velocity_filter"] * 9, other)) is None
+    # as far as rounding makes them differ, 5 % of the gain, they are one, and in half of the logs there is none
+    for apart, one in ((0.014, True), (0.0205, False)):
+        some = [recursive(0.8)] * 3 + [recursive(0.8 + apart + 1e-5 * k) for k in range(4)]
+        assert (course_filter(course(["velocity_filter"] * 7, some)) is not None) is one
+    assert course_filter(course([*["velocity_filter"] * 4, *[""] * 4], same[:4] + [None] * 4)) is None

@@ -62,11 +62,7 @@ def test_the_code_follows_the_overlap(data, result, overlap, code):
 
 @pytest.mark.parametrize(
     ("median", "words"),
-    [
-        (0.057, "lie 5.7 % above theory"),
-        (-0.2, "lie 20 % below theory"),
-        (0.0002, "agree with theory within 0.1 %"),
-    ],
+    [(0.057, "lie 5.7 % above theory"), (-0.2, "lie 20 % below theory"), (0.0002, "agree with theory within 0.1 %")],
 )
 def test_words_tell_how_far_the_limits_are_off(data, result, median, words):
     distance = result.experiments[0].scores[0].distance.model_copy(update={"median": median})

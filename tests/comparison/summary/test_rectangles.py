@@ -7,15 +7,7 @@ import pytest
 
 from pipeline.comparison.scores.overlap import MeasuredLimits
 from pipeline.comparison.summary.advice import NARROW
-from pipeline.comparison.summary.rectangles import (
-    FEWEST,
-    GOOD,
-    NEIGHBOURS,
-    WallTrials,
-    best_rectangle,
-    levels,
-    room_at,
-)
+from pipeline.comparison.summary.rectangles import FEWEST, GOOD, NEIGHBOURS, WallTrials, best_rectangle, levels, room_at
 
 
 def limits(damping, limit, low=None, censored=False):
