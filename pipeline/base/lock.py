@@ -85,7 +85,7 @@ def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] 
             if not _taken(file, wait_s):
                 raise StoreError(
                     f"{processed}: {_noted(file)} writes there; waited {wait_s:g} s. Only one command may "
-                    "write at a time: wait for it to end, or give --wait SECONDS."
+                    "write at a time: run the command again when it has ended."
                 )
         note = Holder(os.getpid(), socket.gethostname(), datetime.now(UTC).isoformat(timespec="seconds"))
         os.ftruncate(file, 0)

@@ -14,7 +14,7 @@ from fastapi import Depends, FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 from starlette.exceptions import HTTPException
-from starlette.responses import Response
+from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 from starlette.types import ASGIApp
 
@@ -27,22 +27,22 @@ from pipeline.service.jobs.renewal import Renewal
 from pipeline.service.jobs.workers import Workers
 from pipeline.service.pages import frame, pages
 from pipeline.service.pages.comparing import comparing
-from pipeline.service.pages.login import doors
-from pipeline.service.pages.opinions import opinions
-from pipeline.service.problems import TITLES, Problem, full_disk, problem_of
+from pipeline.service.pages.forms import forms
+from pipeline.service.problems import TITLES, Later, Problem, full_disk, problem_of
 from pipeline.service.problems import answer as answer_of
 from pipeline.service.rest import api
 from pipeline.service.rest.answers import describe, only_known
 from pipeline.service.rest.lab import lab
 from pipeline.service.rest.remarks import remarks
-from pipeline.service.rest.theory import Theory
+from pipeline.service.rest.samples import samples
 from pipeline.service.rest.theory_routes import theories
 from pipeline.service.security import Guard
 from pipeline.service.settings import Settings
 from pipeline.service.shared import Service
+from pipeline.service.theory import Theory
 from pipeline.service.uploads import remove_unacknowledged
 
-ROUTERS = (api.api, lab, remarks, theories, pages.pages, comparing, opinions, doors)
+ROUTERS = (api.api, samples, lab, remarks, theories, pages.pages, comparing, forms)
 THREADS = 12
 """That answer requests: more take memory, and the interpreter from each other."""
 
@@ -88,7 +88,9 @@ def create_app(settings: Settings) -> ASGIApp:
     for router in ROUTERS:
         app.include_router(router, dependencies=[Depends(only_known)] if router.prefix else [])
     _answer_errors(app, service)
-    return Guard(app, settings, database)
+    app.state.guard = Guard(app, settings, database)
+    guard: ASGIApp = app.state.guard
+    return guard
 
 
 def _answer_errors(app: FastAPI, service: Service) -> None:
@@ -100,6 +102,10 @@ def _answer_errors(app: FastAPI, service: Service) -> None:
     @app.exception_handler(Problem)
     async def problem(request: Request, error: Problem) -> Response:
         return answer(request, error)
+
+    @app.exception_handler(Later)
+    async def later(_: Request, error: Later) -> Response:
+        return JSONResponse({"job": error.job}, 202, {"Retry-After": "5", "Location": f"/api/v1/jobs/{error.job}"})
 
     @app.exception_handler(PipelineError)
     async def named(request: Request, error: PipelineError) -> Response:

@@ -51,25 +51,27 @@ SORTS = ("id", *WORDS, "stiffness", "damping", "recorded", "uploader", *REPORTED
 SORTED = (*SORTS, *(f"-{name}" for name in SORTS))
 """Orders of trials: rising, and falling."""
 
-COLUMNS = ("id", *_STORED[1:], "verdict", "outcome", "excluded", "source", "recorded", "uploader", *LOCATION, *COSTS)
+_PLAIN = ("id", *_STORED[1:], "verdict", "outcome", "excluded", "source", "recorded", "uploader")
+COLUMNS = (*_PLAIN, *LOCATION, *COSTS)
 _TEXTS = {"id", *WORDS, "motion", "grip", "excluded", "source", "uploader", "sample_file"}
 
 _SCHEMA = f"""
-CREATE TABLE IF NOT EXISTS trials ({", ".join(f"{c} {'TEXT' if c in _TEXTS else 'REAL'}" for c in COLUMNS)}, tags TEXT,
-  noted INTEGER, PRIMARY KEY (id));
-CREATE TABLE IF NOT EXISTS parts (device TEXT, experiment TEXT, sign TEXT, damaged TEXT,
-  PRIMARY KEY (device, experiment));
-CREATE TABLE IF NOT EXISTS said (trial INTEGER PRIMARY KEY, text TEXT);
+CREATE TABLE trials ({", ".join(f"{c} {'TEXT' if c in _TEXTS else 'REAL'}" for c in COLUMNS)}, said TEXT,
+  PRIMARY KEY (id));
+CREATE TABLE parts (device TEXT, experiment TEXT, sign TEXT, damaged TEXT, PRIMARY KEY (device, experiment));
 """
 
 _INDEX = f"""
 CREATE INDEX IF NOT EXISTS by_place ON trials (device, experiment, verdict, outcome);
+CREATE INDEX IF NOT EXISTS by_said ON trials (said);
 {"".join(f"CREATE INDEX IF NOT EXISTS by_{c} ON trials ({c}, id);" for c in SORTS[1:])}
 """
 """Made when all trials of a new file are there: one by one takes five times as long."""
 
-_SAID = "rowid, noted, tags, id, device, experiment, source, uploader"
-"""What is searched, from its fourth column on."""
+_SEARCHED = ("id", "device", "experiment", "source", "uploader")
+"""What is searched of a trial, beside what people say of it."""
+
+_DONE = "SELECT count(*), total(changed), (SELECT max(number) FROM audit) FROM jobs WHERE state = 'done'"
 
 Kept = TypeVar("Kept")
 
@@ -82,9 +84,8 @@ class Selection:
     ranges: Mapping[str, float]
     text: str = ""
 
-    @property
-    def where(self) -> tuple[str, list[object]]:
-        """The same as a condition of SQL, with its values."""
+    def where(self, said: Sequence[tuple[list[str], str]]) -> tuple[str, list[object]]:
+        """Return the same as a condition of SQL, with its values; ``said`` is what people say of what."""
         parts, values = ["1"], list[object]()
         for name, word in self.words.items():
             parts.append(f"{name} IS ?")
@@ -93,8 +94,14 @@ class Selection:
             parts.append(f"{name[:-4]} {'>=' if name.endswith('_min') else '<='} ?")
             values.append(limit)
         for word in self.text.casefold().split():
-            parts.append("rowid IN (SELECT trial FROM said WHERE text LIKE ? ESCAPE '!')")
-            values.append("%" + re.sub("([%_!])", r"!\1", word) + "%")
+            places = [of for of, text in said if word in text]
+            own = json.dumps([of[1] for of in places if of[0] == "trial"])
+            whole = json.dumps([of[1:] for of in places if of[0] == "experiment"])
+            parts.append(
+                "(rowid IN (SELECT rowid FROM trials WHERE said LIKE ? ESCAPE '!') OR id IN (SELECT value FROM "
+                "json_each(?)) OR (device, experiment) IN (SELECT value ->> 0, value ->> 1 FROM json_each(?)))"
+            )
+            values += ["%" + re.sub("([%_!])", r"!\1", word) + "%", own, whole]
         return " AND ".join(parts), values
 
 
@@ -114,18 +121,18 @@ class Catalogue:
         self._local, self._lock = threading.local(), threading.Lock()
         self._looked, self._done, self._state = float("-inf"), tuple[Any, ...](), ""
         self._kept: dict[str, object] = {}
-        layout = f"PRAGMA user_version = {int(digest(_SCHEMA)[:7], 16)};"
+        layout = int(digest(_SCHEMA)[:7], 16)
         try:
             known = self._run("PRAGMA user_version")[0][0]
         except sqlite3.DatabaseError:
             known = -1
-        if known != int(digest(_SCHEMA)[:7], 16):
+        if known != layout:
             self._connection.close()
             del self._local.connection
             for file in self.file.parent.glob(f"{self.file.name}*"):
                 file.unlink()
             os.close(os.open(self.file, os.O_RDWR | os.O_CREAT, 0o600))
-            self._connection.executescript("PRAGMA journal_mode = WAL;" + _SCHEMA + layout)
+            self._connection.executescript(f"PRAGMA journal_mode = WAL; {_SCHEMA} PRAGMA user_version = {layout};")
 
     @property
     def _connection(self) -> sqlite3.Connection:
@@ -137,8 +144,7 @@ class Catalogue:
     def run(self, statement: str, values: Sequence[object] = ()) -> list[sqlite3.Row]:
         """Return rows of the present state; at most `LOOK_S` late, and never behind what was done here."""
         with self._lock:
-            jobs = "SELECT count(*), total(changed), (SELECT max(number) FROM audit) FROM jobs WHERE state = 'done'"
-            done = tuple(self.database.run(jobs)[0])
+            done = tuple(self.database.run(_DONE)[0])
             if done != self._done or time.monotonic() - self._looked > LOOK_S:
                 self._refresh()
                 self._looked, self._done = time.monotonic(), done
@@ -155,6 +161,12 @@ class Catalogue:
             self._kept[key] = found
             return found
         return cast("Kept", self._kept[key])
+
+    def _chosen(self, chosen: Selection) -> tuple[str, list[object]]:
+        said = []
+        for _, of, value in self.database.all_words() if chosen.text else ():
+            said.append((of, "\n".join([value] if isinstance(value, str) else value).casefold()))
+        return chosen.where(said)
 
     @property
     def rows(self) -> int:
@@ -200,8 +212,8 @@ class Catalogue:
 
     def trial(self, trial: str) -> dict[str, Any] | None:
         """Return a trial as the API shows it; None where there is none."""
-        rows = self.run("SELECT * FROM trials WHERE id = ?", (trial,))
-        return _shown(rows[0]) if rows else None
+        rows = self._shown(self.run("SELECT * FROM trials WHERE id = ?", (trial,)))
+        return rows[0] if rows else None
 
     def stored_at(self, trial: str) -> tuple[str, int]:
         """Return the file that held a trial when it was looked at, and the row there."""
@@ -212,7 +224,7 @@ class Catalogue:
         """Return how many trials are meant, and how many of them have each of `WORDS`."""
 
         def made() -> tuple[int, dict[str, dict[str, int]]]:
-            where, values = chosen.where
+            where, values = self._chosen(chosen)
             found: dict[str, dict[str, int]] = {name: {} for name in WORDS}
             for *words, n in self._run(
                 f"SELECT {', '.join(WORDS)}, count(*) FROM trials WHERE {where} GROUP BY {', '.join(WORDS)}", values
@@ -232,7 +244,7 @@ class Catalogue:
         A page depends on these alone, so that trials which come meanwhile shift none; missing values come last.
         """
         name, way = sort.lstrip("-"), "DESC" if sort.startswith("-") else "ASC"
-        where, values = chosen.where
+        where, values = self._chosen(chosen)
         if after is not None:
             value, trial = after
             sign = "<" if way == "DESC" else ">"
@@ -245,7 +257,18 @@ class Catalogue:
                 values = [*values, value, value, trial]
         order = f"id {way}" if name == "id" else f"{name} {way} NULLS LAST, id"
         rows = self.run(f"SELECT * FROM trials WHERE {where} ORDER BY {order} LIMIT ?", [*values, limit + 1])
-        return [_shown(row) for row in rows[:limit]], len(rows) > limit
+        return self._shown(rows[:limit]), len(rows) > limit
+
+    def _shown(self, rows: Sequence[sqlite3.Row]) -> list[dict[str, Any]]:
+        """Return trials as the API shows them."""
+        tags = {of[1]: tags for kind, of, tags in self.database.all_words() if (kind, of[0]) == ("tags", "trial")}
+        found = []
+        for row in rows:
+            ends = {c: (row[c], row[f"{c}_low"], row[f"{c}_high"]) for c in REPORTED if row[c] is not None}
+            costs = {c: dict(zip(("value", "low", "high"), own, strict=True)) for c, own in ends.items()}
+            plain = {name: row[name] for name in _PLAIN}
+            found.append({**plain, "tags": tags.get(row["id"], []), "costs": costs})
+        return found
 
     def _refresh(self) -> None:
         """Read what changed again: experiments by their files and corrections, words by when they were written."""
@@ -258,21 +281,18 @@ class Catalogue:
         for one in corrections:
             for place in {one.place, (one.device, one.experiment)}:
                 concerned.setdefault(place, []).append(one.model_dump())
-        words = {(kind, *of): digest(value) for kind, of, value in self.database.all_words()}
         signs = {}
         for place, own in places.items():
             files = [*own, *(stage_file(self.processed, *place, stage) for stage in STAGES)]
             signs[place] = digest([[_sign(file) for file in files if file], concerned.get(place), whole])
         known = {(row["device"], row["experiment"]): row["sign"] for row in self._run("SELECT * FROM parts")}
-        state = digest([sorted(signs.items()), sorted(words.items())])
+        state = digest([sorted(signs.items()), self.database.all_words()])
         if state == self._state and known == signs:
             return
         for place in known.keys() - signs.keys():
             self._replace(place, None, [], "")
         for place in [place for place, sign in signs.items() if known.get(place) != sign]:
-            rows, damaged = self._read(*place)
-            self._replace(place, signs[place], rows, damaged)
-        self._say(words)
+            self._replace(place, signs[place], *self._read(*place))
         self._connection.executescript(_INDEX)
         self._state, self._kept = state, {}
 
@@ -286,40 +306,13 @@ class Catalogue:
     def _replace(self, place: tuple[str, str], sign: str | None, rows: Sequence[Sequence[Any]], damaged: str) -> None:
         connection = self._connection
         connection.execute("BEGIN IMMEDIATE")
-        own = "SELECT rowid FROM trials WHERE"
-        connection.execute(f"DELETE FROM said WHERE trial IN ({own} device = ? AND experiment = ?)", place)
-        # a trial that was moved may stand at another place still
-        connection.executemany(f"DELETE FROM said WHERE trial = ({own} id = ?)", [(row[0],) for row in rows])
-        connection.execute("DELETE FROM trials WHERE device = ? AND experiment = ?", place)
-        connection.execute("DELETE FROM parts WHERE device = ? AND experiment = ?", place)
+        for table in ("trials", "parts"):
+            connection.execute(f"DELETE FROM {table} WHERE device = ? AND experiment = ?", place)
         if sign is not None:
             connection.execute("INSERT INTO parts VALUES (?, ?, ?, ?)", (*place, sign, damaged))
-        marks = ", ".join("?" * (len(COLUMNS) + 2))
+        marks = ", ".join("?" * (len(COLUMNS) + 1))
+        # a trial that was moved may stand at another place still
         connection.executemany(f"INSERT OR REPLACE INTO trials VALUES ({marks})", rows)
-        connection.execute("COMMIT")
-
-    def _say(self, words: Mapping[tuple[str, ...], str]) -> None:
-        """Index what is searched of trials: new ones, and those that somebody wrote on."""
-        tags, texts = dict[tuple[str, ...], list[str]](), dict[tuple[str, ...], list[str]]()
-        for kind, about, value in self.database.all_words():
-            (tags if kind == "tags" else texts)[tuple(about)] = value if kind == "tags" else [value]
-        connection = self._connection
-        connection.execute("BEGIN IMMEDIATE")
-        marked = "DELETE FROM said WHERE trial IN (SELECT rowid FROM trials WHERE"
-        connection.execute(f"{marked} noted)")
-        for _, *of in words:
-            which = "id = ?" if of[0] == "trial" else "device = ? AND experiment = ?"
-            connection.execute(f"{marked} {which})", of[1:])
-        said, marks = [], []
-        for row in self._run(f"SELECT {_SAID} FROM trials WHERE rowid NOT IN (SELECT trial FROM said)"):
-            both = ("trial", row["id"]), ("experiment", row["device"], row["experiment"])
-            own = [tag for of in both for tag in tags.get(of, ())]
-            text = [*own, *(text for of in both for text in texts.get(of, ()))]
-            said.append((row["rowid"], "\n".join([*(each for each in row[3:] if each), *text]).casefold()))
-            if text or row["noted"]:
-                marks.append((json.dumps(tags.get(both[0], [])), bool(text), row["rowid"]))
-        connection.executemany("INSERT INTO said VALUES (?, ?)", said)
-        connection.executemany("UPDATE trials SET tags = ?, noted = ? WHERE rowid = ?", marks)
         connection.execute("COMMIT")
 
     def _read(self, device: str, experiment: str) -> tuple[list[tuple[Any, ...]], str]:
@@ -347,7 +340,9 @@ class Catalogue:
             "uploader": [came[path][1] if path in came else None for path in paths],
             **{name: _joined(ids, found.get(stage), column) for name, (stage, column) in COSTS.items()},
         }
-        return list(zip(*(columns[name] for name in COLUMNS), ["[]"] * len(ids), [0] * len(ids), strict=True)), ""
+        searched = zip(*(columns[name] for name in _SEARCHED), strict=True)
+        said = ["\n".join(filter(None, words)).casefold() for words in searched]
+        return list(zip(*(columns[name] for name in COLUMNS), said, strict=True)), ""
 
 
 def _joined(ids: Sequence[str], stage: pa.Table | None, column: str) -> list[Any]:
@@ -358,27 +353,9 @@ def _joined(ids: Sequence[str], stage: pa.Table | None, column: str) -> list[Any
     return [None if value != value else value for value in map(known.get, ids)]
 
 
-def _shown(row: sqlite3.Row) -> dict[str, Any]:
-    """Return a trial as the API shows it."""
-    plain = ("id", *_STORED[1:], "verdict", "outcome", "excluded", "source", "recorded", "uploader")
-    costs = {
-        c: {"value": row[c], "low": row[f"{c}_low"], "high": row[f"{c}_high"]} for c in REPORTED if row[c] is not None
-    }
-    return {**{name: row[name] for name in plain}, "tags": json.loads(row["tags"]), "costs": costs}
-
-
 def _sign(file: Path) -> tuple[int, int] | None:
     try:
         status = os.stat(file)
     except FileNotFoundError:
         return None
     return status.st_ino, status.st_mtime_ns
-
-
-def page_of(items: Sequence[dict[str, Any]], names: tuple[str, ...], limit: int, after: list[str] | None) -> Any:
-    """Return a part of a sorted list behind names, and the names of its last item where more follow."""
-    keys = [tuple(natural_key(item[name]) for name in names) for item in items]
-    behind = None if after is None else tuple(natural_key(name) for name in after)
-    left = [item for item, key in zip(items, keys, strict=True) if behind is None or key > behind]
-    last = [left[limit - 1][name] for name in names] if len(left) > limit else None
-    return left[:limit], last

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pipeline.base.disk import make_folder
+from pipeline.base.paths import path_of_text
 
 Role = Literal["viewer", "contributor", "admin"]
 ROLES: tuple[Role, ...] = ("viewer", "contributor", "admin")
@@ -47,7 +48,9 @@ SESSION_S = 12 * 3600.0
 """Life of a login [s]."""
 
 ENDED = ("done", "failed", "cancelled")
-STATES = ("queued", "running", *ENDED)
+
+NEWEST = 2**62
+"""Above the number of any row."""
 
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS jobs (number INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT UNIQUE NOT NULL, kind TEXT NOT NULL,
@@ -70,12 +73,7 @@ CREATE TABLE IF NOT EXISTS secrets (name TEXT PRIMARY KEY, value TEXT NOT NULL);
 """
 
 
-_UPGRADE = """
-ALTER TABLE jobs ADD COLUMN author TEXT NOT NULL DEFAULT '';
-ALTER TABLE jobs ADD COLUMN late INTEGER NOT NULL DEFAULT 0;
-ALTER TABLE tokens ADD COLUMN expires REAL;
-ALTER TABLE words ADD COLUMN author TEXT NOT NULL DEFAULT '';
-"""
+_OWN = "WHERE id = ? AND owner = ? AND state = 'running'"
 
 
 def hashed(secret: str) -> str:
@@ -111,10 +109,8 @@ class Database:
         with suppress(PermissionError):
             os.close(os.open(self.file, os.O_RDWR | os.O_CREAT, 0o600))
             os.chmod(self.file, 0o600)
-        version = self.run("PRAGMA user_version")[0][0]
-        if version < 2:
-            self.run("PRAGMA journal_mode = WAL")
-            self._connection.executescript((_UPGRADE if version else "") + _SCHEMA + "PRAGMA user_version = 2;")
+        if not self.run("PRAGMA user_version")[0][0]:
+            self._connection.executescript(f"PRAGMA journal_mode = WAL; {_SCHEMA} PRAGMA user_version = 2;")
             self.run("INSERT OR IGNORE INTO secrets VALUES ('forms', ?)", secrets.token_hex())
 
     @property
@@ -152,27 +148,27 @@ class Database:
 
         A running job of the kind ``stages`` may have passed what is new.
         """
-        name = job or secrets.token_hex(8)
-        now = time.time()
+        name, now = job or secrets.token_hex(8), time.time()
+        same = "kind = ? AND key = ? AND (state = 'queued' OR (state = 'running' AND kind != 'stages'))"
         self.run(
             "INSERT INTO jobs (id, kind, key, request, created, changed, author, late) SELECT ?, ?, ?, ?, ?, ?, ?, ? "
-            "WHERE ? = '' OR NOT EXISTS (SELECT 1 FROM jobs WHERE kind = ? AND key = ? AND (state = 'queued' OR "
-            "(state = 'running' AND kind != 'stages')))",
+            f"WHERE ? = '' OR NOT EXISTS (SELECT 1 FROM jobs WHERE {same})",
             *(name, kind, key, json.dumps(request), now, now, author, late, key, kind, key),
         )
-        if key and not late:  # somebody waits for what was to come last
-            self.run("UPDATE jobs SET late = 0 WHERE kind = ? AND key = ? AND state = 'queued'", kind, key)
         if kind == "drawing":
+            waiting = "FROM jobs WHERE state = 'queued' AND kind = 'drawing'"
             self.run(
-                "UPDATE jobs SET state = 'cancelled', changed = ? WHERE state = 'queued' AND kind = 'drawing' AND "
-                "number <= (SELECT number FROM jobs WHERE state = 'queued' AND kind = 'drawing' ORDER BY number DESC "
-                "LIMIT 1 OFFSET ?)",
+                f"UPDATE jobs SET state = 'cancelled', changed = ? WHERE number IN (SELECT number {waiting} "
+                "ORDER BY number DESC LIMIT -1 OFFSET ?)",
                 *(now, MOST_DRAWINGS),
             )
-        if key:
-            same = self.run("SELECT id FROM jobs WHERE kind = ? AND key = ? ORDER BY number DESC LIMIT 1", kind, key)
-            name = same[0]["id"]
-        return name
+        if not key:
+            return name
+        if not late:  # somebody waits for what was to come last
+            self.run("UPDATE jobs SET late = 0 WHERE kind = ? AND key = ? AND state = 'queued'", kind, key)
+        rows = self.run("SELECT id FROM jobs WHERE kind = ? AND key = ? ORDER BY number DESC LIMIT 1", kind, key)
+        found: str = rows[0]["id"]
+        return found
 
     def claim(self, owner: str, urgent: bool | None = None) -> dict[str, Any] | None:
         """Take a job that waits, or whose worker was not heard of: an urgent one, another, or any; None without one."""
@@ -187,37 +183,23 @@ class Database:
 
     def heartbeat(self, job: str, owner: str, progress: object) -> bool:
         """Renew the lease of a job; return whether it still is this worker's."""
-        now = time.time()
-        rows = self.run(
-            "UPDATE jobs SET lease = ?, progress = ?, changed = ? WHERE id = ? AND owner = ? AND state = 'running' "
-            "RETURNING id",
-            *(now + LEASE_S, json.dumps(progress), now, job, owner),
-        )
-        return bool(rows)
+        given = (time.time() + LEASE_S, json.dumps(progress), time.time(), job, owner)
+        return bool(self.run(f"UPDATE jobs SET lease = ?, progress = ?, changed = ? {_OWN} RETURNING id", *given))
 
     def free(self, owner: str, blamed: bool = True) -> None:
         """Let other workers take the job of one that was seen to end; one that ended several of them has failed."""
-        now = time.time()
+        mine = "WHERE owner = ? AND state = 'running'"
+        given = (blamed, time.time(), owner)
+        self.run(f"UPDATE jobs SET lease = 0, attempts = attempts + ?, changed = ? {mine}", *given)
         problem = json.dumps({"title": "The worker ended each time", "status": 500, "detail": _KILLED})
-        self.run(
-            "UPDATE jobs SET lease = 0, attempts = attempts + ?, changed = ? WHERE owner = ? AND state = 'running'",
-            *(blamed, now, owner),
-        )
-        self.run(
-            "UPDATE jobs SET state = 'failed', problem = ? WHERE owner = ? AND state = 'running' AND attempts >= ?",
-            *(problem, owner, ATTEMPTS),
-        )
+        ended = (problem, owner, ATTEMPTS)
+        self.run(f"UPDATE jobs SET state = 'failed', problem = ? {mine} AND attempts >= ?", *ended)
 
     def finish(self, job: str, owner: str, result: object = None, problem: object = None) -> None:
         """Store what became of a job, unless it was cancelled or is another's by now."""
-        self.run(
-            "UPDATE jobs SET state = ?, result = ?, problem = ?, changed = ? WHERE id = ? AND owner = ? "
-            "AND state = 'running'",
-            "done" if problem is None else "failed",
-            None if result is None else json.dumps(result),
-            None if problem is None else json.dumps(problem),
-            *(time.time(), job, owner),
-        )
+        texts = [None if each is None else json.dumps(each) for each in (result, problem)]
+        given = ("failed" if problem else "done", *texts, time.time(), job, owner)
+        self.run(f"UPDATE jobs SET state = ?, result = ?, problem = ?, changed = ? {_OWN}", *given)
 
     def cancel(self, job: str) -> None:
         """End a job that has not ended; its worker notices at the next heartbeat."""
@@ -233,47 +215,44 @@ class Database:
 
     def failed_job(self, kind: str, key: str, within_s: float) -> str | None:
         """Return the job of a kind and key that failed a moment ago."""
-        since = time.time() - within_s
-        rows = self.run(
-            "SELECT id FROM jobs WHERE kind = ? AND key = ? AND state = 'failed' AND changed > ?", kind, key, since
-        )
+        which = "kind = ? AND key = ? AND state = 'failed' AND changed > ?"
+        rows = self.run(f"SELECT id FROM jobs WHERE {which}", kind, key, time.time() - within_s)
         return rows[0]["id"] if rows else None
 
-    def reports(self, most: int) -> list[dict[str, Any]]:
-        """Return the jobs that made comparisons, the newest first."""
-        where = "kind = 'comparison' AND state = 'done' ORDER BY number DESC LIMIT ?"
-        return [_shown(row) for row in self.run(f"SELECT * FROM jobs WHERE {where}", most)]
+    def jobs(self, before: int, limit: int, which: str = "1") -> tuple[list[dict[str, Any]], int | None]:
+        """Return jobs (``which``, a condition) as `latest` does."""
+        rows, last = self.latest("jobs", before, limit, which)
+        return [_shown(row) for row in rows], last
 
-    def uploader(self, path: str) -> str | None:
-        """Return who uploaded a log that lies at a path; None for a log that came otherwise."""
-        rows = self.run("SELECT author FROM uploads JOIN jobs ON jobs.id = uploads.job WHERE path = ?", path)
-        return rows[0]["author"] if rows else None
+    def latest(self, table: str, before: int, limit: int, which: str = "1") -> tuple[list[sqlite3.Row], int | None]:
+        """Return rows with a number, the newest first, below a number; and that of the last one where more follow."""
+        given = (min(max(before, 0), NEWEST), limit + 1)
+        rows = self.run(f"SELECT * FROM {table} WHERE {which} AND number < ? ORDER BY number DESC LIMIT ?", *given)
+        return rows[:limit], rows[limit - 1]["number"] if len(rows) > limit else None
+
+    def reports(self, most: int) -> list[dict[str, Any]]:
+        """Return the jobs that made comparisons, the newest first; one is ``earlier`` where the same was made since."""
+        found, seen = self.jobs(NEWEST, most, "kind = 'comparison' AND state = 'done'")[0], set[str]()
+        for job in found:
+            asked = json.dumps(job["request"].get("asked", job["id"]))
+            job["earlier"] = asked in seen
+            seen.add(asked)
+        return found
+
+    def uploaded_name(self, path: str) -> str:
+        """Return the name under which a source was uploaded, or its path."""
+        rows = self.run("SELECT name FROM uploads WHERE path = ?", path)
+        return rows[0]["name"] if rows else str(path_of_text(path))
 
     def uploaded(self) -> dict[str, tuple[str, str]]:
         """Return name and uploader of all uploaded logs, by path."""
         rows = self.run("SELECT path, name, author FROM uploads JOIN jobs ON jobs.id = uploads.job")
         return {row["path"]: (row["name"], row["author"]) for row in rows}
 
-    def job_counts(self) -> dict[str, int]:
+    def job_counts(self, which: str = "1") -> dict[str, int]:
         """Return how many jobs are in which state."""
-        rows = self.run("SELECT state, count(*) AS n FROM jobs GROUP BY state")
+        rows = self.run(f"SELECT state, count(*) AS n FROM jobs WHERE {which} GROUP BY state")
         return {row["state"]: row["n"] for row in rows}
-
-    def jobs(self, before: int, limit: int) -> list[dict[str, Any]]:
-        """Return jobs, the newest first, below a number."""
-        rows = self.run("SELECT * FROM jobs WHERE number < ? ORDER BY number DESC LIMIT ?", before, limit)
-        return [_shown(row) for row in rows]
-
-    def asked_reports(self) -> list[dict[str, Any]]:
-        """Return what was asked for in reports that were made, each once."""
-        rows = self.run("SELECT request FROM jobs WHERE kind = 'comparison' AND state = 'done' ORDER BY number")
-        asked = [json.loads(row["request"]).get("asked") for row in rows]
-        return list({json.dumps(each): each for each in asked if each}.values())
-
-    def stages_done(self) -> int:
-        """Return how often verdicts and costs of all that is stored were computed."""
-        count: int = self.run("SELECT count(*) FROM jobs WHERE kind = 'stages' AND state = 'done'")[0][0]
-        return count
 
     def forget_old(self) -> set[str]:
         """Remove jobs that ended long ago, but uploads and the last report of each kind; return all keys that are left.
@@ -292,14 +271,13 @@ class Database:
 
     def note(self, who: str, did: str, what: object) -> None:
         """Keep who did something by hand."""
-        self.run(
-            "INSERT INTO audit (time, who, did, what) VALUES (?, ?, ?, ?)", time.time(), who, did, json.dumps(what)
-        )
+        given = (time.time(), who, did, json.dumps(what))
+        self.run("INSERT INTO audit (time, who, did, what) VALUES (?, ?, ?, ?)", *given)
 
-    def audit(self, before: int, limit: int) -> list[dict[str, Any]]:
-        """Return who did what, the newest first, below a number."""
-        rows = self.run("SELECT * FROM audit WHERE number < ? ORDER BY number DESC LIMIT ?", before, limit)
-        return [{**dict(row), "what": json.loads(row["what"])} for row in rows]
+    def audit(self, before: int, limit: int) -> tuple[list[dict[str, Any]], int | None]:
+        """Return who did what as `latest` does."""
+        rows, last = self.latest("audit", before, limit)
+        return [{**dict(row), "what": json.loads(row["what"])} for row in rows], last
 
     def create_token(self, role: Role, name: str, days: float | None = None) -> str:
         """Make a token and return it; only its hash is stored."""

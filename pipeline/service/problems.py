@@ -52,6 +52,14 @@ class Problem(Exception):  # noqa: N818 (RFC 9457 calls it so)
         self.document = {"type": "about:blank", "title": TITLES[status], "status": status, "detail": detail, **more}
 
 
+class Later(Exception):  # noqa: N818 (nothing is wrong)
+    """What is asked for takes longer than a request waits: the job that makes it."""
+
+    def __init__(self, job: str) -> None:
+        super().__init__(job)
+        self.job = job
+
+
 def problem_of(error: PipelineError) -> Problem:
     """Return a named error as the answer to a request."""
     status = 404 if isinstance(error, DeviceError) else 503 if isinstance(error, StoreError) else 422

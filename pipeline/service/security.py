@@ -12,18 +12,18 @@ import json
 import logging
 import math
 import secrets
+import threading
 import time
-from collections.abc import Mapping
-from http.cookies import CookieError, SimpleCookie
-from urllib.parse import parse_qsl, urlencode, urlsplit
+from collections.abc import Callable, Mapping
+from urllib.parse import urlencode, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from pipeline.service.database import LOCAL as LOCAL_NAME
 from pipeline.service.database import ROLES, Database, Role, hashed
 from pipeline.service.problems import Problem, answer
-from pipeline.service.rates import Rates
 from pipeline.service.settings import Settings
 
 LOG = logging.getLogger("pipeline.service")
@@ -39,9 +39,8 @@ DRAIN_S = 5.0
 
 OPEN = ("/login", "/api/v1/health")
 UPLOADS = ("/upload", "/api/v1/logs")
-REMOVALS = ("/deletions", "/bin")
-"""Forms by which people remove what is stored."""
 
+_LOG_IN = "Send a token as `Authorization: Bearer`, or log in at /login."
 SAFE = ("GET", "HEAD", "OPTIONS")
 LOCAL = ("localhost", "127.0.0.1", "::1")
 
@@ -53,6 +52,49 @@ HEADERS = {
     "cross-origin-resource-policy": "same-origin",
     "cache-control": "private, no-cache",
 }
+
+
+BURST_S = 10.0
+"""Seconds whose requests may come at once: a page loads several things, a program asks in bursts."""
+
+MOST_KNOWN = 10_000
+"""Senders that are remembered; beyond these, those that may ask freely are forgotten."""
+
+
+class Rates:
+    """Requests by sender.
+
+    Parameters
+    ----------
+    per_minute : int
+        Requests that a sender may make; 0 sets no limit.
+    clock : callable
+        Time [s].
+    """
+
+    def __init__(self, per_minute: int, clock: Callable[[], float] = time.monotonic) -> None:
+        self.per_s, self.clock = per_minute / 60.0, clock
+        self.most = max(1.0, self.per_s * BURST_S)
+        self._lock = threading.Lock()
+        self._left: dict[str, tuple[float, float]] = {}
+
+    def wait_s(self, sender: str) -> float:
+        """Take a request of a sender; return how long he has to wait instead where he asked too often, else 0."""
+        if not self.per_s:
+            return 0.0
+        now = self.clock()
+        with self._lock:
+            left = self._now(sender, now)
+            if left < 1.0:
+                return (1.0 - left) / self.per_s
+            if len(self._left) >= MOST_KNOWN:
+                self._left = {who: kept for who, kept in self._left.items() if self._now(who, now) < self.most}
+            self._left[sender] = (left - 1.0, now)
+        return 0.0
+
+    def _now(self, sender: str, now: float) -> float:
+        left, since = self._left.get(sender, (self.most, now))
+        return min(self.most, left + (now - since) * self.per_s)
 
 
 class Guard:
@@ -68,6 +110,8 @@ class Guard:
             await self.app(scope, receive, send)
             return
         began, status, request_id = time.monotonic(), 0, secrets.token_hex(6)
+        scope.setdefault("state", {})
+        request = HTTPConnection(scope)
 
         async def sending(message: Message) -> None:
             nonlocal status
@@ -77,15 +121,12 @@ class Guard:
                 for name, value in HEADERS.items():
                     headers.setdefault(name, value)
                 headers["x-request-id"] = request_id
-                if FORM not in cookies_of(scope) and "form" in scope["state"]:
+                if "form" in scope["state"]:
                     headers.append("set-cookie", cookie(FORM, scope["state"]["form"]))
             await send(message)
 
-        scope.setdefault("state", {})
         try:
-            scope["state"]["role"], scope["state"]["who"] = self._role(scope)
-            cookies = cookies_of(scope)
-            scope["state"]["session"] = cookies.get(SESSION)
+            scope["state"]["role"], scope["state"]["who"] = self._role(request)
             logs = scope["path"] in UPLOADS
             body = _Body(receive, self.settings.max_request if logs else SMALL, self.settings.body_s, whole=not logs)
             body.check(Headers(scope=scope))
@@ -98,35 +139,33 @@ class Guard:
             line = {"id": request_id, "method": scope["method"], "path": scope["path"], "status": status}
             LOG.info(json.dumps({**line, "ms": round(1e3 * seconds, 1)}))
 
-    def _role(self, scope: Scope) -> tuple[Role, str]:
+    def _role(self, request: HTTPConnection) -> tuple[Role, str]:
         """Return what the sender may do, and who he is; raise where he may not do this."""
-        headers = Headers(scope=scope)
-        host = headers.get("host", "")
+        headers, path, method = request.headers, request.scope["path"], request.scope["method"]
+        host, origin = headers.get("host", ""), headers.get("origin")
         if self.settings.loopback and _name(host) not in LOCAL:
             raise Problem(403, "Only this computer is served, by its own names.", where="Host", expected=LOCAL)
-        origin = headers.get("origin")
         if origin is not None and urlsplit(origin).netloc != host:
             raise Problem(403, "Requests of pages of other sites are refused.", where="Origin", expected=host)
-        if any(name.lower() in ("token", "access_token", "api_key") for name, _ in _query(scope)):
+        if any(name.lower() in ("token", "access_token", "api_key") for name in request.query_params):
             raise Problem(400, "A token in an address ends in logs. Send it as `Authorization: Bearer`.", where="query")
-        address = (scope.get("client") or ("",))[0]
-        role, who, secret = self._known(headers, cookies_of(scope))
+        role, who, secret = self._known(headers.get("authorization"), request.cookies.get(SESSION, ""))
         # who is not known has an address and nothing else: the words that he sends may be others each time
-        self._limit(hashed(secret) if secret else address)
-        program = "authorization" in headers
-        if role is None and program:
-            raise Problem(401, "The token is not known. `pipeline token create` makes one.", where="Authorization")
-        if role is None and scope["path"] not in OPEN and not scope["path"].startswith("/static/"):
-            raise Problem(401, "Send a token as `Authorization: Bearer`, or log in at /login.", where="Authorization")
-        role = role or "viewer"
-        if self.settings.read_only:
-            role = "viewer"
-        needed = _needed(scope)
-        if scope["path"] not in OPEN and ROLES.index(role) < ROLES.index(needed):
+        self._limit(hashed(secret) if secret else (request.scope.get("client") or ("",))[0])
+        program, public = "authorization" in headers, path in OPEN or path.startswith("/static/")
+        if role is None and (program or not public):
+            told = "The token is not known. `pipeline token create` makes one." if program else _LOG_IN
+            raise Problem(401, told, where="Authorization")
+        role = "viewer" if self.settings.read_only else role or "viewer"
+        needed = _needed(method, path)
+        if path not in OPEN and ROLES.index(role) < ROLES.index(needed):
             why = "The server is read-only." if self.settings.read_only else "Ask for a token with a higher role."
             raise Problem(403, f"This needs the role {needed}. {why}", expected=needed, found=role)
-        if scope["method"] not in SAFE and not program and scope["path"].startswith("/api/"):
-            self._check_script(headers, cookies_of(scope))
+        if method not in SAFE and not program and path.startswith("/api/"):
+            # programs send no cookies; a browser changes what a page of this server asks for
+            token = headers.get("x-csrf-token", "")
+            if (request.cookies or "origin" in headers) and not is_form(self.database, request.cookies, token):
+                raise Problem(403, "The form is not one of this server; load its page again.", where="X-CSRF-Token")
         return role, who
 
     def _limit(self, sender: str) -> None:
@@ -136,23 +175,17 @@ class Guard:
             retry = {"Retry-After": str(math.ceil(wait_s))}
             raise Problem(429, "These are too many requests. Ask again later.", retry, expected=most)
 
-    def _known(self, headers: Headers, cookies: Mapping[str, str]) -> tuple[Role | None, str, str]:
+    def _known(self, given: str | None, session: str) -> tuple[Role | None, str, str]:
         """Return role, None of somebody unknown, name, and the token or session that tells them."""
-        given = headers.get("authorization")
-        if given is not None:
-            scheme, _, secret = given.partition(" ")
-            found = self.database.holder_of(secret.strip()) if scheme.lower() == "bearer" else None
-        elif self.settings.loopback:
+        if given is None and self.settings.loopback:
             return "admin", LOCAL_NAME, ""
-        else:
-            secret = cookies.get(SESSION, "")
-            found = self.database.holder_of_session(secret) if secret else None
-        return (*found, secret.strip()) if found else (None, "", "")
-
-    def _check_script(self, headers: Headers, cookies: Mapping[str, str]) -> None:
-        """Refuse a change by a browser that no page of this server asked for; programs send no cookies."""
-        if (cookies or "origin" in headers) and not is_form(self.database, cookies, headers.get("x-csrf-token", "")):
-            raise Problem(403, "The form is not one of this server; load its page again.", where="X-CSRF-Token")
+        scheme, _, token = (given or "").partition(" ")
+        secret, found = session if given is None else token.strip(), None
+        if given is None and secret:
+            found = self.database.holder_of_session(secret)
+        elif scheme.lower() == "bearer":
+            found = self.database.holder_of(secret)
+        return (*found, secret) if found else (None, "", "")
 
 
 def is_form(database: Database, cookies: Mapping[str, str], token: str) -> bool:
@@ -219,11 +252,11 @@ async def _refuse(problem: Problem, scope: Scope, receive: Receive, send: Send) 
     await send({"type": "http.response.body", "body": b""})
 
 
-def _needed(scope: Scope) -> Role:
-    if scope["method"] in SAFE or scope["path"] == "/logout":
+def _needed(method: str, path: str) -> Role:
+    if method in SAFE or path == "/logout":
         return "viewer"
-    removes = scope["method"] == "DELETE" and not scope["path"].startswith(("/api/v1/jobs/", "/api/v1/quarantine/"))
-    return "admin" if removes or scope["path"] in REMOVALS else "contributor"
+    removes = method == "DELETE" and not path.startswith(("/api/v1/jobs/", "/api/v1/quarantine/"))
+    return "admin" if removes else "contributor"
 
 
 def _name(host: str) -> str:
@@ -232,20 +265,6 @@ def _name(host: str) -> str:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:
         return ""
-
-
-def _query(scope: Scope) -> list[tuple[str, str]]:
-    return parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
-
-
-def cookies_of(scope: Scope) -> dict[str, str]:
-    """Return the cookies of this server that a request bears."""
-    jar: SimpleCookie = SimpleCookie()
-    try:
-        jar.load(Headers(scope=scope).get("cookie", ""))
-    except CookieError:
-        return {}
-    return {name: morsel.value for name, morsel in jar.items() if name in (SESSION, FORM)}
 
 
 def cookie(name: str, value: str, secure: bool = False) -> str:

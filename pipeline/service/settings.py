@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import ipaddress
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
+
+from pipeline.base.errors import UsageError
 
 RATE = 3000
 """Requests a minute: 50 a second are more than a page or a program of a lab asks for."""
@@ -22,6 +26,28 @@ def half_of_files() -> int:
         return MOST_CONNECTIONS
     most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     return MOST_CONNECTIONS if most < 0 else min(MOST_CONNECTIONS, most // 2)
+
+
+LIMITS = {"PIPELINE_MAX_FILE": ("max_file", 1 << 20, 1), "PIPELINE_MAX_REQUEST": ("max_request", 1 << 20, 1),
+          "PIPELINE_RATE": ("rate", 1, 0), "PIPELINE_RENEW": ("renew", 1, 0)}  # fmt: skip
+"""Variables that set limits: which, the unit of their number, and the least one."""
+
+
+def limits(environment: Mapping[str, str]) -> dict[str, Any]:
+    """Return the settings that variables of the environment make.
+
+    Raises
+    ------
+    UsageError
+        If one is no whole number, or too small.
+    """
+    found = {}
+    for name, (setting, unit, least) in LIMITS.items():
+        if text := environment.get(name):
+            if not text.isdecimal() or int(text) < least:
+                raise UsageError(f"{name}={text}: expected a whole number of {least} or more.")
+            found[setting] = int(text) * unit
+    return found
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,8 @@ from pipeline.service.database import Database
 from pipeline.service.jobs import documents
 from pipeline.service.jobs.workers import Workers
 from pipeline.service.problems import Problem
-from pipeline.service.rest import theory
 from pipeline.service.settings import Settings
+from pipeline.service.theory import Theory
 from pipeline.store.corrections import read_exclusions, split_trials
 from pipeline.store.names import folder_name
 from pipeline.store.samples import load_batch, load_trial
@@ -34,6 +34,12 @@ RETRY_S = 60.0
 
 EXCLUDE_S = 5.0
 """Longest wait for another writer before an exclusion is refused [s]."""
+
+MOST_REPORTS = 1000
+"""Reports that are listed, and made anew."""
+
+Kept = tuple[dict[str, Any] | None, str | None]
+"""A document, or the job that makes it."""
 
 SAMPLES = ("time_s", "command", "position", "force", "velocity")
 
@@ -64,7 +70,7 @@ class Service:
     database: Database
     catalogue: Catalogue
     workers: Workers
-    theory: theory.Theory
+    theory: Theory
 
     def job(self, kind: str, request: dict[str, Any], key: str = "", author: str = "", late: int = 0) -> str:
         """Queue a job and wake a worker."""
@@ -124,9 +130,10 @@ class Service:
         for e in self.catalogue.experiments:
             with suppress(Problem, PipelineError):
                 self.experiment(e["device"], e["experiment"], late=1)
-        for asked in self.database.asked_reports():
+        for job in self.database.reports(MOST_REPORTS):
             with suppress(Problem, PipelineError):  # what it needs is gone; the last one stays
-                self.comparison(ComparisonRequest.model_validate(asked), late=1)
+                if not job["earlier"]:
+                    self.comparison(ComparisonRequest.model_validate(job["request"]["asked"]), late=1)
 
     def _add_notes(self, request: dict[str, Any], device: str, experiments: list[str]) -> None:
         """Add what people wrote on experiments and their trials: a report shows it, and another text is another one."""
@@ -155,9 +162,9 @@ class Service:
             exclude(self.settings.processed, wanted, reason, EXCLUDE_S)
         elif known:
             use_again(self.settings.processed, wanted, EXCLUDE_S)
-        self.database.note(who, "used again" if reason is None else "excluded", {"of": of, "reason": reason})
-        self.job("stages", {}, "stages")
-        return self.excluded(of)
+        found = self.excluded(of)
+        self._corrected(who, "used again" if reason is None else "excluded", of, len(found or known), reason=reason)
+        return found
 
     def excluded(self, of: Sequence[str]) -> dict[str, str]:
         """Return which trials of a trial or experiment are excluded by hand, and why."""
@@ -172,68 +179,61 @@ class Service:
             self.found(of[1])
             return of[1]
         self.experiments(of[1], list(of[2:]))
-        return "/".join(map(folder_name, of[1:]))
+        return run_of(*of[1:])
 
     def move(self, of: Sequence[str], to: Sequence[str], who: str) -> int:
         """Let trials count as of another device or experiment; notes and tags follow. Return how many trials."""
         wanted = self.wanted(of)
         names = list(of[2:]) or list_experiments(self.settings.processed, of[1]) if of[0] != "trial" else []
-        count = move(self.settings.processed, wanted, "/".join(map(folder_name, to)), EXCLUDE_S)
+        count = move(self.settings.processed, wanted, run_of(*to), EXCLUDE_S)
         for name in names:
             self.database.move_words(["experiment", of[1], name], ["experiment", to[0], (*to, name)[1]])
-        self.database.note(who, "moved", {"of": of, "to": to, "trials": count})
-        self.job("stages", {}, "stages")
-        return count
+        return self._corrected(who, "moved", of, count, to=to)
 
     def delete(self, of: Sequence[str], who: str) -> int:
         """Put trials into the bin; return how many."""
         count = delete(self.settings.processed, self.wanted(of), EXCLUDE_S)
-        self.database.note(who, "deleted", {"of": of, "trials": count})
-        self.job("stages", {}, "stages")
-        return count
+        return self._corrected(who, "deleted", of, count)
 
     def restore(self, of: Sequence[str], who: str) -> int:
         """Take trials out of the bin; return how many."""
-        wanted = of[1] if of[0] == "trial" else "/".join(map(folder_name, of[1:]))
-        count = restore(self.settings.processed, wanted, EXCLUDE_S)
-        self.database.note(who, "restored", {"of": of, "trials": count})
-        self.job("stages", {}, "stages")
-        return count
+        count = restore(self.settings.processed, of[1] if of[0] == "trial" else run_of(*of[1:]), EXCLUDE_S)
+        return self._corrected(who, "restored", of, count)
 
     def empty_bin(self, who: str) -> int:
         """Remove what is in the bin; return how many trials."""
-        count = empty_bin(self.settings.processed, EXCLUDE_S)
-        self.database.note(who, "emptied the bin", {"trials": count})
-        return count
+        return self._corrected(who, "emptied the bin", (), empty_bin(self.settings.processed, EXCLUDE_S))
 
-    def experiment(self, device: str, experiment: str, late: int = 0) -> tuple[dict[str, Any] | None, str | None]:
-        """Return the document of an experiment, or the job that makes it."""
+    def _corrected(self, who: str, did: str, of: Sequence[str], trials: int, **more: Any) -> int:
+        """Keep who corrected what, have verdicts made anew, and return how many trials it was."""
+        self.database.note(who, did, {"of": of, "trials": trials, **more})
+        self.job("stages", {}, "stages")
+        return trials
+
+    def experiment(self, device: str, experiment: str, late: int = 0) -> Kept:
+        """Return the document of an experiment."""
         self.used(device, [experiment])
-        return self._kept("experiment", {"device": device, "experiments": [experiment], "criteria": None}, late)
+        return self._kept("experiment", _whole(device, experiment), late)
 
-    def plan(self, device: str, experiment: str, goal: str) -> tuple[dict[str, Any] | None, str | None]:
-        """Return what the planner says of an experiment, or the job that asks it."""
+    def plan(self, device: str, experiment: str, goal: str) -> Kept:
+        """Return what the planner says of an experiment."""
         self.used(device, [experiment])
         return self._kept("plan", {"device": device, "experiments": [experiment], "goal": goal})
 
-    def drawn(
-        self, what: str, places: Sequence[Sequence[str]], **more: Any
-    ) -> tuple[dict[str, Any] | None, str | None]:
-        """Return a drawing of trials or experiments (device, experiment, and more), or the job that draws it."""
+    def drawn(self, what: str, places: Sequence[Sequence[str]], **more: Any) -> Kept:
+        """Return a drawing of trials or experiments (device, experiment, and more)."""
         for device, experiment, *_ in places:
             self.used(device, [experiment])
         return self._kept("drawing", {"what": what, "places": [list(place) for place in places], **more})
 
     def peek(self, device: str, experiment: str) -> dict[str, Any] | None:
         """Return the document of an experiment where it is kept."""
-        request = {"device": device, "experiments": [experiment], "criteria": None}
-        return documents.read_document(self.settings, documents.key_of(self.settings, request))
+        return documents.read_document(self.settings, documents.key_of(self.settings, _whole(device, experiment)))
 
-    def _kept(self, kind: str, request: dict[str, Any], late: int = 0) -> tuple[dict[str, Any] | None, str | None]:
+    def _kept(self, kind: str, request: dict[str, Any], late: int = 0) -> Kept:
         """Return a document that is kept, or the job of a kind that makes it."""
         key = documents.key_of(self.settings, request)
-        document = documents.read_document(self.settings, key)
-        if document is not None:
+        if (document := documents.read_document(self.settings, key)) is not None:
             return document, None
         self._may_compute()
         failed = self.database.failed_job(kind, key, RETRY_S)
@@ -246,24 +246,22 @@ class Service:
     def samples(self, trial: str) -> tuple[dict[str, Any], pa.Table]:
         """Return the conditions and the samples of a trial."""
         shown = self.found(trial)
-        own, batch = self._loaded(trial, self.catalogue.stored_at(trial), shown)
-        arrays = {"time_s": batch.time, **{name: getattr(batch, name) for name in SAMPLES[1:]}}
-        present = {name: values[0] for name, values in arrays.items() if values is not None}
+        own, batch = self._loaded(trial, shown)
         length = int(own.column("rows")[0].as_py())
-        columns = {
-            name: pa.array(values[:length]) for name, values in present.items() if not np.isnan(values[:length]).all()
-        }
-        return shown, pa.table(columns)
+        arrays = {"time_s": batch.time, **{name: getattr(batch, name) for name in SAMPLES[1:]}}
+        rows = {name: values[0][:length] for name, values in arrays.items() if values is not None}
+        return shown, pa.table({name: values for name, values in rows.items() if not np.isnan(values).all()})
 
-    def _loaded(self, trial: str, place: tuple[str, int], shown: dict[str, Any]) -> tuple[pa.Table, TrialBatch]:
+    def _loaded(self, trial: str, shown: dict[str, Any]) -> tuple[pa.Table, TrialBatch]:
         """Return a trial and its samples by where it was stored, or, where it was merged since, by looking for it."""
-        if (found := load_trial(self.settings.processed, trial, *place)) is not None:
+        processed = self.settings.processed
+        if (found := load_trial(processed, trial, *self.catalogue.stored_at(trial))) is not None:
             return found
-        stored = read_trials(self.settings.processed, shown["device"], shown["experiment"])
+        stored = read_trials(processed, shown["device"], shown["experiment"])
         own = stored.take(np.flatnonzero([name == trial for name in stored.column("trial_id").to_pylist()]))
         if not own.num_rows:
             raise Problem(404, "The trial was removed a moment ago.", found=trial, where="trial")
-        return own, load_batch(self.settings.processed, own.slice(0, 1))
+        return own, load_batch(processed, own.slice(0, 1))
 
     def found(self, trial: str) -> dict[str, Any]:
         """Return a trial as the API shows it."""
@@ -277,9 +275,13 @@ class Service:
         return (found["device"], found["experiment"]) if found else None
 
 
-def run_of(device: str, experiment: str) -> str:
-    """Return an experiment as one word of an address."""
-    return f"{folder_name(device)}/{folder_name(experiment)}"
+def _whole(device: str, experiment: str) -> dict[str, Any]:
+    return {"device": device, "experiments": [experiment], "criteria": None}
+
+
+def run_of(*names: str) -> str:
+    """Return a device, or an experiment of one, as one word of an address, as `intake.correct` takes it, too."""
+    return "/".join(map(folder_name, names))
 
 
 def service_of(request: Request) -> Service:
@@ -288,4 +290,11 @@ def service_of(request: Request) -> Service:
     return service
 
 
+def who_of(request: Request) -> str:
+    """Return who asks, by name."""
+    who: str = request.state.who
+    return who
+
+
 Shared = Annotated[Service, Depends(service_of)]
+Who = Annotated[str, Depends(who_of)]

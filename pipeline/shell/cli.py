@@ -36,12 +36,11 @@ COMMANDS = {
     "push": ("cli_serve", "push"),
     "theory": ("cli_theory", "app"),
     "look": ("cli_profiles", "look"),
-    "profile": ("cli_profiles", "profile_app"),
+    "profile": ("cli_profiles", "profile"),
     "quarantine": ("cli_profiles", "quarantine"),
     "identify": ("cli_identify", "identify"),
     "plan": ("cli_plan", "plan"),
     "design": ("cli_design", "design"),
-    "doctor": ("cli_storage", "doctor"),
 }
 """Module and name of each command, or group of commands, in the order of the help."""
 

@@ -258,7 +258,7 @@ def test_a_draft_asks_and_is_refused_until_it_is_answered(call, tmp_path):
         told = re.findall(r"^lab\.toml:(\d+): key '(.*?)': open question", err, re.MULTILINE)
         assert told == [(str(q.line), ".".join(map(str, q.place))) for q in find_questions(text)]
     status, _, err = call("profile", "draft", "K300.csv", "--out", "lab.toml")
-    assert (status, "--overwrite" in err) == (2, True)
+    assert (status, "lab.toml: exists" in err) == (2, True)
     columns = {
         "columns.time.name": '"Zeit"',
         "columns.time.unit": '"ms"',

@@ -21,21 +21,21 @@ from pipeline.shell.cli import app, run
 COMMANDS = {
     "demo": ["--full"],
     "simulate": [
-        *("--experiment", "--out", "--seed", "--ideal", "--quantum", "--noise", "--jitter", "--duration"),
-        *("--range", "--coarsen", "--overwrite", "--json"),
+        *("--experiment", "--out", "--seed", "--ideal", "--set"),
+        *("--coarsen", "--overwrite", "--json"),
     ],
-    "ingest": ["--profile", "--processed", "--jobs", "--rehash", "--dry-run", "--wait", "--json"],
+    "ingest": ["--profile", "--processed", "--jobs", "--rehash", "--dry-run", "--json"],
     "status": ["--processed", "--reports", "--json"],
     "watch": [
-        *("--processed", "--reports", "--profile", "--scene", "--interval", "--settle", "--once", "--json"),
+        *("--processed", "--reports", "--profile", "--scene", "--settle", "--once", "--json"),
     ],
-    "check": ["--repair", "--processed", "--profile", "--wait", "--json"],
+    "check": ["--repair", "--processed", "--json"],
     "compare": ["--device", "--experiment", "--criteria", "--processed", "--report", "--dry-run", "--json"],
     "theory points": ["--device", "--experiment", "--json"],
     "theory boundary": ["--delay", "--gamma", "--delta", "--device", "--experiment", "--robust", "--json"],
     "theory optimum": ["--criterion", "--delay", "--gamma", "--delta", "--device", "--signal", "--json"],
-    "theory tables": ["--table", "--json"],
-    "accuracy": ["--only", "--quick", "--out", "--processed", "--json"],
+    "theory tables": ["--json"],
+    "accuracy": ["--quick", "--out", "--json"],
     "theory map": ["--delay", "--gamma", "--delta", "--device", "--size", "--criteria", "--out", "--json"],
 }
 
@@ -203,14 +203,14 @@ def test_simulate_writes_logs_and_counts_them(call, tmp_path):
 
 
 def test_simulate_options_reach_the_simulation(call, tmp_path):
-    options = ("--ideal", "--quantum", "1e-5", "--noise", "2e-6", "--duration", "0.1", "--coarsen", "8")
+    options = ("--ideal", "--set", "quantum=1e-5", "--set", "noise=2e-6", "--set", "duration_s=0.1", "--coarsen", "8")
     out = tmp_path / "logs"
-    document(call("simulate", "falcon", "-e", "4", "-e", "6", "--jitter", "3,5", *options, "--out", out, "--json"))
+    document(call("simulate", "falcon", "-e", "4", "-e", "6", "--set", "jitter=3,5", *options, "--out", out, "--json"))
     assert sorted(p.name for p in (out / "falcon").iterdir()) == ["4", "6"]
     truth = json.loads((out / "falcon" / "6" / "truth.json").read_text())
     assert (truth["quantum"], truth["noise"], truth["jitter_samples"]) == (1e-5, 2e-6, [3, 5])
     assert max(log["rows"] for log in truth["logs"].values()) == 100
-    arguments = ("--experiment", "6", "--jitter", "none", "--duration", "0.1", "--coarsen", "8", "--json")
+    arguments = ("--experiment", "6", "--set", "jitter=none", "--set", "duration_s=0.1", "--coarsen", "8", "--json")
     document(call("simulate", "falcon", *arguments, "--out", tmp_path / "none"))
     assert json.loads((tmp_path / "none/falcon/6/truth.json").read_text())["jitter_samples"] == []
 
@@ -219,9 +219,9 @@ def test_simulate_takes_a_device_file_and_a_damping_range(call, tmp_path):
     shipped = Path(compare.__file__).parents[2] / "schemas" / "devices" / "lwr.toml"
     text = shipped.read_text(encoding="utf-8").replace('name = "lwr"', 'name = "mine"', 1)
     (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
-    arguments = ("mine.toml", "-e", "delay-6", "--coarsen", "8", "--duration", "0.1", "--json")
+    arguments = ("mine.toml", "-e", "delay-6", "--coarsen", "8", "--set", "duration_s=0.1", "--json")
     tested = document(call("simulate", *arguments))
-    full = document(call("simulate", *arguments, "--range", "full", "--out", "full"))
+    full = document(call("simulate", *arguments, "--set", "damping_range=full", "--out", "full"))
     assert tested["device"] == "mine"
     # 0.19 * 0.22535/1e-3 = 42.8 Nms/rad (Table B.1) lies above the tested 40
     assert full["logs"]["delay-6"] > tested["logs"]["delay-6"]
@@ -233,12 +233,14 @@ def test_simulate_takes_a_device_file_and_a_damping_range(call, tmp_path):
         (["hammer"], 1, "device 'hammer' is not known; known are falcon, falcon-real, lwr"),
         (["none.toml"], 1, "none.toml: device file cannot be read"),
         (["falcon", "-e", "9"], 1, "no experiment '9'"),
-        (["falcon", "--jitter", "3;4"], 2, "--jitter '3;4': expected whole numbers"),
+        (["falcon", "--set", "jitter=3;4"], 2, "--set jitter=3;4: expected one of quantum"),
+        (["falcon", "--set", "speed=1"], 2, "--set speed=1: expected one of quantum"),
+        (["falcon", "--set", "damping_range=wide"], 2, "damping_range tested or full"),
         (["falcon", "--coarsen", "0"], 1, "coarsen = 0"),
-        (["lwr", "-e", "delay-8", "--quantum", "-1"], 1, "quantum"),
-        (["lwr", "-e", "delay-8", "--noise", "nan"], 1, "noise"),
-        (["lwr", "-e", "delay-8", "--duration", "0"], 1, "duration = 0.0 s"),
-        (["lwr", "-e", "delay-8", "--duration", "nan"], 1, "duration = nan s"),
+        (["lwr", "-e", "delay-8", "--set", "quantum=-1"], 1, "quantum"),
+        (["lwr", "-e", "delay-8", "--set", "noise=nan"], 1, "noise"),
+        (["lwr", "-e", "delay-8", "--set", "duration_s=0"], 1, "duration = 0.0 s"),
+        (["lwr", "-e", "delay-8", "--set", "duration_s=nan"], 1, "duration = nan s"),
     ],
 )
 def test_wrong_simulations_are_refused(call, arguments, status, message, tmp_path):
@@ -302,21 +304,24 @@ def test_long_lists_are_cut_in_text_alone(call, logs, tmp_path):
     assert len(document(call("ingest", "logs", "--dry-run", "--json"))["plan"]) == 32
 
 
-def test_a_second_writer_is_refused_and_readers_are_not(call, logs, tmp_path):
+def test_a_second_writer_is_refused_and_readers_are_not(call, logs, tmp_path, monkeypatch):
+    from pipeline.base import lock
     from pipeline.base.lock import writing
 
+    taken = lock._taken
+    monkeypatch.setattr(lock, "_taken", lambda file, wait_s: taken(file, 0.0))  # no minute for this test
     assert call("ingest", "logs")[0] == 0
     (logs / "new.csv").write_text(log_text(1.0))
     with writing(tmp_path / "processed", 0):
         for command in (["ingest", "logs"], ["move", "bench", "other"]):
-            status, out, err = call(*command, "--wait", "0")
+            status, out, err = call(*command)
             assert (status, out) == (1, "")
-            assert "writes there; waited 0 s" in err
+            assert "writes there; waited 60 s" in err
         found = document(call("status", "--json"))
         assert found["lock"]["pid"] > 0
         assert call("status")[1].splitlines()[-1].startswith(f"process {found['lock']['pid']} on ")
         assert call("ingest", "logs", "--dry-run")[0] == 0
-    assert document(call("ingest", "logs", "--wait", "0", "--json"))["ingested"] == 1
+    assert document(call("ingest", "logs", "--json"))["ingested"] == 1
 
 
 def test_check_names_what_is_damaged_and_repairs_it(call, logs):

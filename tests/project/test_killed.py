@@ -103,14 +103,14 @@ COMMANDS = {
     "compare": Command(COMPARE, report, removes=("processed/stages", "processed/theory", "reports")),
     "verify": Command(("verify", "reports/lwr.html", "--json"), printed("out.json")),
     "watch": Command(
-        ("watch", "raw", "--scene", "scene.toml", "--settle", "0.1", "--interval", "0.1", "--json"),
+        ("watch", "raw", "--scene", "scene.toml", "--settle", "0.1", "--json"),
         report,
         again=("watch", "raw", "--scene", "scene.toml", "--once", "--settle", "0", "--json"),
         removes=("processed", "reports"),
     ),
-    "theory tables": Command(("theory", "tables", "--table", "C.1", "--json"), printed("out.json"), seconds=8.0),
+    "theory tables": Command(("theory", "tables", "C.1", "--json"), printed("out.json"), seconds=8.0),
     "accuracy": Command(
-        ("accuracy", "--quick", "--only", "theory", "--json"),
+        ("accuracy", "--quick", "--json"),
         lambda folder: sorted(json.loads((folder / "reports" / "accuracy.json").read_text())),
         seconds=8.0,
     ),

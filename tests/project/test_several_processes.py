@@ -169,7 +169,9 @@ def test_who_writes_is_named(tmp_path):
         found = lock.holder(processed)
         assert found is not None
         assert found.pid == os.getpid()
-        with pytest.raises(StoreError, match=rf"process {os.getpid()} on .* \(since 20.* writes there; .* --wait"):
+        with pytest.raises(
+            StoreError, match=rf"process {os.getpid()} on .* \(since 20.* writes there; .* again when it has ended"
+        ):
             ingest([tmp_path / "a.csv"], processed, wait_s=0.3, say=said.append)
         assert ingest([tmp_path / "a.csv"], processed, dry_run=True).ingested == 1
         assert read_trials(processed).num_rows == 0

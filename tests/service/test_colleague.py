@@ -78,7 +78,7 @@ def test_a_morning(lab, logs):
     assert "rig" in client.get("profiles").content
     # the refused one is read again by it, and the others come
     (one,) = client.get("quarantine").content
-    answer = browser.send("/quarantine", "/quarantine", id=one["id"], profile="rig", act="retry")
+    answer = browser.do("/quarantine", "POST", f"quarantine/{one['id']}/retry", profile="rig")
     client.done(answer.headers["location"].rpartition("/")[2])
     assert client.get("quarantine").content == []
     job = upload(sent[1:], profile="rig")
@@ -95,10 +95,12 @@ def test_a_morning(lab, logs):
     browser.ask("GET", f"/overlay?{three}")
     client.all_done()
     assert "Displacement over time of 3 trials" in shown(browser, f"/overlay?{three}")
-    out = browser.send("/exclusions", at, of=["trial", items[0]["id"]], reason="slipped")
+    path = f"trials/{items[0]['id']}"
+    out = browser.do(f"/{path}", "PUT", f"{path}/exclusion", reason="slipped")
     assert out.status == 303
-    assert browser.send("/words", at, of=["experiment", "rig", "1"], notes="gears greased", tags="new").status == 303
-    moved = browser.send("/moves", at, of=["experiment", "rig", "1"], device="new rig", experiment="1")
+    for kind, said in (("notes", {"text": "gears greased"}), ("tags", {"tags,": "new"})):
+        assert browser.do(at, "PUT", f"experiments/rig/1/{kind}", **said).headers["location"] == at
+    moved = browser.do(at, "PATCH", "experiments/rig/1", device="new rig", experiment="1")
     assert unquote(moved.headers["location"]) == "/devices/new rig/experiments/1"
     assert client.get("experiments/new%20rig/1/notes").content["author"] == "Ada"
     assert client.get("trials?q=greased").content["total"] == len(sent)

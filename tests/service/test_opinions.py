@@ -43,9 +43,9 @@ def test_an_excluded_trial_is_used_for_nothing_until_it_is_used_again(three):
 def test_all_of_an_experiment(three):
     before = verdicts(three)
     browser, at = Browser(three), "/devices/new%20rig/experiments/1"
-    of = ["experiment", "new rig", "1"]
-    assert browser.send("/exclusions", at, of=of, reason=" ").status == 422
-    answer = browser.send("/exclusions", at, of=of, reason=WHY)
+    path = "experiments/new%20rig/1/exclusion"
+    assert browser.do(at, "PUT", path, reason=" ").status == 422
+    answer = browser.do(at, "PUT", path, reason=WHY)
     assert (answer.status, answer.headers["location"]) == (303, at)
     three.all_done()
     jobs = three.get("jobs").content["items"]
@@ -57,7 +57,7 @@ def test_all_of_an_experiment(three):
     assert "excluded by hand" in page(three, at)
     assert three.ask("POST", "comparisons", document={"device": "new rig"}).status == 409
     assert three.ask("POST", "comparisons", document=TWO).status in (200, 202), "others are compared"
-    assert browser.send("/exclusions", at, of=of, again="yes").status == 303
+    assert browser.do(at, "PUT", path).status == 303
     three.all_done()
     assert verdicts(three) == before
     assert three.get("experiments/new%20rig/1/exclusion").content == {"excluded": {}}

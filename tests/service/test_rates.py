@@ -4,7 +4,7 @@ import pytest
 from served import serving
 
 from pipeline.service.database import Database
-from pipeline.service.rates import BURST_S, MOST_KNOWN, Rates
+from pipeline.service.security import BURST_S, MOST_KNOWN, Rates
 from pipeline.service.settings import Settings
 
 

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from pipeline.measured.cost.costs import settling
-from pipeline.records import accuracy
 from pipeline.records.accuracy import AccuracyReport, MeasuredAccuracy
-from pipeline.shell import cli
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.simulate import simulate
 from pipeline.studies.accuracy import page as page_of
@@ -102,13 +97,3 @@ def test_page_shows_every_rung_in_one_picture_and_one_table(report: AccuracyRepo
     assert page.count("<tr><td>") == len(measured.rungs)
     assert 'id="sec-theory"' not in page
     assert AccuracyReport.model_validate_json(report.model_dump_json()) == report
-
-
-def test_command_measures_one_part_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(run, "measured_tables", lambda quick: ())
-    out, processed = tmp_path / "page.html", tmp_path / "processed"
-    arguments = ["accuracy", "--only", "measured", "--quick", "--out", str(out), "--processed", str(processed)]
-    assert CliRunner().invoke(cli.app, arguments).exit_code == 0
-    document = json.loads(out.with_suffix(".json").read_text(encoding="utf-8"))
-    assert document["rungs"] == document["measured_branch"]["rungs"] == []
-    assert accuracy.stored(processed) is None  # reports of comparisons show the theory's numbers

@@ -1,5 +1,6 @@
 """A server of this process on a free port, asked by what Python brings along."""
 
+import html
 import json
 import re
 import socket
@@ -102,9 +103,20 @@ class Browser:
     def token(self, path):
         return re.search(r'name="form" value="(\w+)"', self.ask("GET", path).content.decode())[1]
 
-    def send(self, path, at, **fields):
+    def send(self, path, at, /, **fields):
         body = urlencode({"form": self.token(at), **fields}, doseq=True)
         return self.ask("POST", path, body, {"Content-Type": "application/x-www-form-urlencoded"})
+
+    def do(self, at, method, path, /, **fields):
+        """Send the form of a page that makes a request of REST, with the fields that a person fills in."""
+        text = self.ask("GET", at).content.decode()
+        for form in re.findall(r'<form method="post" action="/do".*?</form>', text, re.DOTALL):
+            hidden = dict(re.findall(r'<input type="hidden" name="([^"]+)" value="([^"]*)">', form))
+            given = {name: html.unescape(value) for name, value in hidden.items()}
+            if (given["method"], given["path"]) == (method, path):
+                body = urlencode({**given, **fields}, doseq=True)
+                return self.ask("POST", "/do", body, {"Content-Type": "application/x-www-form-urlencoded"})
+        raise AssertionError(f"{at} has no form for {method} {path}")
 
 
 @contextmanager

@@ -70,13 +70,13 @@ def test_a_device_file_is_one_that_theory_takes(found, tmp_path):
 
 def test_the_command_prints_the_document_and_writes_the_file(staircase, tmp_path):
     out = tmp_path / "motor.toml"
-    arguments = ["identify", str(staircase), "--period", "0.0005", "--delay", "1", "--out", str(out), "--json"]
+    arguments = ["identify", str(staircase), "--out", str(out), "--json"]
     result = CliRunner().invoke(application("identify"), arguments)
     assert result.exit_code == 0, result.output
     document = json.loads(result.stdout)
-    assert document["boundary"]["sampling_period_s"] == 0.0005
-    assert document["boundary"]["delay_samples"] == 1
-    assert read_device(out).sampling_period_s == 0.0005
+    device = read_device(out)
+    assert document["boundary"]["sampling_period_s"] == device.sampling_period_s
+    assert document["boundary"]["delay_samples"] == pytest.approx(device.experiments[0].delay_samples, rel=1e-3)
 
 
 def test_a_device_that_another_force_moves_is_not_predicted(tmp_path):

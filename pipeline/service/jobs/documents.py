@@ -7,11 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.base.paths import path_of_text
 from pipeline.base.provenance import code_digest, digest, sha256
 from pipeline.device_data.devices import known_devices
 from pipeline.device_data.published import published_files
-from pipeline.service.database import Database
 from pipeline.service.settings import Settings
 from pipeline.store.corrections import read_corrections
 from pipeline.store.storage import trials_files
@@ -53,9 +51,3 @@ def read_document(settings: Settings, key: str) -> dict[str, Any] | None:
     except FileNotFoundError:
         return None
     return document
-
-
-def uploaded_name(database: Database, source: str) -> str:
-    """Return the name under which a source was uploaded, or its path."""
-    rows = database.run("SELECT name FROM uploads WHERE path = ?", source)
-    return rows[0]["name"] if rows else str(path_of_text(source))

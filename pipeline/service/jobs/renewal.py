@@ -7,7 +7,7 @@ import threading
 import time
 
 from pipeline.base.errors import PipelineError
-from pipeline.service.database import KEPT_S
+from pipeline.service.database import KEPT_S, Database
 from pipeline.service.settings import Settings
 from pipeline.service.shared import Service
 
@@ -32,13 +32,13 @@ class Renewal:
 
     def _watch(self) -> None:
         database, settings = self.service.database, self.service.settings
-        done, tidied = database.stages_done(), 0.0
+        done, tidied = _stages(database), 0.0
         while not self._ended.wait(LOOK_S):
             try:
                 if time.monotonic() - tidied > TIDY_S or not tidied:
                     tidied = time.monotonic()
                     remove_old(settings, database.forget_old())
-                counts, now = database.job_counts(), database.stages_done()
+                counts, now = database.job_counts(), _stages(database)
                 if now == done or counts.get("queued") or counts.get("running"):
                     continue
                 done = now
@@ -47,6 +47,11 @@ class Renewal:
             except (PipelineError, OSError):
                 logging.getLogger("pipeline.service").exception("reports could not be renewed")
         database.close()
+
+
+def _stages(database: Database) -> int:
+    """Return how often verdicts and costs of all that is stored were computed."""
+    return database.job_counts("kind = 'stages'").get("done", 0)
 
 
 def remove_old(settings: Settings, keys: set[str]) -> None:

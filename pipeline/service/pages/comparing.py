@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Query, Request
-from fastapi.responses import HTMLResponse, RedirectResponse, Response
-from starlette.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
 
 from pipeline.comparison.against import compare_pair
 from pipeline.records.against_records import PairDifference, Side
 from pipeline.records.criteria import REPORTED
 from pipeline.records.results import TheoryParameters
-from pipeline.service.pages.frame import busy, fields_of, page_of
+from pipeline.service.pages.frame import busy, page_of
 from pipeline.service.problems import Problem
-from pipeline.service.shared import ComparisonRequest, Service, Shared, run_of
+from pipeline.service.shared import Service, Shared, run_of
 from pipeline.store.names import name_of_folder
 from pipeline.theory.predictions import Theory
 
@@ -36,32 +34,6 @@ Plane = Annotated[Literal["", "physical", "normalised"], Query()]
 def compare(service: Shared, request: Request, runs: Runs = [], plane: Plane = "") -> Response:  # noqa: B006
     """Show up to six experiments beside each other."""
     return page_of(service, request, "compare.html.j2", **_content(service, runs, plane))
-
-
-@comparing.get("/compare.html")
-def file(service: Shared, request: Request, runs: Runs = [], plane: Plane = "") -> Response:  # noqa: B006
-    """Return the same as one file that needs no server; the page itself where something is still computed."""
-    content = _content(service, runs, plane)
-    if content["waiting"] or not content["runs"]:
-        return RedirectResponse(f"/compare?{content['query']}", 303)
-    response = page_of(service, request, "compare.html.j2", **content, offline=True)
-    response.headers["content-disposition"] = 'attachment; filename="compare.html"'
-    return response
-
-
-@comparing.post("/compare")
-async def ask_comparison(service: Shared, request: Request) -> Response:
-    """Ask for a report."""
-    fields = await fields_of(service, request)
-    asked = ComparisonRequest.model_validate(
-        {
-            "device": fields.get("device", [""])[0],
-            "experiments": fields.get("experiments"),
-            "criteria": fields.get("criteria"),
-        }
-    )
-    key, job = await run_in_threadpool(service.comparison, asked, request.state.who)
-    return RedirectResponse(f"/jobs/{job}" if job else f"/api/v1/comparisons/{key}/report", 303)
 
 
 def _content(service: Service, asked: list[str], plane: str) -> dict[str, Any]:
@@ -93,9 +65,7 @@ def _content(service: Service, asked: list[str], plane: str) -> dict[str, Any]:
         "criteria": REPORTED,
         "all": service.catalogue.experiments,
         "chosen": {run_of(*run) for run in chosen},
-        "query": urlencode([*query, *([("plane", plane)] if plane else [])]),
         "switch": {name: urlencode([*query, ("plane", name)]) for name in possible},
-        "now": time.time(),
     }
 
 

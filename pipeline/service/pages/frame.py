@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 from urllib.parse import quote, urlencode
 
-from fastapi import Request
+from fastapi import Depends, Request
 from fastapi.responses import HTMLResponse
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
@@ -21,8 +21,8 @@ from pipeline.rendering.report.report_against import value_name
 from pipeline.service.database import ENDED
 from pipeline.service.problems import Problem
 from pipeline.service.rest.remarks import tag_of
-from pipeline.service.security import FORM, cookies_of, form_token, is_form
-from pipeline.service.shared import Service, run_of
+from pipeline.service.security import FORM, form_token, is_form
+from pipeline.service.shared import Service, run_of, service_of
 from pipeline.store.names import folder_name
 
 HERE = Path(__file__).parent
@@ -37,22 +37,11 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    found.filters |= FILTERS | {
-        "short": _short,
-        "name": criterion_name,
-        "value_name": value_name,
-        "when": _when,
-        "cost_of": cost_text,
-        "label": criterion_label,
-        "etag": tag_of,
-        "ago": _ago,
-        "about": _about,
-        "sorting": _sorting,
-        "last_part": lambda path: path.rpartition("/")[2],
-    }
-    found.globals |= {
-        "experiment_url": experiment_url, "device_url": device_url, "run_of": run_of, "style_sheet": style_sheet,
-    }  # fmt: skip
+    own = {"short": _short, "when": _when, "ago": _ago, "about": _about, "sorting": _sorting}
+    own |= {"etag": tag_of, "rest": _rest, "page": _page}
+    labels = {"name": criterion_name, "value_name": value_name, "cost_of": cost_text, "label": criterion_label}
+    found.filters |= FILTERS | own | labels
+    found.globals |= {each.__name__: each for each in (experiment_url, device_url, run_of)}
     return found
 
 
@@ -93,27 +82,34 @@ def _sorting(state: Mapping[str, str], name: str) -> str:
 
 
 @lru_cache(maxsize=4096)  # each row of a list has two
-def _segment(name: str) -> str:
+def segment(name: str) -> str:
     """Return a name as a part of an address; one that is written in signs of its own is quoted twice."""
     return quote(folder_name(name), safe="")
 
 
 def device_url(device: str) -> str:
     """Return the address of the page of a device."""
-    return f"/devices/{_segment(device)}"
+    return f"/devices/{segment(device)}"
 
 
 def experiment_url(device: str, experiment: str) -> str:
     """Return the address of the page of an experiment."""
-    return f"{device_url(device)}/experiments/{_segment(experiment)}"
+    return f"{device_url(device)}/experiments/{segment(experiment)}"
+
+
+def _rest(of: Sequence[str]) -> str:
+    """Return where REST has a trial, an experiment or a device (that word, and names)."""
+    return "/".join((f"{of[0]}s", *map(segment, of[1:])))
+
+
+def _page(of: Sequence[str]) -> str:
+    return experiment_url(*of[1:]) if of[0] == "experiment" else f"/{_rest(of)}"
 
 
 def page_of(service: Service, request: Request, template: str, status: int = 200, **content: object) -> HTMLResponse:
     """Return a page by its template; its forms bear the token of the browser that asks."""
-    browser = cookies_of(request.scope).get(FORM)
-    if browser is None:
-        browser = request.scope["state"]["form"] = secrets.token_urlsafe(16)
-    who = {"login": not service.settings.loopback, "form": form_token(service.database, browser), "offline": False}
+    browser = request.cookies.get(FORM) or request.scope["state"].setdefault("form", secrets.token_urlsafe(16))
+    who = {"login": not service.settings.loopback, "form": form_token(service.database, browser)}
     given = {"role": request.state.role, "who": request.state.who, "path": request.url.path, **who, **content}
     return HTMLResponse(_environment().get_template(template).render(**given), status)
 
@@ -125,18 +121,21 @@ def part_of(template: str, **content: object) -> Markup:
 
 def check(service: Service, request: Request, token: str) -> None:
     """Refuse a form that is not of this server and this browser."""
-    if not is_form(service.database, cookies_of(request.scope), token):
+    if not is_form(service.database, request.cookies, token):
         raise Problem(403, "The form is not one of this server, or too old. Load its page again.", where="form")
 
 
-async def fields_of(service: Service, request: Request) -> dict[str, list[str]]:
+async def fields_of(request: Request) -> dict[str, list[str]]:
     """Return the fields of a form of ours."""
     form = await request.form()
     fields: dict[str, list[str]] = {}
     for name, value in form.multi_items():
         fields.setdefault(name, []).append(str(value))
-    check(service, request, fields.get("form", [""])[0])
+    check(service_of(request), request, fields.get("form", [""])[0])
     return fields
+
+
+Fields = Annotated[dict[str, list[str]], Depends(fields_of)]
 
 
 def kept(service: Service, ask: Callable[[], Any]) -> tuple[dict[str, Any] | None, str | None, str | None]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-import json
+import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -15,7 +16,6 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 from markupsafe import Markup
 from pydantic import ConfigDict, field_validator
-from starlette.concurrency import run_in_threadpool
 
 from pipeline.intake.correct import in_bin
 from pipeline.intake.quarantine import list_quarantine
@@ -25,12 +25,12 @@ from pipeline.records.results import Answer
 from pipeline.rendering.labels import UNITS
 from pipeline.service import profiles
 from pipeline.service.catalogue import WORDS, Selection
-from pipeline.service.pages.frame import HERE, busy, check, fields_of, kept, page_of, part_of, style_sheet
+from pipeline.service.database import NEWEST
+from pipeline.service.pages.frame import HERE, Fields, busy, check, kept, page_of, part_of, style_sheet
 from pipeline.service.problems import Problem
 from pipeline.service.rest import api, lab
 from pipeline.service.rest.api import Segment
-from pipeline.service.rest.sample_forms import FORMS
-from pipeline.service.shared import Service, Shared
+from pipeline.service.shared import Service, Shared, Who
 
 pages = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
 
@@ -60,26 +60,19 @@ def home(service: Shared, request: Request) -> Response:
     all_ = service.catalogue
 
     def cards() -> Markup:
-        tags = {tuple(of[1:]): value for kind, of, value in service.database.all_words() if (kind, of[0]) == EXPERIMENT}
+        tags = {tuple(of): value for kind, of, value in service.database.all_words() if kind == "tags"}
         by_device: dict[str, list[dict[str, Any]]] = {}
         for e in all_.experiments:
-            document = service.peek(e["device"], e["experiment"])
-            shown = {
-                "picture": bool(document and document["figures"].get("limits")),
-                "answer": answer_of(document),
-            }
-            by_device.setdefault(e["device"], []).append(
-                {**e, **shown, "tags": tags.get((e["device"], e["experiment"]), [])}
-            )
+            place = e["device"], e["experiment"]
+            document = service.peek(*place)
+            picture = bool(document and document["figures"].get("limits"))
+            shown = {"picture": picture, "answer": answer_of(document), "tags": tags.get(("experiment", *place), [])}
+            by_device.setdefault(e["device"], []).append({**e, **shown})
         return part_of("cards.html.j2", devices=by_device)
 
-    done = service.database.run("SELECT count(*) FROM jobs WHERE kind = 'experiment' AND state = 'done'")[0][0]
-    body = all_.once(f"home {done}", cards)
-    return page_of(service, request, "home.html.j2", body=body, devices=len(all_.devices), trials=all_.rows,
-                   damaged=all_.damaged)  # fmt: skip
-
-
-EXPERIMENT = ("tags", "experiment")
+    done = service.database.job_counts("kind = 'experiment'").get("done")
+    return page_of(service, request, "home.html.j2", body=all_.once(f"home {done}", cards),
+                   devices=len(all_.devices), trials=all_.rows, damaged=all_.damaged)  # fmt: skip
 
 
 @pages.get("/devices/{device}")
@@ -205,18 +198,6 @@ def one_trial(service: Shared, request: Request, trial: str) -> Response:
     )  # fmt: skip
 
 
-@pages.get("/trials/{trial}/samples.{ending}")
-def download(service: Shared, trial: str, ending: str) -> Response:
-    """Return the samples of a trial as a file."""
-    media = {"csv": "text/csv", "parquet": "application/vnd.apache.parquet", "json": "application/json",
-             "arrows": "application/vnd.apache.arrow.stream"}  # fmt: skip
-    if ending not in media:
-        raise Problem(404, "Samples have no such form.", expected=list(media), found=ending)
-    response: Response = FORMS[media[ending]](*service.samples(trial))
-    response.headers["content-disposition"] = f'attachment; filename="{quote(trial)}.{ending}"'
-    return response
-
-
 @pages.get("/upload")
 def upload(service: Shared, request: Request) -> Response:
     """Show the form for logs."""
@@ -240,22 +221,20 @@ async def draft(service: Shared, request: Request) -> Response:
 
 
 @pages.post("/profile")
-async def profile(service: Shared, request: Request) -> Response:
+def profile(service: Shared, request: Request, who: Who, fields: Fields) -> Response:
     """Try a profile on its sample, or keep it."""
-    fields = {name: values[0] for name, values in (await fields_of(service, request)).items()}
-    answers = {int(key[7:]): value for key, value in fields.items() if key[:7] == "answer-" and key[7:].isdigit()}
-    text = profiles.answered(fields.get("profile", "").replace("\r\n", "\n"), answers)
-    name = fields.get("name", "").strip()
-    asked = lab.Tried(profile=text, sample=fields.get("sample", ""))
+    answers = {int(key[7:]): value for key, (value, *_) in fields.items() if re.fullmatch(r"answer-\d+", key)}
+    given = {name: fields.get(name, [""])[0] for name in ("profile", "sample", "name", "act")}
+    text = profiles.answered(given["profile"].replace("\r\n", "\n"), answers)
+    asked = lab.Tried(profile=text, sample=given["sample"])
+    checked, problem, name = None, "", given["name"].strip()
     try:
-        if fields.get("act") == "keep":
-            asked_name = lab.NamedProfile(name=name).name
-            await run_in_threadpool(profiles.keep, service.settings, asked_name, text)
-            service.database.note(request.state.who, "kept a profile", {"name": name})
+        if given["act"] == "keep":
+            lab.keep_profile(service, lab.NamedProfile(name=name).name, text, who)
             return RedirectResponse("/upload", 303)
-        checked, problem = await run_in_threadpool(lab.preview, service, asked), ""
+        checked = lab.preview(service, asked)
     except Problem as error:
-        checked, problem = None, str(error)
+        problem = str(error)
     return page_of(
         service, request, "profile.html.j2", profile=text, sample=asked.sample, name=name, checked=checked,
         questions=profiles.questions(text), problem=problem,
@@ -263,27 +242,16 @@ async def profile(service: Shared, request: Request) -> Response:
 
 
 @pages.get("/jobs")
-def jobs(service: Shared, request: Request, before: int = 2**62) -> Response:
+def jobs(service: Shared, request: Request, before: int = NEWEST) -> Response:
     """List jobs."""
-    found = service.database.jobs(min(max(before, 0), 2**62), SHOWN + 1)
-    last = found[SHOWN - 1]["number"] if len(found) > SHOWN else None
-    return page_of(
-        service, request, "jobs.html.j2", jobs=found[:SHOWN], last=last, busy=any(busy(job) for job in found)
-    )
+    found, last = service.database.jobs(before, SHOWN)
+    return page_of(service, request, "jobs.html.j2", jobs=found, last=last, busy=any(map(busy, found)))
 
 
 @pages.get("/jobs/{job}")
 def one_job(service: Shared, request: Request, job: str) -> Response:
     """Show a job."""
     return page_of(service, request, "job.html.j2", job=(found := api.one_job(service, job)), busy=busy(found))
-
-
-@pages.post("/jobs/{job}/cancel")
-async def cancel(service: Shared, request: Request, job: str) -> Response:
-    """Cancel a job."""
-    await fields_of(service, request)
-    await run_in_threadpool(api.cancel_job, service, job, request.state.role, request.state.who)
-    return RedirectResponse(f"/jobs/{quote(job)}", 303)
 
 
 @pages.get("/quarantine")
@@ -295,38 +263,21 @@ def quarantine(service: Shared, request: Request) -> Response:
                    profiles=profiles.names(service.settings))  # fmt: skip
 
 
-@pages.post("/quarantine")
-async def settle(service: Shared, request: Request) -> Response:
-    """Read a refused log again, by another profile where one is chosen, or dismiss it."""
-    fields = {name: values[0] for name, values in (await fields_of(service, request)).items()}
-    which, who = fields.get("id", ""), request.state.who
-    if fields.get("act") == "dismiss":
-        await run_in_threadpool(lab.dismiss_log, service, which, who)
-        return RedirectResponse("/quarantine", 303)
-    job = await run_in_threadpool(lab.retry_log, service, which, fields.get("profile", ""), who)
-    return RedirectResponse(f"/jobs/{job}", 303)
-
-
 @pages.get("/reports")
 def reports(service: Shared, request: Request) -> Response:
     """List reports."""
-    jobs = service.database.reports(SHOWN)
-    asked = [json.dumps(job["request"].get("asked", job["id"])) for job in jobs]
-    earlier = {job["id"] for place, job in enumerate(jobs) if asked[place] in asked[:place]}
     folder = service.settings.reports
     files = sorted(file.name for file in folder.glob("*.html")) if folder.is_dir() else []
-    return page_of(service, request, "reports.html.j2", jobs=jobs, earlier=earlier, files=files, folder=folder)
+    jobs = service.database.reports(SHOWN)
+    return page_of(service, request, "reports.html.j2", jobs=jobs, files=files, folder=folder)
 
 
 @pages.get("/audit")
-def audit(service: Shared, request: Request, before: int = 2**62) -> Response:
+def audit(service: Shared, request: Request, before: int = NEWEST) -> Response:
     """List who did what, and what is in the bin."""
-    found = service.database.audit(min(max(before, 0), 2**62), SHOWN + 1)
-    last = found[SHOWN - 1]["number"] if len(found) > SHOWN else None
-    rubbish: dict[tuple[str, str], int] = {}
-    for one in in_bin(service.settings.processed):
-        rubbish[one.device, one.experiment] = rubbish.get((one.device, one.experiment), 0) + 1
-    return page_of(service, request, "audit.html.j2", deeds=found[:SHOWN], last=last, rubbish=rubbish)
+    found, last = service.database.audit(before, SHOWN)
+    rubbish = Counter((one.device, one.experiment) for one in in_bin(service.settings.processed))
+    return page_of(service, request, "audit.html.j2", deeds=found, last=last, rubbish=rubbish)
 
 
 @pages.get("/api")

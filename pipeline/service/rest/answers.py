@@ -6,12 +6,11 @@ from typing import Any, Generic, Literal, TypeVar
 
 from fastapi import FastAPI, Request
 from fastapi.openapi.utils import get_openapi
-from pydantic import BaseModel, ConfigDict, create_model
+from pydantic import BaseModel, ConfigDict
 
 from pipeline.records.findings import BoundaryPoint, Estimate, Optimum
 from pipeline.records.loop_records import Cause
 from pipeline.service.problems import MEDIA, TITLES, Problem
-from pipeline.theory.cases import POINT_COSTS
 
 Item = TypeVar("Item")
 
@@ -176,16 +175,14 @@ class Queued(Answer):
     job: str
 
 
-class QueuedComparison(Queued):
-    """The job that makes a comparison, and the key under which it will be found."""
-
-    key: str
-
-
 class Made(Answer):
     """The key of a comparison that is there."""
 
     key: str
+
+
+class QueuedComparison(Queued, Made):
+    """The job that makes a comparison, and the key under which it will be found."""
 
 
 class Comparison(Answer):
@@ -195,12 +192,6 @@ class Comparison(Answer):
     made: float
     author: str
     asked: dict[str, Any]
-
-
-class Count(Answer):
-    """How many trials something was done with."""
-
-    trials: int
 
 
 class Deleted(Answer):
@@ -245,47 +236,6 @@ class Refused(Answer):
     excerpt: list[tuple[int, str]]
 
 
-class Excluded(Answer):
-    """Trials that are excluded by hand, with the reason of each."""
-
-    excluded: dict[str, str]
-
-
-class Boundary(Answer):
-    """Stability boundary of the ideal loop, normalised."""
-
-    gamma: float
-    delta: float
-    delay: float
-    alpha_max: float
-    beta_at_alpha_max: float
-    beta_max: float
-    alpha_at_beta_max: float
-    alpha: list[float]
-    beta: list[float]
-
-
-class BestPoint(Answer):
-    """The point of least cost by a criterion, normalised."""
-
-    criterion: str
-    gamma: float
-    delta: float
-    delay: float
-    alpha: float
-    beta: float
-    cost: float | None
-    reason: str | None = None
-    box: dict[str, float] | None = None
-
-
-_costs: dict[str, Any] = dict.fromkeys(POINT_COSTS, (float | None, ...))
-Point = create_model(
-    "Point", __base__=Answer, __doc__="Stability and costs of a point, normalised; null where there is none.",
-    alpha=(float, ...), beta=(float, ...), gamma=(float, ...), delta=(float, ...), delay=(float, ...),
-    stable=(bool, ...), spectral_radius=(float, ...), reason=(str | None, ...), **_costs,
-)  # fmt: skip
-
 PARTS: dict[str, Any] = {
     "estimates": dict[str, Estimate],
     "boundary": list[BoundaryPoint],
@@ -306,6 +256,9 @@ EVERYWHERE = problems(400, 401, 403, 408, 409, 413, 422, 429, 503, 507)
 
 NAMED = problems(404)
 """Answer of a route that names something."""
+
+LATER: dict[int | str, dict[str, Any]] = {202: {"description": "It takes longer.", "model": Queued}, **NAMED}
+"""Answers of a route that waits for a job."""
 
 
 def only_known(request: Request) -> None:

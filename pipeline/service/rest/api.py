@@ -5,6 +5,7 @@ import base64
 import json
 import time
 from collections.abc import AsyncIterator, Callable
+from contextlib import suppress
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Request
@@ -16,15 +17,15 @@ from pipeline import __version__
 from pipeline.records.against_records import AgainstResult
 from pipeline.records.criteria import REPORTED
 from pipeline.records.results import ComparisonResult
-from pipeline.service.catalogue import SORTED, WORDS, Catalogue, Selection, page_of
-from pipeline.service.database import ENDED
+from pipeline.service.catalogue import SORTED, WORDS, Catalogue, Selection
+from pipeline.service.database import ENDED, NEWEST
 from pipeline.service.jobs import documents
-from pipeline.service.problems import Problem
+from pipeline.service.problems import Later, Problem
 from pipeline.service.rest import answers
-from pipeline.service.rest.sample_forms import FORMS, form_of
-from pipeline.service.shared import ComparisonRequest, Service, Shared
+from pipeline.service.shared import MOST_REPORTS, ComparisonRequest, Kept, Service, Shared, Who
 from pipeline.service.uploads import Upload
 from pipeline.store.names import name_of_folder
+from pipeline.store.storage import natural_key
 
 api = APIRouter(prefix="/api/v1", responses=answers.EVERYWHERE)
 
@@ -53,29 +54,19 @@ Segment = Annotated[str, AfterValidator(name_of_folder)]
 """A name in an address: one with a slash or % is written as `names.folder_name` has it, and then quoted."""
 
 Word = Annotated[str, Field(max_length=500)]
-Asked = tuple[dict[str, Any] | None, str | None]
-"""A document, or the job that makes it."""
 FiniteNumber = Annotated[float, Field(allow_inf_nan=False)]
 RANGES = ("stiffness_min", "stiffness_max", "damping_min", "damping_max")
 """Parts of a `TrialQuery` that bound properties."""
 
 
-LOGS = {
-    "required": True,
-    "content": {
-        "multipart/form-data": {
-            "schema": {
-                "type": "object",
-                "required": ["files"],
-                "properties": {
-                    "files": {"type": "array", "minItems": 1, "items": {"type": "string", "format": "binary"}},
-                    "profile": {"type": "string", "maxLength": 100},
-                },
-            }
-        }
-    },
-}
-"""Body of an upload; `uploads` reads it."""
+def files_of(**fields: dict[str, Any]) -> dict[str, Any]:
+    """Return what the schema says of a form with files, and other fields; `uploads` reads it."""
+    files = {"type": "array", "minItems": 1, "items": {"type": "string", "format": "binary"}}
+    schema = {"type": "object", "required": ["files"], "properties": {"files": files, **fields}}
+    return {"requestBody": {"required": True, "content": {"multipart/form-data": {"schema": schema}}}}
+
+
+LOGS = files_of(profile={"type": "string", "maxLength": 100})
 
 
 def cursor(value: object) -> str | None:
@@ -87,22 +78,27 @@ def place(word: str | None, kinds: tuple[type, ...]) -> Any:
     """Return the place that a cursor names: a list of parts of some kinds, or None."""
     if word is None:
         return None
-    try:
+    with suppress(ValueError):
         value = json.loads(base64.urlsafe_b64decode(word.encode()))
-    except ValueError:
-        value = None
-    right = isinstance(value, list) and len(value) == len(kinds)
-    if not right or not all(isinstance(part, kind) for part, kind in zip(value, kinds, strict=True)):
-        raise Problem(400, "The cursor is none of this list. Begin without one.", where="cursor")
-    return value
+        if isinstance(value, list) and len(value) == len(kinds) and all(map(isinstance, value, kinds)):
+            return value
+    raise Problem(400, "The cursor is none of this list. Begin without one.", where="cursor")
 
 
-def numbered(word: str | None) -> int:
-    """Return the number below which a list goes on, by its cursor."""
-    before: int = (place(word, (int,)) or [2**62])[0]
-    if not 0 <= before < 2**63:
-        raise Problem(400, "The cursor is none of this list. Begin without one.", where="cursor")
-    return before
+def latest(read: Callable[[int, int], tuple[list[Any], int | None]], limit: int, word: str | None) -> dict[str, Any]:
+    """Return a part of a list by number (`Database.latest`), and the cursor of the next one."""
+    items, last = read((place(word, (int,)) or [NEWEST])[0], limit)
+    return {"items": items, "next_cursor": cursor(None if last is None else [last])}
+
+
+def parted(items: list[dict[str, Any]], names: tuple[str, ...], limit: int, word: str | None) -> dict[str, Any]:
+    """Return a part of a list that is sorted by names, behind those that a cursor has, and the next cursor."""
+    after = place(word, (str,) * len(names))
+    keys = [tuple(natural_key(item[name]) for name in names) for item in items]
+    behind = None if after is None else tuple(map(natural_key, after))
+    left = [item for item, key in zip(items, keys, strict=True) if behind is None or key > behind]
+    last = [left[limit - 1][name] for name in names] if len(left) > limit else None
+    return {"items": left[:limit], "next_cursor": cursor(last)}
 
 
 class TrialQuery(BaseModel):
@@ -149,21 +145,16 @@ def health(service: Shared) -> dict[str, Any]:
 @api.get("/devices", response_model=answers.Page[answers.Device])
 def devices(service: Shared, limit: Limit = 100, cursor_: Cursor = None) -> dict[str, Any]:
     """List the devices that have trials."""
-    items, last = page_of(service.catalogue.devices, ("device",), limit, place(cursor_, (str,)))
-    return {"items": items, "next_cursor": cursor(last)}
+    return parted(service.catalogue.devices, ("device",), limit, cursor_)
 
 
 @api.get("/experiments", response_model=answers.Page[answers.Experiment])
 def experiments(
-    service: Shared,
-    device: Name | None = None,
-    limit: Limit = 100,
-    cursor_: Cursor = None,
+    service: Shared, device: Name | None = None, limit: Limit = 100, cursor_: Cursor = None
 ) -> dict[str, Any]:
-    """List the experiments, of one device where one is named."""
-    all_ = [e for e in service.catalogue.experiments if device in (None, e["device"])]
-    items, last = page_of(all_, ("device", "experiment"), limit, place(cursor_, (str, str)))
-    return {"items": items, "next_cursor": cursor(last)}
+    """List experiments, of one device or of all."""
+    items = [e for e in service.catalogue.experiments if device in (None, e["device"])]
+    return parted(items, ("device", "experiment"), limit, cursor_)
 
 
 @api.get("/trials", response_model=answers.TrialPage)
@@ -181,20 +172,7 @@ def one_trial(service: Shared, trial: str) -> dict[str, Any]:
     return {**service.found(trial), **words}
 
 
-@api.get(
-    "/trials/{trial}/samples",
-    response_model=answers.Samples,
-    responses={200: {"content": {kind: {} for kind in FORMS}}, **answers.problems(404, 406)},
-)
-def samples(service: Shared, trial: str, request: Request) -> Response:
-    """Return the samples of a trial in the form that Accept names."""
-    write = form_of(request.headers.get("accept", "*/*"))
-    about, table = service.samples(trial)
-    response: Response = write(about, table)
-    return response
-
-
-@api.post("/logs", status_code=202, response_model=answers.Accepted, openapi_extra={"requestBody": LOGS})
+@api.post("/logs", status_code=202, response_model=answers.Accepted, openapi_extra=LOGS)
 async def logs(service: Shared, request: Request) -> dict[str, Any]:
     """Store uploaded logs and queue their ingest."""
     return await receive(service, request)
@@ -203,9 +181,7 @@ async def logs(service: Shared, request: Request) -> dict[str, Any]:
 @api.get("/jobs", response_model=answers.Page[answers.Job])
 def jobs(service: Shared, limit: Limit = 100, cursor_: Cursor = None) -> dict[str, Any]:
     """List jobs, the latest first."""
-    found = service.database.jobs(numbered(cursor_), limit + 1)
-    last = [found[limit - 1]["number"]] if len(found) > limit else None
-    return {"items": found[:limit], "next_cursor": cursor(last)}
+    return latest(service.database.jobs, limit, cursor_)
 
 
 @api.get("/jobs/{job}", response_model=answers.Job, responses=answers.NAMED)
@@ -252,21 +228,20 @@ async def events(service: Shared, job: str, request: Request) -> StreamingRespon
     response_model=answers.Made,
     responses={202: {"description": "A job makes it.", "model": answers.QueuedComparison}, **answers.NAMED},
 )
-def compare(service: Shared, request: Request, asked: ComparisonRequest) -> JSONResponse:
+def compare(service: Shared, who: Who, asked: ComparisonRequest) -> JSONResponse:
     """Ask for a comparison; one that is there is named at once."""
-    key, job = service.comparison(asked, request.state.who)
+    key, job = service.comparison(asked, who)
     return JSONResponse({"key": key}) if job is None else JSONResponse({"job": job, "key": key}, 202)
 
 
 @api.get("/comparisons", response_model=list[answers.Comparison])
 def comparisons(service: Shared) -> list[dict[str, Any]]:
     """List the comparisons that were made, the latest first; of equal ones the newest."""
-    found: dict[str, dict[str, Any]] = {}
-    for job in service.database.reports(MOST):
-        asked = job["request"].get("asked") or {}
-        shown = {"key": job["result"]["key"], "made": job["changed"], "author": job["author"], "asked": asked}
-        found.setdefault(json.dumps(asked), shown)
-    return list(found.values())
+    return [
+        {"key": job["result"]["key"], "made": job["changed"], "author": job["author"], "asked": job["request"]["asked"]}
+        for job in service.database.reports(MOST_REPORTS)
+        if not job["earlier"]
+    ]
 
 
 @api.get("/comparisons/{key}", response_model=ComparisonResult | AgainstResult, responses=answers.NAMED)
@@ -287,46 +262,33 @@ def _add_part(part: str, shape: Any) -> None:
     @api.get(
         f"/experiments/{{device}}/{{experiment}}/{part}",
         response_model=shape,
-        responses={202: {"description": "It takes longer.", "model": answers.Queued}, **answers.NAMED},
+        responses=answers.LATER,
         description=f"Return the {part} of an experiment; 202 with a job where it is not computed in time.",
     )
     async def experiment_part(service: Shared, device: Segment, experiment: Segment) -> Response:
-        document, job = await experiment_document(service, device, experiment)
-        if document is None:
-            return later(job)
-        return JSONResponse(part_of(document, part))
+        document = await awaited(service, lambda: service.experiment(device, experiment))
+        found = document["causes"] if part == "causes" else document["experiments"][0]
+        name = {"causes": experiment, "optima": "optimum"}.get(part, part)
+        return JSONResponse(found[name])
 
 
 for part, shape in answers.PARTS.items():
     _add_part(part, shape)
 
 
-async def experiment_document(
-    service: Service, device: str, experiment: str
-) -> tuple[dict[str, Any] | None, str | None]:
-    """Return the document of an experiment, or the job that makes it where that takes long."""
-    return await awaited(service, lambda: service.experiment(device, experiment), f"{device}, experiment {experiment}")
-
-
-async def awaited(service: Service, ask: Callable[[], Asked], where: str) -> Asked:
-    """Return a document, or the job that makes it where that takes long."""
-    document, job = await run_in_threadpool(ask)
+async def awaited(service: Service, ask: Callable[[], Kept]) -> dict[str, Any]:
+    """Return a document that is kept or made in time; else raise `Later` with the job that makes it."""
     until = time.monotonic() + service.settings.wait_s
-    while document is None and time.monotonic() < until:
-        assert job is not None, "there is a document or a job"
-        shown = await run_in_threadpool(service.database.job, job)
-        if shown is not None and shown["state"] in ENDED:
-            if shown["problem"]:
-                raise Problem(503, shown["problem"]["detail"], where=where)
-            document, job = await run_in_threadpool(ask)
-        else:
+    while True:
+        document, job = await run_in_threadpool(ask)
+        if document is not None or job is None:
+            return document or {}
+        while (shown := await run_in_threadpool(one_job, service, job))["state"] not in ENDED:
+            if time.monotonic() > until:
+                raise Later(job)
             await asyncio.sleep(0.1)
-    return document, job
-
-
-def later(job: str | None) -> Response:
-    """Return the answer where a job takes longer than a request waits."""
-    return JSONResponse({"job": job}, 202, {"Retry-After": "5", "Location": f"/api/v1/jobs/{job}"})
+        if shown["problem"]:
+            raise Problem(503, shown["problem"]["detail"], where=", ".join(shown["request"]["request"]["experiments"]))
 
 
 def cancel_job(service: Service, job: str, role: str, who: str) -> None:
@@ -350,14 +312,6 @@ async def receive(service: Service, request: Request, check: Any = lambda _: Non
         raise
     service.workers.wake()
     return accepted
-
-
-def part_of(document: dict[str, Any], part: str) -> Any:
-    """Return a part of an experiment's document."""
-    (found,) = document["experiments"]
-    if part == "causes":
-        return document["causes"][found["experiment"]]
-    return found["optimum" if part == "optima" else part]
 
 
 def _file(service: Service, key: str, ending: str, media: str) -> Response:

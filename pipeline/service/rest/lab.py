@@ -5,7 +5,7 @@ import secrets
 import shutil
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Path, Query, Request
+from fastapi import APIRouter, Path, Request
 from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
@@ -13,23 +13,16 @@ from starlette.concurrency import run_in_threadpool
 from pipeline.base.paths import path_of_text
 from pipeline.intake.quarantine import excerpt_of, list_quarantine, record_id, release
 from pipeline.service import profiles
-from pipeline.service.jobs.documents import uploaded_name
 from pipeline.service.problems import Problem
 from pipeline.service.rest import answers
-from pipeline.service.rest.api import Name, Segment, awaited, experiment_document, later
-from pipeline.service.shared import Service, Shared
+from pipeline.service.rest.api import Name, Segment, awaited, files_of
+from pipeline.service.shared import Service, Shared, Who
 from pipeline.service.uploads import Upload
 
 lab = APIRouter(prefix="/api/v1", responses=answers.EVERYWHERE)
 
 ProfileName = Annotated[str, Path(pattern=profiles.NAME)]
 Toml = Annotated[str, Field(max_length=profiles.LONGEST)]
-QUEUED: dict[int | str, dict[str, Any]] = {202: {"description": "It takes longer.", "model": answers.Queued}}
-FILES = {
-    "required": True,
-    "content": {"multipart/form-data": {"schema": {"type": "object", "required": ["files"], "properties": {
-        "files": {"type": "array", "minItems": 1, "items": {"type": "string", "format": "binary"}}}}}},
-}  # fmt: skip
 
 
 class ProfileText(BaseModel):
@@ -73,14 +66,19 @@ def profile(service: Shared, name: ProfileName) -> dict[str, str]:
 
 
 @lab.put("/profiles/{name}", response_model=ProfileText)
-def put_profile(service: Shared, request: Request, name: ProfileName, asked: ProfileText) -> dict[str, str]:
+def put_profile(service: Shared, who: Who, name: ProfileName, asked: ProfileText) -> dict[str, str]:
     """Keep a profile of the lab, in place of an earlier one of its name."""
-    profiles.keep(service.settings, name, asked.profile)
-    service.database.note(request.state.who, "kept a profile", {"name": name})
+    keep_profile(service, name, asked.profile, who)
     return asked.model_dump()
 
 
-@lab.post("/profiles/draft", response_model=answers.Draft, openapi_extra={"requestBody": FILES},
+def keep_profile(service: Service, name: str, text: str, who: str) -> None:
+    """Keep a profile of the lab, and who did."""
+    profiles.keep(service.settings, name, text)
+    service.database.note(who, "kept a profile", {"name": name})
+
+
+@lab.post("/profiles/draft", response_model=answers.Draft, openapi_extra=files_of(),
           responses=answers.problems(504))  # fmt: skip
 async def draft(service: Shared, request: Request) -> dict[str, Any]:
     """Draft a profile for sample logs; they are kept for a day, for previews."""
@@ -113,15 +111,14 @@ def preview(service: Shared, asked: Tried) -> list[Any]:
 
 def refused(service: Service) -> list[dict[str, Any]]:
     """Return the refused logs, with names as uploaded, who sent them, and the lines around the row at fault."""
-    processed = service.settings.processed
+    processed, sent = service.settings.processed, service.database.uploaded()
     found = []
     for record in list_quarantine(processed, {}):
+        name, author = sent.get(record.path, (str(path_of_text(record.path)), None))
         since = os.stat(processed / "quarantine" / record_id(record)).st_mtime
         shown = record.model_dump(include={"row", "reason", "code", "profile", "profile_line"})
-        author = service.database.uploader(record.path)
-        name = uploaded_name(service.database, record.path)
-        found.append({"id": record_id(record), "name": name, "since": since, "author": author, **shown,
-                      "excerpt": excerpt_of(record)})  # fmt: skip
+        more = {"id": record_id(record), "since": since, "excerpt": excerpt_of(record)}
+        found.append({**shown, **more, "name": name, "author": author})
     return found
 
 
@@ -144,14 +141,14 @@ def retry_log(service: Service, which: str, profile: str, who: str) -> str:
     if not path_of_text(path).exists():
         raise Problem(409, "The log is not where it was. Send it again.", where="id", found=path_of_text(path).name)
     profiles.profile_path(service.settings, profile)
-    service.database.note(who, "tried again", {"log": uploaded_name(service.database, path), "profile": profile})
+    service.database.note(who, "tried again", {"log": service.database.uploaded_name(path), "profile": profile})
     return service.job("upload", {"folder": "", "profile": profile, "skipped": 0, "again": [path]}, author=who)
 
 
 def dismiss_log(service: Service, which: str, who: str) -> None:
     """Remove a refused log from quarantine, and from the uploads where it came by these."""
     path = _path_of(service, which)
-    name, log = uploaded_name(service.database, path), path_of_text(path)
+    name, log = service.database.uploaded_name(path), path_of_text(path)
     if (service.settings.data / "logs").absolute() in log.absolute().parents:
         service.database.run("DELETE FROM uploads WHERE path = ?", path)
         shutil.rmtree(log) if log.is_dir() else log.unlink(missing_ok=True)
@@ -160,39 +157,35 @@ def dismiss_log(service: Service, which: str, who: str) -> None:
 
 
 @lab.post("/quarantine/{which}/retry", status_code=202, response_model=answers.Queued, responses=answers.NAMED)
-def retry(service: Shared, request: Request, which: str, asked: Retry) -> dict[str, str]:
+def retry(service: Shared, who: Who, which: str, asked: Retry) -> dict[str, str]:
     """Read a refused log again, by another profile where one is given."""
-    return {"job": retry_log(service, which, asked.profile, request.state.who)}
+    return {"job": retry_log(service, which, asked.profile, who)}
 
 
 @lab.delete("/quarantine/{which}", status_code=204, response_class=Response, responses=answers.NAMED)
-def dismiss(service: Shared, request: Request, which: str) -> Response:
+def dismiss(service: Shared, who: Who, which: str) -> Response:
     """Dismiss a refused log."""
-    dismiss_log(service, which, request.state.who)
+    dismiss_log(service, which, who)
     return Response(status_code=204)
 
 
-@lab.get("/plan", response_model=dict[str, Any], responses={**QUEUED, **answers.NAMED})
+@lab.get("/plan", response_model=dict[str, Any], responses=answers.LATER)
 async def plan(
-    service: Shared,
-    device: Name,
-    experiment: Name,
-    goal: Annotated[Literal["boundary", "optimum"], Query()] = "boundary",
+    service: Shared, device: Name, experiment: Name, goal: Literal["boundary", "optimum"] = "boundary"
 ) -> Response:
     """Return which walls to try next, as `pipeline plan --json`."""
-    document, job = await awaited(service, lambda: service.plan(device, experiment, goal), f"{device}, {experiment}")
-    return JSONResponse(document) if document is not None else later(job)
+    return JSONResponse(await awaited(service, lambda: service.plan(device, experiment, goal)))
 
 
-@lab.get("/figures/{device}/{experiment}/{name}.svg", response_class=Response,
-         responses={200: {"content": {"image/svg+xml": {}}}, **QUEUED, **answers.NAMED})  # fmt: skip
+SVG: dict[int | str, dict[str, Any]] = {200: {"content": {"image/svg+xml": {}}}}
+
+
+@lab.get("/figures/{device}/{experiment}/{name}.svg", response_class=Response, responses={**SVG, **answers.LATER})
 async def figure(service: Shared, device: Segment, experiment: Segment, name: str) -> Response:
     """Return a figure of an experiment: ``limits`` with theory, or ``response``."""
     from pipeline.rendering.figures.drawing import standalone
 
-    document, job = await experiment_document(service, device, experiment)
-    if document is None:
-        return later(job)
-    if name not in document["figures"]:
-        raise Problem(404, "There is no such figure.", where="name", expected=sorted(document["figures"]), found=name)
-    return Response(standalone(document["figures"][name]["panels"][0]), media_type="image/svg+xml")
+    figures = (await awaited(service, lambda: service.experiment(device, experiment)))["figures"]
+    if name not in figures:
+        raise Problem(404, "There is no such figure.", where="name", expected=sorted(figures), found=name)
+    return Response(standalone(figures[name]["panels"][0]), media_type="image/svg+xml")

@@ -3,17 +3,16 @@
 from collections.abc import Callable
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Header, Request
+from fastapi import APIRouter, Depends, Header
 from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.base.provenance import digest
 from pipeline.intake.correct import in_bin
-from pipeline.service.jobs.documents import uploaded_name
 from pipeline.service.problems import Problem
 from pipeline.service.rest import answers
-from pipeline.service.rest.api import Cursor, Limit, Segment, cursor, numbered
-from pipeline.service.shared import Service, Shared
+from pipeline.service.rest.api import Cursor, Limit, Segment, latest
+from pipeline.service.shared import Service, Shared, Who
 
 remarks = APIRouter(prefix="/api/v1", responses=answers.EVERYWHERE)
 
@@ -58,6 +57,9 @@ class Change(BaseModel):
     experiment: Name | None = None
 
 
+Place = DeviceChange | Change
+
+
 class InBin(BaseModel):
     """Which trials of the bin are meant: a device, of it an experiment, or a trial."""
 
@@ -85,6 +87,12 @@ def of_experiment(service: Shared, device: Segment, experiment: Segment) -> list
     return ["experiment", device, experiment]
 
 
+def of_device(service: Shared, device: Segment) -> list[str]:
+    """Return a device as what is renamed and deleted."""
+    service.experiments(device, None)
+    return ["device", device]
+
+
 def tag_of(found: dict[str, Any]) -> str:
     """Return the ETag of notes or tags: another one after each change."""
     return f'"{digest([found["value"], found["changed"]])}"'
@@ -108,95 +116,90 @@ def _add_words(path: str, of: Callable[..., list[str]], form: type[Notes | Tags]
     owned = Annotated[list[str], Depends(of)]
     kind, (name,) = path.rpartition("/")[2], form.model_fields
 
-    def told(service: Service, of: list[str]) -> Response:
+    @remarks.get(path, response_model=answer, responses=answers.NAMED)
+    def words(service: Shared, of: owned) -> Response:
         found = service.database.words(kind, of)
         shown = {name: found["value"], "author": found["author"], "changed": found["changed"]}
         return JSONResponse(shown, headers={"ETag": tag_of(found)})
 
-    @remarks.get(path, response_model=answer, responses=answers.NAMED)
-    def words(service: Shared, of: owned) -> Response:
-        return told(service, of)
-
-    def put_words(service: Shared, request: Request, of: owned, asked: Any, match: IfMatch = None) -> Response:
-        keep_words(service, kind, of, getattr(asked, name), request.state.who, match)
-        return told(service, of)
+    def put_words(service: Shared, who: Who, of: owned, asked: Any, match: IfMatch = None) -> Response:
+        keep_words(service, kind, of, getattr(asked, name), who, match)
+        return words(service, of)
 
     put_words.__annotations__["asked"] = form  # by which the framework reads the body
     remarks.put(path, response_model=answer, responses=STALE)(put_words)
 
 
 def _add_remarks(owner: str, of: Callable[..., list[str]]) -> None:
-    """Add the routes of what is said of trials or experiments."""
+    """Add the routes of what is said of trials or experiments, and done with them."""
     _add_words(f"{owner}/notes", of, Notes, answers.WrittenNotes)
     _add_words(f"{owner}/tags", of, Tags, answers.WrittenTags)
     owned = Annotated[list[str], Depends(of)]
 
-    @remarks.get(f"{owner}/exclusion", response_model=answers.Excluded, responses=answers.NAMED)
+    @remarks.get(f"{owner}/exclusion", response_model=dict[str, dict[str, str]], responses=answers.NAMED)
     def excluded(service: Shared, of: owned) -> dict[str, Any]:
         return {"excluded": service.excluded(of)}
 
-    @remarks.put(f"{owner}/exclusion", response_model=answers.Excluded, responses=answers.NAMED)
-    def put_exclusion(service: Shared, request: Request, of: owned, asked: Exclusion) -> dict[str, Any]:
-        return {"excluded": service.exclude(of, asked.reason, request.state.who)}
-
-    @remarks.patch(owner, response_model=answers.Count, responses=answers.NAMED)
-    def move(service: Shared, request: Request, of: owned, asked: Change) -> dict[str, int]:
-        if of[0] == "trial":
-            about = service.found(of[1])
-            place = about["device"], about["experiment"]
-        else:
-            place = of[1], of[2]
-        to = (asked.device or place[0], asked.experiment or place[1])
-        return {"trials": service.move(of, to, request.state.who)}
-
-    @remarks.delete(owner, response_model=answers.Count, responses=answers.NAMED)
-    def delete(service: Shared, request: Request, of: owned) -> dict[str, int]:
-        return {"trials": service.delete(of, request.state.who)}
+    @remarks.put(f"{owner}/exclusion", response_model=dict[str, dict[str, str]], responses=answers.NAMED)
+    def put_exclusion(service: Shared, who: Who, of: owned, asked: Exclusion) -> dict[str, Any]:
+        return {"excluded": service.exclude(of, asked.reason, who)}
 
 
-for owner, of in (("/trials/{trial}", of_trial), ("/experiments/{device}/{experiment}", of_experiment)):
-    _add_remarks(owner, of)
+def _add_places(owner: str, of: Callable[..., list[str]], form: type[DeviceChange | Change]) -> None:
+    """Add the routes that rename, move and delete."""
+    owned = Annotated[list[str], Depends(of)]
+
+    def move(service: Shared, who: Who, of: owned, asked: Any) -> dict[str, int]:
+        return {"trials": move_to(service, of, asked, who)}
+
+    move.__annotations__["asked"] = form
+    remarks.patch(owner, response_model=dict[str, int], responses=answers.NAMED)(move)
+
+    @remarks.delete(owner, response_model=dict[str, int], responses=answers.NAMED)
+    def delete(service: Shared, who: Who, of: owned) -> dict[str, int]:
+        return {"trials": service.delete(of, who)}
 
 
-@remarks.patch("/devices/{device}", response_model=answers.Count, responses=answers.NAMED)
-def rename_device(service: Shared, request: Request, device: Segment, asked: DeviceChange) -> dict[str, int]:
-    """Let all trials of a device count as of another one."""
-    return {"trials": service.move(["device", device], (asked.device,), request.state.who)}
+def move_to(service: Service, of: list[str], asked: Place, who: str) -> int:
+    """Let what is stored count as of the place that is asked for; a name that is not given stays."""
+    device, *experiment = of[1:]
+    if of[0] == "trial":
+        device, *experiment = (service.found(of[1])[name] for name in ("device", "experiment"))
+    name = getattr(asked, "experiment", None)
+    return service.move(of, [asked.device or device, *([name] if name else experiment)], who)
 
 
-@remarks.delete("/devices/{device}", response_model=answers.Count, responses=answers.NAMED)
-def delete_device(service: Shared, request: Request, device: Segment) -> dict[str, int]:
-    """Put all trials of a device into the bin."""
-    return {"trials": service.delete(["device", device], request.state.who)}
+TRIAL, EXPERIMENT, DEVICE = "/trials/{trial}", "/experiments/{device}/{experiment}", "/devices/{device}"
+_add_remarks(TRIAL, of_trial)
+_add_remarks(EXPERIMENT, of_experiment)
+_add_places(TRIAL, of_trial, Change)
+_add_places(EXPERIMENT, of_experiment, Change)
+_add_places(DEVICE, of_device, DeviceChange)
 
 
 @remarks.get("/bin", response_model=list[answers.Deleted])
 def bin_(service: Shared) -> list[dict[str, Any]]:
     """List the deleted trials that are stored still."""
+    names = {"trial_id", "device", "experiment"}
+    found = in_bin(service.settings.processed)
     return [
-        {
-            **one.model_dump(include={"trial_id", "device", "experiment"}),
-            "source": uploaded_name(service.database, one.source_path),
-        }
-        for one in in_bin(service.settings.processed)
+        {**one.model_dump(include=names), "source": service.database.uploaded_name(one.source_path)} for one in found
     ]
 
 
-@remarks.post("/bin/restore", response_model=answers.Count)
-def restore(service: Shared, request: Request, asked: InBin) -> dict[str, int]:
+@remarks.post("/bin/restore", response_model=dict[str, int])
+def restore(service: Shared, who: Who, asked: InBin) -> dict[str, int]:
     """Take trials out of the bin."""
-    return {"trials": service.restore(asked.of, request.state.who)}
+    return {"trials": service.restore(asked.of, who)}
 
 
-@remarks.delete("/bin", response_model=answers.Count)
-def empty_bin(service: Shared, request: Request) -> dict[str, int]:
+@remarks.delete("/bin", response_model=dict[str, int])
+def empty_bin(service: Shared, who: Who) -> dict[str, int]:
     """Remove what is in the bin from the store; logs are never touched."""
-    return {"trials": service.empty_bin(request.state.who)}
+    return {"trials": service.empty_bin(who)}
 
 
 @remarks.get("/audit", response_model=answers.Page[answers.Deed])
 def audit(service: Shared, limit: Limit = 100, cursor_: Cursor = None) -> dict[str, Any]:
     """List who did what by hand, the latest first."""
-    found = service.database.audit(numbered(cursor_), limit + 1)
-    last = [found[limit - 1]["number"]] if len(found) > limit else None
-    return {"items": found[:limit], "next_cursor": cursor(last)}
+    return latest(service.database.audit, limit, cursor_)

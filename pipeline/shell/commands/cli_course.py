@@ -2,34 +2,25 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
+import os
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from pipeline.base.errors import UsageError
 from pipeline.base.paths import check_output
 from pipeline.shell import console
-from pipeline.shell.commands.options import Experiments, Json, Processed
+from pipeline.shell.commands.options import PROCESSED, Experiments, Json
 
 if TYPE_CHECKING:
     from pipeline.records.models import Device
 
 
-class DampingRange(StrEnum):
-    """Which dampings a simulated course covers."""
-
-    tested = "tested"
-    full = "full"
-
-
-class AccuracyPart(StrEnum):
-    """Which part of the accuracy page is measured."""
-
-    theory = "theory"
-    measured = "measured"
+SET = ("quantum", "noise", "jitter", "duration_s", "damping_range")
+"""What of a simulation may be set in place of what the device file says."""
 
 
 def demo(
@@ -60,24 +51,15 @@ def simulate(
     out: Annotated[Path, typer.Option("--out", help="Logs go to DEVICE/EXPERIMENT below this folder.")] = Path("raw"),
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of noise and jitter.")] = 0,
     ideal: Annotated[bool, typer.Option("--ideal", help="Without noise, quantum and jitter.")] = False,
-    quantum: Annotated[
-        float | None, typer.Option("--quantum", help="Sensor quantum in m or rad, in place of the device's.")
+    setting: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="In place of the device's: quantum, noise (m or rad), jitter (such as 3,4,5, or none), duration_s, "
+            "damping_range (tested or full); may be given several times.",
+        ),
     ] = None,
-    noise: Annotated[
-        float | None,
-        typer.Option("--noise", help="Standard deviation of the sensor noise in m or rad, in place of the device's."),
-    ] = None,
-    jitter: Annotated[
-        str | None,
-        typer.Option("--jitter", help='Delays to draw from, such as "3,4,5", or "none".'),
-    ] = None,
-    duration: Annotated[
-        float | None, typer.Option("--duration", help="Length of a trial in s, in place of the device's.")
-    ] = None,
-    damping_range: Annotated[
-        DampingRange,
-        typer.Option("--range", help="Dampings as tested, or on until no stiffness is stable."),
-    ] = DampingRange.tested,
     coarsen: Annotated[int, typer.Option("--coarsen", help="Every n-th damping and n times the stiffness step.")] = 1,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the logs of an earlier simulation.")] = False,
     as_json: Json = False,
@@ -90,7 +72,7 @@ def simulate(
 
     record = _device(device)
     names = [e.name for e in record.experiments] if not experiment else list(dict.fromkeys(experiment))
-    delays = None if jitter is None else _jitter(jitter)
+    changed = _settings(setting or ())
     counts: dict[str, int] = {}
     for name in names:
         with console.progress(f"{record.name} {name}", "trials", as_json) as advance:
@@ -99,13 +81,9 @@ def simulate(
                 name,
                 seed=seed,
                 ideal=ideal,
-                quantum=quantum,
-                noise=noise,
-                jitter=delays,
-                duration_s=duration,
-                damping_range=damping_range.value,
                 coarsen=coarsen,
                 progress=partial(_count, advance),
+                **changed,
             )
         counts[name] = write_course(course, out, overwrite=overwrite)
         if not as_json:
@@ -120,33 +98,39 @@ def _device(text: str) -> Device:
     return read_device(Path(text)) if text.endswith(".toml") else load_device(text)
 
 
-def _jitter(text: str) -> tuple[int, ...]:
-    if text.strip() == "none":
-        return ()
-    try:
-        return tuple(int(word) for word in text.split(","))
-    except ValueError as error:
-        raise UsageError(
-            f'--jitter {text!r}: expected whole numbers of samples, such as "3,4,5", or "none".'
-        ) from error
+def _settings(given: Sequence[str]) -> dict[str, Any]:
+    """Return what is set by words KEY=VALUE, as `run_course` takes it."""
+    found: dict[str, Any] = {}
+    for word in given:
+        key, _, value = word.partition("=")
+        try:
+            if key == "jitter":
+                found[key] = () if value == "none" else tuple(map(int, value.split(",")))
+            elif key == "damping_range":
+                found[key] = {"tested": "tested", "full": "full"}[value]
+            else:
+                found[{name: name for name in SET}[key]] = float(value)
+        except (KeyError, ValueError):
+            raise UsageError(
+                f"--set {word}: expected one of {', '.join(SET)}, = and a number; jitter is such as 3,4,5 or none, "
+                "and damping_range tested or full."
+            ) from None
+    return found
 
 
 def accuracy(
     out: Annotated[Path, typer.Option("--out", help="HTML file to write, with the JSON document beside it.")] = Path(
         "reports/accuracy.html"
     ),
-    only: Annotated[
-        AccuracyPart | None, typer.Option("--only", help="This part alone; the page then has no other.")
-    ] = None,
     quick: Annotated[
         bool, typer.Option("--quick", help="Fewer settings and repetitions: seconds, not two minutes.")
     ] = False,
-    processed: Processed = Path("processed"),
     as_json: Json = False,
 ) -> None:
     """Measure error against run time of each numerical method.
 
-    Reports of comparisons show the part on the theory while code and machine are unchanged.
+    Reports of comparisons show the part on theory while code and machine are unchanged (stored in processed, or where
+    PIPELINE_PROCESSED says).
 
     Example: pipeline accuracy --quick
     """
@@ -156,17 +140,14 @@ def accuracy(
 
     check_output(out, "--out", document_beside=True)
     say = (lambda _: None) if as_json else console.note
-    parts = {"theory": only != AccuracyPart.measured, "measured": only != AccuracyPart.theory}
-    report = run.measure(quick, say, **parts)
+    report = run.measure(quick, say)
     write_text(out, page.render(report))
     write_text(out.with_suffix(".json"), report.model_dump_json(indent=1) + "\n")
-    if report.rungs:
-        results.store(report, processed)
+    results.store(report, Path(os.environ.get(PROCESSED, "processed")))
     if as_json:
         console.print_json(report.model_dump(mode="json"))
         return
-    if report.rungs:
-        for line in console.table(page.summary_rows(report), ("quantity", "error", "time", "other", "other time")):
-            console.say(line)
+    for line in console.table(page.summary_rows(report), ("quantity", "error", "time", "other", "other time")):
+        console.say(line)
     console.say(f"{report.machine['processor']}, Python {report.machine['python']}, numpy {report.machine['numpy']}")
     console.say(f"report: {out}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from enum import StrEnum
+from collections.abc import Sequence
 from math import inf
 from pathlib import Path
 from types import FrameType
@@ -22,11 +22,13 @@ if TYPE_CHECKING:
     from pipeline.plan.planner import Plan
 
 
-class Goal(StrEnum):
-    """What the trials are for."""
-
-    boundary = "boundary"
-    optimum = "optimum"
+LIMITS = {
+    "stiffness": "largest_stiffness",
+    "damping": "largest_damping",
+    "force": "largest_force",
+    "travel": "travel",
+}
+"""Bounds of what is tried, with their names in `Wish`."""
 
 
 def plan(
@@ -35,8 +37,9 @@ def plan(
         str | None, typer.Option("--experiment", "-e", help="Experiment; the only stored one where not given.")
     ] = None,
     count: Annotated[int, typer.Option("--next", min=1, help="How many walls to name at once.")] = 1,
-    goal: Annotated[Goal, typer.Option("--goal", help="Limits of stability, or the best cost.")] = Goal.boundary,
-    criterion: Annotated[str, typer.Option("--criterion", help="Criterion of the goal optimum.")] = "settle_2pct",
+    goal: Annotated[
+        str, typer.Option("--goal", help="boundary, optimum (of settle_2pct), or a criterion: its best wall.")
+    ] = "boundary",
     dampings: Annotated[
         str | None, typer.Option("--dampings", help="Dampings at which limits are wanted, separated by commas.")
     ] = None,
@@ -44,17 +47,15 @@ def plan(
         float, typer.Option("--accuracy", help="Wanted largest error of a limit, in percent of the largest limit.")
     ] = 2.0,
     gentle: Annotated[bool, typer.Option("--gentle", help="Prefer stable walls, approach limits from below.")] = False,
-    max_stiffness: Annotated[
-        float, typer.Option("--max-stiffness", help="Largest K to try.", show_default=False)
-    ] = inf,
-    max_damping: Annotated[float, typer.Option("--max-damping", help="Largest B to try.", show_default=False)] = inf,
-    max_force: Annotated[
-        float,
-        typer.Option("--max-force", help="No wall stiffer than one whose command exceeded this.", show_default=False),
-    ] = inf,
-    max_travel: Annotated[
-        float, typer.Option("--max-travel", help="Largest distance of the start from the centre.", show_default=False)
-    ] = inf,
+    limit: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--limit",
+            metavar="KEY=VALUE",
+            help="Largest stiffness or damping to try, travel (of the start from the centre) or force (no wall stiffer "
+            "than one whose command exceeded it); may be given several times.",
+        ),
+    ] = None,
     processed: Processed = Path("processed"),
     watch: Annotated[
         list[Path] | None, typer.Option("--watch", help="Folder in which logs arrive: ingest them, plan after each.")
@@ -76,28 +77,19 @@ def plan(
     from pipeline.plan.planner import plan as plan_stored
     from pipeline.records.criteria import MEASURED
 
+    criterion = "settle_2pct" if goal in ("boundary", "optimum") else goal
     if criterion not in MEASURED:
-        raise UsageError(f"unknown criterion {criterion!r}; expected one of {', '.join(MEASURED)}.")
+        raise UsageError(f"--goal {goal}: expected boundary, optimum or a criterion: {', '.join(MEASURED)}.")
     if not 0 < accuracy < 50:
         raise UsageError(f"--accuracy {accuracy:g}: expected a percentage above 0 and below 50.")
-    for option, value in (
-        ("--max-stiffness", max_stiffness),
-        ("--max-force", max_force),
-        ("--max-travel", max_travel),
-    ):
-        if not value > 0:
-            raise UsageError(f"{option} {value:g}: expected a number above 0.")
     wish = Wish(
-        goal.value,
+        "boundary" if goal == "boundary" else "optimum",
         criterion,
         count,
         _numbers(dampings),
         accuracy / 100,
         gentle,
-        max_stiffness,
-        max_damping,
-        max_force,
-        max_travel,
+        **_limits(limit or ()),
     )
     if watch:
         _watch(watch, device, processed, experiment, wish, profile, as_json)
@@ -113,6 +105,20 @@ def _numbers(text: str | None) -> tuple[float, ...]:
     if not all(0 <= value < inf for value in values):
         raise UsageError(f"--dampings {text}: expected numbers of 0 or more, separated by commas, such as 0,20,40.")
     return values
+
+
+def _limits(given: Sequence[str]) -> dict[str, float]:
+    found = {}
+    for word in given:
+        key, _, value = word.partition("=")
+        try:
+            number = float(value)
+        except ValueError:
+            number = -1.0
+        if key not in LIMITS or not number > 0:
+            raise UsageError(f"--limit {word}: expected one of {', '.join(LIMITS)}, = and a number above 0.")
+        found[LIMITS[key]] = number
+    return found
 
 
 def _watch(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -14,42 +15,51 @@ from pipeline.base.paths import check_output
 from pipeline.shell import console
 from pipeline.shell.commands.options import Json, Processed, ProfileFile
 
-if TYPE_CHECKING:
-    from pipeline.profiles.profile_model import Profile
-    from pipeline.shell.profile.log_picture import Picture
 
-profile_app = typer.Typer(
-    no_args_is_help=True,
-    help="Profiles of foreign logs: draft one from a sample, check what one reads.",
-)
+class Deed(StrEnum):
+    """What is done with profiles."""
+
+    check = "check"
+    draft = "draft"
 
 
-@profile_app.command("check")
-def check(
-    profile: Annotated[str, typer.Argument(help="Profile file (.toml), or name of a shipped profile.")],
-    samples: Annotated[list[Path], typer.Argument(help="Sample logs, or folders with some.")],
-    look_at: Annotated[
-        Path | None,
-        typer.Option("--look", help="HTML file that gets a picture of what is read, as of pipeline look."),
+def profile(
+    deed: Annotated[Deed, typer.Argument(help="What to do.", metavar="check|draft")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(help="check: a profile file (.toml) or name, and sample logs; draft: logs, the first drafted."),
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="New file for a draft; printed where not given.", show_default=False)
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Show what a profile reads of sample logs. Nothing is stored.
+    """Draft a profile from sample logs, or show what a profile reads.
 
-    Nothing is stored. Exit status 3 where a sample would be refused, 1 where the profile itself is wrong (all of its
-    mistakes are told at once) or a command obeys another K, B or step than the conditions say.
+    A draft marks open questions: lines "# QUESTION: key: ..." stand where units, signs and conditions must not be
+    guessed. Set the key below and remove the line; `check` lists what is open.
+
+    A check stores nothing. Exit status 3 where a sample would be refused, 1 where the profile itself is wrong (all of
+    its mistakes are told at once) or a command obeys another K, B or step than the conditions say.
+
+    Example: pipeline profile draft run_*.csv --out lab.toml
 
     Example: pipeline profile check lab.toml run_01.csv
     """
+    if deed is Deed.draft:
+        _draft(files, out, as_json)
+    elif len(files) < 2 or out is not None:
+        raise UsageError("expected check PROFILE LOGS, without --out, or draft LOGS.")
+    else:
+        _check(str(files[0]), files[1:], as_json)
+
+
+def _check(name: str, samples: Sequence[Path], as_json: bool) -> None:
     from pipeline.profiles.profile_files import load_profile
     from pipeline.shell.profile.profile_check import check_document, check_lines, check_samples
 
-    if look_at is not None:
-        check_output(look_at, "--look")
-    loaded = load_profile(profile)
+    loaded = load_profile(name)
     checked = check_samples(loaded, samples)
-    if look_at is not None:
-        _draw([Path(sample.path) for sample in checked if sample.reason is None], loaded, look_at)
     if as_json:
         console.print_json(check_document(loaded, checked))
     else:
@@ -59,6 +69,29 @@ def check(
         raise typer.Exit(EXIT_ERROR)
     if any(sample.reason is not None for sample in checked):
         raise typer.Exit(EXIT_QUARANTINED)
+
+
+def _draft(samples: Sequence[Path], out: Path | None, as_json: bool) -> None:
+    from pipeline.base.disk import write_text
+    from pipeline.profiles.profile_lines import find_questions
+    from pipeline.shell.profile.profile_draft import draft_profile
+
+    if out is not None:
+        check_output(out, "--out")
+        if out.exists():
+            raise UsageError(f"{out}: exists. Give another file, or remove it.")
+    text = draft_profile(*samples)
+    questions = find_questions(text)
+    if out is not None:
+        write_text(out, text)
+    if as_json:
+        asked = [{"line": q.line, "key": ".".join(map(str, q.place)), "question": q.text} for q in questions]
+        document = {"sample": str(samples[0]), "out": None if out is None else str(out), "profile": text}
+        console.print_json({**document, "questions": asked})
+    elif out is None:
+        console.say(text.rstrip("\n"))
+    else:
+        console.say(f"{out}: {len(questions)} questions are open")
 
 
 def look(
@@ -74,70 +107,21 @@ def look(
 
     Example: pipeline look run_01.csv
     """
+    from pipeline.base.disk import write_text
     from pipeline.profiles.profile_files import load_profile
-    from pipeline.shell.profile.log_picture import document
+    from pipeline.shell.profile.log_picture import document, page
+    from pipeline.shell.profile.log_picture import look as look_at
 
     check_output(out, "--out")
-    (picture,) = _draw([log], None if profile is None else load_profile(profile), out)
+    picture = look_at(log, None if profile is None else load_profile(profile))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_text(out, page([picture]))
     if as_json:
         console.print_json({**document(picture), "page": str(out)})
         return
     for line in picture.notes:
         console.say(line)
     console.say(f"picture: {out}")
-
-
-def _draw(logs: Sequence[Path], profile: Profile | None, out: Path) -> list[Picture]:
-    """Write the page of some logs, and return their pictures."""
-    from pipeline.base.disk import write_text
-    from pipeline.shell.profile.log_picture import look as look_at
-    from pipeline.shell.profile.log_picture import page
-
-    pictures = [look_at(log, profile) for log in logs]
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_text(out, page(pictures))
-    return pictures
-
-
-@profile_app.command("draft")
-def draft(
-    samples: Annotated[
-        list[Path], typer.Argument(help="Logs of the lab: the first is drafted, others are held against it.")
-    ],
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Profile file to write; printed where not given.", show_default=False)
-    ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the profile file.")] = False,
-    as_json: Json = False,
-) -> None:
-    """Draft a profile from sample logs; open questions are marked.
-
-    Lines "# QUESTION: key: ..." stand where units, signs, conditions and the like must not be guessed. Set the key
-    below and remove the line; `pipeline profile check` lists what is open. With --json: the profile's text, the file
-    that was written (null where none), and the questions with line and key.
-
-    Example: pipeline profile draft run_*.csv --out lab.toml
-    """
-    from pipeline.base.disk import write_text
-    from pipeline.profiles.profile_lines import find_questions
-    from pipeline.shell.profile.profile_draft import draft_profile
-
-    if out is not None:
-        check_output(out, "--out")
-    if out is not None and out.exists() and not overwrite:
-        raise UsageError(f"{out}: exists. Give another file, or --overwrite.")
-    text = draft_profile(*samples)
-    questions = find_questions(text)
-    if out is not None:
-        write_text(out, text)
-    if as_json:
-        asked = [{"line": q.line, "key": ".".join(map(str, q.place)), "question": q.text} for q in questions]
-        document = {"sample": str(samples[0]), "out": None if out is None else str(out), "profile": text}
-        console.print_json({**document, "questions": asked})
-    elif out is None:
-        console.say(text.rstrip("\n"))
-    else:
-        console.say(f"{out}: {len(questions)} questions are open")
 
 
 def _see_folder(processed: Path) -> None:

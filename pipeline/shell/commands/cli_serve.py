@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from enum import StrEnum
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,12 +12,9 @@ import typer
 
 from pipeline.base.errors import EXIT_ERROR, EXIT_QUARANTINED, UsageError
 from pipeline.shell import console
-from pipeline.shell.commands.options import ExecutorName, Json, Processed
+from pipeline.shell.commands.options import ExecutorName, Json, Processed, Reports
 
 TOKEN_VARIABLE = "PIPELINE_TOKEN"
-
-
-Reports = Annotated[Path, typer.Option("--reports", help="Folder of the reports.")]
 
 
 class RoleName(StrEnum):
@@ -35,23 +33,19 @@ def serve(
     ),
     port: Annotated[int, typer.Option("--port", min=0, max=65535, help="Port to listen at.")] = 8000,
     read_only: Annotated[bool, typer.Option("--read-only", help="Refuse every change.")] = False,
-    max_file_mib: Annotated[int, typer.Option("--max-file", min=1, help="Largest log [MiB].")] = 64,
-    max_request_mib: Annotated[int, typer.Option("--max-request", min=1, help="Largest upload [MiB].")] = 1024,
-    rate: Annotated[
-        int | None,
-        typer.Option("--rate", min=0, help="Requests a minute of a token or address; 0: any. 3000, on 127.0.0.1 any."),
-    ] = None,
-    renew: Annotated[bool, typer.Option("--renew/--no-renew", help="Make reports anew when logs come.")] = True,
     executor: ExecutorName = "local",
 ) -> None:
     """Serve the lab in the browser and by REST, until Ctrl-C.
+
+    Limits are set by variables: PIPELINE_MAX_FILE and PIPELINE_MAX_REQUEST (MiB, 64 and 1024), PIPELINE_RATE (requests
+    a minute of a token or address; 0: any), PIPELINE_RENEW (0: reports are not made anew when logs come).
 
     Example: pipeline serve --processed processed
     """
     _check_installed()
     from pipeline.comparison.executors import executor_of
     from pipeline.service.app import serve as run
-    from pipeline.service.settings import Settings
+    from pipeline.service.settings import Settings, limits
 
     executor_of(executor)  # one that cannot be used is refused at once
     settings = Settings(
@@ -60,11 +54,8 @@ def serve(
         host=host,
         port=port,
         read_only=read_only,
-        max_file=max_file_mib << 20,
-        max_request=max_request_mib << 20,
-        rate=rate,
-        renew=renew,
         executor=executor,
+        **limits(os.environ),
     )
     run(settings, lambda place: console.note(f"{place} (Ctrl-C ends it)"))
 
@@ -136,8 +127,6 @@ def push(
 
     Example: pipeline push raw --to http://127.0.0.1:8000
     """
-    import os
-
     from pipeline.service.push import push as push_logs
 
     with console.progress("push", "logs", as_json) as advance:

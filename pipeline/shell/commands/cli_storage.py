@@ -10,19 +10,13 @@ import typer
 
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, OTHER_COLUMNS, UsageError
 from pipeline.shell import console
-from pipeline.shell.commands.options import Json, Processed, ProfileFile, Store
+from pipeline.shell.commands.options import Json, Processed, ProfileFile, Reports, Store
 
 if TYPE_CHECKING:
     from pipeline.intake.check import CheckReport
+    from pipeline.store.corrections import Exclusion
 
 Result = TypeVar("Result")
-
-Wait = Annotated[
-    float, typer.Option("--wait", help="Seconds to wait while another command writes there; 0 refuses at once.")
-]
-
-WAIT_S = 60.0
-"""As `lock.WAIT_S`, a number of its own so that `--help` needs no lock."""
 
 LISTED = 10
 """Lines of one kind that are printed; `--json` has all."""
@@ -43,7 +37,6 @@ def ingest(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Read and check, write nothing; say for each log what would be done.")
     ] = False,
-    wait: Wait = WAIT_S,
     as_json: Json = False,
 ) -> None:
     """Check and store new logs; refused ones go into quarantine.
@@ -55,7 +48,7 @@ def ingest(
 
     Example: pipeline ingest raw --dry-run
 
-    Example: pipeline ingest raw --profile lab.toml --wait 600
+    Example: pipeline ingest raw --profile lab.toml
     """
     from pipeline.intake.ingest import ingest as ingest_logs
     from pipeline.store.objects import stored_by
@@ -65,7 +58,7 @@ def ingest(
     with console.progress("ingest", "logs", as_json) as advance:
         note = None if as_json else console.note
         how: dict[str, Any] = {"jobs": jobs, "dry_run": dry_run, "rehash": rehash, "replace": replace}
-        how |= {"progress": advance, "wait_s": wait, "say": note}
+        how |= {"progress": advance, "say": note}
         report = stored_by(processed, lambda folder: ingest_logs(paths, folder, profile, **how))
     document = report.model_dump(mode="json")
     if document["plan"] is None:
@@ -130,31 +123,36 @@ def check(
         bool, typer.Option("--repair", help="Save what can be saved; what cannot is kept in PROCESSED/damaged.")
     ] = False,
     processed: Processed = Path("processed"),
-    profile: Annotated[
-        str | None, typer.Option("--profile", help="Profile beside the shipped ones that logs are read again by.")
-    ] = None,
-    wait: Wait = WAIT_S,
     as_json: Json = False,
 ) -> None:
-    """Verify checksums; name damaged files, and repair them on request.
+    """Check installation and checksums; repair damaged files on request.
 
-    Exit status 1 where something is damaged or gone; with --repair where something could not be saved.
+    Named are damaged files, what this machine lacks (packages, a disk that can be locked), and files of devices and
+    profiles that cannot be read. Exit status 1 where something is damaged, gone or wrong; with --repair where it could
+    not be saved.
 
     Example: pipeline check --processed processed
 
     Example: pipeline check --repair --json
     """
     from pipeline.intake.check import check as check_store
+    from pipeline.shell.installation import examine
 
+    installation = examine(processed)
+    faults = [f"{c.name} {c.state}: {c.found}. {c.help}" for c in installation if c.state != "good"]
+    if not processed.is_dir():
+        for line in () if as_json else (f"pipeline {installation[0].found}", *faults):
+            console.say(line)
     _must_exist(processed)
     with console.progress("check", "files", as_json) as advance:
-        found = check_store(processed, repair, profile, advance, wait, None if as_json else console.note)
+        found = check_store(processed, repair, progress=advance, say=None if as_json else console.note)
     if as_json:
-        console.print_json(found.model_dump(mode="json"))
+        console.print_json({**found.model_dump(mode="json"), "installation": [c.model_dump() for c in installation]})
     else:
-        for line in _check_lines(found):
+        for line in (*_check_lines(found), *faults):
             console.say(line)
-    if found.gone or any(not (repair and damage.mended) for damage in found.damage):
+    wrong = any(c.state == "wrong" for c in installation)
+    if wrong or found.gone or any(not (repair and damage.mended) for damage in found.damage):
         raise typer.Exit(EXIT_ERROR)
 
 
@@ -170,7 +168,7 @@ def _check_lines(found: CheckReport) -> Iterable[str]:
 
 def status(
     processed: Processed = Path("processed"),
-    reports: Annotated[Path, typer.Option("--reports", help="Folder of the reports.")] = Path("reports"),
+    reports: Reports = Path("reports"),
     as_json: Json = False,
 ) -> None:
     """Show what is stored, out of date, changed or in quarantine.
@@ -214,29 +212,6 @@ def status(
         raise typer.Exit(EXIT_ERROR)
 
 
-def doctor(processed: Processed = Path("processed"), as_json: Json = False) -> None:
-    """Check this installation.
-
-    Packages, formats of logs, disk, locks, files of devices and profiles. Nothing is changed. Exit status 1 where
-    something keeps commands from working; what is optional and missing is named.
-
-    Example: pipeline doctor
-
-    Example: pipeline doctor --processed /srv/lab/processed --json
-    """
-    from pipeline.shell.doctor import examine
-
-    checks = examine(processed)
-    if as_json:
-        console.print_json({"checks": [check.model_dump() for check in checks]})
-    else:
-        wide = max(len(check.name) for check in checks)
-        for check in checks:
-            advice = f" -> {check.help}" if check.help else ""
-            console.say(f"{check.state:<8} {check.name:<{wide}}  {check.found}{advice}")
-    raise typer.Exit(EXIT_ERROR if any(check.state == "wrong" for check in checks) else EXIT_OK)
-
-
 Trials = Annotated[
     str, typer.Argument(help="DEVICE, DEVICE/EXPERIMENT, trial id or the beginning of one, or path of a log.")
 ]
@@ -247,7 +222,6 @@ def exclude(
     reason: Annotated[str | None, typer.Option("--reason", help="Why; every report shows it.")] = None,
     undo: Annotated[bool, typer.Option("--undo", help="Use the trial again.")] = False,
     processed: Store = "processed",
-    wait: Wait = WAIT_S,
     as_json: Json = False,
 ) -> None:
     """Exclude trials from all results; they stay stored, and are reported.
@@ -265,13 +239,14 @@ def exclude(
 
     if undo == (reason is not None):
         raise UsageError(f'{trial}: expected either --reason "<words>" or --undo, found {"both" if undo else "none"}.')
-    how = (wait, None if as_json else console.note)
-    found = _stored_by(
-        processed,
-        lambda folder: (
-            correct.use_again(folder, trial, *how) if reason is None else correct.exclude(folder, trial, reason, *how)
-        ),
-    )
+    say = None if as_json else console.note
+
+    def work(folder: Path) -> list[Exclusion]:
+        if reason is None:
+            return correct.use_again(folder, trial, say=say)
+        return correct.exclude(folder, trial, reason, say=say)
+
+    found = _stored_by(processed, work)
     if as_json:
         console.print_json({"excluded": not undo, "trials": [one.model_dump(mode="json") for one in found]})
         return
@@ -284,7 +259,6 @@ def move(
     trial: Trials,
     to: Annotated[str, typer.Argument(help="DEVICE or DEVICE/EXPERIMENT; a slash in a name is %2F.")],
     processed: Store = "processed",
-    wait: Wait = WAIT_S,
     as_json: Json = False,
 ) -> None:
     """Rename or move a device, an experiment or a trial.
@@ -298,7 +272,7 @@ def move(
     from pipeline.intake import correct
 
     note = None if as_json else console.note
-    _tell_count(_stored_by(processed, lambda f: correct.move(f, trial, to, wait, note)), f"now {to}", as_json)
+    _tell_count(_stored_by(processed, lambda f: correct.move(f, trial, to, say=note)), f"now {to}", as_json)
 
 
 def delete(
@@ -306,7 +280,6 @@ def delete(
     undo: Annotated[bool, typer.Option("--undo", help="Take them out of the bin.")] = False,
     empty: Annotated[bool, typer.Option("--empty", help="Remove what is in the bin from the store.")] = False,
     processed: Store = "processed",
-    wait: Wait = WAIT_S,
     as_json: Json = False,
 ) -> None:
     """Move trials to the bin, list it, or empty it. Logs stay untouched.
@@ -326,10 +299,10 @@ def delete(
     note = None if as_json else console.note
     if trial is not None:
         act = correct.restore if undo else correct.delete
-        count = _stored_by(processed, lambda folder: act(folder, trial, wait, note))
+        count = _stored_by(processed, lambda folder: act(folder, trial, say=note))
         _tell_count(count, "restored" if undo else "in the bin", as_json)
     elif empty:
-        count = _stored_by(processed, lambda folder: correct.empty_bin(folder, wait, note))
+        count = _stored_by(processed, lambda folder: correct.empty_bin(folder, say=note))
         _tell_count(count, "removed from the store", as_json)
     else:
         found = [one.model_dump(mode="json") for one in _stored_by(processed, correct.in_bin)]

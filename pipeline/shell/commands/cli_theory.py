@@ -178,10 +178,6 @@ def cost_map(
             help="Separated by commas; settle_2pct, overshoot and energy_step_w0..2 where not given.",
         ),
     ] = None,
-    longest: Annotated[
-        int | None,
-        typer.Option("--longest", help="Samples after which a response that still moves gets no cost."),
-    ] = None,
     as_json: Json = False,
 ) -> None:
     """Compute costs on a grid over the stable region, as Parquet.
@@ -189,12 +185,12 @@ def cost_map(
     Example: pipeline theory map --delay 1 --criteria settle_2pct,energy_step_w0 --out map.parquet
     """
     from pipeline.theory.costs import MAP_DEFAULT
-    from pipeline.theory.map import MAP_LONGEST, CostMap, write_map
+    from pipeline.theory.map import CostMap, write_map
 
     check_output(out, "--out")
     names = MAP_DEFAULT if criteria is None else split(criteria)
     case = _case(delay, gamma, delta, device, experiment)
-    cost_map = CostMap(case.loop, size, names, MAP_LONGEST if longest is None else longest, case.units)
+    cost_map = CostMap(case.loop, size, names, units=case.units)
     with console.progress("map", "points", silent=as_json) as advance:
         stable = write_map(out, cost_map, advance)
     if as_json:
@@ -207,14 +203,13 @@ def cost_map(
 @app.command("tables")
 def tables(
     table: Annotated[
-        list[str] | None,
-        typer.Option("--table", help="Such as B.1, C.3, 5.1(a); may be given again. All where not given."),
+        list[str] | None, typer.Argument(help="Such as B.1, C.3, 5.1(a); all where none is given.")
     ] = None,
     as_json: Json = False,
 ) -> None:
     """Compute Tables B.1 to B.4, C.1 to C.3 and 5.1 of the thesis anew.
 
-    Example: pipeline theory tables --table C.1 --table C.2
+    Example: pipeline theory tables C.1 C.2
     """
     from pipeline.device_data.published_theory import THEORY_TABLES
     from pipeline.studies import thesis_tables as theory

@@ -16,20 +16,18 @@ import typer
 from pipeline.base.errors import UsageError
 from pipeline.base.process import end_when, on_stop_signals
 from pipeline.shell import console
-from pipeline.shell.commands.options import JsonLines, Processed, ProfileFile
+from pipeline.shell.commands.options import JsonLines, Processed, ProfileFile, Reports
 
 if TYPE_CHECKING:
     from pipeline.shell.watch import Watched
 
-INTERVAL_S, SETTLE_S = 2.0, 2.0
+SETTLE_S = 2.0
 
 
 def watch(
     folders: Annotated[list[Path], typer.Argument(help="Folders in which logs arrive (searched below, too).")],
     processed: Processed = Path("processed"),
-    reports: Annotated[Path, typer.Option("--reports", help="Folder of the reports and the index page.")] = Path(
-        "reports"
-    ),
+    reports: Reports = Path("reports"),
     profile: ProfileFile = None,
     scene: Annotated[
         list[Path] | None,
@@ -38,11 +36,8 @@ def watch(
             help="Scene file (.toml) of a report; may be given several times. Without it: one report for each device.",
         ),
     ] = None,
-    interval: Annotated[
-        float, typer.Option("--interval", help="Seconds between two looks; grows fivefold when nothing happens.")
-    ] = INTERVAL_S,
     settle: Annotated[
-        float, typer.Option("--settle", help="Seconds a log must stay the same before it is read.")
+        float, typer.Option("--settle", help="Seconds a log must stay the same before it is read, and between looks.")
     ] = SETTLE_S,
     once: Annotated[
         bool, typer.Option("--once", help="One pass, which waits for nothing; logs that still settle are left.")
@@ -60,7 +55,7 @@ def watch(
 
     Example: pipeline watch raw --once --processed processed --reports reports
     """
-    watched = _watched(folders, processed, reports, profile, scene or [], interval, settle)
+    watched = _watched(folders, processed, reports, profile, scene or [], settle)
     if once:
         from pipeline.shell.watch import run_pass
 
@@ -68,7 +63,7 @@ def watch(
         if held:
             end_when(partial(os.read, sys.stdin.fileno(), 1))
         raise typer.Exit(run_pass(watched, lambda event: _print(event, as_json), growing))
-    _until_stopped(watched, interval, as_json)
+    _until_stopped(watched, as_json)
 
 
 def _watched(
@@ -77,13 +72,10 @@ def _watched(
     reports: Path,
     profile: str | None,
     scenes: list[Path],
-    interval: float,
     settle: float,
 ) -> Watched:
     from pipeline.shell.watch import Watched
 
-    if not 0 < interval < float("inf"):
-        raise UsageError(f"--interval {interval:g}: expected a time above 0 s.")
     if not 0 <= settle < float("inf"):
         raise UsageError(f"--settle {settle:g}: expected a time of 0 s or more.")
     for folder in folders:
@@ -102,10 +94,10 @@ def _watched(
     return Watched(tuple(folders), processed, reports, profile, tuple(scenes), settle)
 
 
-def _until_stopped(watched: Watched, interval: float, as_json: bool) -> None:
+def _until_stopped(watched: Watched, as_json: bool) -> None:
     from pipeline.shell.watch import Watch
 
-    running = Watch(watched, interval, lambda event: _print(event, as_json))
+    running = Watch(watched, watched.settle_s or SETTLE_S, lambda event: _print(event, as_json))
 
     def stop(number: int, frame: FrameType | None) -> None:
         if running.stop():

@@ -18,8 +18,16 @@ def _folder(text: str) -> Path:
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else there.")]
 JsonLines = Annotated[bool, typer.Option("--json", help="Print each line as a JSON document.")]
-Processed = Annotated[Path, typer.Option("--processed", parser=_folder, help="Folder of the stored tables.")]
-Store = Annotated[str, typer.Option("--processed", help="Folder of the stored tables, or s3://BUCKET/PREFIX.")]
+PROCESSED, REPORTS = "PIPELINE_PROCESSED", "PIPELINE_REPORTS"
+"""Variables that stand for the folders of stored tables and of reports, where an option does not."""
+
+Processed = Annotated[
+    Path, typer.Option("--processed", envvar=PROCESSED, parser=_folder, help="Folder of the stored tables.")
+]
+Store = Annotated[
+    str, typer.Option("--processed", envvar=PROCESSED, help="Folder of the stored tables, or s3://BUCKET/PREFIX.")
+]
+Reports = Annotated[Path, typer.Option("--reports", envvar=REPORTS, help="Folder of the reports.")]
 ExecutorName = Annotated[
     str, typer.Option("--executor", help="What computes experiments: local, or dask://HOST:PORT of a scheduler.")
 ]

@@ -110,20 +110,3 @@ def test_the_page_keeps_its_plane_in_the_address(three):
     # eight logs each of the same content: nothing differs, and each estimate stands twice
     row = re.search(r'<th scope="row">mass \[kg\]</th>.*?</tr>', text)[0]
     assert '<td class="words">no</td>' in row
-
-
-def test_one_file_has_all_of_the_page_and_asks_nobody(three):
-    query = TWO.partition("?")[2]
-    settled(three, TWO)
-    answer = three.get(f"/compare.html?{query}", **HTML)
-    text = answer.content.decode()
-    assert answer.headers["content-disposition"] == 'attachment; filename="compare.html"'
-    assert re.findall(r"(?:src|href|action)=\"(?!#)[^\"]*\"", text) == []
-    assert "<script" not in text
-    assert "<form" not in text
-    shown = page(three, TWO)
-    tables = re.compile(r"<tbody>.*?</tbody>", re.DOTALL)
-    assert tables.findall(text) == tables.findall(shown)
-    assert re.findall("<svg.*?</svg>", text) == re.findall("<svg.*?</svg>", shown)
-    empty = three.get("/compare.html", **HTML)
-    assert (empty.status, empty.headers["location"]) == (303, "/compare?")

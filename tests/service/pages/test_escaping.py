@@ -9,6 +9,7 @@ from served import HTML, Browser, serving
 
 from pipeline.intake.ingest import ingest
 from pipeline.service.settings import Settings
+from pipeline.store.names import folder_name
 from pipeline.store.storage import read_trials
 
 IN_HEADER = ("device", "experiment", "stiffness", "damping", "step", "sampling_period_s")
@@ -120,13 +121,16 @@ def test_every_field_stays_text_on_every_page(attacked):
     trial, spare = [t["id"] for t in trials if t["device"] != "bench"][:2]
     device, experiment = mark("device"), mark("experiment")
     browser = Browser(client)
-    for of in (["experiment", device, experiment], ["trial", trial]):
-        which = "notes" if of[0] == "experiment" else "trial notes"
-        assert browser.send("/words", "/upload", of=of, notes=mark(which), tags=mark("tags")).status == 303
+    names = [quote(folder_name(name), safe="") for name in (device, experiment)]
+    pages = {"experiments/{}/{}": "/devices/{}/experiments/{}", f"trials/{trial}": f"/trials/{trial}"}
+    for path, at in ((path.format(*names), at.format(*names)) for path, at in pages.items()):
+        which = "notes" if path.startswith("experiments") else "trial notes"
+        assert browser.do(at, "PUT", f"{path}/notes", text=mark(which)).status == 303
+        assert browser.do(at, "PUT", f"{path}/tags", **{"tags,": mark("tags")}).status == 303
     for one, why in ((spare, "trial reason"), (labelled, "reason")):
-        assert browser.send("/exclusions", "/upload", of=["trial", one], reason=mark(why)).status == 303
-    for name in (device, "bench"):
-        answer = browser.send("/compare", "/upload", device=name, criteria="overshoot")
+        assert browser.do(f"/trials/{one}", "PUT", f"trials/{one}/exclusion", reason=mark(why)).status == 303
+    for name in (names[0], "bench"):
+        answer = browser.do(f"/devices/{name}", "POST", "comparisons", **{"criteria[]": "overshoot"})
         done = client.done(answer.headers["location"].rpartition("/")[2])
         assert (done["state"], done["problem"]) == ("done", None), name
     run = quote(f"{quote(device, safe='')}/{quote(experiment, safe='')}")
@@ -142,7 +146,6 @@ def test_every_field_stays_text_on_every_page(attacked):
         "/upload",
         f"/compare?runs={run}",
         f"/trials?q={quote(mark('q'))}&device={quote(device)}",
-        f"/compare.html?runs={run}",
         f"/compare?runs={quote(mark('runs'))}",
         f"/jobs/{quote(mark('job'), safe='')}",
     )

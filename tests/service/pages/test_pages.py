@@ -56,7 +56,7 @@ def test_lists_turn_pages_and_keep_their_state(served):
 def test_a_trial_page_offers_its_samples(served):
     trial = served.get("trials?limit=1").content["items"][0]["id"]
     text = page(served, f"/trials/{trial}")
-    links = re.findall(r'href="(/trials/\w+/samples\.\w+)"', text)
+    links = re.findall(r'href="(/api/v1/trials/\w+/samples\?format=\w+)"', text)
     assert len(links) == 4
     for link in links:
         assert served.get(link).headers["content-disposition"].startswith("attachment")
@@ -71,7 +71,7 @@ def test_a_trial_page_draws_theory_and_fits_once(served):
     assert served.done(job)["problem"] is None
     drawn = page(served, f"/trials/{trial}")
     assert drawn.count("<svg") == 2
-    for word in ("theory", "fitted loop", "model of this log", "residual [", "simulated"):
+    for word in ("theory", "fitted loop", "residual [", "simulated"):
         assert word in drawn, word
     assert "refresh" not in drawn
     assert "style=" not in drawn
@@ -83,7 +83,7 @@ def test_a_read_only_server_says_what_was_not_drawn(falcon, tmp_path):
     with serving(Settings(falcon.processed, tmp_path / "reports", read_only=True)) as client:
         trial = client.get("trials?limit=1").content["items"][0]["id"]
         text = page(client, f"/trials/{trial}")
-        assert "samples.csv" in text
+        assert "samples?format=csv" in text
         assert "cannot be drawn: This was not computed yet, and the server is read-only." in text
 
 
@@ -116,8 +116,8 @@ def test_hostile_names_are_escaped_everywhere(tmp_path, logs):
         links = {html.unescape(link) for link in re.findall(r'href="(/[^"]*)"', home)}
         trial = client.get("trials").content["items"][0]["id"]
         owner = Browser(client)
-        words = {"of": ["trial", trial], "notes": SCRIPT, "tags": SCRIPT}
-        assert owner.send("/words", f"/trials/{trial}", **words).status == 303
+        for kind, said in (("notes", {"text": SCRIPT}), ("tags", {"tags,": SCRIPT})):
+            assert owner.do(f"/trials/{trial}", "PUT", f"trials/{trial}/{kind}", **said).status == 303
         devices = [link for link in links if link.startswith("/devices/")]
         assert len(devices) == 2
         for path in (
@@ -146,16 +146,31 @@ def test_forms_of_a_browser(tmp_path, logs):
         assert browser.ask("POST", "/upload", forged["body"], forged["headers"]).status == 403
         assert Browser(client).ask("POST", "/upload", sent["body"], sent["headers"]).status == 403
         assert len(list((tmp_path / "processed-service" / "logs").iterdir())) == 1
-        words = {"of": ["experiment", "falcon", "1"], "notes": "stiff\r\nspring", "tags": "a, b,,"}
-        answer = browser.send("/words", "/devices/falcon/experiments/1", **words)
-        assert (answer.status, answer.headers["location"]) == (303, "/devices/falcon/experiments/1")
+        at, path = "/devices/falcon/experiments/1", "experiments/falcon/1"
+        for kind, said in (("notes", {"text": "stiff\r\nspring"}), ("tags", {"tags,": "a, b,,"})):
+            answer = browser.do(at, "PUT", f"{path}/{kind}", **said)
+            assert (answer.status, answer.headers["location"]) == (303, at)
+        late = browser.do(at, "PUT", f"{path}/notes", match='"old"', text="late")
+        assert (late.status, b"changed this meanwhile" in late.content) == (412, True)
         assert client.get("experiments/falcon/1/notes").content["text"] == "stiff\nspring"
         assert client.get("experiments/falcon/1/tags").content["tags"] == ["a", "b"]
-        assert browser.send("/words", "/upload", of=["trial", "none"]).status == 404
-        assert browser.send("/words", "/upload", of="nothing").status == 422
-        assert browser.send("/compare", "/upload", device="nobody").status == 404
-        assert browser.send("/compare", "/upload").status == 404
-        assert browser.send("/compare", "/upload", device="falcon", criteria="beauty").status == 422
+        compare = ("/do", "/upload")
+        for asked, status in (
+            ({"method": "PUT", "path": "trials/none/notes", "text": ""}, 404),
+            ({"method": "PUT", "path": "nothing"}, 404),
+            ({"method": "TRACE", "path": "trials"}, 405),
+            ({"method": "POST", "path": "comparisons", "device": "nobody"}, 404),
+            ({"method": "POST", "path": "comparisons"}, 422),
+            ({"method": "POST", "path": "comparisons", "device": "falcon", "criteria[]": "beauty"}, 422),
+        ):
+            answer = browser.send(*compare, **asked)
+            assert (answer.status, b"<h1>" in answer.content) == (status, True), asked
+        sent = urlencode({"form": "0" * 64, "method": "DELETE", "path": "devices/falcon"})
+        kind = {"Content-Type": "application/x-www-form-urlencoded"}
+        assert browser.ask("POST", "/do", sent, kind).status == 403, "forged"
+        for away in ("//evil.example", "https://evil.example", "/\\evil.example"):
+            sent = browser.send(*compare, method="PUT", path=f"{path}/notes", text="x", next=away)
+            assert sent.headers["location"] == "/"
 
 
 def test_a_login(tmp_path):
@@ -168,7 +183,8 @@ def test_a_login(tmp_path):
         assert browser.send("/login", "/login", secret="hp_wrong").status == 401
         assert browser.send("/login", "/login", secret=token).status == 303
         assert browser.ask("GET", "/").status == 200
-        assert browser.send("/compare", "/", device="x").status == 403
+        for method in ("POST", "DELETE"):
+            assert browser.send("/do", "/", method=method, path="comparisons", device="x").status == 403
         session = dict(browser.cookies)["pipeline-session"].value
         assert browser.send("/logout", "/").status == 303
         assert client.get("devices", Cookie=f"pipeline-session={session}").status == 401

@@ -85,10 +85,6 @@ def test_by_a_profile_columns_are_in_si_with_the_step(call):
     assert trial["step_row"] == 50
     assert [(column["name"], column["unit"]) for column in trial["columns"]] == [("command", "N"), ("position", "m")]
     assert "position [m]" in Path("some/a.html").read_text(encoding="utf-8")
-    # the same picture by `profile check`
-    status, _, _ = call("profile", "check", "lab.toml", "a.dat", "--look", "checked.html")
-    assert status == 0
-    assert Path("checked.html").read_text(encoding="utf-8") == Path("some/a.html").read_text(encoding="utf-8")
 
 
 def test_a_native_log_needs_no_profile(call):

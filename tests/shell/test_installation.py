@@ -1,4 +1,4 @@
-"""The doctor names what is wrong with a machine, and what to do."""
+"""`check` names what is wrong with a machine, and what to do."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import sys
 import pytest
 from typer.testing import CliRunner
 
-from pipeline.shell import cli, doctor
-from pipeline.shell.doctor import examine
+from pipeline.shell import cli, installation
+from pipeline.shell.installation import examine
 
 
 def states(checks):
@@ -34,7 +34,7 @@ def test_an_old_or_missing_package_comes_with_its_remedy(tmp_path, monkeypatch):
             raise importlib.metadata.PackageNotFoundError(name)
         return "1.26.4" if name == "numpy" else real(name)
 
-    monkeypatch.setattr(doctor, "version", version)
+    monkeypatch.setattr(installation, "version", version)
     found = {check.name: check for check in examine(tmp_path)}
     assert (found["numpy"].state, found["numpy"].help) == ("wrong", "pip install 'numpy>=2.0'")
     assert "1.26.4" in found["numpy"].found
@@ -46,7 +46,7 @@ def test_a_disk_without_permission_is_wrong(tmp_path, monkeypatch):
     def refused(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied", str(tmp_path))
 
-    monkeypatch.setattr(doctor.tempfile, "TemporaryDirectory", refused)
+    monkeypatch.setattr(installation.tempfile, "TemporaryDirectory", refused)
     found = {check.name: check for check in examine(tmp_path / "a" / "b")}
     assert found["writing and locks"].state == "wrong"
     assert "--processed" in found["writing and locks"].help
@@ -55,14 +55,14 @@ def test_a_disk_without_permission_is_wrong(tmp_path, monkeypatch):
 def test_a_device_file_that_cannot_be_read_is_named(tmp_path, monkeypatch):
     (tmp_path / "bad.toml").write_text('name = "bad"\n')
     monkeypatch.setenv("PIPELINE_DEVICES", str(tmp_path))
-    result = CliRunner().invoke(cli.app, ["doctor", "--processed", str(tmp_path), "--json"])
+    result = CliRunner().invoke(cli.app, ["check", "--processed", str(tmp_path), "--json"])
     assert result.exit_code == 1
-    found = {check["name"]: check for check in json.loads(result.stdout)["checks"]}
+    found = {check["name"]: check for check in json.loads(result.stdout)["installation"]}
     assert found["devices"]["state"] == "wrong"
     assert "bad.toml" in found["devices"]["found"]
 
 
-@pytest.mark.parametrize(("words", "expected"), [("pipeline doc", "doctor"), ("pipeline theory opt", "optimum")])
+@pytest.mark.parametrize(("words", "expected"), [("pipeline che", "check"), ("pipeline theory opt", "optimum")])
 def test_the_shell_completes_commands(words, expected):
     environment = {"_PIPELINE_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
     code = "import sys; from pipeline.shell.cli import run; sys.argv = ['pipeline']; run()"

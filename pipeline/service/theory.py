@@ -1,10 +1,9 @@
-"""Theory by REST: in a process of its own, which is ended where it takes too long."""
+"""Theory in a process of its own, which is ended where it takes too long."""
 
 from __future__ import annotations
 
 import multiprocessing
 import threading
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
@@ -13,21 +12,12 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.device_data.devices import find_experiment, load_device
-from pipeline.records.criteria import CRITERIA, with_discrete
+from pipeline.loop.loop import Loop
 from pipeline.service.problems import Problem
 from pipeline.theory.cases import LARGEST, Case, boundary_document, case_of, optimum_document, point_documents
-from pipeline.theory.optimum import POINT_CRITERIA
-
-LONGEST_DELAY = 64.0
-"""Samples; longer delays are for the command line."""
 
 WAIT_S = 2.0
 """Time that a request waits for another one [s]: those that wait keep others from being answered."""
-
-MOST_POINTS = 500
-
-OPTIMA = (*POINT_CRITERIA, *with_discrete(CRITERIA))
-"""Criteria that have an optimum."""
 
 
 class Theory:
@@ -44,14 +34,14 @@ class Theory:
         self._lock = threading.Lock()
         self._pool: ProcessPoolExecutor | None = None
 
-    def compute(self, function: Callable[..., Any], *values: Any) -> Any:
-        """Return what a function of this module returns; an error of the values passes."""
+    def compute(self, *asked: Any) -> Any:
+        """Return a document of theory (see `document`); an error of the values passes."""
         if not self._lock.acquire(timeout=WAIT_S):
             raise Problem(503, "Theory is computed for others; ask again.", where="theory")
         try:
             if self._pool is None:
                 self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
-            return self._pool.submit(function, *values).result(self.most_s)
+            return self._pool.submit(document, *asked).result(self.most_s)
         except (TimeoutError, BrokenProcessPool) as error:
             self._end()
             more = "Use the command line, or a shorter delay or fewer points."
@@ -72,14 +62,25 @@ class Theory:
             self._pool = None
 
 
-def document(what: str, case: Case | tuple[str, str | None], *values: Any) -> Any:
-    """Return what a theory command prints for a loop, or in SI for a device and its experiment by name."""
-    if isinstance(case, tuple):
-        device, name = load_device(case[0]), case[1]
-        case = case_of(device, find_experiment(device, name) if name else device.experiments[0])
-    if what == "points":
-        walls = np.array(values[0], dtype=np.float64)
-        if np.abs(walls).max() > LARGEST:
-            raise ParameterError(f"{' or '.join(case.axes)}: expected at most {LARGEST:g}.")
-        return point_documents(case, walls)
-    return boundary_document(case) if what == "boundary" else optimum_document(case, *values)
+def document(what: str, of: tuple[str, str | None] | tuple[float, float, float], *values: Any) -> Any:
+    """Return the document of ``theory boundary``, ``optimum`` or ``points``.
+
+    Parameters
+    ----------
+    what : str
+    of : tuple
+        Device and experiment (None: its first), or gamma, delta and delay of a normalised loop.
+    values
+        Criterion and signal of an optimum; walls as pairs, in SI or normalised.
+    """
+    if len(of) == 3:
+        case = Case(Loop(*of))
+    else:
+        device = load_device(of[0])
+        case = case_of(device, find_experiment(device, of[1]) if of[1] else device.experiments[0])
+    if what != "points":
+        return boundary_document(case) if what == "boundary" else optimum_document(case, *values)
+    walls = np.array(values[0], dtype=np.float64)
+    if np.abs(walls).max() > LARGEST:
+        raise ParameterError(f"{' or '.join(case.axes)}: expected at most {LARGEST:g}.")
+    return point_documents(case, walls)
