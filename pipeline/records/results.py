@@ -16,8 +16,8 @@ from pipeline.records.score_records import TheoryParameters as TheoryParameters
 class Truth(Record):
     """What was true of a simulated experiment: its loop, and beside that jitter [samples] and constant force [N, Nm].
 
-    The delay of ``loop`` is the mean of a jittering one, ``jitter_samples`` its standard deviation. ``limit_reason``
-    says why the limits of the loop are not known.
+    The delay of ``loop`` is the mean age of the command in force, ``jitter_samples`` its standard deviation.
+    ``limit_reason`` says why the limits of the loop are not known.
     """
 
     loop: TheoryParameters

@@ -141,10 +141,14 @@ def _other_parameters(result: ExperimentResult, units: Units) -> list[Cause]:
         return []
     p = scores.parameters
     mass, damping, _, _ = p.loop.felt(p.mass, p.damping, p.stiffness)
+    # of a delay that jitters a file states the mean of those drawn; later commands overtake, which makes that in force
+    # shorter, by less than its standard deviation
+    jitter = result.estimates["jitter_samples"].value or 0.0
+    delay = result.delay.model_copy(update={"high": result.delay.high + jitter}) if result.delay.high else result.delay
     stated = (
         ("m", mass, result.estimates["mass"], units.mass),
         ("b", damping, result.estimates["damping"], units.damping),
-        ("d", p.delay_samples, result.delay, "samples"),
+        ("d", p.delay_samples, delay, "samples"),
     )
     off = [
         f"{name} = {significant(value, 3)} {unit}, logs {significant(found.low, 3)} to {significant(found.high, 3)}"

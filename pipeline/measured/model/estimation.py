@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.measured.model.motion import SHORTEST_LAG, Physics
 from pipeline.measured.model.recordings import Stretches
 from pipeline.measured.model.scatter import FEWEST, Moments, Solved, solve
-from pipeline.measured.model.whitening import WHITE, Column, Filter, Noise, Passage, blurred, passed
+from pipeline.measured.model.whitening import WHITE, Column, Filter, Noise, Passage, passed
 from pipeline.records.batch import Floats
 
 SHAPE = ("delta", "gamma", "delay", "lag", "turn", "ratio", "share")
@@ -117,9 +117,14 @@ class Device:
         return replace(self, numbers=moved)
 
     def driven(self, held: Stretches) -> Floats:
-        """Return the mean of the command that acts on it, shape (lead + N, S)."""
+        """Return the command as far as it has the force for it, shape (lead + N, S)."""
         limit = self.numbers.get("limit", np.inf)
-        return blurred(np.clip(held.driven, -limit, limit), self.noise.jitter)
+        return np.asarray(np.clip(held.driven, -limit, limit))
+
+    def passage(self, held: Stretches, name: str = "", by: float = 0.0) -> Passage:
+        """Return how it moves in stretches, after a change of one of its numbers."""
+        shape = self.shape.moved(name, by) if name else self.shape
+        return Passage(held, shape, self.noise.jitter)
 
     def own(self, name: str, trials: np.ndarray) -> Floats:
         """Return a number of the trial of each stretch, shape (S,); 0 where the device has none."""
@@ -213,7 +218,7 @@ def _log_spread(held: Stretches, found: Filter, triangle: Floats) -> float:
 
 def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats]:
     """Return columns and errors without the start (S, N, p + 1), the filter's spreads, and unknowns of each start."""
-    passage, nothing = Passage(held, device.shape), np.ones_like(held.direction)
+    passage, nothing = device.passage(held), np.ones_like(held.direction)
     found = Filter.of(passage, device.noise)
     linear = {
         "gain": Column(command=device.driven(held)),
@@ -240,7 +245,7 @@ def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats]:
     whole = replace(whole, start=start)
     (at,) = passed(passage, found, [whole])
     for name in (each for each in SHAPE if each in device.numbers):
-        (moved,) = passed(Passage(held, device.shape.moved(name, SMALL)), found, [whole])
+        (moved,) = passed(device.passage(held, name, SMALL), found, [whole])
         columns[name] = (at - moved) / SMALL
     stacked = np.stack([*(columns[name] for name in device.names), common], axis=-1).transpose(1, 0, 2)
     reduced = stacked - q @ (q.transpose(0, 2, 1) @ stacked)
@@ -306,16 +311,16 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
     from scipy.optimize import minimize, minimize_scalar
 
     some = held.chosen(spread(held, NOISE_STRETCHES))
-    passage, constant = Passage(some, device.shape), Column(direct=np.ones_like(some.direction))
-    # an impulse by a jitter of one sample, in standard deviations of a reading
+    constant = Column(direct=np.ones_like(some.direction))
     white = max(_white(some), float(np.median(some.least)))
-    impulse = float(device.numbers["gain"] / np.sqrt(white))
+    unit = float(device.numbers["gain"] ** 2 / white)
 
     def of(force: float, jitter: float) -> Noise:
-        return Noise(force, (impulse * jitter) ** 2, jitter)
+        return Noise(force, unit if jitter else 0.0, jitter)
 
     def cost(noise: Noise) -> float:
-        found, whole = Filter.of(passage, noise), force_of(some, replace(device, noise=noise))
+        passage = Passage(some, device.shape, noise.jitter)
+        found, whole = Filter.of(passage, noise), force_of(some, device)
         # the constant force of each stretch is free, so that it is not taken for a random one
         (left, push), q, r = errors_of(some, passage, found, [whole, constant])
         both = np.stack([left, push], axis=-1).transpose(1, 0, 2)
@@ -324,7 +329,7 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
         pushed = np.maximum(products[:, 1, 1], 1e-300)
         squares = np.maximum(products[:, 0, 0] - products[:, 0, 1] ** 2 / pushed, 1e-300)
         rows = np.maximum(some.rows - q.shape[2] - 1, 1)
-        # the strength of a jitter is that of its impulses, beside readings whose noise is seen
+        # the strength of a jitter is that of its forces, beside readings whose noise is seen
         variance = white if noise.late else np.maximum(squares / rows, some.least)
         lost = 0.5 * (rows * np.log(variance) + squares / variance + np.log(pushed)).sum()
         return float(lost) + _log_spread(some, found, r)
@@ -361,9 +366,8 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
     best_noise = min(found, key=lambda each: each[0])[1]
     if not best_noise.jitter:
         return best_noise
-    # the curvature of the likelihood, as that of all stretches
     ends = [cost(of(best_noise.force, best_noise.jitter * factor)) for factor in (0.9, 1.0, 1.1)]
-    curvature = max((ends[0] - 2 * ends[1] + ends[2]) / 0.01, 1e-3) * len(held) / len(some)
+    curvature = max((ends[0] - 2 * ends[1] + ends[2]) / 0.01, 1e-3)
     return replace(best_noise, jitter_error=float(best_noise.jitter / np.sqrt(curvature)))
 
 

@@ -25,10 +25,6 @@ MOST_ROWS = 600
 AHEAD = 40
 """Rows before the step that are kept."""
 
-IN_FORCE, SHAPE = 0.9026, 0.025
-"""Standard deviation of the delay of the command in force over that of the delays drawn, of which later ones overtake
-none: sqrt(44/81)/sqrt(2/3) for three that are as likely (by enumeration), and how far other shapes are off."""
-
 LEAST = 1e-300
 """Variance of a number that is known exactly."""
 
@@ -107,7 +103,7 @@ def _numbers(found: Identified, of: Experiment) -> dict[str, Any]:
         "values": [*values.values(), *(0.0 for _ in late)],
         "covariance": np.pad(covariance, (0, len(late))).tolist(),
         "bounds": {NAMES[name]: value for name, value in found.bounds.items()},
-        "jitter": [noise.jitter / IN_FORCE, float(np.hypot(noise.jitter_error, SHAPE * noise.jitter))],
+        "jitter": [noise.jitter, noise.jitter_error],
         "noise": found.noise,
         "disturbance": found.disturbance,
         "scatter": {NAMES[name]: value * unit.get(name, 1.0) for name, value in found.scatter.items()},

@@ -7,7 +7,7 @@ import dataclasses
 import not_ideal
 import numpy as np
 import pytest
-from pipeline.measured.experiment.aggregate import choose_optimum
+from pipeline.measured.experiment.optimum import choose_optimum
 from sensor_trials import DELAY, EDGE, FEWEST, FREE, SENSORS, measured, trials, truth
 from simulated import FALCON, LWR, simulate
 
