@@ -23,7 +23,7 @@ from pipeline.records.loop_records import Cause
 from pipeline.records.models import ComparisonRow
 from pipeline.records.results import Answer, AnswerEstimate, ExperimentResult, NextWall, Prediction
 from pipeline.records.score_records import DistanceScore
-from pipeline.rendering.labels import Units, share_text, significant
+from pipeline.rendering.labels import Units, estimate_texts, share_text, significant
 
 COARSE = 5.0
 """Percent that the grid of the trials adds to a best cost from which on the reader is told how coarse it is."""
@@ -151,7 +151,7 @@ def _other_parameters(result: ExperimentResult, units: Units) -> list[Cause]:
         ("d", p.delay_samples, delay, "samples"),
     )
     off = [
-        f"{name} = {significant(value, 3)} {unit}, logs {significant(found.low, 3)} to {significant(found.high, 3)}"
+        f"{name} = {significant(value, 3)} {unit}, logs {' to '.join(estimate_texts(found)[1:])}"
         for name, value, found, unit in stated
         if found.low is not None and found.high is not None and not found.low <= value <= found.high
     ]

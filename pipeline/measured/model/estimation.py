@@ -70,11 +70,17 @@ MEMORIES = (1e-12, 3e5)
 """Least and largest variance of the disturbing force in that of a reading, per sample: from a random walk that forgets
 in a thousand samples to one that forgets in one."""
 
-JITTERS = (0.02, 4.0)
+JITTERS = (0.02, 2.5)
 """Least and largest jitter of the delay that is looked for [samples]."""
 
 ROUGH = 0.7
 """Change of the logarithm of a variance that is near enough for a start: intervals grow with its root."""
+
+NEAR = 0.05
+"""Change of the logarithm of a variance, or of a jitter, within which the likelihood is a parabola."""
+
+MOST_COSTS = 24
+"""Most likelihoods in the search for a jitter beside a random force."""
 
 JITTERY_ROW = 0.01
 """Gain of log-likelihood by a random force, a row, up to which it is rounding and no jitter is looked for."""
@@ -308,7 +314,7 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
 
     A random force is looked for, and a jitter of the delay if asked for.
     """
-    from scipy.optimize import minimize, minimize_scalar
+    from scipy.optimize import minimize_scalar
 
     some = held.chosen(spread(held, NOISE_STRETCHES))
     constant = Column(direct=np.ones_like(some.direction))
@@ -342,6 +348,8 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
         )
         return float(found.fun), make(float(np.exp(found.x)))
 
+    if jitters and device.noise.jitter:
+        return _with_error(cost, _jittery(cost, of, device.noise, ROUGH / 4))
     none = cost(WHITE), WHITE
     alone = [likeliest(lambda force: of(force, 0.0), MEMORIES)]
     jitters = jitters and none[0] - alone[0][0] > WORTH + JITTERY_ROW * float(some.rows.sum())
@@ -354,21 +362,32 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
         return best[1]
     # both together, from the likelier one and a tenth of the other
     shares = [1.0 if each is best else 0.1 for each in alone]
-    start = np.log(
-        [max(alone[0][1].force * shares[0], MEMORIES[0]), max(alone[1][1].jitter * shares[1] ** 0.5, JITTERS[0])]
-    )
-    simplex = start + np.array([[0.0, 0.0], [ROUGH, 0.0], [0.0, 0.5 * ROUGH]])
-    options = {"maxfev": 30, "xatol": 0.05, "fatol": 0.1, "initial_simplex": simplex}
+    found = _jittery(cost, of, of(alone[0][1].force * shares[0], alone[1][1].jitter * shares[1] ** 0.5), ROUGH)
+    simplest = min([(cost(found), found), *((lost - WORTH, each) for lost, each in worth)], key=lambda each: each[0])[1]
+    return _with_error(cost, simplest) if simplest.jitter else simplest
+
+
+def _jittery(cost: Callable[[Noise], float], of: Callable[[float, float], Noise], near: Noise, far: float) -> Noise:
+    """Return the likeliest random force and jitter near some, without a force that is worth nothing."""
+    from scipy.optimize import minimize
+
+    start = np.log([max(near.force, MEMORIES[0]), max(near.jitter, JITTERS[0])])
+    simplex = start + far * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 0.5]])
+    options = {"maxfev": MOST_COSTS, "xatol": NEAR, "fatol": 0.1, "initial_simplex": simplex}
     both = minimize(lambda logs: cost(of(*np.exp(logs).tolist())), start, method="Nelder-Mead", options=options)
     force, jitter = np.exp(both.x).tolist()
-    simpler = [*((cost(each), each) for each in (of(force, 0.0), of(0.0, jitter))), *worth]
-    found = [(float(both.fun), of(force, jitter)), *((lost - WORTH, each) for lost, each in simpler)]
-    best_noise = min(found, key=lambda each: each[0])[1]
-    if not best_noise.jitter:
-        return best_noise
-    ends = [cost(of(best_noise.force, best_noise.jitter * factor)) for factor in (0.9, 1.0, 1.1)]
-    curvature = max((ends[0] - 2 * ends[1] + ends[2]) / 0.01, 1e-3)
-    return replace(best_noise, jitter_error=float(best_noise.jitter / np.sqrt(curvature)))
+    without = of(0.0, jitter)
+    return without if cost(without) - WORTH < both.fun else of(force, jitter)
+
+
+def _with_error(cost: Callable[[Noise], float], found: Noise) -> Noise:
+    """Return a noise with the likeliest jitter beside its force, by a parabola, and the error of that."""
+    sizes = found.jitter * np.array([1 - 2 * NEAR, 1.0, 1 + 2 * NEAR])
+    low, middle, high = (cost(replace(found, jitter=float(size))) for size in sizes)
+    curvature = max((low - 2 * middle + high) / (2 * NEAR) ** 2, 1e-3)
+    step = float(np.clip((low - high) / (4 * NEAR) / curvature, -2 * NEAR, 2 * NEAR))
+    jitter = found.jitter * (1 + step)
+    return replace(found, jitter=jitter, jitter_error=float(jitter / np.sqrt(curvature)))
 
 
 def _white(held: Stretches) -> float:

@@ -85,26 +85,30 @@ def at_times(matrix: Floats, inputs: Floats, times: Floats) -> tuple[Floats, Flo
     return moved[place], gained[place]
 
 
-LARGEST_SHARE = 0.8
-"""Most of a command that comes early or late by the reach of a jitter; delays drawn from three have 0.56."""
+OFF_BY_ONE = 0.7
+"""Most of a variance of ages [samples^2] by commands that come one sample early or late, as is left for 0.5 beside a
+whole one; what is more comes from further ones."""
 
 
 def ages(delay: float, jitter: float) -> tuple[Floats, Floats]:
-    """Return three ages [samples] of the command in force and their probabilities, by its mean and deviation.
+    """Return the ages [samples] of the command in force and their probabilities, by its mean and deviation.
 
     Commands arrive on whole samples as far as the deviation allows: of whole delays whose mean lies ``off`` beside one
     the variance is at least |off| - off^2.
     """
     if jitter <= 0:
         return np.array([delay]), np.ones(1)
-    reach = max(1, int(np.ceil(jitter / np.sqrt(LARGEST_SHARE))))
-    variance = (jitter / reach) ** 2
-    off = (delay - round(delay)) / reach
+    variance = min(jitter**2, OFF_BY_ONE)
     most = 0.5 * (1 - np.sqrt(max(1 - 4 * variance, 0.0)))
-    off = float(np.clip(off, -most, most))
-    square = min(variance + off**2, 1.0)
-    share = np.array([square - off, 2 * (1 - square), square + off]) / 2
-    return delay - off * reach + reach * np.array([-1.0, 0.0, 1.0]), np.maximum(share, 0.0)
+    off = float(np.clip(delay - round(delay), -most, most))
+    square = variance + off**2
+    share = np.maximum(np.array([square - off, 2 * (1 - square), square + off]) / 2, 0.0)
+    left = jitter**2 - variance
+    for _ in range(int(np.ceil(left / OFF_BY_ONE))):
+        variance = min(left, OFF_BY_ONE)
+        share, left = np.convolve(share, [0.5 * variance, 1 - variance, 0.5 * variance]), left - variance
+    reach = len(share) // 2
+    return delay - off + np.arange(-reach, reach + 1.0), share
 
 
 @dataclass(frozen=True, eq=False)
