@@ -368,7 +368,7 @@ def _column(damping: float, of: Bracket, own: Tried, task: Task, *, holds: bool)
         return Column(damping, of, value, note="from below")
     edges = walls(max(of.bottom, aim.lowest), far, value, task.error, width)
     # no walls next to undecided ones
-    kept = (np.abs(edges[:, None] - inside.stiffness) > 0.25 * width).all(axis=1)
+    kept = np.asarray((np.abs(edges[:, None] - inside.stiffness) > 0.25 * width).all(axis=1))
     kept[[0, -1]] = True
     edges = edges[kept]
     split = best_split(edges, chances(edges, task.limit, task.error), width, PRICE if aim.gentle else 1.0)
