@@ -85,6 +85,10 @@ MOST_COSTS = 24
 JITTERY_ROW = 0.01
 """Gain of log-likelihood by a random force, a row, up to which it is rounding and no jitter is looked for."""
 
+OTHER_AGES = 0.08
+"""Error of a jitter by the shape of its distribution, relative, for each sample from half of one on: of delays drawn
+from two to four whole ones it is off by up to 0.15."""
+
 LEAST_JITTER = 0.05
 """Jitter [samples] from which on one is believed: what rounding leaves may look like less."""
 
@@ -363,7 +367,9 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
     # both together, from the likelier one and a tenth of the other
     shares = [1.0 if each is best else 0.1 for each in alone]
     found = _jittery(cost, of, of(alone[0][1].force * shares[0], alone[1][1].jitter * shares[1] ** 0.5), ROUGH)
-    simplest = min([(cost(found), found), *((lost - WORTH, each) for lost, each in worth)], key=lambda each: each[0])[1]
+    # a jitter of both that is worth it beside the best without one
+    still = min([none, alone[0]], key=lambda each: each[0])
+    simplest = min((cost(found), found), (still[0] - WORTH, still[1]), key=lambda each: each[0])[1]
     return _with_error(cost, simplest) if simplest.jitter else simplest
 
 
@@ -373,7 +379,7 @@ def _jittery(cost: Callable[[Noise], float], of: Callable[[float, float], Noise]
 
     start = np.log([max(near.force, MEMORIES[0]), max(near.jitter, JITTERS[0])])
     simplex = start + far * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 0.5]])
-    options = {"maxfev": MOST_COSTS, "xatol": NEAR, "fatol": 0.1, "initial_simplex": simplex}
+    options = {"maxfev": MOST_COSTS, "xatol": NEAR, "fatol": 0.05, "initial_simplex": simplex}
     both = minimize(lambda logs: cost(of(*np.exp(logs).tolist())), start, method="Nelder-Mead", options=options)
     force, jitter = np.exp(both.x).tolist()
     without = of(0.0, jitter)
@@ -381,13 +387,22 @@ def _jittery(cost: Callable[[Noise], float], of: Callable[[float, float], Noise]
 
 
 def _with_error(cost: Callable[[Noise], float], found: Noise) -> Noise:
-    """Return a noise with the likeliest jitter beside its force, by a parabola, and the error of that."""
-    sizes = found.jitter * np.array([1 - 2 * NEAR, 1.0, 1 + 2 * NEAR])
-    low, middle, high = (cost(replace(found, jitter=float(size))) for size in sizes)
-    curvature = max((low - 2 * middle + high) / (2 * NEAR) ** 2, 1e-3)
-    step = float(np.clip((low - high) / (4 * NEAR) / curvature, -2 * NEAR, 2 * NEAR))
-    jitter = found.jitter * (1 + step)
-    return replace(found, jitter=jitter, jitter_error=float(jitter / np.sqrt(curvature)))
+    """Return a noise with the likeliest jitter beside its force, and the error of that.
+
+    Half a sample beside a delay of half a sample is at a bend of the likelihood: its flatter side tells the error.
+    """
+    from scipy.optimize import minimize_scalar
+
+    def at(log: float) -> Noise:
+        return replace(found, jitter=float(np.exp(log)))
+
+    near = np.log(found.jitter)
+    bounds, options = (near - 4 * NEAR, near + 4 * NEAR), {"xatol": 0.1 * NEAR, "maxiter": MOST_COSTS // 2}
+    best = minimize_scalar(lambda log: cost(at(log)), bounds=bounds, method="bounded", options=options)
+    falls = max(min(cost(at(best.x - NEAR)), cost(at(best.x + NEAR))) - float(best.fun), 1e-3)
+    jitter = float(np.exp(best.x))
+    error = float(np.hypot(NEAR / np.sqrt(2 * falls), OTHER_AGES * max(jitter - 0.5, 0.0)))
+    return replace(found, jitter=jitter, jitter_error=jitter * error)
 
 
 def _white(held: Stretches) -> float:
