@@ -48,6 +48,9 @@ COMMANDS = {
 }
 """Function of each command, in the order of the help."""
 
+PLAIN = ("demo", "serve")
+"""Commands without a result, and so without --json."""
+
 THEORY = (
     "Compute stability, costs and optima of the sampled, delayed loop. Parameters are normalised by sampling period T "
     "and mass m: alpha = K T^2/m, beta = B T/m, gamma = k T^2/m, delta = b T/m. With --device all is in SI, for the "
@@ -72,7 +75,7 @@ def application(word: str | None = None) -> typer.Typer:
         group, _, own = name.rpartition(" ")
         module, _, function = COMMANDS[name].partition(".")
         work = getattr(import_module(f"pipeline.shell.commands.{module}"), function)
-        (theory if group else app).command(own)(console.command(work))
+        (theory if group else app).command(own)(work if name in PLAIN else console.command(work))
     if any(" " in name for name in chosen):
         app.add_typer(theory, name="theory")
     return app

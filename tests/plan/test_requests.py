@@ -22,7 +22,7 @@ from pipeline.plan.found_device import stated_device
 from pipeline.plan.planner import Limit, Plan, asked_of, plan, plan_of
 from pipeline.plan.requests import Requests, read_requests, write_requests
 from pipeline.plan.verdicts import Tried
-from pipeline.shell.commands.cli_plan import _print
+from pipeline.shell.commands.cli_plan import lines_of
 
 FALCON = load_device("falcon")
 MOST = 40
@@ -117,10 +117,9 @@ def test_requests_are_kept_and_a_damaged_file_is_nothing_asked(tmp_path):
     assert read_requests(tmp_path) == Requests()
 
 
-def test_a_limit_without_a_stable_wall_is_none_in_words_as_in_json(capsys):
+def test_a_limit_without_a_stable_wall_is_none_in_words_as_in_json():
     limit = Limit(damping=20.0, estimate=400.0, low=None, high=1000.0)
-    _print(Plan(next=(), done=True, boundary=(limit,), trials_used=3, trials_expected=3), False)
-    told = capsys.readouterr().out
+    told = "\n".join(lines_of(Plan(next=(), done=True, boundary=(limit,), trials_used=3, trials_expected=3)))
     assert "no stable wall, unstable at 1000" in told
     assert "stable at 0" not in told
 

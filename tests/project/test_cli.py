@@ -32,7 +32,7 @@ COMMANDS = {
     "check": ["--repair", "--processed", "--json"],
     "compare": ["--device", "--experiment", "--criteria", "--processed", "--report", "--dry-run", "--json"],
     "theory points": ["--device", "--experiment", "--json"],
-    "theory boundary": ["--delay", "--gamma", "--delta", "--device", "--experiment", "--robust", "--json"],
+    "theory boundary": ["--delay", "--gamma", "--delta", "--device", "--experiment", "--json"],
     "theory optimum": ["--criterion", "--delay", "--gamma", "--delta", "--device", "--signal", "--json"],
     "theory tables": ["--json"],
     "accuracy": ["--quick", "--json"],
@@ -335,7 +335,11 @@ def test_status_shows_what_is_stored(call, logs):
     assert excluded.endswith("300.csv): slipped")
     assert refused == "in quarantine, not-a-number: 1"
     found = document(call("status", "--json"))
-    assert (found["experiments"][0]["trials"], len(found["excluded"]), found["quarantined"]) == (2, 1, {"not-a-number": 1})
+    assert (found["experiments"][0]["trials"], len(found["excluded"]), found["quarantined"]) == (
+        2,
+        1,
+        {"not-a-number": 1},
+    )
     assert call("status", "--processed", "nowhere")[0] == 2
 
 

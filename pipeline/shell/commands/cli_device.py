@@ -133,7 +133,6 @@ def design(
     settling: Annotated[float | None, typer.Option("--settling", help="Longest settling time to 2 %, in s.")] = None,
     overshoot: Annotated[float | None, typer.Option("--overshoot", help="Largest overshoot, a fraction.")] = None,
     margin: Annotated[float, typer.Option("--margin", help="Factor on K up to which it stays stable.")] = 1.0,
-    tolerance: Annotated[float, typer.Option("--tolerance", help="Allowed error of mass, damping, delay.")] = 0.0,
     hand: Annotated[str | None, typer.Option("--hand", help="Arm of Table 3.2 that holds it (default: none).")] = None,
     keep: Annotated[list[str] | None, listed("--keep", "Quantities that cannot change.")] = None,
     picture: Annotated[
@@ -158,7 +157,7 @@ def design(
         check_output(picture, "--picture")
         if picture.suffix not in (".svg", ".pdf", ".png"):
             raise UsageError(f"--picture {picture}: expected a name that ends with .svg, .pdf or .png.")
-    wish = {"settling_s": settling, "overshoot": overshoot, "margin": margin, "tolerance": tolerance}
+    wish = {"settling_s": settling, "overshoot": overshoot, "margin": margin}
     answer = answer_of(loop, stiffness, keep=keep or (), **wish)  # type: ignore[arg-type]
     if picture is not None:
         draw(loop, answer, ("sampling_period_s", "delay_samples"), picture)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -13,7 +12,6 @@ import typer
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, OTHER_COLUMNS, UsageError
 from pipeline.base.paths import check_output
 from pipeline.shell import console
-from pipeline.shell.commands.cli_storage import refusals
 from pipeline.shell.commands.options import Out, Processed, ProfileFile
 
 
@@ -104,36 +102,27 @@ def _draft(samples: Sequence[Path], out: Path | None) -> int:
 
 def quarantine(
     logs: Annotated[list[str] | None, typer.Argument(help="Ids or paths of refused logs (default: all).")] = None,
-    again: Annotated[bool, typer.Option("--retry", help="Ingest them again, after they were corrected.")] = False,
-    profile: ProfileFile = None,
     processed: Processed = Path("processed"),
-) -> int:
-    """List refused logs, show why, or ingest them again.
+) -> None:
+    """List refused logs, or show why they were refused.
 
-    Codes are explained in docs/logs.md. Exit status 3 where --retry leaves some refused, or some are gone.
+    Codes are explained in docs/logs.md. `pipeline ingest` tries them again, with --profile by another profile.
 
     Example: pipeline quarantine
 
     Example: pipeline quarantine logs/run_01.csv
-
-    Example: pipeline quarantine --retry --profile lab.toml
     """
     from pipeline.intake.quarantine import excerpt_of, find_record, list_quarantine, record_id
 
-    if profile is not None and not again:
-        raise UsageError("--profile reads logs again: give --retry, too.")
     if not processed.is_dir():  # a mistyped one must not look like one without refusals
         raise UsageError(f"{processed}: no such folder. Give the folder of the stored tables (--processed).")
     records = [find_record(processed, log) for log in logs or ()] or list_quarantine(processed)
-    if again:
-        return _retry(records, bool(logs), profile, processed)
     found = [{"id": record_id(record), **record.model_dump(mode="json")} for record in records]
     if not logs:
         console.tell(found, _list_lines(found))
-        return EXIT_OK
+        return
     shown = [{**document, "excerpt": excerpt_of(record)} for record, document in zip(records, found, strict=True)]
     console.tell(shown[0] if len(shown) == 1 else shown, (line for one in shown for line in _reason_lines(one)))
-    return EXIT_OK
 
 
 def _list_lines(records: Sequence[Mapping[str, Any]]) -> Iterable[str]:
@@ -162,27 +151,3 @@ def _reason_lines(record: Mapping[str, Any]) -> Iterable[str]:
         yield "no excerpt: the log has no lines, or is no longer as it was"
     for number, line in record["excerpt"]:
         yield f"{'>' if number == record['row'] else ' '} {number:>6}  {line}"
-
-
-def _retry(records: Sequence[Any], named: bool, profile: str | None, processed: Path) -> int:
-    """Ingest logs in quarantine again."""
-    from pipeline.base.paths import path_of_text
-    from pipeline.intake.ingest import ingest
-    from pipeline.intake.quarantine import quarantine_folder, record_id
-
-    sources = {record.path: path_of_text(record.path) for record in records}
-    ids = {record.path: record_id(record) for record in records}
-    gone = [path for path, source in sources.items() if not os.path.exists(source)]
-    # to follow a link that leads out of its folder is for who names it
-    outside = [record.path for record in records if record.code == "link-outside" and not named]
-    links = [path for path in outside if path not in gone and os.path.islink(sources[path])]
-    present = [source for path, source in sources.items() if path not in gone and path not in links]
-    report = ingest(present, processed, profile, rehash=True)
-    document = {**report.model_dump(mode="json"), "gone": gone, "links": links}
-    refused, folder = document["quarantined"], quarantine_folder(processed)
-    accepted = report.ingested + report.skipped
-    lines = [f"{len(records)} tried, {accepted} accepted, {len(refused)} refused, {len(gone)} gone", *refusals(refused)]
-    lines += [f"{path}: missing, or not readable. Put it back, or remove {folder / ids[path]}." for path in gone]
-    lines += [f"{path}: a link that leads out of its folder. Give its path to follow it." for path in links]
-    console.tell(document, lines)
-    return EXIT_QUARANTINED if refused or gone or links else EXIT_OK

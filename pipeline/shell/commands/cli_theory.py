@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pipeline.base.errors import ParameterError, UsageError
+from pipeline.base.errors import ParameterError
 from pipeline.base.paths import check_output
 from pipeline.shell import console
 from pipeline.shell.commands.options import PROCESSED, Criteria, One, Signal, device_of, reports_folder
@@ -27,7 +27,6 @@ def points(
     cases: Annotated[
         Path, typer.Argument(help="CSV: alpha, beta, gamma, delta, delay; or stiffness, damping.", metavar="CSV")
     ],
-    criteria: Criteria = None,
     device: OfDevice = None,
     experiment: One = None,
 ) -> None:
@@ -39,15 +38,14 @@ def points(
     """
     from pipeline.theory import cases as theory
 
-    names = tuple(criteria or theory.POINT_COSTS)
     columns = theory.CASE_COLUMNS if device is None else theory.WALL_COLUMNS
     found = theory.read_cases(cases, columns)
     if device is None:
-        documents = theory.case_documents(found, names)
+        documents = theory.case_documents(found, theory.POINT_COSTS)
     else:
-        documents = theory.point_documents(_case(None, 0.0, 0.0, device, experiment), found.values, names)
-    shown = names if criteria else ("settle_2pct", "overshoot", "energy_step_w0")
-    console.tell(documents, console.table(documents, (*columns, "stable", "spectral_radius", *shown, "reason")))
+        documents = theory.point_documents(_case(None, 0.0, 0.0, device, experiment), found.values, theory.POINT_COSTS)
+    shown = (*columns, "stable", "spectral_radius", "settle_2pct", "overshoot", "energy_step_w0", "reason")
+    console.tell(documents, console.table(documents, shown))
 
 
 def boundary(
@@ -56,20 +54,15 @@ def boundary(
     delta: Delta = 0.0,
     device: OfDevice = None,
     experiment: One = None,
-    robust: Annotated[bool, typer.Option("--robust", help="Add the region stable with every spring.")] = False,
 ) -> None:
     """Compute the stability boundary and its extreme points.
 
     Example: pipeline theory boundary --delay 2 --gamma 0.001 --delta 0.02 --json
-
-    Example: pipeline theory boundary --delay 1 --delta 0.02 --robust --json
     """
     from pipeline.theory.cases import boundary_document
 
-    if device is not None and robust:
-        raise UsageError("--robust is of the normalised loop. Give --delay and --delta in place of --device.")
     case = _case(delay, gamma, delta, device, experiment)
-    document = boundary_document(case, robust)
+    document = boundary_document(case)
     console.tell(document, _boundary_lines(document, case.axes))
 
 
@@ -79,9 +72,6 @@ def _boundary_lines(document: dict[str, Any], axes: tuple[str, str]) -> Iterator
     for first, second in (axes, axes[::-1]):
         if (most := document.get(f"{first}_max")) is not None:
             yield f"largest {first} {most:.6g} at {second} {document[f'{second}_at_{first}_max']:.6g}"
-    if "robust" in document:
-        largest = max(document["robust"]["alpha"], default=None)
-        yield "no wall is stable with every spring" if largest is None else f"with every spring {largest:.6g}"
     if document.get("islands"):
         yield f"stable stretches beyond the limit: {len(document['islands'])}"
     if document.get("left_out"):
