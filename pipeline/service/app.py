@@ -23,26 +23,22 @@ from pipeline.base.errors import PipelineError, UsageError
 from pipeline.service import connections
 from pipeline.service.catalogue import Catalogue
 from pipeline.service.database import Database
-from pipeline.service.jobs.renewal import Renewal
-from pipeline.service.jobs.workers import Workers
+from pipeline.service.jobs.workers import Renewal, Workers
 from pipeline.service.pages import frame, pages
 from pipeline.service.pages.comparing import comparing
-from pipeline.service.pages.forms import forms
 from pipeline.service.problems import TITLES, Later, Problem, full_disk, problem_of
 from pipeline.service.problems import answer as answer_of
 from pipeline.service.rest import api
 from pipeline.service.rest.answers import describe, only_known
 from pipeline.service.rest.lab import lab
 from pipeline.service.rest.remarks import remarks
-from pipeline.service.rest.samples import samples
-from pipeline.service.rest.theory_routes import theories
+from pipeline.service.rest.theory import Theory, theories
 from pipeline.service.security import Guard
 from pipeline.service.settings import Settings
 from pipeline.service.shared import Service
-from pipeline.service.theory import Theory
 from pipeline.service.uploads import remove_unacknowledged
 
-ROUTERS = (api.api, samples, lab, remarks, theories, pages.pages, comparing, forms)
+ROUTERS = (api.api, lab, remarks, theories, pages.pages, comparing)
 THREADS = 12
 """That answer requests: more take memory, and the interpreter from each other."""
 

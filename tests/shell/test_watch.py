@@ -282,6 +282,7 @@ def test_every_device_has_a_report_of_its_own_beside_our_pages(tmp_path, monkeyp
     assert reports == former
 
 
+@pytest.mark.slow
 def test_a_damaged_experiment_keeps_no_other_report_from_being_renewed(tmp_path):
     logs = course(tmp_path / "raw", ("delay-2", "delay-4"), coarsen=12)
     late = logs[-1].rename(tmp_path / "late.csv")
@@ -378,7 +379,7 @@ class Lab:
 def test_a_pass_that_fails_is_told_once_and_tried_again_ever_more_rarely(tmp_path, monkeypatch):
     failed = {"event": "failed", "what": "bench", "reason": "full disk"}
     lab = Lab(tmp_path, monkeypatch, lambda number: [failed])
-    assert kinds(lab.events(200)) == ["started", "failed"]
+    assert kinds(lab.events(400)) == ["started", "failed"]
     assert [after - before for before, after in pairwise(lab.times)][:3] == pytest.approx([60, 120, 240], abs=2)
 
 
