@@ -334,8 +334,7 @@ def plan_beside(
     from pipeline.measured.model.parts import Choice, chosen
     from pipeline.measured.model.recordings import Recording
     from pipeline.plan.course import open_course
-    from pipeline.plan.planner import BESIDE, asked_of, plan_of, with_remark
-    from pipeline.plan.requests import requests_folder, write_requests
+    from pipeline.plan.planner import plan_of
 
     folders, told = list(check_folders(folders)), set[tuple[str, str]]()
     running: list[Future[Choice]] = []
@@ -345,8 +344,8 @@ def plan_beside(
             running.append(pool.submit(chosen, recordings))
         return running.pop().result() if running[0].done() else None
 
-    with process_pool(1) as pool, ExitStack() as held:
-        arrivals, known, asked, beside = Arrivals(PLAN_SETTLE_S), None, None, None
+    with process_pool(1) as pool:
+        arrivals, known = Arrivals(PLAN_SETTLE_S), None
         now = arrivals.look(folders, (), (processed,))
         while True:
             if known is not None and not arrivals.ready(now):
@@ -364,16 +363,8 @@ def plan_beside(
             for path, reason in {(refusal.path, refusal.reason) for refusal in report.quarantined} - told:
                 console.note(f"refused: {path}: {reason}")
                 told.add((path, reason))
-            course = open_course(name, processed, experiment, wish, known, parts, asked)
-            answer, folder = plan_of(course, wish), requests_folder(processed, course.name, course.experiment)
-            if known is None:
-                try:
-                    held.enter_context(writing(folder, 0.0))
-                except StoreError:
-                    beside = BESIDE.format(holder(folder))
-            known, asked = course.learnt, asked_of(course, answer)
-            if beside is None:
-                write_requests(folder, asked)
-            yield answer if beside is None else with_remark(answer, beside)
+            course = open_course(name, processed, experiment, wish, known, parts)
+            known, answer = course.learnt, plan_of(course, wish)
+            yield answer
             if answer.done:
                 return

@@ -74,12 +74,15 @@ def simulate(
 def identify(
     paths: Annotated[list[Path], typer.Argument(help="Logs with command and position, or folders with some.")],
     profile: ProfileFile = None,
+    period: Annotated[float | None, typer.Option("--period", help="Sampling period of the walls, in s.")] = None,
+    delay: Annotated[float | None, typer.Option("--delay", help="Delay of the walls, in samples.")] = None,
     out: Out = None,
 ) -> None:
     """Identify a device from any logs, and the walls it can render.
 
     No wall and no rest are needed; steps, staircases, sweeps and wall trials all serve. A native log of no wall may
-    leave out stiffness, damping, step and names. With --out a device file (.toml) is written.
+    leave out stiffness, damping, step and names. Walls have the period and delay of the logs, where not given. With
+    --out a device file (.toml) is written.
 
     Example: pipeline identify logs --out motor.toml
     """
@@ -88,7 +91,7 @@ def identify(
 
     if out is not None:
         check_output(out, "--out")
-    document = identified_device(paths, profile)
+    document = identified_device(paths, profile, period, delay)
     if out is not None:
         write_text(out, device_text(document, out.stem))
     console.tell(document, [*_identified(document), *([] if out is None else [f"wrote {out}"])])

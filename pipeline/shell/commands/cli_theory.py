@@ -27,6 +27,7 @@ def points(
     cases: Annotated[
         Path, typer.Argument(help="CSV: alpha, beta, gamma, delta, delay; or stiffness, damping.", metavar="CSV")
     ],
+    criteria: Criteria = None,
     device: OfDevice = None,
     experiment: One = None,
 ) -> None:
@@ -38,14 +39,15 @@ def points(
     """
     from pipeline.theory import cases as theory
 
+    names = tuple(criteria or theory.POINT_COSTS)
     columns = theory.CASE_COLUMNS if device is None else theory.WALL_COLUMNS
     found = theory.read_cases(cases, columns)
     if device is None:
-        documents = theory.case_documents(found, theory.POINT_COSTS)
+        documents = theory.case_documents(found, names)
     else:
-        documents = theory.point_documents(_case(None, 0.0, 0.0, device, experiment), found.values, theory.POINT_COSTS)
-    shown = (*columns, "stable", "spectral_radius", "settle_2pct", "overshoot", "energy_step_w0", "reason")
-    console.tell(documents, console.table(documents, shown))
+        documents = theory.point_documents(_case(None, 0.0, 0.0, device, experiment), found.values, names)
+    shown = names if criteria else ("settle_2pct", "overshoot", "energy_step_w0")
+    console.tell(documents, console.table(documents, (*columns, "stable", "spectral_radius", *shown, "reason")))
 
 
 def boundary(
