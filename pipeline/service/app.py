@@ -32,13 +32,13 @@ from pipeline.service.rest import api
 from pipeline.service.rest.answers import describe, only_known
 from pipeline.service.rest.lab import lab
 from pipeline.service.rest.remarks import remarks
-from pipeline.service.rest.theory import Theory, theories
 from pipeline.service.security import Guard
 from pipeline.service.settings import Settings
 from pipeline.service.shared import Service
+from pipeline.service.theory import Theory
 from pipeline.service.uploads import remove_unacknowledged
 
-ROUTERS = (api.api, lab, remarks, theories, pages.pages, comparing)
+ROUTERS = (api.api, lab, remarks, pages.pages, comparing)
 THREADS = 12
 """That answer requests: more take memory, and the interpreter from each other."""
 
@@ -60,7 +60,7 @@ def create_app(settings: Settings) -> ASGIApp:
     workers, theory = Workers(settings, database), Theory(settings.theory_s)
     catalogue = Catalogue(settings.processed, database)
     service = Service(settings, database, catalogue, workers, theory)
-    renewal = Renewal(service)
+    renewal = Renewal(settings, database, service.renew)
 
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:

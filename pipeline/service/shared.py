@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pyarrow as pa
@@ -23,13 +23,11 @@ from pipeline.service.jobs import documents
 from pipeline.service.jobs.workers import Workers
 from pipeline.service.problems import Problem
 from pipeline.service.settings import Settings
+from pipeline.service.theory import Theory
 from pipeline.store.corrections import read_exclusions, split_trials
 from pipeline.store.names import folder_name
 from pipeline.store.samples import load_batch, load_trial
 from pipeline.store.storage import list_devices, list_experiments, read_trials
-
-if TYPE_CHECKING:
-    from pipeline.service.rest.theory import Theory
 
 RETRY_S = 60.0
 """Time after which what could not be computed is tried again by who looks at it [s]."""

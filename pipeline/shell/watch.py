@@ -345,10 +345,10 @@ def plan_beside(
         return running.pop().result() if running[0].done() else None
 
     with process_pool(1) as pool:
-        arrivals, known = Arrivals(PLAN_SETTLE_S), None
+        arrivals, known, first = Arrivals(PLAN_SETTLE_S), None, True
         now = arrivals.look(folders, (), (processed,))
         while True:
-            if known is not None and not arrivals.ready(now):
+            if not (first or arrivals.ready(now)):
                 time.sleep(PLAN_SETTLE_S / 3)
                 now = arrivals.look(folders, (), (processed,))
                 continue
@@ -364,7 +364,7 @@ def plan_beside(
                 console.note(f"refused: {path}: {reason}")
                 told.add((path, reason))
             course = open_course(name, processed, experiment, wish, known, parts)
-            known, answer = course.learnt, plan_of(course, wish)
+            known, first, answer = course.learnt, False, plan_of(course, wish)
             yield answer
             if answer.done:
                 return

@@ -10,14 +10,11 @@ import subprocess
 import sys
 import threading
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 from pipeline.base.errors import PipelineError
 from pipeline.service.database import KEPT_S, Database
 from pipeline.service.settings import Settings
-
-if TYPE_CHECKING:
-    from pipeline.service.shared import Service
 
 LOOK_S, TIDY_S = 1.0, 3600.0
 """Time between two looks at the jobs, and between two removals [s]."""
@@ -74,8 +71,8 @@ class Workers:
 class Renewal:
     """A thread of the server, from `start` to `stop`."""
 
-    def __init__(self, service: Service) -> None:
-        self.service = service
+    def __init__(self, settings: Settings, database: Database, renew: Callable[[], None]) -> None:
+        self.settings, self.database, self.renew = settings, database, renew
         self._ended = threading.Event()
 
     def start(self) -> None:
@@ -87,7 +84,7 @@ class Renewal:
         self._ended.set()
 
     def _watch(self) -> None:
-        database, settings = self.service.database, self.service.settings
+        database, settings = self.database, self.settings
         done, tidied = _stages(database), 0.0
         while not self._ended.wait(LOOK_S):
             try:
@@ -99,7 +96,7 @@ class Renewal:
                     continue
                 done = now
                 if settings.renew:
-                    self.service.renew()
+                    self.renew()
             except (PipelineError, OSError):
                 logging.getLogger("pipeline.service").exception("reports could not be renewed")
         database.close()

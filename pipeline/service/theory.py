@@ -1,0 +1,86 @@
+"""Theory in a process of its own, which is ended where it takes too long."""
+
+from __future__ import annotations
+
+import multiprocessing
+import threading
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any
+
+import numpy as np
+
+from pipeline.base.errors import ParameterError
+from pipeline.device_data.devices import find_experiment, load_device
+from pipeline.loop.loop import Loop
+from pipeline.service.problems import Problem
+from pipeline.theory.cases import LARGEST, Case, boundary_document, case_of, optimum_document, point_documents
+
+WAIT_S = 2.0
+"""Time that a request waits for another one [s]: those that wait keep others from being answered."""
+
+
+class Theory:
+    """Computes one thing at a time.
+
+    Parameters
+    ----------
+    most_s : float
+        Longest time [s].
+    """
+
+    def __init__(self, most_s: float) -> None:
+        self.most_s = most_s
+        self._lock = threading.Lock()
+        self._pool: ProcessPoolExecutor | None = None
+
+    def compute(self, *asked: Any) -> Any:
+        """Return a document of theory (see `document`); an error of the values passes."""
+        if not self._lock.acquire(timeout=WAIT_S):
+            raise Problem(503, "Theory is computed for others; ask again.", where="theory")
+        try:
+            if self._pool is None:
+                self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
+            return self._pool.submit(document, *asked).result(self.most_s)
+        except (TimeoutError, BrokenProcessPool) as error:
+            self._end()
+            more = "Use the command line, or a shorter delay or fewer points."
+            raise Problem(504, f"This was not computed in {self.most_s:g} s. {more}", where="theory") from error
+        finally:
+            self._lock.release()
+
+    def stop(self) -> None:
+        """End the process."""
+        with self._lock:
+            self._end()
+
+    def _end(self) -> None:
+        if self._pool is not None:
+            for process in list((self._pool._processes or {}).values()):
+                process.kill()
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool = None
+
+
+def document(what: str, of: tuple[str, str | None] | tuple[float, float, float], *values: Any) -> Any:
+    """Return the document of ``theory boundary``, ``optimum`` or ``points``.
+
+    Parameters
+    ----------
+    what : str
+    of : tuple
+        Device and experiment (None: its first), or gamma, delta and delay of a normalised loop.
+    values
+        Criterion and signal of an optimum; walls as pairs, in SI or normalised.
+    """
+    if len(of) == 3:
+        case = Case(Loop(*of))
+    else:
+        device = load_device(of[0])
+        case = case_of(device, find_experiment(device, of[1]) if of[1] else device.experiments[0])
+    if what != "points":
+        return boundary_document(case) if what == "boundary" else optimum_document(case, *values)
+    walls = np.array(values[0], dtype=np.float64)
+    if np.abs(walls).max() > LARGEST:
+        raise ParameterError(f"{' or '.join(case.axes)}: expected at most {LARGEST:g}.")
+    return point_documents(case, walls)
