@@ -192,7 +192,7 @@ def _experiment(name: str, asked: str | None, stored: Sequence[str], device: Dev
 def wanted_dampings(course: Course, wish: Wish) -> tuple[float, ...]:
     """Return the dampings at which limits are looked for: those named, else even ones of the range, or those tried.
 
-    Even ones are moved to dampings that the file's steps reach, or that were tried, where those are near.
+    Even ones are moved to dampings that were tried within half their distance, else to steps of the file.
     """
     tried = np.unique(course.tried.damping)
     of_file = course.of_file
@@ -204,6 +204,9 @@ def wanted_dampings(course: Course, wish: Wish) -> tuple[float, ...]:
         even = np.linspace(grid.damping_first, grid.damping_last, DAMPINGS)
         steps = np.round((even - grid.damping_first) / grid.damping_step)
         wanted = np.unique(np.maximum(grid.damping_first + steps * grid.damping_step, 0.0))
+        if len(tried):
+            near = tried[np.abs(tried - wanted[:, None]).argmin(axis=1)]
+            wanted = np.unique(np.where(2 * np.abs(near - wanted) <= even[1] - even[0], near, wanted))
     elif len(tried) > DAMPINGS:
         wanted = tried[np.unique(np.round(np.linspace(0, len(tried) - 1, DAMPINGS)).astype(np.int64))]
     else:

@@ -16,8 +16,8 @@ from pipeline.records.score_records import TheoryParameters as TheoryParameters
 class Truth(Record):
     """What was true of a simulated experiment: its loop, and beside that jitter [samples] and constant force [N, Nm].
 
-    The delay of ``loop`` is the mean of a jittering one, ``jitter_samples`` its standard deviation. ``limit_reason``
-    says why the limits of the loop are not known.
+    A jittering delay is in ``loop`` as the mean of the command in force; ``jitter_samples`` is the standard
+    deviation of what is drawn. ``limit_reason`` says why the limits of the loop are not known.
     """
 
     loop: TheoryParameters
@@ -105,13 +105,14 @@ class UseRegion(Record):
 class AnswerEstimate(Record):
     """A quantity of the first screen with its 95 % interval; an end is null where nothing bounds it.
 
+    The value is null for friction that was not found: ``high`` is the most that the logs leave open.
     ``large_motion`` is the linear limit of a device with friction, from which on a harder push is unstable. Of the
     replay, the value is the share of verdicts that it has right behind walls that it was not fitted to, and
     ``limits_off_percent`` the median error of its limits.
     """
 
     name: Literal["delay_samples", "mass", "damping", "friction", "stiffness_max", "replay"]
-    value: float
+    value: float | None
     low: float | None
     high: float | None
     unit: str

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pipeline.base.wording import counted
-from pipeline.records.findings import DRIFTS, Estimate
+from pipeline.records.findings import DRIFTS, Estimate, holds
 from pipeline.records.results import ComparisonResult, ExperimentResult, TheoryParameters
 from pipeline.rendering.frames import flat, frames
 from pipeline.rendering.labels import (
@@ -603,9 +603,8 @@ def _truth(result: ComparisonResult) -> Table | None:
             if one.truth is None:
                 continue
             _, low, high = estimate_texts(one)
-            outside = None not in (one.value, one.low, one.high) and not (one.low or 0.0) <= one.truth <= (
-                one.high or 0.0
-            )
+            ends = one.low or 0.0, one.truth, one.high or 0.0
+            outside = None not in (one.value, one.low, one.high) and not holds(*ends)
             row = {
                 "experiment": e.experiment,
                 "quantity": name,
