@@ -82,6 +82,14 @@ class Estimate(Record):
         return self
 
 
+class Parameter(Record):
+    """A parameter of a loop in SI with its 95 % interval; one that a device file states is its own interval."""
+
+    value: float
+    low: float
+    high: float
+
+
 class ModelCheck(Record):
     """How well the likeliest device explains the logs of an experiment: ``explained`` of ``trials``.
 

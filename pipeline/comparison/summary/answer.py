@@ -19,10 +19,16 @@ from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.course import Wish, course_of
 from pipeline.plan.planner import plan_of
-from pipeline.records.loop_records import Cause
 from pipeline.records.models import ComparisonRow, Experiment
-from pipeline.records.results import Answer, AnswerEstimate, ExperimentResult, NextWall, Prediction
-from pipeline.records.score_records import DistanceScore
+from pipeline.records.results import (
+    Answer,
+    AnswerEstimate,
+    Cause,
+    DistanceScore,
+    ExperimentResult,
+    NextWall,
+    Prediction,
+)
 from pipeline.rendering.labels import Units, share_text, significant
 from pipeline.simulation.simulate import mean_in_force
 

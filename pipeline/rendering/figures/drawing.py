@@ -103,9 +103,6 @@ LOOKS: dict[str, dict[str, Any]] = {
 opacity of an area, ``dots`` the size of dots drawn as one path, ``interval`` the width of the bar from ``low`` to
 ``high``, ``span`` the opacity of a strip over the whole height. Without a colour a series has that of its number."""
 
-_BEHIND = ("use", "stable", "envelope", "passive", "span", "gap")
-"""Kinds that lie below the grid of lines."""
-
 
 @dataclass(frozen=True, eq=False)
 class Series:

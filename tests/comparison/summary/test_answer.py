@@ -9,8 +9,8 @@ import pytest
 
 from pipeline.comparison.scores.agreement import is_steady
 from pipeline.comparison.summary.answer import COARSE, answer
-from pipeline.records.loop_records import Cause, LoopLimit
 from pipeline.records.models import ComparisonRow, Deviation
+from pipeline.records.results import Cause, LoopLimit
 from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report.report import answer_lines
 
