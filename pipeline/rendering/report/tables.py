@@ -36,15 +36,15 @@ MAIN = ("delay_samples", "mass", "damping")
 """Quantities that stand beside the experiments; the others stand in the table of methods only."""
 
 CENSORED = "At the edge of the tested range (censored): the true value may lie outside."
-UNDECIDED_BELOW = "A trial below it is undecided: no evidence against it, and worth a look or a repetition."
+UNDECIDED_BELOW = "A trial below it is undecided: look at it, or repeat it."
 RANGE_ENDED = "The tested range ended before an unstable trial."
 MISSED = "Outside the interval."
 PARTS = (
-    "Parts, whose factors (1 + x/100) multiply to the whole: range, theory's least cost in the tested range against "
-    "its least anywhere; grid, that at the tested points against that; model, the measured cost freed from the scatter "
-    "of single trials against theory's (95 %); selection, the best single trial against that."
+    "Parts; their factors (1 + x/100) multiply to the deviation. Range: theory's optimum lies outside the tested range. "
+    "Grid: it lies between the tested walls. Model (95 %): measured against theory on the tested walls, without the "
+    "scatter of single trials. Selection: the best of many trials is lucky."
 )
-DRIFT = "Drifts with the setting of the wall: the model does not hold for all trials."
+DRIFT = "Drifts with the wall: one model does not hold for all trials."
 OUTCOMES = {
     "settled": "settled",
     "moving": "still moving",
@@ -164,7 +164,7 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
         ),
         "model": table_of(
             "model",
-            "Does one device explain the logs? Fit of its free runs under the commands of logs it was not fitted to",
+            "Logs that one device explains, and fit of its free runs to unseen logs",
             (
                 Column("experiment"),
                 Column("trials", show=_number),
@@ -179,21 +179,21 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
         "use": _use(result, place),
         "missing": table_of(
             "missing",
-            "Results that the logs do not allow",
+            "Missing results",
             (Column("experiment"), Column("result"), Column("reason")),
             [row | {"result": criterion_name(row["what"])} for row in f["missing"]],
             _of_what("what"),
         ),
         "excluded": table_of(
             "excluded",
-            "Trials excluded by hand: kept, and used for no number of this report",
+            "Trials excluded by hand; no number uses them",
             (Column("experiment"), Column("trial_id", "trial"), Column("log"), Column("reason"), Column("since")),
             f["excluded"],
             lambda row: str(row["trial_id"]),
         ),
         "notes": table_of(
             "notes",
-            "Notes and tags of the lab; no number rests on them",
+            "Notes and tags of the lab; no number uses them",
             (Column("trial_id", "trial"), Column("tags", why="no tag"), Column("text", "note", why="no text")),
             [row | {"trial_id": row["trial_id"] or "all"} for row in f["notes"]],
             _of_what("trial_id"),
@@ -455,7 +455,7 @@ def _boundary(rows: Sequence[Row], units: Any, trials: TrialPage) -> Table | Non
         Column(
             "unstable", show=_stiffness, why="no unstable trial", notes=ended, link=lambda row: place(row, "unstable")
         ),
-        Column("limit", "limit, 95 %", show=limit, aside=interval, why="no trial is surely stable or surely unstable"),
+        Column("limit", "limit, 95 %", show=limit, aside=interval, why="no trial is clearly stable or unstable"),
         Column("stiffness_large_motion", "harder push", show=_stiffness, why="no limit", optional=True),
         Column("truth", show=_stiffness, why="no truth", optional=True),
     )
@@ -529,7 +529,7 @@ def _loops(result: ComparisonResult) -> Table | None:
     parameters = {"delay_samples": "samples", "mass": units.mass, "damping": units.damping}
     columns += [estimate_column(name, unit) for name, unit in parameters.items()]
     columns += [
-        Column("replay", "behind walls it was not fitted to", why="no wall to replay"),
+        Column("replay", "replay of unseen walls", why="no wall to replay"),
         Column("passive", "stiffest passive wall"),
     ]
     return table_of("loops", "Identified loops, with 95 % intervals", columns, rows, _name)
@@ -567,7 +567,7 @@ def _truth(result: ComparisonResult) -> Table | None:
     held = [e.truth_held for e in known if e.truth_held]
     total = sum(one.estimates + one.limits for one in held)
     kept = sum(one.estimates_held + one.limits_held for one in held)
-    caption = f"Truth of the simulation: {kept} of {total} intervals of 95 % hold it, those of the limits included"
+    caption = f"True values of the simulation: {kept} of {total} 95 % intervals contain them, those of the limits included"
     columns = (
         Column("name", "quantity"),
         Column("truth", show=digits(4), notes=lambda row: [MISSED if row["outside"] else None]),
@@ -610,7 +610,7 @@ def _use(result: ComparisonResult, place: Callable[[Row], str]) -> Table | None:
         ),
         Column("margin", "limit over K, at least", group=around, show=digits(2)),
     )
-    caption = "Walls to use: all stable, and far from the limit; of each, the wall to set, and walls around it"
+    caption = "Recommended walls, and the good walls around them"
     return table_of("use", caption, columns, rows if names else [], _name, trial=place)
 
 
@@ -634,5 +634,5 @@ def _header(result: ComparisonResult) -> Table | None:
             about = {"experiment": e.experiment, "line": line.key, "trials": line.trials}
             rows.append(about | {"values": "; ".join(told)})
     columns = (Column("line"), Column("trials", show=_number), Column("values", "values (trials)"))
-    caption = "Header lines of the logs that only the lab knows; no number rests on them"
+    caption = "Other header lines of the logs; no number uses them"
     return table_of("header", caption, columns, rows, _of_what("line"), _of_experiment)
