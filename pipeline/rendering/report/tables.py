@@ -40,7 +40,7 @@ UNDECIDED_BELOW = "A trial below it is undecided: look at it, or repeat it."
 RANGE_ENDED = "The tested range ended before an unstable trial."
 MISSED = "Outside the interval."
 PARTS = (
-    "Parts; their factors (1 + x/100) multiply to the deviation. Range: theory's optimum lies outside the tested range. "
+    "Parts; their factors (1 + x/100) multiply to the whole. Range: theory's optimum lies outside the tested range. "
     "Grid: it lies between the tested walls. Model (95 %): measured against theory on the tested walls, without the "
     "scatter of single trials. Selection: the best of many trials is lucky."
 )
@@ -567,7 +567,7 @@ def _truth(result: ComparisonResult) -> Table | None:
     held = [e.truth_held for e in known if e.truth_held]
     total = sum(one.estimates + one.limits for one in held)
     kept = sum(one.estimates_held + one.limits_held for one in held)
-    caption = f"True values of the simulation: {kept} of {total} 95 % intervals contain them, those of the limits included"
+    caption = f"True values of the simulation: {kept} of {total} 95 % intervals contain them, limits included"
     columns = (
         Column("name", "quantity"),
         Column("truth", show=digits(4), notes=lambda row: [MISSED if row["outside"] else None]),
