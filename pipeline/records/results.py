@@ -402,7 +402,8 @@ class Answer(Record):
     """What a reader of one screen is told: which wall, how sure, whether theory predicts it, why not, what is next.
 
     ``experiment`` is the one that is spoken of, and drawn beside. ``spacing_percent`` is the distance of the tested
-    walls where theory's optimum lies between them; ``next`` is null without ``next_reason`` where the limits are known.
+    walls where theory's optimum lies between them. Where ``next`` is null without ``next_reason``, verdicts tell the
+    limits at ``limits_told`` of the ``limits_wanted`` dampings, and would at none of the others.
     """
 
     experiment: str
@@ -415,6 +416,8 @@ class Answer(Record):
     causes: tuple[Cause, ...] = ()
     next: NextWall | None = None
     next_reason: str = ""
+    limits_told: int = 0
+    limits_wanted: int = 0
 
 
 class HeaderLine(Record):

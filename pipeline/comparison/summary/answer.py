@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from statistics import median
+from typing import Any
 
 import numpy as np
 
@@ -65,7 +66,6 @@ def answer(data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[
     misled = gains is not None and gains.most
     told = [*result.causes, *_other_parameters(result, of_file, units)]
     wall = result.use.point if result.use else None
-    following, nothing = (None, "Correct the headers first") if misled else _next(data, result, of_file, stages)
     return Answer(
         experiment=result.experiment,
         wall=wall,
@@ -75,8 +75,7 @@ def answer(data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[
         estimates_reason=_doubt(result),
         predicts=_prediction(result, rows, misled),
         causes=tuple(told[:MOST_CAUSES]),
-        next=following,
-        next_reason=nothing,
+        **({"next_reason": "Correct the headers first"} if misled else _next(data, result, of_file, stages)),
     )
 
 
@@ -150,11 +149,13 @@ def _other_parameters(result: ExperimentResult, of_file: Experiment | None, unit
         return []
     p = scores.parameters
     mass, damping, _, _ = p.loop.felt(p.mass, p.damping, p.stiffness)
-    jitter = of_file.jitter_samples if of_file else ()
+    jitter, delay = of_file.jitter_samples if of_file else (), p.delay_samples
+    if jitter and result.delay.value is not None and result.delay.value < delay:
+        delay = max(mean_in_force(jitter), min(delay, result.delay.value))
     stated = (
         ("m", mass, result.estimates["mass"], units.mass),
         ("b", damping, result.estimates["damping"], units.damping),
-        ("d", mean_in_force(jitter) if jitter else p.delay_samples, result.delay, "samples"),
+        ("d", delay, result.delay, "samples"),
     )
     off = [
         f"{name} = {significant(value, 3)} {unit}, logs {significant(found.low, 3)} to {significant(found.high, 3)}"
@@ -219,7 +220,7 @@ def _percent(distance: DistanceScore | None) -> float | None:
 
 def _next(
     data: SceneData, result: ExperimentResult, of_file: Experiment | None, stages: ExperimentStages
-) -> tuple[NextWall | None, str]:
+) -> dict[str, Any]:
     """Return the wall that the planner asks for next by the verdicts so far, or why there is none."""
     name, wish = result.experiment, Wish()
     try:
@@ -227,9 +228,10 @@ def _next(
         found = found_device(result, stages) if result.loop is not None else None
         plan = plan_of(replace(course_of(stages, data.device, of_file, wish), found=found), wish)
     except (DeviceError, UsageError) as error:
-        return None, str(error).rstrip(".")
+        return {"next_reason": str(error).rstrip(".")}
     if not plan.next:
-        return None, ""
+        told = sum(limit.estimate is not None for limit in plan.boundary)
+        return {"limits_told": told, "limits_wanted": len(plan.boundary)}
     wall = plan.next[0]
     command = f"pipeline plan --device {shlex.quote(data.scene.device)} --experiment {shlex.quote(name)}"
-    return NextWall(stiffness=wall.stiffness, damping=wall.damping, why=wall.why, command=command), ""
+    return {"next": NextWall(stiffness=wall.stiffness, damping=wall.damping, why=wall.why, command=command)}

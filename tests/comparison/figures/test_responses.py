@@ -123,6 +123,7 @@ def test_an_excluded_trial_is_drawn_beside_the_loop(first):
     others = stages.trials.filter([name != trial for name in stages.trials.column("trial_id").to_pylist()])
     other = type(stages)(stages.processed, stages.device, stages.experiment, others)
     other._tables |= {name: stages.table(name).slice(0, 0) for name in ("response", "model", "wall_law")}
+    other._tables["device"] = stages.table("device")
     course = trial_figure(other, result, trial, "translation").panels[0]
     assert [s.label for s in course.series if not s.label.startswith("_")] == ["log", "theory", "fitted loop"]
 
