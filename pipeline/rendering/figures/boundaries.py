@@ -217,7 +217,7 @@ def _with_loop(result: ExperimentResult, theory: Theory | None, number: int, sho
         )
         harder = np.array([limit.stiffness_large_motion for limit in result.loop_boundary], dtype=np.float64)
         series.append(Series("identified loop", "identified", K, B))
-        series.append(Series("its 95 % interval", "envelope", high, B, low, high))
+        series.append(Series("loop, 95 % interval", "envelope", high, B, low, high))
         series += [Series("for a harder push", "friction", harder, B)] if np.isfinite(harder).any() else []
     if theory is not None:
         series += [by_theory(theory, "theory"), *conditions(theory)]

@@ -356,7 +356,7 @@ def _paint_series(axes: Axes, series: Series, place: str) -> None:
         alpha = 0.45 if interval > 2 else 1.0
         lines(at[known], series.low[known], series.high[known], color=look["color"], alpha=alpha, lw=interval)
     if fill:
-        axes.fill(x, y, color=look["color"], alpha=fill, lw=0)
+        axes.fill(x, y, color=look["color"], alpha=fill, lw=0, label="_")
     axes.plot(x, y, **look, **named)
 
 
