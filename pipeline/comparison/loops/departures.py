@@ -59,6 +59,8 @@ SENTENCES = {
     "other_unit": "The command obeys another wall than the header states, by a power of ten.",
     "unknown": "The logged command is not that of the wall law.",
 }
+"""What a log can be found to be beside the wall law. ``other_wall``: other K, B or sign than the header's;
+``other_unit``: K and B a power of ten off."""
 
 IMITATED = {
     "several_steps": {"missing_rows": 1.0, "repeated_rows": 1.0, "velocity_filter": 1.0, "saturation": 1.0},
