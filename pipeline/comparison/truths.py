@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from pipeline.base.errors import ParameterError
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.findings import BoundaryPoint, Estimate
+from pipeline.records.findings import BoundaryPoint, Estimate, holds
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.results import ExperimentResult, TheoryParameters, Truth, TruthHeld
 from pipeline.simulation.simulate import age_in_force
@@ -118,4 +118,4 @@ def _holds(found: Estimate | BoundaryPoint) -> bool | None:
     value = found.estimate if isinstance(found, BoundaryPoint) else found.value
     if value is None or found.truth is None or found.low is None or found.high is None:
         return None
-    return found.low <= found.truth <= found.high
+    return holds(found.low, found.truth, found.high)
