@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from pipeline.base.errors import Code
 from pipeline.records.findings import Record
 
 Action = Literal["ingest", "skip", "refuse", "wait"]
@@ -18,7 +17,7 @@ class Refusal:
     path: str
     reason: str
     row: int | None
-    code: Code | None = None
+    code: str | None = None
     profile_line: str | None = None
 
 

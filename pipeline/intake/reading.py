@@ -9,7 +9,7 @@ from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
 from itertools import islice
 
-from pipeline.base.errors import LogError
+from pipeline.base.errors import LogError, refusal
 from pipeline.base.paths import open_regular, storable
 from pipeline.intake.sources import Source
 from pipeline.profiles.profile_model import Profile
@@ -109,30 +109,22 @@ def load_source(source: Source) -> tuple[RawLog, str, Source]:
         If it is too large, cannot be read, changes while it is read, or no profile claims it.
     """
     if source.size > LARGEST_LOG:
-        raise LogError(
-            f"file has {source.size} bytes; expected a log of one step response, at most {LARGEST_LOG}. "
-            "Split the recording into single responses.",
-            code="too-large",
-        )
+        expected = f"a log of one step response, at most {LARGEST_LOG}"
+        raise refusal("too-large", "", f"file has {source.size} bytes", expected)
     if source.problem:
-        raise LogError(source.problem, code=source.code)
+        raise source.problem
     data = []
     size, mtime_ns = 0, 0
     for file in source.files:
         try:
-            with open_regular(file, source.within) as stream:
+            with open_regular(file) as stream:
                 before = os.fstat(stream.fileno())
                 data.append(stream.read(min(before.st_size, LARGEST_LOG) + 1))
                 after = os.fstat(stream.fileno())
         except OSError as error:
-            raise LogError(
-                f"file cannot be read ({error.strerror}). Correct its permissions.", code="unreadable"
-            ) from error
+            raise refusal("unreadable", "", f"file cannot be read ({error.strerror})") from error
         if (before.st_size, before.st_mtime_ns) != (len(data[-1]), after.st_mtime_ns):
-            raise LogError(
-                "file changed while it was read; expected a finished recording. Run the command again.",
-                code="changed-while-read",
-            )
+            raise refusal("changed-while-read", "", "file changed while it was read", "a finished recording")
         size, mtime_ns = size + after.st_size, max(mtime_ns, after.st_mtime_ns)
     hashes = [hashlib.sha256(part).hexdigest() for part in data]
     sha256 = hashes[0] if len(hashes) == 1 else hashlib.sha256("".join(hashes).encode()).hexdigest()
@@ -160,17 +152,12 @@ def motion_of(log: Log, known: Mapping[str, Motion]) -> Motion:
     for key in ("device", "experiment"):
         name = getattr(header, key)
         if len(name) > SHORT_NAME and len(folder_name(name)) > LONGEST_FOLDER:
-            raise LogError(
-                f"{key} {name!r} is too long for a folder name; shorten it or use ASCII letters.",
-                code="condition-wrong",
-            )
+            cure = "Shorten it, or use ASCII letters."
+            raise refusal("condition-wrong", "", f"{key} {name!r} is too long for a folder name", cure=cure)
     device = known.get(header.device)
     if device and header.motion and device != header.motion:
-        raise LogError(
-            f"motion is {header.motion}, but the device {header.device!r} has {device}. "
-            "Correct the log, or give its device another name.",
-            code="condition-wrong",
-        )
+        found = f"motion is {header.motion}, but the device {header.device!r} has {device}"
+        raise refusal("condition-wrong", "", found, cure="Correct the log, or give its device another name.")
     return header.motion or device or "translation"
 
 

@@ -18,8 +18,8 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from pipeline.base.disk import READABLE, shared_mode
-from pipeline.base.errors import Code, UsageError
-from pipeline.base.paths import OutsideError, open_regular, path_text, real_file, storable
+from pipeline.base.errors import LogError, UsageError, refusal
+from pipeline.base.paths import open_regular, path_text, storable
 from pipeline.profiles.patterns import find_groups
 from pipeline.profiles.profile_files import claim
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile
@@ -30,79 +30,25 @@ ENDINGS = (".db3", ".mcap")
 LARGEST_METADATA = 1 << 20
 """Bytes of ``metadata.yaml`` that are read; it has some hundred for each file and topic."""
 
-_MARK = "rosbag2_bagfile_information"
 _LISTED = re.compile(r"relative_file_paths:\s*(\[[^\]]*\]|(?:[ ]*-[^\n]*(?:\n|$))+)")
 _RECORDED = re.compile(rf"""[^/'",\[\]\n]*({"|".join(map(re.escape, ENDINGS))})(\.zstd)?\b""")
 """List of the files in the metadata, and the name of one in it, without its folder."""
 
 
-@dataclass(frozen=True)
-class Bag:
-    """A folder that is one recording: its files in their order, and why it is not whole."""
-
-    folder: Path
-    files: tuple[Path, ...]
-    problem: str | None = None
-
-
-def bag_of(file: Path, within: str | None = None) -> Bag | None:
-    """Return the bag that a file belongs to, or None where it stands for itself.
-
-    Parameters
-    ----------
-    file : Path
-        A recorded file, or ``metadata.yaml``. Other files, and those that their folder's metadata does not list, belong
-        to no bag.
-    within : str, optional
-        As for `open_regular`: metadata elsewhere are not opened.
-    """
+def files_of_bag(file: Path) -> tuple[Path, ...]:
+    """Return the files of the bag that a file belongs to, as ``metadata.yaml`` beside it lists them; else none."""
     if file.name != METADATA and file.suffix.lower() not in ENDINGS:
-        return None
-    folder, own = file.parent, _numbered(file.parent)
+        return ()
     try:
-        with open_regular(folder / METADATA, within) as stream:
+        with open_regular(file.parent / METADATA) as stream:
             text = stream.read(LARGEST_METADATA).decode("utf-8", "replace")
     except OSError:
-        if len(own) < 2 or file.name not in own:
-            return None
-        unlisted = (
-            f"{len(own)} files {own[0]}, ... look like one bag, but {METADATA}, which lists its files, is missing. "
-            "Run `ros2 bag reindex` on the folder; if each is a recording of its own, rename the folder."
-        )
-        return Bag(folder, tuple(folder / name for name in own), unlisted)
-    if _MARK not in text:
-        return None
-    # early versions wrote folders; one that was unpacked by hand has lost its second ending
+        return ()
     section = _LISTED.search(text)
-    listed = [name[0].lstrip("- ") for name in _RECORDED.finditer(section[1])] if section else []
-    listed = [plain if os.path.exists(folder / (plain := name.removesuffix(".zstd"))) else name for name in listed]
-    if not listed:
-        return Bag(
-            folder, (folder / METADATA,), f"{METADATA} lists no files; expected relative_file_paths. Reindex it."
-        )
-    if file.name not in {METADATA, *listed, *own}:
-        return None
-    problem: str | None = None
-    # unlike that of a path this takes names that no file system allows
-    if lost := [name for name in listed if not os.path.exists(folder / name)]:
-        problem = f"{lost} of the bag {_title(folder)} are missing, which {METADATA} lists; expected all together."
-    elif more := [name for name in own if name not in listed]:
-        problem = f"{more} of the bag {_title(folder)} are not listed in {METADATA}. Run `ros2 bag reindex` on it."
-    return Bag(folder, tuple(folder / name for name in listed), problem)
-
-
-def _title(folder: Path) -> str:
-    return os.path.basename(os.path.abspath(folder))
-
-
-def _numbered(folder: Path) -> list[str]:
-    """Return the files that `ros2 bag record` calls by their folder and counts, in that order."""
-    try:
-        names = os.listdir(folder)
-    except OSError:  # whoever opens the file says why
-        return []
-    pattern = re.compile(rf"{re.escape(_title(folder))}_(\d+)({'|'.join(map(re.escape, ENDINGS))})")
-    return [match[0] for match in sorted(filter(None, map(pattern.fullmatch, names)), key=lambda found: int(found[1]))]
+    found = [name[0].lstrip("- ") for name in _RECORDED.finditer(section[1])] if section else []
+    # one that was unpacked by hand has lost its second ending
+    names = [plain if os.path.exists(file.with_name(plain := name.removesuffix(".zstd"))) else name for name in found]
+    return tuple(map(file.with_name, names)) if file.name in (METADATA, *names) else ()
 
 
 UNCOUNTED = frozenset({"truth.json", "readme", "readme.md", "readme.txt", "license", "license.md", "license.txt"})
@@ -129,12 +75,8 @@ class Source:
         Size of all files together [byte] and newest modification time [ns].
     profile : Profile or None
         What reads it.
-    problem : str or None
+    problem : LogError or None
         Why it cannot be read at all.
-    code : str
-        The same as one of `errors.Code`.
-    within : str or None
-        Real path of the folder that no link may lead out of; None for a link that was given itself.
     mode : int
         Who may read all of its files.
     """
@@ -145,9 +87,7 @@ class Source:
     size: int
     mtime_ns: int
     profile: Profile | None
-    problem: str | None = None
-    code: Code = "unreadable"
-    within: str | None = None
+    problem: LogError | None = None
     mode: int = READABLE
 
     @property
@@ -165,8 +105,8 @@ def find_sources(
 ) -> list[Source]:
     """Return every log below the given folders and files, each once, in order of path.
 
-    Links to files are followed where they stay inside the searched folder, and where they are given themselves. Links
-    to folders inside a searched folder are not, since they may lead in a circle or out of the data: `notice` is told.
+    Links to files are followed. Links to folders inside a searched folder are not, since they may lead in a circle:
+    `notice` is told.
 
     Parameters
     ----------
@@ -200,12 +140,9 @@ def find_sources(
             raise UsageError(f"{path}: no such file or folder. Give folders with logs, or single logs.")
         if excluded is not None and os.path.join(os.path.realpath(path), "").startswith(os.path.join(excluded, "")):
             raise UsageError(f"{path}: lies in {exclude}, where results are kept. Give folders with logs.")
-        folder = path if path.is_dir() else path.parent
-        # a link that is given itself is the user's own choice
-        within = None if folder != path and path.is_symlink() else os.path.realpath(folder)
         look = _files(path, excluded, notice, {} if unchanged is None else unchanged)
-        for file in look if folder == path else [path]:
-            source = _source(file, profiles, within)
+        for file in look if path.is_dir() else [path]:
+            source = _source(file, profiles)
             found.setdefault(source.key, source)
     return [found[key] for key in sorted(found)]
 
@@ -275,66 +212,48 @@ def is_settled(mtime_ns: int, settle_s: float) -> bool:
     return abs(time.time_ns() - mtime_ns) >= settle_s * 1e9
 
 
-_Problem = tuple[str, Code]
-"""Why a source cannot be read: in words, and as one of the codes."""
-
-
-def _source(file: Path, profiles: tuple[Profile, ...], within: str | None) -> Source:
-    bag = bag_of(file, within)
-    profile, path, problem = _claimed(bag.files[0] if bag else file, profiles)
-    partner = profile.partner_of(path) if profile else None
-    files: tuple[Path, ...] = (path, partner) if partner else (path,)
-    if bag:
-        path, files, partner = bag.folder, bag.files, None
-        problem = (bag.problem, "partner-missing") if bag.problem else problem
-    size, mtime_ns, present = 0, 0, []
-    seen = list[os.stat_result]()
+def _source(file: Path, profiles: tuple[Profile, ...]) -> Source:
+    bag, problem = files_of_bag(file), None
+    profile, path = _claimed(bag[0] if bag else file, profiles)
+    if profile is None:
+        accepted = "; ".join(f"{p.name}: {', '.join(p.files)}" for p in profiles)
+        problem = refusal("no-profile", "", f"no profile claims a file of this name; accepted are {accepted}")
+    partner = profile.partner_of(path) if profile and not bag else None
+    files = bag or tuple(filter(None, (path, partner)))
+    path = file.parent if bag else path
+    seen = dict[Path, os.stat_result]()
     for part in files:
-        status = _status(part, within)
-        if isinstance(status, os.stat_result):
-            seen.append(status)
-            present.append(part)
-            size += status.st_size
-            mtime_ns = max(mtime_ns, status.st_mtime_ns)
-            continue
-        if profile and part == partner and status[1] == "unreadable":
-            text = f"{(problem or status)[0]} Profile {profile.name} reads a log from two files; add the second."
-            problem = text, "partner-missing"
-        problem = problem or status
-    key = path_text(os.path.abspath(path))
-    reason, code = problem or (None, "unreadable")
-    mode = shared_mode(seen, path.parent)
-    return Source(path, key, tuple(present), size, mtime_ns, profile, reason, code, within, mode)
+        try:
+            seen[part] = _status(part, len(files) > 1)
+        except LogError as error:
+            problem = problem or error
+    size, newest = sum(s.st_size for s in seen.values()), max((s.st_mtime_ns for s in seen.values()), default=0)
+    mode, key = shared_mode([*seen.values()], path.parent), path_text(os.path.abspath(path))
+    return Source(path, key, tuple(seen), size, newest, profile, problem, mode)
 
 
-def _status(file: Path, within: str | None) -> os.stat_result | _Problem:
-    """Return size and times of a file of a log, or why it is not read."""
+def _status(file: Path, one_of_several: bool) -> os.stat_result:
+    """Return size and times of a file of a log.
+
+    Raises
+    ------
+    LogError
+        If it cannot be read.
+    """
     try:
-        status = os.stat(file if within is None else real_file(file, within))
-    except OutsideError as error:
-        text = f"{file.name} {error.strerror}, which was not given. Copy the log, or give the link itself to ingest it."
-        return text, "link-outside"
+        status = os.stat(file)
     except OSError as error:
-        return f"{file.name} cannot be read ({error.strerror}); expected it in {file.parent}.", "unreadable"
+        missing = one_of_several and not os.path.lexists(file)
+        found = f"{file.name} {'is missing' if missing else f'cannot be read ({error.strerror})'}"
+        raise refusal("partner-missing" if missing else "unreadable", "", found, f"it in {file.parent}") from error
     if not stat.S_ISREG(status.st_mode):
-        return f"{file.name} is no regular file; expected a log. Copy the log's content to a file.", "not-regular"
+        raise refusal("not-regular", "", f"{file.name} is no regular file", "a log")
     return status
 
 
-def _claimed(file: Path, profiles: tuple[Profile, ...]) -> tuple[Profile | None, Path, _Problem | None]:
-    """Return the profile that claims a file, the log that the file belongs to, and the problem with it."""
+def _claimed(file: Path, profiles: tuple[Profile, ...]) -> tuple[Profile | None, Path]:
+    """Return the profile that claims a file, and the log that the file belongs to."""
     for profile in profiles:
-        log = profile.log_of_partner(file)
-        if log is None:
-            continue
-        # unlike that of a path this takes names that no file system allows
-        if os.path.exists(log):
-            return profile, log, None
-        text = f"the other file of this log, {log.name}, is missing; expected it in {file.parent}."
-        return None, file, (text, "partner-missing")
-    claimant = claim(file.name, profiles)
-    if claimant is None:
-        accepted = "; ".join(f"{p.name}: {', '.join(p.files)}" for p in profiles)
-        text = f"no profile claims a file of this name; accepted are {accepted}. Remove it or give --profile."
-        return None, file, (text, "no-profile")
-    return claimant, file, None
+        if (log := profile.log_of_partner(file)) is not None:
+            return profile, log
+    return claim(file.name, profiles), file

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
@@ -10,21 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.base.errors import LogError, ParameterError
+from pipeline.base.errors import LogError, ParameterError, refusal
 from pipeline.base.units import factor_to_si
 from pipeline.profiles.patterns import find_groups
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, REQUIRED_CONDITIONS, FileEntry, Profile, StepEntry
 from pipeline.readers.frame import Contents, Scalar
-from pipeline.readers.limits import LONGEST_QUANTITY
-from pipeline.readers.refusals import refusal
 from pipeline.records.batch import Integers
 from pipeline.records.native import FREE, NativeHeader, parse_header
 
 Part = tuple[FileEntry | None, StepEntry | None]
 """What a profile says of a file, and of a step in it."""
-
-_QUANTITY = re.compile(r"([^\s\[\]()]+)\s*[\[(]?\s*([^\d\s\[\]()][^\[\]()]*?)?\s*[\])]?")
-"""A number and, behind it, a unit, which may stand in brackets."""
 
 
 def entry_of(profile: Profile, name: str) -> FileEntry | None:
@@ -163,14 +157,13 @@ def _in_si(profile: Profile, where: str, key: str, value: Scalar, inside: bool =
     if not isinstance(value, str):
         return value * factor
     text, said = value.strip(), f"the {key} is {value.strip()[:200]!r}"
-    # what is longer is no number with a unit, and takes the pattern its length squared
-    match = _QUANTITY.fullmatch(text) if len(text) <= LONGEST_QUANTITY else None
-    number, unit = match.groups() if match else (text, None)
+    number, _, unit = text.replace("[", " ").replace("(", " ").rstrip(")]").partition(" ")
     if inside and profile.decimal_sign == "," and "." in number:
         found = f"{said}, but the decimal sign is ',': the point may part thousands"
         raise refusal("condition-wrong", where, found)
     try:
         magnitude = float(number.replace(profile.decimal_sign, ".").replace("_", "?"))
+        unit = unit.strip()
         stated = factor_to_si(unit, (CONDITION_QUANTITIES[key][profile.constants.motion],)) if unit else factor
     except ParameterError as error:
         raise refusal("condition-wrong", where, f"{said}: {error}") from error

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import re
 
+from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Format
 from pipeline.readers.formats import FORMATS, HDF5
-from pipeline.readers.refusals import refusal
 
 PACKED = {b"\x1f\x8b": "gzip", b"\x28\xb5\x2f\xfd": "zstd"}
 """First bytes of packed files."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from itertools import islice
@@ -17,13 +16,18 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.errors import LogError
-from pipeline.readers.limits import EXACT, LISTED_ELEMENTS, LISTED_NAMES, LONGEST_ATTRIBUTE, MOST_ARRAYS, MOST_VALUES
-from pipeline.readers.refusals import refusal
-from pipeline.records.batch import Floats, Integers
+from pipeline.base.errors import LogError, refusal
+from pipeline.readers.limits import LISTED_ELEMENTS, LISTED_NAMES, LONGEST_ATTRIBUTE, MOST_VALUES
+from pipeline.records.batch import Integers
 
 Scalar = str | float | int
 Array = NDArray[Any]
+
+EXACT = 1 << 53
+"""Whole numbers up to this one are floats without loss."""
+
+ARRAY = 400
+"""Values for which an array counts by itself: a damaged file may claim millions of empty ones."""
 
 _KINDS = {"f": "number", "U": "text"}
 
@@ -84,8 +88,6 @@ class Contents:
         What is in the file but cannot be read, and why.
     warnings : tuple of str
         What was accepted and should be known, such as a last row that was cut.
-    since_first : dict of str to float64 array, shape (rows,)
-        Decimal stamps counted from the first row: of a date, the floats in ``columns`` are wrong by up to 0.12 us.
     row : int64, shape (rows,)
         Where each row stands in the file, counted from 1; empty before it is known.
     keys : dict of str to str
@@ -102,7 +104,6 @@ class Contents:
     attributes: dict[str, Scalar] = field(default_factory=dict)
     refused: dict[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
-    since_first: dict[str, Floats] = field(default_factory=dict)
     row: Integers = field(default_factory=lambda: np.empty(0, np.int64))
     keys: dict[str, str] = field(default_factory=dict)
     values: int = 0
@@ -141,13 +142,11 @@ class Contents:
             large = "claims more values than this file may unpack to"
             self.refused[path] = f"{large if isinstance(error, MemoryError) else error}."
             return
-        self.values += array.size
+        self.values += array.size + ARRAY
         self.claim(self.values)
         if array.size == 1:
             self.note(path, array)
         for name, column in islice(_elements(path, array, axis), None if self.wanted else LISTED_ELEMENTS):
-            if len(self.columns) + len(self.refused) >= MOST_ARRAYS:
-                raise refusal("too-many-columns", self.name, f"has more than {MOST_ARRAYS} arrays", "recorded signals")
             self.columns[name] = column
             self.hints |= {name: hint} if hint else {}
             self.units |= {name: unit} if unit else {}
@@ -166,16 +165,6 @@ class Contents:
         value = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
         if isinstance(value, str | int | float):
             self.attributes[key] = value[:LONGEST_ATTRIBUTE] if isinstance(value, str) else value
-
-    def keep_stamps(self, path: str, texts: Any) -> None:
-        """Keep decimal stamps, an Arrow array of texts, counted from the first one."""
-        import pyarrow as pa  # 20 ms that native logs need not pay
-        import pyarrow.compute as pc
-
-        with suppress(pa.ArrowInvalid, IndexError):
-            stamps = pc.cast(texts, pa.decimal128(30, 10))
-            first = stamps.drop_null()[0]
-            self.since_first[path] = pc.cast(pc.subtract(stamps, first), pa.float64()).to_numpy(zero_copy_only=False)
 
     def cut_row(self, text: str, row: int) -> None:
         """Say that the last row is cut and left out, and keep it verbatim."""

@@ -11,10 +11,9 @@ from dataclasses import dataclass, field
 from itertools import takewhile
 from typing import Any
 
-from pipeline.base.errors import LogError
+from pipeline.base.errors import LogError, refusal
 from pipeline.profiles.profile_columns import BLANKS, TextLayout
 from pipeline.readers.formats.delimited import plain_text
-from pipeline.readers.refusals import refusal
 
 PROBE_LINES = 400
 """Lines that are looked at: banners have some dozens, and a table shows its form in a hundred rows."""

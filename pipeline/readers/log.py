@@ -7,15 +7,20 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.base.errors import Code, LogError
-from pipeline.readers.limits import LARGEST, LARGEST_CONDITION
-from pipeline.readers.refusals import refusal
+from pipeline.base.errors import LogError, refusal
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.native import NativeHeader
 
 GAP = 30.0
 """Distance of a reading from the middle of its log, relative to the farthest of all nearer ones and to their range,
 from which on no motion gives it: an unstable loop that grows tenfold a sample leaves gaps of ten."""
+
+LARGEST = {"time": 1e12, "command": 1e7, "position": 1e5, "force": 1e7, "velocity": 1e6}
+"""Largest size of a reading [SI]: more than 100 km or 16,000 turns, 1,000 t and 1,000 km/s are no readings but signs of
+missing values (1e20, 3.4e38) or numbers in another unit; one such cell would spoil the numbers of a whole device."""
+
+LARGEST_CONDITION = 1e12
+"""Largest stiffness, damping and step [SI]: steel of a metre has 1e11 N/m."""
 
 _LARGE = "Does it mean a missing value (then declare it by `sentinels`), or is the unit another? Else repair the row."
 
@@ -93,7 +98,7 @@ def check_samples(
         of the range of readings (`LARGEST`, `stray`), or time does not increase strictly or pauses for `LONGEST_PAUSE`.
     """
 
-    def refused(code: Code, at: int, found: str, expected: str = "", cure: str = "") -> LogError:
+    def refused(code: str, at: int, found: str, expected: str = "", cure: str = "") -> LogError:
         place = row + at if isinstance(row, int) else int(row[at]) if at < len(row) else None
         return refusal(code, "", found, expected, cure, place)
 

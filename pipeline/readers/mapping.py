@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pipeline.base.errors import LogError, ProfileError
+from pipeline.base.errors import LogError, ProfileError, refusal
 from pipeline.base.paths import storable
 from pipeline.base.units import factor_to_si
 from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, CommandSource, PositionSource
@@ -24,7 +24,6 @@ from pipeline.readers.frame import Contents
 from pipeline.readers.isolation import read_file
 from pipeline.readers.limits import KEPT_ATTRIBUTES, LONGEST_ATTRIBUTE
 from pipeline.readers.log import Log, RawLog, check_samples
-from pipeline.readers.refusals import refusal
 from pipeline.readers.rows import Table, rows_of
 from pipeline.records.batch import Floats, Integers
 

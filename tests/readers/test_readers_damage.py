@@ -42,13 +42,13 @@ def test_a_worker_that_hangs_or_crashes_costs_only_its_file():
         ("starve", "takes more memory than a file of its size may"),
     ):
         with pytest.raises(LogError, match=f"^log: {words}"):
-            isolated(f"{misbehaving.__name__}:{function}", "log", "a file", b"")
-        assert isolated("misbehaving:shout", "log", "a file", b"a", "b", imports="no_such_module") == "ab"
+            isolated(f"{misbehaving.__name__}:{function}", "a file", 0, "log", b"")
+        assert isolated("misbehaving:shout", "a file", 0, "log", b"a", "b", imports="no_such_module") == "ab"
 
 
 def test_refusals_come_back_with_their_row():
     with pytest.raises(LogError, match="wrong in row 7") as error:
-        isolated("misbehaving:refuse", "log", "a file", b"")
+        isolated("misbehaving:refuse", "a file", 0, "log", b"")
     assert error.value.row == 7
 
 

@@ -14,9 +14,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from pyarrow import feather, parquet
 
+from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.frame import Array, Contents, with_gaps
-from pipeline.readers.refusals import refusal
 
 
 def read(path: Path, settings: Profile, contents: Contents) -> None:

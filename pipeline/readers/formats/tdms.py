@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from nptdms import TdmsFile
 
+from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.frame import Array, Contents
-from pipeline.readers.refusals import refusal
 
 TIME = "@time"
 _EPOCH_S = 2_082_844_800

@@ -216,13 +216,10 @@ def _retry(paths: Sequence[str] | None, profile: str | None, processed: Path, as
     sources = {record.path: path_of_text(record.path) for record in records}
     ids = {record.path: record_id(record) for record in records}
     gone = [path for path, source in sources.items() if not os.path.exists(source)]
-    # to follow a link that leads out of its folder is for who names it
-    outside = {record.path for record in records if record.code == "link-outside" and not paths}
-    links = [path for path in outside if path not in gone and os.path.islink(sources[path])]
-    present = [source for path, source in sources.items() if path not in gone and path not in links]
+    present = [source for path, source in sources.items() if path not in gone]
     report = ingest(present, processed, profile, rehash=True)
     if as_json:
-        console.print_json({**report.model_dump(mode="json"), "gone": gone, "links": links})
+        console.print_json({**report.model_dump(mode="json"), "gone": gone})
     else:
         accepted = report.ingested + report.skipped
         console.say(f"{len(records)} tried, {accepted} accepted, {len(report.quarantined)} refused, {len(gone)} gone")
@@ -233,7 +230,5 @@ def _retry(paths: Sequence[str] | None, profile: str | None, processed: Path, as
         for path in gone:
             folder = quarantine_folder(processed) / ids[path]
             console.say(f"{path}: is no longer there, or may not be looked at. Put it back, or remove {folder}.")
-        for path in links:
-            console.say(f"{path}: is a link that leads out of its folder. Give its path to follow it.")
-    if report.quarantined or gone or links:
+    if report.quarantined or gone:
         raise typer.Exit(EXIT_QUARANTINED)
