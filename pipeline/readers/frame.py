@@ -1,7 +1,7 @@
 """What a format reader hands on: named arrays as they stand in a file, without units, signs or guesses.
 
 A format is a function ``read(path, settings, contents)`` that adds what it finds to a `Contents`. `Contents.frame`
-takes the columns that a profile wants, `Contents.listed` says what there is; `mapping` turns them into logs.
+takes the columns that a profile wants; `mapping` turns them into logs.
 """
 
 from __future__ import annotations
@@ -28,33 +28,6 @@ EXACT = 1 << 53
 
 ARRAY = 400
 """Values for which an array counts by itself: a damaged file may claim millions of empty ones."""
-
-_KINDS = {"f": "number", "U": "text"}
-
-
-@dataclass(frozen=True)
-class ColumnInfo:
-    """A column that a file offers.
-
-    Parameters
-    ----------
-    name : str
-        As in `Contents.columns`.
-    dtype : str
-        "number", "integer" or "text".
-    rows : int
-        Number of its values.
-    first : tuple of str
-        First values, as text.
-    hint : str
-        Unit or description found in the file; empty where there is none. A hint is shown, never used.
-    """
-
-    name: str
-    dtype: str
-    rows: int
-    first: tuple[str, ...] = ()
-    hint: str = ""
 
 
 @dataclass
@@ -198,22 +171,15 @@ class Contents:
             listing = ", ".join(f"{key!r}: {count}" for key, count in list(rows.items())[:LISTED_NAMES])
             text = f"columns have different lengths ({listing})"
             raise refusal("lengths-differ", self.name, text, "one length", row=min(rows.values()) + 1)
-        units = {key: self.units[name] for key in columns if (name := self.find(key)) in self.units}
+        units, hints = (
+            {key: told[name] for key in columns if (name := self.find(key)) in told}
+            for told in (self.units, self.hints)
+        )
         row = self.row if len(self.row) else np.arange(1, next(iter(rows.values())) + 1)
-        return replace(self, columns=columns, units=units, row=row)
+        return replace(self, columns=columns, units=units, hints=hints, row=row)
 
     def __len__(self) -> int:
         return len(self.row)
-
-    def listed(self) -> list[ColumnInfo]:
-        """Return what `frame` can take, with first values; what cannot be read has no rows, and the reason as hint."""
-        if not self.columns and not self.refused:
-            raise refusal("empty", self.name, "holds no columns", "recorded signals")
-        infos = []
-        for name, column in self.columns.items():
-            kind, hint = _KINDS.get(column.dtype.kind, "integer"), self.units.get(name) or self.hints.get(name, "")
-            infos.append(ColumnInfo(name, kind, len(column), tuple(map(str, column[:3])), hint))
-        return infos + [ColumnInfo(path, "text", 0, (), reason) for path, reason in self.refused.items()]
 
     def _column(self, wanted: str) -> Array:
         if (found := self.find(wanted)) is not None:

@@ -15,11 +15,11 @@ import numpy as np
 
 from pipeline.base.errors import LogError, ProfileError, refusal
 from pipeline.base.paths import storable
-from pipeline.base.units import factor_to_si
+from pipeline.base.units import factor_to_si, find_unit, unit_in_heading
 from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, CommandSource, PositionSource
 from pipeline.profiles.profile_model import REQUIRED_CONDITIONS, STEP_MISSING, Profile, StepEntry, StepTime, Window
 from pipeline.readers.conditions import conditions_of, entry_of, header_of
-from pipeline.readers.file_kind import refuse_other_kind
+from pipeline.readers.formats import refuse_other_kind
 from pipeline.readers.frame import Contents
 from pipeline.readers.isolation import read_file
 from pipeline.readers.limits import KEPT_ATTRIBUTES, LONGEST_ATTRIBUTE
@@ -98,10 +98,16 @@ def read_frames(profile: Profile, raw: RawLog) -> list[Contents]:
 
 
 def _check_units(profile: Profile, name: str, role: str, frame: Contents) -> None:
-    """Refuse a unit of the profile that contradicts the type of its column."""
+    """Refuse a unit of the profile that contradicts the type of its column, and warn of one that the file denies."""
     for key, source in profile.column_sources().items():
-        typed = frame.units.get(source.key) if source.file == role else None
-        if typed is None or source.unit is None:
+        if source.unit is None or source.file != role:
+            continue
+        heading = unit_in_heading(source.key, QUANTITIES[key].values())[1]
+        said = next((text for text in (frame.hints.get(source.key, ""), heading) if find_unit(text)), "")
+        if said and find_unit(said) != find_unit(source.unit):
+            text = f"columns.{key}.unit is {source.unit!r}, but the file says {said!r}: which is right?"
+            frame.warnings += (text,)
+        if (typed := frame.units.get(source.key)) is None:
             continue
         stated = factor_to_si(source.unit, tuple(QUANTITIES[key].values())) / (source.counts_per_unit or 1.0)
         if not isclose(stated, factor_to_si(typed, ("time",))):

@@ -175,7 +175,13 @@ def _fit(terms: Floats, command: Floats) -> tuple[Floats, Floats, float]:
     return solution / scale, left * np.sqrt(np.diag(inverse)) / scale, left
 
 
-def cure(profile: Profile, found: Obeyed) -> str:
+def other_gains(profile: Profile, log: Log) -> str | None:
+    """Return which other gains the command of a log obeys, and the line that cures it; None where it does not."""
+    found = obeyed(log)
+    return None if found is None else f"{found.sentence}. To cure it: {_cure(profile, found)}"
+
+
+def _cure(profile: Profile, found: Obeyed) -> str:
     """Return the lines of a profile, or of a native header, by which header and command would agree."""
     if profile.format == "native":
         return "; ".join(f"# {name}: {value:.4g}" for name, value in found.found.items())

@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 from pipeline.intake.ingest import ingest
 from pipeline.intake.sources import files_of_bag
 from pipeline.profiles.profile_files import load_profile
-from pipeline.shell.profile.profile_check import check_samples
+from pipeline.shell.profile.check import check_samples
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import read_trials
 
@@ -117,8 +117,8 @@ def test_any_file_of_a_bag_stands_for_the_whole(tmp_path, kind, lab):
         report, trials = lab(file)
         assert (report.found, trials.num_rows) == (1, 1)
     (sample,) = check_samples(load_profile(tmp_path / "arm.toml"), [bag / f"K20_1.{kind}"])
-    (trial,) = sample.trials
-    assert trial.rows == 12
+    (trial,) = sample["trials"]
+    assert trial["rows"] == 12
 
 
 def test_a_changed_part_is_a_changed_log(tmp_path, kind, lab):

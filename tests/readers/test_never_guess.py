@@ -16,8 +16,8 @@ from pipeline.profiles.profile_files import read_profile
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.readers.isolation import read_file
-from pipeline.shell.profile.profile_check import check_samples
-from pipeline.shell.profile.profile_draft import draft_profile
+from pipeline.shell.profile.check import check_samples
+from pipeline.shell.profile.draft import draft_profile
 
 COLUMNS = {
     "time": {"name": "t", "unit": "ms"},
@@ -279,15 +279,15 @@ def checked(tmp_path, toml, rows):
     (tmp_path / "lab.toml").write_text(toml, encoding="utf-8")
     (tmp_path / "a.csv").write_text(table(rows).replace("t,F", "t [ms],F"), encoding="utf-8")
     ((sample,),) = [check_samples(read_profile(tmp_path / "lab.toml"), [tmp_path / "a.csv"])]
-    (trial,) = sample.trials
-    return trial.warnings
+    (trial,) = sample["trials"]
+    return tuple(trial["warnings"])
 
 
 def test_a_check_warns_of_another_unit_or_step_and_of_a_motion_against_it(tmp_path):
     rows = [(k, 8 * (k > 4), 0.01 * max(k - 6, 0) ** 2) for k in range(40)]
     assert checked(tmp_path, TOML, rows) == ()
     micro = TOML.replace('unit = "ms"', 'unit = "us"').replace("0.001", "1e-6")
-    (*implausible, warning) = checked(tmp_path, micro, rows)
+    (warning, *implausible) = checked(tmp_path, micro, rows)
     assert [text.split()[0] for text in implausible] == ["sampling_period_s", "duration_s"]
     assert warning == "columns.time.unit is 'us', but the file says 'ms': which is right?"
     (warning,) = checked(tmp_path, TOML.replace("step = 8", "step = 9"), rows)
@@ -299,7 +299,7 @@ def test_a_check_warns_of_another_unit_or_step_and_of_a_motion_against_it(tmp_pa
 def test_units_of_a_unit_line_are_known_in_their_brackets(tmp_path):
     text = "t\tF\tx\n[ms]\t(N)\t[mm]\n" + "".join(f"{t}\t{force}\t{x}.5\n" for t, force, x in RUN)
     chosen = profile(TEXT | {"delimiter": "\t", "unit_line": True})
-    assert [info.hint for info in read_file(chosen, ("a",), (text.encode(),)).listed()] == ["ms", "N", "mm"]
+    assert read_file(chosen, ("a",), (text.encode(),)).hints == {"t": "ms", "F": "N", "x": "mm"}
     (tmp_path / "a.txt").write_text(text, encoding="utf-8")
     draft = draft_profile(tmp_path / "a.txt")
     assert "columns.time.unit: the file says 'ms'; is it right? One of s, ms, us, ns, min.\n# unit = \"ms\"" in draft

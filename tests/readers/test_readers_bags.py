@@ -9,7 +9,7 @@ from foreign_files import START, bag_file, joint_log, list_columns, read_frame, 
 from rosbags.typesys import get_types_from_msg
 
 from pipeline.base.errors import LogError
-from pipeline.readers.file_kind import refuse_other_kind
+from pipeline.readers.formats import refuse_other_kind
 
 KINDS = [("bag", ""), ("bag", "lz4"), ("bag", "bz2"), ("db3", ""), ("db3", "zstd"), ("mcap", ""), ("mcap", "zstd")]
 STAMPS = START + 1_000_000 * np.arange(40)

@@ -16,7 +16,7 @@ from pipeline.base.errors import refusal
 from pipeline.profiles.patterns import find_groups
 from pipeline.profiles.profile_columns import BLANKS, TextLayout
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers.file_kind import PACKED
+from pipeline.readers.formats import PACKED
 from pipeline.readers.frame import Array, Contents
 from pipeline.readers.limits import LONGEST_ATTRIBUTE, allowed_bytes
 

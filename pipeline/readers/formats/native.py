@@ -16,7 +16,7 @@ import pyarrow.csv as pacsv
 
 from pipeline.base.errors import LogError, refusal
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers.file_kind import refuse_other_kind
+from pipeline.readers.formats import refuse_other_kind
 from pipeline.readers.limits import LONGEST_HEADER
 from pipeline.readers.log import Log, RawLog, check_samples
 from pipeline.records.batch import Floats

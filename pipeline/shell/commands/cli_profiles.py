@@ -56,25 +56,26 @@ def profile(
 
 def _check(name: str, samples: Sequence[Path], as_json: bool) -> None:
     from pipeline.profiles.profile_files import load_profile
-    from pipeline.shell.profile.profile_check import check_document, check_lines, check_samples
+    from pipeline.shell.profile.check import check_lines, check_samples
 
     loaded = load_profile(name)
     checked = check_samples(loaded, samples)
     if as_json:
-        console.print_json(check_document(loaded, checked))
+        refused = sum(sample["reason"] is not None for sample in checked)
+        console.print_json({"profile": loaded.name, "samples": checked, "refused": refused})
     else:
         for line in check_lines(checked):
             console.say(line)
-    if any(trial.other_gains for sample in checked for trial in sample.trials):
+    if any(trial["other_gains"] for sample in checked for trial in sample["trials"]):
         raise typer.Exit(EXIT_ERROR)
-    if any(sample.reason is not None for sample in checked):
+    if any(sample["reason"] is not None for sample in checked):
         raise typer.Exit(EXIT_QUARANTINED)
 
 
 def _draft(samples: Sequence[Path], out: Path | None, as_json: bool) -> None:
     from pipeline.base.disk import write_text
     from pipeline.profiles.profile_lines import find_questions
-    from pipeline.shell.profile.profile_draft import draft_profile
+    from pipeline.shell.profile.draft import draft_profile
 
     if out is not None:
         check_output(out, "--out")
@@ -109,8 +110,8 @@ def look(
     """
     from pipeline.base.disk import write_text
     from pipeline.profiles.profile_files import load_profile
-    from pipeline.shell.profile.log_picture import document, page
-    from pipeline.shell.profile.log_picture import look as look_at
+    from pipeline.shell.profile.picture import document, page
+    from pipeline.shell.profile.picture import look as look_at
 
     check_output(out, "--out")
     picture = look_at(log, None if profile is None else load_profile(profile))
