@@ -18,8 +18,7 @@ from pipeline import __version__
 from pipeline.base.disk import each, make_folder, readers_of
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import sha256 as hash_of
-from pipeline.intake.reading import motion_of
-from pipeline.intake.sources import ENDINGS, Source, told_by_name
+from pipeline.intake.sources import ENDINGS, Source, motion_of, told_by_name
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
 from pipeline.readers.log import step_flags

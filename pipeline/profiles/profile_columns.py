@@ -1,15 +1,16 @@
-"""Layout of text, and where each SI column comes from: name, unit, sign, missing values; how time is counted."""
+"""Patterns of names, layout of text, and where each SI column comes from: name, unit, sign, missing values, time."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from functools import cache
+from typing import Annotated, Any, Literal
 
+import re2
 from pydantic import BeforeValidator, Field
 
 from pipeline.base.errors import ParameterError
 from pipeline.base.units import UNITS, factor_to_si, find_unit
-from pipeline.profiles.patterns import pattern_problem
 from pipeline.records.findings import Motion, Name, Record
 
 QUANTITIES: dict[str, dict[Motion, str]] = {
@@ -44,6 +45,41 @@ _NEGATED = {
     "velocity": "it counts against the position",
 }
 """Where the sign of each column is -1."""
+
+
+@cache
+def _compiled(pattern: str) -> Any:
+    # Python's own engine tries every way to divide a text: ^(a+)+$ takes years for a file name of sixty letters
+    options = re2.Options()
+    options.log_errors = False  # they are raised, too
+    return re2.compile(pattern, options)
+
+
+def find_groups(pattern: str, text: str) -> dict[str, str] | None:
+    """Return what the named groups of a pattern take out of the first place where it fits, None where it fits nowhere.
+
+    Groups that take no part are left out. Lone surrogates are no text: give what `file_names.storable` returns.
+    """
+    match = _compiled(pattern).search(text)
+    return None if match is None else {key: value for key, value in match.groupdict().items() if value is not None}
+
+
+def group_names(pattern: str) -> frozenset[str]:
+    """Return the names of the groups of a pattern."""
+    return frozenset(_compiled(pattern).groupindex)
+
+
+def pattern_problem(pattern: str | None) -> str | None:
+    """Return why a text is no pattern and what to do, or None where it is one."""
+    try:
+        _compiled(pattern or "")
+    except re2.error as error:
+        found = error.args[0].decode() if isinstance(error.args[0], bytes) else error.args[0]
+        return (
+            f"no regular expression: {found}. A pattern is found in one pass, which has no lookahead, lookbehind or "
+            "backreference. Write out what stands there, or give the condition by [[file]]"
+        )
+    return None
 
 
 class TextLayout(Record):

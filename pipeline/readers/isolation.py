@@ -56,14 +56,15 @@ def read_file(settings: Profile, names: Sequence[str], data: Sequence[bytes], wa
     """
     form, size = FORMATS[settings.format], sum(map(len, data))
     work = (names[0], dict(zip(names, data, strict=False)), settings, tuple(wanted))
-    contents: Contents = isolated("pipeline.readers.isolation:read_here", form.title, size, *work, imports=form.place)
+    imports = f"{form.place} {form.library}"
+    contents: Contents = isolated("pipeline.readers.isolation:read_here", form.title, size, *work, imports=imports)
     return contents
 
 
 def read_here(name: str, files: dict[str, bytes], settings: Profile, wanted: tuple[str, ...]) -> Contents:
     """Do what `read_file` does, in the worker process."""
     form = FORMATS[settings.format]
-    read = library(form.place, form.extra).read
+    read = getattr(library(form.place, form.extra), form.function)
     most = min(MOST_VALUES, allowed_bytes(sum(map(len, files.values()))) // 8)
     with TemporaryDirectory() as folder:
         paths = [Path(folder) / f"{number}{Path(part).suffix[:10]}" for number, part in enumerate(files)]
@@ -95,7 +96,7 @@ def isolated(place: str, kind: str, size: int, name: str, *more: Any, imports: s
     *more
         Further arguments, such as its content.
     imports : str
-        Module that the function imports; the time to do so does not count.
+        Modules that the function imports, parted by blanks; the time to do so does not count.
 
     Returns
     -------
@@ -148,7 +149,8 @@ def serve() -> None:
             module, _, function = place.partition(":")
             work = getattr(import_module(module), function)
             with contextlib.suppress(ImportError):  # the function itself says what is missing and how to install it
-                import_module(imports or module)
+                for needed in imports.split():
+                    import_module(needed)
             with _bounded(seconds, size):
                 try:
                     with reading(arguments[0], kind):

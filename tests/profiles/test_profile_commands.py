@@ -12,10 +12,9 @@ import pytest
 from native_logs import FAULTS, log_text
 
 from pipeline.base.errors import LogError
-from pipeline.profiles.profile_files import shipped_profiles
-from pipeline.profiles.profile_lines import find_questions
+from pipeline.profiles.profile_files import find_questions, shipped_profiles
 from pipeline.readers.formats import format_of
-from pipeline.readers.layout import text_layout
+from pipeline.readers.formats.delimited import text_layout
 from pipeline.shell.cli import run
 from pipeline.shell.profile.draft import draft_profile
 

@@ -27,7 +27,7 @@ from pipeline.intake.ingest import ingest
 from pipeline.intake.quarantine import LONGEST_SHOWN, excerpt_of, list_quarantine
 from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import load_profile
-from pipeline.readers import conditions
+from pipeline.readers import mapping
 from pipeline.readers.formats import native, refuse_other_kind
 from pipeline.readers.isolation import read_file
 from pipeline.shell.cli import run as run_cli
@@ -380,7 +380,7 @@ def test_long_runs_of_one_sign_take_no_time(lab, run):
         assert outcome
     header_of = f"1{header}("
     with pytest.raises(LogError):
-        conditions._in_si(profile, "log", "stiffness", header_of)
+        mapping._in_si(profile, "log", "stiffness", header_of)
     # measured 0.1 to 0.4 s; length squared takes hours
     assert time.process_time() - began < 5
 

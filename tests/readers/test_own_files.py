@@ -11,8 +11,7 @@ from typer.testing import CliRunner
 
 from pipeline.base.errors import LogError, ProfileError
 from pipeline.intake.ingest import ingest
-from pipeline.profiles.profile_files import read_profile
-from pipeline.profiles.profile_lines import find_questions
+from pipeline.profiles.profile_files import find_questions, read_profile
 from pipeline.readers.formats import format_of
 from pipeline.shell.cli import application
 from pipeline.shell.profile.draft import draft_profile

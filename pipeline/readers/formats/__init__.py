@@ -41,20 +41,24 @@ class FileFormat(NamedTuple):
 
     Parameters
     ----------
-    module : str
-        Module of this folder.
+    module, function : str
+        Module of this folder, and its function.
     title : str
         What messages call it.
     magic : tuple of bytes
         First bytes; none for text.
     extra : str
         Extra of this package that installs its library; empty where it is always there.
+    library : str
+        Library that the function imports.
     """
 
     module: str
     title: str
     magic: tuple[bytes, ...] = ()
     extra: str = ""
+    function: str = "read"
+    library: str = ""
 
     @property
     def place(self) -> str:
@@ -69,11 +73,11 @@ FORMATS: dict[Format, FileFormat] = {
     "parquet": FileFormat("arrow", "a Parquet or Feather file", (b"PAR1",)),
     "feather": FileFormat("arrow", "a Parquet or Feather file", (b"ARROW1", b"FEA1")),
     "matlab": FileFormat("matlab", "a MATLAB file", (b"MATLAB 5.0", b"MATLAB 7.3"), "mat"),
-    "hdf5": FileFormat("hdf5", "an HDF5 file", (HDF5,), "hdf5"),
+    "hdf5": FileFormat("measured", "an HDF5 file", (HDF5,), "hdf5", "read_hdf5", "h5py"),
     "rosbag": FileFormat("bags", "a ROS bag", (b"#ROSBAG", b"SQLite format 3\0"), "bags"),
     "mcap": FileFormat("bags", "an MCAP file", (b"\x89MCAP0\r\n",), "bags"),
-    "tdms": FileFormat("tdms", "a TDMS file", (b"TDSm",), "tdms"),
-    "mdf": FileFormat("mdf", "an MDF file", (b"MDF     ",), "mdf"),
+    "tdms": FileFormat("measured", "a TDMS file", (b"TDSm",), "tdms", "read_tdms", "nptdms"),
+    "mdf": FileFormat("measured", "an MDF file", (b"MDF     ",), "mdf", "read_mdf", "asammdf"),
 }
 
 

@@ -74,7 +74,7 @@ def _check(name: str, samples: Sequence[Path], as_json: bool) -> None:
 
 def _draft(samples: Sequence[Path], out: Path | None, as_json: bool) -> None:
     from pipeline.base.disk import write_text
-    from pipeline.profiles.profile_lines import find_questions
+    from pipeline.profiles.profile_files import find_questions
     from pipeline.shell.profile.draft import draft_profile
 
     if out is not None:

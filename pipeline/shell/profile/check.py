@@ -15,14 +15,13 @@ import numpy as np
 from pipeline.base.errors import LogError, refusal
 from pipeline.base.wording import counted
 from pipeline.device_data.devices import known_devices
-from pipeline.intake.reading import logs_of, motion_of
-from pipeline.intake.sources import find_sources
+from pipeline.intake.sources import find_sources, logs_of, motion_of
 from pipeline.measured.signal.response import NO_ROW, find_response
 from pipeline.profiles.profile_columns import QUANTITIES, si_unit
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Profile
 from pipeline.readers import Log
-from pipeline.readers.conditions import entry_of, statements
 from pipeline.readers.log import step_flags
+from pipeline.readers.mapping import entry_of, statements
 from pipeline.readers.obeyed import other_gains
 from pipeline.records.batch import TrialBatch
 from pipeline.records.models import Motion

@@ -19,15 +19,13 @@ import numpy as np
 
 from pipeline.base.errors import LogError, ProfileError, UsageError, refusal
 from pipeline.base.units import UNITS, find_unit, unit_between, unit_in_heading
-from pipeline.profiles.patterns import find_groups, group_names
-from pipeline.profiles.profile_columns import QUANTITIES, si_unit
-from pipeline.profiles.profile_lines import QUESTION
+from pipeline.profiles.profile_columns import QUANTITIES, find_groups, group_names, si_unit
+from pipeline.profiles.profile_files import QUESTION
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Format, Profile
 from pipeline.readers.formats import format_of
-from pipeline.readers.formats.delimited import unpacked
+from pipeline.readers.formats.delimited import Layout, text_layout, unpacked
 from pipeline.readers.frame import Contents
 from pipeline.readers.isolation import read_file
-from pipeline.readers.layout import Layout, text_layout
 from pipeline.readers.obeyed import Law, law_of
 from pipeline.records.batch import Floats
 from pipeline.records.models import Motion
@@ -259,9 +257,7 @@ def _law(sample: Sample) -> _Law | None:
         if not len(stamps) == len(force) == len(place):
             continue
         spans = float(np.median(np.diff(stamps))), float(np.ptp(force)), float(np.ptp(place))
-        units = {
-            role: _plausible(sample, role, *of) for role, *of in zip(columns, columns.values(), spans, strict=True)
-        }
+        units = {role: _plausible(sample, role, name, spans[i]) for i, (role, name) in enumerate(columns.items())}
         counters = [column for column in (force, place) if (np.diff(column) > 0).all()]
         if all(units.values()) and not counters:
             factor = UNITS[units["time"][0]].factor

@@ -17,8 +17,7 @@ import numpy as np
 from pipeline import __version__
 from pipeline.base.errors import OTHER_COLUMNS, LogError, UsageError
 from pipeline.device_data.devices import known_devices
-from pipeline.intake.reading import logs_of, motion_of
-from pipeline.intake.sources import find_sources
+from pipeline.intake.sources import find_sources, logs_of, motion_of
 from pipeline.measured.signal.marks import gaps, jumps, rests
 from pipeline.profiles.profile_columns import QUANTITIES, si_unit
 from pipeline.profiles.profile_files import shipped_profiles
