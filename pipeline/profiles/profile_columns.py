@@ -97,8 +97,8 @@ class TextLayout(Record):
         Lines above the table, or above the first line that is searched for its beginning.
     header : bool
         Whether the table begins with a line of column names; if not, columns are taken by position (``column = 3``).
-    header_after, header_at : str, optional
-        Regular expression: the table begins below (at) the first line in which it is found, as behind a banner.
+    header_at : str, optional
+        Regular expression: the table begins at the first line in which it is found, as behind a banner.
     unit_line : bool
         Whether the line below the names holds units. They are shown by checks, never used.
     comment : str, optional
@@ -118,7 +118,6 @@ class TextLayout(Record):
     encoding: Literal["utf-8", "utf-16", "latin-1", "cp1252"] = "utf-8"
     skip_rows: Count = 0
     header: bool = True
-    header_after: str | None = None
     header_at: str | None = None
     unit_line: bool = False
     comment: Annotated[str, Field(min_length=1)] | None = None
@@ -140,9 +139,8 @@ class TextLayout(Record):
             yield ("decimal",), """missing; add the line decimal = "." or decimal = ",", as the file has it"""
         if self.delimiter == self.decimal:
             yield ("decimal",), f"{self.decimal!r} as the delimiter is; expected different characters"
-        for key in ("header_after", "header_at"):
-            if problem := pattern_problem(getattr(self, key)):
-                yield (key,), problem
+        if problem := pattern_problem(self.header_at):
+            yield ("header_at",), problem
 
 
 class Source(Record):

@@ -162,12 +162,6 @@ def test_a_wrong_profile_is_explained(profile_file, old, new, line, words):
         assert [text.startswith(f"{path}:{line}: ") for text in lines] == [True], str(error.value)
 
 
-def test_a_misspelt_key_is_one_mistake_and_not_missing_too(profile_file):
-    with pytest.raises(ProfileError) as error:
-        read_profile(profile_file(TOML.replace('unit = "ms"', 'units = "ms"')))
-    assert len(str(error.value).splitlines()) == 1
-
-
 FIVE = """name = "lab"
 format = "delimited"
 files = ["run_*.txt"]
@@ -318,21 +312,6 @@ def test_the_step_is_told_at_the_top_or_in_every_entry(profile_file, top, entrie
         assert read_profile(path).format == "json"
         return
     assert [key for _, key, _ in missing(path)] == keys
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "key"),
-    [
-        ('step_at = "command edge"', "step_row = -1", "step_row"),
-        ('step_at = "command edge"', "step_rwo = 3", "step_rwo"),
-        ('format = "delimited"', 'format = "parquett"', "format"),
-        ("sign = 1\n", "sing = 1\n", "columns.position.sing"),
-    ],
-)
-def test_a_wrong_key_is_not_missing_too(profile_file, old, new, key):
-    with pytest.raises(ProfileError) as error:
-        read_profile(profile_file(TOML.replace(old, new)))
-    assert re.findall(r"key '(.*?)'", str(error.value)) == [key]
 
 
 def test_lines_of_keys_are_found_in_any_style_of_toml():

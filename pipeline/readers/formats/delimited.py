@@ -135,20 +135,17 @@ def plain_text(layout: TextLayout, name: str, data: bytes) -> tuple[str, bool]:
 
 def _top(layout: Profile, contents: Contents, lines: list[str]) -> int:
     """Return where the line of names is, or the first row without one; lines above it are skipped or labels."""
-    below, at = layout.header_after, layout.header_at
+    at = layout.header_at
     for number, line in enumerate(lines):
         skipped = number < layout.skip_rows
         if not skipped and at is not None and find_groups(at, line) is not None:
             return number
-        searched = at is not None or below is not None
-        if not skipped and below is not None and find_groups(below, line) is not None:
-            below = None
         is_label = _take_label(layout, contents, line, number + 1)
         blank = layout.labels is not None and not line.strip()
-        if not (skipped or searched or is_label or blank or _is_comment(layout, line)):
+        if not (skipped or at is not None or is_label or blank or _is_comment(layout, line)):
             return number
-    looked = f"below skip_rows = {layout.skip_rows}, header_at = {at!r} and header_after = {layout.header_after!r}"
-    raise refusal("empty", contents.name, f"is empty {looked}", "a line of column names and samples", row=1)
+    found = f"is empty below skip_rows = {layout.skip_rows} and header_at = {at!r}"
+    raise refusal("empty", contents.name, found, "a line of column names and samples", row=1)
 
 
 def _is_comment(layout: TextLayout, line: str) -> bool:

@@ -25,7 +25,7 @@ from pipeline.records.native import COLUMN_LINE, NativeHeader, parse_header
 _NAMES = COLUMN_LINE.split(",")
 _BLANK = b"\r\n\t "
 _LINE_FEED = 10
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 
 Columns = tuple[Floats, Floats, Floats]
 

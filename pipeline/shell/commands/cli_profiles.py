@@ -39,8 +39,8 @@ def profile(
     A draft marks open questions: lines "# QUESTION: key: ..." stand where units, signs and conditions must not be
     guessed. Set the key below and remove the line; `check` lists what is open.
 
-    A check stores nothing. Exit status 3 where a sample would be refused, 1 where the profile itself is wrong (all of
-    its mistakes are told at once) or a command obeys another K, B or step than the conditions say.
+    A check stores nothing. Exit status 3 where a sample would be refused, 1 where the profile itself is wrong (each
+    mistake with its line) or a command obeys another K, B or step than the conditions say.
 
     Example: pipeline profile draft run_*.csv --out lab.toml
 

@@ -89,11 +89,6 @@ def _trial(profile: Profile, name: str, log: Log, motion: Motion) -> Checked:
     (flags,) = step_flags(log.time, np.array([len(log.time)]), np.array([log.header.sampling_period_s]))
     step_row, step = step_of(log)
     conditions = list(_conditions(profile, name, log, motion))
-    implausible = [
-        f"{c['name']} is {c['value']:.4g} [SI]; devices have {c['usual']}: is its unit right?"
-        for c in conditions
-        if c["usual"] and c["value"] and not np.prod(np.subtract(PLAUSIBLE[c["name"]][motion], abs(c["value"]))) <= 0
-    ]
     return {
         "label": log.label,
         "conditions": conditions,
@@ -103,7 +98,7 @@ def _trial(profile: Profile, name: str, log: Log, motion: Motion) -> Checked:
         "step_row": step_row,
         "step": step,
         "other_gains": other_gains(profile, log),
-        "warnings": [*log.warnings, *implausible, *_other_step(log, step_row)],
+        "warnings": [*log.warnings, *_implausible(conditions, motion), *_other_step(log, step_row)],
     }
 
 
@@ -120,6 +115,14 @@ def _conditions(profile: Profile, name: str, log: Log, motion: Motion) -> Iterat
         place = "samples" if key in samples else places.get(key, "default")
         usual = "{:g} to {:g}".format(*PLAUSIBLE[key][motion]) if key in PLAUSIBLE else ""
         yield {"name": key, "value": value, "unit": units.get(key, ""), "place": place, "usual": usual}
+
+
+def _implausible(conditions: Sequence[Checked], motion: Motion) -> Iterator[str]:
+    """Yield which numbers of a log no device has, so that a unit may be wrong."""
+    for c in conditions:
+        low, high = PLAUSIBLE[c["name"]][motion] if c["usual"] else (0.0, np.inf)
+        if c["usual"] and c["value"] and not low <= abs(c["value"]) <= high:
+            yield f"{c['name']} is {c['value']:.4g} [SI]; devices have {c['usual']}: is its unit right?"
 
 
 def _columns(profile: Profile, log: Log, motion: Motion) -> Iterator[dict[str, Any]]:

@@ -65,7 +65,6 @@ PLAIN = "t,x,F\n0,0.5,0\n1,-1.25,8\n2,3e-3,8.5\n"
         (PLAIN.replace("\n", "\n\n"), {"blank_lines": "skip"}),
         ("# by lab\n" + PLAIN.replace("1,-", "  # paused, 1, 2\n1,-"), {"comment": "#"}),
         ("lab\n\x1b[0m banner\n" + PLAIN, {"skip_rows": 2}),
-        ("lab\nt,x,F of lab\n> start <\n" + PLAIN, {"header_after": "^> start"}),
         ("lab\nxyz,F\n" + PLAIN, {"header_at": "^t,"}),
         (PLAIN.replace("F\n", "F\nms,µm,N\n"), {"unit_line": True}),
         (PLAIN.replace("8.5", "+8.5").replace("0.5", ".5").replace("8\n", "8.\n"), {}),
@@ -171,7 +170,7 @@ def test_counters_of_64_bits_keep_their_integers():
         (b"", {}, 1, "is empty"),
         (b"\n \n", {}, 1, "is empty"),
         (b"a\nb\n", {"skip_rows": 5}, 1, "empty below skip_rows = 5"),
-        (b"a\nb\n", {"header_after": "^start"}, 1, "header_after = '\\^start'"),
+        (b"a\nb\n", {"header_at": "^start"}, 1, "header_at = '\\^start'"),
         (b"t,x,F\n", {}, 2, "0 samples"),
         (
             PLAIN.encode(),
