@@ -5,19 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import ExitStack
 from pathlib import Path
 
 from pipeline.base.errors import StoreError
-from pipeline.base.lock import holder, writing
 from pipeline.base.process import process_pool
 from pipeline.intake.ingest import ingest
 from pipeline.measured.model.parts import Choice, chosen
 from pipeline.measured.model.recordings import Recording
-from pipeline.plan.course import Wish, open_course
-from pipeline.plan.learnt import Learnt
-from pipeline.plan.planner import BESIDE, Plan, asked_of, plan_of, with_remark
-from pipeline.plan.requests import Requests, requests_folder, write_requests
+from pipeline.plan.course import Learnt, Wish, open_course
+from pipeline.plan.planner import Plan, plan_of
 from pipeline.shell.watch import Arrivals, look_at
 
 INTERVAL_S, SETTLE_S = 0.1, 0.3
@@ -69,14 +65,12 @@ def watch_plan(
     stopped : callable
         Asked between two looks.
     """
-    with process_pool(1) as pool, ExitStack() as held:
+    with process_pool(1) as pool:
         look = Beside(pool)
         arrivals = Arrivals(SETTLE_S)
         arrivals.update(look_at(folders, (), (processed,))[0], time.monotonic() - SETTLE_S)
         known: Learnt | None = None
         told: set[tuple[str, str]] = set()
-        asked: Requests | None = None
-        beside: str | None = None
         first = True
         while not stopped():
             now = time.monotonic()
@@ -98,24 +92,9 @@ def watch_plan(
                 if (path, reason) not in told:
                     refused(f"refused: {path}: {reason}")
             told |= set(new)
-            course = open_course(name, processed, experiment, wish, known, look, asked)
+            course = open_course(name, processed, experiment, wish, known, look)
             known, answer = course.learnt, plan_of(course, wish)
-            folder = requests_folder(processed, course.name, course.experiment)
-            if first:
-                beside = _alone(folder, held)
-            asked = asked_of(course, answer)
-            if beside is None:
-                write_requests(folder, asked)
-            emit(answer if beside is None else with_remark(answer, beside))
+            emit(answer)
             if answer.done:
                 return
             first = False
-
-
-def _alone(folder: Path, held: ExitStack) -> str | None:
-    """Hold the place of the planner of an experiment; return what is to be said where another one has it."""
-    try:
-        held.enter_context(writing(folder, 0.0))
-    except StoreError:
-        return BESIDE.format(holder(folder))
-    return None

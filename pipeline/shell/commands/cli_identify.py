@@ -24,6 +24,12 @@ WORDS = {
 def identify(
     paths: Annotated[list[Path], typer.Argument(help="Logs with command and position, or folders with some.")],
     profile: ProfileFile = None,
+    period: Annotated[
+        float | None, typer.Option("--period", help="Sampling period of the walls in s (default: that of the logs).")
+    ] = None,
+    delay: Annotated[
+        float | None, typer.Option("--delay", help="Delay of the walls in samples (default: that of the logs).")
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="Device file (.toml) to write.")] = None,
     as_json: Json = False,
 ) -> None:
@@ -39,7 +45,7 @@ def identify(
 
     if out is not None:
         check_output(out, "--out")
-    document = identified_device(paths, profile)
+    document = identified_device(paths, profile, period, delay)
     if out is not None:
         write_text(out, device_text(document, out.stem))
     if as_json:
