@@ -243,7 +243,7 @@ def _source(file: Path, profiles: tuple[Profile, ...]) -> Source:
         try:
             seen[part] = _status(part, len(files) > 1)
         except LogError as error:
-            problem = problem or error
+            problem = error if bag or problem is None else problem
     size, newest = sum(s.st_size for s in seen.values()), max((s.st_mtime_ns for s in seen.values()), default=0)
     mode, key = shared_mode([*seen.values()], path.parent), path_text(os.path.abspath(path))
     return Source(path, key, tuple(seen), size, newest, profile, problem, mode)

@@ -23,10 +23,7 @@ from pipeline.records.batch import Integers
 Scalar = str | float | int
 Array = NDArray[Any]
 
-EXACT = 1 << 53
-"""Whole numbers up to this one are floats without loss."""
-
-ARRAY = 400
+ARRAY = 800
 """Values for which an array counts by itself: a damaged file may claim millions of empty ones."""
 
 
@@ -242,22 +239,9 @@ def plain_column(values: Array) -> Array:
     raise TypeError(f"is of type {values.dtype}; expected numbers or texts")
 
 
-def with_gaps(
-    where: str, values: Array, place: Sequence[int] | Integers, rows: int, row: Sequence[int] | Integers = ()
-) -> Array:
-    """Return values at their places among so many rows, NaN or an empty text at the others.
-
-    Raises
-    ------
-    LogError
-        If they are whole numbers of more than 15 digits, which a float with gaps would not keep.
-    """
-    whole = len(values) == rows
-    if not whole and values.dtype.kind in "iu" and np.any(np.abs(values.astype(np.float64)) > EXACT):
-        at = int(np.setdiff1d(np.arange(rows), place)[0])
-        text = f"{where} has whole numbers of more than 15 digits, and rows without a value"
-        raise refusal("no-value", "", text, "a value in each row", row=int(row[at]) if len(row) else at + 1)
-    text_column = values.dtype.kind == "U"
-    result: Array = np.zeros(rows, values.dtype) if whole or text_column else np.full(rows, np.nan)
+def with_gaps(values: Array, place: Sequence[int] | Integers, rows: int) -> Array:
+    """Return values at their places among so many rows, NaN or an empty text at the others."""
+    full = len(values) == rows or values.dtype.kind == "U"
+    result: Array = np.zeros(rows, values.dtype) if full else np.full(rows, np.nan)
     result[place] = values
     return result

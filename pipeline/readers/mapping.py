@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
-from math import isclose
 from typing import Any, Literal
 
 import numpy as np
@@ -115,18 +114,15 @@ def _check_units(profile: Profile, name: str, role: str, frame: Contents) -> Non
     for key, source in profile.column_sources().items():
         if source.unit is None or source.file != role:
             continue
+        typed = frame.units.get(source.key)
         heading = unit_in_heading(source.key, QUANTITIES[key].values())[1]
-        said = next((text for text in (frame.hints.get(source.key, ""), heading) if find_unit(text)), "")
-        if said and find_unit(said) != find_unit(source.unit):
-            text = f"columns.{key}.unit is {source.unit!r}, but the file says {said!r}: which is right?"
-            frame.warnings += (text,)
-        if (typed := frame.units.get(source.key)) is None:
+        said = typed or next((text for text in (frame.hints.get(source.key, ""), heading) if find_unit(text)), None)
+        if said is None or find_unit(said) == find_unit(source.unit):
             continue
-        stated = factor_to_si(source.unit, tuple(QUANTITIES[key].values())) / (source.counts_per_unit or 1.0)
-        if not isclose(stated, factor_to_si(typed, ("time",))):
-            line = f'[columns.{key}]\nunit = "{typed}"'
-            found = f"{source.key!r} holds times, which are read in {typed}; columns.{key}.unit is {source.unit!r}"
-            raise refusal("profile-wrong", name, found, line=line)
+        found = f"columns.{key}.unit is {source.unit!r}, but the file says {said!r}"
+        if typed:
+            raise refusal("profile-wrong", name, found, line=f'[columns.{key}]\nunit = "{typed}"')
+        frame.warnings += (f"{found}: which is right?",)
 
 
 def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Contents]) -> list[Log]:

@@ -69,7 +69,7 @@ def column(where: str, cells: Cells, rows: int, row: Sequence[int] | Integers = 
     Raises
     ------
     LogError
-        If texts stand beside numbers, or rows without a value beside whole numbers of more than 15 digits.
+        If texts stand beside numbers.
     """
     found, number = list(cells.values()), [*cells]
     texts = [isinstance(value, str) for value in found]
@@ -79,7 +79,7 @@ def column(where: str, cells: Cells, rows: int, row: Sequence[int] | Integers = 
         raise refusal("not-a-number", where, f"mixes texts and numbers, such as {found[at]!r}", row=at_row)
     beyond = all(isinstance(value, int) for value in found) and max(found) >= 1 << 63
     values = np.array(found, np.uint64 if beyond else None)
-    return with_gaps(where, values.astype(np.int64) if values.dtype == np.bool_ else values, number, rows, row)
+    return with_gaps(values.astype(np.int64) if values.dtype == np.bool_ else values, number, rows)
 
 
 def _flat(value: Any, path: str = "", lists: bool = True) -> Iterator[tuple[str, Any]]:
