@@ -241,7 +241,7 @@ def _source(file: Path, profiles: tuple[Profile, ...]) -> Source:
     seen = dict[Path, os.stat_result]()
     for part in files:
         try:
-            seen[part] = _status(part, len(files) > 1)
+            seen[part] = _status(part, bool(bag) or len(files) > 1)
         except LogError as error:
             problem = error if bag or problem is None else problem
     size, newest = sum(s.st_size for s in seen.values()), max((s.st_mtime_ns for s in seen.values()), default=0)
