@@ -280,13 +280,6 @@ def test_negated_degrees_and_a_sentinel(lab):
     assert trial["time_quality"]["gaps"] == 1
 
 
-def test_a_measured_step_of_two_thirds_of_the_commanded_one_is_kept_beside_it(lab):
-    columns = COLUMNS + 'force = { name = "G", unit = "N", sign = 1, provenance = "motor current" }\n'
-    trial, samples, _ = lab.one(HEAD + columns + CONSTANTS, "t,F,x,G\n0,0,0,0\n1,8,0,5.36\n2,8,1,5.36\n")
-    assert (trial["step"], samples["command"], samples["force"]) == (8, [0, 8, 8], [0, 5.36, 5.36])
-    assert trial["extra"]["provenance.force"] == "motor current"
-
-
 LONG = "run,K,t,F,x\n" + "".join(
     f"{run},{K},{t},{8 if t else 0},{t * K}\n" for t in range(3) for run, K in (("b", 2), ("a", 1), ("c", 3))
 )
@@ -407,26 +400,6 @@ def test_a_log_of_another_kind_says_what_its_units_stand_for(lab):
     trial, samples, _ = lab.one(HEAD + columns + CONSTANTS, "t,F,x\n0,0,22.5\n1,50,22.5\n")
     assert (samples["command"], samples["position"]) == ([0, 50], [22.5, 22.5])
     assert trial["extra"]["stands_for.position"] == "1 degC stands for 1 m"
-
-
-def test_stamps_of_two_parts_in_nanoseconds_are_kept_exactly(lab):
-    time = 'time = { name = "s", unit = "s", kind = "counter", fraction = { name = "ns", unit = "ns" } }'
-    toml = HEAD + COLUMNS.replace('time = { name = "t", unit = "ms" }', time) + CONSTANTS
-    trial, samples, _ = lab.one(toml, "s,ns,F,x\n1700000000,999000001,0,0\n1700000001,1,8,1\n1700000001,1000003,8,2\n")
-    assert samples["raw_count"] == [1700000000999000001, 1700000001000000001, 1700000001001000003]
-    close(samples["time_s"], [0, 1e-3, 2.000002e-3])
-    assert trial["time_quality"]["jitter_max_s"] == pytest.approx(2e-9, rel=1e-6)
-
-
-def test_rows_without_a_stamp_are_left_out_where_the_profile_says_so(lab):
-    toml = HEAD + COLUMNS + CONSTANTS
-    text = "t,F,x\n0,0,0\n,0,7\n1,8,1\n"
-    row, reason = lab.refused(toml, text)
-    assert row == 3
-    assert '[columns.time]; blanks = "skip"' in reason
-    trial, samples, _ = lab.one(toml.replace('"ms"', '"ms", blanks = "skip"'), text)
-    close(samples["position"], [0, 1e-3])
-    assert trial["time_quality"]["skipped_time"] == 1
 
 
 def test_time_as_steps_from_row_to_row(lab):

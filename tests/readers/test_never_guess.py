@@ -182,26 +182,6 @@ def test_packed_json_is_read_and_drafted(pack, tmp_path):
     assert 'format = "json"\nfiles = ["*.jsonl.gz"]' in draft_profile(tmp_path / "a.jsonl.gz")
 
 
-def test_stamps_of_64_bits_without_a_sign_are_exact():
-    """As floats they would jitter by half a microsecond."""
-    first = 2**63 - 2_000_000
-    text = table((first + 1_000_000 * k, force, x) for k, force, x in RUN)
-    nano = COLUMNS | {"time": {"name": "t", "unit": "ns", "kind": "counter"}}
-    buffer = BytesIO()
-    times = pa.array([first + 1_000_000 * k for k, _, _ in RUN], pa.uint64())
-    parquet.write_table(pa.table({"t": times, "F": [0, 0, 8, 8, 8, 8], "x": range(6)}), buffer)
-    for outcome in (read(profile(TEXT, nano), text), read(profile({"format": "parquet"}, nano), buffer.getvalue())):
-        assert outcome.time.tolist() == [k * 1e-3 for k in range(len(RUN))]
-    assert read(profile(TEXT, nano), table((first + k, force, x) for k, force, x in RUN)).raw_time[0] == first
-
-
-def test_a_cut_last_json_line_is_kept_whole():
-    lines = "".join(json.dumps({"t": t, "F": force, "x": x, "note": "n" * 400}) + "\n" for t, force, x in RUN)
-    log = read(profile({"format": "json"}), lines[:-5])
-    assert len(log.time) == 5
-    assert log.header.extra["file.cut_last_row"] == lines.splitlines()[-1][:-4]
-
-
 @pytest.mark.parametrize(
     ("data", "kind", "words"),
     [
