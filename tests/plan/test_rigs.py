@@ -16,7 +16,7 @@ from pipeline.plan.course import Wish, open_course
 from pipeline.plan.found_device import stated_device
 from pipeline.plan.limits import Tried
 from pipeline.plan.planner import Limit, Plan, plan, plan_of
-from pipeline.shell.commands.cli_plan import _print
+from pipeline.shell.commands.cli_plan import lines_of
 
 FALCON = load_device("falcon")
 MOST = 60
@@ -75,10 +75,9 @@ def test_without_logs_the_first_walls_are_well_inside_what_the_file_predicts(tmp
             assert 0 < wall.stiffness <= most * limit_of(experiment)(np.array([wall.damping]))[0]
 
 
-def test_a_limit_without_a_stable_wall_is_none_in_words_as_in_json(capsys):
+def test_a_limit_without_a_stable_wall_is_none_in_words_as_in_json():
     limit = Limit(damping=20.0, estimate=400.0, low=None, high=1000.0)
-    _print(Plan(next=(), done=True, boundary=(limit,), trials_used=3, trials_expected=3), False)
-    told = capsys.readouterr().out
+    told = "\n".join(lines_of(Plan(next=(), done=True, boundary=(limit,), trials_used=3, trials_expected=3)))
     assert "no stable wall, unstable at 1000" in told
     assert "stable at 0" not in told
 
