@@ -161,10 +161,11 @@ class Loop:
         Returns
         -------
         pandas.DataFrame
-            ``damping`` B [Ns/m, Nms/rad], ``stiffness`` K [N/m, Nm/rad], in order along the boundary; ``attrs`` has its
-            extremes: ``stiffness_max``, ``damping_at_stiffness_max``, ``damping_max``, ``stiffness_at_damping_max``;
-            and ``islands``, stable intervals of stiffness beyond an unstable gap (``damping``, ``stiffness_low``,
-            ``stiffness_high``), which only loops with filter, lag or mode have.
+            ``damping`` B [Ns/m, Nms/rad], ``stiffness`` K [N/m, Nm/rad], in order along the boundary; a row of nan lies
+            between separate regions. ``attrs`` has its extremes: ``stiffness_max``,
+            ``damping_at_stiffness_max``, ``damping_max``, ``stiffness_at_damping_max``; and ``islands``, stable
+            intervals of stiffness beyond an unstable gap (``damping``, ``stiffness_low``, ``stiffness_high``), which
+            only loops with filter, lag or mode have.
 
         Raises
         ------

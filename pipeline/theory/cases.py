@@ -312,8 +312,9 @@ def why_missing(loop: Loop, alpha: float, radius: float, missing: list[str]) -> 
 def boundary_document(case: Case, robust: bool = False, points: int = 400) -> dict[str, Any]:
     """Return the limit of walls with its extreme points, as the document that `theory boundary` prints.
 
-    Normalised it is the whole boundary; in SI that of walls with stiffness, over damping, with islands beside it. With
-    ``robust`` also the region that is stable whatever spring the device is attached to, with the worst spring.
+    Normalised it is the whole boundary; in SI that of walls with stiffness, over damping, with islands beside it; None
+    lies between separate regions. With ``robust`` also the region that is stable whatever spring the device is attached
+    to, with the worst spring.
 
     Raises
     ------
@@ -331,7 +332,7 @@ def boundary_document(case: Case, robust: bool = False, points: int = 400) -> di
             f"{damping}_max": border.beta_max,
             f"{stiffness}_at_{damping}_max": border.alpha_at_beta_max,
         }
-        document = {**case.said, **extremes, stiffness: border.alpha.tolist(), damping: border.beta.tolist()}
+        document = {**case.said, **extremes, stiffness: _listed(border.alpha), damping: _listed(border.beta)}
         if robust:
             outlines = zip(("alpha", "beta", "gamma"), robust_outline(case.loop.delta, case.loop.delay), strict=True)
             document["robust"] = {name: values.tolist() for name, values in outlines}
@@ -342,14 +343,19 @@ def boundary_document(case: Case, robust: bool = False, points: int = 400) -> di
             f"device {case.names['device']!r}, experiment {case.names['experiment']!r}: no stiffness and damping "
             "stabilise this loop. Check delay, lag and filter in the device file."
         )
+    gaps = np.flatnonzero(np.diff(found.part)) + 1
     return {
         **case.said,
         "stiffness_max": float(found.alpha_max * k) if len(found.beta) else None,
         "damping_at_stiffness_max": float(found.beta_at_alpha_max * b) if len(found.beta) else None,
-        stiffness: (found.alpha * k).tolist(),
-        damping: (found.beta * b).tolist(),
+        stiffness: _listed(np.insert(found.alpha * k, gaps, np.nan)),
+        damping: _listed(np.insert(found.beta * b, gaps, np.nan)),
         "islands": islands_in_si(found.islands, case.units),
     }
+
+
+def _listed(values: Floats) -> list[float | None]:
+    return [None if math.isnan(value) else value for value in values.tolist()]
 
 
 def islands_in_si(islands: Floats, units: Normalised) -> list[dict[str, float]]:

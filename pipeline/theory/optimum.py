@@ -102,7 +102,7 @@ def _least(loop: Loop, criterion: str) -> OptimalPoint:
 
     def at(place: Floats) -> tuple[Floats, Floats]:
         """The edge by its damping."""
-        return stiffness_limit(loop, place, islands=False), place
+        return stiffness_limit(loop, place), place
 
     def cost(alpha: Floats, beta: Floats, _: float) -> Floats:
         return point_costs_by_name(loop, alpha, beta, (criterion,), longest)[criterion]
@@ -115,7 +115,7 @@ def _least(loop: Loop, criterion: str) -> OptimalPoint:
         return np.where(np.isnan(found), np.inf, found)
 
     lowest, ends = float(box(loop)[0][0]), boundary(loop).beta
-    edge = search_lines(along, ends.min(keepdims=True), ends.max(keepdims=True))
+    edge = search_lines(along, np.nanmin(ends, keepdims=True), np.nanmax(ends, keepdims=True))
     inside = search(loop, cost, SMOOTH)
     if edge.cost[0] > inside.cost:
         return inside

@@ -86,7 +86,7 @@ def box(loop: Loop, inset: float = _INSET) -> tuple[Floats, Floats]:
     border = boundary(loop)
     width = border.alpha_max + loop.gamma
     return (
-        np.array([-loop.gamma + inset * width, min(float(border.beta.min()), 0.0)]),
+        np.array([-loop.gamma + inset * width, min(float(np.nanmin(border.beta)), 0.0)]),
         np.array([border.alpha_max, border.beta_max]),
     )
 
@@ -104,6 +104,7 @@ def chart(loop: Loop) -> Chart:
     length, with the region's height and width as units.
     """
     beta = np.sort(boundary(loop).beta)
+    beta = beta[np.isfinite(beta)]
     alpha = limits(loop, beta, exact=False).alpha
     kept = np.isfinite(alpha) & np.append(True, np.diff(beta) > 0)
     beta, alpha = beta[kept], alpha[kept]
