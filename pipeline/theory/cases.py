@@ -1,6 +1,6 @@
 """Documents of theory for command line, REST and Python: limits, costs of listed walls, optima.
 
-What cannot be computed is None, with the reason beside it. `pipeline.theory.map` makes maps of the same costs.
+What cannot be computed is None, with the reason beside it. `pipeline.theory.costs` makes maps of the same costs.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import loop_of, wall_units
-from pipeline.loop.loop import Loop, Normalised
+from pipeline.loop.loop import Loop, Normalised, loop_of, wall_units
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, criterion_of, with_discrete
 from pipeline.theory.costs import check_criteria, point_costs_by_name

@@ -22,9 +22,8 @@ from pipeline.theory.optimum import (
     nearest_to_line,
 )
 from pipeline.theory.poles import damping_ratio, spectral_radius
-from pipeline.theory.search import Cost, where_stable
+from pipeline.theory.search import LEVELS, Cost, LineCost, LineOptima, extents, search_lines, where_stable
 from pipeline.theory.transient import NO_OVERSHOOT, late_deviation, transient_costs
-from pipeline.theory.zoom import LEVELS, LineCost, LineOptima, extents, search_lines
 
 _LONGEST = 1024
 """Samples after which a response of a curve counts as not settled; the curves of Fig. 5.4 end at about 60."""

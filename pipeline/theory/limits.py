@@ -7,7 +7,7 @@ unstable gap, or where soft walls are not, is an island.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -15,8 +15,7 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats, Integers
-from pipeline.theory.branches import FirstBranch, first_branch
-from pipeline.theory.circle import angle_of, circle_points, place_of
+from pipeline.theory.circle import FirstBranch, angle_of, circle_points, first_branch, place_of
 from pipeline.theory.crossings import Stretches, polished, stretches, turning_dampings
 
 _NODES = np.concatenate([[1e-9], 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, 9)[1:-1])), [1 - 1e-9]])
@@ -308,15 +307,24 @@ def _over_dampings(loop: Loop, points: int) -> Boundary:
 def _edges(rows: Floats, level: Integers, line: float) -> Floats:
     """Return alpha, beta and angle along the edges of all regions, shape (n, 3), with a row of nan between them.
 
-    Rows are stable intervals, upwards in beta: beta, low, high and their angles. Those of neighbouring levels that
-    overlap are of one region; an edge ends where regions join.
+    Rows are stable intervals, upwards in beta: beta, low, high and their angles. Those of neighbouring levels are of
+    one region by their order, and where their number changes if they overlap; an edge ends where regions join.
     """
     chains: list[list[int]] = []
     joined = np.zeros(len(rows), np.bool_)
-    for i, (_, low, high, *_) in enumerate(rows):
-        near = [c for c in chains if level[c[-1]] == level[i] - 1 and rows[c[-1], 1] < high and rows[c[-1], 2] > low]
-        joined[[c[-1] for c in near]] = True
-        (near[0].append if near else lambda first: chains.append([first]))(i)
+    for number in np.unique(level):
+        here = np.flatnonzero(level == number).tolist()
+        before = sorted((c for c in chains if level[c[-1]] == number - 1), key=lambda c: c[-1])
+        ends = np.array([c[-1] for c in before], dtype=np.intp)
+        low, high = rows[ends, 1:3].T
+        meets = (low < rows[here, 2, None]) & (high > rows[here, 1, None])
+        meets = np.eye(len(here), dtype=np.bool_) if len(here) == len(ends) else meets  # none begins, ends or joins
+        for i, met in zip(here, meets, strict=True):
+            if met.sum() == 1 and meets[:, met].sum() == 1:
+                before[int(met.argmax())].append(i)
+            else:
+                chains.append([i])
+                joined[ends[met]] = True
     gap, found = np.full((1, 3), np.nan), [np.zeros((0, 3))]
     for chain in chains:
         off = rows[chain, 1] > line
@@ -479,3 +487,63 @@ def _reach(gamma: Floats, value: float) -> float:
     """Width of the gap between springs that a value lies in."""
     at = int(np.clip(np.searchsorted(gamma, value), 1, len(gamma) - 1))
     return float(gamma[at] - gamma[at - 1])
+
+
+_SLIDING = 0.5
+"""Largest friction, as a share of the mass's own force at the turning points, at which motion is taken for a sine."""
+
+_EQUIVALENTS = 12
+"""Equivalent dampings that are tried: neighbours differ by half or less."""
+
+_SEEN = 0.1
+"""Limit, as a share of the largest, of the dampings that say which equivalent dampings to try."""
+
+
+def step_limits(loop: Loop, beta: Floats, share: float) -> Floats:
+    """Return the limit at dampings for oscillations as large as a step's way, F_0/(K + k); nan where not valid.
+
+    Parameters
+    ----------
+    loop : Loop
+    beta : float64, shape (n,)
+    share : float
+        Friction over the step, f_c/F_0, > 0.
+
+    Notes
+    -----
+    The equivalent damping 4 f_c/(pi omega A) depends on the limit and its frequency themselves. So limits at several
+    equivalent dampings are found, with the friction that each belongs to, and joined by lines: to about a hundredth of
+    what the friction adds. Valid where motion slides all through: f_c <= m omega^2 A/2.
+
+    The describing function replaces the square wave of the friction by its first harmonic. The wall is the less
+    stable the larger the oscillation, so the linear limit is what remains for large ones.
+
+    Source: Slotine and Li 1991, Applied Nonlinear Control, ch. 5 (describing function of a relay).
+    """
+    first = limits(loop, beta, exact=False)
+    typical = 4 * share * (first.alpha + loop.gamma) / (np.pi * first.angle)
+    typical = typical[first.alpha > _SEEN * np.nanmax(first.alpha)]
+    more = np.geomspace(0.7 * typical.min(), 5 * typical.max(), _EQUIVALENTS)
+    each = [first] + [limits(replace(loop, delta=loop.delta + float(one)), beta, exact=False) for one in more]
+    added = np.append(0.0, more)[:, None]
+    alpha, angle = np.array([one.alpha for one in each]), np.array([one.angle for one in each])
+    shares = np.pi * angle * added / (4 * (alpha + loop.gamma))
+    result = np.full(len(beta), np.nan)
+    for i in range(len(beta)):
+        over = np.flatnonzero(shares[:, i] >= share)  # the first: softer walls let the oscillation fade
+        if len(over) and over[0] > 0:
+            some = slice(over[0] - 1, over[0] + 1)
+            stiff, turn = (np.interp(share, shares[some, i], values[some, i]) for values in (alpha, angle))
+            if share * (stiff + loop.gamma) <= _SLIDING * turn**2:
+                result[i] = stiff
+    return result
+
+
+def quantum_limit(coulomb: float, quantum: float) -> float:
+    """Return the stiffness up to which a quantum causes no limit cycle: 2 f_c/quantum, in SI.
+
+    Sufficient, not necessary: nothing is said of stiffer walls.
+
+    Source: Diolaiti et al. 2006; Abbott and Okamura 2005.
+    """
+    return 2 * coulomb / quantum

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import loop_of, wall_units
+from pipeline.loop.loop import loop_of, wall_units
 from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import LoopParts
 from pipeline.theory.limits import stiffness_limit

@@ -116,7 +116,7 @@ def _rig(name: str, experiment: str | None, hand: str | None) -> tuple[Device, s
 def _quantum(device: Device, experiment: str, stiffness: float | None) -> dict[str, Any] | None:
     """Return up to which stiffness the sensor's quantum causes no limit cycle, and the quantum that K asks for."""
     from pipeline.device_data.devices import find_experiment
-    from pipeline.theory.friction import quantum_limit
+    from pipeline.theory.limits import quantum_limit
 
     friction = device.loop_of(find_experiment(device, experiment)).friction
     quantum = device.sensor.quantum
