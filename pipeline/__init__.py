@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pipeline.surface.stored import samples as samples
     from pipeline.surface.stored import trials as trials
 
-__version__ = "0.1.0"
+__version__ = "1.0.0rc1"
 
 _PUBLIC = {
     "base.errors": ("PipelineError",),

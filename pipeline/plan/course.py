@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
@@ -13,15 +13,20 @@ import numpy as np
 from pipeline.base.errors import DeviceError, UsageError
 from pipeline.device_data.devices import declared_spring, find_experiment, known_devices, read_device
 from pipeline.measured.experiment.boundary import spread_over_plane
+from pipeline.measured.experiment.fitted_device import NAMES, PARTS, FittedDevice
 from pipeline.measured.intervals import NORMAL_95
+from pipeline.measured.law.wall_law import wall_law
+from pipeline.measured.model.intervals import BOUNDED, NEEDED, Errors, physical
+from pipeline.measured.model.parts import Choice, again
 from pipeline.measured.model.parts import chosen as look_at_once
+from pipeline.measured.model.recordings import Recording
+from pipeline.measured.model.told import is_told
+from pipeline.measured.signal.response import Response, find_response
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import FoundDevice, Trial, stated_device
-from pipeline.plan.learnt import TRIALS, Learnt, Look, learn
-from pipeline.plan.limits import Forecast
-from pipeline.plan.requests import NOTHING_ASKED, Requests, Wall, read_requests, requests_folder, walls_of
-from pipeline.plan.verdicts import Tried
+from pipeline.plan.limits import Forecast, Tried
 from pipeline.records.batch import Floats, TrialBatch
+from pipeline.records.loop_parts import VelocityFilter
 from pipeline.records.models import Device, Experiment
 from pipeline.store.samples import load_groups
 from pipeline.store.storage import list_experiments, read_trials
@@ -29,6 +34,22 @@ from pipeline.theory.cases import tested_grid
 
 DAMPINGS = 12
 """Dampings at which limits are looked for where none are named."""
+
+TRIALS, ROWS, AHEAD = 16, 300, 10
+"""Logs that a device is fitted to, their rows from the step on, and those before it: a number known to 1 % from one log
+is known to 0.3 % from these, and a log waits for it."""
+
+AGAIN = 3
+"""Parts of a device are looked for anew when there are so many times as many logs."""
+
+Look = Callable[[list[Recording]], Choice | None]
+"""What looks for the parts of a device; None as long as that goes on."""
+
+SAME = 0.002
+"""Difference relative to the largest at which two dampings are one: a tenth of the usual accuracy of a limit."""
+
+AS_SET = 0.25
+"""Part of the distance of dampings by which a rig may set others in their place."""
 
 START_ERROR = 0.1
 """Error of limits by the parameters of a device file, relative to the largest."""
@@ -38,6 +59,15 @@ RANGE_NEEDED = (
     "(pipeline plan --device my-device.toml; schemas/devices/falcon.toml is an example), or logs of some walls "
     "(pipeline ingest LOGS), for instance K = 500, 1000 and 2000 N/m at B = 10 Ns/m"
 )
+
+
+@dataclass(frozen=True, eq=False)
+class Learnt:
+    """The device of some logs; None where they tell no mass. Its parts were looked for at so many logs."""
+
+    choice: Choice
+    device: FoundDevice | None
+    looked: int
 
 
 @dataclass(frozen=True)
@@ -74,8 +104,7 @@ class Wish:
 class Course:
     """Trials of one experiment so far, and where it started: the file's experiment where there is one.
 
-    ``found`` is the device that its logs show, with what was ``learnt`` for the next one; ``walls`` are those of all
-    logs, and ``requests`` what was asked for.
+    ``found`` is the device that its logs show, with what was ``learnt`` for the next one.
     """
 
     name: str
@@ -89,8 +118,6 @@ class Course:
     rotation: bool
     found: FoundDevice | None = None
     learnt: Learnt | None = None
-    walls: tuple[Wall, ...] = ()
-    requests: Requests = NOTHING_ASKED
 
 
 def open_course(
@@ -100,7 +127,6 @@ def open_course(
     wish: Wish,
     known: Learnt | None = None,
     look: Look = look_at_once,
-    requests: Requests | None = None,
 ) -> Course:
     """Return the stored trials of an experiment; errors as of `plan`.
 
@@ -112,15 +138,12 @@ def open_course(
         The device that fewer logs have shown.
     look : callable
         What looks for the parts of the device.
-    requests : Requests, optional
-        What was asked for so far; by default what the store says.
     """
     device = read_device(Path(name)) if name.endswith(".toml") else known_devices().get(name)
     name = device.name if device else name
     stored = list_experiments(processed, name) if processed.is_dir() else []
     chosen = _experiment(name, experiment, stored, device)
     of_file = next((e for e in device.experiments if e.name == chosen), None) if device else None
-    requests = requests if requests is not None else read_requests(requests_folder(processed, name, chosen))
     if chosen not in stored:
         if device is None:
             raise DeviceError(f"device {name!r}: no device file and no log of it in {processed}; {RANGE_NEEDED}.")
@@ -128,7 +151,7 @@ def open_course(
         nothing = np.empty(0)
         tried = Tried(nothing, nothing, np.empty(0, dtype="<U9"), nothing)
         about = device.sampling_period_s, device.duration_s - device.baseline_s, device.step
-        return Course(name, chosen, tried, device, of_file, *about, device.motion == "rotation", requests=requests)
+        return Course(name, chosen, tried, device, of_file, *about, device.motion == "rotation")
     trials = read_trials(processed, name, chosen)
     stages = ExperimentStages(processed, name, chosen, trials, spring=declared_spring(device, chosen))
     force = None
@@ -144,7 +167,7 @@ def open_course(
         batch = TrialBatch.joined(list(load_groups(processed, trials.take(places)).parts))
         known = learn(batch, int((K > 0).sum()), known, look)
     found = known.device if known else None
-    return replace(course, found=found, learnt=known, requests=requests.answered(course.walls))
+    return replace(course, found=found, learnt=known)
 
 
 def course_of(
@@ -154,7 +177,7 @@ def course_of(
     wish: Wish,
     force: Floats | None = None,
 ) -> Course:
-    """Return the trials of an experiment as verdicts alone tell of them: no device learnt, nothing asked before.
+    """Return the trials of an experiment as verdicts alone tell of them: no device learnt.
 
     ``force`` is the largest absolute command of each trial [N, Nm], where it matters.
     """
@@ -175,7 +198,6 @@ def course_of(
         float(np.median(trials.column("rows").to_numpy())) * period,
         float(np.max(np.abs(trials.column("step").to_numpy()))),
         "rotation" in trials.column("motion").to_pylist(),
-        walls=walls_of(K, B),
     )
 
 
@@ -203,7 +225,7 @@ def wanted_dampings(course: Course, wish: Wish) -> tuple[float, ...]:
         grid = tested_grid(course.device, of_file)
         even = np.linspace(grid.damping_first, grid.damping_last, DAMPINGS)
         steps = np.round((even - grid.damping_first) / grid.damping_step)
-        wanted = np.unique(np.maximum(grid.damping_first + steps * grid.damping_step, 0.0))
+        wanted = as_set(np.unique(np.maximum(grid.damping_first + steps * grid.damping_step, 0.0)), tried)
     elif len(tried) > DAMPINGS:
         wanted = tried[np.unique(np.round(np.linspace(0, len(tried) - 1, DAMPINGS)).astype(np.int64))]
     else:
@@ -212,6 +234,22 @@ def wanted_dampings(course: Course, wish: Wish) -> tuple[float, ...]:
     if not len(wanted):
         raise UsageError(f"device {course.name!r}: no damping is left to try. Name some (--dampings 0,20,40).")
     return tuple(wanted.tolist())
+
+
+def as_set(wanted: Floats, tried: Floats) -> Floats:
+    """Return dampings, in place of those that were not tried the nearest that was, where a rig may have set it."""
+    if not len(tried) or len(wanted) < 2:
+        return wanted
+    nearest = tried[np.argmin(np.abs(tried[:, None] - wanted), axis=0)]
+    return np.unique(np.where(np.abs(nearest - wanted) <= AS_SET * np.diff(wanted).min(), nearest, wanted))
+
+
+def snapped(tried: Tried, dampings: Sequence[float]) -> Tried:
+    """Return the trials with a damping that is next to a wanted one counted as that."""
+    wanted = np.array(dampings)
+    nearest = wanted[np.argmin(np.abs(tried.damping[:, None] - wanted), axis=1)] if len(tried) else tried.damping
+    near = np.abs(nearest - tried.damping) <= SAME * float(wanted.max(initial=0.0))
+    return replace(tried, damping=np.where(near, nearest, tried.damping))
 
 
 def foretold(course: Course, dampings: Sequence[float]) -> Forecast | None:
@@ -231,3 +269,75 @@ def foretold(course: Course, dampings: Sequence[float]) -> Forecast | None:
     if not largest > 0:
         raise DeviceError(f"device {course.name!r}: by its file no wall is stable; {RANGE_NEEDED}.")
     return Forecast(limit, np.full(len(limit), START_ERROR * largest))
+
+
+def learn(batch: TrialBatch, count: int, known: Learnt | None, look: Look) -> Learnt | None:
+    """Return the device that trials of an experiment show, from that of fewer.
+
+    Parameters
+    ----------
+    batch : TrialBatch
+        Trials with K > 0: all, or `TRIALS` that are spread over the walls.
+    count : int
+        Number of all.
+    known : Learnt or None
+    look : callable
+        Asked where the parts of the device are not known yet, or were looked for in a third of the logs.
+    """
+    order = np.lexsort((batch.stiffness, batch.damping))
+    some = order[np.unique(np.linspace(0, len(order) - 1, TRIALS).astype(np.int64))]
+    part = batch.select(some)
+    response = find_response(part)
+    recordings = recordings_of(part, response)
+    if not any(np.ptp(each.position) > 0 for each in recordings):
+        return known
+    choice, looked = (None, 0) if known is None else (known.choice, known.looked)
+    if count >= AGAIN * looked and (found := look(recordings)) is not None:
+        choice, looked = found, count
+    elif choice is not None:
+        choice = again(choice, recordings)
+    if choice is None:
+        return None
+    fitted = fitted_of(choice)
+    if fitted is None:
+        return Learnt(choice, None, looked)
+    # a filter shows most where there is most damping
+    most = np.array([np.argmax(part.damping)], dtype=np.int64)
+    velocity = known.device.velocity if known is not None and known.device is not None else None
+    velocity = velocity or filter_of(part.select(most), response.select(most))
+    return Learnt(choice, FoundDevice(fitted, float(np.median(batch.sampling_period_s)), velocity), looked)
+
+
+def recordings_of(batch: TrialBatch, response: Response) -> list[Recording]:
+    """Return trials from shortly before the step on, as the model takes them."""
+    found = []
+    for i in range(len(batch)):
+        edge = max(int(response.edge_row[i]), 0)
+        rows = slice(max(edge - AHEAD, 0), min(int(batch.rows[i]), edge + ROWS))
+        logged = (batch.time[i, rows], batch.command[i, rows], batch.position[i, rows])
+        found.append(Recording(str(i), *logged, float(batch.sampling_period_s[i]), edge - rows.start))
+    return found
+
+
+def filter_of(batch: TrialBatch, response: Response) -> VelocityFilter | None:
+    """Return the velocity filter that the wall law of the first trial shows."""
+    departures = wall_law(batch, response).departures[0]
+    found = next((each.filter for each in departures if each.filter is not None), None)
+    return None if found is None else found.declared
+
+
+def fitted_of(choice: Choice) -> FittedDevice | None:
+    """Return the numbers of a fit in SI with their covariance; None where it does not tell the mass."""
+    errors, quantities = Errors.of(choice.fit), physical(choice.scales)
+    names = [name for name, number in NEEDED.items() if number in errors.numbers]
+    if not is_told(errors.interval(quantities["mass"], "mass" in BOUNDED)):
+        return None
+    unit = np.array([1 / choice.scales.period if name == "delay" else 1.0 for name in names])
+    covariance = errors.covariance([quantities[name] for name in names]) * np.outer(unit, unit)
+    values = {NAMES[name]: quantities[name](errors.numbers) * each for name, each in zip(names, unit, strict=True)}
+    late = 0 if "delay_samples" in values else 1
+    return FittedDevice(
+        tuple(PARTS[name] for name, gain in choice.parts.items() if gain > 0),
+        values | ({"delay_samples": 0.0} if late else {}),
+        np.pad(covariance, (0, late)),
+    )

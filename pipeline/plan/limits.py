@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import inf
 
 import numpy as np
 from scipy.special import ndtr
 
-from pipeline.plan.requests import NOTHING_ASKED, Requests
-from pipeline.plan.verdicts import VOTES, Bracket, Tried, bracket
-from pipeline.records.batch import Floats
+from pipeline.base.errors import ParameterError
+from pipeline.records.batch import Booleans, Floats
+
+VOTES = 3
+"""Trials of one wall after which a contradiction is no chance: most of them decide. As many undecided ones, costs of a
+wall, or trials of an end in place of a wall inside a bracket are enough."""
 
 MISFIT = 0.007
 """Error of foretold limits, relative to the largest, before any is known: verdicts call what grows unseen stable."""
@@ -41,6 +44,130 @@ START = 0.5
 
 HIGHER = 1.3
 """How far above the largest limit known a limit is looked for, relative to it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """Trials so far, a row each.
+
+    Parameters
+    ----------
+    stiffness, damping : float64, shape (n,)
+        K > 0 [N/m, Nm/rad] and B [Ns/m, Nms/rad].
+    verdict : array of str, shape (n,)
+        ``stable``, ``unstable`` or ``undecided``, as `measured.signal.verdict.judge` says.
+    growth : float64, shape (n,)
+        Growth rate of the slowest visible mode [1/s], NaN where it is not told.
+    force : float64, shape (n,)
+        Largest absolute command [N, Nm], NaN where it does not matter.
+    cost : float64, shape (n,)
+        Cost by the criterion of the goal, NaN where there is none.
+    """
+
+    stiffness: Floats
+    damping: Floats
+    verdict: np.ndarray
+    growth: Floats
+    force: Floats = field(default_factory=lambda: np.empty(0))
+    cost: Floats = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        for name in ("force", "cost"):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.full(len(self.stiffness), np.nan))
+        lengths = {len(column) for column in vars(self).values()}
+        if len(lengths) > 1:
+            raise ParameterError(f"trials with columns of {sorted(lengths)} rows: expected one value each per trial.")
+
+    def __len__(self) -> int:
+        return len(self.stiffness)
+
+    def select(self, rows: Booleans) -> Tried:
+        """Return some of the trials."""
+        return Tried(**{name: column[rows] for name, column in vars(self).items()})
+
+
+@dataclass(frozen=True)
+class Bracket:
+    """Where the limit of one damping lies by verdicts.
+
+    Parameters
+    ----------
+    low, high : float or None
+        Stiffest stable and softest unstable wall that enclose it [N/m, Nm/rad]; None where none was tried.
+    again : tuple of float
+        Stiffness of walls whose verdicts contradict others and that must be tried again, those of fewest trials first.
+    lasting : bool
+        Whether stable walls lie above unstable ones although each was tried `VOTES` times.
+    trials : int
+    """
+
+    low: float | None = None
+    high: float | None = None
+    again: tuple[float, ...] = ()
+    lasting: bool = False
+    trials: int = 0
+
+    @property
+    def bottom(self) -> float:
+        """Lower end, 0 where no wall was stable: without stiffness there is no wall."""
+        return 0.0 if self.low is None else self.low
+
+    @property
+    def top(self) -> float:
+        """Upper end, infinite where no wall was unstable."""
+        return inf if self.high is None else self.high
+
+
+def bracket(stiffness: Floats, verdict: np.ndarray, width: float = 0.0) -> Bracket:
+    """Return where the limit of one damping lies.
+
+    Parameters
+    ----------
+    stiffness : float64, shape (n,)
+    verdict : array of str, shape (n,)
+    width : float
+        Contradictions within this range of K [N/m, Nm/rad] are the chance of the limit itself, and no reason to repeat.
+
+    Notes
+    -----
+    A wall counts as what most of its trials say, and not at all where they are even or undecided. Where a stable wall
+    lies above an unstable one, low and high enclose both, until each of them was tried `VOTES` times. What contradicts
+    itself then has several limits (a mode, friction), of which the lowest counts.
+
+    Examples
+    --------
+    >>> bracket(np.array([1000.0, 2000.0, 3000.0]), np.array(["stable", "undecided", "unstable"]))
+    Bracket(low=1000.0, high=3000.0, again=(), lasting=False, trials=3)
+    >>> bracket(np.array([1000.0, 2000.0, 3000.0]), np.array(["stable", "unstable", "stable"])).again
+    (2000.0, 3000.0)
+    """
+    walls, column = np.unique(stiffness, return_inverse=True)
+    votes = np.zeros(len(walls))
+    tried = np.zeros(len(walls), dtype=np.int64)
+    np.add.at(votes, column, np.where(verdict == "unstable", 1.0, np.where(verdict == "stable", -1.0, 0.0)))
+    np.add.at(tried, column, 1)
+    stable, unstable = walls[votes < 0], walls[votes > 0]
+    low, high = stable.max(initial=-inf), unstable.min(initial=inf)
+    again: tuple[float, ...] = ()
+    lasting = False
+    if low > high:
+        doubtful = (walls >= high) & (walls <= low) & (tried < VOTES)
+        if low - high > width and doubtful.any():
+            order = np.flatnonzero(doubtful)[np.argsort(tried[doubtful], kind="stable")]
+            again = tuple(walls[order].tolist())
+        lasting = low - high > width and not again
+        if lasting:
+            low = stable[stable < high].max(initial=-inf)
+        else:
+            low, high = stable[stable < high].max(initial=-inf), unstable[unstable > low].min(initial=inf)
+    return Bracket(
+        low=float(low) if np.isfinite(low) else None,
+        high=float(high) if np.isfinite(high) else None,
+        again=again,
+        lasting=lasting,
+        trials=len(stiffness),
+    )
 
 
 @dataclass(frozen=True)
@@ -134,9 +261,7 @@ class State:
         return all(column.wall is None for column in self.columns)
 
 
-def state(
-    tried: Tried, aim: Aim, by: Forecast | None = None, trial_s: float = inf, requests: Requests = NOTHING_ASKED
-) -> State:
+def state(tried: Tried, aim: Aim, by: Forecast | None = None, trial_s: float = inf) -> State:
     """Return what is known and left to do at each damping.
 
     Parameters
@@ -148,8 +273,6 @@ def state(
         Limits by the device that the logs show, else by its file; without one verdicts are bisected.
     trial_s : float
         How long a log goes on after its step [s].
-    requests : Requests
-        What was asked for so far.
     """
     rows = [tried.select(tried.damping == b) for b in aim.dampings]
     found = [bracket(own.stiffness, own.verdict) for own in rows]
@@ -160,7 +283,7 @@ def state(
     columns = []
     for i, own in enumerate(rows):
         of = bracket(own.stiffness, own.verdict, width)
-        task = Task(aim, largest, trial_s, requests, float(ahead.limit[i]), float(ahead.error[i]))
+        task = Task(aim, largest, trial_s, float(ahead.limit[i]), float(ahead.error[i]))
         column = _column(aim.dampings[i], of, own, task, holds=ahead.misfit <= aim.accuracy)
         if not len(tried) and column.wall is not None:
             column = replace(column, wall=min(column.wall, aim.start * max(task.limit, task.half)))
@@ -203,13 +326,12 @@ def _largest(limit: Floats, ends: Floats, least: float) -> float:
 
 @dataclass(frozen=True)
 class Task:
-    """What is to be known, the largest limit, how long a log goes on [s], what was asked for, and what is expected of
-    one damping: limit and standard error [N/m, Nm/rad]."""
+    """What is to be known, the largest limit, how long a log goes on [s], and what is expected of one damping: limit
+    and standard error [N/m, Nm/rad]."""
 
     aim: Aim
     largest: float
     trial_s: float
-    requests: Requests
     limit: float
     error: float
 
@@ -229,29 +351,28 @@ def _column(damping: float, of: Bracket, own: Tried, task: Task, *, holds: bool)
     top = min(of.top, aim.highest, own.stiffness[own.force > aim.force].min(initial=inf))
     far = top if np.isfinite(top) else max(2 * of.bottom, HIGHER * task.largest, width)
     value = 0.5 * (of.bottom + far) if np.isnan(task.limit) else float(np.clip(task.limit, of.bottom, far))
-    again = [wall for wall in of.again if task.requests.sets(wall, damping)]
-    if again:
-        return Column(damping, replace(of, again=tuple(again)), value, None, again[0], "contradiction")
+    if of.again:
+        return Column(damping, of, value, None, of.again[0], "contradiction")
     if of.high is not None and of.high - of.bottom <= width:
-        ends = doubtful_ends(own, of, task.trial_s, gentle=aim.gentle)
-        if weak := [wall for wall in ends if task.requests.sets(wall, damping)]:
-            return Column(damping, replace(of, again=tuple(weak)), value, None, weak[0], "weak")
+        if weak := doubtful_ends(own, of, task.trial_s, gentle=aim.gentle):
+            return Column(damping, replace(of, again=weak), value, None, weak[0], "weak")
         return Column(damping, of, float(np.clip(value, of.high - half, of.bottom + half)))
     inside = own.select((own.stiffness > of.bottom) & (own.stiffness < of.top) & (own.verdict == "undecided"))
     if len(inside) >= VOTES:
         return Column(damping, of, None, note="undecided")
     if of.bottom >= 0.99 * top or top <= aim.lowest:
         return Column(damping, of, value, note="limit of the tests")
+    if repeats(own, of):
+        return Column(damping, of, value, note="step of the rig")
     if aim.gentle and holds and of.low is not None and abs(task.limit - of.low) + task.error <= half:
         return Column(damping, of, value, note="from below")
     edges = walls(max(of.bottom, aim.lowest), far, value, task.error, width)
-    # neither walls next to undecided ones, nor what a rig makes one of the ends
-    kept = (np.abs(edges[:, None] - inside.stiffness) > 0.25 * width).all(axis=1)
-    kept &= task.requests.new(edges, damping, np.array([of.bottom, of.top]))
+    # no walls next to undecided ones
+    kept = np.asarray((np.abs(edges[:, None] - inside.stiffness) > 0.25 * width).all(axis=1))
     kept[[0, -1]] = True
     edges = edges[kept]
     split = best_split(edges, chances(edges, task.limit, task.error), width, PRICE if aim.gentle else 1.0)
-    if split is None or task.requests.step >= 0.99 * (of.top - of.bottom):
+    if split is None:
         return Column(damping, of, value, note="step of the rig")
     wall = float(edges[split.place])
     if aim.gentle and not np.isnan(task.limit):
@@ -273,6 +394,18 @@ def doubtful_ends(own: Tried, of: Bracket, trial_s: float, *, gentle: bool) -> t
         if len(trials) == 1 and abs(own.growth[trials[0]]) * trial_s < WEAK:
             ends.append(float(own.stiffness[trials[0]]))
     return tuple(ends)
+
+
+def repeats(own: Tried, of: Bracket) -> bool:
+    """Return whether a rig answers by an end of the bracket each time: it sets no wall inside.
+
+    An end is then tried `VOTES` times more than walls usually are, though no verdict contradicts another.
+    """
+    walls, place, count = np.unique(own.stiffness, return_inverse=True, return_counts=True)
+    grew, fell = (np.bincount(place, own.verdict == said, len(walls)) for said in ("unstable", "stable"))
+    ends = np.isin(walls, [end for end in (of.low, of.high) if end is not None])
+    usual = np.median(count[~ends]) if not ends.all() else 1.0
+    return bool(count[ends].max(initial=0) >= usual + VOTES and not (grew * fell).any())
 
 
 def walls(bottom: float, far: float, value: float, error: float, width: float) -> Floats:

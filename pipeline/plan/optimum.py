@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
+from pipeline.plan.course import SAME
 from pipeline.plan.found_device import LoopPoint
-from pipeline.plan.requests import NOTHING_ASKED, SAME, Requests
-from pipeline.plan.verdicts import VOTES, Tried
+from pipeline.plan.limits import VOTES, Tried
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.theory.costs import point_costs_by_name
@@ -77,8 +77,6 @@ class Target:
         The device by which costs are foretold.
     holds : bool
         Whether it has the measured limits.
-    requests : Requests
-        What was asked for so far: only walls that the rig sets are looked at.
     """
 
     criterion: str
@@ -86,7 +84,6 @@ class Target:
     highest: Floats
     by: LoopPoint | None
     holds: bool = True
-    requests: Requests = NOTHING_ASKED
 
     @property
     def offset(self) -> float:
@@ -198,10 +195,10 @@ def _best(tried: Tried, cost: Floats, target: Target) -> int | None:
 
 def _places(target: Target) -> tuple[Floats, Floats, Floats]:
     """Return K, B and the logarithm of the foretold cost of walls that may be tried: a grid, denser at its best."""
-    dampings, requests = target.dampings, target.requests
+    dampings = target.dampings
     B = np.linspace(dampings[0], dampings[-1], DAMPINGS) if len(dampings) > 1 else dampings
     K, B = np.outer(target.highest_at(B), SHARES).ravel(), np.repeat(B, len(SHARES))
-    K, B = requests.as_set(K[K > 0], B[K > 0])
+    K, B = K[K > 0], B[K > 0]
     cost = target.foretold(K, B)
     cell = float(np.ptp(dampings)) / (DAMPINGS - 1)
     for reach, starts in ZOOMS if target.by is not None and np.isfinite(cost).any() else ():
@@ -210,7 +207,7 @@ def _places(target: Target) -> tuple[Floats, Floats, Floats]:
         low = order[np.sort(np.unique(np.round(B[order], 9), return_index=True)[1])[:starts], None]
         near_B = np.clip(B[low] + reach * cell * np.repeat(ZOOM, len(ZOOM)), dampings[0], dampings[-1]).ravel()
         about = reach * target.highest_at(B[low]) * (SHARES[1] - SHARES[0])
-        near_K, near_B = requests.as_set((K[low] + about * np.tile(ZOOM, len(ZOOM))).ravel(), near_B)
+        near_K = (K[low] + about * np.tile(ZOOM, len(ZOOM))).ravel()
         some = (near_K > 0) & (near_K <= SHARES[-1] * target.highest_at(near_B))
         K, B = np.append(K, near_K[some]), np.append(B, near_B[some])
         cost = np.append(cost, target.foretold(near_K[some], near_B[some]))

@@ -9,34 +9,20 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.base.disk import if_writable
 from pipeline.base.errors import UsageError
-from pipeline.base.lock import holder
-from pipeline.plan.course import Course, Wish, foretold, open_course, wanted_dampings
+from pipeline.plan.course import Course, Wish, foretold, open_course, snapped, wanted_dampings
 from pipeline.plan.found_device import stated_device
 from pipeline.plan.limits import Aim, Column, State, order, state
 from pipeline.plan.optimum import Search, Target, look_for
-from pipeline.plan.requests import Requests, requests_folder, snapped, write_requests
 from pipeline.records.findings import Record
 
 NOTES = {
     "undecided": "not told: verdicts stay undecided between low and high",
     "limit of the tests": "the walls that may be tried end there",
-    "step of the rig": "the rig sets no wall between low and high",
+    "step of the rig": "the rig sets no wall between low and high: it answers by these each time",
     "from below": "told by the stable walls next to it and by the device that all logs show",
 }
 """What is said of a damping that is done for a reason of its own."""
-
-BESIDE = (
-    "{} plans this experiment, too: both name the same walls, and each would be measured twice. End one of them, or "
-    "give each its own dampings (--dampings)"
-)
-"""What is said where another planner runs beside a rig."""
-
-NOWHERE = (
-    "no damping is left at which the rig sets walls as asked: mend that, and remove the folder `.plan` of the store"
-)
-"""What is said of a rig that logs another damping each time."""
 
 OPTIMUM_ACCURACY = 0.05
 """By which the best trial may be worse than the best wall, relative."""
@@ -119,20 +105,7 @@ def plan(name: str, processed: Path, experiment: str | None = None, wish: Wish |
         If several experiments are stored and none is named, or a limit leaves nothing to try.
     """
     wish = wish or Wish()
-    course = open_course(name, processed, experiment, wish)
-    answer = plan_of(course, wish)
-    folder = requests_folder(processed, course.name, course.experiment)
-    if (other := holder(folder)) is not None:
-        return with_remark(answer, BESIDE.format(other))
-    if processed.is_dir():
-        with if_writable():
-            write_requests(folder, asked_of(course, answer))
-    return answer
-
-
-def asked_of(course: Course, answer: Plan) -> Requests:
-    """Return what is asked for now, with all that was asked before."""
-    return course.requests.asking([(wall.stiffness, wall.damping) for wall in answer.next], course.walls)
+    return plan_of(open_course(name, processed, experiment, wish), wish)
 
 
 OF_THE_STEP = (
@@ -141,21 +114,12 @@ OF_THE_STEP = (
 )
 
 
-def with_remark(answer: Plan, remark: str) -> Plan:
-    """Return a plan of which something more is to be said."""
-    return answer.model_copy(update={"remarks": (*answer.remarks, remark)})
-
-
 def plan_of(course: Course, wish: Wish) -> Plan:
     """Return which walls to try next, from trials that are in memory."""
-    dampings = course.requests.reachable(wanted_dampings(course, wish), course.tried.damping)
-    used = len(course.tried)
-    if not dampings:
-        said = (course.requests.remark(course.rotation) or "", NOWHERE)
-        return Plan(next=(), done=True, boundary=(), trials_used=used, trials_expected=used, remarks=said)
+    dampings, used = wanted_dampings(course, wish), len(course.tried)
     course = replace(course, tried=snapped(course.tried, dampings))
     aim = aim_of(course, wish, dampings)
-    found = state(course.tried, aim, foretold(course, dampings), course.trial_s, course.requests)
+    found = state(course.tried, aim, foretold(course, dampings), course.trial_s)
     done, best, left = found.done, None, ceil(sum(column.left for column in found.columns))
     if wish.goal == "optimum":
         search = _search(course, wish, found, aim)
@@ -199,9 +163,7 @@ def aim_of(course: Course, wish: Wish, dampings: tuple[float, ...]) -> Aim:
 
 def _remarks(course: Course, found: State, aim: Aim) -> tuple[str, ...]:
     """Return what the plan rests on: contradictions, and whether a loop explains the logs."""
-    differ = course.requests.remark(course.rotation)
-    said = [] if differ is None else [differ]
-    said += [
+    said = [
         f"stable walls lie above unstable ones at B = {c.damping:g}, each tried three times: the lowest limit counts"
         for c in found.columns
         if c.bracket.lasting
@@ -272,7 +234,7 @@ def _search(course: Course, wish: Wish, found: State, aim: Aim) -> Search:
         raise UsageError(f"device {course.name!r}: no wall is expected to be stable, so that none has a cost.")
     if not len(course.tried):
         limits *= aim.start
-    target = Target(wish.criterion, np.array(aim.dampings), limits, point, holds, course.requests)
+    target = Target(wish.criterion, np.array(aim.dampings), limits, point, holds)
     return look_for(course.tried, target, OPTIMUM_ACCURACY, wish.count)
 
 

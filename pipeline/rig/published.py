@@ -162,7 +162,7 @@ def published_limits(loop: Loop, damping: object, *, coulomb: float = 0.0, quant
     --------
     >>> rig = Loop(mass=0.58, damping=4.0, sampling_period_s=0.001, delay_samples=0)
     >>> table = published_limits(rig, [0.0], coulomb=1.0, quantum=1e-4).set_index("condition")["stiffness"]
-    >>> table["Colgate and Schenkel 1997"], table["Abbott and Okamura 2005, Diolaiti et al. 2006"]
+    >>> float(table["Colgate and Schenkel 1997"]), float(table["Abbott and Okamura 2005, Diolaiti et al. 2006"])
     (8000.0, 8000.0)
     """
     for name, value in (("coulomb", coulomb), ("quantum", quantum)):

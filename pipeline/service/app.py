@@ -23,26 +23,22 @@ from pipeline.base.errors import PipelineError, UsageError
 from pipeline.service import connections
 from pipeline.service.catalogue import Catalogue
 from pipeline.service.database import Database
-from pipeline.service.jobs.renewal import Renewal
-from pipeline.service.jobs.workers import Workers
+from pipeline.service.jobs.workers import Renewal, Workers
 from pipeline.service.pages import frame, pages
 from pipeline.service.pages.comparing import comparing
-from pipeline.service.pages.forms import forms
 from pipeline.service.problems import TITLES, Later, Problem, full_disk, problem_of
 from pipeline.service.problems import answer as answer_of
 from pipeline.service.rest import api
 from pipeline.service.rest.answers import describe, only_known
 from pipeline.service.rest.lab import lab
 from pipeline.service.rest.remarks import remarks
-from pipeline.service.rest.samples import samples
-from pipeline.service.rest.theory_routes import theories
 from pipeline.service.security import Guard
 from pipeline.service.settings import Settings
 from pipeline.service.shared import Service
 from pipeline.service.theory import Theory
 from pipeline.service.uploads import remove_unacknowledged
 
-ROUTERS = (api.api, samples, lab, remarks, theories, pages.pages, comparing, forms)
+ROUTERS = (api.api, lab, remarks, pages.pages, comparing)
 THREADS = 12
 """That answer requests: more take memory, and the interpreter from each other."""
 
@@ -64,7 +60,7 @@ def create_app(settings: Settings) -> ASGIApp:
     workers, theory = Workers(settings, database), Theory(settings.theory_s)
     catalogue = Catalogue(settings.processed, database)
     service = Service(settings, database, catalogue, workers, theory)
-    renewal = Renewal(service)
+    renewal = Renewal(settings, database, service.renew)
 
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:

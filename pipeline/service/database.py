@@ -286,6 +286,15 @@ class Database:
         self.run("INSERT INTO tokens VALUES (?, ?, ?, ?, ?)", hashed(token), name, role, now, end)
         return token
 
+    def tokens(self) -> list[dict[str, Any]]:
+        """Return who has tokens: id, role, name and day of expiry."""
+        columns = "substr(hash, 1, 12) AS id, role, name, date(expires, 'unixepoch') AS ends"
+        return [dict(row) for row in self.run(f"SELECT {columns} FROM tokens ORDER BY created")]
+
+    def revoke_token(self, identifier: str) -> bool:
+        """Remove a token by its id; return whether there was one."""
+        return bool(self.run("DELETE FROM tokens WHERE substr(hash, 1, 12) = ? RETURNING hash", identifier))
+
     def has_tokens(self) -> bool:
         """Return whether somebody may come from another computer."""
         return bool(self.run("SELECT 1 FROM tokens LIMIT 1"))

@@ -7,10 +7,12 @@ import os
 import secrets
 import time
 from collections.abc import Callable, Iterator
-from http.client import HTTPConnection, HTTPException, HTTPSConnection
+from http.client import HTTPException
 from pathlib import Path
 from typing import Any
+from urllib.error import HTTPError
 from urllib.parse import quote, urlsplit
+from urllib.request import Request, urlopen
 
 from pipeline.base.errors import UsageError
 from pipeline.profiles.profile_files import read_profile
@@ -73,13 +75,9 @@ def _groups(files: list[Path]) -> Iterator[list[Path]]:
 
 class _Server:
     def __init__(self, address: str, token: str | None) -> None:
-        self.address = address
-        parts = urlsplit(address)
-        if parts.scheme not in ("http", "https") or not parts.hostname:
+        self.address = address.rstrip("/")
+        if urlsplit(address).scheme not in ("http", "https") or not urlsplit(address).hostname:
             raise UsageError(f"--to {address}: expected an address such as http://127.0.0.1:8000.")
-        self.make = HTTPSConnection if parts.scheme == "https" else HTTPConnection
-        self.host, self.port = parts.hostname, parts.port
-        self.base = parts.path.rstrip("/")
         self.headers = {"Authorization": f"Bearer {token}"} if token else {}
 
     def upload(self, files: list[Path], folder: Path, profile: str | None) -> Any:
@@ -115,22 +113,21 @@ class _Server:
             time.sleep(POLL_S)
 
     def _ask(self, method: str, path: str, body: bytes | None = None, headers: dict[str, str] | None = None) -> Any:
-        connection = self.make(self.host, self.port, timeout=120.0)
+        request = Request(self.address + path, body, {**self.headers, **(headers or {})}, method=method)
         try:
-            connection.request(method, self.base + path, body, {**self.headers, **(headers or {})})
-            response = connection.getresponse()
-            text = response.read()
+            with urlopen(request, timeout=120.0) as response:
+                status, text = response.status, response.read()
+        except HTTPError as error:
+            status, text = error.code, error.read()
         except (OSError, HTTPException) as error:
             raise UsageError(
                 f"{self.address}: cannot be reached ({error}). What it acknowledged is stored there; the same command "
                 "sends the rest."
             ) from error
-        finally:
-            connection.close()
         try:
             document = json.loads(text)
         except ValueError:
-            raise UsageError(f"{self.address}: this is no server of pipeline (status {response.status}).") from None
-        if response.status >= 400:
-            raise UsageError(f"{self.address}: {document.get('detail', text[:200])} (status {response.status})")
+            raise UsageError(f"{self.address}: this is no server of pipeline (status {status}).") from None
+        if status >= 400:
+            raise UsageError(f"{self.address}: {document.get('detail', text[:200])} (status {status})")
         return document

@@ -70,8 +70,6 @@ class Settings:
         Requests a minute of a token or address, 0 for any; by default any on loopback, `RATE` elsewhere.
     renew : bool
         Whether reports that were made here are made anew when logs come.
-    executor : str
-        What computes the stages of experiments, as ``--executor`` names it.
     connections : int
         Connections that one address may hold open.
     header_s, body_s, theory_s, wait_s : float
@@ -89,7 +87,6 @@ class Settings:
     max_files: int = 10_000
     rate: int | None = None
     renew: bool = True
-    executor: str = "local"
     connections: int = field(default_factory=half_of_files)
     header_s: float = 10.0
     body_s: float = 30.0

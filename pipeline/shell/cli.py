@@ -18,31 +18,45 @@ from pipeline.base.process import begin_alone
 from pipeline.shell import console
 
 COMMANDS = {
-    "demo": ("cli_course", "demo"),
-    "simulate": ("cli_course", "simulate"),
-    "ingest": ("cli_storage", "ingest"),
-    "status": ("cli_storage", "status"),
-    "check": ("cli_storage", "check"),
-    "exclude": ("cli_storage", "exclude"),
-    "move": ("cli_storage", "move"),
-    "delete": ("cli_storage", "delete"),
-    "watch": ("cli_watch", "watch"),
-    "compare": ("cli_report", "compare"),
-    "verify": ("cli_verify", "verify"),
-    "bundle": ("cli_verify", "bundle"),
-    "accuracy": ("cli_course", "accuracy"),
-    "serve": ("cli_serve", "serve"),
-    "token": ("cli_serve", "token"),
-    "push": ("cli_serve", "push"),
-    "theory": ("cli_theory", "app"),
-    "look": ("cli_profiles", "look"),
-    "profile": ("cli_profiles", "profile"),
-    "quarantine": ("cli_profiles", "quarantine"),
-    "identify": ("cli_identify", "identify"),
-    "plan": ("cli_plan", "plan"),
-    "design": ("cli_design", "design"),
+    "demo": "cli_device.demo",
+    "simulate": "cli_device.simulate",
+    "ingest": "cli_storage.ingest",
+    "status": "cli_storage.status",
+    "check": "cli_storage.check",
+    "exclude": "cli_storage.exclude",
+    "move": "cli_storage.move",
+    "delete": "cli_storage.delete",
+    "watch": "cli_watch.watch",
+    "compare": "cli_report.compare",
+    "verify": "cli_report.verify",
+    "bundle": "cli_report.bundle",
+    "accuracy": "cli_theory.accuracy",
+    "serve": "cli_serve.serve",
+    "token": "cli_serve.token",
+    "push": "cli_serve.push",
+    "look": "cli_logs.look",
+    "profile": "cli_logs.profile",
+    "quarantine": "cli_logs.quarantine",
+    "identify": "cli_device.identify",
+    "plan": "cli_plan.plan",
+    "design": "cli_device.design",
+    "theory points": "cli_theory.points",
+    "theory boundary": "cli_theory.boundary",
+    "theory optimum": "cli_theory.optimum",
+    "theory map": "cli_theory.cost_map",
+    "theory tables": "cli_theory.tables",
 }
-"""Module and name of each command, or group of commands, in the order of the help."""
+"""Function of each command, in the order of the help."""
+
+PLAIN = ("demo", "serve")
+"""Commands without a result, and so without --json."""
+
+THEORY = (
+    "Compute stability, costs and optima of the sampled, delayed loop. Parameters are normalised by sampling period T "
+    "and mass m: alpha = K T^2/m, beta = B T/m, gamma = k T^2/m, delta = b T/m. With --device all is in SI, for the "
+    "loop of a device with its filter, lag, mode and operator."
+)
+SETTINGS = {"help_option_names": ["-h", "--help"]}
 
 
 def application(word: str | None = None) -> typer.Typer:
@@ -51,17 +65,19 @@ def application(word: str | None = None) -> typer.Typer:
         name="pipeline",
         no_args_is_help=True,
         pretty_exceptions_enable=False,
-        context_settings={"help_option_names": ["-h", "--help"]},
+        context_settings=SETTINGS,
         help="From logs of step responses against virtual walls to stability, costs and their comparison with theory.",
     )
     app.callback()(_main)
-    for name in [word] if word in COMMANDS else COMMANDS:
-        module, attribute = COMMANDS[name]
-        part = getattr(import_module(f"pipeline.shell.commands.{module}"), attribute)
-        if isinstance(part, typer.Typer):
-            app.add_typer(part, name=name)
-        else:
-            app.command(name)(part)
+    theory = typer.Typer(no_args_is_help=True, help=THEORY)
+    chosen = [name for name in COMMANDS if name.split()[0] == word] or COMMANDS
+    for name in chosen:
+        group, _, own = name.rpartition(" ")
+        module, _, function = COMMANDS[name].partition(".")
+        work = getattr(import_module(f"pipeline.shell.commands.{module}"), function)
+        (theory if group else app).command(own)(work if name in PLAIN else console.command(work))
+    if any(" " in name for name in chosen):
+        app.add_typer(theory, name="theory")
     return app
 
 

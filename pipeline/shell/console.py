@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import errno
+import inspect
 import json
 import os
 import re
@@ -11,8 +11,10 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import wraps
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 
@@ -29,39 +31,55 @@ QUIET_SECONDS = 2.0
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 """Control characters but for tab and line feed."""
 
-REFRESH = 8
-"""Redraws of the progress bar in a second."""
+_JSON = ContextVar("json", default=False)
+"""Whether the command that runs prints JSON, and nothing else."""
 
-STANDARD_OUTPUT = Path("standard output")
-"""Stands for the output in errors of writing to it."""
+Json = Annotated[bool, typer.Option("--json", help="Print JSON on stdout, and nothing else there.")]
 
-OUTSIDE = frozenset(
-    {
-        errno.ENOSPC,
-        errno.EDQUOT,
-        errno.EROFS,
-        errno.EACCES,
-        errno.EPERM,
-        errno.EIO,
-        errno.EFBIG,
-        errno.EMFILE,
-        errno.ENFILE,
-    }
-)
-"""Errors of the operating system that no command can foresee: a full or read-only disk, permissions, limits."""
+
+def command(work: Callable[..., int | None]) -> Callable[..., None]:
+    """Return a command with the option ``--json``: it tells its result by `tell`, and returns its exit status."""
+
+    @wraps(work)
+    def run(as_json: bool = False, **given: Any) -> None:
+        _JSON.set(as_json)
+        raise typer.Exit(work(**given) or 0)
+
+    signature = inspect.signature(work, eval_str=True)
+    last = inspect.Parameter("as_json", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Json)
+    parameters = [*signature.parameters.values(), last]
+    run.__signature__ = signature.replace(parameters=parameters, return_annotation=None)  # type: ignore[attr-defined]
+    run.__annotations__ = {each.name: each.annotation for each in parameters}
+    return run
+
+
+def tell(document: object, lines: Iterable[str]) -> None:
+    """Print a result: with ``--json`` its document, else its lines."""
+    if _JSON.get():
+        _write(json.dumps(document, indent=1, allow_nan=False) + "\n")
+    else:
+        for line in lines:
+            say(line)
+
+
+def tell_line(document: object, lines: Iterable[str]) -> None:
+    """Print one result of many as it comes, as `tell`; a document on one line."""
+    if _JSON.get():
+        _write(json.dumps(document, allow_nan=False) + "\n")
+    else:
+        tell(document, lines)
+    sys.stdout.flush()
 
 
 def run_app(app: typer.Typer, arguments: Sequence[str] | None) -> None:
     """Run the command line and leave with its exit status; a named error becomes a message on stderr.
 
-    So does an error of the operating system that is no defect of the program (`OUTSIDE`). Other exceptions are defects:
-    they pass with their traceback. A signal that asks for an end ends it as it would any process, when what was not
-    complete is taken away.
+    So does an error of the operating system, as of a full disk. Other exceptions are defects: they pass with their
+    traceback. A signal that asks for an end ends it as it would any process, when what was not complete is taken away.
     """
     try:
         with ending_on_signals():
             app(args=None if arguments is None else list(arguments))
-            _flush()
     except Ended as end:
         note(f"Stopped by {end}. Each file is complete or as it was before: run the command again for what is left.")
         for text in getattr(end, "__notes__", ()):
@@ -74,8 +92,6 @@ def run_app(app: typer.Typer, arguments: Sequence[str] | None) -> None:
         _flush()
         raise
     except OSError as error:
-        if error.errno not in OUTSIDE:
-            raise
         _leave(error)
 
 
@@ -83,7 +99,7 @@ def _flush() -> None:
     """Write out what was said, while an error can still be told by name and status."""
     try:
         if sys.stdout is not None:
-            with naming(STANDARD_OUTPUT):
+            with naming(Path("standard output")):
                 sys.stdout.flush()
     except BrokenPipeError:  # who read it has seen enough
         _drop_output()
@@ -110,19 +126,30 @@ def _drop_output() -> None:
 
 def _write(text: str) -> None:
     if sys.stdout is not None:  # started without one, as by `>&-`: nobody listens
-        with naming(STANDARD_OUTPUT):
+        with naming(Path("standard output")):
             sys.stdout.write(text)
-
-
-def print_json(document: object) -> None:
-    """Print one JSON document on stdout; ASCII only, so that no locale can break it."""
-    _write(json.dumps(document, indent=1, allow_nan=False) + "\n")
 
 
 def say(text: str) -> None:
     """Print a line of a result on stdout; a character that the terminal cannot show, or would obey, is escaped."""
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     _write(_harmless(text).encode(encoding, "backslashreplace").decode(encoding) + "\n")
+
+
+def note(text: str) -> None:
+    """Print a line about the work itself on stderr."""
+    print(_harmless(text), file=sys.stderr, flush=True)
+
+
+def step(text: str) -> None:
+    """Print what is done now on stderr, but for ``--json``."""
+    if not _JSON.get():
+        note(text)
+
+
+def _harmless(text: str) -> str:
+    """Return a text without control characters: names and cells of logs may hold commands to the terminal."""
+    return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 def grouped(told: Iterable[tuple[str, str]]) -> Iterator[str]:
@@ -139,16 +166,6 @@ def draft_hint(log: str) -> str:
     return f"Other columns? pipeline profile draft {shlex.quote(log)}"
 
 
-def note(text: str) -> None:
-    """Print a line about the work itself on stderr."""
-    print(_harmless(text), file=sys.stderr, flush=True)
-
-
-def _harmless(text: str) -> str:
-    """Return a text without control characters: names and cells of logs may hold commands to the terminal."""
-    return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
-
-
 def table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> list[str]:
     """Return rows as lines of aligned columns with a header; None as an en dash, floats with six digits."""
     cells = [list(columns), *([_text(row[name]) for name in columns] for row in rows)]
@@ -157,77 +174,39 @@ def table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> list[str
 
 
 def _text(value: object) -> str:
-    if value is None:
-        return "–"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
+    if value is None or isinstance(value, bool):
+        return {None: "–", True: "yes", False: "no"}[value]
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 @contextmanager
-def progress(label: str, unit: str, silent: bool) -> Iterator[Advance]:
-    """Show progress on stderr: a bar on a terminal, a line now and then elsewhere, nothing where silent.
-
-    Parameters
-    ----------
-    label, unit : str
-        What is done, and what is counted.
-    silent : bool
-        With --json.
-    """
-    if silent:
+def progress(label: str, unit: str) -> Iterator[Advance]:
+    """Show progress on stderr: a bar on a terminal, a line now and then elsewhere, nothing with ``--json``."""
+    if _JSON.get():
         yield lambda done, total: None
-    elif sys.stderr.isatty():
-        with _bar(label, unit) as advance:
-            yield advance
-    else:
-        yield _Lines(label, unit).advance
-
-
-class _Lines:
-    """Progress as lines, at most one in `QUIET_SECONDS`."""
-
-    def __init__(self, label: str, unit: str) -> None:
-        self.label, self.unit = label, unit
-        self.began = self.printed = time.monotonic()
-
-    def advance(self, done: int, total: int | None) -> None:
-        """Print a line when it is due."""
-        now = time.monotonic()
-        if now - self.printed >= QUIET_SECONDS:
-            self.printed = now
-            of = "" if total is None else f" of {total}"
-            note(f"{self.label}: {done}{of} {self.unit}{_pace(done, total, now - self.began)}")
-
-
-def _pace(done: int, total: int | None, seconds: float) -> str:
-    """Return things done in a second, and the time left where the total is known."""
-    if not done or seconds <= 0:
-        return ""
-    rate = done / seconds
-    left = "" if total is None else f", {max(total - done, 0) / rate:.3g} s left"
-    return f", {rate:.3g}/s{left}"
-
-
-@contextmanager
-def _bar(label: str, unit: str) -> Iterator[Advance]:
+        return
+    if not sys.stderr.isatty():
+        yield _lines(label, unit)
+        return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    began = time.monotonic()
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TextColumn(unit))
+    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(label, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
 
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TextColumn("{task.fields[count]}", markup=False),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), refresh_per_second=REFRESH, transient=True) as bar:
-        task = bar.add_task(label, total=None, count="")
 
-        def advance(done: int, total: int | None) -> None:
-            count = f"{done}{'' if total is None else f'/{total}'} {unit}"
-            pace = _pace(done, total, time.monotonic() - began)
-            bar.update(task, completed=done, total=total, count=count + pace)
+def _lines(label: str, unit: str) -> Advance:
+    """Return what tells progress by lines, at most one in `QUIET_SECONDS`."""
+    began = printed = time.monotonic()
 
-        yield advance
+    def advance(done: int, total: int | None) -> None:
+        nonlocal printed
+        now = time.monotonic()
+        if now - printed >= QUIET_SECONDS and done:
+            printed, rate = now, done / (now - began)
+            of, left = ("", "") if total is None else (f" of {total}", f", {max(total - done, 0) / rate:.3g} s left")
+            note(f"{label}: {done}{of} {unit}, {rate:.3g}/s{left}")
+
+    return advance

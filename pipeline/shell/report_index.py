@@ -6,6 +6,7 @@ reason. The page depends on the reports alone, so that the same reports give the
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Sequence
@@ -15,13 +16,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from pydantic import BaseModel, ValidationError
-
 from pipeline.base.disk import write_text
 from pipeline.base.paths import storable
 from pipeline.base.wording import unbroken
-from pipeline.records.findings import BoundaryPoint
-from pipeline.records.models import Motion
 from pipeline.rendering.labels import UNITS, decimal, percent_text, stiffness_text
 from pipeline.rendering.report.page_template import fill_template, policy, script_text
 
@@ -39,70 +36,39 @@ _REPORT_MARK = 'name="pipeline-cells"'
 """Part of the head of a report of `pipeline compare` (`report_parts.CELLS_META`)."""
 
 
-class _Largest(BaseModel):
-    measured: float
-    theory: float
-    deviation_percent: float
-    lower_bound: bool = False
+def _row(document: dict[str, Any]) -> dict[str, Any]:
+    """Return what the index shows of a document; those of other versions may lack what is not needed here."""
+    experiments = document["experiments"]
+    names = [e["experiment"] for e in experiments]
+    origin = document.get("provenance", {})
+    return {
+        "simulated": document["simulated"],
+        "summary": document.get("summary", ()),
+        "names": ", ".join(names) if len(names) <= MOST_NAMES else f"{names[0]} … {names[-1]} ({len(names)})",
+        "trials": sum(e["trials"] for e in experiments),
+        "stiffness": _stiffness(experiments, UNITS[document["motion"]].stiffness),
+        "warnings": document.get("warnings", ()),
+        "newest": str(origin.get("log files written", "")).split(" to ")[-1],
+        "provenance": origin,
+    }
 
 
-class _Score(BaseModel):
-    stiffness: _Largest | None = None
-
-
-class _Experiment(BaseModel):
-    experiment: str
-    trials: int
-    boundary: tuple[BoundaryPoint, ...] = ()
-    scores: tuple[_Score, ...] = ()
-
-
-class Document(BaseModel):
-    """The entries of a `results.ComparisonResult` that the index needs; documents of other versions may lack others."""
-
-    device: str
-    title: str
-    motion: Motion
-    simulated: bool
-    experiments: tuple[_Experiment, ...]
-    summary: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-    provenance: dict[str, Any] = {}
-
-    @property
-    def trials(self) -> int:
-        """Number of trials."""
-        return sum(e.trials for e in self.experiments)
-
-    @property
-    def names(self) -> str:
-        """Names of the experiments; first, last and number where there are many."""
-        names = [e.experiment for e in self.experiments]
-        return ", ".join(names) if len(names) <= MOST_NAMES else f"{names[0]} … {names[-1]} ({len(names)})"
-
-    @property
-    def newest(self) -> str:
-        """When the newest log was written."""
-        return str(self.provenance.get("log files written", "")).split(" to ")[-1]
-
-    @property
-    def stiffness(self) -> dict[str, str]:
-        """Largest stable stiffness of the first experiment that has one: measured, by theory, deviation."""
-        unit = UNITS[self.motion].stiffness
-        for e in self.experiments:
-            score = e.scores[0].stiffness if e.scores else None
-            if score is not None:
-                return {
-                    "experiment": e.experiment,
-                    "measured": f"{'≥ ' if score.lower_bound else ''}{stiffness_text(score.measured)} {unit}",
-                    "theory": f"{stiffness_text(score.theory)} {unit}",
-                    "deviation": percent_text(score.deviation_percent),
-                }
-        for e in self.experiments:
-            stable = [point.stable for point in e.boundary if point.stable is not None]
-            if stable:
-                return {"experiment": e.experiment, "measured": f"{decimal(max(stable), 0)} {unit}"}
-        return {}
+def _stiffness(experiments: Sequence[dict[str, Any]], unit: str) -> dict[str, str]:
+    """Return the largest stable stiffness of the first experiment that has one: measured, by theory, deviation."""
+    for e in experiments:
+        score = e["scores"][0]["stiffness"] if e.get("scores") else None
+        if score:
+            return {
+                "experiment": e["experiment"],
+                "measured": f"{'≥ ' if score.get('lower_bound') else ''}{stiffness_text(score['measured'])} {unit}",
+                "theory": f"{stiffness_text(score['theory'])} {unit}",
+                "deviation": percent_text(score["deviation_percent"]),
+            }
+    for e in experiments:
+        stable = [point["stable"] for point in e.get("boundary", ()) if point["stable"] is not None]
+        if stable:
+            return {"experiment": e["experiment"], "measured": f"{decimal(max(stable), 0)} {unit}"}
+    return {}
 
 
 @dataclass(frozen=True)
@@ -112,7 +78,7 @@ class IndexEntry:
     page: str
     title: str
     problem: str = ""
-    document: Document | None = None
+    document: dict[str, Any] | None = None
 
     @property
     def shown(self) -> str:
@@ -148,7 +114,7 @@ def render_index(entries: Sequence[IndexEntry], others: Sequence[IndexEntry] = (
         entries=[entry for entry in entries if not entry.problem],
         damaged=[entry for entry in entries if entry.problem],
         others=others,
-        trials=sum(entry.document.trials for entry in entries if entry.document),
+        trials=sum(entry.document["trials"] for entry in entries if entry.document),
     )
     return unbroken(page)
 
@@ -209,12 +175,10 @@ def _entry(page: Path) -> IndexEntry:
     if not document.is_file():
         return IndexEntry(page.name, title, f"{name} is missing beside it; make the report again")
     try:
-        result = Document.model_validate_json(document.read_bytes())
+        found = json.loads(document.read_bytes())
+        return IndexEntry(page.name, found["title"], document=_row(found))
     except OSError as error:
         return IndexEntry(page.name, title, f"{name} cannot be read ({error.strerror})")
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = "".join(f"{part}." for part in first["loc"])[:-1]
-        why = f"{place}: {first['msg']}" if place else first["msg"]
-        return IndexEntry(page.name, title, f"{name}: {why}; make the report again")
-    return IndexEntry(page.name, result.title, document=result)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        why = f"{type(error).__name__}: {error}; make the report again"
+        return IndexEntry(page.name, title, f"{name} is no document of a comparison ({why})")

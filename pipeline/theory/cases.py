@@ -19,7 +19,7 @@ from pipeline.loop.loop import Loop, Normalised, loop_of, wall_units
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, criterion_of, with_discrete
 from pipeline.theory.costs import check_criteria, point_costs_by_name
-from pipeline.theory.limits import boundary, has_islands, outline, robust_outline
+from pipeline.theory.limits import boundary, has_islands, outline
 from pipeline.theory.optimum import POINT_CRITERIA, marked_point, optimal_point
 from pipeline.theory.poles import slowest_poles, spectral_radius, stable_by_radius
 from pipeline.theory.transient import LONGEST
@@ -308,19 +308,18 @@ def why_missing(loop: Loop, alpha: float, radius: float, missing: list[str]) -> 
     return "; ".join(f"{why}: no {', '.join(names)}" for why, names in reasons.items() if names) or None
 
 
-def boundary_document(case: Case, robust: bool = False, points: int = 400) -> dict[str, Any]:
+def boundary_document(case: Case, points: int = 400) -> dict[str, Any]:
     """Return the limit of walls with its extreme points, as the document that `theory boundary` prints.
 
     Normalised it is the whole boundary; in SI that of walls with stiffness, over damping, with islands beside it; None
-    lies between separate regions. With ``robust`` also the region that is stable whatever spring the device is attached
-    to, with the worst spring.
+    lies between separate regions.
 
     Raises
     ------
     ParameterError
         If no wall is stable at any damping.
 
-    Source: Hulin 2017, secs. 3.4 and 4.3.3.
+    Source: Hulin 2017, sec. 3.4.
     """
     (k, b), (stiffness, damping) = case.scale, case.axes
     if case.units is None:
@@ -331,11 +330,7 @@ def boundary_document(case: Case, robust: bool = False, points: int = 400) -> di
             f"{damping}_max": border.beta_max,
             f"{stiffness}_at_{damping}_max": border.alpha_at_beta_max,
         }
-        document = {**case.said, **extremes, stiffness: _listed(border.alpha), damping: _listed(border.beta)}
-        if robust:
-            outlines = zip(("alpha", "beta", "gamma"), robust_outline(case.loop.delta, case.loop.delay), strict=True)
-            document["robust"] = {name: values.tolist() for name, values in outlines}
-        return document
+        return {**case.said, **extremes, stiffness: _listed(border.alpha), damping: _listed(border.beta)}
     found = outline(case.loop, points)
     if not len(found.beta) and not len(found.islands):
         raise ParameterError(

@@ -25,7 +25,6 @@ from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.rendering.report.report_against import render
 from pipeline.rendering.report.report_parts import take_apart
 from pipeline.shell.cli import application
-from pipeline.shell.status import status
 from pipeline.shell.verify.verify import verify
 from pipeline.store.corrections import read_exclusions
 from pipeline.store.storage import read_trials
@@ -110,10 +109,10 @@ def test_a_log_with_other_content_is_another_trial(store):
     log.write_text(log_text(2.0, experiment="9", rows=31))
     ingest([log.parent], store, jobs=1)
     assert len(used(store, "9")) == 2
-    (one,) = status(store).excluded
-    assert (one.stored, one.exclusion_reason) == (False, WHY)
+    (one,) = read_exclusions(store).values()
+    assert one.exclusion_reason == WHY
     use_again(store, one.trial_id)
-    assert status(store).excluded == ()
+    assert read_exclusions(store) == {}
 
 
 def test_unknown_and_ambiguous_words(store):
@@ -181,7 +180,6 @@ def test_a_damaged_file_is_set_aside_and_never_ignored(store):
         file.write_bytes(whole[:at] + bytes([whole[at] ^ 0x5A]) + whole[at + 1 :])
         with pytest.raises(StoreError, match="pipeline check --repair"):
             ExperimentStages.stored(store, "bench", "9")
-        assert any("corrections" in text for text in status(store).damaged)
     (found,) = check(store, repair=True).damage
     assert (found.remedy, file.exists()) == ("set aside", False)
     (kept,) = (store / "damaged").rglob("*.damaged")
@@ -310,7 +308,6 @@ def test_the_best_trial_is_excluded_and_every_number_follows(lab, tmp_path):
     shutil.copy(page.with_suffix(".json"), tmp_path / "before.json")
     best = str(first.optimum["settle_2pct"].trial_id)
     exclude(lab.processed, best, WHY)
-    assert {e.experiment: bool(e.stale) for e in status(lab.processed).experiments} == {"1": True, "2": False}
     after, second, shown = compared()
     assert second.trials == first.trials - 1
     assert sum(second.verdicts.values()) == second.trials

@@ -13,7 +13,7 @@ from stored import check_whole
 
 from pipeline.base.errors import StoreError, UsageError
 from pipeline.intake.ingest import ingest
-from pipeline.shell.watch import Watched, run_pass
+from pipeline.shell.watch import Watched, run_pass, status_of
 from pipeline.store.storage import list_experiments, read_trials, steadily
 
 PIPELINE = [sys.executable, "-c", "from pipeline.shell.cli import run; run()"]
@@ -102,7 +102,8 @@ def test_a_pass_on_a_disk_that_takes_nothing_is_told(store, logs, monkeypatch):
 
     monkeypatch.setattr("pipeline.base.lock.make_folder", no_folder)
     events = []
-    assert run_pass(Watched((logs,), store, store.parent / "reports"), events.append) == 1
+    events += run_pass(Watched((logs,), store, store.parent / "reports"))
+    assert status_of(events) == 1
     (event,) = events
     assert "Read-only file system" in event["reason"]
 

@@ -10,9 +10,8 @@ from kinds import kinds
 
 from pipeline.device_data.devices import load_device
 from pipeline.measured.model.parts import chosen
-from pipeline.plan.course import Wish, foretold, open_course
+from pipeline.plan.course import Wish, foretold, learn, open_course
 from pipeline.plan.found_device import FoundDevice, stated_device
-from pipeline.plan.learnt import learn
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
 

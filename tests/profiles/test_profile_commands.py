@@ -2,7 +2,6 @@
 
 import gzip
 import json
-import os
 import re
 from pathlib import Path
 
@@ -388,7 +387,7 @@ def test_quarantine_is_listed_and_shown(call, refused, tmp_path):
     assert (status, "is not in quarantine" in err) == (2, True)
 
 
-@pytest.mark.parametrize("words", [[], ["--json"], ["bad.csv"], ["--retry"]])
+@pytest.mark.parametrize("words", [[], ["--json"], ["bad.csv"]])
 def test_a_mistyped_folder_is_not_one_without_refusals(call, refused, words, tmp_path):
     status, out, err = call("quarantine", *words, "--processed", "procesed")
     assert (status, out) == (2, "")
@@ -397,26 +396,17 @@ def test_a_mistyped_folder_is_not_one_without_refusals(call, refused, words, tmp
 
 
 def test_a_repaired_log_is_tried_again(call, refused, tmp_path):
-    status, out, _ = call("quarantine", "--retry")
-    assert (status, out.splitlines()[0]) == (3, "1 tried, 0 accepted, 1 refused, 0 gone")
+    assert call("ingest", "logs")[0] == 3
     (tmp_path / "logs" / "bad.csv").write_text(log_text(600.0))
-    status, out, _ = call("quarantine", "--retry", "logs/bad.csv", "--json")
-    assert (status, json.loads(out)["ingested"], json.loads(out)["gone"]) == (0, 1, [])
+    status, out, _ = call("ingest", "logs/bad.csv", "--json")
+    assert (status, json.loads(out)["ingested"]) == (0, 1)
     assert json.loads(call("quarantine", "--json")[1]) == []
 
 
-def test_a_log_that_is_gone_is_told(call, refused, tmp_path):
-    os.remove(tmp_path / "logs" / "bad.csv")
-    status, out, _ = call("quarantine", "--retry")
-    assert (status, out.splitlines()[0]) == (3, "1 tried, 0 accepted, 0 refused, 1 gone")
-    assert "Put it back" in out
-    assert len(json.loads(call("quarantine", "--json")[1])) == 1
-
-
-def test_retry_with_a_profile(call, lab):
+def test_another_profile_takes_a_log_out_of_quarantine(call, lab):
     # no shipped profile reads it; the native one claims it by its ending
     assert call("ingest", "K300.csv")[0] == 3
-    assert call("quarantine", "--retry", "--profile", "lab.toml")[0] == 0
+    assert call("ingest", "K300.csv", "--profile", "lab.toml")[0] == 0
     assert call("quarantine")[1] == "0 in quarantine\n"
 
 

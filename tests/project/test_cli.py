@@ -21,21 +21,21 @@ from pipeline.shell.cli import app, run
 COMMANDS = {
     "demo": ["--full"],
     "simulate": [
-        *("--experiment", "--out", "--seed", "--ideal", "--set"),
+        *("--experiment", "--out", "--seed", "--ideal"),
         *("--coarsen", "--overwrite", "--json"),
     ],
     "ingest": ["--profile", "--processed", "--jobs", "--rehash", "--dry-run", "--json"],
-    "status": ["--processed", "--reports", "--json"],
+    "status": ["--processed", "--json"],
     "watch": [
         *("--processed", "--reports", "--profile", "--scene", "--settle", "--once", "--json"),
     ],
     "check": ["--repair", "--processed", "--json"],
     "compare": ["--device", "--experiment", "--criteria", "--processed", "--report", "--dry-run", "--json"],
     "theory points": ["--device", "--experiment", "--json"],
-    "theory boundary": ["--delay", "--gamma", "--delta", "--device", "--experiment", "--robust", "--json"],
+    "theory boundary": ["--delay", "--gamma", "--delta", "--device", "--experiment", "--json"],
     "theory optimum": ["--criterion", "--delay", "--gamma", "--delta", "--device", "--signal", "--json"],
     "theory tables": ["--json"],
-    "accuracy": ["--quick", "--out", "--json"],
+    "accuracy": ["--quick", "--json"],
     "theory map": ["--delay", "--gamma", "--delta", "--device", "--size", "--criteria", "--out", "--json"],
 }
 
@@ -139,13 +139,18 @@ def test_commands_load_what_they_need(command, tmp_path):
 
 
 def test_ingest_loads_what_it_needs(tmp_path):
-    """What is known is told by the table of trials; only what is new is read."""
     (tmp_path / "logs").mkdir()
     command = ("ingest", str(tmp_path / "logs"), "--processed", str(tmp_path / "processed"))
     for number in range(2):
         (tmp_path / "logs" / f"{number}.csv").write_text(log_text(float(number)))
-        for read in (("pyarrow.compute",), ()):
-            assert loaded(*command) == ("pydantic", "numpy.ma", "numpy", "pyarrow", "pyarrow.parquet", *read)
+        for _ in range(2):
+            assert set(loaded(*command)) - {"pyarrow.compute"} == {
+                "pydantic",
+                "numpy.ma",
+                "numpy",
+                "pyarrow",
+                "pyarrow.parquet",
+            }
 
 
 def test_ingest_does_without_pandas(tmp_path):
@@ -163,7 +168,7 @@ def test_ingest_does_without_pandas(tmp_path):
 
 def test_a_command_alone_is_that_of_the_whole_command_line():
     whole = typer.main.get_command(app)
-    for name in cli.COMMANDS:
+    for name in {name.split()[0] for name in cli.COMMANDS}:
         alone = typer.main.get_command(cli.application(name))
         assert list(alone.commands) == [name]
         assert [words for words, _ in leaves(alone.commands[name])] == [w for w, _ in leaves(whole.commands[name])]
@@ -203,28 +208,18 @@ def test_simulate_writes_logs_and_counts_them(call, tmp_path):
 
 
 def test_simulate_options_reach_the_simulation(call, tmp_path):
-    options = ("--ideal", "--set", "quantum=1e-5", "--set", "noise=2e-6", "--set", "duration_s=0.1", "--coarsen", "8")
     out = tmp_path / "logs"
-    document(call("simulate", "falcon", "-e", "4", "-e", "6", "--set", "jitter=3,5", *options, "--out", out, "--json"))
+    document(call("simulate", "falcon", "-e", "4,6", "--ideal", "--coarsen", "8", "--out", out, "--json"))
     assert sorted(p.name for p in (out / "falcon").iterdir()) == ["4", "6"]
     truth = json.loads((out / "falcon" / "6" / "truth.json").read_text())
-    assert (truth["quantum"], truth["noise"], truth["jitter_samples"]) == (1e-5, 2e-6, [3, 5])
-    assert max(log["rows"] for log in truth["logs"].values()) == 100
-    arguments = ("--experiment", "6", "--set", "jitter=none", "--set", "duration_s=0.1", "--coarsen", "8", "--json")
-    document(call("simulate", "falcon", *arguments, "--out", tmp_path / "none"))
-    assert json.loads((tmp_path / "none/falcon/6/truth.json").read_text())["jitter_samples"] == []
+    assert (truth["quantum"], truth["noise"], truth["jitter_samples"]) == (0.0, 0.0, [])
 
 
-def test_simulate_takes_a_device_file_and_a_damping_range(call, tmp_path):
+def test_simulate_takes_a_device_file(call, tmp_path):
     shipped = Path(compare.__file__).parents[2] / "schemas" / "devices" / "lwr.toml"
     text = shipped.read_text(encoding="utf-8").replace('name = "lwr"', 'name = "mine"', 1)
     (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
-    arguments = ("mine.toml", "-e", "delay-6", "--coarsen", "8", "--set", "duration_s=0.1", "--json")
-    tested = document(call("simulate", *arguments))
-    full = document(call("simulate", *arguments, "--set", "damping_range=full", "--out", "full"))
-    assert tested["device"] == "mine"
-    # 0.19 * 0.22535/1e-3 = 42.8 Nms/rad (Table B.1) lies above the tested 40
-    assert full["logs"]["delay-6"] > tested["logs"]["delay-6"]
+    assert document(call("simulate", "mine.toml", "-e", "delay-6", "--coarsen", "8", "--json"))["device"] == "mine"
 
 
 @pytest.mark.parametrize(
@@ -233,14 +228,7 @@ def test_simulate_takes_a_device_file_and_a_damping_range(call, tmp_path):
         (["hammer"], 1, "device 'hammer' is not known; known are falcon, falcon-real, lwr"),
         (["none.toml"], 1, "none.toml: device file cannot be read"),
         (["falcon", "-e", "9"], 1, "no experiment '9'"),
-        (["falcon", "--set", "jitter=3;4"], 2, "--set jitter=3;4: expected one of quantum"),
-        (["falcon", "--set", "speed=1"], 2, "--set speed=1: expected one of quantum"),
-        (["falcon", "--set", "damping_range=wide"], 2, "damping_range tested or full"),
         (["falcon", "--coarsen", "0"], 1, "coarsen = 0"),
-        (["lwr", "-e", "delay-8", "--set", "quantum=-1"], 1, "quantum"),
-        (["lwr", "-e", "delay-8", "--set", "noise=nan"], 1, "noise"),
-        (["lwr", "-e", "delay-8", "--set", "duration_s=0"], 1, "duration = 0.0 s"),
-        (["lwr", "-e", "delay-8", "--set", "duration_s=nan"], 1, "duration = nan s"),
     ],
 )
 def test_wrong_simulations_are_refused(call, arguments, status, message, tmp_path):
@@ -340,18 +328,23 @@ def test_check_names_what_is_damaged_and_repairs_it(call, logs):
 
 
 def test_status_shows_what_is_stored(call, logs):
-    for number in range(3):
-        (logs / f"new{number}.csv").write_text(log_text(float(number)))
-        assert call("ingest", "logs")[0] == 0
-    (logs / "300.csv").unlink()
+    (logs / "bad.csv").write_text(FAULTS["text cell"][0])
+    assert call("ingest", "logs")[0] == 3
+    call("exclude", str(logs / "300.csv"), "--reason", "slipped")
     status, out, _ = call("status")
+    columns, row, total, excluded, refused = out.splitlines()
     assert status == 0
-    first, columns, row, gone = out.splitlines()
-    assert first.startswith("processed: 5 trials, 150 samples, 3 tables, ")
-    assert columns.split() == ["device", "experiment", "trials", "rows", "batches", "stale"]
-    assert row.split()[:6] == ["bench", "1", "5", "150", "3", "3"]
-    assert gone == f"gone: {logs / '300.csv'}"
-    assert document(call("status", "--json"))["experiments"][0]["batches"] == 3
+    assert columns.split() == ["device", "experiment", "trials", "rows"]
+    assert row.split() == ["bench", "1", "2", "60"]
+    assert total == "2 trials, 0 in the bin"
+    assert excluded.endswith("300.csv): slipped")
+    assert refused == "in quarantine, not-a-number: 1"
+    found = document(call("status", "--json"))
+    assert (found["experiments"][0]["trials"], len(found["excluded"]), found["quarantined"]) == (
+        2,
+        1,
+        {"not-a-number": 1},
+    )
     assert call("status", "--processed", "nowhere")[0] == 2
 
 
@@ -492,12 +485,6 @@ def test_options_without_effect_on_the_page_of_two_are_refused(call, course, wor
     assert "do not go together" in err
 
 
-def test_the_page_on_accuracy_is_not_replaced_by_its_document(call, tmp_path):
-    status, _, err = call("accuracy", "--quick", "--out", "a.json")
-    assert (status, list(tmp_path.iterdir())) == (2, [])
-    assert "Give a.html." in err
-
-
 # theory
 
 
@@ -594,7 +581,7 @@ def test_named_errors_are_messages_and_others_pass(monkeypatch, call, course):
 def test_progress_is_lines_where_stderr_is_no_terminal(monkeypatch, capsys):
     clock = iter([0.0, 1.0, 2.5, 3.0, 5.0])
     monkeypatch.setattr(console.time, "monotonic", lambda: next(clock))
-    with console.progress("ingest", "logs", silent=False) as advance:
+    with console.progress("ingest", "logs") as advance:
         for done in (1, 2, 3):
             advance(done, 4)
         advance(4, None)
@@ -604,15 +591,16 @@ def test_progress_is_lines_where_stderr_is_no_terminal(monkeypatch, capsys):
 def test_progress_is_a_bar_on_a_terminal_and_nothing_with_json(monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setenv("TERM", "xterm")
-    with console.progress("ingest", "logs", silent=True) as advance:
+    token = console._JSON.set(True)
+    with console.progress("ingest", "logs") as advance:
         advance(1, 2)
+    console._JSON.reset(token)
     assert capsys.readouterr() == ("", "")
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with console.progress("ingest", "logs", silent=False) as advance:
+    with console.progress("ingest", "logs") as advance:
         advance(1, 2)
     out, err = capsys.readouterr()
     assert out == ""
-    assert "1/2 logs" in err
+    assert "1/2" in err
 
 
 def test_table_aligns_and_shows_what_is_missing():

@@ -8,9 +8,9 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections import Counter
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 
@@ -33,19 +33,8 @@ from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.rendering.report.report_parts import take_apart
 from pipeline.shell import watch
 from pipeline.shell.cli import run
-from pipeline.shell.commands.cli_watch import line_of
-from pipeline.shell.watch import (
-    LONGEST_WAIT,
-    LOOK_SHARE,
-    PASS_FOLDER,
-    SHORTEST_WAIT_S,
-    Arrivals,
-    Watch,
-    Watched,
-    look_at,
-    run_pass,
-    wait_after,
-)
+from pipeline.shell.commands.cli_watch import WORDS, line_of
+from pipeline.shell.watch import PASS_FOLDER, Arrivals, Watched, follow, run_pass, status_of
 from pipeline.simulation.course import run_course, write_course
 from pipeline.store.storage import read_trials
 
@@ -254,8 +243,7 @@ def test_a_report_that_fails_stops_no_other(tmp_path, compared, capsys):
     for device in ("alpha", "bench", "gamma"):
         write_logs(tmp_path / "raw", device=device)
     answers |= {"alpha": DeviceError("too few logs"), "bench": ZeroDivisionError("a defect")}
-    events: list[dict] = []
-    status = run_pass(places(tmp_path), events.append)
+    events = list(run_pass(places(tmp_path)))
     assert asked == ["alpha", "bench", "gamma"]
     assert kinds(events) == ["ingest", "failed", "failed", "report", "index"]
     assert [e["reason"] for e in events[1:3]] == [
@@ -263,7 +251,7 @@ def test_a_report_that_fails_stops_no_other(tmp_path, compared, capsys):
         "defect in the program: ZeroDivisionError('a defect'); please report it",
     ]
     assert "Traceback" in capsys.readouterr().err
-    assert status == 1
+    assert status_of(events) == 1
 
 
 def test_every_device_has_a_report_of_its_own_beside_our_pages(tmp_path, monkeypatch):
@@ -283,17 +271,18 @@ def test_every_device_has_a_report_of_its_own_beside_our_pages(tmp_path, monkeyp
     devices = ["index", "Index", "accuracy", "theory", "arm", "ARM", "arm-1-against-2", "con"]
     for device in devices:
         write_logs(tmp_path / "raw", 1, device=device)
-    assert run_pass(places(tmp_path), lambda event: None) == 0
+    assert status_of(list(run_pass(places(tmp_path)))) == 0
     assert {device: path.read_text() for device, path in reports.items()} == {device: device for device in devices}
     names = [path.name.casefold() for path in reports.values()]
     assert len(set(names)) == len(devices)
     assert not {"index.html", "accuracy.html", "theory.html", "arm-1-against-2.html"} & set(names)
     assert "pipeline index" in (tmp_path / "reports" / "index.html").read_text()
     former = dict(reports)
-    run_pass(places(tmp_path), lambda event: None)
+    list(run_pass(places(tmp_path)))
     assert reports == former
 
 
+@pytest.mark.slow
 def test_a_damaged_experiment_keeps_no_other_report_from_being_renewed(tmp_path):
     logs = course(tmp_path / "raw", ("delay-2", "delay-4"), coarsen=12)
     late = logs[-1].rename(tmp_path / "late.csv")
@@ -302,15 +291,15 @@ def test_a_damaged_experiment_keeps_no_other_report_from_being_renewed(tmp_path)
         text = SCENE.replace("reports/lwr", f"{tmp_path}/reports/{name}") + f"experiments = {json.dumps(experiments)}\n"
         (tmp_path / f"{name}.toml").write_text(text)
     asked = places(tmp_path, scenes=tuple(tmp_path / f"{name}.toml" for name in scenes))
-    assert run_pass(asked, lambda event: None) == 0
+    assert status_of(list(run_pass(asked))) == 0
     pages = {name: (tmp_path / "reports" / f"{name}.html").read_bytes() for name in scenes}
     (file,) = (tmp_path / "processed" / "trials" / "lwr" / "delay-2").iterdir()
     file.write_bytes(file.read_bytes()[:-8] + b"no table")
     for log in (path for path in logs if path.parent.name == "delay-2"):
         log.rename(tmp_path / log.name)  # what is there would be stored again
     late.rename(logs[-1])
-    events: list[dict] = []
-    assert run_pass(asked, events.append) == 1
+    events = list(run_pass(asked))
+    assert status_of(events) == 1
     failed = {event["what"]: event["reason"] for event in events if event["event"] == "failed"}
     assert failed.keys() == {"store", str(asked.scenes[0])}
     assert all(str(file) in reason and "pipeline check --repair" in reason for reason in failed.values())
@@ -322,8 +311,8 @@ def test_a_damaged_experiment_keeps_no_other_report_from_being_renewed(tmp_path)
     assert check(tmp_path / "processed", repair=True).damage[0].remedy == "set aside"
     for log in (path for path in logs if path.parent.name == "delay-2"):
         (tmp_path / log.name).rename(log)
-    events.clear()
-    assert run_pass(asked, events.append) == 0
+    events = list(run_pass(asked))
+    assert status_of(events) == 0
     (renewed,) = (event for event in events if event["event"] == "report")
     assert (renewed["what"], renewed["trials"]) == (str(asked.scenes[0]), len(logs))
 
@@ -334,177 +323,101 @@ def test_young_and_growing_logs_are_left_and_told(tmp_path, compared):
     young.write_text(log_text(99.0))
     growing.write_text(log_text(98.0))
     os.utime(growing, (1e9, 1e9))
-    events: list[dict] = []
-    run_pass(places(tmp_path, settle_s=60.0), events.append, [str(growing)])
+    events = list(run_pass(places(tmp_path, settle_s=60.0), [str(growing)]))
     assert (events[0]["ingested"], sorted(events[0]["waiting"])) == (4, [str(growing), str(young)])
-    run_pass(places(tmp_path), lambda event: None)
+    list(run_pass(places(tmp_path)))
     assert read_trials(tmp_path / "processed").num_rows == 6
 
 
 def test_one_pass_at_a_time(tmp_path, compared):
     write_logs(tmp_path / "raw")
-    events: list[dict] = []
     with lock.writing(tmp_path / "processed" / PASS_FOLDER):
-        assert run_pass(places(tmp_path), events.append) == 1
+        events = list(run_pass(places(tmp_path)))
+    assert status_of(events) == 1
     assert kinds(events) == ["busy"]
     assert f"process {os.getpid()}" in events[0]["reason"]
     assert compared[0] == []
 
 
-# The loop, with passes that do nothing but what is to be tested
+# The loop, with passes that do nothing but what is to be tested, and a clock of its own
 
 
-def pass_of(monkeypatch, tmp_path: Path, body: str) -> Path:
-    """Have passes done by a script that notes what grows in a file; returns that file."""
-    notes = tmp_path / "passes.jsonl"
-    script = "import json, os, signal, sys, time\ngrowing = json.loads(sys.stdin.readline())\n"
-    script += f"with open({str(notes)!r}, 'a') as f:\n"
-    script += "    f.write(json.dumps({'growing': growing, 'at': time.monotonic()}) + '\\n')\n"
-    script += "def tell(**event): print(json.dumps(event), flush=True)\n"
-    monkeypatch.setattr(watch, "_PROGRAM", script + body)
-    return notes
+class Lab:
+    """A watch under a clock that goes on by waits alone; what happens in the lab stands by the number of the wait."""
+
+    def __init__(self, tmp_path: Path, monkeypatch, passes, happens=None, **more) -> None:
+        self.now, self.waits, self.growing, self.times = 0.0, 0, [], []
+        self.passes, self.happens, self.end = passes, happens or {}, 0
+        (tmp_path / "raw").mkdir(exist_ok=True)
+        self.watched = Watched((tmp_path / "raw",), tmp_path / "processed", tmp_path / "reports", **more)
+        monkeypatch.setattr(watch.time, "monotonic", lambda: self.now)
+        monkeypatch.setattr(watch.time, "sleep", self.sleep)
+        monkeypatch.setattr(watch, "run_pass", self.run_pass)
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+        self.waits += 1
+        self.happens.get(self.waits, lambda: None)()
+        if self.waits == self.end:
+            raise InterruptedError
+
+    def run_pass(self, _, growing):
+        self.growing.append(list(growing))
+        self.times.append(self.now)
+        yield from self.passes(len(self.times))
+
+    def events(self, waits: int) -> list[dict]:
+        """What is told until so many waits are over."""
+        self.end, found = waits, []
+        told = follow(self.watched, 2.0)
+        with suppress(InterruptedError):
+            while True:
+                found.append(next(told))
+        return found
 
 
-def follow(tmp_path: Path, until, settle_s: float = 0.2, seconds: float = 20.0, **more) -> list[dict]:
-    """Run a watch in a thread until something holds; returns its events."""
-    (tmp_path / "raw").mkdir(exist_ok=True)
-    watched = Watched((tmp_path / "raw",), tmp_path / "processed", tmp_path / "reports", settle_s=settle_s, **more)
-    events: list[dict] = []
-    running = Watch(watched, 0.05, events.append)
-    thread = threading.Thread(target=running.run)
-    thread.start()
-    try:
-        ended = time.monotonic() + seconds
-        while not until(events) and time.monotonic() < ended:
-            time.sleep(0.02)
-        assert until(events), events
-    finally:
-        running.stop()
-        thread.join(30)
-    assert not thread.is_alive()
-    return events
-
-
-def passes(notes: Path) -> list[dict]:
-    return [json.loads(line) for line in notes.read_text().splitlines()] if notes.exists() else []
-
-
-def test_a_pass_that_dies_is_told_and_tried_again_ever_more_rarely(tmp_path, monkeypatch):
-    monkeypatch.setattr(watch, "RETRY_S", 0.2)
-    body = 'sys.stdout.write(\'{"event": "rep\'); sys.stdout.flush(); os.kill(os.getpid(), signal.SIGKILL)'
-    notes = pass_of(monkeypatch, tmp_path, body)
-    events = follow(tmp_path, lambda events: len(passes(notes)) >= 4)
-    failures = [event for event in events if event["event"] == "failed"]
-    assert len(failures) == 1, "the same failure is told once"
-    assert "status -9" in failures[0]["reason"]
-    times = [request["at"] for request in passes(notes)]
-    waits = [after - before for before, after in pairwise(times)]
-    assert all(wait > 0.2 * 2**number for number, wait in enumerate(waits))
+def test_a_pass_that_fails_is_told_once_and_tried_again_ever_more_rarely(tmp_path, monkeypatch):
+    failed = {"event": "failed", "what": "bench", "reason": "full disk"}
+    lab = Lab(tmp_path, monkeypatch, lambda number: [failed])
+    assert kinds(lab.events(400)) == ["started", "failed"]
+    assert [after - before for before, after in pairwise(lab.times)][:3] == pytest.approx([60, 120, 240], abs=2)
 
 
 def test_failures_are_told_again_after_they_were_gone(tmp_path, monkeypatch):
-    monkeypatch.setattr(watch, "RETRY_S", 0.05)
-    monkeypatch.setattr(watch, "LONGEST_RETRY_S", 0.05)
-    body = f"n = len(open({str(tmp_path / 'passes.jsonl')!r}).readlines())\n"
-    body += "if n != 3: tell(event='failed', what='bench', reason='too few')\n"
-    body += "else: tell(event='report', what='bench')\n"
-    body += "sys.exit(1)"
-    notes = pass_of(monkeypatch, tmp_path, body)
-    events = follow(tmp_path, lambda events: len(passes(notes)) >= 6)
-    assert [e["event"] for e in events if e["event"] in ("failed", "report")][:3] == ["failed", "report", "failed"]
+    failed = {"event": "failed", "what": "bench", "reason": "too few"}
+    report = {"event": "report", "what": "bench"}
+    log = tmp_path / "raw" / "log.csv"
+    happens = {number: lambda number=number: log.write_text("x" * number) for number in (3, 8, 13)}
+    lab = Lab(tmp_path, monkeypatch, lambda number: [report] if number == 3 else [failed], happens)
+    told = [event["event"] for event in lab.events(20) if event["event"] != "started"]
+    assert told == ["failed", "report", "failed"]
 
 
 def test_nothing_is_done_while_nothing_changes_and_growing_files_are_named(tmp_path, monkeypatch):
-    notes = pass_of(monkeypatch, tmp_path, "pass")
     (tmp_path / "raw").mkdir()
     (tmp_path / "raw" / "rests.csv").write_text("x")
     growing = tmp_path / "raw" / "grows.csv"
-    ended = threading.Event()
-
-    def grow():
-        while not ended.wait(0.02):
-            with growing.open("a") as stream:
-                stream.write("x")
-
-    writer = threading.Thread(target=grow)
-    writer.start()
-    try:
-        follow(tmp_path, lambda events: passes(notes), settle_s=0.5)
-    finally:
-        ended.set()
-        writer.join()
-    first = passes(notes)[0]
-    assert str(tmp_path / "raw" / "rests.csv") not in first["growing"]
-    assert first["growing"] in ([str(growing)], [])  # empty only where the writer was held up for half a second
-    assert len(passes(notes)) <= 2
-    notes.unlink()
-    follow(tmp_path, lambda events: passes(notes) and passes(notes)[-1]["at"] + 1.0 < time.monotonic())
-    assert len(passes(notes)) == 1
+    happens = {number: lambda number=number: growing.write_text("x" * number) for number in range(1, 9)}
+    lab = Lab(tmp_path, monkeypatch, lambda number: [], happens, settle_s=3.0)
+    lab.events(60)
+    assert lab.growing == [[str(growing)], []], "one as soon as a log rests, one when the other does, and no more"
 
 
-def test_a_device_file_that_changes_or_comes_has_a_pass_done(tmp_path, monkeypatch):
-    notes = pass_of(monkeypatch, tmp_path, "pass")
+def test_what_changes_reports_has_a_pass_done(tmp_path, monkeypatch):
     (tmp_path / "devices").mkdir()
-    (tmp_path / "devices" / "arm.toml").write_text("a")
     monkeypatch.setenv(USER_FOLDER_VARIABLE, str(tmp_path / "devices"))
-    changes = {1: ("arm.toml", "ab"), 2: ("other.toml", "a")}
-
-    def until(events):
-        done = len(passes(notes))
-        if done in changes:
-            name, text = changes.pop(done)
-            (tmp_path / "devices" / name).write_text(text)
-        return done == 3
-
-    follow(tmp_path, until)
-    assert len(passes(notes)) == 3
-
-
-def test_a_scene_that_changes_and_a_folder_that_goes_and_comes(tmp_path, monkeypatch):
-    notes = pass_of(monkeypatch, tmp_path, "pass")
     scene = tmp_path / "scene.toml"
     scene.write_text("a")
-    steps = iter(
-        [
-            (lambda events: len(passes(notes)) == 1, lambda: scene.write_text("ab")),
-            (lambda events: len(passes(notes)) == 2, lambda: (tmp_path / "raw").rename(tmp_path / "away")),
-            (lambda events: "unreachable" in kinds(events), lambda: (tmp_path / "away").rename(tmp_path / "raw")),
-            (lambda events: "reachable" in kinds(events), lambda: None),
-        ]
-    )
-    waits_for, act = next(steps)
-
-    def until(events):
-        nonlocal waits_for, act
-        if waits_for is not None and waits_for(events):
-            act()
-            waits_for, act = next(steps, (None, None))
-        return waits_for is None
-
-    events = follow(tmp_path, until, scenes=(scene,))
-    assert kinds(events).count("unreachable") == kinds(events).count("reachable") == 1
-
-
-def test_a_second_request_to_stop_kills_the_pass(tmp_path, monkeypatch):
-    notes = pass_of(
-        monkeypatch, tmp_path, "signal.signal(signal.SIGTERM, signal.SIG_IGN)\ntell(event='x')\ntime.sleep(60)"
-    )
-    (tmp_path / "raw").mkdir()
-    watched = Watched((tmp_path / "raw",), tmp_path / "processed", tmp_path / "reports", settle_s=0.0)
-    events: list[dict] = []
-    running = Watch(watched, 0.05, events.append)
-    thread = threading.Thread(target=running.run)
-    thread.start()
-    while "x" not in kinds(events):
-        time.sleep(0.01)
-    running.stop()
-    thread.join(0.3)
-    assert thread.is_alive()
-    running.stop()
-    thread.join(30)
-    assert not thread.is_alive()
-    assert kinds(events)[-1] == "stopped"
-    assert len(passes(notes)) == 1
+    happens = {
+        5: lambda: (tmp_path / "devices" / "arm.toml").write_text("a"),
+        10: lambda: (tmp_path / "devices" / "arm.toml").write_text("ab"),
+        15: lambda: scene.write_text("ab"),
+        20: lambda: (tmp_path / "raw").rename(tmp_path / "away"),
+        25: lambda: (tmp_path / "away").rename(tmp_path / "raw"),
+    }
+    lab = Lab(tmp_path, monkeypatch, lambda number: [], happens, scenes=(scene,))
+    assert kinds(lab.events(30)) == ["started", "unreachable", "reachable"]
+    assert len(lab.times) == 4
 
 
 # The command
@@ -596,39 +509,18 @@ def test_commands_of_the_service_and_of_cron_exist():
 
 def test_every_event_is_on_the_page_and_has_words():
     source = (ROOT / "pipeline" / "shell" / "watch.py").read_text()
-    found = set(re.findall(r'"event": "(\w+)"', source)) | {"unchanged"}
+    found = set(re.findall(r'"event": "(\w+)"', source)) | {"unchanged", "stopped", "report"}
     page = (ROOT / "docs" / "plan.md").read_text(encoding="utf-8")
     assert [kind for kind in sorted(found) if f"`{kind}`" not in page] == []
-    assert len(found) > 10
-    words = (ROOT / "pipeline" / "shell" / "commands" / "cli_watch.py").read_text()
-    assert [kind for kind in sorted(found - {"stopped"}) if f'case "{kind}":' not in words] == []
-
-
-def test_the_process_that_looks_is_small():
-    heavy = [
-        "numpy",
-        "pyarrow",
-        "matplotlib",
-        "jinja2",
-        "pydantic",
-        "pipeline.comparison.compare",
-        "pipeline.intake.ingest",
-    ]
-    script = "import sys, pipeline.shell.cli, pipeline.shell.watch\n"
-    script += f"print([name for name in {heavy} if name in sys.modules])"
-    process = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert process.stdout.strip() == "[]"
-
-
-# Which files came to rest
+    assert found == set(WORDS)
 
 
 def test_a_file_is_ready_when_it_was_the_same_for_the_time_asked_for():
     arrivals = Arrivals(settle_s=2.0)
-    assert arrivals.update({"a": A}, 100.0)
+    arrivals.update({"a": A}, 100.0)
     assert not arrivals.ready(101.9)
     assert arrivals.restless(101.9) == {"a": 102.0}
-    assert not arrivals.update({"a": A}, 102.0)
+    arrivals.update({"a": A}, 102.0)
     assert arrivals.ready(102.0)
     assert arrivals.restless(102.0) == {}
     arrivals.take(102.0)
@@ -652,7 +544,7 @@ def test_each_change_makes_a_file_new(changed):
     arrivals = Arrivals(settle_s=0.0)
     arrivals.update({"a": A}, 0.0)
     arrivals.take(0.0)
-    assert arrivals.update({"a": changed}, 1.0)
+    arrivals.update({"a": changed}, 1.0)
     assert arrivals.ready(1.0)
 
 
@@ -674,19 +566,6 @@ def test_what_is_not_at_rest_is_not_taken():
     assert arrivals.ready(1.0)
 
 
-def test_waits_stay_within_their_bounds():
-    for look_s in (0.0, 0.005, 0.02, 1.0):
-        for quiet_s in (0.0, 30.0, 1e6):
-            for until_s in (None, -1.0, 0.0, 0.7, 1e6):
-                wait = wait_after(look_s, 2.0, quiet_s, until_s)
-                # looking takes at most half a percent, whatever else is asked for
-                assert look_s <= wait / LOOK_SHARE * (1 + 1e-12)
-                assert wait >= SHORTEST_WAIT_S
-                if look_s <= 0.01:
-                    assert wait <= 2.0 * LONGEST_WAIT
-    assert wait_after(0.001, 2.0, 1e6, 0.7) == 0.7
-
-
 def test_a_look_sees_the_files_that_an_ingest_would_find(tmp_path):
     logs = tmp_path / "logs"
     processed = logs / "processed"
@@ -700,23 +579,18 @@ def test_a_look_sees_the_files_that_an_ingest_would_find(tmp_path):
     (logs / "inside.csv").symlink_to("0.csv")
     (logs / "dangling").symlink_to(elsewhere / "none.csv")
     (logs / "linked-folder").symlink_to(elsewhere)
-    look, troubles = look_at([logs], exclude=[processed])
+    arrivals = Arrivals(1.0)
+    arrivals.look([logs, tmp_path / "gone"], [tmp_path / "none.toml"], exclude=[processed])
     sources = find_sources([logs], shipped_profiles(), processed)
     found = {source.key for source in sources if source.problem is None}
     assert len(found) == 3
     # a link that leads out is seen, and refused
-    assert found == {path for path in look if path.endswith(".csv")} - {str(logs / "linked.csv")}
-    assert troubles == {}
-    for path, (size, mtime_ns, _) in look.items():
+    seen = arrivals._seen
+    assert found == {path for path in seen if path.endswith(".csv")} - {str(logs / "linked.csv")}
+    assert list(arrivals.troubles) == [str(tmp_path / "gone")]
+    for path, ((size, mtime_ns, _), _) in seen.items():
         status = os.stat(path)
         assert (status.st_size, status.st_mtime_ns) == (size, mtime_ns)
-
-
-def test_single_files_and_what_is_not_there(tmp_path):
-    (tmp_path / "scene.toml").write_text("x")
-    look, troubles = look_at([tmp_path / "gone"], [tmp_path / "scene.toml", tmp_path / "none.toml"])
-    assert list(look) == [str(tmp_path / "scene.toml")]
-    assert list(troubles) == [str(tmp_path / "gone")]
 
 
 def test_an_ingest_leaves_alone_what_somebody_saw_grow(tmp_path):

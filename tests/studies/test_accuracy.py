@@ -257,9 +257,9 @@ def test_summary_compares_with_the_quickest_good_method() -> None:
 def test_command_writes_page_and_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, report: AccuracyReport) -> None:
     report = report.model_copy(update={"rungs": report.rungs[:9]})
     monkeypatch.setattr(run, "measure", lambda quick, say: report)
-    out, processed = tmp_path / "page.html", tmp_path / "processed"
-    arguments = ["accuracy", "--quick", "--json", "--out", str(out)]
-    result = CliRunner().invoke(cli.app, arguments, env={"PIPELINE_PROCESSED": str(processed)})
+    out, processed = tmp_path / "accuracy.html", tmp_path / "processed"
+    places = {"PIPELINE_PROCESSED": str(processed), "PIPELINE_REPORTS": str(tmp_path)}
+    result = CliRunner().invoke(cli.app, ["accuracy", "--quick", "--json"], env=places)
     assert result.exit_code == 0
     assert AccuracyReport.model_validate(json.loads(result.stdout)) == report
     assert AccuracyReport.model_validate_json(out.with_suffix(".json").read_text(encoding="utf-8")) == report

@@ -14,10 +14,9 @@ from pipeline.measured.cost.costs import settling
 from pipeline.measured.model.parts import chosen
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
-from pipeline.plan.course import Course, Wish, wanted_dampings
-from pipeline.plan.learnt import Learnt, learn
+from pipeline.plan.course import Course, Learnt, Wish, learn, wanted_dampings
+from pipeline.plan.limits import Tried, bracket
 from pipeline.plan.planner import plan_of
-from pipeline.plan.verdicts import Tried, bracket
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate

@@ -162,14 +162,13 @@ def _beside(point: LoopPoint, other: LoopPoint, shown: Shown) -> tuple[float, st
         own = np.maximum(np.nan_to_num(point.step_limits(where, shown.trial, np.zeros(len(where)))), own)
     larger = np.maximum(own, others)
     some = larger > LOW * larger.max(initial=0.0)
+    apart = np.divide(np.abs(own - others), larger, out=np.zeros(len(where)), where=some)
     if not some.any():
         return 0.0, ""
-    place = int(np.argmax(np.where(some, np.abs(own - others) / np.where(some, larger, 1.0), 0.0)))
+    place = int(np.argmax(apart))
     K, B = shown.units.stiffness, shown.units.damping
     text = f"limit at B = {significant(where[place], 3)} {B}: K = {significant(own[place], 3)} {K} with it, "
-    return float(
-        abs(own - others)[place] / max(larger[place], 1e-300)
-    ), text + f"{significant(others[place], 3)} without"
+    return float(apart[place]), text + f"{significant(others[place], 3)} without"
 
 
 def _shared(shown: Shown, found: FoundDevice) -> Iterator[Candidate]:

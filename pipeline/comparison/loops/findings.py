@@ -42,6 +42,11 @@ HELD = (
     "is passive by that alone; a device file, or trials without it, would tell"
 )
 
+JITTERS = (
+    "the delay jitters, and passivity is known of constant delays alone (4.6): stability with every hand cannot be "
+    "promised"
+)
+
 
 def loop_findings(
     result: ExperimentResult, stages: ExperimentStages, device: Device | None, units: Units
@@ -97,7 +102,8 @@ def loop_findings(
         return findings.model_copy(update={"passive_reason": f"needs an adequate loop, and this one is not: {reason}"})
     held = told.stated is None and found is not None and "spring" in found.fitted.parts
     # a hand that is let go of takes its damping with it
-    wall, none = (None, HELD) if held else passive_wall(told, result)
+    refused = HELD if held else JITTERS if trial.delays > 1 else ""
+    wall, none = (None, refused) if refused else passive_wall(told, result)
     return findings.model_copy(update={"passive": wall, "passive_reason": none})
 
 
@@ -140,7 +146,9 @@ def _record(
 def _reason(told: ToldLoop, replay: WallReplay | None, refused: str, parts: LoopParts | None) -> str:
     """Return what the replay says of a loop, and what the loop is."""
     if replay is None or replay.verdicts_same is None:
-        return "no trial at K > 0 is decided, so that the found device is held against none"
+        return (
+            "no wall outside the interval of a measured limit is decided, so that the found device is held against none"
+        )
     said = [replay_words(replay)]
     if refused:
         said.append(refused)

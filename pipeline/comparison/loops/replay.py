@@ -20,7 +20,7 @@ from pipeline.measured.signal.verdict import judge
 from pipeline.measured.stages.stage_groups import Given, TrialGroup
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
-from pipeline.records.batch import Floats, Integers, TrialBatch
+from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.loop_records import LoopLimit, WallReplay
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.labels import share_text, significant
@@ -85,11 +85,13 @@ def wall_replay(
     Notes
     -----
     The walls of a fold are simulated with the device that the other folds tell, its friction drawn from its scatter.
-    Verdicts are compared where the log and the simulated one are decided.
+    Verdicts are compared where the log and the simulated one are decided. Walls within the interval of a measured limit
+    are left out: a device with jitter or friction gives another verdict there from run to run.
     """
     K, B = (stages.column("response", name) for name in ("stiffness", "damping"))
     verdict = stages.verdicts.verdict
     usable = (K > 0) & (verdict != "undecided") & np.isnan(stages.column("wall_law", "obeyed_stiffness"))
+    usable &= ~_of_chance(result, K, B)
     chosen = spread_over_plane(K, B, usable, MOST_WALLS)
     if not len(chosen):
         return None
@@ -121,6 +123,14 @@ def wall_replay(
         costs_off_percent=_costs_off(result, stages, chosen[stable], costs[stable]),
         trials=len(chosen),
     )
+
+
+def _of_chance(result: ExperimentResult, K: Floats, B: Floats) -> Booleans:
+    """Return which walls lie within the interval of the limit that was measured at their damping, shape (n,)."""
+    limits = measured_limits(result.boundary)
+    ends = dict(zip(limits.damping.tolist(), zip(limits.low.tolist(), limits.high.tolist(), strict=True), strict=True))
+    low, high = np.array([ends.get(each, (0.0, 0.0)) for each in B.tolist()]).reshape(-1, 2).T
+    return np.asarray((low < K) & (high > K))
 
 
 def _without_each_fold(found: FoundDevice) -> list[LoopPoint]:

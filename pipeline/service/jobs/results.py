@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,22 +14,33 @@ from pipeline.base.errors import DeviceError, PipelineError
 from pipeline.base.paths import path_of_text
 from pipeline.comparison.against import against_experiments
 from pipeline.comparison.compare import compare
-from pipeline.comparison.executors import LOCAL, executor_of
+from pipeline.comparison.figures.responses import overlaid_figure, response_figures, trial_figure, trials_of
 from pipeline.comparison.scene.scene import needed_stages, open_scene
 from pipeline.comparison.stage_pool import compute_stages
+from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.plan.course import Wish
 from pipeline.plan.planner import plan
 from pipeline.records.findings import Note
 from pipeline.records.results import ComparisonResult
+from pipeline.rendering.figures.boundaries import (
+    answer_figure,
+    by_theory,
+    limits_figure,
+    limits_panel,
+    measured,
+    plane_figure,
+)
+from pipeline.rendering.figures.drawing import Figure, draw
+from pipeline.rendering.labels import significant
 from pipeline.rendering.report.report_against import write
 from pipeline.service.database import Database
-from pipeline.service.jobs import drawings
 from pipeline.service.jobs.documents import document_file, key_of, read_document
 from pipeline.service.profiles import profile_path
 from pipeline.service.settings import Settings
 from pipeline.store.storage import list_devices, list_experiments
+from pipeline.theory.predictions import Theory
 
 Progress = Callable[[object], None]
 
@@ -70,12 +82,8 @@ def run_stages(settings: Settings, _database: Database, _request: dict[str, Any]
     """Compute verdicts and costs of all experiments that lack them; one that cannot be computed is named."""
     failed: dict[str, str] = {}
     waiting = _without_stages(settings, failed)
-    if settings.executor != LOCAL:
-        for needed in sorted({needed for _, needed in waiting}):
-            executor_of(settings.executor)([stages for stages, own in waiting if own == needed], needed)
     computed = 0
-    while waiting:
-        stages, needed = waiting.pop(0)
+    for stages, needed in waiting:
         try:
             progress({"device": stages.device, "experiment": stages.experiment})
             compute_stages([stages], needed)
@@ -112,7 +120,7 @@ def run_experiment(settings: Settings, _database: Database, request: dict[str, A
     result = _compared(settings, request, None, progress)
     found = result.model_dump(mode="json")
     causes = {each["experiment"]: each["causes"] for each in found["experiments"]}
-    drawn = drawings.of_experiment(settings.processed, result)
+    drawn = figures_of(settings.processed, result)
     write_text(document_file(settings, request["key"]), json.dumps({**found, "causes": causes, "figures": drawn}))
     return {"key": request["key"]}
 
@@ -137,7 +145,7 @@ def run_drawing(settings: Settings, database: Database, request: dict[str, Any],
         document = read_document(settings, key) or {}
         found.append({name: value for name, value in document.items() if name not in ("causes", "figures")})
     results = [ComparisonResult.model_validate(each) for each in found]
-    drawn = drawings.DRAWINGS[asked["what"]](settings.processed, asked, results)
+    drawn = DRAWINGS[asked["what"]](settings.processed, asked, results)
     write_text(document_file(settings, request["key"]), json.dumps(drawn))
     return {"key": request["key"]}
 
@@ -170,10 +178,69 @@ def _compared(settings: Settings, request: dict[str, Any], report: Path | None, 
         report=report,
         notes=_notes(asked),
         progress=progress,
-        executor=executor_of(settings.executor),
     ).result
     assert result is not None, "only a dry run has none"
     return result
+
+
+Drawn = dict[str, Any]
+"""Panels as SVG, what they show in numbers, and the words below."""
+
+
+def figures_of(processed: Path, result: ComparisonResult) -> dict[str, Drawn]:
+    """Return the first figures of the report of an experiment by name: limits with theory, and a response."""
+    (found,) = result.experiments
+    data = open_scene(result.device, processed, [found.experiment], None)
+    theory = Theory(found.theory) if found.theory else None
+    figures = {f"response{n or ''}": figure for n, figure in enumerate(response_figures(data, result.motion))}
+    if found.boundary:
+        figures["limits"] = answer_figure(found, theory, result.motion, 0, trials_of(data.experiments[0]))
+    return {name: _drawn(replace(figure, simulated=result.simulated)) for name, figure in figures.items()}
+
+
+def _drawn(figure: Figure) -> Drawn:
+    drawn = draw(figure)
+    words = f"{figure.title}. {figure.caption}".strip()
+    return {"panels": list(drawn.panels), "shown": list(drawn.shown), "caption": words}
+
+
+def limits(_processed: Path, asked: dict[str, Any], results: Sequence[ComparisonResult]) -> Drawn:
+    """Draw the limits of experiments over each other, with theory, in K and B or (`plane`) in alpha and beta."""
+    runs = [(f"{r.device}, {r.experiments[0].experiment}", r.experiments[0]) for r in results]
+    theories = [Theory(found.theory) if found.theory else None for _, found in runs]
+    if asked["plane"] == "normalised":
+        known = [(*run, t, n) for n, (run, t) in enumerate(zip(runs, theories, strict=True)) if t is not None]
+        return _drawn(plane_figure(known))
+    series = [s for n, (label, found) in enumerate(runs) for s in measured(found, label, n)]
+    series += [by_theory(t, "_theory", n) for n, t in enumerate(theories) if t is not None]
+    text = "The largest stable stiffness at each damping; dashed, in the same colour: theory."
+    return _drawn(limits_figure("Stability limits", text, [limits_panel("", series, results[0].motion)], "limits"))
+
+
+def trials(processed: Path, asked: dict[str, Any], results: Sequence[ComparisonResult]) -> Drawn:
+    """Draw a trial beside theory and fitted loops, or several over each other, each with theory."""
+    of = {(result.device, result.experiments[0].experiment): result for result in results}
+    figures, labels = [], []
+    for device, experiment, trial in asked["places"]:
+        result = of[device, experiment]
+        spring = declared_spring(known_devices().get(device), experiment)
+        stages = ExperimentStages.stored(processed, device, experiment, spring)
+        figures.append(trial_figure(stages, result.experiments[0], trial, result.motion))
+        row = next((row for row in stages.trials.to_pylist() if row["trial_id"] == trial), None)
+        if row is None and len(asked["places"]) > 1:
+            raise DeviceError(f"trial {trial} is excluded by hand. Use it again, or leave it out.")
+        walls = f"K {significant(row['stiffness'], 4)}, B {significant(row['damping'], 3)}" if row else ""
+        labels.append(f"{walls} ({device}, {experiment})")
+    if len(figures) == 1:
+        return _drawn(figures[0]) | {"caption": figures[0].caption}
+    return _drawn(overlaid_figure(figures, labels)) | {"caption": ""}
+
+
+DRAWINGS: dict[str, Callable[[Path, dict[str, Any], Sequence[ComparisonResult]], Drawn]] = {
+    "limits": limits,
+    "trials": trials,
+}
+"""Function of each kind of drawing."""
 
 
 KINDS = {

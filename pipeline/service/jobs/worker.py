@@ -1,6 +1,6 @@
 """A process that works at jobs, one after the other, while its server lives.
 
-Run as ``python -m pipeline.service.jobs.worker PROCESSED REPORTS EXECUTOR KIND``, of which the last is ``urgent`` or
+Run as ``python -m pipeline.service.jobs.worker PROCESSED REPORTS KIND``, of which the last is ``urgent`` or
 ``other``. A byte on standard input says that a job waits, its end that the server ended: then this process ends, too,
 and another one takes the job when its lease has run out. What the functions of jobs write is whole at any moment, and
 they can be run again.
@@ -79,7 +79,7 @@ def work(settings: Settings, database: Database, owner: str, urgent: bool | None
 def main() -> None:
     """Work until the server ends."""
     begin_alone()
-    settings = Settings(Path(sys.argv[1]), Path(sys.argv[2]), executor=sys.argv[3])
+    settings = Settings(Path(sys.argv[1]), Path(sys.argv[2]))
     waiting = threading.Event()
 
     def listen() -> None:
@@ -91,7 +91,7 @@ def main() -> None:
     database, owner = Database(settings.data), f"{os.getpid()}-{secrets.token_hex(4)}"
     print(owner, flush=True)
     while True:
-        while work(settings, database, owner, sys.argv[4] == "urgent"):
+        while work(settings, database, owner, sys.argv[3] == "urgent"):
             pass
         waiting.wait(BEAT_S)
         waiting.clear()

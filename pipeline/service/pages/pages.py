@@ -1,21 +1,23 @@
-"""Pages for people: made here, whole without scripts, with their state in the address."""
+"""Pages for people: made here, whole without scripts, with their state in the address; and their forms."""
 
 from __future__ import annotations
 
 import csv
 import io
+import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Annotated, Any, Literal
-from urllib.parse import quote, urlencode
+from urllib.parse import quote, unquote, urlencode
 
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 from markupsafe import Markup
 from pydantic import ConfigDict, field_validator
+from starlette.types import Message
 
 from pipeline.intake.correct import in_bin
 from pipeline.intake.quarantine import list_quarantine
@@ -26,10 +28,11 @@ from pipeline.rendering.labels import UNITS
 from pipeline.service import profiles
 from pipeline.service.catalogue import WORDS, Selection
 from pipeline.service.database import NEWEST
-from pipeline.service.pages.frame import HERE, Fields, busy, check, kept, page_of, part_of, style_sheet
+from pipeline.service.pages.frame import HERE, Fields, busy, check, kept, page_of, part_of, segment, style_sheet
 from pipeline.service.problems import Problem
 from pipeline.service.rest import api, lab
 from pipeline.service.rest.api import Segment
+from pipeline.service.security import SESSION, cookie
 from pipeline.service.shared import Service, Shared, Who
 
 pages = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
@@ -295,3 +298,99 @@ def _csv(items: Sequence[Mapping[str, Any]]) -> Response:
         costs = (item["costs"].get(c, {}).get(key) for c in REPORTED for key in ("value", "low", "high"))
         writer.writerow([*(item[name] for name in plain), *costs])
     return Response(stream.getvalue(), media_type="text/csv; charset=utf-8")
+
+
+_KEPT = (b"host", b"cookie", b"origin", b"x-forwarded-proto")
+"""Headers of a form that the request has that is made of it."""
+
+
+@pages.post("/do")
+async def do(service: Shared, request: Request, fields: Fields) -> Response:
+    """Make the REST request of a form, and lead to the page that follows; an error is a page.
+
+    Its fields are those of the document (`_document`); beside them ``method``, ``path`` below the API, ``match`` (the
+    ETag that was known) and ``next``, in which ``{field}`` stands for a name.
+    """
+    method, path, token = (fields.pop(name, [""])[0] for name in ("method", "path", "form"))
+    known, following = (fields.pop(name, [usual])[0] for name, usual in (("match", "*"), ("next", "/")))
+    document = _document(fields)
+    body = json.dumps(document).encode()
+    more = {"content-type": "application/json", "content-length": len(body), "x-csrf-token": token, "if-match": known}
+    headers = [each for each in request.scope["headers"] if each[0] in _KEPT]
+    headers += [(name.encode(), str(value).encode("latin-1", "replace")) for name, value in more.items()]
+    asked = {name: request.scope[name] for name in ("type", "asgi", "http_version", "scheme", "server", "client")}
+    asked |= {"method": method, "path": f"/api/v1/{unquote(path)}", "query_string": b"", "root_path": ""}
+    status, answer = 0, b""
+
+    async def receive() -> Message:
+        return {"type": "http.request", "body": body}
+
+    async def send(message: Message) -> None:
+        nonlocal status, answer
+        status = message.get("status", status)
+        answer += message.get("body", b"")
+
+    await request.app.state.guard({**asked, "headers": headers}, receive, send)
+    found = json.loads(answer) if answer else {}
+    if status >= 400:
+        return page_of(service, request, "problem.html.j2", status, problem=found)
+    if "job" in found:
+        following = f"/jobs/{found['job']}"
+    elif "key" in found:
+        following = f"/api/v1/comparisons/{found['key']}/report"
+    named = re.sub(r"\{(\w+)\}", lambda name: segment(document.get(name[1], "")), following)
+    return RedirectResponse(_own(named), 303)
+
+
+def _document(fields: Mapping[str, list[str]]) -> dict[str, Any]:
+    """Return a form as a document: ``x[]`` has all values, ``x,`` a list of words, ``x?`` null where it is empty."""
+    found: dict[str, Any] = {}
+    for name, values in fields.items():
+        text = values[0].replace("\r\n", "\n")
+        if name.endswith("[]"):
+            found[name[:-2]] = values
+        elif name.endswith(","):
+            found[name[:-1]] = [word.strip() for word in text.split(",") if word.strip()]
+        elif name.endswith("?"):
+            found[name[:-1]] = text.strip() or None
+        else:
+            found[name] = text
+    return found
+
+
+@pages.get("/login")
+def login(service: Shared, request: Request) -> Response:
+    """Show the form that asks for a token."""
+    return _door(service, request, 200)
+
+
+@pages.post("/login")
+def enter(service: Shared, request: Request, fields: Fields) -> Response:
+    """Begin a session by a token."""
+    session = service.database.login(fields.get("secret", [""])[0].strip())
+    if session is None:
+        return _door(service, request, 401)
+    secure = request.headers.get("x-forwarded-proto") == "https"
+    following = _own(request.query_params.get("next", "/"))
+    return RedirectResponse(following, 303, {"set-cookie": cookie(SESSION, session, secure)})
+
+
+@pages.post("/logout")
+def leave(service: Shared, request: Request, fields: Fields) -> Response:
+    """End a session."""
+    service.database.logout(request.cookies.get(SESSION, ""))
+    return RedirectResponse("/login", 303)
+
+
+def _door(service: Shared, request: Request, status: int) -> Response:
+    following = _own(request.query_params.get("next", "/"))
+    return page_of(service, request, "login.html.j2", status, wrong=status != 200, following=following)
+
+
+def _own(address: str) -> str:
+    """Return the page that somebody wants: one of this server, else the first one.
+
+    Browsers take a backslash for a slash, drop blanks, and read two slashes as another server.
+    """
+    own = address.startswith("/") and address[1:2] not in ("/", "\\") and all(" " < sign != "\\" for sign in address)
+    return address if own else "/"

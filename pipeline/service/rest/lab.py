@@ -1,23 +1,25 @@
-"""REST for what a lab brings and asks: profiles, refused logs, next walls, figures."""
+"""REST for what a lab brings and asks: profiles, refused logs, next walls, figures, theory (with a device in SI)."""
 
 import os
 import secrets
 import shutil
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Path, Request
+from fastapi import APIRouter, Depends, Path, Query, Request
 from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
 from pipeline.base.paths import path_of_text
 from pipeline.intake.quarantine import excerpt_of, list_quarantine, record_id, release
+from pipeline.records.criteria import CRITERIA, with_discrete
 from pipeline.service import profiles
 from pipeline.service.problems import Problem
 from pipeline.service.rest import answers
-from pipeline.service.rest.api import Name, Segment, awaited, files_of
+from pipeline.service.rest.api import FiniteNumber, Name, Segment, awaited, files_of
 from pipeline.service.shared import Service, Shared, Who
 from pipeline.service.uploads import Upload
+from pipeline.theory.optimum import POINT_CRITERIA
 
 lab = APIRouter(prefix="/api/v1", responses=answers.EVERYWHERE)
 
@@ -189,3 +191,70 @@ async def figure(service: Shared, device: Segment, experiment: Segment, name: st
     if name not in figures:
         raise Problem(404, "There is no such figure.", where="name", expected=sorted(figures), found=name)
     return Response(standalone(figures[name]["panels"][0]), media_type="image/svg+xml")
+
+
+SLOW = answers.problems(404, 504)
+LONGEST_DELAY, MOST_POINTS = 64.0, 500
+"""Samples, and walls; more is for the command line."""
+
+OPTIMA = (*POINT_CRITERIA, *with_discrete(CRITERIA))
+"""Criteria that have an optimum."""
+
+Coefficient = Annotated[float, Query(allow_inf_nan=False)]
+Coordinates = Annotated[list[FiniteNumber], Query(max_length=MOST_POINTS)]
+Delay = Annotated[float | None, Query(ge=0, le=LONGEST_DELAY, description="Delay in samples, without a device.")]
+Device = Annotated[Name | None, Query(description="Name of a device; all is then in SI, for its experiment.")]
+
+
+def loop_of(
+    delay: Delay = None,
+    gamma: Coefficient = 0.0,
+    delta: Coefficient = 0.0,
+    device: Device = None,
+    experiment: Name | None = None,
+) -> tuple[Any, ...]:
+    """Return which loop is asked for, as `theory.document` takes it."""
+    if device is None:
+        if delay is None:
+            raise Problem(422, "Give the delay in samples, or a device.", where="delay")
+        return gamma, delta, delay
+    if delay is not None or gamma or delta:
+        raise Problem(422, "A device has a delay, gamma and delta of its own. Leave these out.", where="device")
+    return device, experiment
+
+
+Of = Annotated[tuple[Any, ...], Depends(loop_of)]
+
+
+@lab.get("/theory/boundary", response_model=dict[str, Any], responses=SLOW)
+def boundary(service: Shared, of: Of) -> Any:
+    """Return the stability boundary, as `pipeline theory boundary --json`."""
+    return service.theory.compute("boundary", of)
+
+
+@lab.get("/theory/optimum", response_model=dict[str, Any], responses=SLOW)
+def optimum(
+    service: Shared,
+    of: Of,
+    criterion: Literal[OPTIMA],  # type: ignore[valid-type]
+    signal: Literal["continuous", "discrete"] | None = None,
+) -> Any:
+    """Return the point of least cost by a criterion, as `pipeline theory optimum --json`."""
+    return service.theory.compute("optimum", of, criterion, signal)
+
+
+@lab.get("/theory/points", response_model=list[dict[str, Any]], responses=SLOW)
+def points(
+    service: Shared,
+    of: Of,
+    alpha: Coordinates = [],  # noqa: B006
+    beta: Coordinates = [],  # noqa: B006
+    stiffness: Coordinates = [],  # noqa: B006
+    damping: Coordinates = [],  # noqa: B006
+) -> Any:
+    """Return stability and costs of points: alpha and beta, or with a device stiffness and damping."""
+    names = "stiffness, damping" if len(of) == 2 else "alpha, beta"
+    first, second = (stiffness, damping) if len(of) == 2 else (alpha, beta)
+    if len(first) != len(second) or not first:
+        raise Problem(422, f"Each point needs {names.replace(',', ' and')}.", where=names)
+    return service.theory.compute("points", of, list(zip(first, second, strict=True)))

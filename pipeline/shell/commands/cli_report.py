@@ -1,62 +1,56 @@
-"""The command that compares and writes reports: parse, call, print."""
+"""Commands of reports: `compare`, `verify` and `bundle`: parse, call, print."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pipeline.base.errors import UsageError
+from pipeline.base.errors import EXIT_ERROR, EXIT_OK, UsageError
 from pipeline.base.paths import check_output
 from pipeline.shell import console
-from pipeline.shell.commands import cli_theory
-from pipeline.shell.commands.options import Criteria, ExecutorName, Experiments, Json, Store
+from pipeline.shell.commands.options import Criteria, ExecutorName, Experiments, Store, listed, reports_folder
 
 if TYPE_CHECKING:
+    from pipeline.comparison.compare import Outcome
     from pipeline.rendering.report.report_against import AgainstPage
+
+Report = Annotated[Path, typer.Argument(help="Report (HTML) by `pipeline compare`.")]
+Stored = Annotated[
+    str | None,
+    typer.Option("--processed", help="Stored tables: folder or URL (default: as the report names it)."),
+]
+Profiles = Annotated[
+    list[Path] | None, typer.Option("--profile", help="Profile file (.toml) that read the logs; may be repeated.")
+]
 
 
 def compare(
-    device: Annotated[
-        str | None, typer.Option("--device", help="Device whose logs are compared; may stand in the scene file.")
-    ] = None,
+    device: Annotated[str | None, typer.Option("--device", help="Device to compare (default: the scene's).")] = None,
     experiment: Experiments = None,
     criteria: Criteria = None,
     processed: Store = "processed",
     executor: ExecutorName = "local",
     report: Annotated[
-        Path | None,
-        typer.Option("--report", help="HTML file; reports/DEVICE.html where not given.", show_default=False),
+        Path | None, typer.Option("--report", help="HTML file (default: reports/DEVICE.html).", show_default=False)
     ] = None,
     scene: Annotated[
-        Path | None,
-        typer.Option("--scene", help="Scene file (.toml): what the report shows. Options given here come first."),
+        Path | None, typer.Option("--scene", help="Scene file (.toml) with content and options of the report.")
     ] = None,
     tables_format: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--tables-format", help="Write the tables beside the report, too: csv, json, markdown, latex, with commas."
-        ),
+        list[str] | None, listed("--tables-format", "Export tables: csv, json, markdown, latex.")
     ] = None,
-    figures: Annotated[
-        Path | None,
-        typer.Option("--figures", help="Write the figures as SVG, PDF and CSV files into this folder, too."),
-    ] = None,
+    figures: Annotated[Path | None, typer.Option("--figures", help="Folder for figures as SVG, PDF, CSV.")] = None,
     against: Annotated[
-        str | None,
-        typer.Option("--against", help="Compare against EXPERIMENT, DEVICE:EXPERIMENT, or an earlier report (.json)."),
+        str | None, typer.Option("--against", help="Reference: EXPERIMENT, DEVICE:EXPERIMENT or report (.json).")
     ] = None,
     save_scene: Annotated[
-        Path | None,
-        typer.Option("--save-scene", help="Write a scene file of all that is stored of the device, nothing else."),
+        Path | None, typer.Option("--save-scene", help="Write a scene file of what is stored, and stop.")
     ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done and why, do nothing.")] = False,
-    full: Annotated[
-        bool, typer.Option("--full", help="Put the response of every trial into the page, whatever its size.")
-    ] = False,
-    as_json: Json = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done and why; do nothing.")] = False,
+    full: Annotated[bool, typer.Option("--full", help="Show the response of every trial, whatever the size.")] = False,
 ) -> None:
     """Estimate, judge and compare with theory; write the report.
 
@@ -75,11 +69,9 @@ def compare(
     from pipeline.store.objects import opened
 
     earlier = Path(against) if against is not None and against.endswith(".json") else None
-    two = against is not None and earlier is None
-    if two:
-        _refuse(dry_run=dry_run, full=full)
     if against is not None:
-        _refuse(tables_format=tables_format is not None, figures=figures is not None)
+        choices = {"--tables-format": tables_format, "--figures": figures}
+        _refuse(choices if earlier else {**choices, "--dry-run": dry_run, "--full": full})
     asked = None if scene is None else read_scene(scene)
     name = device or (asked.device if asked else None)
     if name is None:
@@ -88,15 +80,14 @@ def compare(
         _save_scene(name, processed, save_scene)
         return
     formats = parse_formats(tables_format or ())
-    wanted = cli_theory.split(criteria) if criteria is not None else asked.chosen_criteria if asked else None
+    wanted = criteria or (asked.chosen_criteria if asked else None)
     names = experiment or (asked.experiments if asked else None)
-    if against is not None and two:
+    if against is not None and earlier is None:
         with opened(processed) as folder:
-            _compare_against((name, names), against, folder, wanted, report, as_json)
+            _compare_against((name, names), against, folder, wanted, report)
         return
-    computes = executor_of(executor)
-    drawn = Path(asked.report) if asked and asked.report else report_of(Path("reports"), name)
-    target = report or drawn
+    computes, reports = executor_of(executor), reports_folder()
+    target = report or (Path(asked.report) if asked and asked.report else report_of(reports, name))
     if not dry_run:
         check_output(target, "--report", document_beside=True)
     # read before the comparison, which may replace it
@@ -112,35 +103,40 @@ def compare(
             full=full,
             shown=asked.shown if asked else None,
             scene_file=scene,
-            progress=None if as_json else console.note,
+            progress=console.step,
             executor=computes,
             figures=figures,
         )
     if outcome.result is None:
         stages = [dict(zip(("stage", "action", "reason"), row, strict=True)) for row in outcome.stages]
-        if as_json:
-            console.print_json(stages)
-            return
-        for line in console.table(stages, ("stage", "action", "reason")):
-            console.say(line)
+        console.tell(stages, console.table(stages, ("stage", "action", "reason")))
         return
     # other folders may be anybody's: there an index is kept current, but not begun
-    write_index(target.parent, only_renew=target.parent != Path("reports"))
+    write_index(target.parent, only_renew=target.parent != reports)
     if document is not None and earlier is not None:
-        _print_against(against_document(outcome.result, document), page_against_document(target, earlier), as_json)
+        _tell_against(against_document(outcome.result, document), page_against_document(target, earlier))
         return
-    written = export_tables(outcome.result, tables_folder(target), formats) if formats else ()
-    if as_json:
-        console.print_json(outcome.result.model_dump(mode="json"))
-        return
-    for line in (*outcome.result.summary, *(f"Warning: {text}" for text in outcome.result.warnings)):
-        console.say(line)
-    if outcome.report is not None:
-        console.say(f"report: {outcome.report}")
-    if written:
-        console.say(f"tables: {len(written)} files in {tables_folder(target)}")
-    if figures is not None:
-        console.say(f"figures: {figures}")
+    written = {"tables": tables_folder(target)} if formats else {}
+    export_tables(outcome.result, tables_folder(target), formats)
+    written |= {"figures": figures} if figures is not None else {}
+    console.tell(outcome.result.model_dump(mode="json"), _outcome_lines(outcome, written))
+
+
+def _outcome_lines(outcome: Outcome, written: dict[str, Path]) -> Iterator[str]:
+    assert outcome.result is not None, "only a dry run has none"
+    yield from outcome.result.summary
+    yield from (f"Warning: {text}" for text in outcome.result.warnings)
+    yield from (f"{what}: {path}" for what, path in {"report": outcome.report, **written}.items() if path is not None)
+
+
+def _refuse(others: dict[str, Any]) -> None:
+    """Refuse options that --against would leave without effect."""
+    for other, given in others.items():
+        if given:
+            raise UsageError(
+                f"--against and {other} do not go together: the page of two experiments knows no such choice. Leave "
+                "one of them out."
+            )
 
 
 def _compare_against(
@@ -149,7 +145,6 @@ def _compare_against(
     processed: Path,
     criteria: Sequence[str] | None,
     report: Path | None,
-    as_json: bool,
 ) -> None:
     """Compare the experiment of a device with another one, and print what differs."""
     from pipeline.comparison.against import against_experiments, names_of
@@ -159,39 +154,23 @@ def _compare_against(
     device, experiments = of
     if experiments is None or len(experiments) != 1:
         raise UsageError("--against compares one experiment with another one. Name the first with --experiment.")
-    (first,) = experiments
+    first = (device, experiments[0])
     second = names_of(against, device, list_experiments(processed, device))
-    target = report or page_against(Path("reports"), (device, first), second)
+    target = report or page_against(reports_folder(), first, second)
     check_output(target, "--report", document_beside=True)
-    progress = None if as_json else console.note
-    page = against_experiments(processed, (device, first), second, criteria, progress)
-    _print_against(page, target, as_json)
+    _tell_against(against_experiments(processed, first, second, criteria, console.step), target)
 
 
-def _refuse(**others: bool) -> None:
-    """Refuse options that --against would leave without effect."""
-    for other, given in others.items():
-        if given:
-            raise UsageError(
-                f"--against and --{other.replace('_', '-')} do not go together: the page of two experiments knows no "
-                "such choice. Leave one of them out."
-            )
-
-
-def _print_against(page: AgainstPage, report: Path, as_json: bool) -> None:
+def _tell_against(page: AgainstPage, report: Path) -> None:
     """Write a page of differences, and print what it comes to."""
     from pipeline.rendering.report.report_against import write
 
     result = write(page, report)
-    if as_json:
-        console.print_json(result.model_dump(mode="json"))
-        return
+    lines = []
     for pair in result.pairs:
-        if len(result.pairs) > 1:
-            console.say(f"experiment {pair.first.experiment}:")
-        for line in pair.sentences:
-            console.say(line)
-    console.say(f"report: {result.report}")
+        lines += [f"experiment {pair.first.experiment}:"] if len(result.pairs) > 1 else []
+        lines += pair.sentences
+    console.tell(result.model_dump(mode="json"), [*lines, f"report: {result.report}"])
 
 
 def _save_scene(device: str, processed: str, path: Path) -> None:
@@ -205,4 +184,50 @@ def _save_scene(device: str, processed: str, path: Path) -> None:
         raise UsageError(f"{path}: exists. Give another file, or remove it.")
     with opened(processed, device) as folder:
         write_text(path, draft_scene(device, folder))
-    console.say(f"scene: {path}")
+    console.tell({"scene": str(path)}, [f"scene: {path}"])
+
+
+def verify(
+    report: Annotated[Path, typer.Argument(help="Report (HTML) by `pipeline compare`, or bundle (.zip).")],
+    processed: Stored = None,
+    profile: Profiles = None,
+    logs: Annotated[Path | None, typer.Option("--logs", help="Folder of the logs; replaces the stored tables.")] = None,
+) -> int:
+    """Recompute the numbers of a report, and name those that differ.
+
+    Reads the logs from where they lay (their stored samples where they are gone), from --logs, or from a bundle,
+    computes everything in a temporary folder, and compares each cell and value. What no log
+    determines, such as run times, is held against hashes in the page. Exit status 1 where something differs.
+
+    Example: pipeline verify reports/falcon.html
+    """
+    from pipeline.shell.verify.bundle import ENDING, verify_bundle
+    from pipeline.shell.verify.verify import lines_of
+    from pipeline.shell.verify.verify import verify as verify_report
+
+    if report.suffix.lower() == ENDING:
+        if processed or profile or logs:
+            raise UsageError(f"{report}: a bundle holds all that is needed. Leave the options out.")
+        found = verify_bundle(report, console.step)
+    else:
+        if processed and logs:
+            raise UsageError("--processed and --logs do not go together: give the stored tables, or the logs.")
+        # a lab's own profiles first: what they do not claim the shipped ones may
+        places = [(path, logs) for path in (*(profile or ()), None)] if logs else []
+        found = verify_report(report, processed, profile or (), places, console.step)
+    console.tell(found.model_dump(mode="json"), lines_of(found))
+    return EXIT_OK if found.equal else EXIT_ERROR
+
+
+def bundle(report: Report, profile: Profiles = None) -> None:
+    """Pack a report and all that `pipeline verify` needs into one zip.
+
+    It lies beside the report.
+
+    Example: pipeline bundle reports/falcon.html
+    """
+    from pipeline.shell.verify.bundle import bundle as write
+
+    written = write(report, profiles=profile or ())
+    lines = [f"bundle: {written.bundle}, {written.logs} logs in {written.files} files"]
+    console.tell(written.model_dump(mode="json"), lines)

@@ -27,14 +27,12 @@ from pipeline.intake.sources import METADATA, find_sources
 from pipeline.profiles.profile_files import load_profile, read_profile
 from pipeline.records.findings import Record
 from pipeline.records.results import ComparisonResult
-from pipeline.rendering.report.report_parts import take_apart
 from pipeline.shell.verify.verify import (
     Request,
     Verification,
     read_document,
-    read_page,
-    read_request,
-    stored_folder,
+    read_report,
+    stored_place,
     verify,
 )
 from pipeline.store.names import folder_name
@@ -60,19 +58,13 @@ class Bundle(Record):
     bytes: int
 
 
-def bundle(
-    report: Path, out: Path | None = None, processed: Path | None = None, profiles: Sequence[Path] = ()
-) -> Bundle:
-    """Write a report and all that it rests on into one zip.
+def bundle(report: Path, profiles: Sequence[Path] = ()) -> Bundle:
+    """Write a report and all that it rests on into one zip beside it.
 
     Parameters
     ----------
     report : Path
         HTML page by `compare`, with its JSON document beside it.
-    out : Path, optional
-        File to write; by default beside the report, with the ending ``.zip``.
-    processed : Path, optional
-        Folder of the stored tables, which says where the logs lie; by default the one that the report names.
     profiles : sequence of Path
         Profile files of the lab that read the logs; shipped ones are known.
 
@@ -85,13 +77,12 @@ def bundle(
     StoreError
         If a log is gone or has changed since the report was made.
     """
-    target = out or report.with_suffix(ENDING)
-    request = read_request(report, take_apart(read_page(report)))
+    target = report.with_suffix(ENDING)
+    _, _, request = read_report(report)
     document, notes = read_document(report)
     if document is None:
         raise UsageError(f"{notes[0]}. A bundle holds it, too: write the report anew, or lay its document beside it.")
-    folder = stored_folder(report, request.processed, processed)
-    count, logs = _logs(folder, request, document, profiles)
+    count, logs = _logs(Path(stored_place(report, request.processed, None)), request, document, profiles)
     files = {report.name: report, f"{report.stem}.json": report.with_suffix(".json"), **logs}
     if request.device_file:
         files[f"devices/{folder_name(request.scene.device)}.toml"] = _device_file(request)

@@ -129,9 +129,7 @@ def verify(
         If `processed` is damaged.
     """
     say = progress or (lambda _: None)
-    page = read_page(report)
-    found = take_apart(page)
-    request = read_request(report, found)
+    page, found, request = read_report(report)
     document, notes = read_document(report)
     devices = device_problems(request)
     device = request.scene.device
@@ -301,31 +299,21 @@ def lines_of(verification: Verification) -> list[str]:
     return [*lines, f"{verification.report}: {told} of the report ({counts} checked)"]
 
 
-def read_page(report: Path) -> str:
-    """Return the text of a page.
+def read_report(report: Path) -> tuple[str, Parts, Request]:
+    """Return the text of a page, its parts, and what its head says of its comparison.
 
     Raises
     ------
     UsageError
-        If it cannot be read.
+        If it cannot be read, or says nothing, as other HTML does.
     """
     try:
-        return report.read_text(encoding="utf-8")
+        page = report.read_text(encoding="utf-8")
+        parts = take_apart(page)
+        return page, parts, Request.model_validate(parts.request)
     except (OSError, UnicodeDecodeError) as error:
         why = getattr(error, "strerror", None) or error
         raise UsageError(f"{report}: cannot be read ({why}). Give a report by `pipeline compare`.") from error
-
-
-def read_request(report: Path, parts: Parts) -> Request:
-    """Return what the head of a page says of its comparison.
-
-    Raises
-    ------
-    UsageError
-        If it says nothing, as other HTML does.
-    """
-    try:
-        return Request.model_validate(parts.request)
     except ValidationError as error:
         raise UsageError(
             f"{report}: holds no request of a comparison that can be read; expected a report by `pipeline compare`, of "
@@ -358,24 +346,21 @@ def device_problems(request: Request) -> tuple[LogProblem, ...]:
 
 
 def stored_place(report: Path, named: str, given: Path | str | None) -> Path | str:
-    """Return the folder or URL of the stored tables behind a report; see `stored_folder`."""
-    place = given or named
-    return place if is_url(place) else stored_folder(report, named, Path(given) if given else None)
-
-
-def stored_folder(report: Path, named: str, given: Path | None) -> Path:
-    """Return the folder of the stored tables behind a report: the given one, or the one that the report names.
+    """Return the folder or URL of the stored tables behind a report: the given one, or the one that the report names.
 
     Raises
     ------
     UsageError
         If no trials are stored there.
     """
-    folder = Path(named)
-    places = [given] if given else [folder, report.parent / folder, report.parent.parent / folder]
-    for place in places:
-        if (place / "trials").is_dir():
-            return place
+    place = given or named
+    if is_url(place):
+        return place
+    folder = Path(place)
+    places = [folder] if given else [folder, report.parent / folder, report.parent.parent / folder]
+    for each in places:
+        if (each / "trials").is_dir():
+            return each
     raise UsageError(
         f"{', '.join(str(p) for p in dict.fromkeys(places))}: no stored trials; expected the folder that the report "
         "was made from. Give it with --processed, or the logs themselves with --logs."
@@ -388,10 +373,8 @@ def read_document(report: Path) -> tuple[ComparisonResult | None, list[str]]:
     try:
         return ComparisonResult.model_validate_json(path.read_bytes()), []
     except FileNotFoundError:
-        return None, [f"{path}: is not there, so that only the page was checked"]
+        return None, [f"{path}: missing; only the page was checked"]
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
-        return None, [
-            f"{path}: is no result of this version ({place}: {first['msg']}), so that only the page was checked"
-        ]
+        return None, [f"{path}: no result of this version ({place}: {first['msg']}); only the page was checked"]

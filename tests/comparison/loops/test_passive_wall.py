@@ -26,7 +26,7 @@ def loop(device, delay, share, error=0.0):
     """A loop whose mass, damping and delay may be off by a share, the delay by ten shares of a sample."""
     values = dict(zip(("mass", "damping", "delay_samples"), (*device, delay), strict=True))
     covariance = np.diag(np.square([device[0] * share, device[1] * share, 10 * share]) / NORMAL_95**2)
-    return ToldLoop(FoundDevice(FittedDevice((), 1, 1, values, covariance, (), "", 0.0), T), error=error)
+    return ToldLoop(FoundDevice(FittedDevice((), values, covariance), T), error=error)
 
 
 def measured(limit=1e9, trials=20):

@@ -7,7 +7,7 @@ import pytest
 from served import page, serving
 
 from pipeline.service.database import KEPT_S, Database
-from pipeline.service.jobs.renewal import remove_old
+from pipeline.service.jobs.workers import remove_old
 from pipeline.service.settings import Settings
 
 

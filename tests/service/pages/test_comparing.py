@@ -6,7 +6,7 @@ import re
 import pytest
 from served import HTML, page
 
-from pipeline.service.jobs.drawings import limits
+from pipeline.service.jobs.results import limits
 from pipeline.service.pages.comparing import differences, planes
 
 TWO = "/compare?runs=falcon/1&runs=falcon/2"

@@ -1,0 +1,244 @@
+"""Commands of devices: `demo`, `simulate`, `identify` and `design`: parse, call, print."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pipeline.base.errors import UsageError
+from pipeline.base.paths import check_output
+from pipeline.shell import console
+from pipeline.shell.commands.options import DeviceName, Experiments, One, Out, ProfileFile, device_of, listed
+
+if TYPE_CHECKING:
+    from pipeline.records.models import Device
+    from pipeline.surface.physical_loop import Loop
+
+_SHOWN = 6
+"""Changes that are printed; the document has all."""
+
+COMBINATIONS = {
+    "acceleration": "acceleration by the largest command, friction and constant force included",
+    "damping_per_mass": "damping over mass",
+    "stiffness_per_mass": "stiffness over mass",
+    "friction_less_force": "friction less the constant force in the direction of motion",
+    "delay_and_lag": "delay and actuator lag together",
+}
+"""Combinations of parameters that logs tell, where they do not tell them apart."""
+
+
+def demo(full: Annotated[bool, typer.Option("--full", help="Simulate all experiments and trials.")] = False) -> None:
+    """Simulate, ingest and compare small courses of two devices.
+
+    Writes raw/demo/, processed/demo/, reports/falcon.html and reports/lwr.html below the current folder, and
+    replaces files of these names.
+
+    Example: pipeline demo
+    """
+    from pipeline.shell.demo import run_demo
+
+    check_output(Path("reports/falcon.html"), "", document_beside=True)
+    done = run_demo(full=full, report_progress=console.step)
+    console.tell({"reports": [str(path) for path in done.reports]}, done.lines)
+
+
+def simulate(
+    device: Annotated[str, typer.Argument(help="Device: name or file (.toml).")],
+    experiment: Experiments = None,
+    out: Annotated[Path, typer.Option("--out", help="Folder; logs go to DEVICE/EXPERIMENT in it.")] = Path("raw"),
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of noise and jitter.")] = 0,
+    ideal: Annotated[bool, typer.Option("--ideal", help="Omit noise, quantum, jitter and friction.")] = False,
+    coarsen: Annotated[int, typer.Option("--coarsen", help="Take each n-th damping, n times the step in K.")] = 1,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the logs of an earlier simulation.")] = False,
+) -> None:
+    """Write simulated logs of a device, with the truth beside them.
+
+    Example: pipeline simulate falcon --experiment 1 --out raw --seed 1
+    """
+    from pipeline.simulation.course import run_course, write_course
+
+    record = device_of(device)
+    counts: dict[str, int] = {}
+    for name in dict.fromkeys(experiment or [e.name for e in record.experiments]):
+        with console.progress(f"{record.name} {name}", "trials") as advance:
+            how = {"seed": seed, "ideal": ideal, "coarsen": coarsen}
+            course = run_course(record, name, **how, progress=lambda kept, show=advance: show(kept, None))  # type: ignore
+        counts[name] = write_course(course, out, overwrite=overwrite)
+    lines = (f"{record.name}, experiment {name}: {count} logs in {out}" for name, count in counts.items())
+    console.tell({"device": record.name, "folder": str(out), "seed": seed, "logs": counts}, lines)
+
+
+def identify(
+    paths: Annotated[list[Path], typer.Argument(help="Logs with command and position, or folders with some.")],
+    profile: ProfileFile = None,
+    period: Annotated[float | None, typer.Option("--period", help="Sampling period of the walls, in s.")] = None,
+    delay: Annotated[float | None, typer.Option("--delay", help="Delay of the walls, in samples.")] = None,
+    out: Out = None,
+) -> None:
+    """Identify a device from any logs, and the walls it can render.
+
+    No wall and no rest are needed; steps, staircases, sweeps and wall trials all serve. A native log of no wall may
+    leave out stiffness, damping, step and names. Walls have the period and delay of the logs, where not given. With
+    --out a device file (.toml) is written.
+
+    Example: pipeline identify logs --out motor.toml
+    """
+    from pipeline.base.disk import write_text
+    from pipeline.surface.identified_device import device_text, identified_device
+
+    if out is not None:
+        check_output(out, "--out")
+    document = identified_device(paths, profile, period, delay)
+    if out is not None:
+        write_text(out, device_text(document, out.stem))
+    console.tell(document, [*_identified(document), *([] if out is None else [f"wrote {out}"])])
+
+
+def _identified(document: dict[str, Any]) -> Iterator[str]:
+    from pipeline.surface.identified_device import FOLLOWS
+
+    fit, limits = document["replay"]["fit_percent"], document["boundary"]
+    yield f"{document['trials']} logs, {document['rows']} rows, T = {document['sampling_period_s']:g} s"
+    yield from ("", *console.table(document["parameters"], ("name", "value", "low", "high", "unit")), "")
+    parts = {found: ", ".join(p["name"] for p in document["parts"] if p["found"] is found) for found in (True, False)}
+    yield f"parts found beside mass, damping and delay: {parts[True] or 'none'}"
+    if parts[False]:
+        yield f"not excluded by these logs: {parts[False]}"
+    if document["assumed_none"]:
+        yield f"assumed zero, since the command never changes: {_words(document['assumed_none'])}"
+    for each in document["not_told_apart"]:
+        known = f"{each['value']:.5g} ({each['low']:.5g} to {each['high']:.5g}) {each['unit']}"
+        yield f"not told apart: {_words(each['members'])}. Known is {COMBINATIONS[each['combination']]}: {known}."
+        yield f"  To tell them apart, record {each['record']}."
+    if not document["scatter_in_interval"]:
+        yield "intervals are from within the logs; scatter from run to run needs 8 logs or more"
+    if fit is not None:
+        yield f"replay of held-out logs: fit {fit:.1f} % (median)"
+        if fit < FOLLOWS:
+            yield "The command alone does not explain the motion: another force acts, or a part is missing."
+    if limits is not None:
+        top, B = limits["stiffness_max"], limits["damping_at_stiffness_max"]
+        yield f"walls at T = {limits['sampling_period_s']:g} s and a delay of {limits['delay_samples']:.4g} samples:"
+        yield f"  stable up to K = {top['value']:.5g} ({top['low']:.5g} to {top['high']:.5g}) at B = {B:.5g} (linear)"
+
+
+def _words(names: list[str]) -> str:
+    return ", ".join(name.replace("_", " ") for name in names)
+
+
+def design(
+    device: DeviceName,
+    experiment: One = None,
+    stiffness: Annotated[float | None, typer.Option("--stiffness", help="Wanted K, in N/m or Nm/rad.")] = None,
+    settling: Annotated[float | None, typer.Option("--settling", help="Longest settling time to 2 %, in s.")] = None,
+    overshoot: Annotated[float | None, typer.Option("--overshoot", help="Largest overshoot, a fraction.")] = None,
+    margin: Annotated[float, typer.Option("--margin", help="Factor on K up to which it stays stable.")] = 1.0,
+    hand: Annotated[str | None, typer.Option("--hand", help="Arm of Table 3.2 that holds it (default: none).")] = None,
+    keep: Annotated[list[str] | None, listed("--keep", "Quantities that cannot change.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", help="Picture over T and delay: .svg, .pdf, .png.")
+    ] = None,
+) -> None:
+    """Find the smallest changes of a rig that reach the wanted wall.
+
+    Example: pipeline design --device falcon --stiffness 5000 --overshoot 0
+
+    Example: pipeline design --device arm.toml --stiffness 20000 --margin 1.5 --keep mass --picture arm.svg
+    """
+    from pipeline.device_data.devices import find_experiment
+    from pipeline.rig.design import design as answer_of
+    from pipeline.rig.picture import picture as draw
+    from pipeline.rig.published import published_limits
+
+    known = device_of(device)
+    conditions = find_experiment(known, experiment) if experiment else known.experiments[0]
+    loop = _held(known, conditions, hand)
+    if picture is not None:
+        check_output(picture, "--picture")
+        if picture.suffix not in (".svg", ".pdf", ".png"):
+            raise UsageError(f"--picture {picture}: expected a name that ends with .svg, .pdf or .png.")
+    wish = {"settling_s": settling, "overshoot": overshoot, "margin": margin}
+    answer = answer_of(loop, stiffness, keep=keep or (), **wish)  # type: ignore[arg-type]
+    if picture is not None:
+        draw(loop, answer, ("sampling_period_s", "delay_samples"), picture)
+    parts, quantum = known.loop_of(conditions), known.sensor.quantum
+    coulomb = parts.friction.coulomb if parts.friction is not None else 0.0
+    rows = published_limits(loop, answer.wall["damping"] or 0.0, coulomb=coulomb, quantum=quantum)
+    document = {"device": known.name, "experiment": conditions.name, "hand": hand, **answer.document()}
+    document["left_out"] = parts.left_out
+    document["quantum"] = _quantum(coulomb, quantum, stiffness)
+    document["published"] = rows.astype(object).where(rows.notna(), None).to_dict("records")
+    console.tell(document, _design_lines(document, loop))
+
+
+def _held(device: Device, conditions: Any, hand: str | None) -> Loop:
+    """Return the loop of a device, held by an arm where one is named."""
+    from dataclasses import replace
+
+    from pipeline.device_data.human_arm import human_arms
+    from pipeline.surface.physical_loop import loop_of_device
+
+    loop = loop_of_device(device, conditions)
+    if hand is None:
+        return loop
+    arms = {arm.source.lower(): arm for arm in human_arms()}
+    if hand.lower() not in arms:
+        raise UsageError(f"--hand {hand}: expected one of {', '.join(arm.source for arm in human_arms())}.")
+    if loop.motion == "rotation":
+        raise UsageError("--hand: arms of Table 3.2 are in kg and N/m. Give an operator in the device file.")
+    return replace(loop, operator=arms[hand.lower()].model_dump(include={"mass", "damping", "stiffness"}))
+
+
+def _quantum(coulomb: float, quantum: float, stiffness: float | None) -> dict[str, Any] | None:
+    """Return up to which stiffness the sensor's quantum causes no limit cycle, and the quantum that K asks for."""
+    from pipeline.theory.limits import quantum_limit
+
+    if not (coulomb > 0 and quantum > 0):
+        return None
+    needed = None if stiffness is None else 2 * coulomb / stiffness
+    return {"stiffness": quantum_limit(coulomb, quantum), "quantum": quantum, "quantum_needed": needed}
+
+
+def _design_lines(document: dict[str, Any], loop: Loop) -> Iterator[str]:
+    """Yield the answer: reached or not, the wall, changes, sensitivities, published limits."""
+    k, b = ("N/m", "Ns/m") if loop.motion == "translation" else ("Nm/rad", "Nms/rad")
+    reached, most = document["reached"], document["stiffness_reached"]
+    limit = most is not None and document["wish"]["stiffness"] is not None
+    yield f"Reached: {'yes' if reached else 'no'}." + (f" Largest K for this wish: {most:.5g} {k}." if limit else "")
+    yield f"Nearest wall: {_wall(document['wall'], k, b)}"
+    changes = document["changes"]
+    if changes:
+        yield from ("", "Changes that reach it, smallest first:")
+    for change in changes[:_SHOWN]:
+        values = ((name, change["before"][name], new, change["units"][name]) for name, new in change["after"].items())
+        parts = " and ".join(f"{name} {old:.4g} -> {new:.4g} {unit}" for name, old, new, unit in values)
+        yield f"  {parts}: {_wall(change['wall'], k, b)}"
+    if len(changes) > _SHOWN:
+        yield f"  ({len(changes) - _SHOWN} more: --json)"
+    yield from (f"  {name} alone: {why}" for name, why in document["out_of_reach"].items())
+    if not reached and not changes:
+        yield "No change of one or two quantities reaches it."
+    yield from ("", f"Largest stable K {document['sensitivities'][0]['stiffness_max']:.5g} {k}; its change in percent:")
+    yield from console.table(document["sensitivities"], ("quantity", "stiffness_max_percent", "unit"))
+    yield from ("", f"Published limits of K [{k}] at B = {document['wall']['damping']:.4g} {b}:")
+    told = [row for row in document["published"] if row["stiffness"] is not None]
+    yield from console.table(told, ("stiffness", "promises", "condition", "assumes"))
+    if document["left_out"]:
+        yield f"Left out of linear theory: {', '.join(document['left_out'])}."
+    if document["quantum"] is not None:
+        limit = document["quantum"]["stiffness"]
+        yield f"No limit cycle by the sensor's quantum up to K = 2 f_c/quantum = {limit:.5g} {k}."
+
+
+def _wall(wall: dict[str, float | None], k: str, b: str) -> str:
+    stiffness, limit = wall["stiffness"] or 0.0, wall["stiffness_limit"]
+    words = [f"K = {stiffness:.5g} {k}, B = {wall['damping']:.4g} {b}"]
+    words.append("unstable" if limit is None or limit < stiffness else f"limit {limit:.5g} {k}")
+    if (settling := wall["settling_s"]) is not None:
+        words.append(f"settles in {settling:.3g} s")
+    if (overshoot := wall["overshoot"]) is not None:
+        words.append(f"overshoot {100 * overshoot:.2g} %")
+    return ", ".join(words)

@@ -1,0 +1,153 @@
+"""Commands of foreign logs: `look`, `profile` and `quarantine`: parse, call, print."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, OTHER_COLUMNS, UsageError
+from pipeline.base.paths import check_output
+from pipeline.shell import console
+from pipeline.shell.commands.options import Out, Processed, ProfileFile
+
+
+class Deed(StrEnum):
+    """What is done with profiles."""
+
+    check = "check"
+    draft = "draft"
+
+
+def look(
+    log: Annotated[Path, typer.Argument(help="A log in any format, or the folder of a bag.")],
+    profile: ProfileFile = None,
+    out: Annotated[Path, typer.Option("--out", help="HTML file.")] = Path("look.html"),
+) -> None:
+    """Draw a log as recorded: columns, step, jumps, rests, missing rows.
+
+    By a profile, or where a shipped one fits, columns are in SI over time; all others stand as they are in the file,
+    over the number of the row. Nothing is stored.
+
+    Example: pipeline look run_01.csv
+    """
+    from pipeline.base.disk import write_text
+    from pipeline.profiles.profile_files import load_profile
+    from pipeline.shell.profile.log_picture import document, page
+    from pipeline.shell.profile.log_picture import look as look_at
+
+    check_output(out, "--out")
+    picture = look_at(log, None if profile is None else load_profile(profile))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_text(out, page([picture]))
+    console.tell({**document(picture), "page": str(out)}, [*picture.notes, f"picture: {out}"])
+
+
+def profile(
+    deed: Annotated[Deed, typer.Argument(help="What to do.", metavar="check|draft")],
+    files: Annotated[list[Path], typer.Argument(help="check: profile, then logs. draft: logs, the first drafted.")],
+    out: Out = None,
+) -> int:
+    """Draft a profile from sample logs, or show what a profile reads.
+
+    A draft marks open questions: lines "# QUESTION: key: ..." stand where units, signs and conditions must not be
+    guessed. Set the key below and remove the line; `check` lists what is open.
+
+    A check stores nothing. Exit status 3 where a sample would be refused, 1 where the profile itself is wrong (all of
+    its mistakes are told at once) or a command obeys another K, B or step than the conditions say.
+
+    Example: pipeline profile draft run_*.csv --out lab.toml
+
+    Example: pipeline profile check lab.toml run_01.csv
+    """
+    if deed is Deed.draft:
+        return _draft(files, out)
+    if len(files) < 2 or out is not None:
+        raise UsageError("expected check PROFILE LOGS, without --out, or draft LOGS.")
+    return _check(str(files[0]), files[1:])
+
+
+def _check(name: str, samples: Sequence[Path]) -> int:
+    from pipeline.profiles.profile_files import load_profile
+    from pipeline.shell.profile.profile_check import check_document, check_lines, check_samples
+
+    loaded = load_profile(name)
+    checked = check_samples(loaded, samples)
+    console.tell(check_document(loaded, checked), check_lines(checked))
+    if any(trial.other_gains for sample in checked for trial in sample.trials):
+        return EXIT_ERROR
+    return EXIT_QUARANTINED if any(sample.reason is not None for sample in checked) else EXIT_OK
+
+
+def _draft(samples: Sequence[Path], out: Path | None) -> int:
+    from pipeline.base.disk import write_text
+    from pipeline.profiles.profile_lines import find_questions
+    from pipeline.shell.profile.profile_draft import draft_profile
+
+    if out is not None:
+        check_output(out, "--out")
+        if out.exists():
+            raise UsageError(f"{out}: exists. Give another file, or remove it.")
+    text = draft_profile(*samples)
+    asked = [{"line": q.line, "key": ".".join(map(str, q.place)), "question": q.text} for q in find_questions(text)]
+    if out is not None:
+        write_text(out, text)
+    document = {"sample": str(samples[0]), "out": out and str(out), "profile": text, "questions": asked}
+    console.tell(document, [f"{out}: {len(asked)} questions are open" if out else text.rstrip("\n")])
+    return EXIT_OK
+
+
+def quarantine(
+    logs: Annotated[list[str] | None, typer.Argument(help="Ids or paths of refused logs (default: all).")] = None,
+    processed: Processed = Path("processed"),
+) -> None:
+    """List refused logs, or show why they were refused.
+
+    Codes are explained in docs/logs.md. `pipeline ingest` tries them again, with --profile by another profile.
+
+    Example: pipeline quarantine
+
+    Example: pipeline quarantine logs/run_01.csv
+    """
+    from pipeline.intake.quarantine import excerpt_of, find_record, list_quarantine, record_id
+
+    if not processed.is_dir():  # a mistyped one must not look like one without refusals
+        raise UsageError(f"{processed}: no such folder. Give the folder of the stored tables (--processed).")
+    records = [find_record(processed, log) for log in logs or ()] or list_quarantine(processed)
+    found = [{"id": record_id(record), **record.model_dump(mode="json")} for record in records]
+    if not logs:
+        console.tell(found, _list_lines(found))
+        return
+    shown = [{**document, "excerpt": excerpt_of(record)} for record, document in zip(records, found, strict=True)]
+    console.tell(shown[0] if len(shown) == 1 else shown, (line for one in shown for line in _reason_lines(one)))
+
+
+def _list_lines(records: Sequence[Mapping[str, Any]]) -> Iterable[str]:
+    """Yield the logs in quarantine with id, path, row, code and reason, and a line of a profile that might help."""
+    told = []
+    for one in records:
+        row = "" if one["row"] is None else f", row {one['row']}"
+        code = "" if one["code"] is None else f" [{one['code']}]"
+        help_lines = "; ".join((one["profile_line"] or "").splitlines())
+        more = f"\n{' ' * 18}profile: {help_lines}" if help_lines else ""
+        told.append((f"{one['id']}  {one['path']}{row}{code}", one["reason"] + more))
+    yield from console.grouped(told)
+    other = [one["path"] for one in records if one["code"] in OTHER_COLUMNS]
+    yield from (console.draft_hint(path) for path in other[:1])
+    yield f"{len(records)} in quarantine"
+
+
+def _reason_lines(record: Mapping[str, Any]) -> Iterable[str]:
+    """Yield why a log was refused, with the lines around the row at fault."""
+    for key in ("path", "profile", "size", "row", "code", "reason"):
+        yield f"{key:<8} {'–' if record[key] is None else record[key]}"
+    if record["profile_line"] is not None:
+        yield "this might help in the profile:"
+        yield from (f"    {line}" for line in record["profile_line"].splitlines())
+    if not record["excerpt"]:
+        yield "no excerpt: the log has no lines, or is no longer as it was"
+    for number, line in record["excerpt"]:
+        yield f"{'>' if number == record['row'] else ' '} {number:>6}  {line}"
