@@ -174,6 +174,16 @@ def in_force(delays: Integers) -> Integers:
     return np.maximum.accumulate(newest, axis=0)
 
 
+def mean_in_force(delays: Sequence[int]) -> float:
+    """Return the mean delay of the command in force [samples] where each delay is drawn from some, all as likely.
+
+    >>> mean_in_force([3, 4, 5])  # of late commands many are overtaken
+    3.888888888888889
+    """
+    later = (np.array(delays) > np.arange(max(delays) + 1)[:, None]).mean(axis=1)
+    return float(np.cumprod(later).sum())
+
+
 def _route(setup: Setup, delays: Integers | None) -> Callable[[int], Sequence[tuple[float, int | Integers]]]:
     """Return, for a row, the parts of its interval: duration [s] and slot (row + 1) of its command."""
     T = setup.true_period_s

@@ -14,7 +14,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.device_data.devices import load_device
 from pipeline.loop.motion import Mechanism
 from pipeline.records.batch import Floats, Integers, TrialBatch
-from pipeline.records.simulation_parts import SimulationParts
+from pipeline.records.loop_parts import SimulationParts
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
 from pipeline.simulation.simulate import in_force, simulate

@@ -21,8 +21,7 @@ from pipeline.measured.stages.stage_groups import Given, TrialGroup
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
-from pipeline.records.loop_records import LoopLimit, WallReplay
-from pipeline.records.results import ExperimentResult
+from pipeline.records.results import ExperimentResult, LoopLimit, WallReplay
 from pipeline.rendering.labels import share_text, significant
 
 MOST_WALLS = 150
