@@ -112,7 +112,7 @@ COLUMNS: dict[str, Column] = {
     # wall_law stage
     "law_residual": _same(_F, "1", "largest departure of the command from the wall law, relative to F_0", True),
     "law_rounding": _same(_F, "1", "what rounding of the printed numbers leaves of it at most", True),
-    "law_codes": _same(_S, "", "why it departs: codes of `wall_law.CODES`, comma separated; empty where it does not"),
+    "law_codes": _same(_S, "", "why it departs: codes of `departures`, comma separated; empty where it does not"),
     "law_evidence": _same(_S, "", "the evidence for them, in words"),
     "law_rows": _same(_I, "", "rows concerned"),
     "obeyed_stiffness": Column(_F, "N/m", "Nm/rad", "stiffness that the command obeys, if not the stated", True),

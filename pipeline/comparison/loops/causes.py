@@ -12,8 +12,8 @@ from pipeline.comparison.loops.departures import MATTERS, SENTENCES, CourseFilte
 from pipeline.comparison.loops.replay import LOW, coarse
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
-from pipeline.records.loop_records import Cause, CauseCode, Parameter
-from pipeline.records.results import ExperimentResult
+from pipeline.records.findings import Parameter
+from pipeline.records.results import Cause, CauseCode, ExperimentResult
 from pipeline.rendering.labels import Units, percent_text, share_text, significant, span
 
 FEW = 10
@@ -103,7 +103,7 @@ PARTS = {
         "coulomb_friction", "coulomb", "The device has Coulomb friction of {value} {force}{more}.", "step"
     ),
     "lag": Part(
-        "actuator_lag", "actuator_lag_s", "The force lags the command by a time constant of {value} ms.", "", 1e3
+        "actuator_lag", "actuator_lag_s", "The force lags the command by a time constant of {value} ms{more}.", "", 1e3
     ),
     "spring": Part(
         "operator", "stiffness", "A spring of {value} {stiffness} holds the device: a hand, or its own.", "wall"
@@ -140,8 +140,11 @@ def _parts(shown: Shown) -> Iterator[Candidate]:
             effect, change = fitted.saturated, f"{share_text(fitted.saturated)} % of the stable trials command more"
         elif rest > effect:
             effect, change = rest, f"{significant(100 * rest, 2)} % of the final displacement at most"
+        more = _held(number.value, shown.trial.step) if kind == "friction" else ""
+        if kind == "lag" and "delay_samples" in fitted.bounds:
+            more = ", or a fast mode vibrates and the delay is longer by as much: logs do not tell which"
         words = {"value": significant(part.unit * number.value, 3), "stiffness": shown.units.stiffness, "at": at}
-        words |= {"force": shown.force, "more": _held(number.value, shown.trial.step) if kind == "friction" else ""}
+        words |= {"force": shown.force, "more": more}
         ends = span(lambda value: significant(value, 4), part.unit * number.low, part.unit * number.high)
         yield Candidate(part.code, effect, part.sentence.format(**words), f"95 %: {ends}; {change}")
     yield from _shared(shown, found)

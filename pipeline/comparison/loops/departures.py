@@ -16,7 +16,7 @@ from pipeline.measured.law.wall_law import OTHER_WALL
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import VelocityFilter
-from pipeline.records.loop_records import Cause
+from pipeline.records.results import Cause
 from pipeline.rendering.labels import range_text, significant
 
 MATTERS = 0.02
@@ -59,6 +59,8 @@ SENTENCES = {
     "other_unit": "The command obeys another wall than the header states, by a power of ten.",
     "unknown": "The logged command is not that of the wall law.",
 }
+"""What a log can be found to be beside the wall law. ``other_wall``: other K, B or sign than the header's;
+``other_unit``: K and B a power of ten off."""
 
 IMITATED = {
     "several_steps": {"missing_rows": 1.0, "repeated_rows": 1.0, "velocity_filter": 1.0, "saturation": 1.0},

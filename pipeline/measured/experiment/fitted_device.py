@@ -11,8 +11,7 @@ import numpy as np
 from pipeline.measured.experiment.stored import Stored
 from pipeline.measured.intervals import NORMAL_95
 from pipeline.records.batch import Floats
-from pipeline.records.findings import Estimate
-from pipeline.records.loop_records import Parameter
+from pipeline.records.findings import Estimate, Parameter
 
 METHOD = "one device, the likeliest of all trials"
 
@@ -67,7 +66,7 @@ class FittedDevice:
     folds : tuple of dict of str to float
         Its values by the trials but every fifth from the first, the second ... on; empty where they are not known.
     bounds : dict of str to float
-        Upper ends of numbers that it does not have.
+        Upper ends of numbers that it does not have, and of a delay that a lag of less than a sample may be a part of.
     jitter : tuple of float
         Standard deviation of the delay within a trial [samples], and the error of it.
     fit_percent : float or None
@@ -105,7 +104,7 @@ class FittedDevice:
         """Return one of the numbers that it has with its 95 % interval."""
         value = self.values[name]
         reach = NORMAL_95 * float(np.sqrt(self.covariance[(place := list(self.values).index(name)), place]))
-        return Parameter(value=value, low=value - reach, high=value + reach)
+        return Parameter(value=value, low=value - reach, high=max(value, self.bounds.get(name, value)) + reach)
 
     def estimate(self, name: str, unit: str) -> Estimate:
         """Return one of its numbers as an estimate; of one that it does not have at most a bound."""

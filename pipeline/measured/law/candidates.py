@@ -46,9 +46,12 @@ class Departure:
     code: str
     evidence: str
     rows: int = 0
-    value: float | None = None
     filter: VelocityFilterFound | None = None
     obeyed: tuple[float, float, float] | None = None
+
+
+Law = Callable[[LogRows], tuple[Departure, ...] | None]
+"""What a candidate says of a log."""
 
 
 def explanation(log: LogRows) -> tuple[Departure, ...] | None:
@@ -67,13 +70,17 @@ def _plain(log: LogRows) -> tuple[Departure, ...] | None:
     return None if all(log.off(log.command - log.residual + each) for each in beside) else ()
 
 
-def _late(log: LogRows) -> tuple[Departure, ...] | None:
-    """A command that stands in the row behind its position, or before it."""
-    for rows, how in ((1, "late"), (-1, "early")):
-        if _plain(log.moved(rows)) is not None:
-            text = f"the logged command is that of the wall law, one row {how}"
-            return (Departure("command_shifted", text, len(log.command), float(rows)),)
-    return None
+def _late(law: Law, *shifts: int) -> Law:
+    """Return a law whose command stands in a row behind its position, or before it where the shift is negative."""
+
+    def late(log: LogRows) -> tuple[Departure, ...] | None:
+        for shift in shifts:
+            if (found := law(log.moved(shift))) is not None:
+                text = f"the logged command is that of the wall law, one row {'late' if shift > 0 else 'early'}"
+                return (Departure("command_shifted", text, len(log.command)), *found)
+        return None
+
+    return late
 
 
 def hidden(log: LogRows) -> tuple[Departure, ...] | None:
@@ -82,7 +89,7 @@ def hidden(log: LogRows) -> tuple[Departure, ...] | None:
     if not len(rows):
         return None
     text = f"{len(rows)} single rows, first row {rows[0]}, fit the wall law only with a row missing before them"
-    return (Departure("missing_rows", text, len(rows), float(len(rows))),)
+    return (Departure("missing_rows", text, len(rows)),)
 
 
 def _clipped(log: LogRows) -> tuple[Departure, ...] | None:
@@ -95,9 +102,8 @@ def _clipped(log: LogRows) -> tuple[Departure, ...] | None:
     count = int(beyond[0].sum() + beyond[1].sum())
     if count < PLATEAU or log.off(demand, ~beyond[0] & ~beyond[1]):
         return None
-    limit = float(max(abs(low) if beyond[0].any() else 0.0, abs(high) if beyond[1].any() else 0.0))
     text = f"the logged command is clipped at {high if beyond[1].any() else low:.4g} in {count} rows"
-    return (Departure("saturation", text, count, limit),)
+    return (Departure("saturation", text, count),)
 
 
 def _slow(log: LogRows) -> tuple[Departure, ...] | None:
@@ -118,7 +124,7 @@ def _slow(log: LogRows) -> tuple[Departure, ...] | None:
     if at.sum() < FEWEST_AT_LIMIT:
         return None
     text = f"the logged command changes by at most {limit:.4g} from row to row, in {int(at.sum())} rows by that"
-    return (Departure("rate_limit", text, int(at.sum()), limit),)
+    return (Departure("rate_limit", text, int(at.sum())),)
 
 
 def _one_sided(log: LogRows) -> tuple[Departure, ...] | None:
@@ -142,12 +148,12 @@ def _offset(log: LogRows) -> tuple[Departure, ...] | None:
     value = _constant(log, log.kept)
     if value is not None:
         text = f"the command holds a constant {value:.4g} beside the wall law"
-        return (Departure("constant_force", text, len(log.residual), value),)
+        return (Departure("constant_force", text, len(log.residual)),)
     value = _constant(log, log.kept & log.after)
     if value is not None and not log.off(log.command - log.residual, ~log.after):
         text = f"the step is {log.step + value:.6g}, its header says {log.step:.6g}"
         obeyed = (log.stiffness, log.damping, log.step + value)
-        return (Departure("step_not_a_step", text, int(log.after.sum()), log.step + value, obeyed=obeyed),)
+        return (Departure("step_not_a_step", text, int(log.after.sum()), obeyed=obeyed),)
     return None
 
 
@@ -175,7 +181,7 @@ def _other_step(log: LogRows) -> tuple[Departure, ...] | None:
     rising = np.diff(force[first - 1 : last + 1]) * np.sign(levels[-1]) > 0
     if ramp <= max(LONGEST_RAMP * len(e), 2) and rising.all():
         text = f"the step rises over {ramp} rows, from row {first} to row {last}, to {levels[-1]:.4g}"
-        return (Departure("step_not_a_step", text, ramp, float(ramp)),)
+        return (Departure("step_not_a_step", text, ramp),)
     return None
 
 
@@ -220,7 +226,7 @@ def _other_unit(log: LogRows) -> tuple[Departure, ...] | None:
         f"K = {log.stiffness:.6g}, B = {log.damping:.6g}"
     )
     obeyed = (wall * log.stiffness, wall * log.damping, step * log.step)
-    return (Departure("other_unit", evidence, len(log.command), wall, obeyed=obeyed),)
+    return (Departure("other_unit", evidence, len(log.command), obeyed=obeyed),)
 
 
 def _velocity(log: LogRows) -> tuple[Floats, Floats]:
@@ -256,7 +262,7 @@ def _adaptive(log: LogRows) -> tuple[Departure, ...] | None:
         return None
     longest = int(np.argmax(fits[:, log.kept], axis=0).max()) + 1
     text = f"the velocity of the wall law is taken over 1 to {longest} samples, over others from row to row"
-    return (Departure("adaptive_velocity", text, len(output), float(longest)),)
+    return (Departure("adaptive_velocity", text, len(output)),)
 
 
 def _filtered_and_clipped(log: LogRows) -> tuple[Departure, ...] | None:
@@ -275,21 +281,12 @@ def _filtered_and_clipped(log: LogRows) -> tuple[Departure, ...] | None:
     if (demand * np.sign(log.command) < (1 - CLIPPED) * np.abs(log.command))[clipped].any():
         return None
     text = f"the logged command is clipped at {limit:.4g} in {rows} rows"
-    return (Departure("saturation", text, rows, limit), *found)
+    return (Departure("saturation", text, rows), *found)
 
 
-def _filtered_and_late(log: LogRows) -> tuple[Departure, ...] | None:
-    """A filter of the velocity in a command that stands in the row behind its position."""
-    found = _filtered(log.moved(1))
-    return found and (
-        Departure("command_shifted", "the logged command is late by a row", len(log.command), 1.0),
-        *found,
-    )
-
-
-CANDIDATES: tuple[Callable[[LogRows], tuple[Departure, ...] | None], ...] = (
+CANDIDATES: tuple[Law, ...] = (
     _plain,
-    _late,
+    _late(_plain, 1, -1),
     _offset,
     _clipped,
     _one_sided,
@@ -300,6 +297,6 @@ CANDIDATES: tuple[Callable[[LogRows], tuple[Departure, ...] | None], ...] = (
     _filtered,
     _adaptive,
     _filtered_and_clipped,
-    _filtered_and_late,
+    _late(_filtered, 1),
 )
 """In the order of the numbers that they leave free: none, a limit or a constant, three, those of a filter."""

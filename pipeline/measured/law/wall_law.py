@@ -25,27 +25,6 @@ OTHER_WALL = 0.02
 """Departure from the stated law, relative to the step, from which on the wall is another one: a course brackets its
 limits no closer. A header that rounds K and B stays below."""
 
-CODES = (
-    "saturation",
-    "unilateral_wall",
-    "constant_force",
-    "step_not_a_step",
-    "several_steps",
-    "missing_rows",
-    "repeated_rows",
-    "command_shifted",
-    "rate_limit",
-    "sampling_period",
-    "scattered_stamps",
-    "velocity_filter",
-    "adaptive_velocity",
-    "other_wall",
-    "other_unit",
-    "unknown",
-)
-"""What a log can be found to be beside the wall law. ``other_wall``: other K, B or sign than the header's;
-``other_unit``: K and B a power of ten off."""
-
 
 @dataclass(frozen=True, eq=False)
 class WallLaw:
@@ -67,11 +46,6 @@ class WallLaw:
     rounding: Floats
     departures: tuple[tuple[Departure, ...], ...]
     accounts: tuple[Account | None, ...]
-
-    @property
-    def holds(self) -> Booleans:
-        """Where the law holds up to rounding and nothing else speaks against the rows, shape (n,)."""
-        return np.array([not found for found in self.departures]) & np.isfinite(self.residual)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +105,7 @@ def wall_law(batch: TrialBatch, response: Response) -> WallLaw:
             accounts[place.start + i] = of_rows = account(log)
             departures[place.start + i] = tuple(_departures(of_rows, log))
     for i in np.flatnonzero(response.steps > 1):
-        found = Departure("several_steps", response.edge_reason[i], int(batch.rows[i]), float(response.steps[i]))
+        found = Departure("several_steps", response.edge_reason[i], int(batch.rows[i]))
         departures[i] = (found,)
     return WallLaw(residual, rounding, tuple(departures), tuple(accounts))
 
@@ -219,13 +193,13 @@ def _by_stamps(stamps: Stamps, log: LogRows) -> Iterator[Departure]:
     gaps = np.flatnonzero(stamps.skipped)
     if stamps.period != log.period:
         text = f"rows are {stamps.period:.4g} s apart by their stamps, the header says {log.period:.4g} s"
-        yield Departure("sampling_period", text, len(log.time), stamps.period)
+        yield Departure("sampling_period", text, len(log.time))
     if len(gaps):
         lost = int(stamps.skipped.sum())
-        yield Departure("missing_rows", f"the stamps skip {lost} rows, first after row {gaps[0]}", len(gaps), lost)
+        yield Departure("missing_rows", f"the stamps skip {lost} rows, first after row {gaps[0]}", len(gaps))
     elif stamps.odd and stamps.scatters:
         text = f"stamps scatter by {stamps.scatter:.2g} of a period about even ones, and no row is missing"
-        yield Departure("scattered_stamps", text, stamps.odd, stamps.scatter)
+        yield Departure("scattered_stamps", text, stamps.odd)
 
 
 def _repeated(log: LogRows, rows: Integers) -> Iterator[Departure]:
@@ -233,4 +207,4 @@ def _repeated(log: LogRows, rows: Integers) -> Iterator[Departure]:
         both = int((log.command[rows] == log.command[rows - 1]).sum())
         what = "rows repeat the one before" if both > len(rows) / 2 else "readings of the position are held"
         text = f"{len(rows)} {what} while the device moves, first row {rows[0]}"
-        yield Departure("repeated_rows", text, len(rows), float(len(rows)))
+        yield Departure("repeated_rows", text, len(rows))

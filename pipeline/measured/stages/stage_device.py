@@ -25,9 +25,9 @@ MOST_ROWS = 600
 AHEAD = 40
 """Rows before the step that are kept."""
 
-IN_FORCE, SHAPE = 0.9026, 0.025
-"""Standard deviation of the delay of the command in force over that of the delays drawn, of which later ones overtake
-none: sqrt(44/81)/sqrt(2/3) for three that are as likely (by enumeration), and how far other shapes are off."""
+IMITATED = 0.75
+"""Lag [samples] below which a mode that is too fast to be looked for moves the device alike: one of 1.9 rad a sample as
+0.38, with a delay that is shorter by as much."""
 
 LEAST = 1e-300
 """Variance of a number that is known exactly."""
@@ -99,6 +99,9 @@ def _numbers(found: Identified, of: Experiment) -> dict[str, Any]:
     told = np.sqrt(np.maximum(found.covariance.diagonal(), LEAST))
     wider = units * np.maximum([each.error for each in parameters.values()] / told, 1.0)
     covariance = found.covariance * np.outer(wider, wider)
+    bounds = {NAMES[name]: value for name, value in found.bounds.items()}
+    if 0 < values.get("actuator_lag_s", 0.0) < IMITATED * period:
+        bounds["delay_samples"] = values["delay_samples"] + values["actuator_lag_s"] / period
     noise = found.choice.fit.device.noise
     fits = found.replay.fit[np.isfinite(found.replay.fit)]
     return {
@@ -106,8 +109,8 @@ def _numbers(found: Identified, of: Experiment) -> dict[str, Any]:
         "names": [*values, *late],
         "values": [*values.values(), *(0.0 for _ in late)],
         "covariance": np.pad(covariance, (0, len(late))).tolist(),
-        "bounds": {NAMES[name]: value for name, value in found.bounds.items()},
-        "jitter": [noise.jitter / IN_FORCE, float(np.hypot(noise.jitter_error, SHAPE * noise.jitter))],
+        "bounds": bounds,
+        "jitter": [noise.jitter, noise.jitter_error],
         "noise": found.noise,
         "disturbance": found.disturbance,
         "scatter": {NAMES[name]: value * unit.get(name, 1.0) for name, value in found.scatter.items()},

@@ -78,10 +78,10 @@ def test_an_adequate_loop_is_the_true_one_and_its_passive_wall_is_stable(compare
     ("name", "code"),
     [
         ("clipping in the log", "saturation"),
-        ("one-sided wall", "unilateral_wall"),
+        pytest.param("one-sided wall", "unilateral_wall", marks=pytest.mark.slow),
         ("lost rows", "missing_rows"),
         pytest.param("hidden rows", "missing_rows", marks=pytest.mark.slow),
-        ("repeated rows", "repeated_rows"),
+        pytest.param("repeated rows", "repeated_rows", marks=pytest.mark.slow),
         ("jitter", "delay_jitter"),
         pytest.param("friction strong", "coulomb_friction", marks=pytest.mark.slow),
         pytest.param("clipping", "saturation", marks=pytest.mark.slow),
@@ -120,7 +120,8 @@ def test_a_force_of_several_steps_leaves_the_loop_as_it_is(compared):
         assert estimate.low <= truth <= estimate.high
 
 
-@pytest.mark.parametrize("seed", [SEED, pytest.param(810, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [SEED, 810])
 def test_a_step_that_rises_slowly_leaves_the_loop_as_it_is(compared, seed):
     course, result = compared("ramp", seed)
     (found,) = result.experiments
@@ -178,6 +179,7 @@ def test_an_ideal_loop_has_no_causes(compared):
     assert result.answer.estimates_reason == ""
 
 
+@pytest.mark.slow
 def test_a_force_that_the_logs_do_not_ask_for_is_no_cause(compared):
     _, result = compared("only unstable", 601)
     (found,) = result.experiments
@@ -186,11 +188,13 @@ def test_a_force_that_the_logs_do_not_ask_for_is_no_cause(compared):
     assert all(found.estimates[f].low <= 0 <= found.estimates[f].high for f in ("friction", "constant_force"))
 
 
+@pytest.mark.slow
 def test_clipping_imitates_no_missing_rows_and_no_steps(compared):
     _, result = compared("clipping in the log", 603)
     assert [cause.code for cause in result.experiments[0].causes] == ["saturation"]
 
 
+@pytest.mark.slow
 def test_theory_takes_the_delay_that_explains_the_logs(compared):
     course, result = compared("fractional delay")
     (found,) = result.experiments
