@@ -8,8 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.loop.device_loop import loop_of, wall_units
-from pipeline.loop.loop import LARGEST_DELAY, Loop, Normalised
+from pipeline.loop.loop import LARGEST_DELAY, Loop, Normalised, loop_of, wall_units
 from pipeline.loop.motion import Mechanism
 from pipeline.measured.experiment.fitted_device import FittedDevice
 from pipeline.measured.intervals import NORMAL_95

@@ -1,7 +1,7 @@
 """What a device does between two readings: exact motion under a late command, for regular and irregular rows.
 
 Time is in sampling periods, mass 1. The device has position, velocity and, behind a lag, the drive's force; with a
-mode also the distance of the far mass from the centre, and its rate (`loop.device_loop`).
+mode also the distance of the far mass from the centre, and its rate (`loop.loop`).
 """
 
 from __future__ import annotations
