@@ -36,8 +36,7 @@ from pipeline.measured.cost.energy import energy_terms
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.batch import Floats, TrialBatch
-from pipeline.records.findings import Estimate
-from pipeline.records.loop_records import Parameter
+from pipeline.records.findings import Estimate, Parameter
 from pipeline.records.models import Device
 from pipeline.records.results import ExperimentResult
 from pipeline.simulation.course import Course, write_course

@@ -20,9 +20,8 @@ from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.records.findings import Estimate, Optimum
 from pipeline.records.loop_parts import LoopParts
-from pipeline.records.loop_records import LoopFindings
 from pipeline.records.models import Experiment, Motion
-from pipeline.records.results import ExperimentResult, TheoryParameters
+from pipeline.records.results import ExperimentResult, LoopFindings, TheoryParameters
 from pipeline.rendering.labels import UNITS, Units
 from pipeline.theory.predictions import Theory
 

@@ -22,6 +22,15 @@ class Record(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
+ROUNDING = 1e-9
+"""Relative error that is rounding: intervals of logs without noise are as narrow."""
+
+
+def holds(low: float, value: float, high: float) -> bool:
+    """Tell whether an interval holds a value, up to `ROUNDING`."""
+    return low - ROUNDING * abs(low) <= value <= high + ROUNDING * abs(high)
+
+
 DRIFTS = "drifts by"
 """Beginning of a warning about a `Trend`, by which such warnings are told from others."""
 
@@ -71,6 +80,14 @@ class Estimate(Record):
         if self.value is None and not self.reason:
             raise ValueError("an estimate without a value needs a reason")
         return self
+
+
+class Parameter(Record):
+    """A parameter of a loop in SI with its 95 % interval; one that a device file states is its own interval."""
+
+    value: float
+    low: float
+    high: float
 
 
 class ModelCheck(Record):

@@ -91,15 +91,6 @@ class TrialGroups:
             group[places], row[places] = number, np.arange(len(places))
         return group, row
 
-    def named(self, trial_id: str) -> TrialBatch:
-        """Return one trial."""
-        group, row = (int(found[self._place[trial_id]]) for found in self._where)
-        return self.parts[group].select(slice(row, row + 1))
-
-    @cached_property
-    def _place(self) -> dict[str, int]:
-        return {name: place for place, name in enumerate(self.of_trials("trial_id").tolist())}
-
     def cut(self, which: Integers, first: Integers, rows: Integers) -> TrialBatch:
         """Return windows of some trials, one at least, as one batch whose rows count from the start of the window.
 

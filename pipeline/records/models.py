@@ -16,8 +16,7 @@ from pipeline.records.findings import BoundaryPoint, Estimate, NonNegative, Reco
 from pipeline.records.findings import Grip as Grip
 from pipeline.records.findings import Motion as Motion
 from pipeline.records.findings import Name as Name
-from pipeline.records.loop_parts import LoopParts
-from pipeline.records.simulation_parts import SimulationParts
+from pipeline.records.loop_parts import LoopParts, SimulationParts
 
 Positive = Annotated[float, Field(gt=0)]
 

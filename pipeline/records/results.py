@@ -2,22 +2,272 @@
 
 from __future__ import annotations
 
+from math import sqrt
 from typing import Any, Literal
 
 from pydantic import Field
 
-from pipeline.records.findings import BoundaryPoint, Estimate, ExcludedTrial, ModelCheck, Note, Optimum, Record
-from pipeline.records.loop_records import Cause, LoopLimit, LoopResult, PassiveWall, WallReplay
+from pipeline.records.findings import (
+    BoundaryPoint,
+    Estimate,
+    ExcludedTrial,
+    ModelCheck,
+    Note,
+    Optimum,
+    Parameter,
+    Record,
+)
+from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import ComparisonRow, Motion
-from pipeline.records.score_records import Scores
-from pipeline.records.score_records import TheoryParameters as TheoryParameters
+
+
+class TheoryParameters(Record):
+    """Parameters of a theoretical curve or map: m [kg, kg m^2], b, k, T [s], d and where they come from.
+
+    ``loop`` are the parts that leave the loop not ideal; mass, damping and stiffness are then the device's alone.
+    """
+
+    mass: float
+    damping: float
+    stiffness: float
+    sampling_period_s: float
+    delay_samples: float
+    source: str
+    loop: LoopParts = LoopParts()
+
+
+class RegionScore(Record):
+    """Measured and theoretical stable regions inside the tested window (areas in stiffness times damping).
+
+    ``overlap`` is intersection over union, ``covered`` the part of the theoretical region that is measured as stable,
+    ``area_ratio`` measured over theoretical area. ``low`` and ``high`` bound each of them by what the intervals of the
+    measured limits leave open. At ``censored`` of ``dampings`` the window ends at the stiffest stable trial.
+    """
+
+    overlap: float
+    overlap_low: float
+    overlap_high: float
+    covered: float
+    covered_low: float
+    covered_high: float
+    area_ratio: float
+    area_ratio_low: float
+    area_ratio_high: float
+    measured_area: float
+    theory_area: float
+    damping_low: float
+    damping_high: float
+    dampings: int
+    censored: int
+
+
+class DistanceScore(Record):
+    """Signed distance of the measured boundary from theory at the tested dampings.
+
+    ``median`` and ``largest`` are (K_measured - K_theory)/K_theory [1] over ``dampings``; ``rms`` [N/m, Nm/rad] is over
+    those and the ``near_zero`` ones, where the theoretical limit is too small to divide by. ``lower_bounds`` of the
+    dampings are censored with theory below the tested range: the distance is at least that large. ``open`` are
+    censored ones with theory above it: nothing is known there, and they are left out. Of the dampings, ``bounded`` have
+    a limit with bounds on both sides (or a lower one that theory is below): at ``agreeing`` of these theory meets the
+    interval of the limit, or is nearer to it than 2 %, at ``above`` the limit lies above theory. ``largest`` is among
+    the bounded ones, where there are any. The median is ``steady`` where no single limit decides it.
+    """
+
+    median: float
+    largest: float
+    largest_damping: float
+    rms: float
+    dampings: int
+    near_zero: int
+    lower_bounds: int
+    open: int
+    bounded: int
+    agreeing: int
+    above: int
+    steady: bool = False
+
+
+class VerdictScore(Record):
+    """Verdicts of the trials against those of theory at the same (K, B), as numbers of trials.
+
+    ``agreement`` is the share of both diagonal entries. Left out are ``undecided`` trials and those ``without_wall``
+    (K <= 0), where stable has another meaning.
+    """
+
+    both_stable: int
+    both_unstable: int
+    only_theory_stable: int
+    only_log_stable: int
+    undecided: int
+    without_wall: int
+    agreement: float
+
+
+class StiffnessScore(Record):
+    """Largest stable stiffness [N/m, Nm/rad] measured and by theory, both over the tested dampings.
+
+    ``anywhere`` is that of theory over all dampings. ``lower_bound`` says that the tested stiffnesses ended there.
+    """
+
+    measured: float
+    measured_damping: float
+    lower_bound: bool
+    theory: float
+    theory_damping: float
+    anywhere: float
+    anywhere_damping: float
+    deviation_percent: float
+
+
+class Scores(Record):
+    """Scores of one experiment against one theory; what could not be had is None, with its reason in ``missing``."""
+
+    parameters: TheoryParameters
+    basis: Literal["device file", "estimates"]
+    region: RegionScore | None = None
+    distance: DistanceScore | None = None
+    verdicts: VerdictScore | None = None
+    stiffness: StiffnessScore | None = None
+    missing: dict[str, str] = Field(default_factory=dict)
+
+
+CauseCode = Literal[
+    "other_gains",
+    "coulomb_friction",
+    "velocity_filter",
+    "adaptive_velocity",
+    "actuator_lag",
+    "vibration_mode",
+    "operator",
+    "saturation",
+    "rate_limit",
+    "unilateral_wall",
+    "delay_jitter",
+    "fractional_delay",
+    "constant_force",
+    "missing_rows",
+    "repeated_rows",
+    "command_shifted",
+    "scattered_stamps",
+    "coarse_sensor",
+    "step_not_a_step",
+    "several_steps",
+    "force_gain",
+    "sampling_period",
+    "parameter_range",
+    "no_stable_trial",
+    "no_unstable_trial",
+    "few_trials",
+]
+
+
+LIMITS_WITHIN = 5.0
+"""Error of predicted limits [%] up to which a device is right: a course brackets a limit by 4 %."""
+
+VERDICTS_RIGHT = 0.95
+"""Share of the verdicts that a device must predict."""
+
+
+class LoopResult(Record):
+    """The loop that theory and all statements about an experiment rest on, and whether it may bear them.
+
+    ``mass``, ``damping`` and ``stiffness`` are what the wall feels, operator included, per unit of command;
+    ``delay_samples`` is not rounded. ``velocity``, ``mode`` and ``operator`` hold parameters by name. ``explained`` is
+    the share of the logs that the fitted model explains; None where none was fitted.
+    """
+
+    source: Literal["device file", "estimated"]
+    adequate: bool
+    reason: str
+    explained: float | None = None
+    mass: Parameter | None = None
+    damping: Parameter | None = None
+    stiffness: Parameter | None = None
+    delay_samples: Parameter | None = None
+    actuator_lag_s: Parameter | None = None
+    velocity: dict[str, Parameter] | None = None
+    mode: dict[str, Parameter] | None = None
+    operator: dict[str, Parameter] | None = None
+    friction: Parameter | None = None
+
+
+class LoopLimit(Record):
+    """Stiffness [N/m, Nm/rad] up to which a loop is stable at one damping, with the range of its 95 % intervals.
+
+    With friction it holds for the step that was used; ``stiffness_large_motion`` is the linear limit, from which on a
+    harder push is unstable.
+    """
+
+    damping: float
+    stiffness: float
+    low: float
+    high: float
+    stiffness_large_motion: float | None = None
+
+
+class WallReplay(Record):
+    """How the found device, friction and scatter included, predicts tested walls that it was not fitted to.
+
+    ``fit_percent`` of the position behind stable walls, median; ``verdicts_same`` share of the decided verdicts;
+    ``limits_off_percent`` and ``costs_off_percent`` median errors of limits and settling times,
+    ``limits_known_percent`` that of the measured limits by themselves. None where there is nothing to compare.
+    ``trials`` were replayed.
+    """
+
+    fit_percent: float | None
+    verdicts_same: float | None
+    limits_off_percent: float | None
+    costs_off_percent: float | None
+    trials: int
+    limits_known_percent: float | None = None
+
+    @property
+    def limits_error_percent(self) -> float:
+        """Median error of limits without what the measured ones leave open; 0 where there are none."""
+        off, known = self.limits_off_percent or 0.0, self.limits_known_percent or 0.0
+        return float(sqrt(max(off**2 - known**2, 0.0)))
+
+    @property
+    def is_right(self) -> bool:
+        """Whether limits are within 5 %, and 95 % of the verdicts are right."""
+        limits = self.limits_error_percent <= LIMITS_WITHIN
+        if self.verdicts_same is None:
+            return False
+        # of few trials one may be chance
+        return limits and round((1 - self.verdicts_same) * self.trials) <= max((1 - VERDICTS_RIGHT) * self.trials, 1)
+
+
+class PassiveWall(Record):
+    """The stiffest wall that is passive and stable over the whole 95 % range of a loop."""
+
+    stiffness: float
+    damping: float
+
+
+class Cause(Record):
+    """Why an experiment deviates from the ideal loop: a code of the contract, a sentence, and what shows it."""
+
+    code: CauseCode
+    sentence: str
+    evidence: str
+
+
+class LoopFindings(Record):
+    """Loop, limits, passive wall and causes of one experiment; what is missing is None, and why stands beside it."""
+
+    loop: LoopResult
+    loop_boundary: tuple[LoopLimit, ...] | None = None
+    passive: PassiveWall | None = None
+    passive_reason: str | None = None
+    replay: WallReplay | None = None
+    causes: tuple[Cause, ...] = Field(default=())
 
 
 class Truth(Record):
     """What was true of a simulated experiment: its loop, and beside that jitter [samples] and constant force [N, Nm].
 
-    The delay of ``loop`` is the mean of a jittering one, ``jitter_samples`` its standard deviation. ``limit_reason``
-    says why the limits of the loop are not known.
+    The delay of ``loop`` is the mean age of the command in force, ``jitter_samples`` its standard deviation.
+    ``limit_reason`` says why the limits of the loop are not known.
     """
 
     loop: TheoryParameters
@@ -105,13 +355,14 @@ class UseRegion(Record):
 class AnswerEstimate(Record):
     """A quantity of the first screen with its 95 % interval; an end is null where nothing bounds it.
 
+    The value is null for friction that was not found: ``high`` is the most that the logs leave open.
     ``large_motion`` is the linear limit of a device with friction, from which on a harder push is unstable. Of the
     replay, the value is the share of verdicts that it has right behind walls that it was not fitted to, and
     ``limits_off_percent`` the median error of its limits.
     """
 
     name: Literal["delay_samples", "mass", "damping", "friction", "stiffness_max", "replay"]
-    value: float
+    value: float | None
     low: float | None
     high: float | None
     unit: str
@@ -151,7 +402,8 @@ class Answer(Record):
     """What a reader of one screen is told: which wall, how sure, whether theory predicts it, why not, what is next.
 
     ``experiment`` is the one that is spoken of, and drawn beside. ``spacing_percent`` is the distance of the tested
-    walls where theory's optimum lies between them; ``next`` is null without ``next_reason`` where the limits are known.
+    walls where theory's optimum lies between them. Where ``next`` is null without ``next_reason``, verdicts tell the
+    limits at ``limits_told`` of the ``limits_wanted`` dampings, and would at none of the others.
     """
 
     experiment: str
@@ -164,6 +416,8 @@ class Answer(Record):
     causes: tuple[Cause, ...] = ()
     next: NextWall | None = None
     next_reason: str = ""
+    limits_told: int = 0
+    limits_wanted: int = 0
 
 
 class HeaderLine(Record):

@@ -7,9 +7,8 @@ from math import inf
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.motion import Mechanism
-from pipeline.records.loop_parts import VelocityFilter
+from pipeline.records.loop_parts import SimulationParts, VelocityFilter
 from pipeline.records.models import Device, Experiment
-from pipeline.records.simulation_parts import SimulationParts
 
 NOTHING_HIDDEN = SimulationParts()
 """All as stated and complete."""

@@ -174,6 +174,20 @@ def in_force(delays: Integers) -> Integers:
     return np.maximum.accumulate(newest, axis=0)
 
 
+def age_in_force(delays: Sequence[int]) -> tuple[float, float]:
+    """Return mean and standard deviation [samples] of the age of the command in force.
+
+    Each command draws its delay from some whole ones that are as likely. As later commands overtake, the mean is below
+    that of ``delays``: a command in force is older than j samples if none of the last j + 1 has arrived.
+    """
+    drawn = np.array(delays)
+    older = np.cumprod([(drawn > age).mean() for age in range(int(drawn.max()) + 1)])
+    likely = -np.diff(older, prepend=1.0)
+    age = np.arange(len(likely))
+    mean = float(likely @ age)
+    return mean, float(np.sqrt(likely @ (age - mean) ** 2))
+
+
 def _route(setup: Setup, delays: Integers | None) -> Callable[[int], Sequence[tuple[float, int | Integers]]]:
     """Return, for a row, the parts of its interval: duration [s] and slot (row + 1) of its command."""
     T = setup.true_period_s

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -254,8 +254,8 @@ def _cost_rows(stages: ExperimentStages) -> Iterator[dict[str, Any]]:
             yield {"experiment": stages.experiment, "criterion": criterion, **dict(zip(columns, row, strict=True))}
 
 
-def _open(processed: Place, device: str, experiment: str | None, criteria: Sequence[str] | None = None) -> SceneData:
-    return open_scene(device, folder_of(processed), None if experiment is None else [experiment], criteria)
+def _open(processed: Place, device: str, experiment: str | None) -> SceneData:
+    return open_scene(device, folder_of(processed), None if experiment is None else [experiment], None)
 
 
 def _computed(data: SceneData) -> SceneData:
@@ -282,16 +282,10 @@ def _read(folder: Path, device: str | None, experiment: str | None, columns: lis
     """Return rows of the trials table; a name of which nothing is stored is an error."""
     if device is None and experiment is not None:
         raise UsageError(f"experiment {experiment!r} is given without its device. Give both.")
-    for name, stored, what in (
-        (device, list_devices(folder), "trials of device"),
-        (
-            experiment,
-            list_experiments(folder, device) if device is not None else [],
-            f"trials of {device!r}, experiment",
-        ),
-    ):
-        if name is not None and name not in stored:
-            raise DeviceError(f"{folder}: no {what} {name!r}; found {', '.join(stored) or 'none'}.")
+    if device is not None and device not in (stored := list_devices(folder)):
+        raise DeviceError(f"{folder}: no trials of device {device!r}; found {', '.join(stored) or 'none'}.")
+    if device is not None and experiment is not None and experiment not in (own := list_experiments(folder, device)):
+        raise DeviceError(f"{folder}: no trials of {device!r}, experiment {experiment!r}; found {', '.join(own)}.")
     return read_trials(folder, device, experiment, columns)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.records.batch import TrialBatch
-from pipeline.records.simulation_parts import SimulationParts
+from pipeline.records.loop_parts import SimulationParts
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
 from pipeline.simulation.simulate import simulate

@@ -48,6 +48,6 @@ def test_a_report_without_theory_says_why(known, tmp_path, monkeypatch):
     (found,) = result.experiments
     assert found.estimates["delay_samples"].value == DELAY
     assert found.theory is None
-    assert any("longer than the 256 samples that theory is computed for" in text for text in result.warnings)
+    assert any("above the 256 samples that theory covers" in text for text in result.warnings)
     assert any("device file of 'far' has a delay" in text for text in result.warnings) is known
     assert (tmp_path / "far.html").exists()

@@ -242,7 +242,7 @@ def _contours(shown: CostMap, criterion: str, axes: Axes) -> None:
     if not levels.size:
         few = "too few trials" if np.isfinite(shown.trials[2]).any() else "no trial"
         if not known.any():
-            axes.text(0.5, 0.5, f"{few} with this cost", transform=axes.transAxes, ha="center")
+            axes.text(0.5, 0.94, f"{few} with this cost", transform=axes.transAxes, ha="center")
         return
     edge = criterion_of(criterion).family.levels[:1]
     whole = levels <= edge[0] if edge else np.arange(levels.size) % LINES_PER_DOUBLING == LINES_PER_DOUBLING - 1

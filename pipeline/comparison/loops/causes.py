@@ -12,8 +12,8 @@ from pipeline.comparison.loops.departures import MATTERS, SENTENCES, CourseFilte
 from pipeline.comparison.loops.replay import LOW, coarse
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
-from pipeline.records.loop_records import Cause, CauseCode, Parameter
-from pipeline.records.results import ExperimentResult
+from pipeline.records.findings import Parameter
+from pipeline.records.results import Cause, CauseCode, ExperimentResult
 from pipeline.rendering.labels import Units, percent_text, share_text, significant, span
 
 FEW = 10

@@ -16,7 +16,7 @@ from pipeline.measured.law.wall_law import OTHER_WALL
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import VelocityFilter
-from pipeline.records.loop_records import Cause
+from pipeline.records.results import Cause
 from pipeline.rendering.labels import range_text, significant
 
 MATTERS = 0.02

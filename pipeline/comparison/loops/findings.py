@@ -23,10 +23,10 @@ from pipeline.comparison.loops.replay import (
 from pipeline.comparison.loops.told_loop import ToldLoop, found_device, loop_numbers, told_loop
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
+from pipeline.records.findings import Parameter
 from pipeline.records.loop_parts import LoopParts
-from pipeline.records.loop_records import LIMITS_WITHIN, LoopFindings, LoopResult, Parameter, WallReplay
 from pipeline.records.models import Device
-from pipeline.records.results import ExperimentResult
+from pipeline.records.results import LIMITS_WITHIN, ExperimentResult, LoopFindings, LoopResult, WallReplay
 from pipeline.rendering.labels import Units, significant
 
 OTHER_WALL = (

@@ -12,8 +12,7 @@ from pipeline.comparison.loops.told_loop import ToldLoop
 from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.plan.found_device import LoopPoint
-from pipeline.records.loop_records import PassiveWall
-from pipeline.records.results import ExperimentResult
+from pipeline.records.results import ExperimentResult, PassiveWall
 from pipeline.theory.passivity import required_damping, stiffest_passive
 
 DIGITS = 4

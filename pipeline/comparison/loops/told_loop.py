@@ -15,8 +15,8 @@ from pipeline.measured.law.velocity_filter import CUTOFF_DIGITS
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import AT_LOAD, FoundDevice, LoopPoint, stated_device
 from pipeline.records.batch import Floats
+from pipeline.records.findings import Parameter
 from pipeline.records.loop_parts import Coefficients, LoopParts, VelocityFilter
-from pipeline.records.loop_records import Parameter
 from pipeline.records.models import Device, Experiment
 from pipeline.records.results import ExperimentResult, TheoryParameters
 from pipeline.theory.predictions import Theory

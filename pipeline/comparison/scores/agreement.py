@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pipeline.comparison.loops.departures import MATTERS
 from pipeline.comparison.scores.overlap import MeasuredLimits
 from pipeline.records.batch import Booleans, Floats
-from pipeline.records.score_records import DistanceScore, VerdictScore
+from pipeline.records.results import DistanceScore, VerdictScore
 
 NEAR_ZERO = 0.25
 """Theoretical limit relative to the largest one below which no distance is divided by it: at both ends of a boundary it

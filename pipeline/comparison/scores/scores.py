@@ -13,8 +13,7 @@ from pipeline.comparison.scores.agreement import boundary_distance, verdict_agre
 from pipeline.comparison.scores.overlap import MeasuredLimits, Overlap, Stretches, measured_limits, overlap
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
-from pipeline.records.results import ExperimentResult
-from pipeline.records.score_records import RegionScore, Scores, StiffnessScore
+from pipeline.records.results import ExperimentResult, RegionScore, Scores, StiffnessScore
 from pipeline.theory.limits import is_inside, stable_intervals
 from pipeline.theory.predictions import Theory
 

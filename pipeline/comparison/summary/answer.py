@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from statistics import median
+from typing import Any
 
 import numpy as np
 
@@ -19,11 +20,18 @@ from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.course import Wish, course_of
 from pipeline.plan.planner import plan_of
-from pipeline.records.loop_records import Cause
-from pipeline.records.models import ComparisonRow
-from pipeline.records.results import Answer, AnswerEstimate, ExperimentResult, NextWall, Prediction
-from pipeline.records.score_records import DistanceScore
-from pipeline.rendering.labels import Units, share_text, significant
+from pipeline.records.models import ComparisonRow, Experiment
+from pipeline.records.results import (
+    Answer,
+    AnswerEstimate,
+    Cause,
+    DistanceScore,
+    ExperimentResult,
+    NextWall,
+    Prediction,
+)
+from pipeline.rendering.labels import Units, estimate_texts, share_text, significant
+from pipeline.simulation.simulate import age_in_force
 
 COARSE = 5.0
 """Percent that the grid of the trials adds to a best cost from which on the reader is told how coarse it is."""
@@ -52,11 +60,12 @@ def answer(data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[
     """
     lead = max(range(len(results)), key=lambda i: (_worth(results[i]), -i))
     result, stages = results[lead], data.experiments[lead]
+    known = data.device.experiments if data.device else ()
+    of_file = next((each for each in known if each.name == result.experiment), None)
     gains = stages.once(other_gains)
     misled = gains is not None and gains.most
-    told = [*result.causes, *_other_parameters(result, units)]
+    told = [*result.causes, *_other_parameters(result, of_file, units)]
     wall = result.use.point if result.use else None
-    following, nothing = (None, "Correct the headers first") if misled else _next(data, result, stages)
     return Answer(
         experiment=result.experiment,
         wall=wall,
@@ -66,8 +75,7 @@ def answer(data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[
         estimates_reason=_doubt(result),
         predicts=_prediction(result, rows, misled),
         causes=tuple(told[:MOST_CAUSES]),
-        next=following,
-        next_reason=nothing,
+        **({"next_reason": "Correct the headers first"} if misled else _next(data, result, of_file, stages)),
     )
 
 
@@ -101,7 +109,7 @@ def _estimates(result: ExperimentResult, units: Units, *, limit: bool) -> tuple[
         if estimate is None:
             continue
         estimate = result.delay if name == "delay_samples" else estimate.by_method.get("model", estimate)
-        if estimate.value is not None:
+        if estimate.value is not None or (name == "friction" and estimate.high is not None):
             ends = (None, None) if _doubt(result) and name != "friction" else (estimate.low, estimate.high)
             unit = estimate.unit.replace("^2", "²")
             found.append(AnswerEstimate(name=name, value=estimate.value, low=ends[0], high=ends[1], unit=unit))
@@ -132,8 +140,8 @@ def _doubt(result: ExperimentResult) -> str:
     return f"No interval where the loop does not hold: {first_clause(loop.reason)}."
 
 
-def _other_parameters(result: ExperimentResult, units: Units) -> list[Cause]:
-    """Return the parameters of the device file that lie outside of what the logs leave open, as a cause."""
+def _other_parameters(result: ExperimentResult, of_file: Experiment | None, units: Units) -> list[Cause]:
+    """Return the parameters of the device file that lie `MATTERS` outside of what the logs leave open, as a cause."""
     scores = result.scores[0] if result.scores else None
     if scores is None or scores.basis != "device file" or scores.distance is None:
         return []
@@ -141,15 +149,20 @@ def _other_parameters(result: ExperimentResult, units: Units) -> list[Cause]:
         return []
     p = scores.parameters
     mass, damping, _, _ = p.loop.felt(p.mass, p.damping, p.stiffness)
+    jitter, delay = of_file.jitter_samples if of_file else (), p.delay_samples
+    if jitter and result.delay.value is not None and result.delay.value < delay:
+        delay = max(age_in_force(jitter)[0], min(delay, result.delay.value))
     stated = (
         ("m", mass, result.estimates["mass"], units.mass),
         ("b", damping, result.estimates["damping"], units.damping),
-        ("d", p.delay_samples, result.delay, "samples"),
+        ("d", delay, result.delay, "samples"),
     )
     off = [
-        f"{name} = {significant(value, 3)} {unit}, logs {significant(found.low, 3)} to {significant(found.high, 3)}"
+        f"{name} = {significant(value, 3)} {unit}, logs {' to '.join(estimate_texts(found)[1:])}"
         for name, value, found, unit in stated
-        if found.low is not None and found.high is not None and not found.low <= value <= found.high
+        if found.low is not None
+        and found.high is not None
+        and max(found.low - value, value - found.high) > MATTERS * abs(value)
     ]
     sentence = "The logs tell other parameters than the device file."
     return [Cause(code="parameter_range", sentence=sentence, evidence="; ".join(off))] if off else []
@@ -205,19 +218,20 @@ def _percent(distance: DistanceScore | None) -> float | None:
     return 100 * distance.median if distance is not None and distance.steady else None
 
 
-def _next(data: SceneData, result: ExperimentResult, stages: ExperimentStages) -> tuple[NextWall | None, str]:
+def _next(
+    data: SceneData, result: ExperimentResult, of_file: Experiment | None, stages: ExperimentStages
+) -> dict[str, Any]:
     """Return the wall that the planner asks for next by the verdicts so far, or why there is none."""
-    device, name = data.device, result.experiment
-    of_file = next((each for each in device.experiments if each.name == name), None) if device else None
-    wish = Wish()
+    name, wish = result.experiment, Wish()
     try:
         # limits alone need no device
         found = found_device(result, stages) if result.loop is not None else None
-        plan = plan_of(replace(course_of(stages, device, of_file, wish), found=found), wish)
+        plan = plan_of(replace(course_of(stages, data.device, of_file, wish), found=found), wish)
     except (DeviceError, UsageError) as error:
-        return None, str(error).rstrip(".")
+        return {"next_reason": str(error).rstrip(".")}
     if not plan.next:
-        return None, ""
+        told = sum(limit.estimate is not None for limit in plan.boundary)
+        return {"limits_told": told, "limits_wanted": len(plan.boundary)}
     wall = plan.next[0]
     command = f"pipeline plan --device {shlex.quote(data.scene.device)} --experiment {shlex.quote(name)}"
-    return NextWall(stiffness=wall.stiffness, damping=wall.damping, why=wall.why, command=command), ""
+    return {"next": NextWall(stiffness=wall.stiffness, damping=wall.damping, why=wall.why, command=command)}

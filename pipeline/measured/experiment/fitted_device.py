@@ -11,8 +11,7 @@ import numpy as np
 from pipeline.measured.experiment.stored import Stored
 from pipeline.measured.intervals import NORMAL_95
 from pipeline.records.batch import Floats
-from pipeline.records.findings import Estimate
-from pipeline.records.loop_records import Parameter
+from pipeline.records.findings import Estimate, Parameter
 
 METHOD = "one device, the likeliest of all trials"
 

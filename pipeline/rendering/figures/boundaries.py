@@ -59,18 +59,16 @@ def measured(result: ExperimentResult, label: str, number: int | None, *, interv
 
 
 def by_theory(theory: Theory, label: str, number: int | None = None) -> Series:
-    """Return the boundary by theory in physical units, closed along K = -k."""
+    """Return the boundary by theory in physical units, with gaps between separate regions."""
     border, units = theory.boundary, theory.units
-    stiffness = np.append(border.alpha, -theory.loop.gamma) * units.stiffness
-    return Series(label, "theory", stiffness, np.append(border.beta, border.beta[-1]) * units.damping, number=number)
+    return Series(label, "theory", border.alpha * units.stiffness, border.beta * units.damping, number=number)
 
 
 def limits_figure(title: str, caption: str, panels: Sequence[Panel], identifier: str) -> Figure:
-    """Return a figure of limits on axes of equal range."""
+    """Return a figure of limits on axes of equal range; a wide interval goes on beyond them."""
     series = [s for panel in panels for s in panel.series]
-    K = [s.x for s in series] + [s.high for s in series if s.high is not None and s.kind == "envelope"]
     B = [s.y for s in series if s.kind != "linear"]
-    limits = (0.0, reach(*K)[1]), reach(*B)
+    limits = (0.0, reach(*(s.x for s in series if s.kind != "envelope"))[1]), reach(*B)
     width = 350.0 if len(panels) > 2 else 440.0
     even = tuple(replace(panel, limits=limits) for panel in panels)
     kind: FigureKind = "plane" if identifier == "boundaries-normalised" else "boundaries"
@@ -218,7 +216,7 @@ def _with_loop(result: ExperimentResult, theory: Theory | None, number: int, sho
         )
         harder = np.array([limit.stiffness_large_motion for limit in result.loop_boundary], dtype=np.float64)
         series.append(Series("identified loop", "identified", K, B))
-        series.append(Series("its 95 % interval", "envelope", high, B, low, high))
+        series.append(Series("loop, 95 % interval", "envelope", high, B, low, high))
         series += [Series("for a harder push", "friction", harder, B)] if np.isfinite(harder).any() else []
     if theory is not None:
         series += [by_theory(theory, "theory"), *conditions(theory)]

@@ -69,6 +69,9 @@ RC: Any = {
     **dict.fromkeys(("axes.edgecolor", "axes.labelcolor", "text.color", "xtick.color", "ytick.color"), INK),
 }
 
+LARGER = 1.4
+"""Text in print and on a phone, whose style sheets enlarge it, relative to that of the drawing: legends leave room."""
+
 _DASHED, _DOTTED = (0, (5, 2)), (0, (1, 1.8))
 LOOKS: dict[str, dict[str, Any]] = {
     "use": {"color": GREEN, "lw": 1.4, "fill": 0.3},
@@ -102,9 +105,6 @@ LOOKS: dict[str, dict[str, Any]] = {
 """How each kind of series is drawn, in this order, which is that of the legend: what `plot` takes; ``fill`` is the
 opacity of an area, ``dots`` the size of dots drawn as one path, ``interval`` the width of the bar from ``low`` to
 ``high``, ``span`` the opacity of a strip over the whole height. Without a colour a series has that of its number."""
-
-_BEHIND = ("use", "stable", "envelope", "passive", "span", "gap")
-"""Kinds that lie below the grid of lines."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,7 +264,7 @@ def _drawings(figure: Figure) -> Iterator[tuple[Panel, Drawing]]:
 
     width, height = figure.size
     lines = max((_legend_lines(panel, width)[1] for panel in figure.panels), default=0)
-    legend = 15.0 * lines + 8.0 * bool(lines)
+    legend = 18.0 * lines + 8.0 * bool(lines)
     for panel in figure.panels:
         with matplotlib.rc_context(RC):
             drawing = Drawing(figsize=(width / 72, (height + legend) / 72), dpi=72)
@@ -272,12 +272,8 @@ def _drawings(figure: Figure) -> Iterator[tuple[Panel, Drawing]]:
             floors = [44.0, 0.44 * height] if panel.below is not None else [44.0]
             tops = [0.44 * height - 22.0, height - top] if panel.below is not None else [height - top]
             for own, floor, end in zip(_both(panel), reversed(floors), reversed(tops), strict=True):
-                box = (
-                    58 / width,
-                    (floor + legend) / (height + legend),
-                    1 - 72 / width,
-                    (end - floor) / (height + legend),
-                )
+                whole = height + legend
+                box = 66 / width, (floor + legend) / whole, 1 - 80 / width, (end - floor) / whole
                 _paint(drawing.add_axes(box), own)
             if panel.below is not None:
                 drawing.axes[0].tick_params(labelbottom=False)
@@ -285,19 +281,11 @@ def _drawings(figure: Figure) -> Iterator[tuple[Panel, Drawing]]:
             columns, _ = _legend_lines(panel, width)
             handles = [artist for axes in drawing.axes for artist in _named(axes)]
             if handles and columns:
-                look: dict[str, Any] = {
-                    "handlelength": 2.2,
-                    "columnspacing": 1.4,
-                    "labelspacing": 0.25,
-                    "borderpad": 0.1,
-                }
-                drawing.legend(
-                    handles=handles,
-                    ncols=columns,
-                    loc="upper left",
-                    bbox_to_anchor=(52 / width, legend / (height + legend)),
-                    **look,
-                )
+                longest = max(len(str(each.get_label())) for each in handles)
+                look: dict[str, Any] = {"handlelength": 2.2, "labelspacing": 0.55, "borderpad": 0.1}
+                look |= {"columnspacing": 1.4 + (LARGER - 1) * 0.56 * longest, "loc": "upper left"}
+                anchor = 60 / width, legend / (height + legend)
+                drawing.legend(handles=handles, ncols=columns, bbox_to_anchor=anchor, **look)
             if figure.simulated:
                 drawing.text(1 - 12 / width, 1.0, "simulated", ha="right", va="top", fontsize=10, color=NOTE)
             yield panel, drawing
@@ -308,7 +296,7 @@ def _legend_lines(panel: Panel, width: float) -> tuple[int, int]:
     labels = [s.label for own in _both(panel) for s in own.series if not s.label.startswith("_")]
     if not labels:
         return 0, 0
-    columns = max(1, min(4, int((width - 60) / (36 + 5.6 * min(max(map(len, labels)), 60)))))
+    columns = max(1, min(4, int((width - 60) / (36 + LARGER * 5.6 * min(max(map(len, labels)), 60)))))
     return columns, -(-len(labels) // columns)
 
 
@@ -321,7 +309,7 @@ def _named(axes: Axes) -> list[Any]:
 def _paint(axes: Axes, panel: Panel) -> None:
     order = list(LOOKS)
     axes.set_xlabel(panel.names[0])
-    axes.set_ylabel(panel.names[1])
+    axes.set_ylabel(panel.names[1], labelpad=11.0)
     axes.locator_params(nbins=6, steps=[1, 2, 2.5, 5, 10])
     if panel.limits[0] is not None:
         axes.set_xlim(*panel.limits[0])
@@ -368,7 +356,7 @@ def _paint_series(axes: Axes, series: Series, place: str) -> None:
         alpha = 0.45 if interval > 2 else 1.0
         lines(at[known], series.low[known], series.high[known], color=look["color"], alpha=alpha, lw=interval)
     if fill:
-        axes.fill(x, y, color=look["color"], alpha=fill, lw=0)
+        axes.fill(x, y, color=look["color"], alpha=fill, lw=0, label="_")
     axes.plot(x, y, **look, **named)
 
 
@@ -413,7 +401,8 @@ def _for_page(text: str, identifier: str, title: str, words: str) -> str:
     text = text[text.index("<svg ") :]
     box = re.search(r'viewBox="[^"]*"', text)
     body = _STYLE.sub(_attributes, text[text.index(">") + 1 : text.rindex("</svg>")])
-    body = _NUMBER.sub(lambda number: f"{float(number[0]):.1f}".removesuffix(".0"), body)
+    # of attributes alone: a text may be the number of an equation
+    body = re.sub(r"<[^>]*>", lambda tag: _NUMBER.sub(_tenths, tag[0]), body)
     for pattern, shorter in _SHORTER:
         body = pattern.sub(shorter, body)
     body = _without_plain_groups(body)
@@ -425,6 +414,10 @@ def _for_page(text: str, identifier: str, title: str, words: str) -> str:
         f'<title id="{identifier}-title">{escape(title)}</title><desc id="{identifier}-desc">{escape(words)}</desc>'
         f"{body}</svg>"
     )
+
+
+def _tenths(number: re.Match[str]) -> str:
+    return f"{float(number[0]):.1f}".removesuffix(".0")
 
 
 def _without_plain_groups(body: str) -> str:

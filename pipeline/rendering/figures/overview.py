@@ -26,41 +26,24 @@ MOST_POINTS = 1600
 def trend_figure(result: ComparisonResult) -> list[Figure]:
     """Return limits and estimates over experiments; none where no header line differs between them."""
     rows = records(frames(result)["trend"])
+    if not rows:
+        return []
     panels = []
     for quantity in dict.fromkeys(row["quantity"] for row in rows):
         own = [row for row in rows if row["quantity"] == quantity]
         value, low, high = (np.array([row[name] for row in own], dtype=np.float64) for name in ("value", "low", "high"))
         place, bound = np.arange(len(own), dtype=np.float64), np.array([bool(row["bound"]) for row in own])
         name = f"{quantity_name(quantity)} [{unit_text(own[0]['unit'])}]"
-        series = [
-            Series(
-                "value, 95 % interval", "estimate", place[~bound], value[~bound], low[~bound], high[~bound], along="y"
-            )
-        ]
-        series += [Series("at least", "bound", place[bound], value[bound], number=0)] if bound.any() else []
+        series = [Series("at least", "bound", place[bound], value[bound], number=0)] if bound.any() else []
+        x, y, lowest, highest = (each[~bound] for each in (place, value, low, high))
+        series.insert(0, Series("value, 95 % interval", "estimate", x, y, lowest, highest, along="y"))
         ticks = tuple(f"{row['experiment']}\n{shortened(row['line'].partition(': ')[2], 12)}" for row in own)
         told = "; ".join(f"experiment {row['experiment']}: {significant(row['value'], 3)}" for row in own)
         limits = (-0.5, len(own) - 0.5), around(value, low, high)
         panels.append(Panel(name, ("", name), tuple(series), f"{name} over experiments: {told}.", limits, ticks=ticks))
-    caption = (
-        f"Values with their 95 % intervals; below each its header line ({rows[0]['line'].partition(':')[0]})."
-        if rows
-        else ""
-    )
-    return (
-        [
-            Figure(
-                "trend",
-                "trend",
-                "Limits and estimates over the experiments",
-                caption,
-                tuple(panels),
-                size=(350.0, 250.0),
-            )
-        ]
-        if rows
-        else []
-    )
+    caption = f"Values with their 95 % intervals; below each its header line ({rows[0]['line'].partition(':')[0]})."
+    title = "Limits and estimates over the experiments"
+    return [Figure("trend", "trend", title, caption, tuple(panels), size=(350.0, 250.0))]
 
 
 def delay_figure(rows: Sequence[ComparisonRow]) -> list[Figure]:
@@ -75,37 +58,19 @@ def delay_figure(rows: Sequence[ComparisonRow]) -> list[Figure]:
             of = sorted((row for row in own if row.criterion == criterion), key=lambda row: row.delay_samples or 0.0)
             scale, series = printed_scale(criterion), []
             for label, kind, theory in (("theory", "line", True), ("experiment", "optimum", False)):
-                points = [
-                    (r.delay_samples, (r.cost or 0.0) * scale)
-                    for r in of
-                    if (r.condition == "theory_discrete") == theory
-                ]
+                those = [r for r in of if (r.condition == "theory_discrete") == theory]
+                points = [(r.delay_samples, (r.cost or 0.0) * scale) for r in those]
                 series += [Series(label, kind, *np.array(points, dtype=np.float64).T)] if points else []
             told = "; ".join(
                 f"{s.label} {', '.join(f'd = {x:g}: {y:.3g}' for x, y in zip(s.x, s.y, strict=True))}" for s in series
             )
             top = 1.05 * max(float(s.y.max()) for s in series)
-            name = criterion_label(criterion)
-            panels.append(
-                Panel(
-                    name,
-                    ("total delay d [samples]", name),
-                    tuple(series),
-                    f"Optimal cost over delay: {told}.",
-                    (None, (0.0, top or 1.0)),
-                )
-            )
+            name, words = criterion_label(criterion), f"Optimal cost over delay: {told}."
+            limits = None, (0.0, top or 1.0)
+            panels.append(Panel(name, ("total delay d [samples]", name), tuple(series), words, limits))
         caption = "Costs of the sampled response at the optimum, theory and experiment. In the manner of Fig. 6.12."
-        figures.append(
-            Figure(
-                "delay",
-                f"delay{len(figures) or ''}",
-                "Optimal costs over delay",
-                caption,
-                tuple(panels),
-                size=(440.0, 300.0),
-            )
-        )
+        name, title = f"delay{len(figures) or ''}", "Optimal costs over delay"
+        figures.append(Figure("delay", name, title, caption, tuple(panels), size=(440.0, 300.0)))
     return figures
 
 

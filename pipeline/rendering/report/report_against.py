@@ -14,7 +14,10 @@ from pipeline.records.models import Motion
 from pipeline.rendering.figures.drawing import Figure, draw
 from pipeline.rendering.labels import UNITS, criterion_name, percent_text, significant, span, unit_text
 from pipeline.rendering.report.page_template import fill_template
+from pipeline.rendering.report.tables import digits
 from pipeline.rendering.table import Column, Row, Table, footnote, marked, table_of
+
+_four = digits(4)
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,7 @@ def pair_tables(pair: PairDifference, motion: Motion, index: int = 0) -> list[Ta
         for label, side in sides
         for one in side.notes
     ]
+    whats, words = _words("side", "trial_id", "log", "reason", "since"), _words("side", "trial", "tag", "text")
     found = [
         _table("estimates", "Estimates: second minus first", values, pair.estimates, index),
         _table("optima", "Optimal points and their costs: second minus first", values, pair.optima, index),
@@ -97,20 +101,8 @@ def pair_tables(pair: PairDifference, motion: Motion, index: int = 0) -> list[Ta
         _table(
             "boundary", "Stability limits over damping", limits, pair.boundary.points if pair.boundary else (), index
         ),
-        table_of(
-            f"excluded-{index}",
-            "Trials excluded by hand",
-            _words("side", "trial_id", "log", "reason", "since"),
-            excluded,
-            _of_side("trial_id"),
-        ),
-        table_of(
-            f"notes-{index}",
-            "Notes and tags of the lab",
-            _words("side", "trial", "tag", "text"),
-            notes,
-            _of_side("trial"),
-        ),
+        table_of(f"excluded-{index}", "Trials excluded by hand", whats, excluded, _of_side("trial_id")),
+        table_of(f"notes-{index}", "Notes and tags of the lab", words, notes, _of_side("trial")),
     ]
     return [marked(table, simulated=pair.simulated) for table in found if table is not None]
 
@@ -137,10 +129,6 @@ def _words(*names: str) -> list[Column]:
 
 def _of_side(name: str) -> Callable[[Row], str]:
     return lambda row: f"{row['side']}/{row[name]}"
-
-
-def _four(value: float, _: Row) -> str:
-    return significant(value, 4)
 
 
 def _kind(row: Row) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pipeline.base.wording import counted
-from pipeline.records.findings import DRIFTS, Estimate
+from pipeline.records.findings import DRIFTS, Estimate, holds
 from pipeline.records.results import ComparisonResult, ExperimentResult, TheoryParameters
 from pipeline.rendering.frames import flat, frames
 from pipeline.rendering.labels import (
@@ -36,15 +36,15 @@ MAIN = ("delay_samples", "mass", "damping")
 """Quantities that stand beside the experiments; the others stand in the table of methods only."""
 
 CENSORED = "At the edge of the tested range (censored): the true value may lie outside."
-UNDECIDED_BELOW = "A trial below it is undecided: no evidence against it, and worth a look or a repetition."
+UNDECIDED_BELOW = "A trial below it is undecided: look at it, or repeat it."
 RANGE_ENDED = "The tested range ended before an unstable trial."
 MISSED = "Outside the interval."
 PARTS = (
-    "Parts, whose factors (1 + x/100) multiply to the whole: range, theory's least cost in the tested range against "
-    "its least anywhere; grid, that at the tested points against that; model, the measured cost freed from the scatter "
-    "of single trials against theory's (95 %); selection, the best single trial against that."
+    "Parts; their factors (1 + x/100) multiply to the whole. Range: theory's optimum lies outside the tested range. "
+    "Grid: it lies between the tested walls. Model (95 %): measured against theory on the tested walls, without the "
+    "scatter of single trials. Selection: the best of many trials is lucky."
 )
-DRIFT = "Drifts with the setting of the wall: the model does not hold for all trials."
+DRIFT = "Drifts with the wall: one model does not hold for all trials."
 OUTCOMES = {
     "settled": "settled",
     "moving": "still moving",
@@ -90,28 +90,18 @@ NO_TRIALS = TrialPage({}, 0, 0)
 """Of a report without trials."""
 
 
-def _digits(count: int) -> Callable[[Any, Row], str]:
+def _by(show: Callable[[Any], str]) -> Callable[[Any, Row], str]:
+    return lambda value, _: show(value)
+
+
+def digits(count: int) -> Callable[[Any, Row], str]:
+    """Return what prints a cell with so many significant digits."""
     return lambda value, _: significant(value, count)
 
 
-def _number(value: Any, _: Row) -> str:
-    return f"{value:.0f}"
-
-
-def _percent(value: float, _: Row) -> str:
-    return percent_text(value)
-
-
-def _share(value: float, _: Row) -> str:
-    return share_text(value)
-
-
-def _stiffness(value: float, _: Row) -> str:
-    return stiffness_text(value)
-
-
-def _damping(value: float, _: Row) -> str:
-    return damping_text(value)
+_text, _number, _percent = _by(str), _by("{:.0f}".format), _by(percent_text)
+_share, _stiffness, _damping = _by(share_text), _by(stiffness_text), _by(damping_text)
+_published = _by(published_text)
 
 
 def _cost(value: float, row: Row) -> str:
@@ -122,16 +112,16 @@ def _published_cost(value: float, row: Row) -> str:
     return published_text(value * printed_scale(row["criterion"]))
 
 
-def _published(value: float, _: Row) -> str:
-    return published_text(value)
-
-
 def _of_experiment(row: Row) -> str:
     return f"experiment {row['experiment']}"
 
 
 def _name(row: Row) -> str:
     return str(row["experiment"])
+
+
+def _of_what(what: str) -> Callable[[Row], str]:
+    return lambda row: f"{row['experiment']}/{row[what]}"
 
 
 def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[str, list[Table]]:
@@ -157,7 +147,7 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
                 for row in f["optima"]
                 if row["cost"] is not None
             ],
-            lambda row: f"{row['experiment']}/{row['criterion']}",
+            _of_what("criterion"),
             _of_experiment,
             place,
         ),
@@ -169,17 +159,17 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
             "What the logs show beside mass, damping and delay",
             (Column("code", "cause"), Column("sentence", "what it is"), Column("evidence")),
             [row | {"code": row["code"].replace("_", " ")} for row in f["causes"]],
-            lambda row: f"{row['experiment']}/{row['code']}",
+            _of_what("code"),
             _of_experiment,
         ),
         "model": table_of(
             "model",
-            "Does one device explain the logs? Fit of its free runs under the commands of logs it was not fitted to",
+            "Logs that one device explains, and fit of its free runs to unseen logs",
             (
                 Column("experiment"),
                 Column("trials", show=_number),
                 Column("explained", show=_number),
-                Column("fit_percent", "fit of free runs", "%", "median", _digits(3), why="no log could be replayed"),
+                Column("fit_percent", "fit of free runs", "%", "median", digits(3), why="no log could be replayed"),
             ),
             f["model"],
             _name,
@@ -189,40 +179,31 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
         "use": _use(result, place),
         "missing": table_of(
             "missing",
-            "Results that the logs do not allow",
+            "Missing results",
             (Column("experiment"), Column("result"), Column("reason")),
             [row | {"result": criterion_name(row["what"])} for row in f["missing"]],
-            lambda row: f"{row['experiment']}/{row['what']}",
+            _of_what("what"),
         ),
         "excluded": table_of(
             "excluded",
-            "Trials excluded by hand: kept, and used for no number of this report",
-            [
-                Column(name, label)
-                for name, label in (
-                    ("experiment", ""),
-                    ("trial_id", "trial"),
-                    ("log", ""),
-                    ("reason", ""),
-                    ("since", ""),
-                )
-            ],
+            "Trials excluded by hand; no number uses them",
+            (Column("experiment"), Column("trial_id", "trial"), Column("log"), Column("reason"), Column("since")),
             f["excluded"],
             lambda row: str(row["trial_id"]),
         ),
         "notes": table_of(
             "notes",
-            "Notes and tags of the lab; no number rests on them",
+            "Notes and tags of the lab; no number uses them",
             (Column("trial_id", "trial"), Column("tags", why="no tag"), Column("text", "note", why="no text")),
             [row | {"trial_id": row["trial_id"] or "all"} for row in f["notes"]],
-            lambda row: f"{row['experiment']}/{row['trial_id']}",
+            _of_what("trial_id"),
             _of_experiment,
         ),
         "header": _header(result),
         "trend": table_of(
             "trend",
             "Limits and estimates with 95 % intervals over the experiments, beside header lines that differ",
-            (Column("line", "header lines"), Column("value", show=_digits(4), ends=("low", "high"), notes=_at_end)),
+            (Column("line", "header lines"), Column("value", show=digits(4), ends=("low", "high"), notes=_at_end)),
             f["trend"],
             lambda row: f"{row['quantity']}/{row['experiment']}",
             lambda row: f"{quantity_name(row['quantity'])} [{unit_text(row['unit'])}]",
@@ -254,11 +235,15 @@ def _scores(result: ComparisonResult, stiffness: str) -> Table | None:
                 row |= {f"{name}_{key}": value for key, value in flat(found).items()} if found else {}
             rows.append(row)
     bases = {scores.basis for e in result.experiments for scores in e.scores}
+
+    def at_largest(row: Row) -> str:
+        return f"at B = {damping_text(row['distance_largest_damping'])}" if "distance_largest" in row else ""
+
     columns = (
         Column("experiment"),
         _interval("region_overlap", "overlap of the regions", "%", _share),
         _interval("region_covered", "stable part of theory's region", "%", _share),
-        _interval("region_area_ratio", "area, measured : theory", "", _digits(3)),
+        _interval("region_area_ratio", "area, measured : theory", "", digits(3)),
         Column(
             "stiffness_deviation_percent",
             "largest stable K",
@@ -272,13 +257,9 @@ def _scores(result: ComparisonResult, stiffness: str) -> Table | None:
             "largest",
             "%",
             show=lambda value, _: percent_text(100 * value),
-            aside=lambda row: (
-                f"at B = {damping_text(row['distance_largest_damping'])}"
-                if row.get("distance_largest") is not None
-                else ""
-            ),
+            aside=at_largest,
         ),
-        Column("distance_rms", "rms", stiffness, show=_digits(3)),
+        Column("distance_rms", "rms", stiffness, show=digits(3)),
         Column(
             "verdicts_agreement",
             "equal verdicts",
@@ -307,11 +288,8 @@ def _experiments(result: ComparisonResult) -> Table | None:
     for e in result.experiments:
         grip = f"{e.grip} grip" if e.grip != "none" else "no operator"
         row: dict[str, Any] = {v: e.verdicts.get(v, 0) for v in verdicts}
-        row |= {
-            "experiment": e.experiment,
-            "set-up": ", ".join(filter(None, [e.configuration, grip])),
-            "trials": e.trials,
-        }
+        row |= {"experiment": e.experiment, "trials": e.trials}
+        row |= {"set-up": ", ".join(filter(None, [e.configuration, grip]))}
         row |= {"theory": _theory(e.theory, result), "source": e.theory.source if e.theory else ""}
         rows.append(row | e.estimates | {"delay_samples": e.delay})
     columns = [Column("experiment"), Column("set-up"), Column("trials", "all", group="trials", show=_number)]
@@ -467,34 +445,26 @@ def _boundary(rows: Sequence[Row], units: Any, trials: TrialPage) -> Table | Non
             return ""
         return f"{stiffness_text(row['low'])} to {stiffness_text(row['high'])}"
 
-    harder = any(row["stiffness_large_motion"] is not None for row in rows)
-    caption = (
-        f"Largest stable and smallest unstable stiffness [{units.stiffness}] at each damping, and the limit by the "
-        "growth rates of the trials around it"
-    ) + (
-        "; with friction both hold for this step, and a harder push is unstable from the linear limit on"
-        if harder
-        else ""
-    )
+    caption = f"Largest stable and smallest unstable stiffness [{units.stiffness}] at each damping, and the limit by "
+    caption += "the growth rates of the trials around it"
+    if any(row["stiffness_large_motion"] is not None for row in rows):
+        caption += "; with friction both hold for this step, and a harder push is unstable from the linear limit on"
     columns = (
         Column("damping", "damping", units.damping, show=_damping),
         Column("stable", show=_stiffness, why="no stable trial", notes=below, link=lambda row: place(row, "stable")),
         Column(
             "unstable", show=_stiffness, why="no unstable trial", notes=ended, link=lambda row: place(row, "unstable")
         ),
-        Column("limit", "limit, 95 %", show=limit, aside=interval, why="no trial is surely stable or surely unstable"),
+        Column("limit", "limit, 95 %", show=limit, aside=interval, why="no trial is clearly stable or unstable"),
         Column("stiffness_large_motion", "harder push", show=_stiffness, why="no limit", optional=True),
         Column("truth", show=_stiffness, why="no truth", optional=True),
     )
     shown = [row | {"limit": row["stiffness"] or row["low"] or row["high"] or None} for row in map(dict, rows)]
-    return table_of(
-        "boundary",
-        caption,
-        columns,
-        shown,
-        lambda row: f"{row['experiment']}/{damping_text(row['damping'])}",
-        _of_experiment,
-    )
+
+    def name(row: Row) -> str:
+        return f"{row['experiment']}/{damping_text(row['damping'])}"
+
+    return table_of("boundary", caption, columns, shown, name, _of_experiment)
 
 
 def _methods(rows: Sequence[Row], result: ComparisonResult) -> Table | None:
@@ -508,22 +478,16 @@ def _methods(rows: Sequence[Row], result: ComparisonResult) -> Table | None:
         texts = dict(zip(("value", "low", "high"), estimate_texts(one), strict=True))
         row |= {name: text or None for name, text in texts.items()} | {"left_out": len(one.outliers) + one.refused}
         outliers = ", ".join(one.outliers[:3]) + (" ..." if len(one.outliers) > 3 else "")
-        remarks = [
-            one.reason,
-            one.warning,
-            f"{counted(len(one.outliers), 'outlier')}: {outliers}" if outliers else None,
-        ]
+        remarks = [one.reason, one.warning]
+        remarks += [f"{counted(len(one.outliers), 'outlier')}: {outliers}" if outliers else None]
         remarks += [f"{counted(one.refused, 'trial')} without an interval" if one.refused else None]
         row |= {"remark": "; ".join(filter(None, remarks)), "method": row["method"].replace("_", " ")}
         shown.append(row | {"used": f"{row['method']} (used)" if row["recommended"] else row["method"]})
     columns = (
         Column("used", "method"),
-        *(
-            Column(name, show=lambda text, _: str(text), why="the method gives none")
-            for name in ("value", "low", "high")
-        ),
-        Column("within", "one trial ±", show=_digits(2), why="the method gives none"),
-        Column("spread", show=_digits(2), why="the method gives none"),
+        *(Column(name, show=_text, why="the method gives none") for name in ("value", "low", "high")),
+        Column("within", "one trial ±", show=digits(2), why="the method gives none"),
+        Column("spread", show=digits(2), why="the method gives none"),
         Column("trials", "used", show=_number),
         Column("left_out", "left out", show=_number),
         Column("remark", why="no remark"),
@@ -557,22 +521,15 @@ def _loops(result: ComparisonResult) -> Table | None:
             right = f"{100 * e.replay.verdicts_same:.3g} % of {e.replay.trials} verdicts right"
             row["replay"] = ", ".join([right, *told])
         if e.passive:
-            row["passive"] = (
-                f"K = {e.passive.stiffness:.4g} {units.stiffness}, B = {e.passive.damping:.4g} {units.damping}"
-            )
+            K, B = e.passive.stiffness, e.passive.damping
+            row["passive"] = f"K = {K:.4g} {units.stiffness}, B = {B:.4g} {units.damping}"
         rows.append(row | {"reason": e.passive_reason})
-    columns = [
-        Column("experiment"),
-        Column("adequate", "adequate loop"),
-        Column("why"),
-        Column("source", "parameters by"),
-    ]
+    columns = [Column("experiment"), Column("adequate", "adequate loop"), Column("why")]
+    columns.append(Column("source", "parameters by"))
+    parameters = {"delay_samples": "samples", "mass": units.mass, "damping": units.damping}
+    columns += [estimate_column(name, unit) for name, unit in parameters.items()]
     columns += [
-        estimate_column(name, unit)
-        for name, unit in (("delay_samples", "samples"), ("mass", units.mass), ("damping", units.damping))
-    ]
-    columns += [
-        Column("replay", "behind walls it was not fitted to", why="no wall to replay"),
+        Column("replay", "replay of unseen walls", why="no wall to replay"),
         Column("passive", "stiffest passive wall"),
     ]
     return table_of("loops", "Identified loops, with 95 % intervals", columns, rows, _name)
@@ -588,9 +545,7 @@ def _outcomes(result: ComparisonResult) -> Table | None:
     if table is not None and "settled" in shown:
         table.mark("Settled: stays within 2 % of x_0 + F_0/K. More logs come to rest, some of them elsewhere.")
     if table is not None and "disturbed" in shown:
-        table.mark(
-            "Disturbed: a force of 5 % of the step or more acts that neither command nor mass and damping explain."
-        )
+        table.mark("Disturbed: a force of 5 % of the step or more acts beside command, mass and damping.")
     return table
 
 
@@ -603,36 +558,22 @@ def _truth(result: ComparisonResult) -> Table | None:
             if one.truth is None:
                 continue
             _, low, high = estimate_texts(one)
-            outside = None not in (one.value, one.low, one.high) and not (one.low or 0.0) <= one.truth <= (
-                one.high or 0.0
-            )
-            row = {
-                "experiment": e.experiment,
-                "quantity": name,
-                "truth": one.truth,
-                "outside": outside,
-                "unit": one.unit,
-            }
-            rows.append(
-                row
-                | {
-                    "interval": f"{low} to {high}" if low and high else "",
-                    "name": f"{quantity_name(name)} [{unit_text(one.unit)}]",
-                }
-            )
+            ends = one.low or 0.0, one.truth, one.high or 0.0
+            outside = None not in (one.value, one.low, one.high) and not holds(*ends)
+            row = {"experiment": e.experiment, "quantity": name, "truth": one.truth, "outside": outside}
+            row |= {"interval": f"{low} to {high}" if low and high else ""}
+            rows.append(row | {"name": f"{quantity_name(name)} [{unit_text(one.unit)}]"})
     reasons = [f"No limits: {e.truth.limit_reason}." for e in known if e.truth and e.truth.limit_reason]
     held = [e.truth_held for e in known if e.truth_held]
     total = sum(one.estimates + one.limits for one in held)
     kept = sum(one.estimates_held + one.limits_held for one in held)
-    caption = f"Truth of the simulation: {kept} of {total} intervals of 95 % hold it, those of the limits included"
+    caption = f"True values of the simulation: {kept} of {total} 95 % intervals contain them, limits included"
     columns = (
         Column("name", "quantity"),
-        Column("truth", show=_digits(4), notes=lambda row: [MISSED if row["outside"] else None]),
-        Column("interval", "95 %", show=lambda text, _: str(text), why="no interval"),
+        Column("truth", show=digits(4), notes=lambda row: [MISSED if row["outside"] else None]),
+        Column("interval", "95 %", show=_text, why="no interval"),
     )
-    table = table_of(
-        "truth", caption, columns, rows, lambda row: f"{row['experiment']}/{row['quantity']}", _of_experiment
-    )
+    table = table_of("truth", caption, columns, rows, _of_what("quantity"), _of_experiment)
     if table is not None:
         table.mark(*reasons)
     return table
@@ -659,7 +600,7 @@ def _use(result: ComparisonResult, place: Callable[[Row], str]) -> Table | None:
         Column("experiment", notes=lambda row: [row["note"]]),
         Column("point_stiffness", "K", units.stiffness, "wall to set", _stiffness, linked=True),
         Column("point_damping", "B", units.damping, "wall to set", _damping, linked=True),
-        Column("point_margin", "limit over K, at least", group="wall to set", show=_digits(2)),
+        Column("point_margin", "limit over K, at least", group="wall to set", show=digits(2)),
         Column("stiffness_low", "K", units.stiffness, around, between("stiffness", stiffness_text)),
         Column("damping_low", "B", units.damping, around, between("damping", damping_text)),
         Column("trials", group=around, show=_number),
@@ -667,9 +608,9 @@ def _use(result: ComparisonResult, place: Callable[[Row], str]) -> Table | None:
             Column(name, criterion_label(name), "", around, _cost_of(name), (f"{name}_low", f"{name}_high"))
             for name in names
         ),
-        Column("margin", "limit over K, at least", group=around, show=_digits(2)),
+        Column("margin", "limit over K, at least", group=around, show=digits(2)),
     )
-    caption = "Walls to use: all stable, and far from the limit; of each, the wall to set, and walls around it"
+    caption = "Recommended walls, and the good walls around them"
     return table_of("use", caption, columns, rows if names else [], _name, trial=place)
 
 
@@ -690,9 +631,8 @@ def _header(result: ComparisonResult) -> Table | None:
         for line in e.header:
             told = [f"{value or 'empty'} ({count})" for value, count in line.values.items()]
             told += [f"{line.different - len(told)} more"] if line.different > len(told) else []
-            rows.append(
-                {"experiment": e.experiment, "line": line.key, "trials": line.trials, "values": "; ".join(told)}
-            )
+            about = {"experiment": e.experiment, "line": line.key, "trials": line.trials}
+            rows.append(about | {"values": "; ".join(told)})
     columns = (Column("line"), Column("trials", show=_number), Column("values", "values (trials)"))
-    caption = "Header lines of the logs that only the lab knows; no number rests on them"
-    return table_of("header", caption, columns, rows, lambda row: f"{row['experiment']}/{row['line']}", _of_experiment)
+    caption = "Other header lines of the logs; no number uses them"
+    return table_of("header", caption, columns, rows, _of_what("line"), _of_experiment)

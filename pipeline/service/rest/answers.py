@@ -9,7 +9,7 @@ from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel, ConfigDict
 
 from pipeline.records.findings import BoundaryPoint, Estimate, Optimum
-from pipeline.records.loop_records import Cause
+from pipeline.records.results import Cause
 from pipeline.service.problems import MEDIA, TITLES, Problem
 
 Item = TypeVar("Item")

@@ -92,7 +92,7 @@ def test_theory_and_fits_lie_on_a_simulated_log(first):
     figure = trial_figure(stages, result, trial_of(stages, "stable"), "translation")
     course, law = figure.panels
     beside = {s.label: s for s in course.series if not s.label.startswith("_")}
-    assert list(beside) == ["log", "theory", "fitted loop", "model of this log"]
+    assert list(beside) == ["log", "theory", "fitted loop"]
     largest = np.abs(beside["log"].y).max()
     for series in list(beside.values())[1:]:
         assert np.sqrt(np.mean((series.y - beside["log"].y) ** 2)) < 0.02 * largest, series.label
@@ -117,13 +117,13 @@ def test_an_unstable_response_ends_where_it_is_out_of_proportion(first):
         assert 0 < np.nanmax(np.abs(each.y)) <= 100 * np.abs(log.y).max()
 
 
-def test_an_excluded_trial_has_no_model_of_its_own(first):
+def test_an_excluded_trial_is_drawn_beside_the_loop(first):
     stages, result = first
     trial = trial_of(stages, "stable")
     others = stages.trials.filter([name != trial for name in stages.trials.column("trial_id").to_pylist()])
     other = type(stages)(stages.processed, stages.device, stages.experiment, others)
     other._tables |= {name: stages.table(name).slice(0, 0) for name in ("response", "model", "wall_law")}
-    other._tables["ladder"] = stages.table("ladder")
+    other._tables["device"] = stages.table("device")
     course = trial_figure(other, result, trial, "translation").panels[0]
     assert [s.label for s in course.series if not s.label.startswith("_")] == ["log", "theory", "fitted loop"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.records.loop_records import WallReplay
+from pipeline.records.results import WallReplay
 
 
 def test_an_ideal_loop_is_right_behind_walls_it_was_not_fitted_to(falcon_outcome):

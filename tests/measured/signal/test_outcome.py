@@ -16,8 +16,7 @@ from pipeline.measured.signal.outcome import BAND, OUTCOMES, Outcomes, classify
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.batch import TrialBatch
-from pipeline.records.loop_parts import Butterworth
-from pipeline.records.simulation_parts import SimulationParts
+from pipeline.records.loop_parts import Butterworth, SimulationParts
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import simulate
 

@@ -8,9 +8,8 @@ import simulated
 from report_data import experiment
 
 from pipeline.records.findings import BoundaryPoint
-from pipeline.records.loop_records import LoopLimit
 from pipeline.records.models import Shown
-from pipeline.records.results import TheoryParameters
+from pipeline.records.results import LoopLimit, TheoryParameters
 from pipeline.rendering.figures.boundaries import (
     answer_figure,
     boundary_figures,

@@ -96,7 +96,7 @@ def test_an_interval_that_misses_the_truth_is_marked() -> None:
     assert table.notes == [MISSED]
     cells = {name.rpartition("/")[2]: {c.name: c for c in row} for _, rows in table.blocks for name, row in rows}
     assert (cells["mass"]["truth"].marks, cells["delay_samples"]["truth"].marks) == ((), ("a",))
-    assert "2 of 4 intervals of 95 % hold it" in table.caption
+    assert "2 of 4 95 % intervals contain them" in table.caption
     (without,) = tables_of(known("the delay jitters"))["truth"]
     assert "No limits: the delay jitters." in without.notes
     assert tables_of(report_data(full=False).result)["truth"] == []
@@ -106,7 +106,7 @@ def test_the_share_of_intervals_stands_at_the_truth_and_not_in_the_head() -> Non
     page = report.render(replace(report_data(full=False), result=known()))
     head, _, rest = page.partition("</header>")
     assert "intervals of 95 %" not in head
-    assert "2 of 4 intervals of 95 % hold it" in rest
+    assert "2 of 4 95 % intervals contain them" in rest
 
 
 def test_every_caption_drawing_and_the_print_head_say_that_logs_are_simulated() -> None:

@@ -117,7 +117,7 @@ class Runs {
 
   /** The box that puts a response over the others; none where the page does not hold it. */
   box(row) {
-    if (!this.explorer.shown.byRow.has(row)) return "no response here";
+    if (!this.explorer.shown.byRow.has(row)) return "–";
     const box = document.createElement("input");
     box.type = "checkbox";
     box.checked = this.chosen.includes(row);
