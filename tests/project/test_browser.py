@@ -347,7 +347,7 @@ def test_trial_without_response_says_how_to_get_it(browser: Any, hostile: Path) 
 def test_tables_sort_by_number_with_missing_values_last_and_back(browser: Any, measured: Path) -> None:
     with Opened(browser, measured) as page:
         page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
-        cells = "[data-row^='boundary/'] [data-cell='delay-2/unstable']"
+        cells = "[data-row^='boundary/delay-2/'] [data-cell='unstable']"
         heads = page.locator(f"table:has({cells}) thead tr:last-child th")
         texts = page.locator(cells)
 
