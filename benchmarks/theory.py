@@ -18,9 +18,9 @@ import pyarrow.parquet as pq
 from timing import fastest, run
 
 from pipeline.loop.loop import Loop
-from pipeline.theory.branches import first_branch
+from pipeline.theory.circle import first_branch
+from pipeline.theory.costs import bounding_box
 from pipeline.theory.limits import boundary, stiffness_limit
-from pipeline.theory.map import bounding_box
 from pipeline.theory.poles import spectral_radius
 
 ENDED = 64

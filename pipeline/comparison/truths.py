@@ -19,7 +19,7 @@ from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.findings import BoundaryPoint, Estimate, holds
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.results import ExperimentResult, TheoryParameters, Truth, TruthHeld
-from pipeline.simulation.simulate import mean_in_force
+from pipeline.simulation.simulate import age_in_force
 from pipeline.theory.limits import stiffness_limit
 from pipeline.theory.predictions import Theory
 
@@ -64,10 +64,11 @@ def truth_of(document: Mapping[str, Any]) -> Truth:
     doubts = ["the delay jitters"] if jitter else []
     doubts += ["there is friction"] if parts.friction else []
     doubts += [f"the simulation has {name.replace('_', ' ')}" for name in _MOVES_THE_LIMIT if hidden[name]]
+    delay, spread = age_in_force(jitter) if jitter else (document["delay_samples"], 0.0)
     loop = TheoryParameters(
         **document["plant"],
         sampling_period_s=document["sampling_period_s"],
-        delay_samples=mean_in_force(jitter) if jitter else document["delay_samples"],
+        delay_samples=delay,
         loop=parts.model_copy(update={"force_gain": parts.force_gain * (1 + hidden["gain_error"])}),
         source="simulator",
     )
@@ -78,7 +79,7 @@ def truth_of(document: Mapping[str, Any]) -> Truth:
         reason = reason or str(error)
     return Truth(
         loop=loop,
-        jitter_samples=float(np.std(jitter)) if jitter else 0.0,
+        jitter_samples=spread,
         constant_force=hidden["constant_force"],
         limit_reason=reason,
     )

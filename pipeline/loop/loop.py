@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, bilinear, exponential, many_digits, total
-from pipeline.loop.velocity_filter import filter_in_w, filter_in_z, filter_order, filter_steps
+from pipeline.loop.velocity_filter import filter_in_w, filter_in_z, filter_order, filter_steps, per_sample
 from pipeline.records.batch import Floats
 
 if TYPE_CHECKING:  # its classes take longer to load than a short command to run
-    from pipeline.records.loop_parts import LinearFilter
+    from pipeline.records.loop_parts import LinearFilter, LoopParts
+
 
 _Number = TypeVar("_Number", np.float64, np.complex128)
 
@@ -417,3 +418,66 @@ def _transfer(whole: Digits, gains: tuple[Digits, ...], sensor: Digits) -> tuple
         bottom.append(-sum(np.diagonal(turned), Decimal(0)) / k)
         adjugate = turned + bottom[-1] * one
     return np.array(bottom[::-1], dtype=object), [np.array(top[::-1], dtype=object) for top in tops]
+
+
+def wall_units(mass: float, sampling_period_s: float, parts: LoopParts) -> Normalised:
+    """Return the units of a device's wall: its mass with the operator's, per unit of command."""
+    held = parts.operator.mass if parts.operator is not None else 0.0
+    return Normalised((mass + held) / parts.force_gain, sampling_period_s)
+
+
+def loop_of(
+    mass: float,
+    damping: float,
+    stiffness: float,
+    delay_samples: float,
+    sampling_period_s: float,
+    parts: LoopParts,
+) -> Loop:
+    """Return the normalised loop of a device: an ideal one where its parts leave it ideal.
+
+    Parameters
+    ----------
+    mass, damping, stiffness : float
+        Of the device, both sides of a mode together, without operator: m [kg, kg m^2], b [Ns/m, Nms/rad] and
+        k [N/m, Nm/rad].
+    delay_samples : float
+        t_d/T, integer or fractional.
+    sampling_period_s : float
+        T [s].
+    parts : LoopParts
+        Friction is no part of a linear loop (`LoopParts.left_out`).
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is out of range, or parts do not fit mass or sampling period.
+    """
+    mistakes = parts.mistakes(mass, sampling_period_s)
+    if mistakes:
+        raise ParameterError("; ".join(mistakes))
+    operator, mode = parts.operator, parts.mode
+    everything = mass
+    if operator is not None:
+        everything, damping, stiffness = (
+            mass + operator.mass,
+            damping + operator.damping,
+            stiffness + operator.stiffness,
+        )
+    ideal = Normalised(everything, sampling_period_s).loop(stiffness, damping, delay_samples)
+    vibration = None
+    if mode is not None:
+        # the free-free resonance is that of the device alone, without the operator
+        reduced = mode.mass * (mass - mode.mass) / mass / everything
+        turn = 2 * math.pi * mode.frequency_hz * sampling_period_s
+        vibration = Vibration(
+            mode.mass / everything, reduced * turn**2, 2 * mode.damping_ratio * turn * reduced, mode.sensor == "load"
+        )
+    return Loop(
+        ideal.gamma,
+        ideal.delta,
+        delay_samples,
+        parts.actuator_lag_s / sampling_period_s,
+        vibration,
+        per_sample(parts.velocity, sampling_period_s),
+    )

@@ -8,8 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.loop.device_loop import loop_of, wall_units
-from pipeline.loop.loop import LARGEST_DELAY, Loop, Normalised
+from pipeline.loop.loop import LARGEST_DELAY, Loop, Normalised, loop_of, wall_units
 from pipeline.loop.motion import Mechanism
 from pipeline.measured.experiment.fitted_device import FittedDevice
 from pipeline.measured.intervals import NORMAL_95
@@ -18,7 +17,7 @@ from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.loop_parts import Friction, LoopParts, Mode, VelocityFilter
 from pipeline.records.models import Device, Experiment
 from pipeline.simulation.setup import Setup
-from pipeline.simulation.simulate import simulate
+from pipeline.simulation.simulate import age_in_force, simulate
 from pipeline.theory.limits import boundary, stabilises, stiffness_limit
 
 AT_LOAD = "mode at the load"
@@ -90,7 +89,7 @@ class LoopPoint:
 
     def behind(self, K: Floats, B: Floats, trial: Trial) -> TrialBatch:
         """Return the device behind walls, without noise and travel."""
-        earliest = round(max(self.delay_samples - 0.5 * (trial.delays - 1), 0.0))
+        earliest = round(max(self.delay_samples - age_in_force(range(trial.delays))[0], 0.0))
         setup = Setup(
             plant=Mechanism.of(self.mass, max(self.damping, 0.0), max(self.stiffness, 0.0), self.parts),
             sampling_period_s=self.sampling_period_s,

@@ -266,8 +266,8 @@ class LoopFindings(Record):
 class Truth(Record):
     """What was true of a simulated experiment: its loop, and beside that jitter [samples] and constant force [N, Nm].
 
-    A jittering delay is in ``loop`` as the mean of the command in force; ``jitter_samples`` is the standard
-    deviation of what is drawn. ``limit_reason`` says why the limits of the loop are not known.
+    The delay of ``loop`` is the mean age of the command in force, ``jitter_samples`` its standard deviation.
+    ``limit_reason`` says why the limits of the loop are not known.
     """
 
     loop: TheoryParameters

@@ -18,8 +18,8 @@ MISSING = "–"
 DIGITS = 3
 """Least digits of an estimate; a narrow interval asks for more."""
 
-MOST_DIGITS = 6
-"""Most digits of an estimate."""
+MOST_DIGITS = 9
+"""Most digits of an estimate: simulated logs without noise tell masses to 1e-9."""
 
 BEYOND = 1000.0
 """Deviation in percent from which on its digits tell nothing: the two numbers have nothing to do with each other."""
@@ -213,11 +213,14 @@ def share_text(value: float, places: int = 1) -> str:
 
 
 def estimate_texts(estimate: Estimate | AnswerEstimate) -> tuple[str, str, str]:
-    """Return value and both ends of the interval with as many digits as tell them apart; empty where missing."""
+    """Return value and both ends of the interval, to two digits of its half width; empty where missing."""
     given = (estimate.value, estimate.low, estimate.high)
-    known = {x for x in given if x is not None}
-    apart = (n for n in range(DIGITS, MOST_DIGITS + 1) if len({significant(x, n) for x in known}) == len(known))
-    digits = next(apart, DIGITS)  # what most digits do not tell apart is rounding
+    largest = max((abs(x) for x in given if x is not None), default=0.0)
+    half = 0.0 if estimate.low is None or estimate.high is None else 0.5 * (estimate.high - estimate.low)
+    digits = DIGITS
+    if 0 < half < largest:
+        told = math.floor(math.log10(largest)) - math.floor(math.log10(half)) + 2
+        digits = min(max(told, DIGITS), MOST_DIGITS)
     texts = ["" if x is None else significant(x, digits) for x in given]
     if any("." in text for text in texts):  # beside decimals, a whole number shows that it has as many digits
         texts = [t if x is None else _with_zeros(x, t, digits) for x, t in zip(given, texts, strict=True)]

@@ -20,8 +20,7 @@ from typing import Any
 from pipeline.base.disk import make_folder, write_text
 from pipeline.base.errors import ProfileError
 from pipeline.base.provenance import schema_folder
-from pipeline.profiles.profile_files import read_profile, shipped_profiles
-from pipeline.profiles.profile_lines import find_questions
+from pipeline.profiles.profile_files import find_questions, read_profile, shipped_profiles
 from pipeline.service.problems import Problem
 from pipeline.service.settings import Settings
 

@@ -174,14 +174,18 @@ def in_force(delays: Integers) -> Integers:
     return np.maximum.accumulate(newest, axis=0)
 
 
-def mean_in_force(delays: Sequence[int]) -> float:
-    """Return the mean delay of the command in force [samples] where each delay is drawn from some, all as likely.
+def age_in_force(delays: Sequence[int]) -> tuple[float, float]:
+    """Return mean and standard deviation [samples] of the age of the command in force.
 
-    >>> mean_in_force([3, 4, 5])  # of late commands many are overtaken
-    3.888888888888889
+    Each command draws its delay from some whole ones that are as likely. As later commands overtake, the mean is below
+    that of ``delays``: a command in force is older than j samples if none of the last j + 1 has arrived.
     """
-    later = (np.array(delays) > np.arange(max(delays) + 1)[:, None]).mean(axis=1)
-    return float(np.cumprod(later).sum())
+    drawn = np.array(delays)
+    older = np.cumprod([(drawn > age).mean() for age in range(int(drawn.max()) + 1)])
+    likely = -np.diff(older, prepend=1.0)
+    age = np.arange(len(likely))
+    mean = float(likely @ age)
+    return mean, float(np.sqrt(likely @ (age - mean) ** 2))
 
 
 def _route(setup: Setup, delays: Integers | None) -> Callable[[int], Sequence[tuple[float, int | Integers]]]:

@@ -14,18 +14,17 @@ from pydantic import ValidationError
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop import loop as normalised
-from pipeline.loop.device_loop import loop_of, wall_units
-from pipeline.loop.response import response
+from pipeline.loop.loop import loop_of, wall_units
 from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import Device, Experiment, Motion
 from pipeline.rendering.frames import units_of
 from pipeline.theory.cases import POINT_COSTS, Case, costs_of_walls, islands_in_si, optimum_document, why_missing
-from pipeline.theory.costs import MAP_DEFAULT, check_criteria
+from pipeline.theory.costs import MAP_DEFAULT, CostMap, check_criteria
 from pipeline.theory.curves import Curve, best_damping, best_stiffness
 from pipeline.theory.limits import boundary, stiffness_limit
-from pipeline.theory.map import CostMap
 from pipeline.theory.margins import Margins, margins
+from pipeline.theory.motion import response
 from pipeline.theory.passivity import passive_outline, stiffest_passive
 from pipeline.theory.poles import spectral_radius
 
@@ -161,10 +160,11 @@ class Loop:
         Returns
         -------
         pandas.DataFrame
-            ``damping`` B [Ns/m, Nms/rad], ``stiffness`` K [N/m, Nm/rad], in order along the boundary; ``attrs`` has its
-            extremes: ``stiffness_max``, ``damping_at_stiffness_max``, ``damping_max``, ``stiffness_at_damping_max``;
-            and ``islands``, stable intervals of stiffness beyond an unstable gap (``damping``, ``stiffness_low``,
-            ``stiffness_high``), which only loops with filter, lag or mode have.
+            ``damping`` B [Ns/m, Nms/rad], ``stiffness`` K [N/m, Nm/rad], in order along the boundary; a row of nan lies
+            between separate regions. ``attrs`` has its extremes: ``stiffness_max``,
+            ``damping_at_stiffness_max``, ``damping_max``, ``stiffness_at_damping_max``; and ``islands``, stable
+            intervals of stiffness beyond an unstable gap (``damping``, ``stiffness_low``, ``stiffness_high``), which
+            only loops with filter, lag or mode have.
 
         Raises
         ------

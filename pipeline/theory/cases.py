@@ -1,6 +1,6 @@
 """Documents of theory for command line, REST and Python: limits, costs of listed walls, optima.
 
-What cannot be computed is None, with the reason beside it. `pipeline.theory.map` makes maps of the same costs.
+What cannot be computed is None, with the reason beside it. `pipeline.theory.costs` makes maps of the same costs.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import loop_of, wall_units
-from pipeline.loop.loop import Loop, Normalised
+from pipeline.loop.loop import Loop, Normalised, loop_of, wall_units
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, criterion_of, with_discrete
 from pipeline.theory.costs import check_criteria, point_costs_by_name
@@ -312,7 +311,8 @@ def why_missing(loop: Loop, alpha: float, radius: float, missing: list[str]) -> 
 def boundary_document(case: Case, points: int = 400) -> dict[str, Any]:
     """Return the limit of walls with its extreme points, as the document that `theory boundary` prints.
 
-    Normalised it is the whole boundary; in SI that of walls with stiffness, over damping, with islands beside it.
+    Normalised it is the whole boundary; in SI that of walls with stiffness, over damping, with islands beside it; None
+    lies between separate regions.
 
     Raises
     ------
@@ -330,21 +330,26 @@ def boundary_document(case: Case, points: int = 400) -> dict[str, Any]:
             f"{damping}_max": border.beta_max,
             f"{stiffness}_at_{damping}_max": border.alpha_at_beta_max,
         }
-        return {**case.said, **extremes, stiffness: border.alpha.tolist(), damping: border.beta.tolist()}
+        return {**case.said, **extremes, stiffness: _listed(border.alpha), damping: _listed(border.beta)}
     found = outline(case.loop, points)
     if not len(found.beta) and not len(found.islands):
         raise ParameterError(
             f"device {case.names['device']!r}, experiment {case.names['experiment']!r}: no stiffness and damping "
             "stabilise this loop. Check delay, lag and filter in the device file."
         )
+    gaps = np.flatnonzero(np.diff(found.part)) + 1
     return {
         **case.said,
         "stiffness_max": float(found.alpha_max * k) if len(found.beta) else None,
         "damping_at_stiffness_max": float(found.beta_at_alpha_max * b) if len(found.beta) else None,
-        stiffness: (found.alpha * k).tolist(),
-        damping: (found.beta * b).tolist(),
+        stiffness: _listed(np.insert(found.alpha * k, gaps, np.nan)),
+        damping: _listed(np.insert(found.beta * b, gaps, np.nan)),
         "islands": islands_in_si(found.islands, case.units),
     }
+
+
+def _listed(values: Floats) -> list[float | None]:
+    return [None if math.isnan(value) else value for value in values.tolist()]
 
 
 def islands_in_si(islands: Floats, units: Normalised) -> list[dict[str, float]]:

@@ -27,8 +27,16 @@ from pipeline.loop.many_digits import (
     value,
 )
 from pipeline.records.batch import Floats, Integers
-from pipeline.theory.branches import first_branch, is_sampled, sampled_cells, sampled_turns
-from pipeline.theory.circle import Cells, ends, inverse_and_rate, solved
+from pipeline.theory.circle import (
+    Cells,
+    ends,
+    first_branch,
+    inverse_and_rate,
+    is_sampled,
+    sampled_cells,
+    sampled_turns,
+    solved,
+)
 
 _DEEPEST = 200
 """Halvings after which two roots count as one that is touched: they then differ by 1e-60."""

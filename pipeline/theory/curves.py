@@ -15,16 +15,15 @@ from pipeline.loop.loop import Loop
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.criteria import CRITERIA, DISCRETE, SETTLING_BANDS, criterion_of, with_discrete
 from pipeline.theory.energy import energy_costs
-from pipeline.theory.limits import boundary, is_well_inside
+from pipeline.theory.limits import boundary, is_well_inside, stiffness_limit
 from pipeline.theory.optimum import (
     UNDAMPED_LOSS,
     impulse_energy_limit,
     nearest_to_line,
 )
 from pipeline.theory.poles import damping_ratio, spectral_radius
-from pipeline.theory.search import Cost, where_stable
+from pipeline.theory.search import LEVELS, Cost, LineCost, LineOptima, extents, search_lines, where_stable
 from pipeline.theory.transient import NO_OVERSHOOT, late_deviation, transient_costs
-from pipeline.theory.zoom import LEVELS, LineCost, LineOptima, extents, search_lines
 
 _LONGEST = 1024
 """Samples after which a response of a curve counts as not settled; the curves of Fig. 5.4 end at about 60."""
@@ -174,22 +173,21 @@ class _Lines:
 
 def _ends(loop: Loop, given: Floats, stiffness_given: bool) -> tuple[Floats, Floats]:
     """Ends of the line at each given value inside the stable region, a little widened; NaN where it misses it."""
-    border = boundary(loop, _BOUNDARY_POINTS)
-    level, other = (border.alpha, border.beta) if stiffness_given else (border.beta, border.alpha)
-    level, other = np.append(level, level[0]), np.append(other, other[0])
-    value = given[:, None]
-    # one end included, so that a line through a corner meets one of its sides
-    meets = (np.minimum(level[:-1], level[1:]) <= value) & (value < np.maximum(level[:-1], level[1:]))
-    rise = np.where(level[1:] == level[:-1], 1.0, level[1:] - level[:-1])
-    at = other[:-1] + (value - level[:-1]) * (other[1:] - other[:-1]) / rise
-    low = np.where(meets, at, np.inf).min(axis=1)
-    high = np.where(meets, at, -np.inf).max(axis=1)
-    missed = ~meets.any(axis=1)
-    margin = np.where(missed, 0.0, _MARGIN * (high - low))
-    low, high = low - margin, high + margin
-    if not stiffness_given:
-        low = np.maximum(low, -loop.gamma)
-    return np.where(missed, np.nan, low), np.where(missed, np.nan, high)
+    if stiffness_given:
+        border, value = boundary(loop, _BOUNDARY_POINTS), given[:, None]
+        level, other = border.alpha, border.beta
+        # one end included, so that a line through a corner meets one of its sides; nan between regions meets none
+        meets = (np.minimum(level[:-1], level[1:]) <= value) & (value < np.maximum(level[:-1], level[1:]))
+        rise = np.where(level[1:] == level[:-1], 1.0, level[1:] - level[:-1])
+        at = other[:-1] + (value - level[:-1]) * (other[1:] - other[:-1]) / rise
+        low, high = np.where(meets, at, np.inf).min(axis=1), np.where(meets, at, -np.inf).max(axis=1)
+    else:
+        high = stiffness_limit(loop, given)
+        low = np.full(len(given), 0.0 - loop.gamma)
+    missed = ~(low < high)
+    low, high = np.where(missed, np.nan, low), np.where(missed, np.nan, high)
+    margin = _MARGIN * (high - low)
+    return low - margin * stiffness_given, high + margin
 
 
 def _optima(lines: _Lines, criterion: str) -> Floats:

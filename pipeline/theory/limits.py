@@ -7,15 +7,15 @@ unstable gap, or where soft walls are not, is an island.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats, Integers
-from pipeline.theory.branches import FirstBranch, first_branch
-from pipeline.theory.circle import angle_of, circle_points, place_of
+from pipeline.theory.circle import FirstBranch, angle_of, circle_points, first_branch, place_of
 from pipeline.theory.crossings import Stretches, polished, stretches, turning_dampings
 
 _NODES = np.concatenate([[1e-9], 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, 9)[1:-1])), [1 - 1e-9]])
@@ -68,6 +68,8 @@ class Outline:
         In order; empty where no soft wall is stable.
     limits : Limits
         There.
+    part : int, shape (n,)
+        Number of the unbroken range of dampings that each belongs to.
     islands : float64, shape (i, 3)
         As of `Limits`: at these beta, and between the first and the last at which anything is stable.
     alpha_max, beta_at_alpha_max : float
@@ -78,6 +80,7 @@ class Outline:
 
     beta: Floats
     limits: Limits
+    part: Integers
     islands: Floats
     alpha_max: float
     beta_at_alpha_max: float
@@ -138,13 +141,15 @@ def outline(loop: Loop, points: int = 400, floor: float = 0.0) -> Outline:
     nodes = turning[:-1, None] + gaps[:, None] * _NODES
     marks = nodes[:, [0, -1]].ravel()
     marks = np.append(marks, _corners(loop, np.unique(nodes)))
-    known = limits(loop, np.unique(np.append(nodes, marks)), exact=False, floor=floor)
+    levels = np.unique(np.append(nodes, marks))
+    islands = limits(loop, levels, exact=False, floor=floor).islands
     # what holds in the middle of a gap holds all over it
     holds = np.isfinite(limits(loop, nodes[:, _MIDDLE], exact=False, floor=floor).alpha)
     inside = np.concatenate([[False], holds, [False]])
     low, high = turning[np.flatnonzero(inside[1:] > inside[:-1])], turning[np.flatnonzero(inside[1:] < inside[:-1])]
     if not len(low):
-        return Outline(np.zeros(0), limits(loop, np.zeros(0)), known.islands, np.nan, np.nan, (np.nan, np.nan))
+        nothing = np.zeros(0)
+        return Outline(nothing, limits(loop, nothing), nothing.astype(int), islands, np.nan, np.nan, (np.nan, np.nan))
     counts = np.maximum(8, points * (high - low) / (high - low).sum()).astype(int)
     spread = [
         start + (end - start) * 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, count)[1:-1]))
@@ -155,8 +160,8 @@ def outline(loop: Loop, points: int = 400, floor: float = 0.0) -> Outline:
     kept = np.isfinite(found.alpha)
     beta, found = beta[kept], found.part(kept)
     best = int(np.argmax(found.alpha))
-    peak, at = float(found.alpha[best]), float(beta[best])
-    return Outline(beta, found, known.islands, peak, at, (float(low[0]), float(high[-1])))
+    peak, at, part = float(found.alpha[best]), float(beta[best]), np.searchsorted(low, beta)
+    return Outline(beta, found, part, islands, peak, at, (float(low[0]), float(high[-1])))
 
 
 def _corners(loop: Loop, levels: Floats) -> Floats:
@@ -192,13 +197,13 @@ _FEWEST = 8
 
 @dataclass(frozen=True, eq=False)
 class Boundary:
-    """Stability boundary: upper ends of the stable intervals that begin with the softest walls, over the damping.
+    """Stability boundary: the edge of all that is stable, over the damping.
 
     Parameters
     ----------
     alpha, beta, theta : float64, shape (n,)
-        Points in order of beta, then back along what bounds the region from below, then those of islands; the angle
-        of the pole that leaves the unit circle there, nan where that is not told.
+        Points in order of beta, then back along what bounds the region from below; nan between separate regions. The
+        angle is that of the pole that leaves the unit circle there, nan where it is not told.
     alpha_max, beta_at_alpha_max : float
         Largest stable alpha and its beta.
     beta_max, alpha_at_beta_max : float
@@ -220,6 +225,7 @@ class Boundary:
     islands: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
 
+@lru_cache(maxsize=64)
 def boundary(loop: Loop, points: int = 400) -> Boundary:
     """Return the boundary of the stable region.
 
@@ -274,17 +280,60 @@ def _over_dampings(loop: Loop, points: int) -> Boundary:
     found = outline(loop, points, -loop.gamma)
     if not len(found.beta):
         raise ParameterError(f"{loop}: no damping stabilises a soft wall. Check delay, lag and velocity filter.")
-    f, b, extremes = found.limits, found.beta, [(found.alpha_max, found.beta_at_alpha_max)]
-    lowest, top = found.ends[0], (found.ends[1], float(f.alpha[-1]))
-    extremes += [(high, beta) for beta, _, high in found.islands.tolist()]
-    # back along what bounds it from below; what is stable beyond gaps follows
-    below, (at, ends) = np.flatnonzero(f.low > -loop.gamma)[::-1], (found.islands[:, 0], found.islands[:, 1:].T)
-    alpha = np.concatenate([f.alpha, f.low[below], ends[1], ends[0][::-1]])
-    beta = np.concatenate([b, b[below], at, at[::-1]])
-    theta = np.concatenate([f.angle, f.low_angle[below], np.full(2 * len(at), np.nan)])
-    lowest = min([lowest, *found.islands[:, 0].tolist()])
-    top = max([top, *((b, high) for b, _, high in found.islands.tolist())])
-    return Boundary(alpha, beta, theta, *max(extremes), *top, lowest, found.islands)
+    at, levels, known = found.islands[:, 0], found.beta, found.limits
+    if len(at):
+        levels = np.unique(np.concatenate([levels, at, np.linspace(at.min(), at.max(), points)]))
+        known = limits(loop, levels, floor=-loop.gamma)
+    soft = np.isfinite(known.alpha)
+    ends = [levels[soft], known.low[soft], known.alpha[soft], known.low_angle[soft], known.angle[soft]]
+    beside = np.column_stack([known.islands, np.full((len(known.islands), 2), np.nan)])
+    rows = np.concatenate([np.transpose(ends), beside])
+    rows = rows[np.lexsort((rows[:, 1], rows[:, 0]))]
+    alpha, beta, theta = _edges(rows, np.searchsorted(levels, rows[:, 0]), -loop.gamma).T
+    best, last = rows[np.argmax(rows[:, 2])], rows[-1]
+    return Boundary(
+        alpha,
+        beta,
+        theta,
+        alpha_max=float(best[2]),
+        beta_at_alpha_max=float(best[0]),
+        beta_max=max(found.ends[1], float(last[0])),
+        alpha_at_beta_max=float(last[2]),
+        beta_min=min(found.ends[0], float(rows[0, 0])),
+        islands=found.islands,
+    )
+
+
+def _edges(rows: Floats, level: Integers, line: float) -> Floats:
+    """Return alpha, beta and angle along the edges of all regions, shape (n, 3), with a row of nan between them.
+
+    Rows are stable intervals, upwards in beta: beta, low, high and their angles. Those of neighbouring levels are of
+    one region by their order, and where their number changes if they overlap; an edge ends where regions join.
+    """
+    chains: list[list[int]] = []
+    joined = np.zeros(len(rows), np.bool_)
+    for number in np.unique(level):
+        here = np.flatnonzero(level == number).tolist()
+        before = sorted((c for c in chains if level[c[-1]] == number - 1), key=lambda c: c[-1])
+        ends = np.array([c[-1] for c in before], dtype=np.intp)
+        low, high = rows[ends, 1:3].T
+        meets = (low < rows[here, 2, None]) & (high > rows[here, 1, None])
+        meets = np.eye(len(here), dtype=np.bool_) if len(here) == len(ends) else meets  # none begins, ends or joins
+        for i, met in zip(here, meets, strict=True):
+            if met.sum() == 1 and meets[:, met].sum() == 1:
+                before[int(met.argmax())].append(i)
+            else:
+                chains.append([i])
+                joined[ends[met]] = True
+    gap, found = np.full((1, 3), np.nan), [np.zeros((0, 3))]
+    for chain in chains:
+        off = rows[chain, 1] > line
+        off[-1] |= off.any()
+        # what follows the line needs its ends alone
+        kept = off | np.append(off[1:], False) | np.append(False, off[:-1])
+        up, down = rows[chain][:, [2, 0, 4]], rows[chain][kept][::-1, [1, 0, 3]]
+        found += [gap, up, gap[: int(joined[chain[-1]])], down]
+    return np.concatenate(found[2:])
 
 
 def stable_intervals(loop: Loop, beta: object) -> Stretches:
@@ -320,16 +369,16 @@ def is_well_inside(loop: Loop, alpha: Floats, beta: Floats, share: float = 1e-9,
     return np.asarray((away > 0) & (_margins(loop, alpha, beta, islands=islands) > away))
 
 
-def stiffness_limit(loop: Loop, beta: object, *, islands: bool = True) -> Floats:
-    """Return the largest stable alpha at each beta, -inf where there is none; both (n,), errors as of `is_inside`.
+def stiffness_limit(loop: Loop, beta: object) -> Floats:
+    """Return the alpha up to which every softer wall is stable at each beta, down to alpha -> 0; both (n,).
 
-    Without ``islands`` up to which every softer wall is stable too, down to alpha -> 0.
+    -inf where there is none. Errors as of `is_inside`.
 
     Source: Hulin 2017, sec. 3.4.
     """
     _, b = as_points(0.0, beta)
     found = stretches(loop, b)
-    kept = np.flatnonzero(islands | (found.low <= 0))
+    kept = np.flatnonzero(found.low <= 0)
     result = np.full(len(b), -np.inf)
     np.maximum.at(result, found.index[kept], found.high[kept])
     return result
@@ -412,7 +461,7 @@ def robust_limits(delta: float, delay: float, beta: object) -> tuple[Floats, Flo
         raise ParameterError(f"delta = {delta}: expected a finite number that is not negative.")
     largest = math.pi**2 + delta**2 / 4
     gamma = 0.5 * largest * (1 - np.cos(np.pi * np.linspace(0, 1, _STIFFNESSES)))
-    limits = np.stack([_first_exit(delta, delay, float(g), b) for g in gamma])
+    limits = np.stack([stiffness_limit(Loop(float(g), delta, delay), b) for g in gamma])
     for _ in range(_ROUNDS):
         alive = np.flatnonzero((limits > 0).all(axis=0))
         worst = np.unique(np.argmin(limits[:, alive], axis=0)) if len(alive) else np.zeros(0, np.intp)
@@ -426,7 +475,7 @@ def robust_limits(delta: float, delay: float, beta: object) -> tuple[Floats, Flo
         for row, value in zip(rows, new, strict=True):  # each spring only for the beta whose worst one is next to it
             near = np.flatnonzero((limits > 0).all(axis=0) & (np.abs(value - nearest) <= _reach(gamma, value)))
             if len(near):
-                row[near] = _first_exit(delta, delay, float(value), b[near])
+                row[near] = stiffness_limit(Loop(float(value), delta, delay), b[near])
         gamma, limits = np.concatenate([gamma, new]), np.concatenate([limits, rows])
         order = np.argsort(gamma)
         gamma, limits = gamma[order], limits[order]
@@ -440,11 +489,61 @@ def _reach(gamma: Floats, value: float) -> float:
     return float(gamma[at] - gamma[at - 1])
 
 
-def _first_exit(delta: float, delay: float, gamma: float, beta: Floats) -> Floats:
-    """Upper end of the stable interval that begins at or below alpha = 0; -inf where there is none."""
-    loop = Loop(gamma, delta, delay)
-    found = stable_intervals(loop, beta)
-    starts = (found.low <= 0) & (found.high > 0)
-    result = np.full(len(beta), -np.inf)
-    result[found.index[starts]] = found.high[starts]
+_SLIDING = 0.5
+"""Largest friction, as a share of the mass's own force at the turning points, at which motion is taken for a sine."""
+
+_EQUIVALENTS = 12
+"""Equivalent dampings that are tried: neighbours differ by half or less."""
+
+_SEEN = 0.1
+"""Limit, as a share of the largest, of the dampings that say which equivalent dampings to try."""
+
+
+def step_limits(loop: Loop, beta: Floats, share: float) -> Floats:
+    """Return the limit at dampings for oscillations as large as a step's way, F_0/(K + k); nan where not valid.
+
+    Parameters
+    ----------
+    loop : Loop
+    beta : float64, shape (n,)
+    share : float
+        Friction over the step, f_c/F_0, > 0.
+
+    Notes
+    -----
+    The equivalent damping 4 f_c/(pi omega A) depends on the limit and its frequency themselves. So limits at several
+    equivalent dampings are found, with the friction that each belongs to, and joined by lines: to about a hundredth of
+    what the friction adds. Valid where motion slides all through: f_c <= m omega^2 A/2.
+
+    The describing function replaces the square wave of the friction by its first harmonic. The wall is the less
+    stable the larger the oscillation, so the linear limit is what remains for large ones.
+
+    Source: Slotine and Li 1991, Applied Nonlinear Control, ch. 5 (describing function of a relay).
+    """
+    first = limits(loop, beta, exact=False)
+    typical = 4 * share * (first.alpha + loop.gamma) / (np.pi * first.angle)
+    typical = typical[first.alpha > _SEEN * np.nanmax(first.alpha)]
+    more = np.geomspace(0.7 * typical.min(), 5 * typical.max(), _EQUIVALENTS)
+    each = [first] + [limits(replace(loop, delta=loop.delta + float(one)), beta, exact=False) for one in more]
+    added = np.append(0.0, more)[:, None]
+    alpha, angle = np.array([one.alpha for one in each]), np.array([one.angle for one in each])
+    shares = np.pi * angle * added / (4 * (alpha + loop.gamma))
+    result = np.full(len(beta), np.nan)
+    for i in range(len(beta)):
+        over = np.flatnonzero(shares[:, i] >= share)  # the first: softer walls let the oscillation fade
+        if len(over) and over[0] > 0:
+            some = slice(over[0] - 1, over[0] + 1)
+            stiff, turn = (np.interp(share, shares[some, i], values[some, i]) for values in (alpha, angle))
+            if share * (stiff + loop.gamma) <= _SLIDING * turn**2:
+                result[i] = stiff
     return result
+
+
+def quantum_limit(coulomb: float, quantum: float) -> float:
+    """Return the stiffness up to which a quantum causes no limit cycle: 2 f_c/quantum, in SI.
+
+    Sufficient, not necessary: nothing is said of stiffer walls.
+
+    Source: Diolaiti et al. 2006; Abbott and Okamura 2005.
+    """
+    return 2 * coulomb / quantum

@@ -10,9 +10,8 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
-from pipeline.theory.circle import inverse_and_rate, place_of
+from pipeline.theory.circle import bisect, inverse_and_rate, place_of
 from pipeline.theory.poles import is_stable, spectral_radius
-from pipeline.theory.zoom import bisect
 
 _PLACES = 4000
 """Angles over the range of the first look; beside these some at each pole of the open loop."""

@@ -14,6 +14,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
+from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, many_digits
 from pipeline.records.batch import Booleans, Floats, Integers
@@ -318,3 +319,56 @@ def _levers(loop: Loop, alpha: Floats) -> Floats:
     if loop.lag > 0:
         rows.append(loop.lag * lever)
     return np.array(rows)
+
+
+_MOST_POINTS = 1 << 22
+"""Points of one response; more would take seconds and tell nothing."""
+
+
+def response(loop: Loop, alpha: float, beta: float, signal: str, samples: int, per_sample: int = 24) -> Floats:
+    """Return the sensed position after a unit step or impulse at time 0, shape (samples per_sample + 1,).
+
+    Parameters
+    ----------
+    loop : Loop
+    alpha, beta : float
+        Normalised wall.
+    signal : {"step", "impulse"}
+        A step is part of the command, an impulse a hit on the motor's side.
+    samples, per_sample : int
+        Length [samples] and evenly spaced points in each sampling interval, both at least 1.
+
+    Returns
+    -------
+    float64
+        chi = x m/T^2 for a unit force, x m/T for a unit momentum; every ``per_sample``-th point is a sample.
+
+    Raises
+    ------
+    ParameterError
+        For another signal, or sizes out of range.
+
+    Source: Hulin 2017, secs. 3.1.5 and 5.2.
+    """
+    if signal not in ("step", "impulse"):
+        raise ParameterError(f"signal = {signal!r}: expected 'step' or 'impulse'.")
+    if samples < 1 or per_sample < 1 or samples * per_sample > _MOST_POINTS:
+        raise ParameterError(
+            f"samples = {samples}, per_sample = {per_sample}: expected 1 or more, together at most {_MOST_POINTS}."
+        )
+    wall, step, p = (np.array([alpha]), np.array([beta])), float(signal == "step"), len(loop.device[1])
+    law, turn, times = loop.law(*wall), loop.matrix(*wall)[0], np.arange(1, per_sample + 1) / per_sample
+    places = np.empty((per_sample, p + len(loop.segments)))
+    for piece, given in zip(pieces(loop), starts(loop), strict=True):
+        share = (times - piece.start) / piece.duration
+        some = share > 0  # later pieces overwrite
+        places[some] = np.vander(share[some], DEGREE + 1, increasing=True) @ piece.place @ given
+    pushed, state = np.zeros(loop.states), loop.starts(wall[0], "impulse")[0] * (1 - step)
+    pushed[:p] = step * as_floats(np.sum(loop.pushes[1], axis=0))
+    found = [loop.device[2] @ state[:p]]
+    for _ in range(samples):
+        seen = loop.seen(law, state[None, :, None])[0, :, 0]
+        seen[p:] += step
+        found.append(places @ seen)
+        state = turn @ state + pushed
+    return np.hstack(found)

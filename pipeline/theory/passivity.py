@@ -19,7 +19,7 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
-from pipeline.theory.zoom import search_lines
+from pipeline.theory.search import search_lines
 
 _ANGLES = 40
 """Angles of a turn of the delayed force; maxima are looked for between them."""

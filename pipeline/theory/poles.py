@@ -7,15 +7,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from decimal import Decimal
+from functools import reduce
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
-from pipeline.loop.many_digits import Digits, as_exact, as_floats, derivative, many_digits, power, product, total
+from pipeline.loop.many_digits import Digits, as_exact, derivative, many_digits, power, product, total, value
 from pipeline.records.batch import Booleans, Floats
-from pipeline.theory.circle import circle_points, place_of
 
 _CHUNK = 8192
 """Points whose eigenvalues are computed at a time; bounds memory to about 40 MB at d = 16."""
@@ -78,32 +77,14 @@ def stable_by_radius(loop: Loop, alpha: Floats, radius: Floats) -> Booleans:
     return np.asarray((radius < 1) & (alpha + loop.gamma > 0))
 
 
-def boundary_points(loop: Loop, theta: Floats) -> tuple[Floats, Floats]:
-    """Return the points (alpha, beta) at which a pole pair lies on the unit circle at the angles +-theta.
-
-    On |z| = 1 the characteristic equation is linear in alpha and beta: alpha + beta N = -1/G (`circle`).
-
-    Parameters
-    ----------
-    loop : Loop
-    theta : float64, shape (n,)
-        Angles, 0 < theta < pi.
-    """
-    found = circle_points(loop, place_of(theta))
-    return found.alpha, found.beta
-
-
 _TIME_CONSTANTS = 4.0
 """Time constants of the slowest pole in a settling time (5.4): exp(-4) = 1.8 %."""
 
 REAL = 1e-7
 """Angle of a pole that counts as real: a double pole is split by sqrt(1e-16) = 1e-8, where ratios lose nothing."""
 
-_POLISHINGS = 3
-"""Newton steps from a root by eigenvalues, good to 1e-8 and better: each doubles its digits."""
-
 _REACH = 0.04
-"""Relative range of u = 1/z in which a threefold pole is looked for around the slowest pole of a search."""
+"""Relative range of z in which a threefold pole is looked for around the slowest pole of a search."""
 
 
 def pole_settling_time(radius: object) -> Floats:
@@ -165,44 +146,27 @@ def damping_ratio(loop: Loop, alpha: object, beta: object) -> Floats:
 def threefold_pole(loop: Loop, near: float) -> tuple[float, float, float] | None:
     """Return alpha, beta and z of the threefold real pole next to a modulus, or None if there is none within 4 %.
 
-    Known for devices of mass, damper and spring without filter; None for others, whose search then stands alone.
-
     Notes
     -----
-    With u = 1/z and s = 1 - u the characteristic equation is alpha + beta s = W(s), W = -1/G: for real z the poles are
-    where a straight line meets the curve W. A threefold pole is a point of inflection with its tangent: W'' = 0,
-    beta = W', alpha = W - beta s. An eigenvalue solver splits such poles by eps^(1/3), 1e-5, on each processor
-    otherwise; here they are simple roots of a polynomial.
+    The characteristic polynomial is P + alpha W_0 + beta W_1. It has a threefold root where the Wronskian of the three
+    vanishes, and alpha and beta follow from value and slope there. An eigenvalue solver splits such poles by
+    eps^(1/3), 1e-5, on each processor otherwise; the Wronskian's root is a simple one.
     """
-    if len(loop.sampled.motion) > 3 or len(loop.sampled.filter) > 1:
-        return None
-    top, bottom, power = _delayed_plant(loop)
-    u, slope, bend = Polynomial([1.0, -1.0]), top.deriv(), bottom.deriv()
-    # W = -P/(u^n q): W'' times -u^(n+2) q^3, with M = u q times the logarithmic derivative of u^n q
-    m = u * bend - power * bottom
-    curved = m * m + power * bottom**2 - u * u * (bottom.deriv(2) * bottom - bend**2)
-    bends = top.deriv(2) * (u * bottom) ** 2 - 2 * slope * u * bottom * m + top * curved
-    roots = np.asarray(bends.roots(), dtype=np.complex128)
-    real = roots.real[np.abs(roots.imag) < REAL * np.abs(1 - roots)]
-    for _ in range(_POLISHINGS):
-        real = real - bends(real) / bends.deriv()(real)
-    away = np.abs((1 - real) * near - 1)
-    if away.min(initial=np.inf) > _REACH:
-        return None
-    s = float(real[away.argmin()])
-    scale = -1 / ((1 - s) ** power * bottom(s))
-    beta = float(scale * (slope(s) - top(s) * m(s) / (u(s) * bottom(s))))
-    return float(scale * top(s)) - beta * s, beta, 1 / (1 - s)
-
-
-def _delayed_plant(loop: Loop) -> tuple[Polynomial, Polynomial, int]:
-    """Return P, q and n of the delayed plant G = u^n q(s)/P(s), u = 1/z, s = 1 - u; w is s/(2 - s)."""
-    near, far, none = Polynomial([0.0, 1.0]), Polynomial([2.0, -1.0]), Polynomial([0.0])
-    top, bottom = (
-        sum((c * near**k * far ** (2 - k) for k, c in enumerate(as_floats(part))), none)
-        for part in (loop.sampled.motion, loop.sampled.force)
-    )
-    return top, bottom, loop.oldest_force
+    with many_digits(loop.digits):
+        rows = [[part, derivative(part), derivative(derivative(part))] for part in _characteristic_parts(loop)]
+        (p, dp, ddp), (a, da, dda), (b, db, ddb) = rows
+        bend = [product(ddp, a, db), product(ddp, da, b), product(dda, p, db)]
+        bend += [product(dda, dp, b), product(ddb, p, da), product(ddb, dp, a)]
+        wronskian = reduce(total, (part * (-1) ** k for k, part in zip((0, 1, 1, 0, 0, 1), bend, strict=True)))
+        start = (near - 1) / (near + 1)
+        w = _newton(wronskian, derivative(wronskian), (Decimal(start), Decimal(0)))[0]
+        z = (1 + w) / (1 - w)
+        if abs(float(z) / near - 1) > _REACH:
+            return None
+        (free, slope), (one, rise), (other, turn) = ([value(part, w) for part in row[:2]] for row in rows)
+        scale = one * turn - other * rise
+        alpha, beta = (other * slope - free * turn) / scale, (free * rise - one * slope) / scale
+        return float(alpha), float(beta), float(z)
 
 
 _NEAR = 1e-4
@@ -236,12 +200,18 @@ def slowest_poles(loop: Loop, alpha: Floats, beta: Floats) -> list[SlowestPole]:
 
 def characteristic(loop: Loop, alpha: float, beta: float) -> Digits:
     """Return the characteristic polynomial in w = (z - 1)/(z + 1), lowest power first."""
-    g = loop.sampled
     with many_digits(loop.digits):
-        up, down, two_w = as_exact([1, 1]), as_exact([1, -1]), as_exact([0, 2])
-        bottom, top = product(up, g.filter), product(two_w, g.velocity)
-        wall = total(Decimal(float(alpha)) * bottom, Decimal(float(beta)) * top)
-        return total(product(power(up, g.delay), g.motion, bottom), product(power(down, g.delay), g.force, wall))
+        free, by_alpha, by_beta = _characteristic_parts(loop)
+        return total(free, total(Decimal(float(alpha)) * by_alpha, Decimal(float(beta)) * by_beta))
+
+
+def _characteristic_parts(loop: Loop) -> tuple[Digits, Digits, Digits]:
+    """Return what the characteristic polynomial has without a wall, times alpha, and times beta."""
+    g = loop.sampled
+    up, down, two_w = as_exact([1, 1]), as_exact([1, -1]), as_exact([0, 2])
+    bottom, force = product(up, g.filter), product(power(down, g.delay), g.force)
+    free = product(power(up, g.delay), g.motion, bottom)
+    return free, product(force, bottom), product(force, two_w, g.velocity)
 
 
 def _slowest(loop: Loop, alpha: float, beta: float, poles: np.ndarray) -> SlowestPole:
@@ -250,26 +220,26 @@ def _slowest(loop: Loop, alpha: float, beta: float, poles: np.ndarray) -> Slowes
     polynomial = characteristic(loop, alpha, beta)
     with many_digits(loop.digits):
         slope = derivative(polynomial)
-        refined = [_newton(polynomial, slope, z) for z in candidates]
+        guesses = (candidates - 1) / (candidates + 1)
+        found = [_newton(polynomial, slope, (Decimal(w.real), Decimal(w.imag))) for w in guesses.tolist()]
+        refined = [_quotient((1 + w[0], w[1]), (1 - w[0], -w[1])) for w in found]
         radius, pole = max((float((z[0] ** 2 + z[1] ** 2).sqrt()), complex(*map(float, z))) for z in refined)
     own = np.argsort(np.minimum(np.abs(poles - pole), np.abs(poles - pole.conjugate())))
     others = np.delete(poles, own[: 2 if abs(pole.imag) > 0 else 1])
     return SlowestPole(radius, float(np.abs(others - pole).min(initial=np.inf)))
 
 
-def _newton(polynomial: Digits, slope: Digits, start: complex) -> Complex:
-    """Return z at the root of a polynomial in w next to a first guess of z."""
-    guess = (start - 1) / (start + 1)
-    w = (Decimal(guess.real), Decimal(guess.imag))
+def _newton(polynomial: Digits, slope: Digits, w: Complex) -> Complex:
+    """Return the root of a polynomial next to a first guess."""
     for _ in range(_STEPS):
-        value, change = _value(polynomial, w), _value(slope, w)
-        if not any(value):
+        here, change = _value(polynomial, w), _value(slope, w)
+        if not any(here):
             break
-        step = _quotient(value, change)
+        step = _quotient(here, change)
         w = (w[0] - step[0], w[1] - step[1])
         if abs(step[0]) + abs(step[1]) <= _FINE * (abs(w[0]) + abs(w[1])):
             break
-    return _quotient((1 + w[0], w[1]), (1 - w[0], -w[1]))
+    return w
 
 
 def _value(polynomial: Digits, place: Complex) -> Complex:

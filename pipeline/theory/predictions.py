@@ -19,8 +19,7 @@ from pipeline.base.disk import if_writable, read_kept, write_kept
 from pipeline.base.errors import ParameterError
 from pipeline.base.process import process_pool
 from pipeline.base.provenance import code_digest, digest, sha256
-from pipeline.loop.device_loop import loop_of, wall_units
-from pipeline.loop.loop import Loop, Normalised
+from pipeline.loop.loop import Loop, Normalised, loop_of, wall_units
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.records.results import TheoryParameters

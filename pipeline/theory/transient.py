@@ -15,8 +15,7 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats, Integers
-from pipeline.theory.ahead import earlier, outlooks
-from pipeline.theory.modes import TOGETHER
+from pipeline.theory.modes import TOGETHER, earlier, outlooks
 from pipeline.theory.motion import Motion, at_share, joined, pieces, turning_share, within_pieces
 
 LONGEST = 1 << 18

@@ -10,7 +10,7 @@ from independent import deviation, extreme_cases, random_loops, simulate, simula
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import LARGEST_DELAY, Loop, Normalised, as_points
-from pipeline.loop.response import response
+from pipeline.theory.motion import response
 
 RANDOM = stable_walls(random_loops(100, seed=5), each=3, seed=6)
 EXTREME = extreme_cases()

@@ -9,8 +9,7 @@ import pytest
 
 from pipeline.base.errors import DeviceError, UsageError
 from pipeline.device_data.devices import load_device
-from pipeline.loop.device_loop import loop_of, wall_units
-from pipeline.loop.loop import Normalised
+from pipeline.loop.loop import Normalised, loop_of, wall_units
 from pipeline.plan.course import Wish, foretold, open_course, wanted_dampings
 from pipeline.plan.planner import plan, plan_of
 from pipeline.records.loop_parts import LoopParts

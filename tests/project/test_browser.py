@@ -21,7 +21,7 @@ from trial_pages import trial_page
 
 from pipeline.comparison.compare import Outcome
 from pipeline.rendering.report import report
-from pipeline.shell.profile.log_picture import look, page
+from pipeline.shell.profile.picture import look, page
 from pipeline.shell.report_index import write_index
 
 pytestmark = pytest.mark.browser

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.rendering.labels import damping_text, percent_text, stiffness_text
+from pipeline.records.findings import Estimate
+from pipeline.rendering.labels import damping_text, estimate_texts, percent_text, stiffness_text
 
 
 @pytest.mark.parametrize(
@@ -22,3 +23,18 @@ def test_a_small_damping_keeps_its_digits(value, text):
 @pytest.mark.parametrize(("value", "text"), [(537261.9, "over +1000"), (-2.26, "−2.3"), (0.04, "0.0")])
 def test_a_deviation_beyond_all_comparison_is_told_in_words(value, text):
     assert percent_text(value) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "texts"),
+    [
+        (0.19000076, 0.19000013, 0.19000139, ("0.19000076", "0.19000013", "0.19000139")),
+        (3.8799, 3.87, 3.89, ("3.880", "3.870", "3.890")),
+        (30123.0, 29700.0, 30500.0, ("30120", "29700", "30500")),
+        (12.3, 11.9, 99.0, ("12.3", "11.9", "99.0")),
+        (0.0, 0.0, 0.114, ("0", "0", "0.114")),
+        (5.0, 4.9, None, ("5.00", "4.90", "")),
+    ],
+)
+def test_an_estimate_has_two_digits_of_its_half_width(value, low, high, texts):
+    assert estimate_texts(Estimate(value=value, low=low, high=high, unit="", method="")) == texts

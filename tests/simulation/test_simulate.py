@@ -17,7 +17,7 @@ from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.records.loop_parts import SimulationParts
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
-from pipeline.simulation.simulate import in_force, simulate
+from pipeline.simulation.simulate import age_in_force, in_force, simulate
 
 T = 0.001
 FALCON = setup_of(load_device("falcon"), load_device("falcon").experiments[0])
@@ -114,6 +114,13 @@ def test_newest_arrived_command_holds(delays: list[list[int]]) -> None:
             arrived = [sent for sent in range(row + 1) if sent + matrix[sent, trial] <= row]
             assert found[row, trial] == max(arrived, default=-1)
     assert (np.diff(found, axis=0) >= 0).all()  # no overtaking
+
+
+@pytest.mark.parametrize("delays", [(4,), (2, 3), (3, 5), (3, 4, 5), (0, 1, 2, 7)])
+def test_moments_of_the_age_in_force_are_those_of_long_draws(delays) -> None:
+    drawn = np.random.default_rng(1).choice(delays, (100_000, 1)).astype(np.int64)
+    age = (np.arange(len(drawn)) - in_force(drawn)[:, 0])[100:]
+    assert age_in_force(delays) == pytest.approx((age.mean(), age.std()), abs=0.02)
 
 
 def felt_command(batch: TrialBatch, row: int, mass: float) -> float:

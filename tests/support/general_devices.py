@@ -16,7 +16,7 @@ from pipeline.records.loop_parts import Butterworth, Coefficients, Difference, L
 
 @dataclass(frozen=True)
 class Example:
-    """A device in SI, as `pipeline.loop.device_loop.loop_of` takes it."""
+    """A device in SI, as `pipeline.loop.loop.loop_of` takes it."""
 
     mass: float
     damping: float

@@ -9,8 +9,7 @@ import numpy as np
 from kinds import kinds
 
 from pipeline.device_data.devices import load_device
-from pipeline.loop.device_loop import loop_of, wall_units
-from pipeline.loop.loop import Loop, Normalised
+from pipeline.loop.loop import Loop, Normalised, loop_of, wall_units
 from pipeline.measured.cost.costs import settling
 from pipeline.measured.model.parts import chosen
 from pipeline.measured.signal.response import find_response

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from general_devices import EXTREMES, random_device
 
-from pipeline.loop.device_loop import loop_of
-from pipeline.loop.loop import Loop
-from pipeline.theory import ahead
+from pipeline.loop.loop import Loop, loop_of
+from pipeline.theory import modes
 from pipeline.theory.limits import limits, outline
 from pipeline.theory.transient import transient_costs
 
@@ -34,7 +33,7 @@ def points(rng, kind):
 def followed(monkeypatch, *arguments, **options):
     """Return the costs of `transient_costs` with no mode believed."""
     with monkeypatch.context() as patch:
-        patch.setattr(ahead, "_REPRODUCED", -1.0)
+        patch.setattr(modes, "_STILL_REPRODUCED", -1.0)
         return transient_costs(*arguments, **options)
 
 

@@ -11,8 +11,7 @@ import pytest
 from independent import DIGITS, characteristic
 
 from pipeline.loop.loop import Loop
-from pipeline.theory.branches import first_branch, is_sampled
-from pipeline.theory.circle import circle_points, ends, place_of
+from pipeline.theory.circle import circle_points, ends, first_branch, is_sampled, place_of
 from pipeline.theory.crossings import branches, counted_stretches, exact_branches, stretches
 
 NYQUIST = math.pi**2

@@ -9,12 +9,10 @@ import pytest
 from general_devices import EXTREMES, Example, ManyDigits, random_device
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import loop_of, wall_units
-from pipeline.loop.loop import Loop
+from pipeline.loop.loop import Loop, loop_of, wall_units
 from pipeline.loop.many_digits import as_exact, many_digits, product
 from pipeline.records.loop_parts import Coefficients, Difference, LoopParts
-from pipeline.theory.branches import sampled_cells
-from pipeline.theory.circle import right_half
+from pipeline.theory.circle import right_half, sampled_cells
 from pipeline.theory.crossings import Branches, _breaks, counted_stretches, exact_branches, positive_roots
 from pipeline.theory.limits import boundary, is_inside, limits, outline, stiffness_limit
 from pipeline.theory.poles import spectral_radius

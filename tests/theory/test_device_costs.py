@@ -10,8 +10,7 @@ from scipy.integrate import simpson
 from scipy.interpolate import CubicHermiteSpline
 from scipy.linalg import expm
 
-from pipeline.loop.device_loop import loop_of, wall_units
-from pipeline.loop.loop import Loop, Vibration
+from pipeline.loop.loop import Loop, Vibration, loop_of, wall_units
 from pipeline.records.loop_parts import Butterworth
 from pipeline.theory.costs import point_costs_by_name
 from pipeline.theory.energy import energy_costs

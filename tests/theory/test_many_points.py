@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from pipeline.loop.loop import Loop
-from pipeline.theory import ahead, energy
-from pipeline.theory.costs import point_costs_by_name
-from pipeline.theory.map import bounding_box
+from pipeline.theory import energy, modes
+from pipeline.theory.costs import bounding_box, point_costs_by_name
 from pipeline.theory.poles import spectral_radius
 from pipeline.theory.transient import transient_costs
 
@@ -65,7 +64,7 @@ def test_overshoot_long_after_settling_is_found(monkeypatch):
     steady = spectral_radius(loop, grid[0].ravel(), grid[1].ravel()) < 0.9995
     alpha, beta = (g.ravel()[steady] for g in grid)
     found = transient_costs(loop, alpha, beta, (0.02,), longest=1 << 14, quiet=1e-13)
-    monkeypatch.setattr(ahead, "_REPRODUCED", -1.0)
+    monkeypatch.setattr(modes, "_STILL_REPRODUCED", -1.0)
     plain = transient_costs(loop, alpha, beta, (0.02,), longest=1 << 14, quiet=1e-13)
     late = (plain["overshoot"] > 0) & (plain["overshoot"] < 1e-3)
     assert late.sum() > 50

@@ -7,9 +7,8 @@ import pytest
 from general_devices import random_device
 
 import pipeline
-from pipeline.loop.device_loop import loop_of
-from pipeline.loop.loop import Loop
-from pipeline.theory.limits import outline
+from pipeline.loop.loop import Loop, Vibration, loop_of
+from pipeline.theory.limits import boundary, outline
 
 LONG = {
     "lag": ({"damping": 10, "delay_samples": 0, "actuator_lag_s": 1.5e-3}, 142_313, 1_166.7),
@@ -97,3 +96,23 @@ def test_no_optimum_lies_on_an_island_or_beside_a_better_one():
     best = loop.optimum("settle_2pct")
     beside = float(loop.points(37606.076, 272.07807)["settle_2pct"].iloc[0])
     assert best.cost <= beside < 10.85
+
+
+@pytest.mark.parametrize(
+    ("loop", "gaps"),
+    [
+        (
+            Loop(9.0, 0.01, 3.3),
+            0,
+        ),  # soft walls are stable at some dampings only, but all that is stable is of one piece
+        (Loop(0.000273, 0.0693, 6.0, mode=Vibration(0.4, 0.0011, 0.0092, False)), 4),  # two regions join
+    ],
+)
+def test_an_edge_is_drawn_without_jumps(loop: Loop, gaps: int) -> None:
+    border = boundary(loop)
+    step = np.hypot(
+        np.diff(border.alpha) / np.ptp(border.alpha[np.isfinite(border.alpha)]),
+        np.diff(border.beta) / np.ptp(border.beta[np.isfinite(border.beta)]),
+    )
+    assert np.nanmax(step) < 0.06
+    assert np.isnan(border.alpha).sum() == gaps

@@ -22,8 +22,7 @@ from independent import (
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
-from pipeline.theory.optimum import optimal_point
-from pipeline.theory.overshoot import never_overshoots
+from pipeline.theory.optimum import never_overshoots, optimal_point
 from pipeline.theory.poles import damping_ratio, pole_settling_time, poles, spectral_radius, threefold_pole
 
 Case = tuple[float, float, float, float, float]

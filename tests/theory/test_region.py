@@ -12,7 +12,7 @@ from test_extent import EXTREME, damping_range, stiffest_point
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
-from pipeline.theory.branches import first_branch
+from pipeline.theory.circle import first_branch
 from pipeline.theory.limits import is_inside, robust_limits, stable_intervals, stiffness_limit
 from pipeline.theory.poles import spectral_radius
 
@@ -164,7 +164,7 @@ def test_extremes_against_a_fine_grid_of_lines(values: tuple[float, float, float
     lines = 2001
     beta = low + (high - low) * (np.arange(lines) + 0.5) / lines
     alpha, at = stiffest_point(loop)
-    best = float(stiffness_limit(loop, beta).max())
+    best = float(stable_intervals(loop, beta).high.max())
     assert best <= alpha * (1 + 1e-12) + 1e-300
     assert best == pytest.approx(alpha, rel=2e-3)
     assert low <= at <= high

@@ -20,9 +20,9 @@ from places import SHARED
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
+from pipeline.theory.circle import circle_points, place_of
 from pipeline.theory.limits import Boundary, boundary
 from pipeline.theory.poles import (
-    boundary_points,
     is_stable,
     spectral_radius,
 )
@@ -132,7 +132,8 @@ def neighbours(
     loop: Loop, border: Boundary, theta: float, step: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Points on either side of the boundary at an angle, across its tangent."""
-    a, b = boundary_points(loop, np.array([theta - 1e-6, theta, theta + 1e-6]))
+    at = circle_points(loop, place_of(np.array([theta - 1e-6, theta, theta + 1e-6])))
+    a, b = at.alpha, at.beta
     scale = np.array([np.ptp(border.alpha), np.ptp(border.beta)])
     tangent = np.array([a[2] - a[0], b[2] - b[0]]) / scale
     normal = np.array([-tangent[1], tangent[0]]) / np.hypot(*tangent) * scale * step

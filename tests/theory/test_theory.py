@@ -5,8 +5,8 @@ from simulated import plant, spectral_radius
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
-from pipeline.theory import ahead
 from pipeline.theory import cases as theory
+from pipeline.theory import modes
 from pipeline.theory.limits import robust_outline
 
 HEADER = "alpha,beta,gamma,delta,delay\n"
@@ -52,7 +52,7 @@ def test_a_slow_wall_has_its_costs_at_once(tmp_path, monkeypatch):
 
 def test_a_cost_that_takes_too_long_is_named_and_the_others_stand(tmp_path, monkeypatch):
     monkeypatch.setattr(theory, "LONGEST", 8000)
-    monkeypatch.setattr(ahead, "_REPRODUCED", -1.0)  # as where modes lie so close together that they tell nothing
+    monkeypatch.setattr(modes, "_STILL_REPRODUCED", -1.0)  # as where modes lie so close together that they tell nothing
     (found,) = points(tmp_path, (1e-4, 0.01, 0, 0.1, 3))
     assert found["settle_2pct"] == pytest.approx(np.log(50) / -np.log(found["spectral_radius"]), abs=15)
     assert found["overshoot"] is None

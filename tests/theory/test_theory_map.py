@@ -10,10 +10,10 @@ from simulated import spectral_radius
 from pipeline.base.errors import ParameterError, PipelineError
 from pipeline.loop.loop import Loop
 from pipeline.theory import cases as theory
-from pipeline.theory import map as map_file
+from pipeline.theory import costs as map_file
 from pipeline.theory import poles as stability
+from pipeline.theory.costs import CostMap
 from pipeline.theory.energy import energy_costs
-from pipeline.theory.map import CostMap
 from pipeline.theory.transient import transient_costs
 
 

@@ -26,8 +26,7 @@ from independent import (
 
 import pipeline.theory.transient
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import loop_of
-from pipeline.loop.loop import Loop, Normalised
+from pipeline.loop.loop import Loop, Normalised, loop_of
 from pipeline.records.loop_parts import Coefficients, LoopParts
 from pipeline.theory.limits import boundary
 from pipeline.theory.poles import is_stable, spectral_radius

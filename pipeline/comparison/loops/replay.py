@@ -23,6 +23,7 @@ from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.results import ExperimentResult, LoopLimit, WallReplay
 from pipeline.rendering.labels import share_text, significant
+from pipeline.simulation.simulate import age_in_force
 
 MOST_WALLS = 150
 """Trials that are replayed, spread over the tested walls: a share of 95 % is then known to 2 %."""
@@ -31,6 +32,9 @@ FOLDS = 5
 
 QUANTILES = (-1.2816, -0.5244, 0.0, 0.5244, 1.2816)
 """Friction of each fold's trials, in standard deviations of its scatter: the middles of five equal shares."""
+
+MOST_DELAYS = 9
+"""Most delays of a sample apart that commands draw from; the age in force then scatters by 1.6 samples."""
 
 LOW = 0.25
 """Limit relative to the largest one below which none is compared in percent: at its ends a boundary tends to zero."""
@@ -48,8 +52,7 @@ def usual_trial(result: ExperimentResult, stages: ExperimentStages) -> Trial:
         step=float(np.median(stages.step_sizes)),
         rows=int(np.median(stages.trials.column("rows").to_numpy())),
         quantum=float(np.nanmedian(stages.column("response", "sensor_quantum"))) if matters else 0.0,
-        # of n delays that are as likely the variance is (n^2 - 1)/12
-        delays=round(float(np.sqrt(12 * spread**2 + 1))),
+        delays=min(range(1, MOST_DELAYS + 1), key=lambda count: abs(age_in_force(range(count))[1] - spread)),
     )
 
 

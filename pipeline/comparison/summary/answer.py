@@ -32,8 +32,8 @@ from pipeline.records.results import (
     NextWall,
     Prediction,
 )
-from pipeline.rendering.labels import Units, quantity_name, share_text, significant
-from pipeline.simulation.simulate import mean_in_force
+from pipeline.rendering.labels import Units, estimate_texts, quantity_name, share_text, significant
+from pipeline.simulation.simulate import age_in_force
 
 COARSE = 5.0
 """Percent that the grid of the trials adds to a best cost from which on the reader is told how coarse it is."""
@@ -160,14 +160,14 @@ def _other_parameters(result: ExperimentResult, of_file: Experiment | None, unit
     mass, damping, _, _ = p.loop.felt(p.mass, p.damping, p.stiffness)
     jitter, delay = of_file.jitter_samples if of_file else (), p.delay_samples
     if jitter and result.delay.value is not None and result.delay.value < delay:
-        delay = max(mean_in_force(jitter), min(delay, result.delay.value))
+        delay = max(age_in_force(jitter)[0], min(delay, result.delay.value))
     stated = (
         ("m", mass, result.estimates["mass"], units.mass),
         ("b", damping, result.estimates["damping"], units.damping),
         ("d", delay, result.delay, "samples"),
     )
     off = [
-        f"{name} = {significant(value, 3)} {unit}, logs {significant(found.low, 3)} to {significant(found.high, 3)}"
+        f"{name} = {significant(value, 3)} {unit}, logs {' to '.join(estimate_texts(found)[1:])}"
         for name, value, found, unit in stated
         if found.low is not None
         and found.high is not None

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.measured.model.motion import SHORTEST_LAG, Physics
 from pipeline.measured.model.recordings import Stretches
 from pipeline.measured.model.scatter import FEWEST, Moments, Solved, solve
-from pipeline.measured.model.whitening import WHITE, Column, Filter, Noise, Passage, blurred, passed
+from pipeline.measured.model.whitening import WHITE, Column, Filter, Noise, Passage, passed
 from pipeline.records.batch import Floats
 
 SHAPE = ("delta", "gamma", "delay", "lag", "turn", "ratio", "share")
@@ -70,14 +70,24 @@ MEMORIES = (1e-12, 3e5)
 """Least and largest variance of the disturbing force in that of a reading, per sample: from a random walk that forgets
 in a thousand samples to one that forgets in one."""
 
-JITTERS = (0.02, 4.0)
+JITTERS = (0.02, 2.5)
 """Least and largest jitter of the delay that is looked for [samples]."""
 
 ROUGH = 0.7
 """Change of the logarithm of a variance that is near enough for a start: intervals grow with its root."""
 
+NEAR = 0.05
+"""Change of the logarithm of a variance, or of a jitter, within which the likelihood is a parabola."""
+
+MOST_COSTS = 24
+"""Most likelihoods in the search for a jitter beside a random force."""
+
 JITTERY_ROW = 0.01
 """Gain of log-likelihood by a random force, a row, up to which it is rounding and no jitter is looked for."""
+
+OTHER_AGES = 0.08
+"""Error of a jitter by the shape of its distribution, relative, for each sample from half of one on: of delays drawn
+from two to four whole ones it is off by up to 0.15."""
 
 LEAST_JITTER = 0.05
 """Jitter [samples] from which on one is believed: what rounding leaves may look like less."""
@@ -117,9 +127,14 @@ class Device:
         return replace(self, numbers=moved)
 
     def driven(self, held: Stretches) -> Floats:
-        """Return the mean of the command that acts on it, shape (lead + N, S)."""
+        """Return the command as far as it has the force for it, shape (lead + N, S)."""
         limit = self.numbers.get("limit", np.inf)
-        return blurred(np.clip(held.driven, -limit, limit), self.noise.jitter)
+        return np.asarray(np.clip(held.driven, -limit, limit))
+
+    def passage(self, held: Stretches, name: str = "", by: float = 0.0) -> Passage:
+        """Return how it moves in stretches, after a change of one of its numbers."""
+        shape = self.shape.moved(name, by) if name else self.shape
+        return Passage(held, shape, self.noise.jitter)
 
     def own(self, name: str, trials: np.ndarray) -> Floats:
         """Return a number of the trial of each stretch, shape (S,); 0 where the device has none."""
@@ -213,7 +228,7 @@ def _log_spread(held: Stretches, found: Filter, triangle: Floats) -> float:
 
 def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats]:
     """Return columns and errors without the start (S, N, p + 1), the filter's spreads, and unknowns of each start."""
-    passage, nothing = Passage(held, device.shape), np.ones_like(held.direction)
+    passage, nothing = device.passage(held), np.ones_like(held.direction)
     found = Filter.of(passage, device.noise)
     linear = {
         "gain": Column(command=device.driven(held)),
@@ -240,7 +255,7 @@ def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats]:
     whole = replace(whole, start=start)
     (at,) = passed(passage, found, [whole])
     for name in (each for each in SHAPE if each in device.numbers):
-        (moved,) = passed(Passage(held, device.shape.moved(name, SMALL)), found, [whole])
+        (moved,) = passed(device.passage(held, name, SMALL), found, [whole])
         columns[name] = (at - moved) / SMALL
     stacked = np.stack([*(columns[name] for name in device.names), common], axis=-1).transpose(1, 0, 2)
     reduced = stacked - q @ (q.transpose(0, 2, 1) @ stacked)
@@ -303,19 +318,19 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
 
     A random force is looked for, and a jitter of the delay if asked for.
     """
-    from scipy.optimize import minimize, minimize_scalar
+    from scipy.optimize import minimize_scalar
 
     some = held.chosen(spread(held, NOISE_STRETCHES))
-    passage, constant = Passage(some, device.shape), Column(direct=np.ones_like(some.direction))
-    # an impulse by a jitter of one sample, in standard deviations of a reading
+    constant = Column(direct=np.ones_like(some.direction))
     white = max(_white(some), float(np.median(some.least)))
-    impulse = float(device.numbers["gain"] / np.sqrt(white))
+    unit = float(device.numbers["gain"] ** 2 / white)
 
     def of(force: float, jitter: float) -> Noise:
-        return Noise(force, (impulse * jitter) ** 2, jitter)
+        return Noise(force, unit if jitter else 0.0, jitter)
 
     def cost(noise: Noise) -> float:
-        found, whole = Filter.of(passage, noise), force_of(some, replace(device, noise=noise))
+        passage = Passage(some, device.shape, noise.jitter)
+        found, whole = Filter.of(passage, noise), force_of(some, device)
         # the constant force of each stretch is free, so that it is not taken for a random one
         (left, push), q, r = errors_of(some, passage, found, [whole, constant])
         both = np.stack([left, push], axis=-1).transpose(1, 0, 2)
@@ -324,7 +339,7 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
         pushed = np.maximum(products[:, 1, 1], 1e-300)
         squares = np.maximum(products[:, 0, 0] - products[:, 0, 1] ** 2 / pushed, 1e-300)
         rows = np.maximum(some.rows - q.shape[2] - 1, 1)
-        # the strength of a jitter is that of its impulses, beside readings whose noise is seen
+        # the strength of a jitter is that of its forces, beside readings whose noise is seen
         variance = white if noise.late else np.maximum(squares / rows, some.least)
         lost = 0.5 * (rows * np.log(variance) + squares / variance + np.log(pushed)).sum()
         return float(lost) + _log_spread(some, found, r)
@@ -337,6 +352,8 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
         )
         return float(found.fun), make(float(np.exp(found.x)))
 
+    if jitters and device.noise.jitter:
+        return _with_error(cost, _jittery(cost, of, device.noise, ROUGH / 4))
     none = cost(WHITE), WHITE
     alone = [likeliest(lambda force: of(force, 0.0), MEMORIES)]
     jitters = jitters and none[0] - alone[0][0] > WORTH + JITTERY_ROW * float(some.rows.sum())
@@ -349,22 +366,43 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
         return best[1]
     # both together, from the likelier one and a tenth of the other
     shares = [1.0 if each is best else 0.1 for each in alone]
-    start = np.log(
-        [max(alone[0][1].force * shares[0], MEMORIES[0]), max(alone[1][1].jitter * shares[1] ** 0.5, JITTERS[0])]
-    )
-    simplex = start + np.array([[0.0, 0.0], [ROUGH, 0.0], [0.0, 0.5 * ROUGH]])
-    options = {"maxfev": 30, "xatol": 0.05, "fatol": 0.1, "initial_simplex": simplex}
+    found = _jittery(cost, of, of(alone[0][1].force * shares[0], alone[1][1].jitter * shares[1] ** 0.5), ROUGH)
+    # a jitter of both that is worth it beside the best without one
+    still = min([none, alone[0]], key=lambda each: each[0])
+    simplest = min((cost(found), found), (still[0] - WORTH, still[1]), key=lambda each: each[0])[1]
+    return _with_error(cost, simplest) if simplest.jitter else simplest
+
+
+def _jittery(cost: Callable[[Noise], float], of: Callable[[float, float], Noise], near: Noise, far: float) -> Noise:
+    """Return the likeliest random force and jitter near some, without a force that is worth nothing."""
+    from scipy.optimize import minimize
+
+    start = np.log([max(near.force, MEMORIES[0]), max(near.jitter, JITTERS[0])])
+    simplex = start + far * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 0.5]])
+    options = {"maxfev": MOST_COSTS, "xatol": NEAR, "fatol": 0.05, "initial_simplex": simplex}
     both = minimize(lambda logs: cost(of(*np.exp(logs).tolist())), start, method="Nelder-Mead", options=options)
     force, jitter = np.exp(both.x).tolist()
-    simpler = [*((cost(each), each) for each in (of(force, 0.0), of(0.0, jitter))), *worth]
-    found = [(float(both.fun), of(force, jitter)), *((lost - WORTH, each) for lost, each in simpler)]
-    best_noise = min(found, key=lambda each: each[0])[1]
-    if not best_noise.jitter:
-        return best_noise
-    # the curvature of the likelihood, as that of all stretches
-    ends = [cost(of(best_noise.force, best_noise.jitter * factor)) for factor in (0.9, 1.0, 1.1)]
-    curvature = max((ends[0] - 2 * ends[1] + ends[2]) / 0.01, 1e-3) * len(held) / len(some)
-    return replace(best_noise, jitter_error=float(best_noise.jitter / np.sqrt(curvature)))
+    without = of(0.0, jitter)
+    return without if cost(without) - WORTH < both.fun else of(force, jitter)
+
+
+def _with_error(cost: Callable[[Noise], float], found: Noise) -> Noise:
+    """Return a noise with the likeliest jitter beside its force, and the error of that.
+
+    Half a sample beside a delay of half a sample is at a bend of the likelihood: its flatter side tells the error.
+    """
+    from scipy.optimize import minimize_scalar
+
+    def at(log: float) -> Noise:
+        return replace(found, jitter=float(np.exp(log)))
+
+    near = np.log(found.jitter)
+    bounds, options = (near - 4 * NEAR, near + 4 * NEAR), {"xatol": 0.1 * NEAR, "maxiter": MOST_COSTS // 2}
+    best = minimize_scalar(lambda log: cost(at(log)), bounds=bounds, method="bounded", options=options)
+    falls = max(min(cost(at(best.x - NEAR)), cost(at(best.x + NEAR))) - float(best.fun), 1e-3)
+    jitter = float(np.exp(best.x))
+    error = float(np.hypot(NEAR / np.sqrt(2 * falls), OTHER_AGES * max(jitter - 0.5, 0.0)))
+    return replace(found, jitter=jitter, jitter_error=jitter * error)
 
 
 def _white(held: Stretches) -> float:

@@ -19,10 +19,6 @@ CONFIDENCE = 0.95
 COMPUTED = 1e-9
 """Error relative to a value that computing it leaves: the search ends there in logs without noise."""
 
-JITTERY = 2.0
-"""Factor on errors where the delay jitters: what it does is neither independent from sample to sample nor normal. With
-delays of three samples, drawn alike, masses of 670 trials are off by 3e-4, three times what independent errors say."""
-
 
 @dataclass(frozen=True)
 class Interval:
@@ -105,10 +101,7 @@ class Errors:
         without = (total if fit.few else total - own for own in information)
         steps = np.stack([-(inverse(rest) @ each) for rest, each in zip(without, score, strict=True)])
         # equal readings count as one
-        wider = JITTERY if fit.device.noise.late else 1.0
-        return cls(
-            fit.device.numbers, wider**2 * fit.alike * solved.covariance, wider * steps, max(float(told.sum() - 1), 1.0)
-        )
+        return cls(fit.device.numbers, fit.alike * solved.covariance, steps, max(float(told.sum() - 1), 1.0))
 
     def interval(self, quantity: Quantity, bounded: bool = False, unit: float = 0.0) -> Interval:
         """Return a quantity's value and interval; one that is not negative by its profile likelihood at 0.

@@ -1,7 +1,7 @@
 """What a device does between two readings: exact motion under a late command, for regular and irregular rows.
 
 Time is in sampling periods, mass 1. The device has position, velocity and, behind a lag, the drive's force; with a
-mode also the distance of the far mass from the centre, and its rate (`loop.device_loop`).
+mode also the distance of the far mass from the centre, and its rate (`loop.loop`).
 """
 
 from __future__ import annotations
@@ -85,24 +85,53 @@ def at_times(matrix: Floats, inputs: Floats, times: Floats) -> tuple[Floats, Flo
     return moved[place], gained[place]
 
 
+OFF_BY_ONE = 0.7
+"""Most of a variance of ages [samples^2] by commands that come one sample early or late, as is left for 0.5 beside a
+whole one; what is more comes from further ones."""
+
+
+def ages(delay: float, jitter: float) -> tuple[Floats, Floats]:
+    """Return the ages [samples] of the command in force and their probabilities, by its mean and deviation.
+
+    Commands arrive on whole samples as far as the deviation allows: of whole delays whose mean lies ``off`` beside one
+    the variance is at least |off| - off^2.
+    """
+    if jitter <= 0:
+        return np.array([delay]), np.ones(1)
+    variance = min(jitter**2, OFF_BY_ONE)
+    most = 0.5 * (1 - np.sqrt(max(1 - 4 * variance, 0.0)))
+    off = float(np.clip(delay - round(delay), -most, most))
+    square = variance + off**2
+    share = np.maximum(np.array([square - off, 2 * (1 - square), square + off]) / 2, 0.0)
+    left = jitter**2 - variance
+    for _ in range(int(np.ceil(left / OFF_BY_ONE))):
+        variance = min(left, OFF_BY_ONE)
+        share, left = np.convolve(share, [0.5 * variance, 1 - variance, 0.5 * variance]), left - variance
+    reach = len(share) // 2
+    return delay - off + np.arange(-reach, reach + 1.0), share
+
+
 @dataclass(frozen=True, eq=False)
 class Pieces:
     """Pieces of the intervals between rows over which the late command is constant.
 
     ``row`` (P, N, S) of the command, and the time from where each begins and ends to the interval's end; (P, 1, 1)
-    where all rows are regular.
+    where all rows are regular. ``age`` (P,) is the place of its age among those of `ages`, ``share`` (P,) how likely.
     """
 
     row: Integers
     begins: Floats
     ends: Floats
+    age: Integers
+    share: Floats
 
     def gains(self, matrix: Floats, inputs: Floats) -> Floats:
         """Return what unit inputs over each piece add to the state at the interval's end, (P, N or 1, S or 1, n, i)."""
-        return np.asarray(at_times(matrix, inputs, self.begins)[1] - at_times(matrix, inputs, self.ends)[1])
+        whole = at_times(matrix, inputs, self.begins)[1] - at_times(matrix, inputs, self.ends)[1]
+        return np.asarray(whole * self.share[:, None, None, None, None])
 
 
-def pieces(time: Floats, lead: int, delay: float, regular: bool) -> Pieces:
+def pieces(time: Floats, lead: int, delay: float, regular: bool, jitter: float = 0.0) -> Pieces:
     """Return the pieces of the intervals of stretches.
 
     Parameters
@@ -110,19 +139,33 @@ def pieces(time: Floats, lead: int, delay: float, regular: bool) -> Pieces:
     time : float64, shape (lead + N + 1, S)
         Of the commands [samples]; readings begin ``lead`` rows later. The last row ends the last interval.
     lead : int
-    delay : float
-        [samples]
+    delay, jitter : float
+        Mean and standard deviation of the age of the command in force [samples].
     regular : bool
         Whether all rows are one sample apart.
     """
+    made = _even_pieces if regular else _uneven_pieces
+    each_age, shares = ages(delay, jitter)
+    found = [made(time, lead, float(age)) for age in each_age]
+    count = [len(row) for row, _, _ in found]
+    row, begins, ends = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return Pieces(row, begins, ends, np.repeat(np.arange(len(count)), count), np.repeat(shares, count))
+
+
+def _even_pieces(time: Floats, lead: int, delay: float) -> tuple[Integers, Floats, Floats]:
+    """Return rows of the command, begins and ends of the pieces of one age between even rows."""
+    whole = int(np.floor(delay))
+    part = delay - whole
+    newest = np.arange(len(time) - 1 - lead)[:, None] + lead - whole
+    row = np.stack([newest - 1, newest])
+    begins, ends = np.array([1.0, 1.0 - part])[:, None, None], np.array([1.0 - part, 0.0])[:, None, None]
+    used = slice(None) if part else slice(1, None)
+    return np.clip(row, 0, len(time) - 2)[used], begins[used], ends[used]
+
+
+def _uneven_pieces(time: Floats, lead: int, delay: float) -> tuple[Integers, Floats, Floats]:
+    """Return rows of the command, begins and ends of the pieces of one age between rows of any distance."""
     rows, count = time.shape[0] - 1 - lead, time.shape[1]
-    if regular:
-        whole = int(np.floor(delay))
-        part = delay - whole
-        newest = np.arange(rows)[:, None] + lead - whole
-        row = np.broadcast_to(np.stack([newest - 1, newest]), (2, rows, 1))
-        begins, ends = np.array([1.0, 1.0 - part]), np.array([1.0 - part, 0.0])
-        return Pieces(np.maximum(row, 0), begins[:, None, None], ends[:, None, None])
     start, stop = time[lead:-1], time[lead + 1 :]
     first = np.empty((rows, count), dtype=np.int64)
     last = np.empty_like(first)
@@ -143,4 +186,4 @@ def pieces(time: Floats, lead: int, delay: float, regular: bool) -> Pieces:
         begins_of.append(np.where(first + piece > last, 0.0, begin))
         ends_of.append(np.where(first + piece > last, 0.0, end))
         rows_of.append(row)
-    return Pieces(np.stack(rows_of), np.stack(begins_of), np.stack(ends_of))
+    return np.stack(rows_of), np.stack(begins_of), np.stack(ends_of)

@@ -244,17 +244,16 @@ def _loss(fit: Fit, name: str) -> float:
 
 
 def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) -> tuple[Fit, dict[str, float]]:
-    """Return the fit with lag and mode, where held-out units are likelier with them."""
-    some = held.chosen(spread(held, LOOKED_AT))
+    """Return the fit with largest force, lag and mode, where held-out units are likelier with them."""
+    some, plain = held.chosen(spread(held, LOOKED_AT)), None
     for name, size in (("saturation", ""), ("lag", "lag"), ("mode", "share")):
         # what leaves the noise of readings alone needs no other part
         if "delay" not in fit.device.numbers or fit.device.noise == WHITE:
             break
         alone = replace(fit.device, effects=None)
+        plain = plain or refined(some, alone, trials, far=False)
         other = refined(some, _having(some, alone, trials, name), trials, SOME_STEPS)
-        if (size and _loss(other, size) < WORTH) or other.likelihood - refined(
-            some, alone, trials, far=False
-        ).likelihood < WORTH:
+        if (size and _loss(other, size) < WORTH) or other.likelihood - plain.likelihood < WORTH:
             continue
         if len(some) < len(held):
             other = refined(held, replace(other.device, effects=None), trials, far=False)
@@ -262,7 +261,12 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
         fit = refined(held, alone, trials, far=False)
         gain = held_out(other) - held_out(fit)
         if gain > WORTH * len(NUMBERS[name]):
-            fit, parts = other, parts | {name: gain}
+            fit, parts, plain = other, parts | {name: gain}, None
+    if "saturation" in parts and {"lag", "mode"} & set(parts):
+        numbers = {name: value for name, value in fit.device.numbers.items() if name != "limit"}
+        less = refined(held, Device(numbers, fit.device.noise), trials, far=False)
+        if held_out(fit) - held_out(less) <= WORTH:
+            fit, parts = less, {name: gain for name, gain in parts.items() if name != "saturation"}
     return fit, parts
 
 

@@ -49,7 +49,7 @@ def replayed(held: Stretches, device: Device) -> Replay:
 
 def _linear(held: Stretches, device: Device) -> Floats:
     """Return the free run of a device without friction, in whose start it is linear."""
-    passage = Passage(held, device.shape)
+    passage = device.passage(held)
     errors, basis, _ = errors_of(held, passage, Filter.of(passage, WHITE), [force_of(held, device)])
     left = errors[0].T[..., None]
     left = left - basis @ (basis.transpose(0, 2, 1) @ left)

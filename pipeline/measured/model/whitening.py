@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import lfilter
 
 from pipeline.measured.model.motion import Physics, Pieces, at_times, pieces
 from pipeline.measured.model.recordings import Stretches
@@ -25,8 +24,9 @@ STEADY = 1e-14
 """Change of a filter's variance in a doubling, relative to it, that is rounding."""
 
 
-LARGEST_SHARE = 0.8
-"""Share of a command that comes early or late by the reach of a jitter; delays drawn from three have two thirds."""
+LIKE_NEIGHBOUR, MOST_ALIKE = 0.6, 0.49
+"""Correlation of the ages of commands in force in two samples: 1 - (2 jitter)^-0.6, at most 0.49. Of whole delays that
+are drawn anew and overtaken by later ones, two to six in number, it is right to 0.03, by enumeration."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ class Noise:
     force : float
         Variance of the random force over a sample, in that of a reading.
     late : float
-        Variance of the impulse that a change of the command by 1 gives as it comes early or late, in that of a reading.
+        Variance of a force that a command of 1 makes, in that of a reading; 0 without jitter.
     jitter : float
-        Standard deviation of the delay [samples], from which ``late`` follows.
+        Standard deviation of the age of the command in force [samples].
     jitter_error : float
         Standard error of it.
     """
@@ -49,6 +49,11 @@ class Noise:
     late: float = 0.0
     jitter: float = 0.0
     jitter_error: float = 0.0
+
+    @property
+    def alike(self) -> float:
+        """Correlation of the age of the command in force with that in the next sample."""
+        return float(np.clip(1 - (2 * max(self.jitter, 0.5)) ** -LIKE_NEIGHBOUR, 0.0, MOST_ALIKE))
 
 
 WHITE = Noise()
@@ -79,13 +84,13 @@ class Column:
 class Passage:
     """What stretches become of in a device: transitions and gains of their intervals."""
 
-    def __init__(self, held: Stretches, shape: Physics) -> None:
+    def __init__(self, held: Stretches, shape: Physics, jitter: float = 0.0) -> None:
         self.held, self.shape = held, shape
         matrix, push, blow, sensor = shape.system
         self.sensor, self.states = sensor, len(push)
         self._inputs = np.stack([push, blow], axis=1)
         self._matrix = matrix
-        self.pieces: Pieces = pieces(held.time, held.lead, shape.delay, held.regular)
+        self.pieces: Pieces = pieces(held.time, held.lead, shape.delay, held.regular, jitter)
         one = np.ones((1, 1)) if held.regular else np.diff(held.time[held.lead :], axis=0)
         moved, gained = at_times(matrix, self._inputs, one)
         self.transition, self.disturbed = moved, gained[..., 1]
@@ -102,17 +107,17 @@ class Passage:
 
     @cached_property
     def late(self) -> Floats:
-        """Square of the change of the command that arrives in each interval, spread as by a jitter of a sample, (N, S).
-
-        It comes early or late by up to a sample: half of it where it is expected, the rest in the intervals beside.
-        """
-        driven = self.held.driven
-        arriving = np.stack([driven[row, self._column] for row in self.pieces.row])
-        now = (np.diff(arriving, axis=0) ** 2).sum(axis=0)
-        early, late = np.zeros_like(now), np.zeros_like(now)
-        early[:-1], late[1:] = now[1:], now[:-1]
-        part = self.shape.delay % 1.0 if self.held.regular else 0.5
-        return np.asarray(0.5 * ((1 - part) * early + now + part * late))
+        """Variance of the command in force in each interval by the ages it may have, (N, S)."""
+        pieces, driven = self.pieces, self.held.driven
+        span = np.ones((1, 1)) if self.held.regular else np.diff(self.held.time[self.held.lead :], axis=0)
+        mean, square = np.zeros(self.held.position.shape), np.zeros(self.held.position.shape)
+        for age in np.unique(pieces.age):
+            some = np.flatnonzero(pieces.age == age)
+            part = (pieces.begins[some] - pieces.ends[some]) / span
+            command = (np.stack([driven[pieces.row[i], self._column] for i in some]) * part).sum(axis=0)
+            mean += pieces.share[some[0]] * command
+            square += pieces.share[some[0]] * command**2
+        return np.maximum(square - mean**2, 0.0)
 
     @property
     def _column(self) -> Integers:
@@ -163,21 +168,32 @@ class Filter:
         if passage.held.regular and noise.late == 0:
             return cls._steady(passage, noise.force)
         rows, groups = passage.held.position.shape
-        size = noise.force + (noise.late * passage.late if noise.late else np.zeros((rows, 1)))
-        groups = max(size.shape[1], passage.transition.shape[1])
+        late = noise.late * passage.late if noise.late else np.zeros((rows, 1))
+        groups = max(late.shape[1], passage.transition.shape[1])
         transition = np.broadcast_to(passage.transition, (rows, groups, n, n))
         disturbed = np.broadcast_to(passage.disturbed, (rows, groups, n))
-        gain, spread, known = np.zeros((rows, groups, n)), np.ones((rows, groups)), np.zeros((groups, n, n))
+        # the last state is what moved the command in force in the interval before, which the next one shares: what a
+        # reading tells of it acts on as if the state had been another before the interval
+        alike = noise.alike if noise.late else 0.0
+        own = np.sqrt(0.5 * (1 + np.sqrt(1 - 4 * alike**2)))
+        before = np.linalg.solve(passage.transition, passage.disturbed[..., None])[..., 0] if alike else disturbed
+        before = np.broadcast_to(before, disturbed.shape)
+        gain, spread = np.zeros((rows, groups, n)), np.ones((rows, groups))
+        known, sensor = np.zeros((groups, n + 1, n + 1)), np.append(passage.sensor, 0.0)
+        known[:, n, n], moved = 1.0, np.zeros((groups, n + 1, n + 1))
         for k in range(rows):
-            seen = known @ passage.sensor
+            seen = known @ sensor
             # what is known becomes no less certain than a reading's own noise but by rounding
-            variance = np.maximum(1.0 + seen @ passage.sensor, 1.0)
-            gain[k] = seen / variance[:, None]
+            variance = np.maximum(1.0 + seen @ sensor, 1.0)
             spread[k] = np.sqrt(variance)
-            known = known - gain[k][:, :, None] * seen[:, None, :]
-            pushed = disturbed[k] * np.sqrt(size[k])[:, None]
-            moved = transition[k]
+            known = known - (seen / variance[:, None])[:, :, None] * seen[:, None, :]
+            again = np.sqrt(late[k]) * alike / own
+            gain[k] = (seen[:, :n] + before[k] * (again * seen[:, n])[:, None]) / variance[:, None]
+            moved[:, :n, :n], moved[:, :n, n] = transition[k], disturbed[k] * again[:, None]
+            pushed = np.zeros((groups, n + 1))
+            pushed[:, :n], pushed[:, n] = disturbed[k] * (np.sqrt(late[k]) * own)[:, None], 1.0
             known = moved @ known @ moved.transpose(0, 2, 1) + pushed[:, :, None] * pushed[:, None, :]
+            known[:, :n, :n] += noise.force * disturbed[k][:, :, None] * disturbed[k][:, None, :]
         return cls(gain, spread)
 
     @classmethod
@@ -195,17 +211,6 @@ class Filter:
         return cls((h @ sensor / variance)[None, None], np.full((1, 1), np.sqrt(variance)))
 
 
-def blurred(command: Floats, jitter: float) -> Floats:
-    """Return the mean force of a command whose delay jitters [samples]: shares of it come early and late."""
-    if not jitter:
-        return command
-    # no more than 0.8 of it off its time: a larger jitter reaches farther
-    reach = int(np.ceil(jitter / np.sqrt(LARGEST_SHARE)))
-    early, late = command.copy(), np.zeros_like(command)
-    early[:-reach], late[reach:] = command[reach:], command[:-reach]
-    return np.asarray(command + 0.5 * (jitter / reach) ** 2 * (early - 2 * command + late))
-
-
 def passed(passage: Passage, found: Filter, columns: Sequence[Column]) -> list[Floats]:
     """Return the whitened prediction errors of columns, each of shape (N, S)."""
     steady = passage.held.regular and len(found.gain) == 1
@@ -218,6 +223,8 @@ def passed(passage: Passage, found: Filter, columns: Sequence[Column]) -> list[F
 
 def _recursion(passage: Passage, found: Filter, columns: Sequence[Column]) -> list[Floats]:
     """Return the errors of a steady filter, as recursions by its characteristic polynomial."""
+    from scipy.signal import lfilter  # 1 s that a comparison of stored stages need not wait for
+
     gain, sensor, moved = found.gain[0, 0], passage.sensor, passage.transition[0, 0]
     n, shape = passage.states, passage.held.position.shape
     matrix = moved @ (np.eye(n) - np.outer(gain, sensor))

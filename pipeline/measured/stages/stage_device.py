@@ -25,10 +25,6 @@ MOST_ROWS = 600
 AHEAD = 40
 """Rows before the step that are kept."""
 
-IN_FORCE, SHAPE = 0.9026, 0.025
-"""Standard deviation of the delay of the command in force over that of the delays drawn, of which later ones overtake
-none: sqrt(44/81)/sqrt(2/3) for three that are as likely (by enumeration), and how far other shapes are off."""
-
 IMITATED = 0.75
 """Lag [samples] below which a mode that is too fast to be looked for moves the device alike: one of 1.9 rad a sample as
 0.38, with a delay that is shorter by as much."""
@@ -114,7 +110,7 @@ def _numbers(found: Identified, of: Experiment) -> dict[str, Any]:
         "values": [*values.values(), *(0.0 for _ in late)],
         "covariance": np.pad(covariance, (0, len(late))).tolist(),
         "bounds": bounds,
-        "jitter": [noise.jitter / IN_FORCE, float(np.hypot(noise.jitter_error, SHAPE * noise.jitter))],
+        "jitter": [noise.jitter, noise.jitter_error],
         "noise": found.noise,
         "disturbance": found.disturbance,
         "scatter": {NAMES[name]: value * unit.get(name, 1.0) for name, value in found.scatter.items()},

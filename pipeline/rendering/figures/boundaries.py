@@ -59,10 +59,9 @@ def measured(result: ExperimentResult, label: str, number: int | None, *, interv
 
 
 def by_theory(theory: Theory, label: str, number: int | None = None) -> Series:
-    """Return the boundary by theory in physical units, closed along K = -k."""
+    """Return the boundary by theory in physical units, with gaps between separate regions."""
     border, units = theory.boundary, theory.units
-    stiffness = np.append(border.alpha, -theory.loop.gamma) * units.stiffness
-    return Series(label, "theory", stiffness, np.append(border.beta, border.beta[-1]) * units.damping, number=number)
+    return Series(label, "theory", border.alpha * units.stiffness, border.beta * units.damping, number=number)
 
 
 def limits_figure(title: str, caption: str, panels: Sequence[Panel], identifier: str) -> Figure:

@@ -119,8 +119,7 @@ def cost_map(
 
     Example: pipeline theory map --delay 1 --criteria settle_2pct,energy_step_w0 --out map.parquet
     """
-    from pipeline.theory.costs import MAP_DEFAULT
-    from pipeline.theory.map import CostMap, write_map
+    from pipeline.theory.costs import MAP_DEFAULT, CostMap, write_map
 
     check_output(out, "--out")
     case = _case(delay, gamma, delta, device, experiment)

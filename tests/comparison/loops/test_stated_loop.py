@@ -8,7 +8,7 @@ from general_devices import Example, ManyDigits
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import read_device
 from pipeline.intake.ingest import ingest
-from pipeline.loop.device_loop import loop_of, wall_units
+from pipeline.loop.loop import loop_of, wall_units
 from pipeline.records.loop_parts import LoopParts
 from pipeline.simulation.course import run_course, write_course
 from pipeline.theory.limits import stiffness_limit

@@ -7,7 +7,6 @@ import dataclasses
 import not_ideal
 import numpy as np
 import pytest
-from pipeline.measured.experiment.aggregate import choose_optimum
 from sensor_trials import DELAY, EDGE, FEWEST, FREE, SENSORS, measured, trials, truth
 from simulated import FALCON, LWR, simulate
 
@@ -16,6 +15,7 @@ from pipeline.device_data.devices import load_device
 from pipeline.measured.cost.costs import overshoot, overshoot_floor, settling
 from pipeline.measured.cost.energy import energy_interval, energy_terms
 from pipeline.measured.cost.reading_error import reading_error
+from pipeline.measured.experiment.optimum import choose_optimum
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.criteria import SETTLING_BANDS

@@ -88,14 +88,14 @@ def test_a_late_command_moves_a_device_as_an_integration_does(irregular, lag):
     np.testing.assert_allclose(found[: held.rows[0]], expected, rtol=1e-7, atol=1e-8)
 
 
-@pytest.mark.parametrize("noise", [Noise(0.3), Noise(0.3, 0.2), Noise(0.0, 0.2)])
+@pytest.mark.parametrize("noise", [Noise(0.3), Noise(0.3, 0.2, 0.8), Noise(0.0, 0.2, 0.4)])
 def test_prediction_errors_are_those_of_the_dense_covariance(noise):
     rng = np.random.default_rng(5)
     rows = 30
     command = np.cumsum(rng.standard_normal(rows))
     log = Recording("a", np.arange(float(rows)), command, rng.standard_normal(rows), 1.0)
     held = stretches([log], Scales(1.0, 1.0, 1.0, 0.0), 3, False)
-    passage = Passage(held, Physics(delta=0.1, gamma=0.05, delay=1.3))
+    passage = Passage(held, Physics(delta=0.1, gamma=0.05, delay=1.3), noise.jitter)
     found, rows = Filter.of(passage, noise), int(held.rows[0])
     starts = passage.starts()
     error, *columns = (each[:, 0] for each in passed(passage, found, [Column(held.position), *starts]))
@@ -107,8 +107,11 @@ def test_prediction_errors_are_those_of_the_dense_covariance(noise):
         for row in range(first + 1, rows):
             (start if first < 0 else pulse[:, first : first + 1])[row] = states[0]
             states = matrix @ states
-    size = noise.force + noise.late * passage.late[:, 0]
-    covariance = np.eye(rows) + (pulse * size) @ pulse.T
+    # forces by a late command are alike in neighbouring samples
+    late = np.sqrt(noise.late * passage.late[:, 0]) if noise.late else np.zeros(rows)
+    alike = np.eye(rows) + noise.alike * (np.eye(rows, k=1) + np.eye(rows, k=-1))
+    forces = noise.force * np.eye(rows) + late[:, None] * alike * late[None, :]
+    covariance = np.eye(rows) + pulse @ forces @ pulse.T
     # without what the unknown start may be, in any basis
     free = null_space(start.T)
     dense = multivariate_normal(np.zeros(rows - 2), free.T @ covariance @ free).logpdf(free.T @ held.position[:, 0])
