@@ -36,7 +36,10 @@ OFF, HALF_WIDTHS = 0.05, 3.0
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of device or log; ``inside`` says whether the model holds it. Forces are relative to the step."""
+    """A kind of device or log; ``inside`` says whether the model holds it.
+
+    Forces are relative to the step, ``hand`` is a stiffness [N/m] that doubles at 2 mm.
+    """
 
     inside: bool = True
     friction: float = 0.0
@@ -67,7 +70,7 @@ KINDS = {
     "bumped trials": Kind(bumped=0.1),
     "lost rows": Kind(lost=0.02),
     "play": Kind(inside=False, play=2.0),
-    "stiffening hand": Kind(inside=False, hand=0.1),
+    "stiffening hand": Kind(inside=False, hand=300.0),
     "drifting delay": Kind(drift=0.6),
     "warming friction": Kind(inside=False, friction=0.06, warming=0.3),
 }
@@ -146,7 +149,7 @@ def _simulated(
             acting = u + lagged * np.exp(-1 / (PARTS * kind.lag)) if kind.lag else u
             pull = u + lagged * PARTS * kind.lag * -np.expm1(-1 / (PARTS * kind.lag)) if kind.lag else u
             before = x, v, far_x, far_v
-            hand = kind.hand * STEP * ((x / 1e-3) + (x / 1e-3) ** 3) if kind.hand else 0.0
+            hand = kind.hand * x * (1 + (x / 2e-3) ** 2)
             push = pull - hand + bumps * (BEGIN + 40 <= k < BEGIN + 60)
             sticks = (v == 0) & (np.abs(push) <= friction)
             push = push - friction * np.where(v == 0, np.sign(push), np.sign(v))
@@ -246,7 +249,7 @@ the truth.
 |---|---|---|---|---|---|---|---|
 """
 AFTER = """
-Below the line are kinds that the model does not contain: their truth is that of the device's own number. `jitter` is
+In italics are kinds that the model does not contain: their truth is that of the device's own number. `jitter` is
 the [age of the command in force](definitions.md#measured), {jitter}.
 
 All kinds inside the model: {inside}. Outside: {outside}.

@@ -54,6 +54,10 @@ SOME_STEPS = 10
 LAST_STEPS = 3
 """Steps on all logs from what some of them have shown: the last one is smaller than rounding."""
 
+LEFT = 0.5
+"""Share of the random force's variance that a part may leave: a largest force that stood for a stiffening hand left
+0.85 of it, real parts less than 0.01."""
+
 OPEN = 0.02
 """Friction, relative to the largest command, that may act unseen before it must be taken along as unknown: a mass is
 too large by as much."""
@@ -263,10 +267,15 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
         # the search for the part went on where that without it had ended
         fit = refined(held, alone, trials, far=False)
         gain = held_out(other) - held_out(fit)
-        if gain > WORTH * len(NUMBERS[name]):
+        if gain > WORTH * len(NUMBERS[name]) and _disturbance(other) <= LEFT * _disturbance(fit):
             fit, parts = other, parts | {name: gain}
         del left[name]
     return fit, parts
+
+
+def _disturbance(fit: Fit) -> float:
+    """Return the variance of the random force, in squares of `Scales`."""
+    return fit.device.noise.force * fit.solved.noise
 
 
 def _having(held: Stretches, device: Device, trials: int, part: str) -> Device:
