@@ -5,45 +5,41 @@ Every message says what is wrong, where, what was expected and found, and what t
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Self
 
-Code = Literal[
-    "empty",
-    "too-short",
-    "encoding",
-    "header-missing",
-    "column-missing",
-    "row-length",
-    "not-a-number",
-    "no-value",
-    "not-finite",
-    "out-of-range",
-    "time-backwards",
-    "time-wrong",
-    "condition-missing",
-    "condition-wrong",
-    "profile-wrong",
-    "no-profile",
-    "lengths-differ",
-    "partner-missing",
-    "too-large",
-    "too-long-line",
-    "too-many-columns",
-    "too-deep",
-    "unpacks-too-large",
-    "unreadable",
-    "not-regular",
-    "link-outside",
-    "changed-while-read",
-    "syntax",
-    "damaged",
-    "unsupported",
-    "library-missing",
-    "invalid",
-]
-"""Why a log is refused, for programs: a closed list, explained in docs/logs.md. The words of reasons may change."""
+CURES: dict[str, str] = {
+    "empty": "Record the log again.",
+    "too-short": "Was the recording cut off? Record it again.",
+    "encoding": 'Save it as UTF-8, or state its encoding in the profile, such as encoding = "latin-1".',
+    "header-missing": "Correct the layout in the profile, or export the file again.",
+    "column-missing": "Correct the name in the profile, or the file.",
+    "row-length": "Repair the row, or leave this log out.",
+    "not-a-number": "Repair the row, or leave this log out.",
+    "no-value": "Fill in or drop these rows, or take another column.",
+    "not-finite": "Repair the row, or leave this log out.",
+    "out-of-range": "Repair the row, or leave this log out.",
+    "time-backwards": "Sort out doubled or swapped rows, or leave this log out.",
+    "time-wrong": "Correct [columns.time] of the profile, or repair the rows.",
+    "condition-missing": "Correct the profile, or the file.",
+    "condition-wrong": "Correct the profile (name_pattern, attributes, condition_columns, [[file]]) or the file.",
+    "profile-wrong": "Correct the profile.",
+    "no-profile": "Remove it, correct `files` of the profile, or give --profile.",
+    "lengths-differ": "Choose signals that were recorded together, with the time that belongs to them.",
+    "partner-missing": "Put all files of the log beside each other.",
+    "too-large": "Split the recording into single responses, or export the columns that are needed.",
+    "unpacks-too-large": "It is damaged or no log of one step response. Export it again, with the columns needed.",
+    "unreadable": "Correct its permissions.",
+    "not-regular": "Copy the log's content to a file.",
+    "changed-while-read": "Run the command again.",
+    "syntax": "The file is cut or damaged; record it again.",
+    "damaged": "It is cut, damaged or of another format. Copy or export it again, or correct `format` in the profile.",
+    "unsupported": "Correct `format` in the profile, or export the file again.",
+    "library-missing": "Install it.",
+}
+"""Why a log is refused, for programs, and what to do where nothing more special is known: a closed list, explained in
+docs/logs.md. The words of reasons may change."""
 
-OTHER_COLUMNS: frozenset[Code] = frozenset({"no-profile", "header-missing", "column-missing"})
+OTHER_COLUMNS = frozenset({"no-profile", "header-missing", "column-missing"})
 """Codes of a log that is of another form than its profile describes."""
 
 EXIT_OK = 0
@@ -78,13 +74,13 @@ class LogError(PipelineError):
     row : int, optional
         Row of the source file, counted from 1: its line, where the format has lines, else record, sample or message.
     code : str
-        One of `Code`.
+        A key of `CURES`.
     profile_line : str, optional
         Line (or lines) of a profile by which the log might be read.
     """
 
     def __init__(
-        self, reason: str, row: int | None = None, *, code: Code = "invalid", profile_line: str | None = None
+        self, reason: str, row: int | None = None, *, code: str = "damaged", profile_line: str | None = None
     ) -> None:
         super().__init__(reason)
         self.reason = reason
@@ -95,6 +91,32 @@ class LogError(PipelineError):
     def reworded(self, reason: str) -> Self:
         """Return the same refusal in other words, such as with the file in front."""
         return type(self)(reason, self.row, code=self.code, profile_line=self.profile_line)
+
+
+def refusal(
+    code: str, where: str, found: str, expected: str = "", cure: str = "", row: int | None = None, line: str = ""
+) -> LogError:
+    """Return the refusal of a log.
+
+    Parameters
+    ----------
+    code : str
+        A key of `CURES`.
+    where : str
+        File, and trial or column in it; empty where the reader of the message sees it beside the message.
+    found, expected : str
+        What is wrong and what should be there; expected may be empty where the first says it.
+    cure : str
+        What to do, in place of what `CURES` says for the code.
+    row : int, optional
+        Row of the file, counted from 1.
+    line : str
+        Line (or lines) of a profile by which the log might be read; the message ends with it.
+    """
+    text = f"{where}: {found}" if where else found
+    text += f"; expected {expected}." if expected else "" if text.endswith((".", "?")) else "."
+    helps = f" This might help in the profile: {'; '.join(line.splitlines())}" if line else ""
+    return LogError(f"{text} {cure or CURES[code]}{helps}", row, code=code, profile_line=line or None)
 
 
 class ProfileError(PipelineError):

@@ -1,8 +1,8 @@
 """Paths that come from outside: as text that every output can hold, opened only as regular files, checked for output.
 
 On Linux a file name is any bytes; Python keeps those that are no UTF-8 as lone surrogates, which neither JSON nor
-Parquet can hold. JSON, HDF5 and MATLAB files may hold lone surrogates, too. And what has a name may be a pipe, a device
-or a link to elsewhere.
+Parquet can hold. JSON, HDF5 and MATLAB files may hold lone surrogates, too. And a name may be that
+of a pipe or a device.
 """
 
 from __future__ import annotations
@@ -54,63 +54,22 @@ def path_of_text(text: str) -> Path:
     return Path(os.fsdecode(unquote_to_bytes(urlsplit(text).path))) if text.startswith(_SCHEME) else Path(text)
 
 
-def open_regular(path: Path, within: str | None = None) -> BinaryIO:
+def open_regular(path: Path) -> BinaryIO:
     """Open a file to be read, without waiting and only if it is a regular one.
 
     A pipe would keep a reader waiting for ever, and a device does what its driver does.
 
-    Parameters
-    ----------
-    path : Path
-    within : str, optional
-        Real path of a folder that a link must not lead out of (`real_file`); by default links are followed.
-
     Raises
     ------
     OSError
-        If it cannot be opened, is no regular file, or a link that leads elsewhere.
+        If it cannot be opened or is no regular file.
     """
     # a pipe, which may have come since `find_sources` looked, is opened at once by the first flag; files ignore it
-    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-    if within is not None:
-        # what became a link since it was looked at is not followed either
-        flags |= getattr(os, "O_NOFOLLOW", 0)
-    handle = os.open(path if within is None else real_file(path, within), flags)
-    try:
-        if not stat.S_ISREG(os.fstat(handle).st_mode):
-            raise OSError(errno.EINVAL, "no regular file")
-        return os.fdopen(handle, "rb")
-    except OSError:
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
         os.close(handle)
-        raise
-
-
-class OutsideError(OSError):
-    """A link leads out of the folder that was given."""
-
-
-def real_file(path: Path, within: str) -> str:
-    """Return what a path stands for: itself, or what a link leads to, which must lie below a folder.
-
-    Parameters
-    ----------
-    path : Path
-    within : str
-        Real path of the folder.
-
-    Raises
-    ------
-    OutsideError
-        If it is a link to something elsewhere.
-    OSError
-        If it cannot be looked at.
-    """
-    if not os.path.islink(path):
-        return os.fspath(path)
-    real = os.path.realpath(path, strict=True)
-    if not real.startswith(os.path.join(within, "")):
-        raise OutsideError(errno.ELOOP, f"is a link to {real}, outside of {within}")
-    return real
+        raise OSError(errno.EINVAL, "no regular file")
+    return os.fdopen(handle, "rb")
 
 
 def is_gone(path: Path) -> bool:

@@ -11,8 +11,10 @@ from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext, suppress
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
 from pipeline.base.errors import LogError, StoreError, UsageError
 from pipeline.base.lock import WAIT_S, writing
@@ -20,10 +22,17 @@ from pipeline.base.paths import is_gone, path_of_text, path_text, storable
 from pipeline.base.process import Ended
 from pipeline.base.provenance import digest
 from pipeline.base.wording import counted
-from pipeline.intake.ingest_report import Action, ChangedSource, IngestReport, LogWarning, PlannedSource, Refusal
 from pipeline.intake.quarantine import QuarantineRecord, Refused, keep, list_quarantine, record_of, release
-from pipeline.intake.reading import Read, batches_of, in_order, read_and_check
-from pipeline.intake.sources import Source, find_sources, is_settled, told_by_name
+from pipeline.intake.sources import (
+    Read,
+    Source,
+    batches_of,
+    find_sources,
+    in_order,
+    is_settled,
+    read_and_check,
+    told_by_name,
+)
 from pipeline.intake.trialstore import (
     LOG_BYTES,
     Accepted,
@@ -37,11 +46,85 @@ from pipeline.intake.trialstore import (
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
-from pipeline.records.findings import Motion
+from pipeline.records.findings import Motion, Record
 from pipeline.store.batch_files import Key, merge_small, remove_incomplete, tidy
 from pipeline.store.corrections import carry, read_corrections
 from pipeline.store.objects import publish, renewed
 from pipeline.store.storage import check_version
+
+Action = Literal["ingest", "skip", "refuse", "wait"]
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """A source in quarantine: path as found, why, the row at fault, counted from 1, and what `errors.LogError` adds."""
+
+    path: str
+    reason: str
+    row: int | None
+    code: str | None = None
+    profile_line: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LogWarning:
+    """What was accepted in a source and should be known."""
+
+    path: str
+    warning: str
+
+
+@dataclass(frozen=True, slots=True)
+class ChangedSource:
+    """A source whose content is not the one that is stored, and what became of the stored trials."""
+
+    path: str
+    outcome: str
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedSource:
+    """What is done with a source, or would be by a dry run, and why."""
+
+    path: str
+    action: Action
+    reason: str
+
+
+class IngestReport(Record):
+    """Number of logs by what became of them; ``found = ingested + skipped + len(quarantined)``.
+
+    A log is a source file (or pair of files), also where it holds several trials.
+
+    Parameters
+    ----------
+    found, ingested, skipped : int
+    quarantined : tuple of Refusal
+    warnings : tuple of LogWarning
+        Logs that were ingested now although something in them is not as it should be.
+    removed : tuple of str
+        Sources that are stored and stand no more below the searched folders; their trials stay stored.
+    changed : tuple of ChangedSource
+        Sources whose content differs from the stored one.
+    waiting : tuple of str
+        Sources that changed a moment ago and were left for later; they do not count as found.
+    plan : tuple of PlannedSource or None
+        With a dry run: what would be done with each source, those that wait included.
+    damaged : tuple of str
+        Stored files that are damaged, with what to do; their logs count as new, all others are as ever.
+    """
+
+    found: int
+    ingested: int
+    skipped: int
+    quarantined: tuple[Refusal, ...]
+    warnings: tuple[LogWarning, ...] = ()
+    removed: tuple[str, ...] = ()
+    changed: tuple[ChangedSource, ...] = ()
+    waiting: tuple[str, ...] = ()
+    plan: tuple[PlannedSource, ...] | None = None
+    damaged: tuple[str, ...] = ()
+
 
 PENDING_BYTES = 64 << 20
 """Memory of logs that are collected before they become visible: a course of 2,300 logs with 1,000 rows makes one file,

@@ -14,7 +14,7 @@ from itertools import islice
 from pathlib import Path
 
 from pipeline.base.disk import each, kept_files, read_kept, write_kept
-from pipeline.base.errors import OTHER_COLUMNS, REMEDY, Code, LogError, StoreError, UsageError
+from pipeline.base.errors import OTHER_COLUMNS, REMEDY, LogError, StoreError, UsageError
 from pipeline.base.paths import open_regular, path_of_text, path_text, storable
 from pipeline.base.provenance import digest
 from pipeline.base.provenance import sha256 as sha256_of
@@ -45,7 +45,7 @@ class QuarantineRecord(Record):
     profile, profile_sha256 : str or None
         Profile that claimed it; None where none did.
     code : str or None
-        The reason for programs, one of `errors.Code`; None in records of earlier versions.
+        The reason for programs, one of `errors.CURES`; None in records of earlier versions.
     profile_line : str or None
         Line of a profile by which it might be read.
     """
@@ -58,7 +58,7 @@ class QuarantineRecord(Record):
     reason: str
     profile: str | None
     profile_sha256: str | None
-    code: Code | None = None
+    code: str | None = None
     profile_line: str | None = None
 
     def knows_less(self, other: QuarantineRecord | None) -> bool:

@@ -1,4 +1,4 @@
-"""Which files are logs: walks folders, lets a profile claim each file, joins the files of a pair or a ROS 2 bag.
+"""From folders to checked logs, nothing is changed: which files are logs, what profile claims each, reading in batches.
 
 ``ros2 bag record`` makes a folder with ``metadata.yaml`` and one or more ``.db3`` or ``.mcap`` files: a long recording
 is split over several. Together they are one log.
@@ -6,23 +6,40 @@ is split over several. Together they are one log.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
 import stat
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from itertools import islice
 from pathlib import Path
 
 from pipeline.base.disk import READABLE, shared_mode
-from pipeline.base.errors import Code, UsageError
-from pipeline.base.paths import OutsideError, open_regular, path_text, real_file, storable
-from pipeline.profiles.patterns import find_groups
+from pipeline.base.errors import LogError, UsageError, refusal
+from pipeline.base.paths import open_regular, path_text, storable
+from pipeline.profiles.profile_columns import find_groups
 from pipeline.profiles.profile_files import claim
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile
+from pipeline.readers import Log, RawLog, reader_of
+from pipeline.readers.limits import LARGEST_LOG
+from pipeline.records.findings import Motion
+from pipeline.store.names import folder_name
+
+BATCH_LOGS = 256
+BATCH_BYTES = 6 << 20
+"""Logs and bytes of text parsed at once: enough to hide the cost per call, little memory."""
+
+LONGEST_FOLDER = 200
+"""Longest folder name made of a device or experiment; file systems allow 255 bytes."""
+
+SHORT_NAME = LONGEST_FOLDER // 12
+"""Characters of a name that is not too long, whatever they are: each makes twelve at most."""
 
 METADATA = "metadata.yaml"
 ENDINGS = (".db3", ".mcap")
@@ -30,79 +47,25 @@ ENDINGS = (".db3", ".mcap")
 LARGEST_METADATA = 1 << 20
 """Bytes of ``metadata.yaml`` that are read; it has some hundred for each file and topic."""
 
-_MARK = "rosbag2_bagfile_information"
 _LISTED = re.compile(r"relative_file_paths:\s*(\[[^\]]*\]|(?:[ ]*-[^\n]*(?:\n|$))+)")
 _RECORDED = re.compile(rf"""[^/'",\[\]\n]*({"|".join(map(re.escape, ENDINGS))})(\.zstd)?\b""")
 """List of the files in the metadata, and the name of one in it, without its folder."""
 
 
-@dataclass(frozen=True)
-class Bag:
-    """A folder that is one recording: its files in their order, and why it is not whole."""
-
-    folder: Path
-    files: tuple[Path, ...]
-    problem: str | None = None
-
-
-def bag_of(file: Path, within: str | None = None) -> Bag | None:
-    """Return the bag that a file belongs to, or None where it stands for itself.
-
-    Parameters
-    ----------
-    file : Path
-        A recorded file, or ``metadata.yaml``. Other files, and those that their folder's metadata does not list, belong
-        to no bag.
-    within : str, optional
-        As for `open_regular`: metadata elsewhere are not opened.
-    """
+def files_of_bag(file: Path) -> tuple[Path, ...]:
+    """Return the files of the bag that a file belongs to, as ``metadata.yaml`` beside it lists them; else none."""
     if file.name != METADATA and file.suffix.lower() not in ENDINGS:
-        return None
-    folder, own = file.parent, _numbered(file.parent)
+        return ()
     try:
-        with open_regular(folder / METADATA, within) as stream:
+        with open_regular(file.parent / METADATA) as stream:
             text = stream.read(LARGEST_METADATA).decode("utf-8", "replace")
     except OSError:
-        if len(own) < 2 or file.name not in own:
-            return None
-        unlisted = (
-            f"{len(own)} files {own[0]}, ... look like one bag, but {METADATA}, which lists its files, is missing. "
-            "Run `ros2 bag reindex` on the folder; if each is a recording of its own, rename the folder."
-        )
-        return Bag(folder, tuple(folder / name for name in own), unlisted)
-    if _MARK not in text:
-        return None
-    # early versions wrote folders; one that was unpacked by hand has lost its second ending
+        return ()
     section = _LISTED.search(text)
-    listed = [name[0].lstrip("- ") for name in _RECORDED.finditer(section[1])] if section else []
-    listed = [plain if os.path.exists(folder / (plain := name.removesuffix(".zstd"))) else name for name in listed]
-    if not listed:
-        return Bag(
-            folder, (folder / METADATA,), f"{METADATA} lists no files; expected relative_file_paths. Reindex it."
-        )
-    if file.name not in {METADATA, *listed, *own}:
-        return None
-    problem: str | None = None
-    # unlike that of a path this takes names that no file system allows
-    if lost := [name for name in listed if not os.path.exists(folder / name)]:
-        problem = f"{lost} of the bag {_title(folder)} are missing, which {METADATA} lists; expected all together."
-    elif more := [name for name in own if name not in listed]:
-        problem = f"{more} of the bag {_title(folder)} are not listed in {METADATA}. Run `ros2 bag reindex` on it."
-    return Bag(folder, tuple(folder / name for name in listed), problem)
-
-
-def _title(folder: Path) -> str:
-    return os.path.basename(os.path.abspath(folder))
-
-
-def _numbered(folder: Path) -> list[str]:
-    """Return the files that `ros2 bag record` calls by their folder and counts, in that order."""
-    try:
-        names = os.listdir(folder)
-    except OSError:  # whoever opens the file says why
-        return []
-    pattern = re.compile(rf"{re.escape(_title(folder))}_(\d+)({'|'.join(map(re.escape, ENDINGS))})")
-    return [match[0] for match in sorted(filter(None, map(pattern.fullmatch, names)), key=lambda found: int(found[1]))]
+    found = [name[0].lstrip("- ") for name in _RECORDED.finditer(section[1])] if section else []
+    # one that was unpacked by hand has lost its second ending
+    names = [plain if os.path.exists(file.with_name(plain := name.removesuffix(".zstd"))) else name for name in found]
+    return tuple(map(file.with_name, names)) if file.name in (METADATA, *names) else ()
 
 
 UNCOUNTED = frozenset({"truth.json", "readme", "readme.md", "readme.txt", "license", "license.md", "license.txt"})
@@ -129,12 +92,8 @@ class Source:
         Size of all files together [byte] and newest modification time [ns].
     profile : Profile or None
         What reads it.
-    problem : str or None
+    problem : LogError or None
         Why it cannot be read at all.
-    code : str
-        The same as one of `errors.Code`.
-    within : str or None
-        Real path of the folder that no link may lead out of; None for a link that was given itself.
     mode : int
         Who may read all of its files.
     """
@@ -145,9 +104,7 @@ class Source:
     size: int
     mtime_ns: int
     profile: Profile | None
-    problem: str | None = None
-    code: Code = "unreadable"
-    within: str | None = None
+    problem: LogError | None = None
     mode: int = READABLE
 
     @property
@@ -165,8 +122,8 @@ def find_sources(
 ) -> list[Source]:
     """Return every log below the given folders and files, each once, in order of path.
 
-    Links to files are followed where they stay inside the searched folder, and where they are given themselves. Links
-    to folders inside a searched folder are not, since they may lead in a circle or out of the data: `notice` is told.
+    Links to files are followed. Links to folders inside a searched folder are not, since they may lead in a circle:
+    `notice` is told.
 
     Parameters
     ----------
@@ -200,12 +157,9 @@ def find_sources(
             raise UsageError(f"{path}: no such file or folder. Give folders with logs, or single logs.")
         if excluded is not None and os.path.join(os.path.realpath(path), "").startswith(os.path.join(excluded, "")):
             raise UsageError(f"{path}: lies in {exclude}, where results are kept. Give folders with logs.")
-        folder = path if path.is_dir() else path.parent
-        # a link that is given itself is the user's own choice
-        within = None if folder != path and path.is_symlink() else os.path.realpath(folder)
         look = _files(path, excluded, notice, {} if unchanged is None else unchanged)
-        for file in look if folder == path else [path]:
-            source = _source(file, profiles, within)
+        for file in look if path.is_dir() else [path]:
+            source = _source(file, profiles)
             found.setdefault(source.key, source)
     return [found[key] for key in sorted(found)]
 
@@ -275,66 +229,212 @@ def is_settled(mtime_ns: int, settle_s: float) -> bool:
     return abs(time.time_ns() - mtime_ns) >= settle_s * 1e9
 
 
-_Problem = tuple[str, Code]
-"""Why a source cannot be read: in words, and as one of the codes."""
-
-
-def _source(file: Path, profiles: tuple[Profile, ...], within: str | None) -> Source:
-    bag = bag_of(file, within)
-    profile, path, problem = _claimed(bag.files[0] if bag else file, profiles)
-    partner = profile.partner_of(path) if profile else None
-    files: tuple[Path, ...] = (path, partner) if partner else (path,)
-    if bag:
-        path, files, partner = bag.folder, bag.files, None
-        problem = (bag.problem, "partner-missing") if bag.problem else problem
-    size, mtime_ns, present = 0, 0, []
-    seen = list[os.stat_result]()
+def _source(file: Path, profiles: tuple[Profile, ...]) -> Source:
+    bag, problem = files_of_bag(file), None
+    profile, path = _claimed(bag[0] if bag else file, profiles)
+    if profile is None:
+        accepted = "; ".join(f"{p.name}: {', '.join(p.files)}" for p in profiles)
+        problem = refusal("no-profile", "", f"no profile claims a file of this name; accepted are {accepted}")
+    partner = profile.partner_of(path) if profile and not bag else None
+    files = bag or tuple(filter(None, (path, partner)))
+    path = file.parent if bag else path
+    seen = dict[Path, os.stat_result]()
     for part in files:
-        status = _status(part, within)
-        if isinstance(status, os.stat_result):
-            seen.append(status)
-            present.append(part)
-            size += status.st_size
-            mtime_ns = max(mtime_ns, status.st_mtime_ns)
-            continue
-        if profile and part == partner and status[1] == "unreadable":
-            text = f"{(problem or status)[0]} Profile {profile.name} reads a log from two files; add the second."
-            problem = text, "partner-missing"
-        problem = problem or status
-    key = path_text(os.path.abspath(path))
-    reason, code = problem or (None, "unreadable")
-    mode = shared_mode(seen, path.parent)
-    return Source(path, key, tuple(present), size, mtime_ns, profile, reason, code, within, mode)
+        try:
+            seen[part] = _status(part, bool(bag) or len(files) > 1)
+        except LogError as error:
+            problem = error if bag or problem is None else problem
+    size, newest = sum(s.st_size for s in seen.values()), max((s.st_mtime_ns for s in seen.values()), default=0)
+    mode, key = shared_mode([*seen.values()], path.parent), path_text(os.path.abspath(path))
+    return Source(path, key, tuple(seen), size, newest, profile, problem, mode)
 
 
-def _status(file: Path, within: str | None) -> os.stat_result | _Problem:
-    """Return size and times of a file of a log, or why it is not read."""
+def _status(file: Path, one_of_several: bool) -> os.stat_result:
+    """Return size and times of a file of a log.
+
+    Raises
+    ------
+    LogError
+        If it cannot be read.
+    """
     try:
-        status = os.stat(file if within is None else real_file(file, within))
-    except OutsideError as error:
-        text = f"{file.name} {error.strerror}, which was not given. Copy the log, or give the link itself to ingest it."
-        return text, "link-outside"
+        status = os.stat(file)
     except OSError as error:
-        return f"{file.name} cannot be read ({error.strerror}); expected it in {file.parent}.", "unreadable"
+        missing = one_of_several and not os.path.lexists(file)
+        found = f"{file.name} {'is missing' if missing else f'cannot be read ({error.strerror})'}"
+        raise refusal("partner-missing" if missing else "unreadable", "", found, f"it in {file.parent}") from error
     if not stat.S_ISREG(status.st_mode):
-        return f"{file.name} is no regular file; expected a log. Copy the log's content to a file.", "not-regular"
+        raise refusal("not-regular", "", f"{file.name} is no regular file", "a log")
     return status
 
 
-def _claimed(file: Path, profiles: tuple[Profile, ...]) -> tuple[Profile | None, Path, _Problem | None]:
-    """Return the profile that claims a file, the log that the file belongs to, and the problem with it."""
+def _claimed(file: Path, profiles: tuple[Profile, ...]) -> tuple[Profile | None, Path]:
+    """Return the profile that claims a file, and the log that the file belongs to."""
     for profile in profiles:
-        log = profile.log_of_partner(file)
-        if log is None:
+        if (log := profile.log_of_partner(file)) is not None:
+            return profile, log
+    return claim(file.name, profiles), file
+
+
+@dataclass(frozen=True, eq=False)
+class Read:
+    """A source after reading: its logs, a refusal, or neither where its content is stored already.
+
+    ``source`` bears the size and time that the files had while they were read.
+    """
+
+    source: Source
+    sha256: str | None
+    result: tuple[Log, ...] | LogError | None
+
+
+def read_and_check(
+    sources: Sequence[Source], known: Callable[[Source, str], bool], use_threads: bool = False
+) -> list[Read]:
+    """Read, hash, parse and check sources of one profile, in the order given.
+
+    It writes and keeps nothing, so that it may run in a thread.
+
+    Parameters
+    ----------
+    sources : sequence of Source
+        All claimed by the same profile, or by none; at most some MB together, which are held in memory.
+    known : callable
+        Whether a source with a content (its SHA-256) is stored already; such a source is not parsed.
+    use_threads : bool
+        Whether parsing may use several processors.
+    """
+    reads: dict[int, Read] = {}
+    raws: dict[int, RawLog] = {}
+    for index, source in enumerate(sources):
+        try:
+            raw, sha256, seen = load_source(source)
+        except LogError as error:
+            reads[index] = Read(source, None, error)
             continue
-        # unlike that of a path this takes names that no file system allows
-        if os.path.exists(log):
-            return profile, log, None
-        text = f"the other file of this log, {log.name}, is missing; expected it in {file.parent}."
-        return None, file, (text, "partner-missing")
-    claimant = claim(file.name, profiles)
-    if claimant is None:
-        accepted = "; ".join(f"{p.name}: {', '.join(p.files)}" for p in profiles)
-        text = f"no profile claims a file of this name; accepted are {accepted}. Remove it or give --profile."
-        return None, file, (text, "no-profile")
-    return claimant, file, None
+        reads[index] = Read(seen, sha256, None)
+        if not known(source, sha256):
+            raws[index] = raw
+    profile = sources[0].profile if sources else None
+    if raws and profile:
+        outcomes = reader_of(profile)(profile, list(raws.values()), use_threads)
+        for index, outcome in zip(raws, outcomes, strict=True):
+            reads[index] = replace(reads[index], result=outcome)
+    for read in reads.values():
+        if isinstance(read.result, LogError):
+            _forget_frames(read.result)
+    return list(reads.values())
+
+
+def logs_of(source: Source) -> tuple[Profile, RawLog, tuple[Log, ...]]:
+    """Read one source: the profile that claims it, the log as it stands, and the logs that the profile makes of it.
+
+    Raises
+    ------
+    LogError
+        If it is refused, with the row at fault.
+    """
+    raw, _, _ = load_source(source)
+    assert source.profile is not None, "a source that no profile claims is refused by load_source"
+    (outcome,) = reader_of(source.profile)(source.profile, [raw], False)
+    if isinstance(outcome, LogError):
+        raise outcome
+    return source.profile, raw, outcome
+
+
+def _forget_frames(error: BaseException) -> None:
+    """Let go of the frames in which an error was raised: they hold the bytes of logs until cycles are collected."""
+    error.__traceback__ = error.__cause__ = error.__context__ = None
+
+
+def load_source(source: Source) -> tuple[RawLog, str, Source]:
+    """Return the bytes and the SHA-256 of a source, and the source with the size and time that it had meanwhile.
+
+    Raises
+    ------
+    LogError
+        If it is too large, cannot be read, changes while it is read, or no profile claims it.
+    """
+    if source.size > LARGEST_LOG:
+        expected = f"a log of one step response, at most {LARGEST_LOG}"
+        raise refusal("too-large", "", f"file has {source.size} bytes", expected)
+    if source.problem:
+        raise source.problem
+    data = []
+    size, mtime_ns = 0, 0
+    for file in source.files:
+        try:
+            with open_regular(file) as stream:
+                before = os.fstat(stream.fileno())
+                data.append(stream.read(min(before.st_size, LARGEST_LOG) + 1))
+                after = os.fstat(stream.fileno())
+        except OSError as error:
+            raise refusal("unreadable", "", f"file cannot be read ({error.strerror})") from error
+        if (before.st_size, before.st_mtime_ns) != (len(data[-1]), after.st_mtime_ns):
+            raise refusal("changed-while-read", "", "file changed while it was read", "a finished recording")
+        size, mtime_ns = size + after.st_size, max(mtime_ns, after.st_mtime_ns)
+    hashes = [hashlib.sha256(part).hexdigest() for part in data]
+    sha256 = hashes[0] if len(hashes) == 1 else hashlib.sha256("".join(hashes).encode()).hexdigest()
+    raw = RawLog(tuple(storable(file.name) for file in source.files), tuple(data))
+    if (size, mtime_ns) != (source.size, source.mtime_ns):
+        source = replace(source, size=size, mtime_ns=mtime_ns)
+    return raw, sha256, source
+
+
+def motion_of(log: Log, known: Mapping[str, Motion]) -> Motion:
+    """Return the motion of a log whose names can be stored.
+
+    Parameters
+    ----------
+    log : Log
+    known : mapping of str to {"translation", "rotation"}
+        Motion of each device that has a device file.
+
+    Raises
+    ------
+    LogError
+        If a name is too long for a folder, or the log contradicts the device file.
+    """
+    header = log.header
+    for key in ("device", "experiment"):
+        name = getattr(header, key)
+        if len(name) > SHORT_NAME and len(folder_name(name)) > LONGEST_FOLDER:
+            cure = "Shorten it, or use ASCII letters."
+            raise refusal("condition-wrong", "", f"{key} {name!r} is too long for a folder name", cure=cure)
+    device = known.get(header.device)
+    if device and header.motion and device != header.motion:
+        found = f"motion is {header.motion}, but the device {header.device!r} has {device}"
+        raise refusal("condition-wrong", "", found, cure="Correct the log, or give its device another name.")
+    return header.motion or device or "translation"
+
+
+def batches_of(sources: Sequence[Source]) -> Iterator[list[Source]]:
+    """Cut sources into runs of one profile, at most `BATCH_LOGS` logs or `BATCH_BYTES` bytes (or one log)."""
+    batch: list[Source] = []
+    size = 0
+    for source in sources:
+        full = len(batch) >= BATCH_LOGS or size + source.size > BATCH_BYTES
+        if batch and (full or batch[0].profile is not source.profile):
+            yield batch
+            batch, size = [], 0
+        batch.append(source)
+        size += source.size
+    if batch:
+        yield batch
+
+
+def in_order(
+    work: Callable[[list[Source]], list[Read]], batches: Iterator[list[Source]], pool: Executor | None, ahead: int
+) -> Iterator[list[Read]]:
+    """Work on batches in the threads of a pool, by default in the caller's, and yield the results in order.
+
+    At most so many batches are ahead, so that memory is bounded.
+    """
+    if pool is None:
+        yield from map(work, batches)
+        return
+    running: list[Future[list[Read]]] = [pool.submit(work, batch) for batch in islice(batches, ahead)]
+    while running:
+        done = running.pop(0).result()
+        running += [pool.submit(work, batch) for batch in islice(batches, 1)]
+        yield done

@@ -18,12 +18,11 @@ from pipeline import __version__
 from pipeline.base.disk import each, make_folder, readers_of
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import sha256 as hash_of
-from pipeline.intake.reading import motion_of
-from pipeline.intake.sources import ENDINGS, Source, told_by_name
+from pipeline.intake.sources import ENDINGS, Source, motion_of, told_by_name
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
-from pipeline.readers.obeyed import cure, obeyed
-from pipeline.readers.time_axis import step_flags
+from pipeline.readers.log import step_flags
+from pipeline.readers.obeyed import other_gains
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.findings import Motion
 from pipeline.records.table_files import open_table
@@ -292,9 +291,8 @@ def accepted_logs(
 
 def _marked(profile: Profile, log: Log) -> Log:
     """Return a log with a mark and a warning where its command obeys other gains than its header says."""
-    if (found := obeyed(log)) is None:
+    if (text := other_gains(profile, log)) is None:
         return log
-    text = f"{found.sentence}. To cure it: {cure(profile, found)}"
     header = replace(log.header, extra=log.header.extra | {OTHER_GAINS: text})
     return replace(log, header=header, warnings=(*log.warnings, text))
 

@@ -1,15 +1,16 @@
-"""Layout of text, and where each SI column comes from: name, unit, sign, missing values; how time is counted."""
+"""Patterns of names, layout of text, and where each SI column comes from: name, unit, sign, missing values, time."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from functools import cache
+from typing import Annotated, Any, Literal
 
+import re2
 from pydantic import BeforeValidator, Field
 
 from pipeline.base.errors import ParameterError
 from pipeline.base.units import UNITS, factor_to_si, find_unit
-from pipeline.profiles.patterns import pattern_problem
 from pipeline.records.findings import Motion, Name, Record
 
 QUANTITIES: dict[str, dict[Motion, str]] = {
@@ -46,6 +47,41 @@ _NEGATED = {
 """Where the sign of each column is -1."""
 
 
+@cache
+def _compiled(pattern: str) -> Any:
+    # Python's own engine tries every way to divide a text: ^(a+)+$ takes years for a file name of sixty letters
+    options = re2.Options()
+    options.log_errors = False  # they are raised, too
+    return re2.compile(pattern, options)
+
+
+def find_groups(pattern: str, text: str) -> dict[str, str] | None:
+    """Return what the named groups of a pattern take out of the first place where it fits, None where it fits nowhere.
+
+    Groups that take no part are left out. Lone surrogates are no text: give what `file_names.storable` returns.
+    """
+    match = _compiled(pattern).search(text)
+    return None if match is None else {key: value for key, value in match.groupdict().items() if value is not None}
+
+
+def group_names(pattern: str) -> frozenset[str]:
+    """Return the names of the groups of a pattern."""
+    return frozenset(_compiled(pattern).groupindex)
+
+
+def pattern_problem(pattern: str | None) -> str | None:
+    """Return why a text is no pattern and what to do, or None where it is one."""
+    try:
+        _compiled(pattern or "")
+    except re2.error as error:
+        found = error.args[0].decode() if isinstance(error.args[0], bytes) else error.args[0]
+        return (
+            f"no regular expression: {found}. A pattern is found in one pass, which has no lookahead, lookbehind or "
+            "backreference. Write out what stands there, or give the condition by [[file]]"
+        )
+    return None
+
+
 class TextLayout(Record):
     """Layout of a delimited text file, plain or compressed (gzip, zstd: known by their first bytes).
 
@@ -61,8 +97,8 @@ class TextLayout(Record):
         Lines above the table, or above the first line that is searched for its beginning.
     header : bool
         Whether the table begins with a line of column names; if not, columns are taken by position (``column = 3``).
-    header_after, header_at : str, optional
-        Regular expression: the table begins below (at) the first line in which it is found, as behind a banner.
+    header_at : str, optional
+        Regular expression: the table begins at the first line in which it is found, as behind a banner.
     unit_line : bool
         Whether the line below the names holds units. They are shown by checks, never used.
     comment : str, optional
@@ -82,7 +118,6 @@ class TextLayout(Record):
     encoding: Literal["utf-8", "utf-16", "latin-1", "cp1252"] = "utf-8"
     skip_rows: Count = 0
     header: bool = True
-    header_after: str | None = None
     header_at: str | None = None
     unit_line: bool = False
     comment: Annotated[str, Field(min_length=1)] | None = None
@@ -104,9 +139,8 @@ class TextLayout(Record):
             yield ("decimal",), """missing; add the line decimal = "." or decimal = ",", as the file has it"""
         if self.delimiter == self.decimal:
             yield ("decimal",), f"{self.decimal!r} as the delimiter is; expected different characters"
-        for key in ("header_after", "header_at"):
-            if problem := pattern_problem(getattr(self, key)):
-                yield (key,), problem
+        if problem := pattern_problem(self.header_at):
+            yield ("header_at",), problem
 
 
 class Source(Record):

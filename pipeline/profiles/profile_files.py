@@ -2,21 +2,43 @@
 
 Shipped profiles lie in ``schemas/profiles``; a user's own is given by file name. A profile names the files
 it claims, the partner file where one log is two files, the columns with their units and signs, and the
-conditions that the files themselves do not state. `pipeline.profiles.profile_model` describes the keys.
+conditions that the files themselves do not state. `pipeline.profiles.profile_model` describes the keys. A mistake is
+told with the line of the TOML text, the key, and the key that was meant.
 """
 
 from __future__ import annotations
 
+import re
 import tomllib
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
 
 from pipeline.base.errors import ProfileError
 from pipeline.base.provenance import schema_folder
-from pipeline.profiles.profile_lines import find_mistakes, find_questions
-from pipeline.profiles.profile_model import Profile
+from pipeline.profiles.profile_model import PROBLEMS, Profile
 
-__all__ = ["Profile", "claim", "load_profile", "read_profile", "shipped_profiles"]
+Place = tuple[str | int, ...]
+
+QUESTION = "# QUESTION:"
+"""Beginning of the lines of a draft in which something is asked that must not be guessed."""
+
+_WORDS = {
+    "tuple_type": "Input should be a list in brackets",
+    "model_type": "Input should be a table of keys",
+    "dict_type": "Input should be a table of keys",
+    "string_pattern_mismatch": "must be part of a file name in the same folder",
+}
+"""Kinds of values in the words of TOML, not of Python."""
+
+_STATEMENT = re.compile(r"""\s*(\[{0,2})\s*([\w"'. -]+?)\s*[\]=]""")
+"""Head of a table, or a key."""
 
 
 def read_profile(path: Path) -> Profile:
@@ -90,3 +112,127 @@ def claim(name: str, profiles: tuple[Profile, ...]) -> Profile | None:
     if specific:
         return specific[0]
     return next((p for p in profiles if p.format == "native" and p.claims(name)), None)
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """What is wrong in a profile: line counted from 1, key, and words."""
+
+    line: int
+    place: Place
+    text: str
+
+
+def find_mistakes(values: dict[str, Any], text: str) -> list[Mistake]:
+    """Return the mistakes of a profile, in order of line; empty where there is none.
+
+    What does not fit together is looked for once each key by itself is right.
+
+    Parameters
+    ----------
+    values : dict
+        The parsed TOML.
+    text : str
+        Its text, for the line numbers.
+    """
+    try:
+        Profile.model_validate(values)
+    except ValidationError as error:
+        found = dict(problem for entry in error.errors() for problem in _explain(dict(entry)))
+    else:
+        return []
+    lines = key_lines(text)
+    mistakes = [Mistake(_line(lines, place), place, what) for place, what in found.items()]
+    return sorted(mistakes, key=lambda mistake: (mistake.line, str(mistake.place)))
+
+
+def find_questions(text: str) -> list[Mistake]:
+    """Return the questions of a draft that nobody has answered: ``# QUESTION: key: words`` above a key in remarks."""
+    found, lines = [], text.splitlines()
+    for number, line in enumerate(lines, start=1):
+        answered = number < len(lines) and not lines[number].lstrip().startswith("#")
+        if not line.lstrip().startswith(QUESTION) or (answered and lines[number].strip()):
+            continue
+        key, _, words = line.lstrip().removeprefix(QUESTION).strip().partition(":")
+        place: Place = tuple(int(part) if part.isdecimal() else part for part in key.split("."))
+        found.append(Mistake(number, place, f"{_key(place)}: open question: {words.strip()} Set the key below it."))
+    return found
+
+
+def _explain(error: dict[str, Any]) -> Iterator[tuple[Place, str]]:
+    """Yield place and words of mistakes."""
+    if error["type"] == PROBLEMS:
+        yield from ((tuple(place), f"{_key(place)}: {what}.") for place, what in error["ctx"]["problems"])
+        return
+    place = tuple(part for part in error["loc"] if part != "[key]")
+    if error["type"] == "extra_forbidden":
+        known = sorted(_keys_at(place[:-1]))
+        near = get_close_matches(str(place[-1]), known, 1)
+        what = (
+            f"not known; {f'did you mean {near[0]!r}? Correct or remove it.' if near else f'expected one of {known}.'}"
+        )
+    elif error["type"] == "missing":
+        what = "missing. Add it."
+    else:
+        message = _WORDS.get(error["type"], str(error["msg"]).removeprefix("Value error, "))
+        what = f"{message}, found {error['input']!r}."
+    yield place, f"{_key(place)}: {what}"
+
+
+def _key(place: Place) -> str:
+    return f"key {'.'.join(str(part) for part in place)!r}" if place else "the profile"
+
+
+def _keys_at(place: Place) -> set[str]:
+    """Return the keys that are known at a place in a profile."""
+    model: type[BaseModel] | None = Profile
+    for part in place:
+        if isinstance(part, int) or model is None:
+            continue
+        field = model.model_fields.get(part)
+        model = _model_in(field.annotation) if field else None
+    return set(model.model_fields) if model else set()
+
+
+def _model_in(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((model for part in get_args(annotation) if (model := _model_in(part))), None)
+
+
+def key_lines(text: str) -> dict[Place, int]:
+    """Return the line, counted from 1, on which each key and each table of a TOML text begins.
+
+    Keys of a table in braces stand on the line of that table.
+    """
+    lines: dict[Place, int] = {(): 1}
+    table: Place = ()
+    entries: Counter[Place] = Counter()
+
+    def placed(name: str) -> Place:
+        place: Place = ()
+        for part in filter(None, name.split(".")):
+            place = (*place, part.strip(" \"'"))
+            place = (*place, entries[place] - 1) if place in entries else place
+        return place
+
+    for number, line in enumerate(text.splitlines(), start=1):
+        if (statement := _STATEMENT.match(line)) is None:
+            continue
+        brackets, name = statement.groups()
+        if brackets == "[[":
+            above, _, last = name.rpartition(".")
+            entries[(*placed(above), last.strip(" \"'"))] += 1
+        table = placed(name) if brackets else table
+        place = table if brackets else (*table, *(part.strip(" \"'") for part in name.split(".")))
+        # a table that is named in parts only begins with its first part
+        for length in range(1, len(place) + 1):
+            lines.setdefault(place[:length], number)
+    return lines
+
+
+def _line(lines: Mapping[Place, int], place: Place) -> int:
+    """Return the line of a key, or of the table in which it is missing."""
+    while place not in lines:
+        place = place[:-1]
+    return lines[place]

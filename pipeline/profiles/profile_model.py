@@ -19,8 +19,18 @@ from pydantic_core import PydanticCustomError
 from pipeline.base.errors import ParameterError
 from pipeline.base.provenance import sha256
 from pipeline.base.units import factor_to_si
-from pipeline.profiles.patterns import group_names, pattern_problem
-from pipeline.profiles.profile_columns import Columns, Count, Number, Problem, Source, TextLayout, factor, problems_of
+from pipeline.profiles.profile_columns import (
+    Columns,
+    Count,
+    Number,
+    Problem,
+    Source,
+    TextLayout,
+    factor,
+    group_names,
+    pattern_problem,
+    problems_of,
+)
 from pipeline.records.findings import Grip, Motion, Name, Record
 from pipeline.records.native import FREE
 

@@ -1,14 +1,13 @@
 """What a format reader hands on: named arrays as they stand in a file, without units, signs or guesses.
 
 A format is a function ``read(path, settings, contents)`` that adds what it finds to a `Contents`. `Contents.frame`
-takes the columns that a profile wants, `Contents.listed` says what there is; `mapping` turns them into logs.
+takes the columns that a profile wants; `mapping` turns them into logs.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from itertools import islice
@@ -17,40 +16,15 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.errors import LogError
-from pipeline.readers.limits import EXACT, LISTED_ELEMENTS, LISTED_NAMES, LONGEST_ATTRIBUTE, MOST_ARRAYS, MOST_VALUES
-from pipeline.readers.refusals import refusal
-from pipeline.records.batch import Floats, Integers
+from pipeline.base.errors import LogError, refusal
+from pipeline.readers.limits import LISTED_ELEMENTS, LISTED_NAMES, LONGEST_ATTRIBUTE, MOST_VALUES
+from pipeline.records.batch import Integers
 
 Scalar = str | float | int
 Array = NDArray[Any]
 
-_KINDS = {"f": "number", "U": "text"}
-
-
-@dataclass(frozen=True)
-class ColumnInfo:
-    """A column that a file offers.
-
-    Parameters
-    ----------
-    name : str
-        As in `Contents.columns`.
-    dtype : str
-        "number", "integer" or "text".
-    rows : int
-        Number of its values.
-    first : tuple of str
-        First values, as text.
-    hint : str
-        Unit or description found in the file; empty where there is none. A hint is shown, never used.
-    """
-
-    name: str
-    dtype: str
-    rows: int
-    first: tuple[str, ...] = ()
-    hint: str = ""
+ARRAY = 800
+"""Values for which an array counts by itself: a damaged file may claim millions of empty ones."""
 
 
 @dataclass
@@ -84,8 +58,6 @@ class Contents:
         What is in the file but cannot be read, and why.
     warnings : tuple of str
         What was accepted and should be known, such as a last row that was cut.
-    since_first : dict of str to float64 array, shape (rows,)
-        Decimal stamps counted from the first row: of a date, the floats in ``columns`` are wrong by up to 0.12 us.
     row : int64, shape (rows,)
         Where each row stands in the file, counted from 1; empty before it is known.
     keys : dict of str to str
@@ -102,7 +74,6 @@ class Contents:
     attributes: dict[str, Scalar] = field(default_factory=dict)
     refused: dict[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
-    since_first: dict[str, Floats] = field(default_factory=dict)
     row: Integers = field(default_factory=lambda: np.empty(0, np.int64))
     keys: dict[str, str] = field(default_factory=dict)
     values: int = 0
@@ -141,13 +112,11 @@ class Contents:
             large = "claims more values than this file may unpack to"
             self.refused[path] = f"{large if isinstance(error, MemoryError) else error}."
             return
-        self.values += array.size
+        self.values += array.size + ARRAY
         self.claim(self.values)
         if array.size == 1:
             self.note(path, array)
         for name, column in islice(_elements(path, array, axis), None if self.wanted else LISTED_ELEMENTS):
-            if len(self.columns) + len(self.refused) >= MOST_ARRAYS:
-                raise refusal("too-many-columns", self.name, f"has more than {MOST_ARRAYS} arrays", "recorded signals")
             self.columns[name] = column
             self.hints |= {name: hint} if hint else {}
             self.units |= {name: unit} if unit else {}
@@ -166,16 +135,6 @@ class Contents:
         value = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
         if isinstance(value, str | int | float):
             self.attributes[key] = value[:LONGEST_ATTRIBUTE] if isinstance(value, str) else value
-
-    def keep_stamps(self, path: str, texts: Any) -> None:
-        """Keep decimal stamps, an Arrow array of texts, counted from the first one."""
-        import pyarrow as pa  # 20 ms that native logs need not pay
-        import pyarrow.compute as pc
-
-        with suppress(pa.ArrowInvalid, IndexError):
-            stamps = pc.cast(texts, pa.decimal128(30, 10))
-            first = stamps.drop_null()[0]
-            self.since_first[path] = pc.cast(pc.subtract(stamps, first), pa.float64()).to_numpy(zero_copy_only=False)
 
     def cut_row(self, text: str, row: int) -> None:
         """Say that the last row is cut and left out, and keep it verbatim."""
@@ -209,22 +168,15 @@ class Contents:
             listing = ", ".join(f"{key!r}: {count}" for key, count in list(rows.items())[:LISTED_NAMES])
             text = f"columns have different lengths ({listing})"
             raise refusal("lengths-differ", self.name, text, "one length", row=min(rows.values()) + 1)
-        units = {key: self.units[name] for key in columns if (name := self.find(key)) in self.units}
+        units, hints = (
+            {key: told[name] for key in columns if (name := self.find(key)) in told}
+            for told in (self.units, self.hints)
+        )
         row = self.row if len(self.row) else np.arange(1, next(iter(rows.values())) + 1)
-        return replace(self, columns=columns, units=units, row=row)
+        return replace(self, columns=columns, units=units, hints=hints, row=row)
 
     def __len__(self) -> int:
         return len(self.row)
-
-    def listed(self) -> list[ColumnInfo]:
-        """Return what `frame` can take, with first values; what cannot be read has no rows, and the reason as hint."""
-        if not self.columns and not self.refused:
-            raise refusal("empty", self.name, "holds no columns", "recorded signals")
-        infos = []
-        for name, column in self.columns.items():
-            kind, hint = _KINDS.get(column.dtype.kind, "integer"), self.units.get(name) or self.hints.get(name, "")
-            infos.append(ColumnInfo(name, kind, len(column), tuple(map(str, column[:3])), hint))
-        return infos + [ColumnInfo(path, "text", 0, (), reason) for path, reason in self.refused.items()]
 
     def _column(self, wanted: str) -> Array:
         if (found := self.find(wanted)) is not None:
@@ -287,22 +239,9 @@ def plain_column(values: Array) -> Array:
     raise TypeError(f"is of type {values.dtype}; expected numbers or texts")
 
 
-def with_gaps(
-    where: str, values: Array, place: Sequence[int] | Integers, rows: int, row: Sequence[int] | Integers = ()
-) -> Array:
-    """Return values at their places among so many rows, NaN or an empty text at the others.
-
-    Raises
-    ------
-    LogError
-        If they are whole numbers of more than 15 digits, which a float with gaps would not keep.
-    """
-    whole = len(values) == rows
-    if not whole and values.dtype.kind in "iu" and np.any(np.abs(values.astype(np.float64)) > EXACT):
-        at = int(np.setdiff1d(np.arange(rows), place)[0])
-        text = f"{where} has whole numbers of more than 15 digits, and rows without a value"
-        raise refusal("no-value", "", text, "a value in each row", row=int(row[at]) if len(row) else at + 1)
-    text_column = values.dtype.kind == "U"
-    result: Array = np.zeros(rows, values.dtype) if whole or text_column else np.full(rows, np.nan)
+def with_gaps(values: Array, place: Sequence[int] | Integers, rows: int) -> Array:
+    """Return values at their places among so many rows, NaN or an empty text at the others."""
+    full = len(values) == rows or values.dtype.kind == "U"
+    result: Array = np.zeros(rows, values.dtype) if full else np.full(rows, np.nan)
     result[place] = values
     return result

@@ -19,9 +19,9 @@ from collections.abc import Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import IO, Any
+from typing import IO, Any, cast
 
-from pipeline.base.errors import LogError
+from pipeline.base.errors import LogError, refusal
 from pipeline.base.process import begin_alone, without_pandas
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.formats import FORMATS
@@ -30,15 +30,11 @@ from pipeline.readers.limits import (
     COPIES,
     CPU_SECONDS,
     CPU_SECONDS_PER_BYTE,
-    GRACE_SECONDS,
     MOST_VALUES,
     SLACK,
     WALL_FACTOR,
     allowed_bytes,
 )
-from pipeline.readers.refusals import refusal
-
-_SERVE = "from pipeline.readers.isolation import serve; serve()"
 
 
 def read_file(settings: Profile, names: Sequence[str], data: Sequence[bytes], wanted: Sequence[str] = ()) -> Contents:
@@ -58,27 +54,22 @@ def read_file(settings: Profile, names: Sequence[str], data: Sequence[bytes], wa
     LogError
         If the file cannot be read.
     """
-    form, parts = FORMATS[settings.format], tuple(zip(names, map(len, data), strict=False))
-    place = "pipeline.readers.isolation:read_here"
-    contents: Contents = isolated(
-        place, names[0], form.title, b"".join(data), settings, tuple(wanted), parts, imports=form.place
-    )
+    form, size = FORMATS[settings.format], sum(map(len, data))
+    work = (names[0], dict(zip(names, data, strict=False)), settings, tuple(wanted))
+    imports = f"{form.place} {form.library}"
+    contents: Contents = isolated("pipeline.readers.isolation:read_here", form.title, size, *work, imports=imports)
     return contents
 
 
-def read_here(
-    name: str, data: bytes, settings: Profile, wanted: tuple[str, ...], parts: tuple[tuple[str, int], ...]
-) -> Contents:
-    """Do what `read_file` does, in the worker process; ``parts`` are name and bytes of each file in ``data``."""
+def read_here(name: str, files: dict[str, bytes], settings: Profile, wanted: tuple[str, ...]) -> Contents:
+    """Do what `read_file` does, in the worker process."""
     form = FORMATS[settings.format]
-    read = library(form.place, form.extra).read
-    most = min(MOST_VALUES, allowed_bytes(len(data)) // 8)
+    read = getattr(library(form.place, form.extra), form.function)
+    most = min(MOST_VALUES, allowed_bytes(sum(map(len, files.values()))) // 8)
     with TemporaryDirectory() as folder:
-        paths, start = [], 0
-        for number, (part, size) in enumerate(parts):
-            paths.append(Path(folder) / f"{number}{Path(part).suffix[:10]}")
-            paths[-1].write_bytes(data[start : start + size])
-            start += size
+        paths = [Path(folder) / f"{number}{Path(part).suffix[:10]}" for number, part in enumerate(files)]
+        for path, data in zip(paths, files.values(), strict=True):
+            path.write_bytes(data)
         contents = Contents(name, wanted, most)
         read(paths[0], settings, contents)
         if contents.lacks():
@@ -89,23 +80,23 @@ def read_here(
     return contents
 
 
-def isolated(place: str, name: str, kind: str, data: bytes, *more: Any, imports: str = "") -> Any:
+def isolated(place: str, kind: str, size: int, name: str, *more: Any, imports: str = "") -> Any:
     """Return what the function at a place makes of a file, called in a worker process.
 
     Parameters
     ----------
     place : str
-        The function, as ``module:function``; it is called with ``name, data, *more``.
+        The function, as ``module:function``; it is called with ``name, *more``.
+    kind : str
+        What the file was expected to be, such as "an HDF5 file".
+    size : int
+        Of the file [byte].
     name : str
         The file.
-    kind : str
-        What it was expected to be, such as "an HDF5 file".
-    data : bytes
-        Content of the file.
     *more
-        Further arguments, such as wanted columns.
+        Further arguments, such as its content.
     imports : str
-        Module that the function imports; the time to do so does not count.
+        Modules that the function imports, parted by blanks; the time to do so does not count.
 
     Returns
     -------
@@ -117,9 +108,9 @@ def isolated(place: str, name: str, kind: str, data: bytes, *more: Any, imports:
     LogError
         What the function raises, or that the file crashed the library or took more than the time allowed.
     """
-    seconds = CPU_SECONDS + CPU_SECONDS_PER_BYTE * len(data)
+    seconds = CPU_SECONDS + CPU_SECONDS_PER_BYTE * size
     worker = _IDLE.pop() if _IDLE else _Worker()
-    outcome = worker.call((place, imports, kind, (name, data, *more), seconds), WALL_FACTOR * seconds)
+    outcome = worker.call((place, imports, kind, (name, *more), seconds, size), WALL_FACTOR * seconds)
     if outcome is None:
         found = f"cannot be read as {kind}: the library that reads it {worker.end()}. The file is damaged"
         raise refusal("damaged", name, found, cure="Copy or export it again.")
@@ -154,12 +145,13 @@ def serve() -> None:
     os.dup2(2, 1)
     with contextlib.suppress(EOFError):
         while True:
-            place, imports, kind, arguments, seconds = pickle.load(calls)
+            place, imports, kind, arguments, seconds, size = pickle.load(calls)
             module, _, function = place.partition(":")
             work = getattr(import_module(module), function)
             with contextlib.suppress(ImportError):  # the function itself says what is missing and how to install it
-                import_module(imports or module)
-            with _bounded(seconds, len(arguments[1])):
+                for needed in imports.split():
+                    import_module(needed)
+            with _bounded(seconds, size):
                 try:
                     with reading(arguments[0], kind):
                         outcome = work(*arguments)
@@ -190,9 +182,6 @@ def reading(name: str, kind: str) -> Iterator[None]:
         yield
     except LogError as error:
         raise error if error.reason.startswith(name) else error.reworded(f"{name}: {error.reason}") from error
-    except RecursionError as error:
-        found = f"cannot be read as {kind}: lists or objects are nested too deep"
-        raise refusal("too-deep", name, found, "records of one form") from error
     except MemoryError as error:
         raise refusal("unpacks-too-large", name, "takes more memory than a file of its size may") from error
     except Exception as error:  # libraries document no complete list of what damage makes them raise
@@ -233,13 +222,11 @@ class _Worker:
     def __init__(self) -> None:
         # threads for linear algebra would only reserve address space
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
-        pipe, silent = subprocess.PIPE, subprocess.DEVNULL
-        command = [sys.executable, "-c", _SERVE]
-        self.process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=silent, env=environment)
-        assert self.process.stdin is not None
-        assert self.process.stdout is not None
-        self.calls: IO[bytes] = self.process.stdin
-        self.results: IO[bytes] = self.process.stdout
+        command = [sys.executable, "-c", "from pipeline.readers.isolation import serve; serve()"]
+        pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+        self.process: subprocess.Popen[bytes] = subprocess.Popen(command, env=environment, **pipes)
+        self.calls: IO[bytes] = cast(IO[bytes], self.process.stdin)
+        self.results: IO[bytes] = cast(IO[bytes], self.process.stdout)
 
     def call(self, call: tuple[Any, ...], wait: float) -> Any:
         """Return what a call gives, or None where the process died of it or did not end within so many seconds."""
@@ -253,26 +240,20 @@ class _Worker:
         except (EOFError, OSError, pickle.UnpicklingError):
             return None
         except BaseException:
-            # an interrupted call would leave its result to the next one
-            self.process.kill()
-            self.end()
+            self.end()  # an interrupted call would leave its result to the next one
             raise
         finally:
             watch.cancel()
 
     def end(self) -> str:
         """Stop the process and return how it ended."""
+        self.process.kill()
+        status = self.process.wait()
         for pipe in (self.calls, self.results):
             with contextlib.suppress(OSError):
                 pipe.close()
-        try:
-            status = self.process.wait(GRACE_SECONDS)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            status = self.process.wait()
-        if status == -getattr(signal, "SIGPROF", 0) or status == -getattr(signal, "SIGKILL", 0):
-            return "does not come to an end"
-        return f"crashes (status {status})"
+        endless = status in (-getattr(signal, "SIGPROF", 0), -getattr(signal, "SIGKILL", 0))
+        return "does not come to an end" if endless else f"crashes (status {status})"
 
 
 _IDLE: list[_Worker] = []

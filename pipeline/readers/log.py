@@ -1,4 +1,4 @@
-"""What every reader hands on: a log in SI that was checked."""
+"""What every reader hands on: a log in SI that was checked, and how regular its time stamps are."""
 
 from __future__ import annotations
 
@@ -7,15 +7,20 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.base.errors import Code, LogError
-from pipeline.readers.limits import LARGEST, LARGEST_CONDITION
-from pipeline.readers.refusals import refusal
-from pipeline.records.batch import Floats, Integers
+from pipeline.base.errors import LogError, refusal
+from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.native import NativeHeader
 
 GAP = 30.0
 """Distance of a reading from the middle of its log, relative to the farthest of all nearer ones and to their range,
 from which on no motion gives it: an unstable loop that grows tenfold a sample leaves gaps of ten."""
+
+LARGEST = {"time": 1e12, "command": 1e7, "position": 1e5, "force": 1e7, "velocity": 1e6}
+"""Largest size of a reading [SI]: more than 100 km or 16,000 turns, 1,000 t and 1,000 km/s are no readings but signs of
+missing values (1e20, 3.4e38) or numbers in another unit; one such cell would spoil the numbers of a whole device."""
+
+LARGEST_CONDITION = 1e12
+"""Largest stiffness, damping and step [SI]: steel of a metre has 1e11 N/m."""
 
 _LARGE = "Does it mean a missing value (then declare it by `sentinels`), or is the unit another? Else repair the row."
 
@@ -25,6 +30,10 @@ OUTSIDE = 20
 LONGEST_PAUSE = 1e6
 """Ratio of the longest time between two rows to the sampling period, or the reverse: minutes at 1 kHz are no pause
 within one response, and a period of minutes is none of rows that are 1 ms apart."""
+
+
+MISSING = 1.5
+"""Step between samples, in sampling periods, from which on samples are missing: the nearest multiple is 2 or more."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +102,7 @@ def check_samples(
         of the range of readings (`LARGEST`, `stray`), or time does not increase strictly or pauses for `LONGEST_PAUSE`.
     """
 
-    def refused(code: Code, at: int, found: str, expected: str = "", cure: str = "") -> LogError:
+    def refused(code: str, at: int, found: str, expected: str = "", cure: str = "") -> LogError:
         place = row + at if isinstance(row, int) else int(row[at]) if at < len(row) else None
         return refusal(code, "", found, expected, cure, place)
 
@@ -157,3 +166,54 @@ def stray(readings: Floats, scale: float) -> int | None:
     nearer = np.sort(distance)
     beyond = nearer[1:] > GAP * np.maximum(nearer[:-1], typical)
     return int(np.argmax(distance >= nearer[1:][beyond].min())) if beyond.any() else None
+
+
+def step_flags(time: Floats, rows: Integers, period: Floats) -> list[dict[str, float | int | None]]:
+    """Return how regular the samples of trials are.
+
+    Parameters
+    ----------
+    time : float64, shape (m,)
+        Strictly increasing time stamps [s] of trial after trial.
+    rows : int64, shape (n,)
+        Number of samples of each trial, at least 2.
+    period : float64, shape (n,)
+        Sampling period T [s] that each trial states.
+
+    Returns
+    -------
+    list of dict, length n
+        ``gaps``: steps longer than `MISSING` periods; ``dropped``: samples missing in them, to the nearest one;
+        ``dropped_fraction``: of all that should be there; ``longest_step_s``; ``mean_step_s``, ``jitter_rms_s`` and
+        ``jitter_max_s``: mean of the other steps, and their deviation from T; None where all are gaps.
+    """
+    inside = np.ones(max(len(time) - 1, 0), dtype=np.bool_)
+    inside[np.cumsum(rows)[:-1] - 1] = False
+    steps = np.diff(time)[inside]
+    nominal = np.repeat(period, rows - 1)
+    gap = steps > MISSING * nominal
+
+    first = np.cumsum(rows - 1) - (rows - 1)
+
+    def total(values: Floats | Booleans) -> Floats:
+        return np.add.reduceat(values, first, dtype=np.float64)
+
+    deviation = np.where(gap, 0.0, steps - nominal)
+    gaps = total(gap)
+    dropped = total(np.where(gap, np.rint(steps / nominal) - 1, 0.0))
+    regular = np.maximum(rows - 1 - gaps, 1)
+    columns = {
+        "dropped_fraction": dropped / (rows + dropped),
+        "longest_step_s": np.maximum.reduceat(steps, first),
+        "mean_step_s": total(np.where(gap, 0.0, steps)) / regular,
+        "jitter_rms_s": np.sqrt(total(deviation**2) / regular),
+        "jitter_max_s": np.maximum.reduceat(np.abs(deviation), first),
+    }
+    flags = []
+    for index, values in enumerate(zip(*(column.tolist() for column in columns.values()), strict=True)):
+        entry: dict[str, float | int | None] = {"gaps": int(gaps[index]), "dropped": int(dropped[index])}
+        entry |= dict(zip(columns, values, strict=True))
+        if gaps[index] == rows[index] - 1:
+            entry |= dict.fromkeys(("mean_step_s", "jitter_rms_s", "jitter_max_s"))
+        flags.append(entry)
+    return flags

@@ -83,16 +83,16 @@ def obeyed(log: Log) -> Obeyed | None:
     stated = {"stiffness": header.stiffness, "damping": header.damping, "step": header.step}
     gains, size = np.array([*stated.values()]), float(np.sqrt(np.mean(command**2)))
     terms = _terms(log.time, command, log.position, header.sampling_period_s, header.extra.get("step_row"))
-    off = command - terms @ gains
+    off = command - gains @ terms
     if not header.step or not size or np.sqrt(np.mean(off**2)) <= EXACT * size:
         return None
     free = _free(command)
     if free.sum() < LEAST_ROWS:
         return None
     largest = float(np.abs(command).max())
-    values, error, left = _fit(terms[free], command[free])
+    values, error, left = _fit(terms[:, free], command[free])
     if left <= min(EXACT * size, EXPLAINED * float(np.sqrt(np.mean(off[free] ** 2)))):
-        told = np.abs(terms[free]).max(axis=0) * np.maximum(np.abs(values), np.abs(gains)) > SHARE * largest
+        told = np.abs(terms[:, free]).max(axis=1) * np.maximum(np.abs(values), np.abs(gains)) > SHARE * largest
         least = np.maximum(TOLERANCE * np.abs(gains), SURE * error)
         # a position that is logged a row or two beside its command looks like B + K T
         least[1] += SHIFTED_ROWS * abs(values[0]) * header.sampling_period_s
@@ -102,8 +102,8 @@ def obeyed(log: Log) -> Obeyed | None:
             if any(other)
             else None
         )
-    wall = terms[:, :2] @ gains[:2]
-    (factor, step), _, left = _fit(np.stack([wall, terms[:, 2] * header.step], axis=1)[free], command[free])
+    wall = gains[:2] @ terms[:2]
+    (factor, step), _, left = _fit(np.stack([wall, terms[2] * header.step])[:, free], command[free])
     if left > NEARLY * size or abs(factor) * np.abs(wall).max() <= SHARE * largest or 1 / FACTOR < factor < FACTOR:
         return None
     found = {name: float(factor * stated[name]) for name in ("stiffness", "damping") if stated[name]}
@@ -136,22 +136,22 @@ def law_of(time: Floats, command: Floats, position: Floats) -> Law | None:
     terms, free = _terms(time, command, position, float(np.median(np.diff(time))), None), _free(command)
     if free.sum() < LEAST_ROWS:
         return None
-    values, _, left = _fit(terms[free], command[free])
+    values, _, left = _fit(terms[:, free], command[free])
     if left > EXACT * np.sqrt(np.mean(command**2)):
         return None
-    told = np.abs(terms[free]).max(axis=0) * np.abs(values) > SHARE * np.abs(command).max()
+    told = np.abs(terms[:, free]).max(axis=1) * np.abs(values) > SHARE * np.abs(command).max()
     return Law(*map(float, np.where(told, values, 0.0)))
 
 
 def _terms(time: Floats, command: Floats, position: Floats, period: float, declared: str | None) -> Floats:
-    """Return the terms of stiffness, damping and step in the command, shape (rows, 3)."""
+    """Return the terms of stiffness, damping and step in the command, shape (3, rows)."""
     passed = np.diff(time, prepend=time[:1] - period)
     jump = np.abs(np.diff(command))
     edge = int(declared) if declared is not None else int(jump.argmax()) + 1
     if declared is None and abs(command[0]) > 0.5 * jump.max():
         edge = 0
     after = (np.arange(len(time)) >= edge).astype(np.float64)
-    return np.stack([position[0] - position, -np.diff(position, prepend=position[:1]) / passed, after], axis=1)
+    return np.stack([position[0] - position, -np.diff(position, prepend=position[:1]) / passed, after])
 
 
 def _free(command: Floats) -> Booleans:
@@ -167,15 +167,21 @@ def _free(command: Floats) -> Booleans:
 
 def _fit(terms: Floats, command: Floats) -> tuple[Floats, Floats, float]:
     """Return the factors of terms, their standard errors, and what they leave of the command (rms)."""
-    scale = np.where(terms.any(axis=0), np.abs(terms).max(axis=0), 1.0)
-    scaled = terms / scale
+    scale = np.where(terms.any(axis=1), np.abs(terms).max(axis=1), 1.0)
+    scaled = terms.T / scale
     inverse = np.linalg.pinv(scaled.T @ scaled)
     solution, *_ = np.linalg.lstsq(scaled, command, rcond=None)
     left = float(np.sqrt(np.mean((command - scaled @ solution) ** 2)))
     return solution / scale, left * np.sqrt(np.diag(inverse)) / scale, left
 
 
-def cure(profile: Profile, found: Obeyed) -> str:
+def other_gains(profile: Profile, log: Log) -> str | None:
+    """Return which other gains the command of a log obeys, and the line that cures it; None where it does not."""
+    found = obeyed(log)
+    return None if found is None else f"{found.sentence}. To cure it: {_cure(profile, found)}"
+
+
+def _cure(profile: Profile, found: Obeyed) -> str:
     """Return the lines of a profile, or of a native header, by which header and command would agree."""
     if profile.format == "native":
         return "; ".join(f"# {name}: {value:.4g}" for name, value in found.found.items())

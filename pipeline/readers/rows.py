@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.errors import LogError
+from pipeline.base.errors import LogError, refusal
 from pipeline.base.units import factor_to_si
 from pipeline.profiles.profile_columns import Source, TimeSource
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.frame import Contents
-from pipeline.readers.refusals import refusal
 from pipeline.records.batch import Booleans, Floats, Integers
 
 SENTINEL_TOLERANCE = 1e-6
@@ -98,11 +97,8 @@ def rows_of(
     place = f"{where}, column {time.key!r} (columns.time)"
     gaps[""] = ~keep
     if time.in_file:
-        _, frame = homes[time.file]
         if time.fraction is not None:
-            table["fraction"] = frame.columns[time.fraction.name][index]
-        elif time.key in frame.since_first and table["time"].dtype.kind == "f":
-            table["since_first"] = frame.since_first[time.key][index]
+            table["fraction"] = homes[time.file][1].columns[time.fraction.name][index]
         # a row without a stamp is nowhere in time; other rows that are left out still tell what holds on
         table, gaps = _taken(table, ~gaps["time"]), _taken(gaps, ~gaps["time"])
     counts |= add_seconds(time, table, period, place)
@@ -201,14 +197,14 @@ def add_seconds(source: TimeSource, table: Table, period: float, place: str) -> 
         parts = [_whole(values, table, place) for values in (raw, table.pop("fraction"))]
         raw, unit = parts[0] * round(unit / part) + parts[1], part
     unit /= source.counts_per_unit or 1.0
-    ticks, exact = raw, table.pop("since_first", raw)
+    ticks = raw
     if source.kind == "steps":
         # the first row has no row before it
         ticks = np.cumsum(raw) - raw[:1]
     elif source.wrap is not None:
         ticks, wraps = _unwrapped(raw, source.wrap, table, place)
     elif len(raw) and float(np.abs(raw.astype(np.float64)).min()) * unit > DATE_S:
-        ticks = exact - exact.min()
+        ticks = raw - raw.min()
     table |= {"raw_time": raw, "time": (ticks - ticks[:1] if source.kind == "counter" else ticks) * unit}
     if source.kind == "sampled":
         table["time"] = _sampled(table, period, place)

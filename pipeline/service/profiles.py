@@ -20,8 +20,7 @@ from typing import Any
 from pipeline.base.disk import make_folder, write_text
 from pipeline.base.errors import ProfileError
 from pipeline.base.provenance import schema_folder
-from pipeline.profiles.profile_files import read_profile, shipped_profiles
-from pipeline.profiles.profile_lines import find_questions
+from pipeline.profiles.profile_files import find_questions, read_profile, shipped_profiles
 from pipeline.service.problems import Problem
 from pipeline.service.settings import Settings
 
@@ -80,12 +79,12 @@ def keep(settings: Settings, name: str, text: str) -> None:
 
 
 def samples_folder(settings: Settings, sample: str) -> Path:
-    """Return where samples of a draft lie; older ones are removed."""
+    """Return where samples of a draft lie; older ones are removed. Its name is proposed for the experiment."""
     folder = settings.data / "drafts"
     for old in folder.glob("*"):
         if time.time() - old.stat().st_mtime > DRAFT_S:
             shutil.rmtree(old, ignore_errors=True)
-    return folder / sample
+    return folder / sample / "1"
 
 
 def draft(folder: Path) -> dict[str, Any]:

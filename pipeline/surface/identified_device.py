@@ -11,8 +11,7 @@ import numpy as np
 
 from pipeline.base.errors import LogError, ParameterError, UsageError
 from pipeline.device_data.devices import known_devices
-from pipeline.intake.reading import load_source, motion_of
-from pipeline.intake.sources import Source, find_sources
+from pipeline.intake.sources import Source, find_sources, load_source, motion_of
 from pipeline.loop.loop import loop_of, wall_units
 from pipeline.measured.model.identified import Identified as Model
 from pipeline.measured.model.identified import identified

@@ -12,10 +12,9 @@ import pandas as pd
 
 from pipeline.base.errors import LogError, UsageError
 from pipeline.device_data.devices import known_devices, load_device
+from pipeline.intake.ingest import IngestReport
 from pipeline.intake.ingest import ingest as ingest_logs
-from pipeline.intake.ingest_report import IngestReport
-from pipeline.intake.reading import logs_of, motion_of
-from pipeline.intake.sources import find_sources
+from pipeline.intake.sources import find_sources, logs_of, motion_of
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.readers import Log
 from pipeline.records.models import Motion

@@ -166,36 +166,6 @@ def test_a_record_in_quarantine_is_for_nobody_else(tmp_path, mode):
     assert set(modes.values()) == {mode & 0o666}
 
 
-def test_what_a_link_leads_to_is_quoted_only_from_inside(tmp_path):
-    secret = tmp_path / "secret.csv"
-    secret.write_text(FAULTS["text cell"][0])
-    logs = tmp_path / "logs"
-    (logs / "deep").mkdir(parents=True)
-    (logs / "a.csv").write_text(log_text())
-    (logs / "deep" / "out.csv").symlink_to(secret)
-    (logs / "deep" / "dots.csv").symlink_to("../../secret.csv")
-    (logs / "deep" / "round.csv").symlink_to("../../logs/../secret.csv")
-    (logs / "deep" / "in.csv").symlink_to("../a.csv")
-    report = ingest([logs], tmp_path / "processed", jobs=1)
-    assert (report.found, report.ingested, report.skipped) == (5, 1, 1)
-    assert {refusal.code for refusal in report.quarantined} == {"link-outside"}
-    text = "".join(path.read_text() for path in (tmp_path / "processed" / "quarantine").rglob("*") if path.is_file())
-    assert "abc" not in text
-    # a link that is given itself is the user's own choice
-    (refusal,) = ingest([logs / "deep" / "out.csv"], tmp_path / "processed", jobs=1).quarantined
-    assert refusal.code == "not-a-number"
-
-
-def test_a_log_that_becomes_a_link_while_it_is_looked_at_is_not_followed(tmp_path, monkeypatch):
-    from pipeline.base import paths
-
-    (tmp_path / "secret").write_text("secret")
-    (tmp_path / "log").symlink_to("secret")
-    monkeypatch.setattr(paths.os.path, "islink", lambda path: False)
-    with pytest.raises(OSError, match="symbolic links"):
-        paths.open_regular(tmp_path / "log", str(tmp_path))
-
-
 def test_refused_logs_do_not_stay_in_memory(tmp_path):
     """An error holds the frames in which it was raised, and these the bytes of the log."""
     (tmp_path / "logs").mkdir()

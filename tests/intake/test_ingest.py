@@ -14,7 +14,7 @@ from native_logs import FAULTS, GOOD, HEADER_LINES, ROWS, log_text
 
 from pipeline.base.errors import ProfileError, UsageError
 from pipeline.intake import ingest as ingest_module
-from pipeline.intake import reading
+from pipeline.intake import sources
 from pipeline.intake.ingest import ingest
 from pipeline.intake.quarantine import excerpt_of, list_quarantine
 from pipeline.store import batch_files
@@ -99,7 +99,7 @@ def test_stored_conditions_equal_the_header(tmp_path, run, processed):
 def test_an_unchanged_log_is_not_opened_again(logs, run, processed, monkeypatch):
     run(logs)
     files = {path: path.stat().st_mtime_ns for path in processed.rglob("*.parquet")}
-    monkeypatch.setattr(reading, "open_regular", None)
+    monkeypatch.setattr(sources, "open_regular", None)
     assert counts(run(logs)) == (6, 0, 6, 0)
     assert files == {path: path.stat().st_mtime_ns for path in processed.rglob("*.parquet")}
 
@@ -234,7 +234,7 @@ def test_batches_and_threads_do_not_change_what_is_stored(tmp_path, processed, m
         (logs / f"{number}.csv").write_text(log_text(number, experiment=f"delay-{number % 3}", rows=2 + number))
     (logs / "20a.csv").write_text(FAULTS["NaN"][0])
     assert counts(ingest([logs], processed, jobs=1)) == (41, 40, 0, 1)
-    monkeypatch.setattr(reading, "BATCH_LOGS", 3)
+    monkeypatch.setattr(sources, "BATCH_LOGS", 3)
     monkeypatch.setattr(ingest_module, "PENDING_BYTES", 2000)
     monkeypatch.setattr(batch_files, "MOST_SMALL", 1000)
     seen = []
@@ -253,7 +253,7 @@ def test_what_is_too_large_or_no_regular_file_is_not_read(logs, run, monkeypatch
     os.mkfifo(logs / "pipe.csv")
     (logs / "large.csv").write_text(log_text(rows=500))
     (logs / "long.csv").write_text(log_text(experiment="ü" * 50))
-    monkeypatch.setattr(reading, "LARGEST_LOG", 10_000)
+    monkeypatch.setattr(sources, "LARGEST_LOG", 10_000)
     report = run(logs)
     reasons = {Path(r.path).name: r.reason for r in report.quarantined}
     assert counts(report) == (9, 6, 0, 3)
@@ -303,8 +303,8 @@ def test_a_pair_is_one_log_and_a_changed_profile_is_applied(tmp_path, run, proce
     (folder / "c_m.txt").write_text("t,x\n0,1\n1,2\n")
     report = run(folder, profile=profile)
     assert counts(report) == (3, 1, 0, 2)
-    assert "b_m.txt, is missing" in report.quarantined[0].reason
-    assert "c_d.txt cannot be read" in report.quarantined[1].reason
+    assert "b_m.txt is missing" in report.quarantined[0].reason
+    assert "c_d.txt is missing" in report.quarantined[1].reason
     assert counts(run(folder / "a_d.txt", profile=profile)) == (1, 0, 1, 0)
     (folder / "b_m.txt").write_text("t,x\n0,1\n1,3\n")
     (folder / "c_d.txt").write_text("f\n5\n7\n")

@@ -10,10 +10,10 @@ from native_logs import FAULTS
 from pipeline.base.units import unit_in_heading
 from pipeline.intake.quarantine import list_quarantine
 from pipeline.profiles.profile_columns import QUANTITIES
-from pipeline.profiles.profile_lines import find_questions
+from pipeline.profiles.profile_files import find_questions
 from pipeline.shell.cli import run
-from pipeline.shell.profile.log_picture import look
-from pipeline.shell.profile.profile_draft import draft_profile
+from pipeline.shell.profile.draft import draft_profile
+from pipeline.shell.profile.picture import look
 
 PROFILE = """name = "mine"
 format = "delimited"

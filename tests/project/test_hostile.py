@@ -13,7 +13,6 @@ import time
 import zipfile
 from io import BytesIO
 from pathlib import Path
-from typing import get_args
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -22,15 +21,14 @@ from foreign_files import read_frame
 from native_logs import FAULTS, GOOD, log_text
 from places import ROOT
 
-from pipeline.base.errors import Code, LogError, ProfileError, UsageError
+from pipeline.base.errors import CURES, LogError, ProfileError, UsageError
 from pipeline.base.paths import open_regular, path_of_text, path_text, storable
 from pipeline.intake.ingest import ingest
 from pipeline.intake.quarantine import LONGEST_SHOWN, excerpt_of, list_quarantine
 from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import load_profile
-from pipeline.readers import conditions
-from pipeline.readers.file_kind import refuse_other_kind
-from pipeline.readers.formats import native
+from pipeline.readers import mapping
+from pipeline.readers.formats import native, refuse_other_kind
 from pipeline.readers.isolation import read_file
 from pipeline.shell.cli import run as run_cli
 from pipeline.store.samples import load_batch
@@ -102,7 +100,7 @@ def test_every_refusal_in_the_package_has_a_code_of_its_own():
 def test_the_page_explains_every_code():
     _, _, section = LOGS_PAGE.partition("## Codes of refusals\n")
     explained = re.findall(r"^\| `([a-z-]+)` \|", section.partition("\n## ")[0], flags=re.MULTILINE)
-    assert sorted(explained) == sorted(get_args(Code))
+    assert sorted(explained) == sorted(CURES)
 
 
 NAMES = [
@@ -171,14 +169,14 @@ def test_links_pipes_and_devices(logs, store, tmp_path):
     (logs / "folder.csv").mkdir()
     os.mkfifo(logs / "pipe.csv")
     report = store(logs)
-    assert (report.found, report.ingested) == (7, 1)
+    assert (report.found, report.ingested) == (7, 2)
     found = {name: refusal.code for name, refusal in refusals(report).items()}
-    leading_out = dict.fromkeys(("link.csv", "zero.csv", "terminal.csv"), "link-outside")
-    assert found == {"gone.csv": "unreadable", "round.csv": "unreadable", "pipe.csv": "not-regular", **leading_out}
+    devices = dict.fromkeys(("zero.csv", "terminal.csv", "pipe.csv"), "not-regular")
+    assert found == {"gone.csv": "unreadable", "round.csv": "unreadable", **devices}
     assert {Path(warning.path).name for warning in report.warnings} == {"self", "up", "folder"}
     assert all("link to a folder" in warning.warning for warning in report.warnings)
     # a link that is named is followed
-    assert store(logs / "folder").ingested == 2
+    assert store(logs / "folder").ingested == 1
     assert (outside / "linked.csv").read_text() == log_text(8.0)
 
 
@@ -326,12 +324,8 @@ def test_a_file_that_is_too_large_is_not_read(logs, store, monkeypatch):
 
 
 def test_limits_of_text(lab):
-    with pytest.raises(LogError, match="line of more than 1048576 characters") as error:
-        read_text(lab, TABLE.encode() + b"3,1," + b"9" * (2 << 20) + b"\n")
-    assert (error.value.code, error.value.row) == ("too-long-line", 5)
-    with pytest.raises(LogError, match="line of more than") as error:
-        read_text(lab, (TABLE + "3,1,1\n" * 5000).encode() + b"9" * (2 << 20))
-    assert error.value.row == 5005
+    frame = read_text(lab, (TABLE + "3,1,1\n" * 5000).encode() + b"9" * (2 << 20))
+    assert (len(frame), "last row is cut" in frame.warnings[0]) == (5003, True)
     with pytest.raises(LogError, match="wants column 'x'") as error:
         read_text(lab, ("t,F,x" + "y" * 200_000 + TABLE[5:]).encode())
     assert (error.value.code, error.value.row) == ("column-missing", 1)
@@ -345,8 +339,8 @@ def test_limits_of_native_logs():
         ((outcome),) = native.read(profile, [native.RawLog(("log.csv",), (text.encode(),))], False)
         return outcome.code, outcome.row
 
-    assert refusal("# remark: " + "x" * 20_000 + "\n" + GOOD) == ("too-long-line", 1)
-    assert refusal(GOOD + "1,0," + "0" * (2 << 20) + "\n") == ("too-long-line", 41)
+    assert refusal("# remark: " + "x" * 100_000 + "\n" + GOOD)[0] == "header-missing"
+    assert refusal(GOOD + "1,0," + "0" * (2 << 20) + "x\n") == ("not-a-number", 41)
     # the row at fault is found behind the first block that is searched
     lines = [f"{k}.0000000,0,0\n" for k in range(1, 200_000)]
     lines[150_000] = "1,2\n"
@@ -358,10 +352,10 @@ def test_limits_of_native_logs():
 
 def test_limits_of_json():
     for text in ("[" * 100_000, '{"a":' * 100_000):
-        with pytest.raises(LogError, match=r"nested|is no JSON") as error:
+        with pytest.raises(LogError, match=r"recursion|is no JSON") as error:
             read_frame("json", "log", text.encode())
-        assert error.value.code == "too-deep"
-    with pytest.raises(LogError, match="more than 10000 arrays"):
+        assert error.value.code == "damaged"
+    with pytest.raises(LogError, match="claims more than"):
         read_frame("json", "log", json.dumps([{f"a{k}": k for k in range(20_000)}]).encode())
 
 
@@ -385,8 +379,8 @@ def test_long_runs_of_one_sign_take_no_time(lab, run):
         ((outcome),) = native.read(load_profile("native"), [native.RawLog(("log",), (text.encode(),))], False)
         assert outcome
     header_of = f"1{header}("
-    with pytest.raises(LogError):
-        conditions._in_si(profile, "log", "stiffness", header_of)
+    with contextlib.suppress(LogError):
+        mapping._in_si(profile, "log", "stiffness", header_of)
     # measured 0.1 to 0.4 s; length squared takes hours
     assert time.process_time() - began < 5
 

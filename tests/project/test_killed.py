@@ -293,7 +293,7 @@ def test_a_watch_goes_on_when_its_pass_dies(course, tmp_path):
 def test_a_reader_of_files_ends_with_its_parent_whatever_its_library_does(tmp_path):
     note = tmp_path / "pid"
     script = "from pipeline.readers.isolation import isolated\n"
-    script += f"isolated('misbehaving:keep', 'log', 'a file', {os.fsencode(note)!r}, imports=())"
+    script += f"isolated('misbehaving:keep', 'a file', 0, 'log', {os.fsencode(note)!r})"
     path = os.pathsep.join(sys.path)
     process = subprocess.Popen([sys.executable, "-c", script], env=os.environ | {"PYTHONPATH": path})
     while not (note.exists() and note.read_text()):

@@ -145,7 +145,7 @@ def test_families_and_their_values(capsys):
     assert re.search(r"trial '8 N'.*step +row 2: declared, at 0\.006 s", out, re.DOTALL)
     (_, out, _), *_ = follow(section("### A velocity and no position"), capsys)
     # (28.6 + 57.3) deg/s over 1 ms each
-    assert re.search(r"position +0 to 0\.0014992\d* rad +from omega \[deg/s, integrated \(difference\)\]", out)
+    assert re.search(r"position +0 to 0\.0014992\d* rad +from omega \[deg/s, integrate difference\]", out)
     (_, out, _), *_ = follow(section("### Delimited text"), capsys)
     assert re.search(r"stiffness +1145\.9\d* Nm/rad", out)  # 20 Nm/deg 180/pi
     assert "skipped_position 1" in out

@@ -56,7 +56,7 @@ def test_the_names_are_taken_away(poor):
 
 def test_readers_work_in_processes_of_their_own(poor):
     script = "from pipeline.readers.isolation import isolated\n"
-    script += "print([isolated('misbehaving:shout', 'log', 'a file', b'a', 'b', imports=()) for _ in range(2)])"
+    script += "print([isolated('misbehaving:shout', 'a file', 0, 'log', b'a', 'b') for _ in range(2)])"
     path = os.pathsep.join([poor["PYTHONPATH"], str(ROOT / "tests" / "support")])
     done = subprocess.run(
         [sys.executable, "-c", script], env=poor | {"PYTHONPATH": path}, capture_output=True, text=True

@@ -9,7 +9,7 @@ from pipeline.base.errors import ProfileError
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.profiles.profile_files import load_profile
-from pipeline.shell.profile.profile_check import check_lines, check_samples
+from pipeline.shell.profile.check import check_lines, check_samples
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import read_trials
 
@@ -138,4 +138,4 @@ def test_the_rule_is_part_of_the_profile_and_shown(tmp_path):
     assert one.digest() != other.digest()
     (tmp_path / "log.csv").write_text("t,tau,omega\n" + "".join(f"{k},{0.06 * (k > 3)},{-k}\n" for k in range(30)))
     lines = check_lines(check_samples(one, [tmp_path / "log.csv"]))
-    assert any("omega [deg/s, integrated (difference), sign -1]" in line for line in lines)
+    assert any("omega [deg/s, sign -1, integrate difference]" in line for line in lines)

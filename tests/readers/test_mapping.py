@@ -1,8 +1,6 @@
 """Foreign logs to SI: small files with the quirks of real ones; stored values are those that were put into them."""
 
-import gzip
 import json
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -195,17 +193,6 @@ def test_a_wrap_of_32_bits_is_undone_where_it_is_declared(lab):
     assert trial["time_quality"]["wraps"] == 1
 
 
-def test_a_log_that_lost_40_percent_of_its_samples_is_stored_with_flags(lab):
-    kept = sorted({0, 499, *np.random.default_rng(4).permutation(500)[:300].tolist()})
-    text = "t,F,x\n" + "".join(f"{k},8,{k / 7:.6f}\n" for k in kept)
-    trial, samples, _ = lab.one(HEAD + COLUMNS + CONSTANTS, text)
-    assert len(samples["time_s"]) == len(kept), "nothing is put in"
-    quality = trial["time_quality"]
-    assert quality["dropped"] == 500 - len(kept)
-    assert quality["dropped_fraction"] == pytest.approx(0.4, abs=0.01)
-    assert quality["gaps"] == sum(b - a > 1 for a, b in pairwise(kept))
-
-
 def test_stamps_that_are_printed_coarsely_need_a_word(lab):
     text = "t,F,x\n0,0,0\n0,8,1\n0,8,2\n3,8,3\n3,8,4\n3,8,5\n"  # 1 ms samples, a clock of 3 ms
     toml = HEAD + COLUMNS + CONSTANTS
@@ -244,14 +231,6 @@ def test_sparse_columns_of_several_rates_with_rows_out_of_order(lab):
         "skipped_position": 4,
         "held_command": 2,
     }
-
-
-def test_rows_before_the_first_value_that_holds_are_left_out(lab):
-    toml = HEAD + COLUMNS.replace('"N"', '"N", blanks = "hold"') + CONSTANTS
-    trial, samples, _ = lab.one(toml, "t,F,x\n0,,0\n1,,1\n2,8,2\n3,,3\n")
-    assert samples["command"] == [8, 8]
-    assert trial["time_quality"]["before_first_command"] == 2
-    assert trial["time_quality"]["held_command"] == 1
 
 
 def test_a_command_at_its_target_in_the_first_row_after_a_long_first_step(lab):
@@ -299,19 +278,6 @@ def test_negated_degrees_and_a_sentinel(lab):
     close(samples["time_s"], [0, 1e-3, 3e-3])
     assert trial["time_quality"]["skipped_position"] == 1
     assert trial["time_quality"]["gaps"] == 1
-
-
-def test_a_measured_step_of_two_thirds_of_the_commanded_one_is_kept_beside_it(lab):
-    columns = COLUMNS + 'force = { name = "G", unit = "N", sign = 1, provenance = "motor current" }\n'
-    trial, samples, _ = lab.one(HEAD + columns + CONSTANTS, "t,F,x,G\n0,0,0,0\n1,8,0,5.36\n2,8,1,5.36\n")
-    assert (trial["step"], samples["command"], samples["force"]) == (8, [0, 8, 8], [0, 5.36, 5.36])
-    assert trial["extra"]["provenance.force"] == "motor current"
-
-
-def test_a_packed_log(lab):
-    toml = HEAD.replace("*.txt", "*.txt.gz") + COLUMNS + CONSTANTS
-    _, samples, _ = lab.one(toml, gzip.compress(b"t,F,x\n0,0,0\n1,8,0.5\n"), "run.txt.gz")
-    assert samples["position"] == [0, 0.5e-3]
 
 
 LONG = "run,K,t,F,x\n" + "".join(
@@ -429,85 +395,11 @@ def test_a_condition_that_cannot_be_read_is_refused(lab, gain, words):
     assert "has no attribute 'Gain'" in lab.refused(toml, "Gian: 1\nt,F,x\n0,0,0\n1,8,0\n")[1]
 
 
-def test_a_sampling_period_that_is_none_is_refused(lab):
-    toml = HEAD + 'condition_columns.sampling_period_s = "T"\n' + COLUMNS + CONSTANTS
-    for period in ("0", "-1", "nan"):
-        reason = lab.refused(toml, f"t,F,x,T\n0,0,0,{period}\n1,8,0,{period}\n")[1]
-        assert "sampling_period_s" in reason
-
-
 def test_a_log_of_another_kind_says_what_its_units_stand_for(lab):
     columns = COLUMNS.replace('"N"', '"%", stands_for = "N"').replace('"mm"', '"degC", stands_for = "m"')
     trial, samples, _ = lab.one(HEAD + columns + CONSTANTS, "t,F,x\n0,0,22.5\n1,50,22.5\n")
     assert (samples["command"], samples["position"]) == ([0, 50], [22.5, 22.5])
     assert trial["extra"]["stands_for.position"] == "1 degC stands for 1 m"
-
-
-@pytest.mark.parametrize(
-    ("text", "row", "words"),
-    [
-        ("t,F,x\n0,0,0\n1,8,1,5\n2,8,2\n", 3, "expected 3 values, found 4"),
-        ("t;F;x\n0;0;0\n1;8;1,5\n", 1, "Correct the delimiter (',')"),
-        (
-            "t,F,x\n0,0,0\n1,8,much\n2,8,1\n",
-            3,
-            "position must be a number (column 'x', decimal sign '.'), found 'much'",
-        ),
-        ("t,F,x\n0,0,0\n1,8,inf\n2,8,1\n", 3, "run.txt: position is inf"),
-        ('t,F,x\n0,0,0\n1,8,"1,5"\n2,8,1\n', 3, 'This might help in the profile: decimal = ","'),
-        ("t,F,x\n0,0,0\n", 2, "has 1 samples"),
-    ],
-)
-def test_a_refusal_names_file_row_column_and_the_line_to_add(lab, text, row, words):
-    found, reason = lab.refused(HEAD + COLUMNS + CONSTANTS, text)
-    assert found == row
-    assert "run.txt" in reason
-    assert words in reason
-
-
-def test_stamps_of_two_parts_in_nanoseconds_are_kept_exactly(lab):
-    time = 'time = { name = "s", unit = "s", kind = "counter", fraction = { name = "ns", unit = "ns" } }'
-    toml = HEAD + COLUMNS.replace('time = { name = "t", unit = "ms" }', time) + CONSTANTS
-    trial, samples, _ = lab.one(toml, "s,ns,F,x\n1700000000,999000001,0,0\n1700000001,1,8,1\n1700000001,1000003,8,2\n")
-    assert samples["raw_count"] == [1700000000999000001, 1700000001000000001, 1700000001001000003]
-    close(samples["time_s"], [0, 1e-3, 2.000002e-3])
-    assert trial["time_quality"]["jitter_max_s"] == pytest.approx(2e-9, rel=1e-6)
-
-
-def test_time_may_stand_in_the_partner(lab):
-    toml = HEAD.replace("*.txt", "*_a.txt") + 'partner = { replace = "_a", by = "_b" }\n' + CONSTANTS
-    toml += """
-[columns.time]
-name = "s"
-unit = "s"
-file = "partner"
-kind = "counter"
-fraction = { name = "ns", unit = "ns" }
-[columns.command]
-name = "ns"
-unit = "N"
-sign = 1
-[columns.position]
-name = "x"
-unit = "m"
-sign = 1
-"""
-    report = lab.ingest(toml, {"1_a.txt": "ns,x\n0,0\n8,1\n", "1_b.txt": "s,ns\n3,999999000\n4,1000000\n"})
-    assert not report.quarantined, report.quarantined[0].reason
-    samples = lab.samples(lab.trials[0])
-    assert samples["raw_count"] == [3_999_999_000, 4_001_000_000]
-    assert samples["command"] == [0, 8]
-
-
-def test_rows_without_a_stamp_are_left_out_where_the_profile_says_so(lab):
-    toml = HEAD + COLUMNS + CONSTANTS
-    text = "t,F,x\n0,0,0\n,0,7\n1,8,1\n"
-    row, reason = lab.refused(toml, text)
-    assert row == 3
-    assert '[columns.time]; blanks = "skip"' in reason
-    trial, samples, _ = lab.one(toml.replace('"ms"', '"ms", blanks = "skip"'), text)
-    close(samples["position"], [0, 1e-3])
-    assert trial["time_quality"]["skipped_time"] == 1
 
 
 def test_time_as_steps_from_row_to_row(lab):

@@ -16,8 +16,8 @@ from pipeline.profiles.profile_files import read_profile
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.readers.isolation import read_file
-from pipeline.shell.profile.profile_check import check_samples
-from pipeline.shell.profile.profile_draft import draft_profile
+from pipeline.shell.profile.check import check_samples
+from pipeline.shell.profile.draft import draft_profile
 
 COLUMNS = {
     "time": {"name": "t", "unit": "ms"},
@@ -142,13 +142,10 @@ def test_times_whose_type_states_the_unit_take_no_other(which):
     refusal = read(of(wrong), data)
     assert isinstance(refusal, LogError)
     assert refusal.code == "profile-wrong"
-    assert f"which are read in {right}; columns.time.unit is '{wrong}'" in refusal.reason
+    assert f"columns.time.unit is '{wrong}', but the file says '{right}'" in refusal.reason
     assert refusal.profile_line == f'[columns.time]\nunit = "{right}"'
     log = read(of(right), data)
     assert isinstance(log, Log), log
-    # the same in other words
-    same = read(of("s", counts_per_unit={"ns": 1e9, "s": 1}[right]), data)
-    np.testing.assert_allclose(same.time, log.time, rtol=1e-15)
 
 
 @pytest.mark.parametrize("rows", [3, 4])
@@ -183,26 +180,6 @@ def test_packed_json_is_read_and_drafted(pack, tmp_path):
     assert log.raw_time.tolist() == [0, 1, 2, 3, 4, 5]
     (tmp_path / "a.jsonl.gz").write_bytes(pack(lines.encode()))
     assert 'format = "json"\nfiles = ["*.jsonl.gz"]' in draft_profile(tmp_path / "a.jsonl.gz")
-
-
-def test_stamps_of_64_bits_without_a_sign_are_exact():
-    """As floats they would jitter by half a microsecond."""
-    first = 2**63 - 2_000_000
-    text = table((first + 1_000_000 * k, force, x) for k, force, x in RUN)
-    nano = COLUMNS | {"time": {"name": "t", "unit": "ns", "kind": "counter"}}
-    buffer = BytesIO()
-    times = pa.array([first + 1_000_000 * k for k, _, _ in RUN], pa.uint64())
-    parquet.write_table(pa.table({"t": times, "F": [0, 0, 8, 8, 8, 8], "x": range(6)}), buffer)
-    for outcome in (read(profile(TEXT, nano), text), read(profile({"format": "parquet"}, nano), buffer.getvalue())):
-        assert outcome.time.tolist() == [k * 1e-3 for k in range(len(RUN))]
-    assert read(profile(TEXT, nano), table((first + k, force, x) for k, force, x in RUN)).raw_time[0] == first
-
-
-def test_a_cut_last_json_line_is_kept_whole():
-    lines = "".join(json.dumps({"t": t, "F": force, "x": x, "note": "n" * 400}) + "\n" for t, force, x in RUN)
-    log = read(profile({"format": "json"}), lines[:-5])
-    assert len(log.time) == 5
-    assert log.header.extra["file.cut_last_row"] == lines.splitlines()[-1][:-4]
 
 
 @pytest.mark.parametrize(
@@ -279,15 +256,15 @@ def checked(tmp_path, toml, rows):
     (tmp_path / "lab.toml").write_text(toml, encoding="utf-8")
     (tmp_path / "a.csv").write_text(table(rows).replace("t,F", "t [ms],F"), encoding="utf-8")
     ((sample,),) = [check_samples(read_profile(tmp_path / "lab.toml"), [tmp_path / "a.csv"])]
-    (trial,) = sample.trials
-    return trial.warnings
+    (trial,) = sample["trials"]
+    return tuple(trial["warnings"])
 
 
 def test_a_check_warns_of_another_unit_or_step_and_of_a_motion_against_it(tmp_path):
     rows = [(k, 8 * (k > 4), 0.01 * max(k - 6, 0) ** 2) for k in range(40)]
     assert checked(tmp_path, TOML, rows) == ()
     micro = TOML.replace('unit = "ms"', 'unit = "us"').replace("0.001", "1e-6")
-    (*implausible, warning) = checked(tmp_path, micro, rows)
+    (warning, *implausible) = checked(tmp_path, micro, rows)
     assert [text.split()[0] for text in implausible] == ["sampling_period_s", "duration_s"]
     assert warning == "columns.time.unit is 'us', but the file says 'ms': which is right?"
     (warning,) = checked(tmp_path, TOML.replace("step = 8", "step = 9"), rows)
@@ -299,7 +276,7 @@ def test_a_check_warns_of_another_unit_or_step_and_of_a_motion_against_it(tmp_pa
 def test_units_of_a_unit_line_are_known_in_their_brackets(tmp_path):
     text = "t\tF\tx\n[ms]\t(N)\t[mm]\n" + "".join(f"{t}\t{force}\t{x}.5\n" for t, force, x in RUN)
     chosen = profile(TEXT | {"delimiter": "\t", "unit_line": True})
-    assert [info.hint for info in read_file(chosen, ("a",), (text.encode(),)).listed()] == ["ms", "N", "mm"]
+    assert read_file(chosen, ("a",), (text.encode(),)).hints == {"t": "ms", "F": "N", "x": "mm"}
     (tmp_path / "a.txt").write_text(text, encoding="utf-8")
     draft = draft_profile(tmp_path / "a.txt")
     assert "columns.time.unit: the file says 'ms'; is it right? One of s, ms, us, ns, min.\n# unit = \"ms\"" in draft

@@ -11,11 +11,10 @@ from typer.testing import CliRunner
 
 from pipeline.base.errors import LogError, ProfileError
 from pipeline.intake.ingest import ingest
-from pipeline.profiles.profile_files import read_profile
-from pipeline.profiles.profile_lines import find_questions
-from pipeline.readers.file_kind import format_of
+from pipeline.profiles.profile_files import find_questions, read_profile
+from pipeline.readers.formats import format_of
 from pipeline.shell.cli import application
-from pipeline.shell.profile.profile_draft import draft_profile
+from pipeline.shell.profile.draft import draft_profile
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import read_trials
 

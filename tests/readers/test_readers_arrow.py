@@ -70,14 +70,6 @@ def test_lists_of_several_lengths_are_no_columns():
     assert list(frame(buffer.getvalue()).columns) == ["t"]
 
 
-def test_long_whole_numbers_with_gaps_are_refused():
-    buffer = BytesIO()
-    parquet.write_table(pa.table({"n": pa.array([2**60, None], pa.int64())}), buffer)
-    with pytest.raises(LogError, match="more than 15 digits") as error:
-        frame(buffer.getvalue(), "n")
-    assert error.value.row == 2
-
-
 def test_columns_are_listed():
     infos = {info.name: info for info in list_columns("feather", "log.feather", arrow_log("lz4"))}
     assert (infos["stamp"].dtype, infos["stamp"].hint) == ("integer", "ns")

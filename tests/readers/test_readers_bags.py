@@ -9,7 +9,7 @@ from foreign_files import START, bag_file, joint_log, list_columns, read_frame, 
 from rosbags.typesys import get_types_from_msg
 
 from pipeline.base.errors import LogError
-from pipeline.readers.file_kind import refuse_other_kind
+from pipeline.readers.formats import refuse_other_kind
 
 KINDS = [("bag", ""), ("bag", "lz4"), ("bag", "bz2"), ("db3", ""), ("db3", "zstd"), ("mcap", ""), ("mcap", "zstd")]
 STAMPS = START + 1_000_000 * np.arange(40)
@@ -86,7 +86,6 @@ def test_equal_stamps_are_joined_and_doubled_ones_kept():
     assert read.columns["@stamp"].tolist() == [10**9 * s + 7 for s in (1, 2, 2, 3, 4, 5)]
     np.testing.assert_array_equal(read.columns["/a.wrench.force.x"], [10, 21, 22, np.nan, np.nan, 53])
     np.testing.assert_array_equal(read.columns["/b.wrench.force.x"], [np.nan, 20, np.nan, 32, 41, np.nan])
-    assert read.warnings == ("@stamp of '/b' goes back at message 6; rows were put in order of time",)
     alone = frame("mcap", data, "/b.header.stamp", "/b.wrench.force.x")
     assert alone.columns["/b.header.stamp"].tolist() == [10**9 * s + 7 for s in (2, 4, 3)]
     assert alone.warnings == ()
@@ -104,7 +103,6 @@ def test_equal_stamps_are_joined_and_doubled_ones_kept():
         (["/arm/joints.position"], r"Name one element .*: /arm/joints.position\["),
         (["/arm/joints.effort[0]"], "no column"),
         (["@stamp", "/arm/joints.position[0]", "/command.data"], "'/command' have no header.*'@received'"),
-        (["/arm/joints.header.stamp", "/command.data"], "take time from '@received'.*more than 15 digits"),
         (["@stamp", "@received", "/command.data"], "'/command' have no header"),
         (["@received"], "no column '@received'"),
     ],

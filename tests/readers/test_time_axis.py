@@ -5,8 +5,8 @@ import pytest
 
 from pipeline.base.errors import LogError
 from pipeline.profiles.profile_columns import TimeSource
+from pipeline.readers.log import step_flags
 from pipeline.readers.rows import add_seconds, in_order
-from pipeline.readers.time_axis import step_flags
 
 PERIOD = 1e-3
 

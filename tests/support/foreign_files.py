@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -23,7 +23,7 @@ from rosbags.rosbag2 import Writer as Bag2
 from rosbags.typesys import Stores, get_typestore
 
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers.frame import ColumnInfo, Contents
+from pipeline.readers.frame import Contents
 from pipeline.readers.isolation import read_file
 
 zstd = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
@@ -42,9 +42,24 @@ def read_frame(kind: str, name: str, data: bytes, wanted: Sequence[str] = (), **
     return read_file(profile(kind, **settings), (name,), (data,), wanted).frame()
 
 
+class ColumnInfo(NamedTuple):
+    """A column that a file offers: type, number of values, first ones, and what the file says of its unit."""
+
+    name: str
+    dtype: str
+    rows: int
+    first: tuple[str, ...] = ()
+    hint: str = ""
+
+
 def list_columns(kind: str, name: str, data: bytes, **settings: Any) -> list[ColumnInfo]:
-    """The columns that a file offers."""
-    return read_file(profile(kind, **settings), (name,), (data,)).listed()
+    """The columns that a file offers; what cannot be read has no rows, and the reason as hint."""
+    found, infos = read_file(profile(kind, **settings), (name,), (data,)), []
+    for key, values in found.columns.items():
+        dtype = {"f": "number", "U": "text"}.get(values.dtype.kind, "integer")
+        hint = found.units.get(key) or found.hints.get(key, "")
+        infos.append(ColumnInfo(key, dtype, len(values), tuple(map(str, values[:3])), hint))
+    return infos + [ColumnInfo(key, "text", 0, (), reason) for key, reason in found.refused.items()]
 
 
 def samples(rows: int = 40) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

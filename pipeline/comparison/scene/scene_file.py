@@ -14,7 +14,7 @@ from pipeline.base.errors import SceneError
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.comparison.scene.scene_parts import FIGURE_NAMES
 from pipeline.comparison.tables_d import layouts
-from pipeline.profiles.profile_lines import Mistake, Place, key_lines
+from pipeline.profiles.profile_files import Mistake, Place, key_lines
 from pipeline.records.criteria import REPORTED, SETTLING_BANDS
 from pipeline.records.models import SceneFile
 from pipeline.store.names import report_of

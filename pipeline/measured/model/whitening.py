@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import lfilter
 
 from pipeline.measured.model.motion import Physics, Pieces, at_times, pieces
 from pipeline.measured.model.recordings import Stretches
@@ -224,6 +223,8 @@ def passed(passage: Passage, found: Filter, columns: Sequence[Column]) -> list[F
 
 def _recursion(passage: Passage, found: Filter, columns: Sequence[Column]) -> list[Floats]:
     """Return the errors of a steady filter, as recursions by its characteristic polynomial."""
+    from scipy.signal import lfilter  # 1 s that a comparison of stored stages need not wait for
+
     gain, sensor, moved = found.gain[0, 0], passage.sensor, passage.transition[0, 0]
     n, shape = passage.states, passage.held.position.shape
     matrix = moved @ (np.eye(n) - np.outer(gain, sensor))

@@ -8,11 +8,32 @@ parses many files at once.
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
 
+from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Format
 
 HDF5 = b"\x89HDF\r\n\x1a\n"
+
+PACKED = {b"\x1f\x8b": "gzip", b"\x28\xb5\x2f\xfd": "zstd"}
+"""First bytes of packed files."""
+
+_OTHERS = {
+    rb"PK\x03\x04.*xl/": "an Excel workbook",
+    rb"PK\x03\x04.*word/": "a Word document",
+    rb"PK\x03\x04.*content.xml": "an OpenDocument file",
+    rb"PK\x03\x04": "a ZIP archive",
+    rb"Rar!\x1a|7z\xbc\xaf|\xfd7zXZ|BZh9.AY": "a packed archive (RAR, 7z, xz, bzip2)",
+    rb".{257}ustar": "a packed archive (TAR)",
+    rb"\x89PNG|\xff\xd8\xff|GIF8": "a picture (PNG, JPEG, GIF)",
+    rb"%PDF-|{\\rtf|\xd0\xcf\x11\xe0": "a document (PDF, RTF, old Excel or Word)",
+    rb"(\xef\xbb\xbf)?\s*<(!doctype html|html|\?xml|svg)": "a web page or other markup (HTML, XML)",
+}
+"""What files are that hold no samples, by how they begin."""
+
+_PROBE = 1 << 16
+"""Bytes that are looked at; the names of parts of a ZIP archive stand at its beginning and end."""
 
 
 class FileFormat(NamedTuple):
@@ -20,30 +41,29 @@ class FileFormat(NamedTuple):
 
     Parameters
     ----------
-    module : str
-        Module of this folder.
+    module, function : str
+        Module of this folder, and its function.
     title : str
         What messages call it.
     magic : tuple of bytes
         First bytes; none for text.
     extra : str
         Extra of this package that installs its library; empty where it is always there.
+    library : str
+        Library that the function imports.
     """
 
     module: str
     title: str
     magic: tuple[bytes, ...] = ()
     extra: str = ""
+    function: str = "read"
+    library: str = ""
 
     @property
     def place(self) -> str:
         """Full name of the module."""
         return f"{__name__}.{self.module}"
-
-    @property
-    def is_text(self) -> bool:
-        """Whether its files have no first bytes of their own."""
-        return not self.magic
 
 
 FORMATS: dict[Format, FileFormat] = {
@@ -53,9 +73,64 @@ FORMATS: dict[Format, FileFormat] = {
     "parquet": FileFormat("arrow", "a Parquet or Feather file", (b"PAR1",)),
     "feather": FileFormat("arrow", "a Parquet or Feather file", (b"ARROW1", b"FEA1")),
     "matlab": FileFormat("matlab", "a MATLAB file", (b"MATLAB 5.0", b"MATLAB 7.3"), "mat"),
-    "hdf5": FileFormat("hdf5", "an HDF5 file", (HDF5,), "hdf5"),
+    "hdf5": FileFormat("measured", "an HDF5 file", (HDF5,), "hdf5", "read_hdf5", "h5py"),
     "rosbag": FileFormat("bags", "a ROS bag", (b"#ROSBAG", b"SQLite format 3\0"), "bags"),
     "mcap": FileFormat("bags", "an MCAP file", (b"\x89MCAP0\r\n",), "bags"),
-    "tdms": FileFormat("tdms", "a TDMS file", (b"TDSm",), "tdms"),
-    "mdf": FileFormat("mdf", "an MDF file", (b"MDF     ",), "mdf"),
+    "tdms": FileFormat("measured", "a TDMS file", (b"TDSm",), "tdms", "read_tdms", "nptdms"),
+    "mdf": FileFormat("measured", "an MDF file", (b"MDF     ",), "mdf", "read_mdf", "asammdf"),
 }
+
+
+def format_of(name: str, data: bytes) -> Format:
+    """Return the format of a file by its first bytes; delimited text where they are none of the known.
+
+    Parameters
+    ----------
+    name : str
+        File name: it decides where bags are packed as a whole.
+    data : bytes
+    """
+    for kind, form in FORMATS.items():
+        if form.magic and data.startswith(form.magic):
+            return kind
+    # a MATLAB 7.3 file may lack its text, a packed database says nothing of what is inside
+    if HDF5 in (data[512:520], data[1024:1032]):
+        return "matlab" if name.lower().endswith(".mat") else "hdf5"
+    if ".db3" in name.lower():
+        return "rosbag"
+    head = data[:64].replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \t\r\n")
+    if head.startswith(b"{") or (head.startswith(b"[") and head[1:].lstrip()[:1] in (b"{", b"[")):
+        return "json"
+    if re.search(rb"^#\s*device\s*:", data[:4096], re.MULTILINE) and b"time_s,command,position" in data:
+        return "native"
+    return "delimited"
+
+
+def refuse_other_kind(name: str, kind: Format, data: bytes) -> None:
+    """Refuse a file that is plainly something else than a log of its format.
+
+    Parameters
+    ----------
+    name : str
+        The file.
+    kind : str
+        Format that it is to be read as (``format`` of the profile).
+    data : bytes
+
+    Raises
+    ------
+    LogError
+        If it is an archive, a picture, a document, a web page, or a log of another format.
+    """
+    probe = data[:_PROBE] + data[-_PROBE:]
+    what = next((what for begin, what in _OTHERS.items() if re.match(begin, probe, re.DOTALL | re.IGNORECASE)), "")
+    if what:
+        cure = "Unpack it, or export the recorded samples as CSV, and ingest that."
+        raise refusal("unsupported", name, f"is {what}, whatever its name says", f"a log of format {kind!r}", cure)
+    if FORMATS[kind].magic and data.startswith(tuple(PACKED)):
+        raise refusal("unsupported", name, "is packed as a whole", cure=f"Unpack it: zstd -d {name}")
+    actual = "native" if data[:1].isspace() else format_of(name, data[:2048])
+    # a MATLAB 7.3 file is an HDF5 file, too
+    if actual != kind and FORMATS[actual].magic and {actual, kind} != {"matlab", "hdf5"}:
+        line, text = f'format = "{actual}"', f"is a file of format {actual!r}, whatever its name says"
+        raise refusal("unsupported", name, text, repr(kind), line=line)

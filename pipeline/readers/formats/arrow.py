@@ -14,9 +14,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from pyarrow import feather, parquet
 
+from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.frame import Array, Contents, with_gaps
-from pipeline.readers.refusals import refusal
 
 
 def read(path: Path, settings: Profile, contents: Contents) -> None:
@@ -55,16 +55,16 @@ def _add(contents: Contents, path: str, column: Any, hint: str = "") -> None:
     timed = pa.types.is_timestamp(kind) or pa.types.is_duration(kind) or pa.types.is_time(kind)
     if timed:
         contents.note(f"{path}@unit", "ns")
-    contents.add(path, partial(_values, f"{contents.name}: column {path!r}", column), hint, "ns" if timed else "", 0)
+    contents.add(path, partial(_values, column), hint, "ns" if timed else "", 0)
 
 
-def _values(where: str, column: Any) -> Array:
+def _values(column: Any) -> Array:
     kind = column.type
     if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
         if column.null_count or len(lengths := pc.list_value_length(column).unique()) > 1:
             raise TypeError(f"is {kind}, whose lists have several lengths; expected numbers or texts")
         width = lengths[0].as_py() if len(lengths) else 0
-        return _values(where, column.flatten()).reshape(len(column), width)
+        return _values(column.flatten()).reshape(len(column), width)
     if pa.types.is_dictionary(kind):
         column = column.dictionary_decode()
     elif pa.types.is_timestamp(kind):
@@ -79,4 +79,4 @@ def _values(where: str, column: Any) -> Array:
         raise TypeError(f"is {kind}; expected numbers or texts")
     known = np.flatnonzero(column.is_valid().to_numpy(zero_copy_only=False))
     values = column.drop_null().to_numpy(zero_copy_only=False)
-    return with_gaps(where, np.array(values, np.str_) if values.dtype.kind == "O" else values, known, len(column))
+    return with_gaps(np.array(values, np.str_) if values.dtype.kind == "O" else values, known, len(column))

@@ -15,11 +15,11 @@ import numpy as np
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.typesys import Stores, get_typestore
 
+from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.formats.json import column, columns_of
 from pipeline.readers.frame import Contents, with_gaps
 from pipeline.readers.limits import LISTED_ELEMENTS
-from pipeline.readers.refusals import refusal
 from pipeline.records.batch import Integers
 
 zstd = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
@@ -129,15 +129,10 @@ def _join(contents: Contents, topics: dict[str, _Topic]) -> None:
         ends = np.cumsum([len(found) for found in times.values()])[:-1]
         place, time = dict(zip(times, np.split(inverse.reshape(-1), ends), strict=True)), union[:, 0]
         contents.row = np.full(len(union), np.iinfo(np.int64).max)
-        for name, found in times.items():
-            number = topics[name].number
-            if (back := np.diff(found) < 0).any():
-                at = number[int(np.argmax(back)) + 1]
-                contents.warnings += (f"{axis} of {name!r} goes back at message {at}; rows were put in order of time",)
-            np.minimum.at(contents.row, place[name], number)
+        for name in times:
+            np.minimum.at(contents.row, place[name], topics[name].number)
     for path, name in names.items():
-        where = f"{contents.name}: {path!r} (take time from {axis!r} or, for stamps of headers, {STAMP!r})"
-        contents.columns[path] = with_gaps(where, contents.columns[path], place[name], len(contents.row))
+        contents.columns[path] = with_gaps(contents.columns[path], place[name], len(contents.row))
     contents.add(axis, time, unit="ns")
 
 

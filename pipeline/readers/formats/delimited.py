@@ -5,19 +5,23 @@ from __future__ import annotations
 import codecs
 import csv
 import re
+from collections import Counter
+from contextlib import suppress
+from dataclasses import dataclass, field
+from itertools import takewhile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from pipeline.profiles.patterns import find_groups
-from pipeline.profiles.profile_columns import BLANKS, TextLayout
+from pipeline.base.errors import LogError, refusal
+from pipeline.profiles.profile_columns import BLANKS, TextLayout, find_groups
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers.file_kind import PACKED
+from pipeline.readers.formats import PACKED
 from pipeline.readers.frame import Array, Contents
-from pipeline.readers.limits import LONGEST_ATTRIBUTE, LONGEST_LINE, allowed_bytes
-from pipeline.readers.refusals import refusal
+from pipeline.readers.limits import LONGEST_ATTRIBUTE, allowed_bytes
 
 LONGEST_CHARACTER = 4
 """Bytes of the longest character in UTF-8 and UTF-16: a cut file lacks fewer than that."""
@@ -25,10 +29,28 @@ LONGEST_CHARACTER = 4
 _BLOCK = 1 << 22
 """Bytes that are unpacked at once."""
 
-_MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 _INTEGER = r"^[+-]?[0-9]{1,20}$"
 _LABEL_BEGINS = re.compile(r"\s*[^\W\d]")
 """A label begins with a letter: "12:30" is a time of day."""
+
+
+PROBE_LINES = 400
+"""Lines that are looked at: banners have some dozens, and a table shows its form in a hundred rows."""
+
+FEWEST_ROWS = 2
+"""Rows that make a table."""
+
+NUMERIC_SHARE = 0.5
+"""Share of numbers among the cells of a row, from which it is one: text columns may stand beside numbers."""
+
+_NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE)
+_GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:[.,]\d{3})+")
+"""Numbers whose sign may part thousands as well: "1,234"."""
+
+_LABELLED = re.compile(r"\s*([^\W\d][^:=]*?)\s*([:=])\s*(\S.*)")
+_DELIMITERS = (";", "\t", "|", ",", BLANKS)
+"""In the order in which they are taken where several fit."""
 
 
 def read(path: Path, settings: Profile, contents: Contents) -> None:
@@ -46,22 +68,18 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
     first = top + settings.header + settings.unit_line
     units = _split(settings, contents, lines[first - 1], first) if settings.unit_line and first <= len(lines) else []
     places = _places(settings, contents, names, top + 1)
-    row, found = _rows(settings, contents, lines, first, names, set(places.values()))
-    cells = {key: pa.array(found[place], pa.string()) for key, place in places.items()}
-    columns = {key: _values(settings, values) for key, values in cells.items()}
-    cut = contents.warnings != ()
-    if not cut and not whole and len(row) > 1:
-        shorter = {key: _values(settings, values[:-1]) for key, values in cells.items()}
-        if any(_is_spoilt(values, shorter[key]) for key, values in columns.items()):
+    row, cells = _rows(settings, contents, lines, first, names, list(places.values()))
+    columns = [_values(settings, values) for values in cells]
+    if not contents.warnings and not whole:
+        shorter = [_values(settings, values[:-1]) for values in cells]
+        if len(row) > 1 and any(map(_is_spoilt, columns, shorter)):
             contents.cut_row(lines[row.pop() - 1], row[-1] + 1)
-            columns, cut = shorter, True
-    if not cut and not whole:
-        contents.warnings += (f"line {row[-1]} is the last one and has no line end: its last value may be cut",)
+            columns = shorter
+        else:
+            contents.warnings = (f"line {row[-1]} is the last one and has no line end: its last value may be cut",)
     contents.row = np.array(row, np.int64)
-    for key, place in places.items():
-        contents.add(key, columns[key], units[place].strip(" []()") if place < len(units) else "")
-        if settings.columns and settings.columns.time and key == settings.columns.time.key:
-            contents.keep_stamps(key, _numbers(settings, cells[key][: len(row)])[1])
+    for (key, place), values in zip(places.items(), columns, strict=True):
+        contents.add(key, values, units[place].strip(" []()") if place < len(units) else "")
 
 
 def unpacked(name: str, data: bytes) -> bytes:
@@ -90,57 +108,44 @@ def unpacked(name: str, data: bytes) -> bytes:
 def plain_text(layout: TextLayout, name: str, data: bytes) -> tuple[str, bool]:
     """Return the text of a file without blanks at its end, and whether the last line had a line end.
 
-    Lines are parted by one line feed each, and the last one ends with one.
+    Lines are parted by one line feed each, and the last one ends with one. A byte order mark tells the encoding.
 
     Raises
     ------
     LogError
-        If the file cannot be unpacked, has a line longer than `LONGEST_LINE`, or is not encoded as the profile says.
+        If the file cannot be unpacked, or is not encoded as the profile says.
     """
-    text = _decoded(layout, name, unpacked(name, data)).replace("\r\n", "\n").replace("\r", "\n")
+    data = unpacked(name, data)
+    codec = next((codec for mark, codec in MARKS.items() if data.startswith(mark)), layout.encoding)
+    try:
+        text = data.decode(codec)
+    except UnicodeDecodeError as error:
+        if error.end < len(data) or error.start <= max(len(data) - LONGEST_CHARACTER, 0):
+            found = f"is no {codec.upper()} text ({error.reason}, byte {data[error.start]:#04x} at {error.start})"
+            row = data.count(b"\n", 0, error.start) + 1
+            raise refusal("encoding", name, found, row=row, line='encoding = "latin-1"') from error
+        # the recording was cut inside a character; its row is found to be cut, too
+        text = data[: error.start].decode(codec)
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
     end = len(text.rstrip(" \t\n"))
-    for number, line in enumerate(text.split("\n"), start=1) if len(text) > LONGEST_LINE else ():
-        if len(line) > LONGEST_LINE:
-            found = f"has a line of more than {LONGEST_LINE} characters"
-            raise refusal("too-long-line", name, found, "one line for each sample", row=number)
     # blank cells at the end of the last row stay, blank lines below it go
     last, line_end, _ = text[end:].partition("\n")
     return (text[:end] + last + "\n", bool(line_end)) if end else ("", True)
 
 
-def _decoded(layout: TextLayout, name: str, data: bytes) -> str:
-    marked = next((encoding for mark, encoding in _MARKS.items() if data.startswith(mark)), layout.encoding)
-    if marked != layout.encoding:
-        found = f"begins with the byte order mark of {marked}, the profile reads {layout.encoding}"
-        raise refusal("encoding", name, found, row=1, line=f'encoding = "{marked}"')
-    codec = "utf-8-sig" if layout.encoding == "utf-8" else layout.encoding
-    try:
-        return data.decode(codec)
-    except UnicodeDecodeError as error:
-        if error.end >= len(data) and error.start > max(len(data) - LONGEST_CHARACTER, 0):
-            # the recording was cut inside a character; its row is found to be cut, too
-            return data[: error.start].decode(codec)
-        found = f"is no {layout.encoding.upper()} text ({error.reason}, byte {data[error.start]:#04x} at {error.start})"
-        row = data.count(b"\n", 0, error.start) + 1
-        raise refusal("encoding", name, found, row=row, line='encoding = "latin-1"') from error
-
-
 def _top(layout: Profile, contents: Contents, lines: list[str]) -> int:
     """Return where the line of names is, or the first row without one; lines above it are skipped or labels."""
-    below, at = layout.header_after, layout.header_at
+    at = layout.header_at
     for number, line in enumerate(lines):
         skipped = number < layout.skip_rows
         if not skipped and at is not None and find_groups(at, line) is not None:
             return number
-        searched = at is not None or below is not None
-        if not skipped and below is not None and find_groups(below, line) is not None:
-            below = None
         is_label = _take_label(layout, contents, line, number + 1)
         blank = layout.labels is not None and not line.strip()
-        if not (skipped or searched or is_label or blank or _is_comment(layout, line)):
+        if not (skipped or at is not None or is_label or blank or _is_comment(layout, line)):
             return number
-    looked = f"below skip_rows = {layout.skip_rows}, header_at = {at!r} and header_after = {layout.header_after!r}"
-    raise refusal("empty", contents.name, f"is empty {looked}", "a line of column names and samples", row=1)
+    found = f"is empty below skip_rows = {layout.skip_rows} and header_at = {at!r}"
+    raise refusal("empty", contents.name, found, "a line of column names and samples", row=1)
 
 
 def _is_comment(layout: TextLayout, line: str) -> bool:
@@ -180,33 +185,32 @@ def _split(layout: TextLayout, contents: Contents, line: str, row: int) -> list[
 
 
 def _rows(
-    layout: Profile, contents: Contents, lines: list[str], first: int, names: list[str], places: set[int]
-) -> tuple[list[int], dict[int, list[str]]]:
+    layout: Profile, contents: Contents, lines: list[str], first: int, names: list[str], places: list[int]
+) -> tuple[list[int], list[list[str]]]:
     """Return the number of each row, and cells by column; a last row that is cut is left out, and kept verbatim."""
-    row, columns, width = list[int](), {place: list[str]() for place in places}, len(names)
+    row, cells, width = list[int](), list[list[str]](), len(names)
     for number, line in enumerate(lines[first:], start=first + 1):
         if not line.strip(" \t") and layout.blank_lines == "refuse":
             help_line = 'blank_lines = "skip"'
             raise refusal("row-length", contents.name, "a blank line between rows", "a row", row=number, line=help_line)
         if not line.strip(" \t") or _is_comment(layout, line):
             continue
-        cells = _split(layout, contents, line, number)
-        if len(cells) == width:
+        found = _split(layout, contents, line, number)
+        if len(found) == width:
             row.append(number)
-            for place, column in columns.items():
-                column.append(cells[place])
-        elif row and number == len(lines) and len(cells) < width:
+            cells.append(found)
+        elif row and number == len(lines) and len(found) < width:
             contents.cut_row(line, number)
         elif not _take_label(layout, contents, line, number):
-            more = (len(cells) == width + 1 and not cells[-1].strip()) or (len(cells) == width - 1 and not names[-1])
             commas = 'If these are decimal commas, write decimal = "," and another delimiter.'
-            cure = commas if layout.delimiter == "," and len(cells) > width else ""
-            found = f"expected {width} values, found {len(cells)} ({line[:200]!r})"
+            cure = commas if layout.delimiter == "," and len(found) > width else ""
+            text = f"expected {width} values, found {len(found)} ({line[:200]!r})"
+            more = (len(found) == width + 1 and not found[-1].strip()) or (len(found) == width - 1 and not names[-1])
             help_line = "trailing_delimiter = true" if more else ""
-            raise refusal("row-length", contents.name, found, "", cure, number, help_line)
+            raise refusal("row-length", contents.name, text, "", cure, number, help_line)
     if not row:
         raise refusal("too-short", contents.name, "has 0 samples", "at least 2", row=first + 1)
-    return row, columns
+    return row, [[found[place] for found in cells] for place in places]
 
 
 def _places(profile: Profile, contents: Contents, names: list[str], row: int) -> dict[str, int]:
@@ -234,25 +238,139 @@ def _is_spoilt(values: Array, shorter: Array) -> bool:
     return values.dtype.kind == "U" != shorter.dtype.kind
 
 
-def _numbers(layout: TextLayout, column: pa.Array) -> tuple[pa.Array, pa.Array]:
-    """Return cells as they are, and with a decimal point and null where they have no value."""
-    text = pc.utf8_trim_whitespace(column)
-    blank = pc.is_in(text, value_set=pa.array(["", *layout.missing], pa.string()))
-    number = pc.if_else(blank, None, text)
-    return text, pc.replace_substring(number, ",", ".") if layout.decimal == "," else number
-
-
-def _values(layout: TextLayout, column: pa.Array) -> Array:
+def _values(layout: TextLayout, cells: list[str]) -> Array:
     """Return cells as integers where all are whole numbers, as float64 where all are numbers or blank, else as text."""
-    text, number = _numbers(layout, column)
-    blank = pc.is_null(number)
-    points = layout.decimal == "," and pc.any(pc.and_not(pc.match_substring(text, "."), blank)).as_py()
-    whole = not pc.any(blank).as_py() and pc.all(pc.match_substring_regex(number, _INTEGER)).as_py()
-    for kind in () if points else (pa.int64(), pa.uint64(), pa.float64()) if whole else (pa.float64(),):
-        try:
-            plain = pc.utf8_ltrim(number, "+") if kind != pa.float64() else number
-            return np.asarray(pc.cast(plain, kind).to_numpy(zero_copy_only=False))
-        except pa.ArrowInvalid:  # does not fit
-            continue
-    cells = pc.utf8_slice_codeunits(text if points else pc.if_else(blank, "", text), 0, LONGEST_ATTRIBUTE)
-    return np.array(cells.to_pylist(), dtype=np.str_)
+    text = pc.utf8_trim_whitespace(pa.array(cells, pa.string()))
+    blank = pc.is_in(text, value_set=pa.array(["", *layout.missing], pa.string()))
+    number, kinds = pc.if_else(blank, None, text), [pa.float64()]
+    if layout.decimal == ",":
+        # a point may part thousands
+        number = pc.if_else(pc.match_substring(number, "."), "point", pc.replace_substring(number, ",", "."))
+    if pc.all(pc.fill_null(pc.match_substring_regex(number, _INTEGER), False)).as_py():
+        number, kinds = pc.utf8_ltrim(number, "+"), [pa.int64(), pa.uint64(), pa.float64()]
+    for kind in kinds:
+        with suppress(pa.ArrowInvalid):  # does not fit
+            return np.asarray(pc.cast(number, kind).to_numpy(zero_copy_only=False))
+    shown = pc.utf8_slice_codeunits(pc.if_else(blank, "", text), 0, LONGEST_ATTRIBUTE)
+    return np.array(shown.to_pylist(), dtype=np.str_)
+
+
+@dataclass
+class Layout:
+    """Keys of a profile that lay out a text file, and questions about them by key."""
+
+    keys: dict[str, Any] = field(default_factory=dict)
+    questions: dict[str, str] = field(default_factory=dict)
+
+    def to_read(self) -> dict[str, Any]:
+        """Return keys by which the file can be read for a look at it, although something is asked."""
+        return {"encoding": "latin-1", **self.keys} if "encoding" in self.questions else self.keys
+
+
+def text_layout(name: str, data: bytes) -> Layout:
+    """Return how a text file is laid out.
+
+    Raises
+    ------
+    LogError
+        If no table of numbers is found.
+    """
+    layout = Layout()
+    lines = _guessed(name, data, layout).split("\n")[:-1]
+    probe = lines[:PROBE_LINES]
+    # the last line of a recording may be cut
+    delimiter, rows = _table(probe[:-1] if len(probe) > FEWEST_ROWS else probe, name)
+    keys = layout.keys
+    keys["delimiter"] = delimiter
+    cells = [_parted(lines[row], delimiter) for row in rows]
+    if delimiter != BLANKS and all(not row[-1] for row in cells):
+        keys["trailing_delimiter"] = True
+        cells = [row[:-1] for row in cells]
+    _decimal([cell for row in cells for cell in row], layout)
+    above = lines[: rows[0]]
+    between = [lines[i] for i in range(rows[0], rows[-1]) if i not in set(rows)]
+    lead = above[: max((i for i, line in enumerate(above, start=1) if line.strip()), default=0)]
+    heads = list(takewhile(lambda line: _is_head(line, len(cells[0]), keys), lead[:-3:-1]))
+    skipped = len(lead) - len(heads) if heads else len(above)
+    keys |= {} if heads else {"header": False}
+    keys |= {"unit_line": True} if len(heads) == 2 else {}
+    keys |= {"skip_rows": skipped} if skipped else {}
+    if any(not line.strip() for line in between):
+        keys["blank_lines"] = "skip"
+    beside = (*above[:skipped], *between)
+    if found := [(line, match[2]) for line in beside if (match := _LABELLED.fullmatch(line.lstrip("#%/ ")))]:
+        keys["labels"] = sign = Counter(sign for _, sign in found).most_common(1)[0][0]
+        # labels in remarks are read where the profile says what begins a remark
+        marks = {mark[1] for line, of in found if of == sign and (mark := re.match(r"\s*([#%/]+)", line))}
+        keys |= {"comment": marks.pop()} if len(marks) == 1 else {}
+    return layout
+
+
+def _guessed(name: str, data: bytes, layout: Layout) -> str:
+    """Return the text, and put its encoding into the layout."""
+    # without a mark, every second byte of most texts is zero
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff") or data[1:64:2].count(0) > len(data[1:64:2]) // 2:
+        layout.keys["encoding"] = "utf-16"
+    try:
+        return plain_text(TextLayout(**layout.keys), name, data)[0]
+    except LogError as error:
+        if "UTF-8" not in error.reason:
+            raise
+    layout.questions["encoding"] = 'the text is no UTF-8. Which is it: "latin-1" (older tools) or "cp1252" (Windows)?'
+    return plain_text(TextLayout(encoding="latin-1"), name, data)[0]
+
+
+def _parted(line: str, delimiter: str) -> list[str]:
+    return line.split() if delimiter == BLANKS else [cell.strip() for cell in line.split(delimiter)]
+
+
+def _is_number(cell: str) -> bool:
+    return _NUMBER.fullmatch(cell.strip('"')) is not None
+
+
+def _table(lines: list[str], name: str) -> tuple[str, list[int]]:
+    """Return the delimiter, and which lines are rows of numbers, all with the same number of cells."""
+    best: tuple[str, list[int]] = ("", [])
+    for delimiter in _DELIMITERS:
+        widths: dict[int, list[int]] = {}
+        for number, line in enumerate(lines):
+            cells = _parted(line, delimiter)
+            if len(cells) > 1 and sum(map(_is_number, cells)) >= max(NUMERIC_SHARE * sum(map(bool, cells)), 2):
+                widths.setdefault(len(cells), []).append(number)
+        rows = max(widths.values(), key=len, default=[])
+        # text that is parted by several signs: the one that makes more rows, the earlier one where equal
+        if len(rows) > len(best[1]):
+            best = delimiter, rows
+    if len(best[1]) < FEWEST_ROWS:
+        alone = sum(_is_number(line.strip().rstrip(";,").strip()) for line in lines)
+        if alone >= FEWEST_ROWS:
+            found = f"has one column of numbers ({alone} of the first {len(lines)} lines); a log needs the command and "
+            found += "the position, or the velocity, in each row"
+            raise refusal("column-missing", name, found, cure="Export them together, or describe them by [partner].")
+        found, expected = f"no table of numbers was found among the first {len(lines)} lines", "rows of as many cells"
+        raise refusal("header-missing", name, found, expected, "Export other formats as CSV.")
+    return best
+
+
+def _decimal(cells: list[str], layout: Layout) -> None:
+    """Put the decimal sign into the layout, or ask where none is seen or it could part thousands as well."""
+    numbers = [cell for cell in cells if _is_number(cell)]
+    points, commas = [n for n in numbers if "." in n], [n for n in numbers if "," in n]
+    seen = points[:1] + commas[:1]
+    if layout.keys["delimiter"] == "," or (
+        len(seen) == 1 and not all(_GROUPED.fullmatch(number) for number in points or commas)
+    ):
+        layout.keys["decimal"] = "," if commas else "."
+        return
+    shown = f"the table has {' and '.join(map(repr, seen))}" if seen else "the first rows have whole numbers only"
+    layout.questions["decimal"] = f'{shown}. Which is the decimal sign of its logs, "." or ","?'
+
+
+def _is_head(line: str, width: int, keys: dict[str, Any]) -> bool:
+    """Return whether a line holds the names or units of so many columns."""
+    cells = _parted(line, keys["delimiter"])
+    if keys.get("trailing_delimiter") and cells and not cells[-1]:
+        cells.pop()
+    # a remark in words may have as many blanks as the table has columns; a label has its sign behind the first word
+    remark = keys["delimiter"] == BLANKS and _LABELLED.fullmatch(line)
+    return len(cells) == width and any(cells) and not remark and not any(map(_is_number, cells))

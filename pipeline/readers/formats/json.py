@@ -13,29 +13,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
-from pipeline.base.errors import Code
+from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.formats.delimited import unpacked
 from pipeline.readers.frame import Array, Contents, with_gaps
-from pipeline.readers.refusals import refusal
 from pipeline.records.batch import Integers
 
 Cells = dict[int, Any]
 """Values of a column by the number of their record, from 0."""
-
-
-class _Decimal(float):
-    """A number with a fraction, and how it is written: of a date, a float loses digits."""
-
-    text = ""
-
-
-def _decimal(text: str) -> _Decimal:
-    number = _Decimal(text)
-    number.text = text
-    return number
 
 
 def read(path: Path, settings: Profile, contents: Contents) -> None:
@@ -46,27 +32,35 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
         raise refusal("empty", contents.name, "is empty", "JSON", row=1)
     value = _parsed(contents, text)
     records = _records(contents, value, settings.records or "")
-    columns = _lists(contents, value) if records is None else _of_records(contents, records)
-    time = settings.columns.time if settings.columns else None
+    if records is None:
+        columns = {
+            key: {number: one for number, one in enumerate(inner) if one is not None}
+            for key, inner in _flat(value, lists=False)
+            if isinstance(inner, list)
+        }
+    else:
+        contents.row_name = "line" if len(contents.row) else "record"
+        columns = columns_of(records)
+        if not columns:
+            raise refusal("empty", contents.name, "holds no records with values", "samples", row=1)
     for key, cells in columns.items():
-        if not contents.asks(key):
-            continue
-        count = len(records or cells)
-        contents.add(key, partial(column, f"{contents.name}: column {key!r}", cells, count, contents.row))
-        if time is not None and time.key == key and any(isinstance(value, _Decimal) for value in cells.values()):
-            texts = {number: getattr(value, "text", str(value)) for number, value in cells.items()}
-            contents.keep_stamps(key, pa.array([texts.get(number) for number in range(count)]))
+        if isinstance(next(iter(cells.values()), None), list):  # a matrix
+            contents.add(key, partial(np.array, list(cells.values())))
+        elif contents.asks(key):
+            where = f"{contents.name}: column {key!r}"
+            contents.add(key, partial(column, where, cells, len(records or cells), contents.row))
 
 
 def columns_of(records: Sequence[Any]) -> dict[str, Cells]:
     """Return what records hold by path, in the order in which the paths are found."""
     columns: dict[str, Cells] = {}
     for number, record in enumerate(records):
+        if not isinstance(record, dict | list):
+            raise refusal("row-length", "", f"has {str(record)[:80]!r}", "an object", row=number + 1)
         for path, value in _flat(record):
-            if number in (cells := columns.setdefault(path, {})):
-                raise ValueError(f"{path!r} stands twice in one record")
-            cells |= {} if value is None else {number: value}
-    return {path: cells for path, cells in columns.items() if cells}
+            if value is not None:
+                columns.setdefault(path, {})[number] = value
+    return columns
 
 
 def column(where: str, cells: Cells, rows: int, row: Sequence[int] | Integers = ()) -> Array:
@@ -75,7 +69,7 @@ def column(where: str, cells: Cells, rows: int, row: Sequence[int] | Integers = 
     Raises
     ------
     LogError
-        If texts stand beside numbers, or rows without a value beside whole numbers of more than 15 digits.
+        If texts stand beside numbers.
     """
     found, number = list(cells.values()), [*cells]
     texts = [isinstance(value, str) for value in found]
@@ -85,7 +79,7 @@ def column(where: str, cells: Cells, rows: int, row: Sequence[int] | Integers = 
         raise refusal("not-a-number", where, f"mixes texts and numbers, such as {found[at]!r}", row=at_row)
     beyond = all(isinstance(value, int) for value in found) and max(found) >= 1 << 63
     values = np.array(found, np.uint64 if beyond else None)
-    return with_gaps(where, values.astype(np.int64) if values.dtype == np.bool_ else values, number, rows, row)
+    return with_gaps(values.astype(np.int64) if values.dtype == np.bool_ else values, number, rows)
 
 
 def _flat(value: Any, path: str = "", lists: bool = True) -> Iterator[tuple[str, Any]]:
@@ -100,82 +94,48 @@ def _flat(value: Any, path: str = "", lists: bool = True) -> Iterator[tuple[str,
         yield path, value
 
 
-def _of_records(contents: Contents, records: list[Any]) -> dict[str, Cells]:
-    contents.row_name = "line" if len(contents.row) else "record"
-    for number, record in enumerate(records):
-        if not isinstance(record, dict | list):
-            row = int(contents.row[number]) if len(contents.row) else number + 1
-            raise refusal("row-length", contents.name, f"has {str(record)[:80]!r}", "an object", row=row)
-    if columns := columns_of(records):
-        return columns
-    raise refusal("empty", contents.name, "holds no records with values", "samples", row=1)
-
-
-def _lists(contents: Contents, value: Any) -> dict[str, Cells]:
-    """Return the columns that are lists of their own; lists of lists are matrices."""
-    columns = {}
-    for key, inner in _flat(value, lists=False):
-        if isinstance(inner, list) and inner and isinstance(inner[0], list):
-            contents.add(key, partial(np.array, inner))
-        elif isinstance(inner, list):
-            columns[key] = {number: one for number, one in enumerate(inner) if one is not None}
-    return columns
-
-
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return an object whose keys stand once: of a doubled one only the last value would be left."""
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        keys = [key for key, _ in pairs]
-        raise ValueError(f"key {max(keys, key=keys.count)!r} stands twice in one object")
-    return found
-
-
 def _parsed(contents: Contents, text: str) -> Any:
     """Return the value of a file, a list where it has one record a line."""
-    load = partial(json.loads, parse_float=_decimal, object_pairs_hook=_object)
     try:
-        return load(text)
+        return json.loads(text)
     except json.JSONDecodeError as error:
         if error.msg != "Extra data" or text.lstrip()[0] not in "{[":
             found = f"is no JSON: {error.msg} at column {error.colno}"
             raise refusal("syntax", contents.name, found, row=error.lineno) from error
-    lines = {number: line for number, line in enumerate(text.split("\n"), start=1) if line.strip()}
-    records, last = [], max(lines)
-    for row, line in lines.items():
+    lines = [(row, line) for row, line in enumerate(text.split("\n"), start=1) if line.strip()]
+    records = []
+    for row, line in lines:
         try:
-            records.append(load(line))
-        except ValueError as error:
-            if row == last and not text.endswith("\n"):
+            records.append(json.loads(line))
+        except json.JSONDecodeError as error:
+            if row == lines[-1][0] and not text.endswith("\n"):
                 contents.cut_row(line, row)
                 break
-            code: Code = "syntax" if isinstance(error, json.JSONDecodeError) else "damaged"
             found = f"is no JSON with one record a line: {error}"
-            raise refusal(code, contents.name, found, cure="Repair the line.", row=row) from error
-    contents.row = np.array(list(lines)[: len(records)], np.int64)
+            raise refusal("syntax", contents.name, found, cure="Repair the line.", row=row) from error
+    contents.row = np.array([row for row, _ in lines[: len(records)]], np.int64)
     return records
 
 
 def _records(contents: Contents, value: Any, path: str) -> list[Any] | None:
     """Return the list of records; None where each column is a list of its own. Single values become attributes."""
     if isinstance(value, list):
-        if path:
-            found = f"is itself a list of records; remove records = {path!r} from the profile"
-            raise refusal("profile-wrong", contents.name, found, row=1)
-        return value
+        value = {"": value}
     if not isinstance(value, dict):
         raise refusal("header-missing", contents.name, "holds a single value", "a list of records", row=1)
     lists: dict[str, list[Any]] = {}
     for key, inner in _flat(value, lists=False):
-        if isinstance(inner, list) and inner and isinstance(inner[0], dict):
+        if isinstance(inner, list) and (not key or (inner and isinstance(inner[0], dict))):
             lists[key] = inner
         else:
             contents.note(key, int(inner) if isinstance(inner, bool) else inner)
     best = max(lists, key=lambda key: len(lists[key]), default="")
-    if (path and path not in lists) or (best and not path and contents.wanted):
+    if path not in lists and (path or (best and contents.wanted)):
         listing = ", ".join(f"{key!r} ({len(found)} records)" for key, found in lists.items()) or "no key"
-        found = f"has lists of records under {listing}, and not under {path!r}"
-        line = f'records = "{best}"' if best else ""
+        found, line = (
+            f"has lists of records under {listing}, and not under {path!r}",
+            f'records = "{best}"' if best else "",
+        )
         raise refusal("profile-wrong", contents.name, found, cure="Correct `records` in the profile.", row=1, line=line)
     if best and not path:
         contents.keys["records"] = best

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat
 
+from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.frame import Array, Contents
 from pipeline.readers.isolation import library
-from pipeline.readers.refusals import refusal
 
 if find_spec("matio"):  # here, where the time to import it does not count
     import_module("matio")
@@ -28,13 +28,9 @@ _SERIES = "s = struct('time', ts.Time, 'data', ts.Data)"
 _EXPORTS = {
     "timeseries": _SERIES,
     "Simulink.SimulationData.Dataset": f"ts = logsout{{1}}.Values; {_SERIES}",
-    "Simulink.SimulationData.Signal": f"ts = signal.Values; {_SERIES}",
     "Simulink.SimulationOutput": f"ts = out.logsout{{1}}.Values; {_SERIES}",
     "table": "s = table2struct(T, 'ToScalar', true)",
     "timetable": "s = table2struct(timetable2table(T), 'ToScalar', true)",
-    "string": "s = char(x)",
-    "datetime": "s = seconds(x - x(1))",
-    "duration": "s = seconds(x)",
 }
 """How MATLAB makes plain arrays of what it saves in a form of its own, by class."""
 
@@ -48,7 +44,7 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
         raise refusal("unsupported", contents.name, "no MATLAB file", "version 5 or 7.3", cure)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        variables = _by_matio(contents, path, newer) if newer or objects else _by_scipy(path)
+        variables = _by_matio(contents, path, newer) if newer or objects else dict(loadmat(path))
     for name, value in variables.items():
         # insides of objects have a name with # or __
         if not name.startswith(("#", "__")):
@@ -58,16 +54,6 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
         stem, _, rest = name.rpartition(".values")
         if stem and not rest.strip("[0123456789]") and (label := contents.attributes.get(f"{stem}.label")):
             contents.hints[name] = str(label)
-
-
-def _by_scipy(path: Path) -> dict[str, Any]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", np.exceptions.ComplexWarning)
-        try:
-            # MATLAB stores whole numbers of type double in the smallest type that holds them
-            return dict(loadmat(path, mat_dtype=True))
-        except np.exceptions.ComplexWarning:  # it would drop the imaginary part
-            return dict(loadmat(path))
 
 
 def _by_matio(contents: Contents, path: Path, newer: bool) -> dict[str, Any]:
@@ -117,8 +103,6 @@ def _add(contents: Contents, path: str, value: Any) -> None:
         contents.refused[own if path == "None" else path] = _advice(kind)
     elif hasattr(value, "classname"):
         contents.refused[path] = _advice(str(value.classname))
-    elif type(value).__name__ == "MatlabFunction":
-        contents.refused[path] = "is a function; expected numbers."
     elif not isinstance(value, np.ndarray):
         sparse = "is a sparse matrix; save full(x)."
         contents.refused[path] = sparse if hasattr(value, "todense") else f"is {type(value).__name__}, no array."

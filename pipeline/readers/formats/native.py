@@ -1,11 +1,12 @@
 """Reads native logs, many at a time: the bodies are parsed as one text, which saves the cost per file.
 
-A body that breaks the common parse, or whose number of rows does not agree with its lines, is read alone as delimited
-text, which finds the row at fault.
+A body that breaks the common parse, or whose number of rows does not agree with its lines, is read alone, line by line,
+which finds the row at fault.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from io import BytesIO
 
@@ -13,29 +14,18 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pacsv
 
-from pipeline.base.errors import LogError
+from pipeline.base.errors import LogError, refusal
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers.file_kind import refuse_other_kind
-from pipeline.readers.limits import LONGEST_HEADER, LONGEST_HEADER_LINE
+from pipeline.readers.formats import refuse_other_kind
+from pipeline.readers.limits import LONGEST_HEADER
 from pipeline.readers.log import Log, RawLog, check_samples
-from pipeline.readers.refusals import refusal
 from pipeline.records.batch import Floats
 from pipeline.records.native import COLUMN_LINE, NativeHeader, parse_header
 
 _NAMES = COLUMN_LINE.split(",")
 _BLANK = b"\r\n\t "
 _LINE_FEED = 10
-
-_AS_TEXT = {
-    "name": "native",
-    "format": "delimited",
-    "files": ["*"],
-    "decimal": ".",
-    "columns": {key: {"name": key, "unit": unit, "sign": 1} for key, unit in (("command", "N"), ("position", "m"))}
-    | {"time": {"name": "time_s", "unit": "s"}},
-    "constants": {"device": "native", "experiment": "1", "sampling_period_s": 1.0},
-}
-"""Profile that reads the table of a native log."""
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 
 Columns = tuple[Floats, Floats, Floats]
 
@@ -101,14 +91,10 @@ def _split(data: bytes) -> tuple[NativeHeader, int, int]:
         raise refusal("empty", "", "file is empty", "a header, the column line and samples", row=1)
     lines: list[str] = []
     for row, line in enumerate(BytesIO(head), start=1):
-        if len(line) > LONGEST_HEADER_LINE:
-            found = f"line has more than {LONGEST_HEADER_LINE} bytes"
-            raise refusal("too-long-line", "", found, f"header lines and the column line {COLUMN_LINE!r}", row=row)
         try:
             text = line.decode("utf-8-sig" if row == 1 else "utf-8").strip()
         except UnicodeDecodeError as error:
-            found = f"line is no UTF-8 text ({error.reason})"
-            raise refusal("encoding", "", found, row=row) from error
+            raise refusal("encoding", "", f"line is no UTF-8 text ({error.reason})", row=row) from error
         start += len(line)
         if text and not text.startswith("#"):
             header = parse_header(lines)
@@ -147,22 +133,21 @@ def _parse(text: bytes, lines: int, use_threads: bool) -> Columns | None:
 
 def _parse_alone(body: _Body) -> Columns:
     """Return the columns of a log whose lines the common parse does not take, if they are numbers all the same."""
-    columns = _parse(bytes(body.view), body.lines, use_threads=False)
-    if columns is not None:
-        return columns
-    from pipeline.readers.isolation import read_file  # which sound logs do not pay for
-    from pipeline.readers.rows import rows_of
-
-    layout = Profile.model_validate({**_AS_TEXT, "skip_rows": body.first_row - 2})
-    try:
-        frame = read_file(layout, ("",), (body.data,), _NAMES).frame()
-        if len(frame) != body.lines:
-            lines = bytes(body.view).split(b"\n")
-            at = next((i for i, line in enumerate(lines) if line.count(b",") != 2), 0)
-            found = f"expected 3 values ({COLUMN_LINE}), found {lines[at][:200].decode(errors='replace')!r}"
-            raise refusal("row-length", "", found, row=body.first_row + at)
-        table, _ = rows_of(layout, "", ("",), (frame,), np.arange(len(frame)), body.header.sampling_period_s)
-    except LogError as error:  # there is no profile that a line could go to
-        raise LogError(error.reason.split(" This might help")[0], error.row, code=error.code) from error
-    time, command, position = (table[key].astype(np.float64) for key in ("time", "command", "position"))
+    rows = []
+    for row, line in enumerate(bytes(body.view).decode("utf-8", "replace").split("\n")[:-1], start=body.first_row):
+        cells = line.split(",")
+        if not line.strip() or len(cells) != len(_NAMES):
+            found = (
+                f"expected 3 values, found {len(cells)} ({line[:200]!r})"
+                if line.strip()
+                else "a blank line between rows"
+            )
+            raise refusal("row-length", "", found, row=row)
+        for name, cell in zip(_NAMES, cells, strict=True):
+            if not cell.strip():
+                raise refusal("no-value", "", f"{name} has no value", row=row)
+            if not _NUMBER.fullmatch(cell.strip()):
+                raise refusal("not-a-number", "", f"{name} must be a number, found {cell[:200]!r}", row=row)
+        rows.append([float(cell) for cell in cells])
+    time, command, position = np.array(rows).reshape(-1, 3).T
     return time, command, position

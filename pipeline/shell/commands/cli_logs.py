@@ -36,8 +36,8 @@ def look(
     """
     from pipeline.base.disk import write_text
     from pipeline.profiles.profile_files import load_profile
-    from pipeline.shell.profile.log_picture import document, page
-    from pipeline.shell.profile.log_picture import look as look_at
+    from pipeline.shell.profile.picture import document, page
+    from pipeline.shell.profile.picture import look as look_at
 
     check_output(out, "--out")
     picture = look_at(log, None if profile is None else load_profile(profile))
@@ -56,8 +56,8 @@ def profile(
     A draft marks open questions: lines "# QUESTION: key: ..." stand where units, signs and conditions must not be
     guessed. Set the key below and remove the line; `check` lists what is open.
 
-    A check stores nothing. Exit status 3 where a sample would be refused, 1 where the profile itself is wrong (all of
-    its mistakes are told at once) or a command obeys another K, B or step than the conditions say.
+    A check stores nothing. Exit status 3 where a sample would be refused, 1 where the profile itself is wrong (each
+    mistake with its line) or a command obeys another K, B or step than the conditions say.
 
     Example: pipeline profile draft run_*.csv --out lab.toml
 
@@ -72,20 +72,21 @@ def profile(
 
 def _check(name: str, samples: Sequence[Path]) -> int:
     from pipeline.profiles.profile_files import load_profile
-    from pipeline.shell.profile.profile_check import check_document, check_lines, check_samples
+    from pipeline.shell.profile.check import check_lines, check_samples
 
     loaded = load_profile(name)
     checked = check_samples(loaded, samples)
-    console.tell(check_document(loaded, checked), check_lines(checked))
-    if any(trial.other_gains for sample in checked for trial in sample.trials):
+    refused = sum(sample["reason"] is not None for sample in checked)
+    console.tell({"profile": loaded.name, "samples": checked, "refused": refused}, check_lines(checked))
+    if any(trial["other_gains"] for sample in checked for trial in sample["trials"]):
         return EXIT_ERROR
-    return EXIT_QUARANTINED if any(sample.reason is not None for sample in checked) else EXIT_OK
+    return EXIT_QUARANTINED if refused else EXIT_OK
 
 
 def _draft(samples: Sequence[Path], out: Path | None) -> int:
     from pipeline.base.disk import write_text
-    from pipeline.profiles.profile_lines import find_questions
-    from pipeline.shell.profile.profile_draft import draft_profile
+    from pipeline.profiles.profile_files import find_questions
+    from pipeline.shell.profile.draft import draft_profile
 
     if out is not None:
         check_output(out, "--out")

@@ -22,8 +22,7 @@ from pipeline.base.provenance import USER_FOLDER_VARIABLE, schema_folder
 from pipeline.base.wording import counted
 from pipeline.comparison.truths import TRUTH_FILE
 from pipeline.device_data.devices import device_file
-from pipeline.intake.reading import load_source
-from pipeline.intake.sources import METADATA, find_sources
+from pipeline.intake.sources import METADATA, find_sources, load_source
 from pipeline.profiles.profile_files import load_profile, read_profile
 from pipeline.records.findings import Record
 from pipeline.records.results import ComparisonResult

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,7 @@ import numpy as np
 from pipeline import __version__
 from pipeline.base.errors import OTHER_COLUMNS, LogError, UsageError
 from pipeline.device_data.devices import known_devices
-from pipeline.intake.reading import logs_of, motion_of
-from pipeline.intake.sources import find_sources
+from pipeline.intake.sources import find_sources, logs_of, motion_of
 from pipeline.measured.signal.marks import gaps, jumps, rests
 from pipeline.profiles.profile_columns import QUANTITIES, si_unit
 from pipeline.profiles.profile_files import shipped_profiles
@@ -29,8 +29,8 @@ from pipeline.rendering.figures.drawing import draw
 from pipeline.rendering.figures.overview import RecordedColumn, recorded_figure
 from pipeline.rendering.report.page_template import fill_template
 from pipeline.shell.console import draft_hint
-from pipeline.shell.profile.profile_check import step_of
-from pipeline.shell.profile.profile_draft import open_sample
+from pipeline.shell.profile.check import step_of
+from pipeline.shell.profile.draft import open_sample
 
 MOST_COLUMNS = 24
 """Columns of a file without a profile that are drawn; a bag has hundreds."""
@@ -109,14 +109,14 @@ def _trial(log: Log, motion: Motion) -> tuple[str, tuple[RecordedColumn, ...], l
 def _as_it_stands(log: Path) -> tuple[str, tuple[RecordedColumn, ...]]:
     """Return the columns of numbers of a file of which nothing is known."""
     sample = open_sample(log)
-    shown = sample.numbers[:MOST_COLUMNS]
-    columns = dict(zip((info.name for info in shown), sample.columns(shown), strict=False))
-    if not columns:
-        raise LogError(f"{log}: its columns have different lengths; describe it by a profile.", code="lengths-differ")
-    rows, units = np.arange(shown[0].rows, dtype=np.float64), {info.name: info.hint for info in shown}
+    columns = dict(islice(sample.numbers.items(), MOST_COLUMNS))
     # a column that rises in every row is a clock or a counter: its gaps are those of the log
-    clock = next((values for values in columns.values() if len(values) > 1 and (np.diff(values) > 0).all()), rows)
-    return sample.name, tuple(_column(name, units[name], rows, each, clock, None) for name, each in columns.items())
+    clock = next((values for values in columns.values() if (np.diff(values) > 0).all()), None)
+    return sample.name, tuple(
+        _column(name, sample.contents.hints.get(name, ""), rows, values, rows if clock is None else clock, None)
+        for name, values in columns.items()
+        for rows in [np.arange(len(values), dtype=np.float64)]
+    )
 
 
 def _column(name: str, unit: str, place: Floats, values: Floats, time: Floats, step_row: int | None) -> RecordedColumn:

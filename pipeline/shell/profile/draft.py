@@ -11,28 +11,29 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from itertools import permutations
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.base.errors import LogError, ProfileError, UsageError
+from pipeline.base.errors import LogError, ProfileError, UsageError, refusal
 from pipeline.base.units import UNITS, find_unit, unit_between, unit_in_heading
-from pipeline.profiles.patterns import find_groups
-from pipeline.profiles.profile_columns import QUANTITIES, si_unit
-from pipeline.profiles.profile_lines import QUESTION
+from pipeline.profiles.profile_columns import QUANTITIES, find_groups, group_names, si_unit
+from pipeline.profiles.profile_files import QUESTION
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Format, Profile
-from pipeline.readers.file_kind import PACKED, format_of
-from pipeline.readers.formats.delimited import unpacked
-from pipeline.readers.frame import ColumnInfo, Contents
+from pipeline.readers.formats import format_of
+from pipeline.readers.formats.delimited import Layout, text_layout, unpacked
+from pipeline.readers.frame import Contents
 from pipeline.readers.isolation import read_file
-from pipeline.readers.layout import Layout, text_layout
 from pipeline.readers.obeyed import Law, law_of
+from pipeline.records.batch import Floats
 from pipeline.records.models import Motion
 
-KEYS: dict[str, tuple[Any, str]] = {
+Keys = dict[str, tuple[Any, str]]
+"""Value and question of keys; the question is empty where the value is known, the value None where there is none."""
+
+KEYS: Keys = {
     "step_at": ("command edge", 'when does the step happen: "command edge", "first row", or step_row or step_time_s?'),
     "name_pattern": (None, "does the file name hold these conditions? Else put them into [constants]."),
     "columns.time.name": (None, 'which column holds the time stamps (without any: kind = "sampled")?'),
@@ -95,29 +96,26 @@ _NAMED_WALL = re.compile(r"(?<![A-Za-z])([KB])([_=]?)(-?)\d+\.?\d*", re.IGNORECA
 _SPEEDS = frozenset(QUANTITIES["velocity"].values())
 
 
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """A log of which nothing is known: its format, layout of text, contents, columns, and what of it is not read."""
+class Sample(NamedTuple):
+    """A log of which nothing is known: its format, keys of its layout and questions about them, and what it holds."""
 
     name: str
     kind: Format
     layout: Layout
     contents: Contents
-    infos: list[ColumnInfo]
-    refused: list[str]
-
-    def columns(self, infos: Sequence[ColumnInfo]) -> list[np.ndarray]:
-        """Return columns as floats; none where they do not go together."""
-        try:
-            found = replace(self.contents, wanted=tuple(info.name for info in infos)).frame()
-            return [np.asarray(found.columns[info.name], dtype=np.float64) for info in infos]
-        except (LogError, ValueError):
-            return []
 
     @property
-    def numbers(self) -> list[ColumnInfo]:
-        """Columns of numbers."""
-        return [info for info in self.infos if info.dtype != "text"]
+    def numbers(self) -> dict[str, Floats]:
+        """Columns of numbers with several rows, by name."""
+        columns = self.contents.columns.items()
+        return {key: np.asarray(v, np.float64) for key, v in columns if key and v.dtype.kind != "U" and len(v) > 1}
+
+    def unit(self, name: str, role: str) -> tuple[str, str]:
+        """Return the last part of the name of a column without its unit, and the unit that the file states for it."""
+        allowed = (*QUANTITIES[role].values(), *(_SPEEDS if role == "position" else ()))
+        plain, unit = unit_in_heading(name, allowed)
+        said = unit or self.contents.units.get(name) or self.contents.hints.get(name, "")
+        return re.split(r"[./]", plain)[-1].strip().lower(), said
 
 
 def open_sample(path: Path) -> Sample:
@@ -134,36 +132,18 @@ def open_sample(path: Path) -> Sample:
         data = path.read_bytes()
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror}). Give a log.") from error
-    packed = data.startswith(tuple(PACKED)) and format_of(path.name, data) == "delimited"
-    kind = format_of(path.name, unpacked(path.name, data) if packed else data)
-    layout = text_layout(path.name, data) if kind == "delimited" else Layout()
+    kind = format_of(path.name, unpacked(path.name, data))
     if kind == "native":
         raise ProfileError(f"{path} is a native log, which needs no profile: `pipeline ingest {path}` reads it.")
+    layout = text_layout(path.name, data) if kind == "delimited" else Layout()
     settings = Profile.model_construct(name="draft", format=kind, files=("*",), **layout.to_read())
-    contents = read_file(settings, (path.name,), (data,))
-    layout.keys |= contents.keys
-    infos = contents.listed()
-    refused = [f"{info.name} {info.hint}" for info in infos if not info.rows and info.hint]
-    sample = Sample(path.name, kind, layout, contents, [i for i in infos if i.rows > 1 and i.name], refused)
+    sample = Sample(path.name, kind, layout, read_file(settings, (path.name,), (data,)))
+    layout.keys |= sample.contents.keys
     if not sample.numbers:
-        cure = "; ".join(refused) or "Export the recorded signals as plain columns."
-        raise LogError(f"it holds no columns of numbers with several rows. {cure}", code="empty")
+        reasons = (f"{key} {reason}" for key, reason in sample.contents.refused.items())
+        cure = "; ".join(reasons) or "Export the recorded signals as plain columns."
+        raise refusal("empty", "", "it holds no columns of numbers with several rows", cure=cure)
     return sample
-
-
-class _Draft:
-    """Values of the keys of a profile, and the questions about those that the sample does not tell."""
-
-    def __init__(self, sample: Sample) -> None:
-        self.sample = sample
-        self.values = {key: default for key, (default, _) in KEYS.items()}
-        self.asked = {key: question for key, (_, question) in KEYS.items()}
-
-    def tell(self, key: str, value: Any, sure: bool = True, said: str = "") -> None:
-        """Set a key; one that is not sure is asked, with what the file says of it."""
-        self.values[key] = value
-        self.asked.pop(key, None)
-        self.asked |= {} if sure else {key: said + KEYS[key][1]}
 
 
 def draft_profile(path: Path, *others: Path) -> str:
@@ -193,7 +173,7 @@ def _difference(sample: Sample, path: Path) -> str:
     except (LogError, ProfileError) as error:
         return f"# {path.name} is not of this form: {error}"
     own, found = (
-        {"format": s.kind, **s.layout.keys, **s.layout.questions, "columns": [info.name for info in s.infos]}
+        {"format": s.kind, **s.layout.keys, **s.layout.questions, "columns": [*s.contents.columns]}
         for s in (sample, other)
     )
     told = [f"{key} = {_toml(found.get(key))}" for key in own | found if own.get(key) != found.get(key)]
@@ -209,9 +189,10 @@ def _lines(sample: Sample, path: Path, others: Sequence[Path]) -> Iterator[str]:
     yield from (f"{key} = {_toml(value)}" for key, value in sample.layout.keys.items())
     for key, words in sample.layout.questions.items():
         yield from (f"{QUESTION} {key}: {words}", f"# {key} = {_toml(',' if key == 'decimal' else 'latin-1')}")
-    draft, table = _Draft(sample), ""
-    law = _fill(draft, path, others)
-    for place, value in draft.values.items():
+    law, table = _law(sample), ""
+    keys = KEYS | _of_columns(sample, law) | _of_names(path, others, law)
+    keys |= _of_law(law, keys, path.name) if law else {}
+    for place, (value, question) in keys.items():
         above, _, key = place.rpartition(".")
         if value is None:
             continue
@@ -219,147 +200,151 @@ def _lines(sample: Sample, path: Path, others: Sequence[Path]) -> Iterator[str]:
             yield from (*(() if table else _remarks(sample, law)), f"[{above}]")
             table = above
         key = "column" if isinstance(value, int) and key == "name" else key
-        if place in draft.asked:
-            yield f"{QUESTION} {f'{above}.{key}' if above else key}: {draft.asked[place]}"
-        yield f"{'# ' if place in draft.asked else ''}{key} = {_toml(value)}"
+        if question:
+            yield f"{QUESTION} {f'{above}.{key}' if above else key}: {question}"
+        yield f"{'# ' if question else ''}{key} = {_toml(value)}"
 
 
-def _remarks(sample: Sample, law: str) -> Iterator[str]:
+def _remarks(sample: Sample, law: _Law | None) -> Iterator[str]:
+    contents = sample.contents
     yield "# Columns of the file:"
-    for info in sample.infos[:LISTED]:
-        hint = f", the file says {info.hint!r}" if info.hint else ""
-        yield f"#   {_toml(info.name)}: {info.dtype}, {info.rows} rows, {', '.join(info.first)[:80]}{hint}"
-    if len(sample.infos) > LISTED:
-        yield f"#   and {len(sample.infos) - LISTED} more"
-    yield from (f"# Not read: {text}" for text in sample.refused)
-    if attributes := sample.contents.attributes:
+    for name, values in list(contents.columns.items())[:LISTED]:
+        said = contents.units.get(name) or contents.hints.get(name)
+        hint = f", the file says {said!r}" if said else ""
+        yield f"#   {_toml(name)}: {len(values)} rows, {', '.join(map(str, values[:3]))[:80]}{hint}"
+    if len(contents.columns) > LISTED:
+        yield f"#   and {len(contents.columns) - LISTED} more"
+    yield from (f"# Not read: {key} {reason}" for key, reason in contents.refused.items())
+    if attributes := contents.attributes:
         yield "# Values beside the table, which [attributes] may take conditions from:"
         yield from (f"#   {_toml(key)}: {_toml(str(value)[:80])}" for key, value in list(attributes.items())[:LISTED])
     yield "# Conditions that differ from file to file may come from name_pattern, [attributes], [condition_columns] or"
     yield "# [[file]]. A log of motion without wall and step has no stiffness, damping and step."
     if law:
+        told = ", ".join(f"{key} {abs(value):.4g}" for key, value in law.in_si.items())
         yield "# The command obeys a wall law in the columns below, which tells them, the step and the signs (but for"
-        yield f"# the direction that counts as positive): {law} in SI, if the units are right."
+        yield f"# the direction that counts as positive): {told} in SI, if the units are right."
 
 
-def _fill(draft: _Draft, path: Path, others: Sequence[Path]) -> str:
-    """Tell what a sample shows: columns, the law that the command obeys, conditions in the name; return the law."""
-    sample = draft.sample
-    likely, by_position = _roles(sample), not sample.layout.keys.get("header", True)
-    speed = _quantity(likely["position"], "position") in _SPEEDS
-    seen = None if by_position or speed else _seen(sample, likely)
-    likely, units = (seen.columns, seen.units) if seen else (likely, {})
-    for role, info in likely.items():
-        name = int(info.name) if by_position and info.name.isdecimal() else info.name
-        draft.tell(f"columns.{role}.name", name, seen is not None)
-        stated, quantity = _bare(info, role)[1], _quantity(info, role)
-        allowed = {quantity} if role == "position" and speed else {*QUANTITIES[role].values()}
-        known = [symbol for symbol, unit in UNITS.items() if unit.quantity in allowed]
-        said = f"the file says {stated!r}; is it right? " if stated else "the file does not say it. "
-        counts = " For counts give counts_per_unit, too." if role == "position" else ""
-        proposed = units.get(role) or [stated if quantity in allowed else known[0]]
-        sure = role == "time" and len(units.get(role, ())) == 1
-        draft.tell(f"columns.{role}.unit", proposed[0], sure, f"{said}One of {', '.join(known)}.{counts}")
-    integrated, said = ("difference", f"{likely['position'].name!r} is ") if speed else (None, "")
-    draft.tell("columns.position.integrate", integrated, False, said)
-    wall = _wall_in_name(Path(sample.name).stem)
-    groups = {key: float(value) for key, value in (find_groups(wall, sample.name) or {}).items()} if wall else {}
-    if wall:
-        draft.tell("name_pattern", wall, bool(others and seen and all(find_groups(wall, o.name) for o in others)))
-    told = _by_law(draft, seen, groups) if seen else ""
-    if seen:
-        draft.tell("constants.experiment", path.absolute().parent.name or "1")
-    draft.values |= dict.fromkeys(f"constants.{key}" for key in groups)  # what the name gives is no constant
-    return told
-
-
-class _Seen(NamedTuple):
+class _Law(NamedTuple):
     """The wall law that the command of a log obeys, its columns by role, and the units in which they are plausible.
 
     ``first_row`` says whether the command is at its step from the first row on.
     """
 
     law: Law
-    columns: dict[str, ColumnInfo]
+    columns: dict[str, str]
     units: dict[str, list[str]]
     period_s: float
     first_row: bool
 
-
-def _by_law(draft: _Draft, seen: _Seen, groups: dict[str, float]) -> str:
-    """Tell what the law of the command shows, and return it in words."""
-    length, unit = UNITS[seen.units["position"][0]], UNITS[seen.units["command"][0]].factor
-    gains = {
-        key: float(f"{abs(getattr(seen.law, key)) * unit / length.factor:.4g}") for key in ("stiffness", "damping")
-    }
-    step = float(f"{seen.law.step * unit:.4g}")
-    draft.tell("step_at", "first row" if seen.first_row else "command edge")
-    draft.tell("columns.command.sign", 1)
-    draft.tell("columns.position.sign", -1 if seen.law.stiffness < 0 else 1)
-    draft.tell("constants.step", step)
-    draft.tell("constants.sampling_period_s", float(f"{seen.period_s:.9g}"), len(seen.units["time"]) == 1)
-    motion: Motion = "rotation" if length.quantity == "angle" else "translation"
-    draft.tell("constants.motion", motion)  # another one is refused with the unit of the position
-    for key, value in gains.items():
-        draft.tell(f"constants.{key}", value, False)
-        factor = value / abs(groups[key]) if groups.get(key) else 1.0
-        base = si_unit(CONDITION_QUANTITIES[key][motion])
-        if abs(factor - 1) > SAME and (stated := unit_between(base, factor, SAME)):
-            # the command obeys the number in the file name in this unit
-            draft.tell(f"units.{key}", "N/mm" if stated == "kN/m" else stated)
-    return ", ".join(f"{key} {abs(value):.4g}" for key, value in {**gains, "step": step}.items())
+    @property
+    def in_si(self) -> dict[str, float]:
+        """Stiffness, damping and step, if the units that are proposed are right."""
+        length, force = (UNITS[self.units[role][0]].factor for role in ("position", "command"))
+        factors = {"stiffness": force / length, "damping": force / length, "step": force}
+        return {key: float(f"{getattr(self.law, key) * factor:.4g}") for key, factor in factors.items()}
 
 
-def _seen(sample: Sample, likely: dict[str, ColumnInfo]) -> _Seen | None:
+def _law(sample: Sample) -> _Law | None:
     """Return what the numbers of a log show; None where no columns obey a wall law with a stiffness."""
+    likely, numbers = _roles(sample), sample.numbers
     time, own = likely["time"], (likely["command"], likely["position"])
-    pairs = permutations([info for info in sample.numbers[:MOST_TRIED] if info is not time], 2)
+    pairs = permutations([name for name in list(numbers)[:MOST_TRIED] if name != time], 2)
     for pair in sorted(pairs, key=lambda pair: pair != own):
         columns = dict(zip(_ROLES, (time, *pair), strict=True))
-        if not (values := sample.columns([*columns.values()])):
-            return None
-        stamps, force, place = values
+        stamps, force, place = (numbers[name] for name in columns.values())
+        if not len(stamps) == len(force) == len(place):
+            continue
         spans = float(np.median(np.diff(stamps))), float(np.ptp(force)), float(np.ptp(place))
-        units = {role: _plausible(role, info, span) for (role, info), span in zip(columns.items(), spans, strict=True)}
+        units = {role: _plausible(sample, role, name, spans[i]) for i, (role, name) in enumerate(columns.items())}
         counters = [column for column in (force, place) if (np.diff(column) > 0).all()]
         if all(units.values()) and not counters:
             factor = UNITS[units["time"][0]].factor
             law = law_of(stamps * factor, force, place)
             if law is not None and law.stiffness and law.step:
-                return _Seen(law, columns, units, spans[0] * factor, bool(abs(force[0]) > abs(law.step) / 2))
+                return _Law(law, columns, units, spans[0] * factor, bool(abs(force[0]) > abs(law.step) / 2))
     return None
 
 
-def _plausible(role: str, info: ColumnInfo, span: float) -> list[str]:
+def _plausible(sample: Sample, role: str, name: str, span: float) -> list[str]:
     """Return the units in which the numbers of a column are those of a device; the stated one alone where it is."""
     _, units, low, high = _ROLES[role]
     fits = [unit for unit in units if low <= span * UNITS[unit].factor <= high]
-    stated = _bare(info, role)[1].translate(str.maketrans("µμ", "uu"))
+    stated = sample.unit(name, role)[1].translate(str.maketrans("µμ", "uu"))
     return [stated] if stated in fits else fits
 
 
-def _roles(sample: Sample) -> dict[str, ColumnInfo]:
+def _roles(sample: Sample) -> dict[str, str]:
     """Return for each role a column that is likely by its name; a clock rises in every row."""
-    likely: dict[str, ColumnInfo] = {}
+    likely, numbers = dict[str, str](), sample.numbers
     for role, (names, *_) in _ROLES.items():
-        left = [info for info in sample.numbers if info not in likely.values()]
-        good = [info for info in left if re.fullmatch(names, _bare(info, role)[0])]
+        left = [name for name in numbers if name not in likely.values()]
+        good = [name for name in left if re.fullmatch(names, sample.unit(name, role)[0])]
         if role == "time" and not good:
-            columns = zip(left, sample.columns(left[:LISTED]), strict=False)
-            good = [info for info, values in columns if (np.diff(values) > 0).all()]
-        likely[role] = next(iter((*good, *left)), sample.numbers[0])
+            good = [name for name in left[:LISTED] if (np.diff(numbers[name]) > 0).all()]
+        likely[role] = next(iter((*good, *left, *numbers)))
     return likely
 
 
-def _bare(info: ColumnInfo, role: str) -> tuple[str, str]:
-    """Return the last part of a name without its unit, and the unit that the file states there or in its hint."""
-    name, unit = unit_in_heading(info.name, [*QUANTITIES[role].values(), *(_SPEEDS if role == "position" else ())])
-    return re.split(r"[./]", name)[-1].strip().lower(), unit or info.hint
+def _of_columns(sample: Sample, law: _Law | None) -> Keys:
+    """Return the keys of the columns: what the law tells, else what their names suggest, and what the file says."""
+    keys, by_position = Keys(), not sample.layout.keys.get("header", True)
+    for role, name in (law.columns if law else _roles(sample)).items():
+        stated = sample.unit(name, role)[1]
+        quantity = getattr(find_unit(stated), "quantity", "")
+        speed = role == "position" and quantity in _SPEEDS
+        allowed = {quantity} if speed else {*QUANTITIES[role].values()}
+        known = [symbol for symbol, unit in UNITS.items() if unit.quantity in allowed]
+        units = law.units[role] if law else [stated if quantity in allowed else known[0]]
+        said = f"the file says {stated!r}; is it right? " if stated else "the file does not say it. "
+        said += f"One of {', '.join(known)}." + " For counts give counts_per_unit, too." * (role == "position")
+        place = f"columns.{role}"
+        column = int(name) if by_position and name.isdecimal() else name
+        keys[f"{place}.name"] = column, "" if law else KEYS[f"{place}.name"][1]
+        keys[f"{place}.unit"] = units[0], "" if law and role == "time" and len(units) == 1 else said
+        if speed:
+            keys[f"{place}.integrate"] = "difference", f"{name!r} is {KEYS[f'{place}.integrate'][1]}"
+    return keys
 
 
-def _quantity(info: ColumnInfo, role: str) -> str:
-    """Return the quantity of the unit that the file states for a column; empty where it states none."""
-    return getattr(find_unit(_bare(info, role)[1]), "quantity", "")
+def _of_names(path: Path, others: Sequence[Path], law: _Law | None) -> Keys:
+    """Return the keys that the names of files and of their folder tell; what a name gives is no constant."""
+    wall, keys = _wall_in_name(path.stem), Keys()
+    if law:
+        keys["constants.experiment"] = path.absolute().parent.name or "1", ""
+    if wall:
+        sure = others and law and all(find_groups(wall, other.name) for other in others)
+        keys["name_pattern"] = wall, "" if sure else KEYS["name_pattern"][1]
+        keys |= {f"constants.{key}": (None, "") for key in group_names(wall)}
+    return keys
+
+
+def _of_law(law: _Law, keys: Keys, name: str) -> Keys:
+    """Return the keys that the law of the command tells."""
+    motion: Motion = "rotation" if UNITS[law.units["position"][0]].quantity == "angle" else "translation"
+    found: Keys = {
+        "step_at": ("first row" if law.first_row else "command edge", ""),
+        "columns.command.sign": (1, ""),
+        "columns.position.sign": (-1 if law.law.stiffness < 0 else 1, ""),
+        "constants.motion": (motion, ""),  # another one is refused with the unit of the position
+        "constants.step": (law.in_si["step"], ""),
+    }
+    sure = len(law.units["time"]) == 1
+    found["constants.sampling_period_s"] = (
+        float(f"{law.period_s:.9g}"),
+        "" if sure else KEYS["constants.sampling_period_s"][1],
+    )
+    named = find_groups(keys["name_pattern"][0] or "", name) or {}
+    for key in ("stiffness", "damping"):
+        value = abs(law.in_si[key])
+        if key not in named:
+            found[f"constants.{key}"] = value, KEYS[f"constants.{key}"][1]
+        elif float(named[key]):
+            # the command obeys the number in the file name in this unit
+            unit = unit_between(si_unit(CONDITION_QUANTITIES[key][motion]), value / abs(float(named[key])), SAME)
+            found |= {f"units.{key}": ("N/mm" if unit == "kN/m" else unit, "")} if unit else {}
+    return found
 
 
 def _files(name: str) -> str:

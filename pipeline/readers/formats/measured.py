@@ -1,0 +1,121 @@
+"""Files of measuring systems: HDF5, TDMS of LabVIEW, MDF of dSPACE, CANape and INCA.
+
+HDF5: datasets by path (``/arm/q``), fields of compound datasets (``/log.t``), elements (``/arm/q[3]``); values in
+other files are not opened. TDMS: channels as ``/group/channel``; ``@time`` is the time [s] that the waveform properties
+of the wanted channels imply, row times ``wf_increment`` plus ``wf_start_offset``; stamps are whole nanoseconds since
+1970. MDF: channels as ``0/name`` by the number of their group, time ``0/@time`` [s].
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.base.errors import refusal
+from pipeline.profiles.profile_model import Profile
+from pipeline.readers.frame import Array, Contents
+from pipeline.readers.isolation import library
+
+TIME = "@time"
+_HINTS = ("unit", "units", "Unit", "Units", "unit_string", "description", "long_name")
+_EPOCH_S = 2_082_844_800
+"""Seconds from the start of 1904, where TDMS counts from, to that of 1970."""
+
+
+def read_hdf5(path: Path, settings: Profile, contents: Contents) -> None:
+    """Add the datasets; wanted columns are paths, with or without the first slash."""
+    h5py = library("h5py", "hdf5")
+
+    def values(item: Any, part: str) -> Array:
+        if part:
+            return np.asarray(item.fields(part)[()])
+        text = h5py.check_string_dtype(item.dtype) is not None
+        return np.asarray(item.asstr()[()] if text else item[()])
+
+    def add(name: str, item: Any) -> None:
+        path = f"/{name}"
+        _note(contents, f"{path}@", item.attrs)
+        if not isinstance(item, h5py.Dataset):
+            return
+        if item.shape is None:
+            contents.refused[path] = "is empty: it has no values."
+        elif item.external or item.is_virtual:
+            contents.refused[path] = "has its values in other files, which are not opened. Export it with its values."
+        elif contents.asks(path) or item.size == 1:
+            for part in item.dtype.names or ("",):
+                contents.add(f"{path}.{part}" if part else path, partial(values, item, part), _hint(item.attrs))
+
+    with h5py.File(path) as file:
+        _note(contents, "", file.attrs)
+        file.visititems(add)
+
+
+def read_tdms(path: Path, settings: Profile, contents: Contents) -> None:
+    """Add the channels, and their properties as attributes ``/group/channel@property``."""
+    with library("nptdms", "tdms").TdmsFile.open(path, raw_timestamps=True) as file:
+        _note(contents, "", file.properties)
+        for group in file.groups():
+            _note(contents, f"/{group.name}@", group.properties)
+            for channel in group.channels():
+                name = f"/{group.name}/{channel.name}"
+                _note(contents, f"{name}@", channel.properties)
+                if contents.asks(name) or len(channel) == 1 or contents.wanted == (TIME,):
+                    unit = "ns" if channel.dtype.kind == "M" else ""
+                    contents.add(name, partial(_of_channel, channel), _hint(channel.properties), unit)
+    if contents.wanted and TIME not in contents.wanted:
+        return
+    names = [key for key in contents.wanted if key != TIME] or list(contents.columns)
+    told = {
+        key: (contents.attributes.get(f"{key}@wf_increment"), contents.attributes.get(f"{key}@wf_start_offset", 0.0))
+        for key in names
+        if key in contents.columns and (contents.wanted or f"{key}@wf_increment" in contents.attributes)
+    }
+    if len(set(told.values())) == 1 and None not in (waveform := next(iter(told.values()))):
+        increment, offset = map(float, waveform)  # type: ignore[arg-type]
+        rows = contents.columns[next(iter(told))].size
+        contents.add(TIME, offset + np.arange(rows) * increment, "s", "s")
+    elif contents.wanted:
+        listing = ", ".join(f"{key!r}: {increment}" for key, (increment, _) in list(told.items())[:10])
+        text = f"{TIME!r} needs one wf_increment and wf_start_offset for all wanted channels, found {listing or 'none'}"
+        raise refusal("time-wrong", contents.name, text, cure="Name a channel of times in columns.time.name instead.")
+
+
+def read_mdf(path: Path, settings: Profile, contents: Contents) -> None:
+    """Add the channels of all groups, with their units; times are in seconds from the start of the measurement."""
+    with library("asammdf", "mdf").MDF(path) as file:
+        for number, group in enumerate(file.groups):
+            if contents.asks(time := f"{number}/{TIME}"):
+                contents.add(time, file.get_master(number), "s", "s")
+            master = file.masters_db.get(number)
+            for index, channel in enumerate(group.channels):
+                name = f"{number}/{channel.name}"
+                if index != master and contents.asks(name):
+                    signal = file.get(group=number, index=index)
+                    contents.add(name, signal.samples, signal.unit or "")
+
+
+def _of_channel(channel: Any) -> Array:
+    values = channel[:]
+    if not hasattr(values, "second_fractions"):
+        return np.asarray(values)
+    # whole seconds and 2^-64 s; the upper half resolves 0.23 ns
+    upper = np.asarray(values.second_fractions, dtype=np.uint64) >> np.uint64(32)
+    fraction = (upper * np.uint64(10**9) + np.uint64(1 << 31)) >> np.uint64(32)
+    return (np.asarray(values.seconds, dtype=np.int64) - _EPOCH_S) * 10**9 + fraction.astype(np.int64)
+
+
+def _hint(attributes: Any) -> str:
+    return next((str(attributes[key]) for key in _HINTS if key in attributes), "")
+
+
+def _note(contents: Contents, prefix: str, attributes: Any) -> None:
+    for key in attributes:
+        try:
+            value = attributes[key]
+        except OSError:
+            # an attribute of a type that h5py does not know is no condition of a log; the samples do not need it
+            continue
+        contents.note(prefix + key, str(value.as_datetime64()) if hasattr(value, "as_datetime64") else value)
