@@ -32,10 +32,10 @@ class Change(NamedTuple):
     tests: str = ""
 
 
-VERDICT, COMBINE = "measured/signal/verdict.py", "measured/experiment/combine.py"
-OUTCOME, DATABASE, SECURITY = "measured/signal/outcome.py", "service/database.py", "service/security.py"
-SETTLING, AGGREGATE = "measured/cost/costs.py", "measured/experiment/aggregate.py"
-DAMPING, MASS, DELAY = "measured/device/damping.py", "measured/device/mass.py", "measured/device/delay.py"
+VERDICT, OUTCOME = "measured/signal/verdict.py", "measured/signal/outcome.py"
+SETTLING, OPTIMUM, THESIS = "measured/cost/costs.py", "measured/experiment/optimum.py", "measured/thesis.py"
+INTERVALS, ESTIMATION = "measured/model/intervals.py", "measured/model/estimation.py"
+BAND, DATABASE, SECURITY = "measured/experiment/boundary_band.py", "service/database.py", "service/security.py"
 AGAINST, AGREEMENT = "comparison/against.py", "comparison/scores/agreement.py"
 
 CHANGES = (
@@ -48,38 +48,39 @@ CHANGES = (
     Change(VERDICT, "np.where(rises, \"unstable\"", "np.where(~rises, \"unstable\""),
     Change(OUTCOME, "BAND = 0.02", "BAND = 0.2"),
     Change(OUTCOME, "LASTING = 0.8", "LASTING = 0.05"),
-    Change(SETTLING, "SETTLED_SAMPLES = 5", "SETTLED_SAMPLES = 0"),
+    Change("measured/signal/motion_end.py", "SETTLED_SAMPLES = 5", "SETTLED_SAMPLES = 0"),
     Change(SETTLING, "np.where(good, entry - of.first, np.nan)", "np.where(good, entry - of.first + 1, np.nan)"),
     Change(SETTLING, "resolved, settled = width >= response.floor", "resolved, settled = width >= 0 * response.floor"),
     Change(SETTLING, "(response.floor + response.baseline_motion)", "(response.floor)"),
-    Change(AGGREGATE, "float(known[n - rank])", "float(known[min(n - rank + 1, n - 1)])"),
-    Change(AGGREGATE, "0.5 * (1 - CONFIDENCE)", "1 - CONFIDENCE"),
-    Change(AGGREGATE, "np.isfinite(cost) & ~unstable", "np.isfinite(cost)"),
-    Change(AGGREGATE, "stiffness[free].max()", "stiffness[free].min()"),
-    Change(AGGREGATE, "int(index[np.argmin(distance)])", "int(index[0])"),
-    Change(COMBINE, "max(len(z) - 1, 1)", "max(len(z), 1)"),
-    Change(COMBINE, "int(inside.sum()) - 1", "int(inside.sum())"),
-    Change(COMBINE, "0.5 * t.slope", "0.0 * t.slope"),
-    Change(COMBINE, "/ NORMAL_QUARTILE - 1", "- 1"),
-    Change(COMBINE, "np.cumsum(w) - 0.5 * w", "np.cumsum(w)"),
+    Change(SETTLING, "for shift in (margin, 0.0, -margin)", "for shift in (-margin, 0.0, margin)"),
+    Change(OPTIMUM, "np.isfinite(cost) & ~unstable", "np.isfinite(cost)"),
+    Change(OPTIMUM, "stiffness[free].max()", "stiffness[free].min()"),
+    Change(OPTIMUM, "int(index[np.argmin(distance)])", "int(index[0])"),
+    Change(THESIS, "float(known[n - rank])", "float(known[min(n - rank + 1, n - 1)])"),
+    Change(THESIS, "(below <= 0.5 * (1 - CONFIDENCE))", "(below <= 1 - CONFIDENCE)"),
+    Change(THESIS, "SMALLEST_SIGNAL = 20.0", "SMALLEST_SIGNAL = 0.02"),
+    Change(THESIS, "IRREGULARITY = 0.01", "IRREGULARITY = 1.0"),
+    Change(THESIS, "(np.cumsum(acting, axis=1) - 0.5 * acting)", "np.cumsum(acting, axis=1)"),
+    Change(THESIS, "first - edge - 1, NO_DELAY", "first - edge, NO_DELAY"),
+    Change(THESIS, "found = seen & ~against &", "found = seen &"),
+    Change(INTERVALS, "CONFIDENCE = 0.95", "CONFIDENCE = 0.8"),
+    Change(INTERVALS, "float(told.sum() - 1)", "1e9"),
+    Change(INTERVALS, "(count - 1) / count * (spread**2).sum(axis=0)", "0 * (spread**2).sum(axis=0)"),
+    Change(INTERVALS, "if bounded and value - reach < 0:", "if False:"),
+    Change(ESTIMATION, "WORTH = 5.0", "WORTH = 500.0"),
+    Change(BAND, "single = NORMAL_95 * scatter", "single = 0.5 * NORMAL_95 * scatter"),
+    Change(BAND, "student_95(found.freedom) * found.error", "found.error"),
     Change("measured/intervals.py", "NORMAL_95 = 1.959963984540054", "NORMAL_95 = 1.645"),
-    Change("measured/intervals.py", "4.302652730", "2.302652730"),
-    Change(DAMPING, "(delay_samples + 1) * sampling_period_s", "delay_samples * sampling_period_s"),
-    Change(DAMPING, "student_95(n - 1) * each.std(ddof=1)", "student_95(n) * each.std(ddof=0)"),
-    Change(MASS, "SMALLEST_SIGNAL = 20.0", "SMALLEST_SIGNAL = 0.02"),
-    Change(MASS, "- viscous_damping * masses.damping_share", "+ viscous_damping * masses.damping_share"),
-    Change(MASS, "IRREGULARITY = 0.01", "IRREGULARITY = 1.0"),
-    Change(DELAY, "first - edge - 1, NO_DELAY", "first - edge, NO_DELAY"),
-    Change(DELAY, "RISE_ROWS, RISE = 2, 3.0", "RISE_ROWS, RISE = 2, 0.0"),
-    Change(DELAY, "found = seen & ~against &", "found = seen &"),
     Change("measured/experiment/boundary_area.py", "(high - low) ** 2 / 12", "(high - low) ** 2 / 3"),
+    Change("comparison/loops/findings.py", "if not adequate:", "if False:"),
+    Change("comparison/loops/departures.py", "FEWEST_LOGS = 3", "FEWEST_LOGS = 1"),
     Change(AGREEMENT, "wall = stiffness > 0", "wall = stiffness >= 0"),
     Change(AGREEMENT, "bounded & (low - limit[relative] > reach)", "bounded & (limit[relative] - low > reach)"),
     Change(AGAINST, "len(values) / 2 - half)) - 1, 0)", "len(values) / 2 - half)), 0)"),
     Change("base/units.py", "\"Ncm\": Unit(\"torque\", 1e-2)", "\"Ncm\": Unit(\"torque\", 1e-3)", "tests/readers"),
     Change("base/units.py", "2 * pi / 60", "2 * pi"),
     Change("store/names.py", "if safe.startswith((\".\", \"_\")) or", "if"),
-    Change("store/names.py", "choices[-1] if taken else choices[0]", "choices[0]"),
+    Change("store/names.py", "parent / (other if taken else name)", "parent / name"),
     Change("base/provenance.py", "return sha256(text.encode())[:16]", "return sha256(text.encode())[:4]"),
     Change("intake/trialstore.py", "else sha256[:16]", "else sha256[:4]"),
     Change("records/batch.py", "joined.hexdigest()[:16]", "joined.hexdigest()[:4]"),
@@ -91,10 +92,13 @@ CHANGES = (
     Change(SECURITY, "ROLES.index(role) < ROLES.index(needed)", "ROLES.index(role) > ROLES.index(needed)"),
     Change(SECURITY, "return FORM in cookies and hmac.compare_digest(own.encode(), token.encode())", "return True"),
     Change(SECURITY, "self._within(self.seen)", "pass"),
-    Change("service/rates.py", "if left < 1.0:", "if left < 0.0:"),
+    Change(SECURITY, "if left < 1.0:", "if left < 0.0:"),
     Change("simulation/simulate.py", "slots = in_force(delays) + 1", "slots = in_force(delays)"),
-    Change("theory/stability/passivity.py", "math.pi / (_checked(delay) + 1)", "math.pi / (_checked(delay) + 2)"),
-    Change("theory/stability/margins.py", "(factors > 0)], max)", "(factors > 0)], min)"),
+    Change("theory/margins.py", "(factors > 0)], max)", "(factors > 0)], min)"),
+    Change("theory/passivity.py", "(4 * near - twice) / 3", "near"),
+    Change("theory/transient.py", "NO_OVERSHOOT = 1e-12", "NO_OVERSHOOT = 1e-3"),
+    Change("rig/wish.py", "(1 - tolerance, 1 + tolerance)", "(1 + tolerance, 1 + tolerance)"),
+    Change("plan/limits.py", "0.5 * (of.bottom + far)", "0.9 * (of.bottom + far)"),
 )  # fmt: skip
 
 

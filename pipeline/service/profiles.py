@@ -79,12 +79,12 @@ def keep(settings: Settings, name: str, text: str) -> None:
 
 
 def samples_folder(settings: Settings, sample: str) -> Path:
-    """Return where samples of a draft lie; older ones are removed."""
+    """Return where samples of a draft lie; older ones are removed. Its name is proposed for the experiment."""
     folder = settings.data / "drafts"
     for old in folder.glob("*"):
         if time.time() - old.stat().st_mtime > DRAFT_S:
             shutil.rmtree(old, ignore_errors=True)
-    return folder / sample
+    return folder / sample / "1"
 
 
 def draft(folder: Path) -> dict[str, Any]:

@@ -268,5 +268,8 @@ def _name(host: str) -> str:
 
 
 def cookie(name: str, value: str, secure: bool = False) -> str:
-    """Return the header that gives a browser a cookie that scripts and other sites do not get."""
-    return f"{name}={value}; Path=/; HttpOnly; SameSite=Strict" + ("; Secure" if secure else "")
+    """Return the header that gives a browser a cookie that scripts do not get, and other sites by links alone.
+
+    A report is a site of its own (its policy sandboxes it), and has a link back. Changes need the token of a form.
+    """
+    return f"{name}={value}; Path=/; HttpOnly; SameSite=Lax" + ("; Secure" if secure else "")

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from pipeline.base.errors import PipelineError
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
-from pipeline.records.results import ComparisonResult
 from pipeline.shell.report_index import INDEX_FILE, write_index
 from pipeline.simulation.course import run_course, write_course
 
@@ -20,8 +18,7 @@ SEED = 1
 """Seed of the demo's logs; any would do."""
 
 
-@dataclass(frozen=True)
-class Part:
+class Part(NamedTuple):
     """A device of the demo: its experiments (empty for all), and which share of the trials is simulated."""
 
     device: str
@@ -36,19 +33,17 @@ comes a device that deviates as the real one may (docs/falcon.md)."""
 FULL = (Part("falcon-real"), Part("falcon"), Part("lwr"))
 
 
-@dataclass(frozen=True)
-class DemoOutcome:
+class DemoOutcome(NamedTuple):
     """Reports that were written, and the key result with their places as lines."""
 
     reports: tuple[Path, ...]
-    results: tuple[ComparisonResult, ...]
     lines: tuple[str, ...]
 
 
 def run_demo(
     folder: Path = Path("."),
     full: bool = False,
-    report_progress: Callable[[str], None] | None = None,
+    report_progress: Callable[[str], None] = lambda _: None,
     parts: Sequence[Part] | None = None,
 ) -> DemoOutcome:
     """Simulate logs, ingest them, compare them with theory, and write one report for each device.
@@ -61,7 +56,7 @@ def run_demo(
         `compare` writes them, are replaced; other files are never touched.
     full : bool
         Thesis size: all experiments and all trials.
-    report_progress : callable, optional
+    report_progress : callable
         Gets a line before each step.
     parts : sequence of Part, optional
         Other devices and experiments than those of the two demos.
@@ -71,53 +66,34 @@ def run_demo(
     PipelineError
         If a file cannot be written, or a simulated log was refused.
     """
-    say = report_progress or (lambda _: None)
-    began = time.monotonic()
-    chosen = parts if parts is not None else FULL if full else REDUCED
-    name = "demo-full" if full else "demo"
-    raw, processed = folder / "raw" / name, folder / "processed" / name
-    logs = sum(_simulate(part, raw, say) for part in chosen)
+    say, began = report_progress, time.monotonic()
+    chosen, name = parts or (FULL if full else REDUCED), "demo-full" if full else "demo"
+    raw, processed, pages = folder / "raw" / name, folder / "processed" / name, folder / "reports"
+    logs = 0
+    for part in chosen:
+        device = load_device(part.device)
+        for experiment in part.experiments or [e.name for e in device.experiments]:
+            say(f"simulate: {device.name}, experiment {experiment}")
+            logs += write_course(run_course(device, experiment, seed=SEED, coarsen=part.coarsen), raw, overwrite=True)
     say(f"ingest: {logs} logs")
-    report = ingest([raw], processed)
-    if report.quarantined:
-        first = report.quarantined[0]
+    if refused := ingest([raw], processed).quarantined:
         raise PipelineError(
-            f"{first.path}: {first.reason} ({len(report.quarantined)} log(s) of {raw} were refused; expected "
+            f"{refused[0].path}: {refused[0].reason} ({len(refused)} log(s) of {raw} were refused; expected "
             "only simulated ones there). Remove the file, or the folder, and run the demo again."
         )
-    reports, results = [], []
+    reports, told = [], []
     for part in chosen:
-        outcome = compare(
+        report = pages / f"{part.device}.html"
+        result = compare(
             part.device,
             processed,
             experiments=part.experiments or None,
-            report=folder / "reports" / f"{part.device}.html",
-            progress=partial(_say_of, part.device, say),
-        )
-        assert outcome.result is not None, "only a dry run has no result"
-        assert outcome.report is not None, "a report was asked for"
-        reports.append(outcome.report)
-        results.append(outcome.result)
-    write_index(folder / "reports")
-    seconds = time.monotonic() - began
-    lines = [
-        f"{logs} simulated logs in {raw}, compared in {seconds:.0f} s; open in a browser:",
-        *(f"  {path}" for path in reports),
-        f"  {folder / 'reports' / INDEX_FILE}",
-        *(f"{result.title}: {line}" for result in results for line in result.summary),
-    ]
-    return DemoOutcome(tuple(reports), tuple(results), tuple(lines))
-
-
-def _say_of(device: str, say: Callable[[str], None], text: str) -> None:
-    say(f"{device}: {text}")
-
-
-def _simulate(part: Part, raw: Path, say: Callable[[str], None]) -> int:
-    device = load_device(part.device)
-    written = 0
-    for name in part.experiments or tuple(e.name for e in device.experiments):
-        say(f"simulate: {device.name}, experiment {name}")
-        course = run_course(device, name, seed=SEED, coarsen=part.coarsen)
-        written += write_course(course, raw, overwrite=True)
-    return written
+            report=report,
+            progress=lambda text, device=part.device: say(f"{device}: {text}"),  # type: ignore[misc]
+        ).result
+        assert result is not None, "only a dry run has no result"
+        reports.append(report)
+        told += [f"{result.title}: {line}" for line in result.summary]
+    write_index(pages)
+    head = f"{logs} simulated logs in {raw}, compared in {time.monotonic() - began:.0f} s; open in a browser:"
+    return DemoOutcome(tuple(reports), (head, *(f"  {page}" for page in (*reports, pages / INDEX_FILE)), *told))

@@ -60,7 +60,7 @@ def test_second_demo_stores_nothing_anew(first):
     assert before
     again = demo.run_demo(folder, parts=SMALL)
     assert stamps(folder / "processed") == before
-    assert again.results == outcome.results
+    assert again.lines[1:] == outcome.lines[1:]
 
 
 def test_demo_leaves_foreign_files_alone_and_says_so(first):

@@ -96,7 +96,7 @@ class Browser:
         answer = self.client.ask(method, path, body, sent)
         for line in answer.headers.get_all("set-cookie") or ():
             assert "HttpOnly" in line
-            assert "SameSite=Strict" in line
+            assert "SameSite=Lax" in line
             self.cookies.load(line)
         return answer
 

@@ -29,7 +29,7 @@ def _split(given: list[str] | None) -> list[str] | None:
 
 def listed(name: str, help_text: str, *more: str, **how: Any) -> Any:
     """Return an option that is a list of words."""
-    return typer.Option(name, *more, callback=_split, help=f"{help_text} Repeat, or separate by commas.", **how)
+    return typer.Option(name, *more, callback=_split, help=f"{help_text} Repeat or use commas.", **how)
 
 
 PROCESSED, REPORTS = "PIPELINE_PROCESSED", "PIPELINE_REPORTS"
