@@ -347,7 +347,7 @@ def test_trial_without_response_says_how_to_get_it(browser: Any, hostile: Path) 
 def test_tables_sort_by_number_with_missing_values_last_and_back(browser: Any, measured: Path) -> None:
     with Opened(browser, measured) as page:
         page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
-        cells = "[data-row^='boundary/'] [data-cell='delay-2/unstable']"
+        cells = "[data-row^='boundary/delay-2/'] [data-cell='unstable']"
         heads = page.locator(f"table:has({cells}) thead tr:last-child th")
         texts = page.locator(cells)
 
@@ -408,7 +408,7 @@ def test_print_shows_what_is_open_with_heads_on_each_page(browser: Any, measured
         opened = ":not(details:not([open]):not(.printed) *):not([hidden] *)"
         figures, tables = page.locator(f"figure svg{opened}").all(), page.locator(f"table.cells{opened}").all()
         assert len(figures) > 5
-        assert len(tables) > 5
+        assert len(tables) > 4
         for part in (*figures, *tables):
             box = part.bounding_box()
             assert box is not None

@@ -11,15 +11,17 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import DeviceError, UsageError
-from pipeline.base.wording import counted, first_clause
+from pipeline.base.wording import counted, first_clause, listed
 from pipeline.comparison.loops.departures import MATTERS, other_gains
 from pipeline.comparison.loops.told_loop import found_device
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import FEWEST_COMPARISONS, boundary_distance
 from pipeline.comparison.scores.overlap import measured_limits
+from pipeline.comparison.summary.summary_warnings import NEEDED
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.course import Wish, course_of
 from pipeline.plan.planner import plan_of
+from pipeline.records.findings import DRIFTS
 from pipeline.records.models import ComparisonRow, Experiment
 from pipeline.records.results import (
     Answer,
@@ -30,7 +32,7 @@ from pipeline.records.results import (
     NextWall,
     Prediction,
 )
-from pipeline.rendering.labels import Units, estimate_texts, share_text, significant
+from pipeline.rendering.labels import Units, estimate_texts, quantity_name, share_text, significant
 from pipeline.simulation.simulate import age_in_force
 
 COARSE = 5.0
@@ -38,6 +40,9 @@ COARSE = 5.0
 
 MOST_CAUSES = 2
 """Causes that are named: with more nobody reads on, and the tables hold all."""
+
+DRIFTING = 2
+"""Parameters that drift with the wall from which on none has an interval: of six tests at 5 % one may be chance."""
 
 WELL = 0.9
 """Overlap of the regions from which on theory predicts a boundary: an error of 5 % in both K and B."""
@@ -103,14 +108,14 @@ def _spacing(result: ExperimentResult, rows: Sequence[ComparisonRow], stages: Ex
 
 def _estimates(result: ExperimentResult, units: Units, *, limit: bool) -> tuple[AnswerEstimate, ...]:
     """Return delay, mass, damping, friction, largest limit and replay; of a device fitted to all trials first."""
-    found = []
+    found, doubt = [], _doubt(result)
     for name in ("delay_samples", "mass", "damping", "friction"):
         estimate = result.estimates.get(name)
         if estimate is None:
             continue
         estimate = result.delay if name == "delay_samples" else estimate.by_method.get("model", estimate)
-        if estimate.value is not None or (name == "friction" and estimate.high is not None):
-            ends = (None, None) if _doubt(result) and name != "friction" else (estimate.low, estimate.high)
+        if estimate.value is not None or (name == "friction" and estimate.high is not None and not doubt):
+            ends = (None, None) if doubt else (estimate.low, estimate.high)
             unit = estimate.unit.replace("^2", "²")
             found.append(AnswerEstimate(name=name, value=estimate.value, low=ends[0], high=ends[1], unit=unit))
     point = result.stiffest
@@ -133,7 +138,11 @@ def _estimates(result: ExperimentResult, units: Units, *, limit: bool) -> tuple[
 
 
 def _doubt(result: ExperimentResult) -> str:
-    """Return why there are no intervals of delay, mass and damping; empty where a fitted device has them."""
+    """Return why there are no intervals of delay, mass, damping and friction; empty where a device has them."""
+    warned = {name: result.estimates[name].warning or "" for name in NEEDED}
+    drifting = [quantity_name(name) for name, text in warned.items() if DRIFTS in text]
+    if len(drifting) >= DRIFTING:
+        return f"No interval where one model does not hold for all trials: {listed(drifting)} drift with the wall."
     loop, fitted = result.loop, "model" in result.estimates["delay_samples"].by_method
     if loop is None or loop.adequate or fitted:
         return ""

@@ -273,7 +273,7 @@ def _drawings(figure: Figure) -> Iterator[tuple[Panel, Drawing]]:
             tops = [0.44 * height - 22.0, height - top] if panel.below is not None else [height - top]
             for own, floor, end in zip(_both(panel), reversed(floors), reversed(tops), strict=True):
                 whole = height + legend
-                box = 66 / width, (floor + legend) / whole, 1 - 80 / width, (end - floor) / whole
+                box = 66 / width, (floor + legend) / whole, 1 - 90 / width, (end - floor) / whole
                 _paint(drawing.add_axes(box), own)
             if panel.below is not None:
                 drawing.axes[0].tick_params(labelbottom=False)

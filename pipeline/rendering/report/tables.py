@@ -455,7 +455,7 @@ def _boundary(rows: Sequence[Row], units: Any, trials: TrialPage) -> Table | Non
         Column(
             "unstable", show=_stiffness, why="no unstable trial", notes=ended, link=lambda row: place(row, "unstable")
         ),
-        Column("limit", "limit, 95 %", show=limit, aside=interval, why="no trial is clearly stable or unstable"),
+        Column("limit", "limit, 95 %", show=limit, aside=interval, why="the growth rates do not tell it"),
         Column("stiffness_large_motion", "harder push", show=_stiffness, why="no limit", optional=True),
         Column("truth", show=_stiffness, why="no truth", optional=True),
     )

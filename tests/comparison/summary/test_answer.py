@@ -156,7 +156,19 @@ def test_intervals_are_left_out_where_the_loop_does_not_hold(data, result):
     found = told(data, result, loop=loop, estimates=without)
     assert {(e.low, e.high) for e in found.estimates[:3]} == {(None, None)}
     assert found.estimates_reason == "No interval where the loop does not hold: the mass drifts."
-    assert found.estimates[4].low is not None
+    (limit,) = (each for each in found.estimates if each.name == "stiffness_max")
+    assert limit.low is not None
+
+
+@pytest.mark.parametrize(("names", "doubted"), [(["mass"], False), (["mass", "delay_samples"], True)])
+def test_intervals_are_left_out_where_several_estimates_drift(data, result, names, doubted):
+    """One model with one wrong number drifts in several: its interval would be as wrong, and narrow."""
+    estimates = dict(result.experiments[0].estimates)
+    for name in names:
+        estimates[name] = estimates[name].model_copy(update={"warning": "drifts by -3 over the tested damping"})
+    found = told(data, result, estimates=estimates)
+    assert ("drift with the wall" in found.estimates_reason) is doubted
+    assert [each.low is None for each in found.estimates[:3]] == [doubted] * 3
 
 
 def test_without_limits_the_answers_say_why(data, result):
