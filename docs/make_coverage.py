@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.linalg import expm
 
 from pipeline.measured.model.identified import Identified, identified
 from pipeline.measured.model.recordings import Recording
@@ -117,7 +118,7 @@ def _simulated(
     (K, B), (mass, damping, friction, delay), (far, turn, ratio) = walls, device, mode
     n, h, near = len(K), T / PARTS, mass - far
     kept = np.exp(-damping / near * h)
-    spring, damper = near * far / mass * turn**2, 2 * ratio * turn * near * far / mass
+    two_masses = _two_masses((near, far), damping, near * far / mass * turn**2, 2 * ratio * turn * near * far / mass)
     x, v, acting, far_x, far_v, filtered = (np.zeros(n) for _ in range(6))
     seen, sent = np.zeros((ROWS, n)), np.zeros((ROWS, n))
     held = np.zeros(n)
@@ -144,24 +145,33 @@ def _simulated(
             lagged = acting - u
             acting = u + lagged * np.exp(-1 / (PARTS * kind.lag)) if kind.lag else u
             pull = u + lagged * PARTS * kind.lag * -np.expm1(-1 / (PARTS * kind.lag)) if kind.lag else u
-            inner = spring * (x - far_x) + damper * (v - far_v)
+            before = x, v, far_x, far_v
             hand = kind.hand * STEP * ((x / 1e-3) + (x / 1e-3) ** 3) if kind.hand else 0.0
-            push = pull - inner - hand + bumps * (BEGIN + 40 <= k < BEGIN + 60)
+            push = pull - hand + bumps * (BEGIN + 40 <= k < BEGIN + 60)
             sticks = (v == 0) & (np.abs(push) <= friction)
             push = push - friction * np.where(v == 0, np.sign(push), np.sign(v))
             after = v * kept + push / damping * (1 - kept)
             stops = sticks | ((v * after < 0) & (friction > 0))
             after = np.where(stops, 0.0, after)
-            if far:
-                far_v = far_v + h / far * inner
-                far_x = far_x + h * far_v
             ahead = v * (1 - kept) * near / damping + push / damping * (h - (1 - kept) * near / damping)
             x, v = x + np.where(stops, 0.5 * h * v, ahead), after
+            if far:
+                x, v, far_x, far_v, _ = two_masses @ np.stack([*before, pull])
     time_s, recordings = T * np.arange(ROWS), []
     for i in range(n):
         keep = np.flatnonzero(random.uniform(size=ROWS) >= kind.lost) if kind.lost else np.arange(ROWS)
         recordings.append(Recording(str(i), time_s[keep], sent[keep, i], seen[keep, i], T))
     return recordings
+
+
+def _two_masses(masses: tuple[float, float], damping: float, spring: float, damper: float) -> Floats:
+    """Return the transition of positions and speeds of two masses on a spring, and of the force, over a fine step."""
+    near, far = masses
+    matrix = np.zeros((5, 5))
+    matrix[0, 1] = matrix[2, 3] = 1.0
+    matrix[1] = np.array([-spring, -damper - damping, spring, damper, 1.0]) / near
+    matrix[3] = np.array([spring, damper, -spring, -damper, 0.0]) / (far or 1.0)
+    return np.asarray(expm(matrix * T / PARTS))
 
 
 def _window(seen: Floats, k: int, quantum: float) -> Floats:

@@ -30,24 +30,8 @@ def student_95(freedom: object) -> Floats:
     ----------
     freedom : array_like, shape (...)
         Degrees of freedom, also fractional and infinite.
-
-    Notes
-    -----
-    Above three the asymptotic series of the quantile in 1/freedom, good to 0.2 %; exact for one, two and three, and
-    interpolated between them.
-
-    Source: Abramowitz and Stegun 1964, eq. 26.7.5.
     """
+    from scipy.special import stdtrit
+
     f = np.asarray(freedom, dtype=np.float64)
-    n = np.where(f >= 1, f, np.nan)
-    z = NORMAL_95
-    series = (
-        z
-        + (z**3 + z) / (4 * n)
-        + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * n**2)
-        + (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / (384 * n**3)
-        + (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / (92160 * n**4)
-    )
-    few = np.interp(1 / n, [1 / 3, 1 / 2, 1], [3.182446305, 4.302652730, 12.706204736])
-    result: Floats = np.where(n <= 3, few, series)
-    return result
+    return np.asarray(stdtrit(np.where(f >= 1, f, np.nan), 0.5 + CONFIDENCE / 2))

@@ -106,7 +106,7 @@ class LoopPoint:
         return simulate(replace(setup, hidden=hidden), K, B)
 
     def step_limits(self, damping: Floats, trial: Trial, softest: Floats) -> Floats:
-        """Return the softest wall at each damping that a step makes unstable, by simulation [N/m, Nm/rad].
+        """Return the wall at each damping from which on a step makes it unstable, by simulation [N/m, Nm/rad].
 
         Parameters
         ----------
@@ -132,7 +132,10 @@ class LoopPoint:
             grows = said == "unstable"
             ends &= grows.any(axis=0)
             first, step = np.argmax(grows, axis=0), (high - low) / WALLS
-            low, high = low + first * step, low + (first + 1) * step
+            # between the stiffest stable wall below and this one verdicts are open
+            stable = (said == "stable") & (np.arange(WALLS)[:, None] < first)
+            last = np.where(stable.any(axis=0), WALLS - np.argmax(stable[::-1], axis=0), 0)
+            low, high = low + last * step, low + (first + 1) * step
         return np.where(ends & (low > np.where(begin > least, begin, -1.0)), 0.5 * (low + high), np.nan)
 
 

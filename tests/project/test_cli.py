@@ -146,7 +146,6 @@ def test_ingest_loads_what_it_needs(tmp_path):
         for _ in range(2):
             assert set(loaded(*command)) - {"pyarrow.compute"} == {
                 "pydantic",
-                "numpy.ma",
                 "numpy",
                 "pyarrow",
                 "pyarrow.parquet",

@@ -10,13 +10,12 @@ import numpy as np
 
 from pipeline.comparison.loops.departures import course_filter
 from pipeline.loop.loop import LARGEST_DELAY
-from pipeline.measured.experiment.estimates import whole_delay
 from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.law.velocity_filter import CUTOFF_DIGITS
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import AT_LOAD, FoundDevice, LoopPoint, stated_device
 from pipeline.records.batch import Floats
-from pipeline.records.findings import Estimate, Parameter
+from pipeline.records.findings import Parameter
 from pipeline.records.loop_parts import Coefficients, LoopParts, VelocityFilter
 from pipeline.records.models import Device, Experiment
 from pipeline.records.results import ExperimentResult, TheoryParameters
@@ -90,18 +89,6 @@ def told_loop(found: FoundDevice | None, device: Device | None, of: Experiment |
         stated = stated_device(device, of) if of.delay_samples <= LARGEST_DELAY else None
         held = parts.operator.damping / parts.force_gain if parts.operator else 0.0
     return ToldLoop(found, stated, held=held) if found or stated else None
-
-
-def loop_delay(result: ExperimentResult) -> Estimate:
-    """Return the delay that theory takes: that of the model, else the integer factor.
-
-    It is the whole number next to it where its interval holds that; see `estimates.whole_delay`.
-    """
-    delay = result.estimates["delay_samples"]
-    model = delay.by_method.get("model")
-    if model is None or model.value is None:
-        return delay
-    return model.model_copy(update={"value": whole_delay(model)})
 
 
 def adequate_theory(result: ExperimentResult, stages: ExperimentStages) -> Theory | None:

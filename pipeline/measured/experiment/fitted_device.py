@@ -87,11 +87,6 @@ class FittedDevice:
     fit_percent: float | None = None
 
     @property
-    def is_nonlinear(self) -> bool:
-        """Whether it has a part that linear theory cannot hold: its numbers stand, no limit does."""
-        return not {"friction", "saturation"}.isdisjoint(self.parts)
-
-    @property
     def tells(self) -> bool:
         """Whether it explains enough trials for its parts to be real."""
         return self.explained >= TOLD * len(self.trials)

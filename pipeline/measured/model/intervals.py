@@ -7,14 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.intervals import NORMAL_95
+from pipeline.measured.intervals import NORMAL_95, student_95
 from pipeline.measured.model.estimation import Fit
 from pipeline.measured.model.recordings import Scales
 from pipeline.measured.model.scatter import inverse
 from pipeline.records.batch import Floats
-
-CONFIDENCE = 0.95
-
 
 COMPUTED = 1e-9
 """Error relative to a value that computing it leaves: the search ends there in logs without noise."""
@@ -108,11 +105,9 @@ class Errors:
 
         ``unit`` is the size of what it is told beside, of which computing leaves an error.
         """
-        from scipy.special import stdtrit
-
         value, slope = quantity(self.numbers), self._slope(quantity)
         error = max(float(np.sqrt(self._spread(slope[None])[0])), COMPUTED * max(abs(value), unit))
-        reach = float(stdtrit(self.freedom, 0.5 + CONFIDENCE / 2)) * error
+        reach = float(student_95(self.freedom)) * error
         if bounded and value - reach < 0:
             # from the likeliest value that is allowed the likelihood falls by as much as it does inside
             top = value + reach if value >= 0 else value + float(np.hypot(value, reach))
@@ -121,12 +116,10 @@ class Errors:
 
     def covariance(self, quantities: Sequence[Quantity]) -> Floats:
         """Return the covariance (Q, Q) of quantities, as large as their intervals of 95 % are for a normal one."""
-        from scipy.special import stdtrit
-
         slopes = np.stack([self._slope(quantity) for quantity in quantities])
         known = slopes @ self.covariance_of_numbers @ slopes.T
         size = np.sqrt(np.maximum(np.diagonal(known), 1e-300))
-        reach = float(stdtrit(self.freedom, 0.5 + CONFIDENCE / 2)) / NORMAL_95
+        reach = float(student_95(self.freedom)) / NORMAL_95
         wide = reach * np.sqrt(self._spread(slopes)) / size
         return np.asarray(known * wide[:, None] * wide[None, :])
 

@@ -244,29 +244,28 @@ def _loss(fit: Fit, name: str) -> float:
 
 
 def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) -> tuple[Fit, dict[str, float]]:
-    """Return the fit with largest force, lag and mode, where held-out units are likelier with them."""
-    some, plain = held.chosen(spread(held, LOOKED_AT)), None
-    for name, size in (("saturation", ""), ("lag", "lag"), ("mode", "share")):
-        # what leaves the noise of readings alone needs no other part
-        if "delay" not in fit.device.numbers or fit.device.noise == WHITE:
+    """Return the fit with largest force, lag and mode: the likeliest first, as each may stand for another."""
+    some, left = held.chosen(spread(held, LOOKED_AT)), {"saturation": "", "lag": "lag", "mode": "share"}
+    # what leaves the noise of readings alone needs no other part
+    while left and "delay" in fit.device.numbers and fit.device.noise != WHITE:
+        alone, tried = replace(fit.device, effects=None), {}
+        plain = refined(some, alone, trials, far=False)
+        for name, size in left.items():
+            other = refined(some, _having(some, alone, trials, name), trials, SOME_STEPS)
+            if not (size and _loss(other, size) < WORTH) and other.likelihood - plain.likelihood >= WORTH:
+                tried[name] = other
+        if not tried:
             break
-        alone = replace(fit.device, effects=None)
-        plain = plain or refined(some, alone, trials, far=False)
-        other = refined(some, _having(some, alone, trials, name), trials, SOME_STEPS)
-        if (size and _loss(other, size) < WORTH) or other.likelihood - plain.likelihood < WORTH:
-            continue
+        name = max(tried, key=lambda each: tried[each].likelihood)
+        other = tried[name]
         if len(some) < len(held):
             other = refined(held, replace(other.device, effects=None), trials, far=False)
         # the search for the part went on where that without it had ended
         fit = refined(held, alone, trials, far=False)
         gain = held_out(other) - held_out(fit)
         if gain > WORTH * len(NUMBERS[name]):
-            fit, parts, plain = other, parts | {name: gain}, None
-    if "saturation" in parts and {"lag", "mode"} & set(parts):
-        numbers = {name: value for name, value in fit.device.numbers.items() if name != "limit"}
-        less = refined(held, Device(numbers, fit.device.noise), trials, far=False)
-        if held_out(fit) - held_out(less) <= WORTH:
-            fit, parts = less, {name: gain for name, gain in parts.items() if name != "saturation"}
+            fit, parts = other, parts | {name: gain}
+        del left[name]
     return fit, parts
 
 

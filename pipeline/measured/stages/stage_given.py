@@ -39,8 +39,3 @@ class Experiment(Stored, Protocol):
 def nothing(of: Experiment) -> Given:
     """Return what a stage takes that looks at each trial alone."""
     return {}
-
-
-def is_open_loop(of: Experiment) -> bool:
-    """Return whether no trial has a wall."""
-    return not any(of.trials.column(name).to_numpy().any() for name in ("stiffness", "damping"))
