@@ -146,7 +146,6 @@ def test_ingest_loads_what_it_needs(tmp_path):
         for _ in range(2):
             assert set(loaded(*command)) - {"pyarrow.compute"} == {
                 "pydantic",
-                "numpy.ma",
                 "numpy",
                 "pyarrow",
                 "pyarrow.parquet",
@@ -443,7 +442,6 @@ def test_wrong_comparisons_are_refused(call, course, arguments, status, message,
     [
         ["theory", "map", "--delay", "1", "--out"],
         *(
-            ["accuracy", "--quick", "--out"],
             ["profile", "draft", "s.csv", "--out"],
             ["compare", "--device", "lwr", "--save-scene"],
         ),

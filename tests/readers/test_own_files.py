@@ -220,6 +220,13 @@ def test_a_draft_of_own_files_asks_only_what_the_command_does_not_tell(tmp_path,
         assert cure in done.output
 
 
+def test_a_damping_that_makes_no_part_of_the_command_tells_no_unit(tmp_path):
+    command, position = wall(3000, 0.02)
+    text = draft_profile(write(tmp_path / "K3_B0.02.csv", "t,F,x", TIME, command, position))
+    assert '[units]\nstiffness = "N/mm"' in text
+    assert "\ndamping = " not in text
+
+
 def series(values):
     """A timeseries as MATLAB saves it: equidistant times are not stored, but start, increment and length."""
     opaque = pytest.importorskip("matio.utils.matclass").MatlabOpaque

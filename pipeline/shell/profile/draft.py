@@ -340,7 +340,7 @@ def _of_law(law: _Law, keys: Keys, name: str) -> Keys:
         value = abs(law.in_si[key])
         if key not in named:
             found[f"constants.{key}"] = value, KEYS[f"constants.{key}"][1]
-        elif float(named[key]):
+        elif value and float(named[key]):
             # the command obeys the number in the file name in this unit
             unit = unit_between(si_unit(CONDITION_QUANTITIES[key][motion]), value / abs(float(named[key])), SAME)
             found |= {f"units.{key}": ("N/mm" if unit == "kN/m" else unit, "")} if unit else {}
