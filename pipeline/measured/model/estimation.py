@@ -352,25 +352,21 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
         )
         return float(found.fun), make(float(np.exp(found.x)))
 
-    if jitters and device.noise.jitter:
-        return _with_error(cost, _jittery(cost, of, device.noise, ROUGH / 4))
-    none = cost(WHITE), WHITE
-    alone = [likeliest(lambda force: of(force, 0.0), MEMORIES)]
-    jitters = jitters and none[0] - alone[0][0] > WORTH + JITTERY_ROW * float(some.rows.sum())
-    if jitters:
-        alone.append(likeliest(lambda jitter: of(0.0, jitter), JITTERS))
+    none, force = (cost(WHITE), WHITE), likeliest(lambda force: of(force, 0.0), MEMORIES)
     # what rounding leaves may look like a little of either
-    worth = [each for each in alone if each[0] < none[0] - WORTH and not 0 < each[1].jitter < LEAST_JITTER]
-    best = min([none, *worth], key=lambda each: each[0])
-    if not jitters or alone[1] not in worth:
-        return best[1]
-    # both together, from the likelier one and a tenth of the other
-    shares = [1.0 if each is best else 0.1 for each in alone]
-    found = _jittery(cost, of, of(alone[0][1].force * shares[0], alone[1][1].jitter * shares[1] ** 0.5), ROUGH)
-    # a jitter of both that is worth it beside the best without one
-    still = min([none, alone[0]], key=lambda each: each[0])
-    simplest = min((cost(found), found), (still[0] - WORTH, still[1]), key=lambda each: each[0])[1]
-    return _with_error(cost, simplest) if simplest.jitter else simplest
+    still = force if force[0] < none[0] - WORTH else none
+    if not jitters or none[0] - force[0] <= WORTH + JITTERY_ROW * float(some.rows.sum()):
+        return still[1]
+    near, far = device.noise, ROUGH / 4
+    if not near.jitter:
+        jitter = likeliest(lambda jitter: of(0.0, jitter), JITTERS)
+        if jitter[0] >= none[0] - WORTH or jitter[1].jitter < LEAST_JITTER:
+            return still[1]
+        # both together, from the likelier one and a tenth of the other
+        shares = (0.1, 1.0) if jitter[0] < force[0] else (1.0, 0.1)
+        near, far = of(force[1].force * shares[0], jitter[1].jitter * shares[1] ** 0.5), ROUGH
+    found = _jittery(cost, of, near, far)
+    return _with_error(cost, found) if cost(found) < still[0] - WORTH else still[1]
 
 
 def _jittery(cost: Callable[[Noise], float], of: Callable[[float, float], Noise], near: Noise, far: float) -> Noise:

@@ -261,15 +261,16 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
         if not tried:
             break
         name = max(tried, key=lambda each: tried[each].likelihood)
-        other = tried[name]
-        if len(some) < len(held):
-            other = refined(held, replace(other.device, effects=None), trials, far=False)
-        # the search for the part went on where that without it had ended
+        # far from the solution noise may stand for what is left: it is looked for anew
+        other = refined(held, replace(tried[name].device, effects=None), trials, far=False)
         fit = refined(held, alone, trials, far=False)
         gain = held_out(other) - held_out(fit)
         if gain > WORTH * len(NUMBERS[name]) and _disturbance(other) <= LEFT * _disturbance(fit):
             fit, parts = other, parts | {name: gain}
         del left[name]
+    if fit.device.noise.jitter and set(parts) & {"saturation", "lag", "mode"}:
+        # a jitter may have stood for what was left before the part was found to the end
+        fit = refined(held, replace(fit.device, effects=None), trials, far=False)
     return fit, parts
 
 
