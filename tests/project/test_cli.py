@@ -442,7 +442,6 @@ def test_wrong_comparisons_are_refused(call, course, arguments, status, message,
     [
         ["theory", "map", "--delay", "1", "--out"],
         *(
-            ["accuracy", "--quick", "--out"],
             ["profile", "draft", "s.csv", "--out"],
             ["compare", "--device", "lwr", "--save-scene"],
         ),

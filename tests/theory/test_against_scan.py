@@ -178,12 +178,13 @@ def check_boundary(plain: Plain, loop: pipeline.Loop, rng: np.random.Generator) 
     base = -plain.stiffness / stiffest if border["stiffness"].min() < 0 else 0.0
     outline = Path(np.vstack([line, np.column_stack([ends, [base, base]]), line[:1]]))
     walls = np.column_stack([(B - lowest) / width, K / stiffest])
-    far = np.min(np.hypot(*(walls[:, None] - line[None]).transpose(2, 0, 1)), axis=1) > 0.02
-    inside = outline.contains_points(walls) & (walls[:, 1] > 0.01)
+    far = np.nanmin(np.hypot(*(walls[:, None] - line[None]).transpose(2, 0, 1)), axis=1) > 0.02
+    several = bool(border["stiffness"].isna().any())
+    held = loop.limits(B)["stiffness"].fillna(0.0) > K if several else outline.contains_points(walls)
+    inside = np.asarray(held) & (walls[:, 1] > 0.01)
     assert (radius[inside & far] < 1 + 1e-9).all(), (loop, "unstable inside", K[inside & far & (radius > 1)][:3])
     outside = far & ~inside & (walls[:, 1] > 0.01) & (radius < 1 - 1e-9)
-    islands = border.attrs["islands"]
-    if outside.any() and not len(islands):
+    if outside.any() and not several:
         raise AssertionError((loop, "stable outside", K[outside][:3], B[outside][:3]))
     good = inside & far & (radius < 1 - 1e-6)
     return K[good], B[good]
@@ -242,7 +243,7 @@ def scan(kind: str, seed: int) -> None:
         check_optimum(loop, criterion, K, B)
 
 
-@pytest.mark.parametrize("kind", ["ideal", "device"])
+@pytest.mark.parametrize("kind", ["ideal", pytest.param("device", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "seed", [pytest.param(n, marks=[pytest.mark.slow] if n >= FAST else []) for n in range(FIRST, FIRST + LOOPS)]
 )

@@ -146,6 +146,7 @@ def corner_settles(loop: Loop, box: tuple[float, float, float, float], inwards: 
     )
 
 
+@pytest.mark.slow
 def test_a_thin_sliver_belongs_to_the_region() -> None:
     # the region of D.3 ends in a sliver 0.001 Ns/m wide; a box search once ended 0.003 Ns/m before its tip
     unit, loop = FIRM
@@ -191,7 +192,7 @@ LWR_DELAYS = sorted({r.delay_samples for r in published_rows() if r.delay_sample
 
 
 @pytest.mark.parametrize(
-    "delay", [2.0, 5.0, *(pytest.param(d, marks=pytest.mark.slow) for d in (3.0, 4.0, 6.0, 7.0, 8.0))]
+    "delay", [2.0, *(pytest.param(d, marks=pytest.mark.slow) for d in (3.0, 4.0, 5.0, 6.0, 7.0, 8.0))]
 )
 def test_theory_of_table_d6(delay: float) -> None:
     assert delay in LWR_DELAYS

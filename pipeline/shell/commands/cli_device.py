@@ -221,8 +221,9 @@ def _design_lines(document: dict[str, Any], loop: Loop) -> Iterator[str]:
     yield from (f"  {name} alone: {why}" for name, why in document["out_of_reach"].items())
     if not reached and not changes:
         yield "No change of one or two quantities reaches it."
-    yield from ("", f"Largest stable K {document['sensitivities'][0]['stiffness_max']:.5g} {k}; its change in percent:")
-    yield from console.table(document["sensitivities"], ("quantity", "stiffness_max_percent", "unit"))
+    yield from ("", f"Largest stable K {document['sensitivities'][0]['stiffness_max']:.5g} {k}; sensitivities:")
+    for row in document["sensitivities"]:
+        yield f"  {row['quantity']}: {row['stiffness_max_percent']:+.3g} % per percent"
     yield from ("", f"Published limits of K [{k}] at B = {document['wall']['damping']:.4g} {b}:")
     told = [row for row in document["published"] if row["stiffness"] is not None]
     yield from console.table(told, ("stiffness", "promises", "condition", "assumes"))
