@@ -278,7 +278,7 @@ def test_the_commands_that_move_and_delete(store):
     assert len(json.loads(run("delete", *where, "--json").stdout)["bin"]) == 2
     assert "trials restored: 2" in run("delete", "bench/11", "--undo", *where).stdout
     run("delete", "bench/11", *where)
-    assert "trials removed: 2" in run("delete", "--empty", *where).stdout
+    assert "trials removed from the store: 2" in run("delete", "--empty", *where).stdout
     for words in (("delete", "--undo"), ("delete", "bench", "--empty"), ("delete", "bench/11"), ("move", "x", "y")):
         assert run(*words, *where).exception.exit_status == EXIT_USAGE
 
