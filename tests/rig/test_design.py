@@ -88,6 +88,7 @@ def test_a_settling_time_is_that_of_a_simulation(seed: int) -> None:
         assert settles(other, path) <= wish["settling_s"] * 1.02
 
 
+@pytest.mark.slow
 def test_what_is_reached_is_said_with_how_far() -> None:
     largest = FALCON.boundary().attrs["stiffness_max"]
     assert design(FALCON, 0.99 * largest).reached

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from places import ROOT
 
@@ -31,6 +32,7 @@ SIGNATURES = {
     "human_arms": [],
     "identify": ["paths", "profile", "period", "delay"],
     "Identified": ["document"],
+    "published_limits": ["loop", "damping", "coulomb", "quantum"],
     "design": ["loop", "stiffness", "settling_s", "overshoot", "margin", "tolerance", "keep"],
     "Design": ["wish", "reached", "wall", "stiffness_reached", "changes", "out_of_reach", "sensitivities"],
     "Loop": [
@@ -170,7 +172,8 @@ def test_numbers_are_those_of_the_document(falcon, falcon_outcome):
     frame = pipeline.estimates(falcon.processed, "falcon", "1", all_methods=True)
     best = frame[frame["recommended"]].set_index("quantity")
     for name, estimate in experiment.estimates.items():
-        assert (best.loc[name, "value"], best.loc[name, "unit"]) == (estimate.value, estimate.unit)
+        assert best.loc[name, "unit"] == estimate.unit
+        assert best.loc[name, "value"] == estimate.value or (np.isnan(best.loc[name, "value"]) and estimate.reason)
         others = frame[(frame["quantity"] == name) & ~frame["recommended"]]
         assert others["method"].tolist() == list(estimate.by_method)
     boundary = pipeline.boundary(falcon.processed, "falcon", "1")

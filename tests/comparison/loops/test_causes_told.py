@@ -46,6 +46,7 @@ def test_friction_with_stiction_is_named_without_a_log_at_rest(tmp_path):
     assert friction.low <= truth <= friction.high
 
 
+@pytest.mark.slow
 def test_settling_and_energy_of_a_held_device_are_about_its_own_rest(tmp_path):
     """The spring moves soft walls alone, too few of them to tell it by where they rest."""
     course, found = compared(tmp_path, load_device("lwr"), "operator", 9100)

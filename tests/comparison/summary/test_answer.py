@@ -160,7 +160,9 @@ def test_intervals_are_left_out_where_the_loop_does_not_hold(data, result):
     assert limit.low is not None
 
 
-@pytest.mark.parametrize(("names", "doubted"), [(["mass"], False), (["mass", "delay_samples"], True)])
+@pytest.mark.parametrize(
+    ("names", "doubted"), [(["mass", "damping"], False), (["mass", "damping", "delay_samples"], True)]
+)
 def test_intervals_are_left_out_where_several_estimates_drift(data, result, names, doubted):
     """One model with one wrong number drifts in several: its interval would be as wrong, and narrow."""
     estimates = dict(result.experiments[0].estimates)
