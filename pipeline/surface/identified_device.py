@@ -30,6 +30,7 @@ UNITS: dict[str, tuple[str, str]] = {
     "delay": ("s", "s"),
     "friction": ("N", "Nm"),
     "constant_force": ("N", "Nm"),
+    "force_limit": ("N", "Nm"),
     "actuator_lag": ("s", "s"),
     "mode_frequency": ("Hz", "Hz"),
     "mode_damping_ratio": ("", ""),

@@ -116,7 +116,7 @@ def _least(loop: Loop, criterion: str) -> OptimalPoint:
 
     lowest, ends = float(box(loop)[0][0]), boundary(loop).beta
     edge = search_lines(along, np.nanmin(ends, keepdims=True), np.nanmax(ends, keepdims=True))
-    inside = search(loop, cost, SMOOTH)
+    inside = search(loop, cost, SMOOTH, region())
     if edge.cost[0] > inside.cost:
         return inside
     alpha, beta = at(edge.place)

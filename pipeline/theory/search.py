@@ -61,6 +61,10 @@ _INSET = 0.05
 """Share of the width by which a search stays clear of alpha = -gamma at first: every step response creeps there."""
 
 
+_SOFTEST = 0.005
+"""The same for costs with jumps: a mode's limit may be a hundred times the stiffness that settles soonest."""
+
+
 def where_stable(loop: Loop, cost: Cost) -> Cost:
     """Return the cost with infinity where the loop or a softer wall is unstable, or the cost is not defined."""
 
@@ -142,7 +146,7 @@ def search(loop: Loop, cost: Cost, grids: Grids = JUMPING, bounds: tuple[Floats,
     def guarded(first: Floats, second: Floats, best: float) -> Floats:
         return plain(*place(first, second), best)
 
-    low, high = bounds or region()
+    low, high = bounds or region(_SOFTEST)
     second = np.linspace(low[1], high[1], grids.coarse)
     found = search_lines(
         lambda line, place, best: guarded(place, second[line], best),

@@ -11,7 +11,9 @@ from typer.testing import CliRunner
 import pipeline
 from pipeline.base.errors import LogError, ParameterError
 from pipeline.device_data.devices import read_device
+from pipeline.measured.model.intervals import NEEDED
 from pipeline.shell.cli import application
+from pipeline.surface.identified_device import UNITS
 
 MASS, DAMPING, DELAY, T = 0.5, 3.0, 2, 1e-3
 
@@ -112,3 +114,7 @@ def test_a_refused_log_is_named(tmp_path):
     )
     with pytest.raises(LogError, match=r"bad\.csv, row 4: .*number"):
         pipeline.identify(log)
+
+
+def test_every_quantity_that_a_device_may_have_has_a_unit():
+    assert set(NEEDED) <= set(UNITS)

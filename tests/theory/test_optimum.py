@@ -12,8 +12,9 @@ from places import SHARED
 
 from pipeline.base.errors import ParameterError
 from pipeline.device_data.published import PublishedRow, published_rows
-from pipeline.loop.loop import Loop, Normalised
+from pipeline.loop.loop import Loop, Normalised, Vibration
 from pipeline.theory.energy import energy_costs
+from pipeline.theory.limits import stiffness_limit
 from pipeline.theory.optimum import POINT_CRITERIA, marked_point, optimal_point
 from pipeline.theory.poles import is_stable
 from pipeline.theory.search import OptimalPoint
@@ -397,3 +398,11 @@ def test_nothing_around_an_optimum_is_better(values: tuple[float, float, float])
 def test_unknown_criteria_are_refused(criterion: str) -> None:
     with pytest.raises(ParameterError, match="expected one of"):
         optimal_point(Loop(0, 0, 1), criterion)
+
+
+@pytest.mark.slow
+def test_a_mode_settles_soonest_far_below_its_limit() -> None:
+    """A wall at 1.5 % of its limit, found by a scan, settles sooner than any above 5 %."""
+    loop = Loop(0.0, 0.00382, 2.884, mode=Vibration(0.379, 0.00532, 0.00124, True))
+    best = optimal_point(loop, "settle_2pct")
+    assert best.alpha < 0.05 * float(stiffness_limit(loop, best.beta)[0])
