@@ -57,7 +57,7 @@ def read_file(settings: Profile, names: Sequence[str], data: Sequence[bytes], wa
     form, size = FORMATS[settings.format], sum(map(len, data))
     work = (names[0], dict(zip(names, data, strict=False)), settings, tuple(wanted))
     imports = f"{form.place} {form.library}"
-    contents: Contents = isolated("pipeline.readers.isolation:read_here", form.title, size, *work, imports=imports)
+    contents: Contents = isolated(f"{__name__}:{read_here.__name__}", form.title, size, *work, imports=imports)
     return contents
 
 

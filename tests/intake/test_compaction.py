@@ -162,6 +162,7 @@ def test_a_listing_that_a_merge_tears_is_read_again(grow, monkeypatch):
         read_trials(processed)
 
 
+@pytest.mark.slow
 def test_readers_see_each_trial_once_while_batches_are_merged(grow, monkeypatch):
     processed, logs = grow(6)
     ended = threading.Event()

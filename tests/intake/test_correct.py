@@ -273,12 +273,12 @@ def test_what_is_deleted_lies_in_a_bin_until_that_is_emptied(store):
 
 def test_the_commands_that_move_and_delete(store):
     where = ("--processed", str(store))
-    assert "2 trials now bench/11" in run("move", "bench/9", "bench/11", *where).stdout
+    assert "trials now bench/11: 2" in run("move", "bench/9", "bench/11", *where).stdout
     assert json.loads(run("delete", "bench/11", *where, "--json").stdout) == {"trials": 2}
     assert len(json.loads(run("delete", *where, "--json").stdout)["bin"]) == 2
-    assert "2 trials restored" in run("delete", "bench/11", "--undo", *where).stdout
+    assert "trials restored: 2" in run("delete", "bench/11", "--undo", *where).stdout
     run("delete", "bench/11", *where)
-    assert "2 trials removed" in run("delete", "--empty", *where).stdout
+    assert "trials removed from the store: 2" in run("delete", "--empty", *where).stdout
     for words in (("delete", "--undo"), ("delete", "bench", "--empty"), ("delete", "bench/11"), ("move", "x", "y")):
         assert run(*words, *where).exception.exit_status == EXIT_USAGE
 
