@@ -26,7 +26,7 @@ FIXED_STEPS = 4
 """Steps at first without such scatter: far from the solution it would explain everything."""
 
 LIMITS = {
-    "limit": (1e-3, np.inf),
+    "limit": (1e-3, 1.0),
     "gain": (1e-12, np.inf),
     "delta": (-0.01, 2.0),
     "gamma": (-1e-4, 2.0),

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pipeline.measured.model.estimation import WORTH, Device, Fit, begun, moments_of, refined, spread
+from pipeline.measured.model.estimation import LIMITS, WORTH, Device, Fit, begun, moments_of, refined, spread
 from pipeline.measured.model.intervals import Errors, physical
 from pipeline.measured.model.recordings import Holding, Recording, Scales, Stretches, stretches
 from pipeline.measured.model.scatter import Moments, inverse, solve
@@ -265,7 +265,7 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
         other = refined(held, replace(tried[name].device, effects=None), trials, far=False)
         fit = refined(held, alone, trials, far=False)
         gain = held_out(other) - held_out(fit)
-        if gain > WORTH * len(NUMBERS[name]) and _disturbance(other) <= LEFT * _disturbance(fit):
+        if gain > WORTH * len(NUMBERS[name]) and _is_inside(other.device, name) and _takes_away(fit, other):
             fit, parts = other, parts | {name: gain}
         del left[name]
     if fit.device.noise.jitter and set(parts) & {"saturation", "lag", "mode"}:
@@ -274,9 +274,21 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
     return fit, parts
 
 
-def _disturbance(fit: Fit) -> float:
-    """Return the variance of the random force, in squares of `Scales`."""
-    return fit.device.noise.force * fit.solved.noise
+def _is_inside(device: Device, part: str) -> bool:
+    """Return whether no number of a part stands where its search ends, as of a largest force that nothing exceeds."""
+    return all(
+        value < LIMITS[name][1] and (value > LIMITS[name][0] or value == 0)
+        for name, value in device.numbers.items()
+        if name in NUMBERS[part] and name in LIMITS
+    )
+
+
+def _takes_away(fit: Fit, other: Fit) -> bool:
+    """Return whether a fit has at most `LEFT` of another's random force, or of its jitter where that is all it has."""
+    before, behind = fit.device.noise, other.device.noise
+    if before.force > 0:
+        return bool(behind.force * other.solved.noise <= LEFT * before.force * fit.solved.noise)
+    return behind.force == 0 and behind.jitter**2 <= LEFT * before.jitter**2
 
 
 def _having(held: Stretches, device: Device, trials: int, part: str) -> Device:

@@ -334,11 +334,14 @@ def _turns(velocity: Floats, a: int, b: int) -> bool:
         return True
     if velocity[a - 1] * velocity[min(b, len(velocity) - 1)] >= 0:
         return False
-    near = max(2, (b - a) // 2)
-    before = velocity[a - 1] - velocity[max(a - 1 - near, 0)]
-    behind = velocity[min(b + near, len(velocity) - 1)] - velocity[min(b, len(velocity) - 1)]
+    near, last = max(2, (b - a) // 2), len(velocity) - 1
+    before = velocity[max(a - 1 - near, 0)] - velocity[a - 1]
+    behind = velocity[min(b + near, last)] - velocity[min(b, last)]
+    # at rest readings flicker for a row: they come from no motion and lead to none
+    if before * velocity[a - 1] <= 0 or behind * velocity[min(b, last)] <= 0:
+        return False
     slope = min(abs(before), abs(behind)) / near
-    return bool(abs(velocity[a - 1] - velocity[min(b, len(velocity) - 1)]) >= 0.6 * slope * (b - a))
+    return bool(abs(velocity[a - 1] - velocity[min(b, last)]) >= 0.6 * slope * (b - a))
 
 
 def _through(velocity: Floats, before: int, behind: int) -> Floats:
@@ -354,7 +357,8 @@ def _through(velocity: Floats, before: int, behind: int) -> Floats:
 def _edge(each: Recording, seen: Motion, first: int, moves: int, lead: int) -> int | None:
     """Return the row at which a command jumps and sets the device in motion from rest, None where none does."""
     if each.edge is not None and first <= each.edge <= moves <= each.edge + lead + EARLIER:
-        return each.edge
+        # behind the first turn it comes from no rest
+        return None if seen.direction[each.edge : moves].any() else each.edge
     begin = max(first, moves - lead - EARLIER)
     resting = np.abs(seen.velocity[begin:moves]) <= SURE * seen.error
     if moves - begin < 3 or not resting.all():

@@ -307,3 +307,26 @@ def test_an_ideal_device_behind_walls_has_no_parts():
     assert found.parts == {}
     assert holds(found.parameters, {"mass": 0.6, "damping": 4.0, "delay": 2.4e-3}) == []
     assert found.parameters["mass"].high - found.parameters["mass"].low < 1e-3 * 0.6
+
+
+def reading(position):
+    """A log of a step at row 20, read by a sensor of 2 um."""
+    command = np.where(np.arange(len(position)) >= 20, 8.0, 0.0)
+    return Recording("log", 1e-3 * np.arange(len(position)), command, 2e-6 * np.round(position / 2e-6), 1e-3, 20)
+
+
+def test_behind_the_first_turn_nothing_comes_from_rest():
+    t = np.maximum(np.arange(300) - 24, 0) * 1e-3
+    swing = reading(4e-3 * (1 - np.exp(-3 * t) * np.cos(90 * t)))
+    held = stretches([swing], Scales.of([swing]), 5, True)
+    assert len(held) > 3
+    assert held.rests.sum() == 1
+
+
+def test_a_reading_that_flickers_at_rest_is_no_turn():
+    t = np.maximum(np.arange(400) - 24, 0) * 1e-3
+    position = 2e-3 * (1 - (1 + 300 * t) * np.exp(-300 * t))
+    position[[200, 240, 300, 360]] -= 6e-6
+    slow = reading(position)
+    held = stretches([slow], Scales.of([slow]), 5, True)
+    assert held.rows.sum() < 120
