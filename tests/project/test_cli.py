@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pyarrow.parquet as pq
 import pytest
@@ -578,7 +579,7 @@ def test_named_errors_are_messages_and_others_pass(monkeypatch, call, course):
 
 def test_progress_is_lines_where_stderr_is_no_terminal(monkeypatch, capsys):
     clock = iter([0.0, 1.0, 2.5, 3.0, 5.0])
-    monkeypatch.setattr(console.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(console, "time", SimpleNamespace(monotonic=lambda: next(clock)))
     with console.progress("ingest", "logs") as advance:
         for done in (1, 2, 3):
             advance(done, 4)

@@ -13,6 +13,7 @@ from collections import Counter
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from command_lines import fault
@@ -350,8 +351,8 @@ class Lab:
         self.passes, self.happens, self.end = passes, happens or {}, 0
         (tmp_path / "raw").mkdir(exist_ok=True)
         self.watched = Watched((tmp_path / "raw",), tmp_path / "processed", tmp_path / "reports", **more)
-        monkeypatch.setattr(watch.time, "monotonic", lambda: self.now)
-        monkeypatch.setattr(watch.time, "sleep", self.sleep)
+        # its own, and not that of the servers of this process
+        monkeypatch.setattr(watch, "time", SimpleNamespace(monotonic=lambda: self.now, sleep=self.sleep))
         monkeypatch.setattr(watch, "run_pass", self.run_pass)
 
     def sleep(self, seconds: float) -> None:
