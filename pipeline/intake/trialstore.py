@@ -382,8 +382,13 @@ def _lists(columns: Sequence[Floats | Integers | None], dtype: pa.DataType) -> p
         return pa.nulls(len(columns), dtype)
     edges = np.cumsum([0, *(0 if values is None else len(values) for values in columns)], dtype=np.int32)
     missing = np.array([values is None for values in columns])
-    mask = pa.array(missing) if missing.any() else None
-    return pa.ListArray.from_arrays(pa.array(edges), pa.array(np.concatenate(there)), type=dtype, mask=mask)
+    mask = pa.array(missing.tolist()) if missing.any() else None
+    # `pa.array` of arrays would load numpy's masked ones first
+    rows, values = (
+        pa.Array.from_buffers(kind, len(array), [None, pa.py_buffer(array)])
+        for kind, array in ((pa.int32(), edges), (dtype.value_type, np.concatenate(there)))
+    )
+    return pa.ListArray.from_arrays(rows, values, type=dtype, mask=mask)
 
 
 def trial_id(sha256: str, label: str | None, told: str | None = None) -> str:

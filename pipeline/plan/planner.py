@@ -212,7 +212,9 @@ def _next(column: Column, found: State, aim: Aim, course: Course) -> Next:
         known = f"stable at {bracket.low:g} {K}" if bracket.low is not None else "no stable wall yet"
         known += f", unstable at {bracket.high:g} {K}" if bracket.high is not None else ", no unstable wall yet"
     basis = "bisection alone: no device foretells the limit"
-    if found.forecast.misfit < inf and column.estimate is not None:
+    if found.forecast.misfit < inf and column.estimate is not None and column.estimate <= 0:
+        basis = "the found device has no stable wall there"
+    elif found.forecast.misfit < inf and column.estimate is not None:
         basis = f"limit expected at {rounded(column.estimate, aim.accuracy * found.largest):g} {K}"
     lasting = "; stable walls lie above unstable ones, the lowest limit counts" if bracket.lasting else ""
     expected = "unstable" if chance > SURE else "stable" if chance < 1 - SURE else "undecided"

@@ -6,10 +6,9 @@ import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from pipeline.base.disk import replacing
 from pipeline.base.errors import ParameterError, PipelineError
@@ -28,12 +27,14 @@ from pipeline.records.criteria import (
     criterion_of,
     with_discrete,
 )
-from pipeline.records.table_files import WRITING
 from pipeline.theory.energy import energy_costs
 from pipeline.theory.limits import boundary, is_inside, is_well_inside
 from pipeline.theory.modes import TOGETHER
 from pipeline.theory.poles import damping_ratio, spectral_radius
 from pipeline.theory.transient import QUIET, first_reached, transient_costs
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 MAP_CRITERIA = tuple(c.name for c in CRITERIA.values() if not c.optimum_only)
 """Criteria of a map; those of a response also as ``_discrete``."""
@@ -265,6 +266,10 @@ def write_map(
     PipelineError
         If the file cannot be written; an earlier one stays as it was.
     """
+    import pyarrow.parquet as pq
+
+    from pipeline.records.table_files import WRITING
+
     schema = map_schema(cost_map)
     stable = done = 0
     try:
@@ -284,6 +289,8 @@ def write_map(
 
 def map_schema(cost_map: CostMap) -> pa.Schema:
     """Return columns of the point, stable and one for each criterion, with units and parameters as metadata."""
+    import pyarrow as pa
+
     loop = cost_map.loop
     meaning = (
         f"null where not stable, within {MARGIN:g} of the boundary, or still moving after {cost_map.longest} samples"
@@ -297,6 +304,8 @@ def map_schema(cost_map: CostMap) -> pa.Schema:
 
 def block_table(block: MapBlock, schema: pa.Schema, units: Normalised | None = None) -> pa.Table:
     """Return a block as an Arrow table; NaN becomes null."""
+    import pyarrow as pa
+
     stiffness, damping = (units.stiffness, units.damping) if units is not None else (1.0, 1.0)
     columns = [_column(block.alpha * stiffness), _column(block.beta * damping), _bits(block.stable)]
     return pa.table([*columns, *(_column(values) for values in block.costs.values())], schema=schema)
@@ -304,10 +313,14 @@ def block_table(block: MapBlock, schema: pa.Schema, units: Normalised | None = N
 
 def _column(values: Floats) -> pa.Array:
     """Return floats as a column without a copy; `pa.array` would load numpy's masked arrays first."""
+    import pyarrow as pa
+
     known = ~np.isnan(values)
     valid = None if known.all() else _bits(known).buffers()[1]
     return pa.Array.from_buffers(pa.float64(), len(values), [valid, pa.py_buffer(np.ascontiguousarray(values))])
 
 
 def _bits(values: Booleans) -> pa.Array:
+    import pyarrow as pa
+
     return pa.Array.from_buffers(pa.bool_(), len(values), [None, pa.py_buffer(np.packbits(values, bitorder="little"))])

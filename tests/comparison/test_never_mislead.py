@@ -31,7 +31,7 @@ def test_an_undecided_log_far_below_the_limit_moves_no_limit(tmp_path):
     limits = pipeline.boundary(ingested(tmp_path, load_device("falcon"), seed=8, coarsen=4), "falcon")
     below = limits[limits["undecided"] > 0]
     assert len(below)
-    assert (below["low"] >= 0.8 * below["stable"]).all(), below[["damping", "stable", "low", "estimate"]]
+    assert (below["low"] >= 0.8 * below["stable"]).all(), below
 
 
 def restated(text, **changes):
@@ -160,4 +160,6 @@ def test_stable_with_friction_is_said_of_the_step_with_the_limit_of_large_motion
     (told,) = [each for each in result.answer.estimates if each.name == "stiffness_max"]
     assert told.large_motion == best.stiffness_large_motion
     assert found.use is None or found.use.point.margin_large_motion >= 1.25
-    assert f"for a harder push {best.stiffness_large_motion:.0f}" in page.read_text(encoding="utf-8")
+    assert f"for a harder push {float(format(best.stiffness_large_motion, '.3g')):.0f}" in page.read_text(
+        encoding="utf-8"
+    )

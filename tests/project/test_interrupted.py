@@ -40,12 +40,13 @@ def test_an_interrupted_ingest_says_what_is_stored(tmp_path, monkeypatch):
 
 def test_ctrl_c_is_answered_on_stderr(tmp_path):
     (tmp_path / "logs").mkdir()
-    for number in range(1000):
-        (tmp_path / "logs" / f"{number}.csv").write_text(log_text(float(number + 1), rows=500))
+    for number in range(3000):
+        (tmp_path / "logs" / f"{number}.csv").write_text(log_text(float(number + 1), rows=200))
     process = subprocess.Popen(COMMAND, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
     while not (tmp_path / "processed" / ".lock").exists() and time.monotonic() < deadline:
         time.sleep(0.01)
+    time.sleep(0.5)  # until it reads logs
     os.kill(process.pid, signal.SIGINT)
     _, told = process.communicate(timeout=60)
     assert process.returncode != 0

@@ -252,7 +252,7 @@ def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str,
 
 
 def test_command_prints_tables_and_summary(capsys: pytest.CaptureFixture[str]) -> None:
-    status, out, _ = call(capsys, "--table", "B.2", "--table", "B.1")
+    status, out, _ = call(capsys, "B.2", "B.1")
     assert status == 0
     assert out.index("Table B.2: 78 equal") < out.index("Table B.1: 78 equal")
     assert out.count("alpha_max  ") == 26
@@ -260,12 +260,12 @@ def test_command_prints_tables_and_summary(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_command_prints_one_json_document_and_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
-    status, out, err = call(capsys, "--table", "B.3", "--json")
+    status, out, err = call(capsys, "B.3", "--json")
     assert (status, err) == (0, "")
     assert json.loads(out)["count"] == {"equal": 77, "within": 1, "erratum": 0, "unexplained": 0}
 
 
 def test_command_refuses_an_unknown_table(capsys: pytest.CaptureFixture[str]) -> None:
-    status, out, err = call(capsys, "--table", "D.1")
+    status, out, err = call(capsys, "D.1")
     assert (status, out) == (1, "")
     assert "B.1" in err

@@ -209,7 +209,7 @@ def _jitter(shown: Shown, point: LoopPoint) -> Iterator[Candidate]:
             "delay_jitter",
             _beside(point, replace(point, delay_samples=point.delay_samples + (jitter.low or 0.0)), shown)[0],
             f"The delay jitters, by {significant(jitter.value or 0.0, 2)} samples within a trial.",
-            f"95 %: {span(lambda value: significant(value, 4), jitter.low, jitter.high)}",
+            f"95 %: {span(lambda value: significant(value, 2), jitter.low, jitter.high)} samples",
         )
 
 

@@ -129,7 +129,8 @@ def delay_estimate(of: Stored) -> Estimate:
     plain, model, factor = of.once(first_change), by_model(of, "delay_samples"), of.once(delay_factor)
     methods = {"model": model, "first_change": plain}
     if factor is None or model.value is None:
-        return plain.model_copy(update={"by_method": methods})
+        # behind a coarse sensor, or friction, the first change is late: alone it is an upper bound
+        return plain.model_copy(update={"low": None if plain.value is None else 0.0, "by_method": methods})
     first, value, last = (float(whole) for whole in factor)
     # (6.3) leaves the position inside the period open
     ends: dict[str, Any] = {"value": value, "low": first, "high": last + 1, "method": f"{METHOD}, in whole samples"}

@@ -99,6 +99,9 @@ def _numbers(found: Identified, of: Experiment) -> dict[str, Any]:
     told = np.sqrt(np.maximum(found.covariance.diagonal(), LEAST))
     wider = units * np.maximum([each.error for each in parameters.values()] / told, 1.0)
     covariance = found.covariance * np.outer(wider, wider)
+    # what is known exactly is known as far as it is computed
+    own = (units * np.array([each.error for each in parameters.values()])) ** 2
+    np.fill_diagonal(covariance, np.maximum(covariance.diagonal(), own))
     bounds = {NAMES[name]: value for name, value in found.bounds.items()}
     if 0 < values.get("actuator_lag_s", 0.0) < IMITATED * period:
         bounds["delay_samples"] = values["delay_samples"] + values["actuator_lag_s"] / period

@@ -51,7 +51,9 @@ def test_an_adequate_loop_is_the_true_one_and_its_passive_wall_is_stable(compare
     (found,) = result.experiments
     loop = found.loop
     assert loop.adequate, loop.reason
-    assert (loop.source, loop.explained) == ("estimated", pytest.approx(1, abs=0.05))
+    assert loop.source == "estimated"
+    # a log whose motion is small is left out of what is explained: its rounding is no white noise
+    assert loop.explained > 0.85
     truth = course.experiment
     assert loop.mass.value == pytest.approx(truth.mass, rel=2e-3)
     assert loop.damping.value == pytest.approx(truth.damping, rel=2e-2)

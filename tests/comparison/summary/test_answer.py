@@ -48,13 +48,13 @@ def test_an_ideal_course_has_all_answers(result):
 
 
 def test_lines_stand_in_the_order_of_the_questions(result):
-    starts = ("Wall: K = ", "How sure: delay d 4", "Does theory predict it? Yes.", "Why not: ", "Measure next: ")
+    starts = ("Wall: K = ", "How sure: delay d 4", "Does theory predict it? Yes.", "What deviates: ", "Measure next: ")
     assert [line.startswith(start) for line, start in zip(result.summary, starts, strict=True)] == [True] * 5
     point = result.answer.wall
     assert f"K = {point.stiffness:g} N/m, B = {point.damping:g} Ns/m (experiment 1)" in result.summary[0]
     samples = point.costs["settle_2pct"]
     assert f"settling time (2 %) {samples:g} samples = {samples:g} ms" in result.summary[0]
-    assert f"stability limit {point.margin:.2g} × K" in result.summary[0]
+    assert f"stability limit at least {point.margin:.2g} × K" in result.summary[0]
 
 
 @pytest.mark.parametrize(("overlap", "code"), [(0.95, "yes"), (0.75, "no")])
@@ -146,7 +146,7 @@ def test_a_coarse_grid_is_said_as_such(data, result):
     found = told(data, result, [row(0.0, grid=2 * COARSE)])
     K = np.unique(data.experiments[0].column("response", "stiffness"))
     assert found.spacing_percent == pytest.approx(100 * (K[found.wall.stiffness < K][0] / found.wall.stiffness - 1))
-    assert "the optimum of theory lies between them" in answer_lines(result.model_copy(update={"answer": found}))[0]
+    assert "theory's optimum may lie between" in answer_lines(result.model_copy(update={"answer": found}))[0]
 
 
 def test_intervals_are_left_out_where_the_loop_does_not_hold(data, result):
