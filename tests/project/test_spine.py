@@ -188,7 +188,14 @@ def test_logs_without_a_baseline_give_reasons_and_no_crash(tmp_path):
     assert ingest([logs], tmp_path / "processed").ingested == 3
     outcome = compare("bare", tmp_path / "processed", report=tmp_path / "bare.html")
     (experiment,) = outcome.result.experiments
-    truth = {"mass": 0.58, "damping": 4.0, "delay_samples": 4, "constant_force": 0.0, "friction": 0.0}
+    truth = {
+        "mass": 0.58,
+        "damping": 4.0,
+        "delay_samples": 4,
+        "constant_force": 0.0,
+        "friction": 0.0,
+        "jitter_samples": 0.0,
+    }
     for name, estimate in experiment.estimates.items():
         if estimate.value is None:
             assert estimate.reason
