@@ -17,7 +17,6 @@ def verdicts(client):
     return {t["id"]: t["verdict"] for t in client.get("trials?limit=1000").content["items"]}
 
 
-@pytest.mark.xfail(reason="open: verdicts of other trials are missing for a while after an exclusion")
 def test_an_excluded_trial_is_used_for_nothing_until_it_is_used_again(three):
     before = verdicts(three)
     trial = three.get("trials?device=falcon&experiment=2").content["items"][0]["id"]
@@ -41,7 +40,6 @@ def test_an_excluded_trial_is_used_for_nothing_until_it_is_used_again(three):
     assert verdicts(three) == before
 
 
-@pytest.mark.xfail(reason="open: verdicts of other trials are missing for a while after an exclusion")
 def test_all_of_an_experiment(three):
     before = verdicts(three)
     browser, at = Browser(three), "/devices/new%20rig/experiments/1"

@@ -66,11 +66,14 @@ class Client:
         raise AssertionError(f"job {job} hangs: {found}")
 
     def all_done(self):
-        """Wait until no job is left; return all."""
-        jobs = self.get("jobs?limit=1000").content["items"]
-        for job in jobs:
-            self.done(job["id"])
-        return jobs
+        """Wait until no job is left, those that jobs have queued included; return all."""
+        while True:
+            jobs = self.get("jobs?limit=1000").content["items"]
+            left = [job["id"] for job in jobs if job["state"] in ("queued", "running")]
+            if not left:
+                return jobs
+            for job in left:
+                self.done(job)
 
     def upload(self, files, **fields):
         """Upload logs and wait until they are stored."""

@@ -12,6 +12,7 @@ import os
 import secrets
 import sys
 import threading
+import time
 from pathlib import Path
 
 from pipeline.base.errors import EXIT_ERROR, PipelineError
@@ -61,7 +62,7 @@ def work(settings: Settings, database: Database, owner: str, urgent: bool | None
 
     shown = database.job(job["id"])
     assert shown is not None, "jobs are never removed"
-    result, problem = None, None
+    result, problem, begun = None, None, time.time()
     with _Beats(database, job["id"], owner) as beats:
         try:
             result = KINDS[job["kind"]](settings, database, shown["request"], beats.say)
@@ -72,6 +73,9 @@ def work(settings: Settings, database: Database, owner: str, urgent: bool | None
             detail = f"A defect of the program; the server's log has the details of job {job['id']}."
             database.finish(job["id"], owner, problem={"title": "The job failed", "status": 500, "detail": detail})
             raise
+    if job["kind"] != "stages" and database.job_counts(f"kind = 'stages' AND created > {begun}"):
+        # it may have stored stages of the trials of before over those of now
+        database.add_job("stages", {}, "stages")
     database.finish(job["id"], owner, result, problem)
     return True
 
