@@ -26,7 +26,6 @@ def log_of(K: float, B: float, rows: int = 500, edge: int = 50, fine: int = 10) 
     return "\n".join(lines) + "\n"
 
 
-@pytest.mark.xfail(reason="open: the mass is not told where the delay is nothing")
 def test_a_delay_of_nothing_is_compared(tmp_path: Path) -> None:
     raw, processed = tmp_path / "raw", tmp_path / "processed"
     raw.mkdir()

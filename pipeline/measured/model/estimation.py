@@ -425,7 +425,9 @@ def begun(held: Stretches, names: tuple[str, ...], most_delay: float) -> Device:
     y = some.position
     behind = np.vstack([y[1:], y[-1:]])
     middle = np.where(np.vstack([some.valid[1:], np.zeros((1, len(some)), bool)]), 0.5 * (y + behind), y)
-    once = np.vstack([np.zeros((1, len(some))), np.cumsum(middle * dt, axis=0)[:-1]])
+    # from rest the way counts from there; else it is one of the unknown starts
+    way = middle - y[0] * some.rests
+    once = np.vstack([np.zeros((1, len(some))), np.cumsum(way * dt, axis=0)[:-1]])
     best: tuple[float, dict[str, float]] = (np.inf, {})
     for delay in np.arange(0.0, most_delay + 0.5) if "delay" in names else (0.0,):
         passage = Passage(some, Physics(delay=float(delay)))
@@ -442,7 +444,8 @@ def begun(held: Stretches, names: tuple[str, ...], most_delay: float) -> Device:
         columns = columns.transpose(1, 0, 2)
         columns = columns - q @ (q.transpose(0, 2, 1) @ columns)
         found, left = _robust(columns.transpose(0, 2, 1) @ columns)
-        if left < best[0]:
+        # late by half a period a swing is that of a force the other way round
+        if left < best[0] and found[list(known).index("gain")] > 0:
             best = left, dict(zip(known, found.tolist(), strict=True)) | {"delay": float(delay)}
     start_at = {"delta": 0.0, "force": 0.0, "lag": 0.5} | best[1]
     if not start_at.get("gain"):
