@@ -58,6 +58,7 @@ def stored(folder, profile, speed, u, time=None):
     return report, load_batch(folder / "processed", read_trials(folder / "processed"))
 
 
+@pytest.mark.xfail(reason="open: mass of one log of an encoder is not told")
 def test_the_difference_of_an_encoder_gives_its_positions_again(tmp_path):
     u, angle, _ = motor()
     read = np.floor(angle / QUANTUM) * QUANTUM

@@ -447,20 +447,25 @@ def begun(held: Stretches, names: tuple[str, ...], most_delay: float) -> Device:
         # late by half a period a swing is that of a force the other way round
         if left < best[0] and found[list(known).index("gain")] > 0:
             best = left, dict(zip(known, found.tolist(), strict=True)) | {"delay": float(delay)}
-    start_at = {"delta": 0.0, "force": 0.0, "lag": 0.5} | best[1]
+    start_at = {"delta": 0.0, "delay": 0.0, "force": 0.0, "lag": 0.5} | best[1]
     if not start_at.get("gain"):
         start_at["gain"] = 1e-3
     return Device({name: float(np.clip(start_at[name], *LIMITS.get(name, (-np.inf, np.inf)))) for name in names})
 
 
 def _robust(products: Floats) -> tuple[Floats, float]:
-    """Return least squares over stretches, and what is left; one that is left much more than most weighs little."""
+    """Return least squares over stretches, and what is left; one that is left much more than most weighs little.
+
+    A stretch tells by how far it moves: one that rests is left little by any device.
+    """
+    way = products[:, -1, -1] / products[:, -1, -1].sum()
     weight = np.ones(len(products))
     for _ in range(ROBUST_ROUNDS):
         total = (products * weight[:, None, None]).sum(axis=0)
         found = np.linalg.lstsq(total[:-1, :-1], total[:-1, -1], rcond=1e-12)[0]
         whole = np.append(-found, 1.0)
         left = np.maximum(np.einsum("i,tij,j->t", whole, products, whole), 1e-300)
-        middle = float(np.median(left))
+        order = np.argsort(left)
+        middle = float(left[order[np.searchsorted(np.cumsum(way[order]), 0.5)]])
         weight = middle / (middle + left)
-    return found, float(np.log(left).sum())
+    return found, float(way @ np.log(left))
