@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
 import pipeline
 
 M, DAMPER, T, STEP = 0.6, 4.0, 0.001, 2.0

@@ -447,10 +447,8 @@ def begun(held: Stretches, names: tuple[str, ...], most_delay: float) -> Device:
         # late by half a period a swing is that of a force the other way round
         if left < best[0] and found[list(known).index("gain")] > 0:
             best = left, dict(zip(known, found.tolist(), strict=True)) | {"delay": float(delay)}
-    start_at = {"lag": 0.5} | best[1]
-    if not start_at.get("gain"):
-        start_at["gain"] = 1e-3
-    return Device({name: float(np.clip(start_at.get(name, 0.0), *LIMITS.get(name, (-np.inf, np.inf)))) for name in names})
+    start_at = dict.fromkeys(names, 0.0) | {"gain": 1e-3, "lag": 0.5} | best[1]
+    return Device({name: float(np.clip(start_at[name], *LIMITS.get(name, (-np.inf, np.inf)))) for name in names})
 
 
 def _robust(products: Floats) -> tuple[Floats, float]:
