@@ -17,7 +17,7 @@ from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.loop_parts import Friction, LoopParts, Mode, VelocityFilter
 from pipeline.records.models import Device, Experiment
 from pipeline.simulation.setup import Setup
-from pipeline.simulation.simulate import age_in_force, simulate
+from pipeline.simulation.simulate import delays_of, simulate
 from pipeline.theory.limits import boundary, stabilises, stiffness_limit
 
 AT_LOAD = "mode at the load"
@@ -89,7 +89,6 @@ class LoopPoint:
 
     def behind(self, K: Floats, B: Floats, trial: Trial) -> TrialBatch:
         """Return the device behind walls, without noise and travel."""
-        earliest = round(max(self.delay_samples - age_in_force(range(trial.delays))[0], 0.0))
         setup = Setup(
             plant=Mechanism.of(self.mass, max(self.damping, 0.0), max(self.stiffness, 0.0), self.parts),
             sampling_period_s=self.sampling_period_s,
@@ -100,7 +99,7 @@ class LoopPoint:
             velocity=self.parts.velocity,
             force_gain=self.parts.force_gain,
             quantum=trial.quantum,
-            jitter_samples=tuple(range(earliest, earliest + trial.delays)) if trial.delays > 1 else (),
+            jitter_samples=delays_of(max(self.delay_samples, 0.0), trial.jitter),
         )
         hidden = setup.hidden.model_copy(update={"constant_force": self.force})
         return simulate(replace(setup, hidden=hidden), K, B)
@@ -123,7 +122,7 @@ class LoopPoint:
             the softest one is already. Friction can but raise a limit; jitter moves it either way.
         """
         linear = self.limit(damping)
-        least = linear if self.coulomb and trial.delays == 1 else 0.5 * linear
+        least = linear if self.coulomb and not trial.jitter else 0.5 * linear
         low, high = np.maximum(least, softest), linear + BEYOND * linear.max()
         begin, ends = low, high > low
         for _ in range(ROUNDS):
@@ -141,13 +140,13 @@ class LoopPoint:
 
 @dataclass(frozen=True)
 class Trial:
-    """A usual trial: its step F_0 [N, Nm], its rows from the step on, the sensor's quantum [m, rad], and how many
-    whole delays about the device's its commands draw from."""
+    """A usual trial: its step F_0 [N, Nm], its rows from the step on, the sensor's quantum [m, rad], and the standard
+    deviation of its delay [samples]."""
 
     step: float
     rows: int
     quantum: float = 0.0
-    delays: int = 1
+    jitter: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +211,7 @@ class FoundDevice:
         limit = self.point.limit(wall_damping)
         off = [np.abs([end.limit(wall_damping) - limit for end in both]).max(axis=0) for both in self.ends]
         reach = np.sqrt(np.sum(np.square(off), axis=0)) if off else np.zeros(len(wall_damping))
-        if trial is None or not (self.point.coulomb or trial.quantum or trial.delays > 1):
+        if trial is None or not (self.point.coulomb or trial.quantum or trial.jitter):
             return limit, reach
         own = self.point.step_limits(wall_damping, trial, np.broadcast_to(softest, limit.shape))
         if self.point.coulomb:

@@ -9,6 +9,7 @@ together; each has its own random streams, so batching changes no bit.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from math import floor, inf
 
 import numpy as np
@@ -23,6 +24,10 @@ from pipeline.simulation.setup import Setup
 
 DIGITS = 40
 """In which a filter is written in powers of 1/z: a low cut-off cancels many of them."""
+
+MOST_DELAYS, REPEATS = 9, 8
+"""Most delays of a sample apart that commands draw from, so that the age in force scatters by 1.6 samples; and how many
+times as likely as the others one of them may be."""
 
 START_MARGIN = 1.1
 """Smallest travel limit relative to the distance of the start: noise must not end a trial where it starts."""
@@ -186,6 +191,28 @@ def age_in_force(delays: Sequence[int]) -> tuple[float, float]:
     age = np.arange(len(likely))
     mean = float(likely @ age)
     return mean, float(np.sqrt(likely @ (age - mean) ** 2))
+
+
+def delays_of(age: float, jitter: float) -> tuple[int, ...]:
+    """Return whole delays, as likely, whose age in force comes nearest to a mean and a standard deviation [samples].
+
+    None where one delay for all comes nearer. An error of the mean counts four times that of the deviation: limits
+    follow the mean.
+    """
+    drawn, mean, deviation = _drawn()
+    first = np.maximum(np.rint(age - mean), 0)
+    off = 4 * np.abs(first + mean - age) + np.abs(deviation - jitter)
+    best = int(np.argmin(off))
+    return tuple(int(first[best]) + each for each in drawn[best]) if off[best] < jitter else ()
+
+
+@cache
+def _drawn() -> tuple[list[tuple[int, ...]], Floats, Floats]:
+    """Return delays from 0 on, one of them up to `REPEATS` times as likely, with mean and deviation of their age."""
+    every = [tuple(range(count)) for count in range(2, MOST_DELAYS + 1)]
+    every = [(*alike, *(one,) * more) for alike in every for one in alike for more in range(REPEATS)]
+    mean, deviation = np.array([age_in_force(drawn) for drawn in every]).T
+    return every, mean, deviation
 
 
 def _route(setup: Setup, delays: Integers | None) -> Callable[[int], Sequence[tuple[float, int | Integers]]]:

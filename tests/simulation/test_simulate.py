@@ -17,7 +17,7 @@ from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.records.loop_parts import SimulationParts
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
-from pipeline.simulation.simulate import age_in_force, in_force, simulate
+from pipeline.simulation.simulate import age_in_force, delays_of, in_force, simulate
 
 T = 0.001
 FALCON = setup_of(load_device("falcon"), load_device("falcon").experiments[0])
@@ -121,6 +121,15 @@ def test_moments_of_the_age_in_force_are_those_of_long_draws(delays) -> None:
     drawn = np.random.default_rng(1).choice(delays, (100_000, 1)).astype(np.int64)
     age = (np.arange(len(drawn)) - in_force(drawn)[:, 0])[100:]
     assert age_in_force(delays) == pytest.approx((age.mean(), age.std()), abs=0.02)
+
+
+@pytest.mark.parametrize("age", [0.0, 0.3, 1.5, 3.92, 7.25, 80.4])
+@pytest.mark.parametrize("jitter", [0.05, 0.3, 0.74, 1.2])
+def test_whole_delays_stand_for_any_mean_and_deviation_of_the_age(age, jitter) -> None:
+    delays = delays_of(age, jitter)
+    mean, deviation = age_in_force(delays) if delays else (age, 0.0)
+    assert mean == pytest.approx(age, abs=0.06)
+    assert deviation == pytest.approx(jitter, abs=0.12 if age > 1.2 * jitter and jitter > 0.5 else jitter)
 
 
 def felt_command(batch: TrialBatch, row: int, mass: float) -> float:

@@ -212,7 +212,7 @@ class _Experiment:
         )
         if device is not None:
             usual = usual_trial(self.result, stages)
-            alone = device.point.behind(batch.stiffness, batch.damping, replace(usual, quantum=0.0, delays=1))
+            alone = device.point.behind(batch.stiffness, batch.damping, replace(usual, quantum=0.0, jitter=0.0))
             for i in np.flatnonzero(found.edge_row >= 0).tolist():
                 edge, rest = int(found.edge_row[i]), found.position_start[i]
                 moved = alone.displacement[i, 1 : min(int(batch.rows[i]) - edge, int(alone.rows[i]) - 1) + 1]

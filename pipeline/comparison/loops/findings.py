@@ -102,7 +102,7 @@ def loop_findings(
         return findings.model_copy(update={"passive_reason": f"needs an adequate loop, and this one is not: {reason}"})
     held = told.stated is None and found is not None and "spring" in found.fitted.parts
     # a hand that is let go of takes its damping with it
-    refused = HELD if held else JITTERS if trial.delays > 1 else ""
+    refused = HELD if held else JITTERS if trial.jitter else ""
     wall, none = (None, refused) if refused else passive_wall(told, result)
     return findings.model_copy(update={"passive": wall, "passive_reason": none})
 

@@ -23,7 +23,6 @@ from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.results import ExperimentResult, LoopLimit, WallReplay
 from pipeline.rendering.labels import share_text, significant
-from pipeline.simulation.simulate import age_in_force
 
 MOST_WALLS = 150
 """Trials that are replayed, spread over the tested walls: a share of 95 % is then known to 2 %."""
@@ -32,9 +31,6 @@ FOLDS = 5
 
 QUANTILES = (-1.2816, -0.5244, 0.0, 0.5244, 1.2816)
 """Friction of each fold's trials, in standard deviations of its scatter: the middles of five equal shares."""
-
-MOST_DELAYS = 9
-"""Most delays of a sample apart that commands draw from; the age in force then scatters by 1.6 samples."""
 
 LOW = 0.25
 """Limit relative to the largest one below which none is compared in percent: at its ends a boundary tends to zero."""
@@ -46,13 +42,12 @@ TYPICAL = 1.4826
 def usual_trial(result: ExperimentResult, stages: ExperimentStages) -> Trial:
     """Return the usual trial of an experiment, with the jitter that its logs show, and a quantum that matters."""
     jitter, share = result.estimates.get("jitter_samples"), coarse(stages)
-    spread = (jitter.value or 0.0) if jitter is not None and (jitter.low or 0.0) > 0 else 0.0
     matters = len(share) and float(np.median(share)) > MATTERS
     return Trial(
         step=float(np.median(stages.step_sizes)),
         rows=int(np.median(stages.trials.column("rows").to_numpy())),
         quantum=float(np.nanmedian(stages.column("response", "sensor_quantum"))) if matters else 0.0,
-        delays=min(range(1, MOST_DELAYS + 1), key=lambda count: abs(age_in_force(range(count))[1] - spread)),
+        jitter=(jitter.value or 0.0) if jitter is not None and (jitter.low or 0.0) > 0 else 0.0,
     )
 
 
@@ -186,10 +181,11 @@ def with_large_motion(result: ExperimentResult, stages: ExperimentStages) -> Exp
     rubs = any(cause.code == "coulomb_friction" for cause in result.causes)
     if not rubs or found is None or not result.boundary:
         return result
-    linear = found.point.limit(np.array([point.damping for point in result.boundary])).tolist()
+    B = [point.damping for point in result.boundary]
+    linear = dict(zip(B, found.point.limit(np.array(B)).tolist(), strict=True))
+    linear |= {each.damping: each.stiffness_large_motion for each in result.loop_boundary or ()}
     points = tuple(
-        point.model_copy(update={"stiffness_large_motion": limit})
-        for point, limit in zip(result.boundary, linear, strict=True)
+        point.model_copy(update={"stiffness_large_motion": linear[point.damping]}) for point in result.boundary
     )
     result = result.model_copy(update={"boundary": points})
     if (use := result.use) is None:

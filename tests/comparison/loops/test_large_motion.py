@@ -38,10 +38,9 @@ def test_the_limit_for_a_step_depends_on_the_share_of_friction_alone():
 def test_a_linear_device_has_its_linear_limit_for_every_step_and_jitter_moves_it():
     plain = replace(DEVICE, parts=LoopParts())
     assert of_step(8.0, plain) == pytest.approx(LINEAR, rel=0.01)
-    # commands never overtake each other: the newest of three delays acts, which is earlier than their mean
-    early = replace(plain, delay_samples=DELAY - 1).limit(B)
-    jitters = of_step(8.0, plain, delays=3)
-    assert ((jitters > 1.02 * LINEAR) & (jitters < early)).all()
+    # a command in force whose age scatters about the same mean moves it by little, a mean of a tenth less by more
+    jitters, early = of_step(8.0, plain, jitter=0.5), replace(plain, delay_samples=0.9 * DELAY).limit(B)
+    assert ((jitters != plain.limit(B)) & (abs(jitters / LINEAR - 1) < 0.04) & (early > 1.04 * LINEAR)).all()
 
 
 def test_a_second_simulator_says_the_same_of_walls_beside_the_limit():
@@ -61,7 +60,6 @@ def test_a_second_simulator_says_the_same_of_walls_beside_the_limit():
         assert (swing > before) == grows
 
 
-@pytest.mark.xfail(reason="open: limits with stiction are 12 to 22 % off")
 def test_a_course_with_friction_tells_both_limits(sticky_outcome):
     (result,) = sticky_outcome.result.experiments
     limits = {each.damping: each for each in result.loop_boundary}
