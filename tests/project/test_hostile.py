@@ -24,7 +24,7 @@ from places import ROOT
 from pipeline.base.errors import CURES, LogError, ProfileError, UsageError
 from pipeline.base.paths import open_regular, path_of_text, path_text, storable
 from pipeline.intake.ingest import ingest
-from pipeline.intake.quarantine import LONGEST_SHOWN, excerpt_of, list_quarantine
+from pipeline.intake.quarantine import list_quarantine
 from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import load_profile
 from pipeline.readers import mapping
@@ -450,29 +450,11 @@ def test_the_record_names_code_place_and_remedy(logs, processed, store, lab, cap
     assert 'profile: missing = ["--"]' in out
     _, out = call(capsys, "quarantine", logs / "a.csv", "--processed", processed)
     assert '\n    missing = ["--"]\n' in out
-    assert ">      3  1,1,--\n" in out
     for arguments in ((), (logs / "a.csv",)):
         _, out = call(capsys, "quarantine", *arguments, "--processed", processed, "--json")
         document = json.loads(out)
         shown = document[0] if isinstance(document, list) else document
         assert shown | record == shown
-    assert shown["excerpt"] == [[1, "t,F,x"], [2, "0,0,0"], [3, "1,1,--"], [4, "2,1,\\x1b[2J1"]]
-
-
-@pytest.mark.parametrize(
-    ("encoding", "end"), [("utf-8", "\r\n"), ("utf-8", "\r"), ("latin-1", "\n"), ("utf-16", "\r\n")]
-)
-@pytest.mark.parametrize("pack", [bytes, gzip.compress])
-def test_lines_around_the_row_are_shown_short(logs, processed, store, encoding, end, pack):
-    lines = ["Zeit;Prüf", *(f"{k};{k}" for k in range(6)), "9" * 100_000]
-    (logs / "a.csv").write_bytes(pack(end.join(lines).encode(encoding)))
-    store(logs)
-    (record,) = list_quarantine(processed)
-    for row in (None, 2, 7, 8):
-        shown = excerpt_of(record.model_copy(update={"row": row}))
-        at = row or 1
-        expected = [(k, lines[k - 1][:LONGEST_SHOWN]) for k in range(max(at - 3, 1), min(at + 3, 8) + 1)]
-        assert shown == expected
 
 
 CLAIMS = ROOT / "tests" / "support" / "false_claims.py"
