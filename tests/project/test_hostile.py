@@ -336,7 +336,7 @@ def test_limits_of_native_logs():
     profile = load_profile("native")
 
     def refusal(text):
-        ((outcome),) = native.read(profile, [native.RawLog(("log.csv",), (text.encode(),))], False)
+        ((outcome),) = native.read(profile, [native.RawLog(("log.csv",), (text.encode(),))])
         return outcome.code, outcome.row
 
     assert refusal("# remark: " + "x" * 100_000 + "\n" + GOOD)[0] == "header-missing"
@@ -346,7 +346,7 @@ def test_limits_of_native_logs():
     lines[150_000] = "1,2\n"
     assert refusal(GOOD + "".join(lines)) == ("row-length", 41 + 150_000)
     lines[150_000] = "+150001,0,0\n"
-    (((log,),)) = native.read(profile, [native.RawLog(("log.csv",), ((GOOD + "".join(lines)).encode(),))], False)
+    (((log,),)) = native.read(profile, [native.RawLog(("log.csv",), ((GOOD + "".join(lines)).encode(),))])
     assert log.time[[30, 150_030, -1]].tolist() == [1, 150_001, 199_999]
 
 
@@ -376,7 +376,7 @@ def test_long_runs_of_one_sign_take_no_time(lab, run):
             read_file(profile.model_copy(update=layout), ("log",), (text.encode(),))
     header = run * (10_000 // len(run))
     for text in (f"{GOOD}1,{long}x,0\n", f"# stiffness{header}x\n{GOOD}", GOOD.replace("none", f"none{header}x")):
-        ((outcome),) = native.read(load_profile("native"), [native.RawLog(("log",), (text.encode(),))], False)
+        ((outcome),) = native.read(load_profile("native"), [native.RawLog(("log",), (text.encode(),))])
         assert outcome
     header_of = f"1{header}("
     with contextlib.suppress(LogError):
