@@ -1,4 +1,4 @@
-"""Make the gallery in `theory.md` (``make docs``): figures of reports of simulated devices, and those of scripts.
+"""Make the gallery in `theory.md` (``make docs``): figures of scripts.
 
     python docs/make_gallery.py [figure_3_06 ...]
 
@@ -11,10 +11,7 @@ import ast
 import os
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
-
-from pipeline.shell.cli import run
 
 PAGE = Path(__file__).with_name("theory.md")
 SECTION = "## Gallery"
@@ -22,48 +19,6 @@ IMAGES = Path(__file__).parent / "img" / "gallery"
 SCRIPTS = sorted((Path(__file__).parent / "gallery").glob("figure_*.py"))
 CHAPTERS = {"3": "Stability", "4": "Passivity", "5": "Control design"}
 """Chapters of the thesis with data figures of theory."""
-
-COURSES = {"falcon-real": ("1", "4", "7"), "lwr": ("delay-2", "2", "7")}
-"""Experiment, coarseness and seed of the simulated course of each device."""
-
-SHOWN = {
-    ("falcon-real", "boundaries-answer-0"): (
-        "Where a device is stable, and which walls to use",
-        "Measured limits lie above a theory without friction.",
-    ),
-    ("falcon-real", "first-response-0"): ("One response", "A wall that rings, and its rest."),
-    ("lwr", "boundaries-answer-0"): (
-        "A light-weight robot behind two samples of delay",
-        "Without friction limits and theory agree.",
-    ),
-    ("falcon-real", "experiment-1-overshoot-0"): ("Overshoot over all walls", "By theory."),
-    ("falcon-real", "experiment-1-overshoot-1"): ("The same, measured", "From logs alone."),
-}
-"""Figures by device and name of their file, with heading and caption."""
-
-
-def command(*words: str) -> None:
-    """Run a command of the package, which must succeed."""
-    try:
-        run(words)
-    except SystemExit as leaving:
-        if leaving.code:
-            raise
-
-
-def compared() -> None:
-    """Simulate the courses, compare them, and keep the figures."""
-    with tempfile.TemporaryDirectory() as name:
-        for device, (experiment, coarsen, seed) in COURSES.items():
-            raw, store = f"{name}/raw", f"{name}/processed"
-            course = ("--experiment", experiment, "--coarsen", coarsen, "--seed", seed, "--out", raw)
-            command("simulate", device, *course)
-            command("ingest", raw, "--processed", store)
-            places = ("--report", f"{name}/{device}.html", "--figures", f"{name}/{device}")
-            command("compare", "--device", device, "--processed", store, *places)
-        for device, figure in SHOWN:
-            text = (Path(name) / device / f"{figure}.svg").read_text(encoding="utf-8")
-            (IMAGES / f"{device}-{figure}.svg").write_text(text, encoding="utf-8")
 
 
 def drawn(script: Path) -> None:
@@ -73,7 +28,7 @@ def drawn(script: Path) -> None:
 
 
 def gallery() -> str:
-    """Return the section: figures of scripts with their source, which begins with the caption, and of reports."""
+    """Return the section: figures of scripts with their source, which begins with the caption."""
     lines = [
         SECTION,
         "",
@@ -89,24 +44,14 @@ def gallery() -> str:
                 tree = ast.parse(script.read_text(encoding="utf-8"))
                 title = (ast.get_docstring(tree) or "").partition("\n")[0]
                 number = f"Figure {of}.{int(figure)}"
-                lines += [f"#### {number}: {title}", "", f"![{number}](img/gallery/{script.stem}.svg)", ""]
+                lines += [f"#### {number}: {title}", "", f"![{number.split()[1]}](img/gallery/{script.stem}.svg)", ""]
                 lines += [f"```{{literalinclude}} gallery/{script.name}", "```", ""]
-    lines += [
-        "### In reports",
-        "",
-        "As `pipeline compare --figures DIR` writes them; the devices are simulated.",
-        "",
-    ]
-    for (device, figure), (title, caption) in SHOWN.items():
-        lines += [f"#### {title}", "", f"![{title}](img/gallery/{device}-{figure}.svg)", "", caption, ""]
     return "\n".join(lines).rstrip() + "\n"
 
 
 def main() -> None:
     """Draw all figures, or those of some scripts, and replace the section."""
     IMAGES.mkdir(parents=True, exist_ok=True)
-    if len(sys.argv) == 1:
-        compared()
     for script in SCRIPTS:
         if len(sys.argv) == 1 or script.stem in sys.argv[1:]:
             drawn(script)

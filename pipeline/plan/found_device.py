@@ -87,8 +87,8 @@ class LoopPoint:
         damping = max(0.0, boundary(loop, OUTLINE).beta_at_alpha_max) if stabilises(loop) else 0.0
         return damping * self.units.damping
 
-    def behind(self, K: Floats, B: Floats, trial: Trial) -> TrialBatch:
-        """Return the device behind walls, without noise and travel."""
+    def behind(self, K: Floats, B: Floats, trial: Trial, repetition: int = 0) -> TrialBatch:
+        """Return the device behind walls, without noise and travel; a repetition has another jitter."""
         setup = Setup(
             plant=Mechanism.of(self.mass, max(self.damping, 0.0), max(self.stiffness, 0.0), self.parts),
             sampling_period_s=self.sampling_period_s,
@@ -102,7 +102,7 @@ class LoopPoint:
             jitter_samples=delays_of(max(self.delay_samples, 0.0), trial.jitter),
         )
         hidden = setup.hidden.model_copy(update={"constant_force": self.force})
-        return simulate(replace(setup, hidden=hidden), K, B)
+        return simulate(replace(setup, hidden=hidden), K, B, repetition=repetition)
 
     def step_limits(self, damping: Floats, trial: Trial, softest: Floats) -> Floats:
         """Return the wall at each damping from which on a step makes it unstable, by simulation [N/m, Nm/rad].

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -81,15 +81,7 @@ class Design:
     def document(self) -> dict[str, Any]:
         """Return all as one JSON document."""
         rows = self.sensitivities.astype(object).where(self.sensitivities.notna(), None)
-        return {
-            "wish": asdict(self.wish),
-            "reached": self.reached,
-            "wall": self.wall,
-            "stiffness_reached": self.stiffness_reached,
-            "changes": [asdict(change) for change in self.changes],
-            "out_of_reach": self.out_of_reach,
-            "sensitivities": rows.to_dict("records"),
-        }
+        return asdict(self) | {"sensitivities": rows.to_dict("records")}
 
 
 def design(
@@ -163,20 +155,25 @@ def _stiffness_reached(loop: Loop, wish: Wish, best: Best) -> float | None:
     if wanted is None:
         return best.stiffness if best.room >= 0 else None
     upward = best.room >= 0
+    ends = [(1 if upward else -1) * math.log(100.0) * i / (2 * _LOOKS) for i in range(1, 2 * _LOOKS + 1)]
+    turn = _turn(lambda x: (best_wall(loop, replace(wish, stiffness=wanted * math.exp(x))).room >= 0) != upward, ends)
+    if turn is None:
+        return wanted * 100.0 if upward else None
+    return wanted * math.exp(turn[0 if upward else 1])
 
-    def holds(x: float) -> bool:
-        return best_wall(loop, replace(wish, stiffness=wanted * math.exp(x))).room >= 0
 
-    step = math.log(100.0) / (2 * _LOOKS)
-    for i in range(1, 2 * _LOOKS + 1):
-        x = i * step if upward else -i * step
-        if holds(x) != upward:
-            within, beyond = (x - step, x) if upward else (x, x + step)
+def _turn(turned: Callable[[float], bool], looks: Sequence[float]) -> tuple[float, float] | None:
+    """Return the narrowed ends, before and behind, of where something has turned that has not at 0; None where it has
+    at no look."""
+    before = 0.0
+    for behind in looks:
+        if turned(behind):
             for _ in range(_HALVINGS):
-                middle = 0.5 * (within + beyond)
-                within, beyond = (middle, beyond) if holds(middle) else (within, middle)
-            return wanted * math.exp(within)
-    return wanted * 100.0 if upward else None
+                middle = 0.5 * (before + behind)
+                before, behind = (before, middle) if turned(middle) else (middle, behind)
+            return before, behind
+        before = behind
+    return None
 
 
 def _room_of(loop: Loop, wish: Wish, quantities: Sequence[Quantity], x: Sequence[float]) -> float:
@@ -224,20 +221,9 @@ def _smallest(
     loop: Loop, wish: Wish, quantities: Sequence[Quantity], way: Sequence[float], reach: float
 ) -> float | None:
     """Return the smallest change along a way in ln that reaches the wish, None where none does."""
-
-    def holds(size: float) -> bool:
-        return _room_of(loop, wish, quantities, [size * part for part in way]) >= 0
-
-    before = 0.0
-    for size in reach * (np.arange(1, _LOOKS + 1) / _LOOKS) ** 2:
-        if holds(float(size)):
-            low, high = before, float(size)
-            for _ in range(_HALVINGS):
-                middle = 0.5 * (low + high)
-                low, high = (low, middle) if holds(middle) else (middle, high)
-            return high
-        before = float(size)
-    return None
+    looks = reach * (np.arange(1, _LOOKS + 1) / _LOOKS) ** 2
+    turn = _turn(lambda size: _room_of(loop, wish, quantities, [size * part for part in way]) >= 0, looks.tolist())
+    return None if turn is None else turn[1]
 
 
 def _change(loop: Loop, wish: Wish, quantities: Sequence[Quantity], x: Sequence[float]) -> Change:
@@ -255,10 +241,7 @@ def _change(loop: Loop, wish: Wish, quantities: Sequence[Quantity], x: Sequence[
 
 def _sensitivities(loop: Loop, quantities: Sequence[Quantity], best: Best) -> pd.DataFrame:
     """Return how the largest stable stiffness, and the settling time of the nearest wall, follow each quantity."""
-    return pd.DataFrame(list(_rows(loop, quantities, best)))
-
-
-def _rows(loop: Loop, quantities: Sequence[Quantity], best: Best) -> Iterator[Mapping[str, object]]:
+    rows = []
     largest = float(loop.boundary(16).attrs["stiffness_max"])
     for quantity in quantities:
         sides = [quantity.changed(loop, sign * _DIFFERENCE) for sign in (-1, 1)]
@@ -270,7 +253,7 @@ def _rows(loop: Loop, quantities: Sequence[Quantity], best: Best) -> Iterator[Ma
         ]
         values = [quantity.read(side) or 0.0 for side in sides]
         rise = math.log(limits[1] / limits[0]) / (2 * _DIFFERENCE)
-        yield {
+        row = {
             "quantity": quantity.name,
             "value": quantity.read(loop) or 0.0,
             "unit": quantity.unit(loop),
@@ -279,3 +262,5 @@ def _rows(loop: Loop, quantities: Sequence[Quantity], best: Best) -> Iterator[Ma
             "settling_percent": math.log(settling[1] / settling[0]) / (2 * _DIFFERENCE),
             "stiffness_max": largest,
         }
+        rows.append(row)
+    return pd.DataFrame(rows)

@@ -137,20 +137,13 @@ def run_course(
     """
     if coarsen < 1:
         raise ParameterError(f"coarsen = {coarsen}: expected 1 (every trial) or a larger whole number.")
-    if duration_s is not None and not 0 < duration_s < inf:
-        raise ParameterError(f"duration = {duration_s} s: expected a positive, finite length of a trial.")
-    longest_s = LONGEST_TRIAL * device.sampling_period_s
-    if duration_s is not None and duration_s > longest_s:
-        raise ParameterError(f"duration = {duration_s} s: expected at most {longest_s:g} s ({LONGEST_TRIAL} samples).")
     conditions = find_experiment(device, experiment)
-    setup = setup_of(device, conditions)
-    setup = idealise(setup) if ideal else setup
+    setup = _setup(device, conditions, duration_s, ideal=ideal)
     setup = replace(
         setup,
         quantum=setup.quantum if quantum is None else quantum,
         noise=setup.noise if noise is None else noise,
         jitter_samples=setup.jitter_samples if jitter is None else tuple(jitter),
-        rows=setup.rows if duration_s is None else round(duration_s / setup.sampling_period_s),
     )
     stream = f"{device.name}/{conditions.name}"
 
@@ -177,6 +170,19 @@ def run_course(
     batch, passes, verdict = climb.result(last)
     names = tuple(map(_log_name, batch.stiffness, batch.damping, passes))
     return Course(device, conditions, setup, seed, replace(batch, trial_id=names), passes, verdict)
+
+
+def _setup(device: Device, conditions: Experiment, duration_s: float | None, *, ideal: bool) -> Setup:
+    setup = setup_of(device, conditions)
+    setup = idealise(setup) if ideal else setup
+    if duration_s is None:
+        return setup
+    longest_s = LONGEST_TRIAL * device.sampling_period_s
+    if not 0 < duration_s < inf:
+        raise ParameterError(f"duration = {duration_s} s: expected a positive, finite length of a trial.")
+    if duration_s > longest_s:
+        raise ParameterError(f"duration = {duration_s} s: expected at most {longest_s:g} s ({LONGEST_TRIAL} samples).")
+    return replace(setup, rows=round(duration_s / setup.sampling_period_s))
 
 
 def _log_name(stiffness: float, damping: float, number: int) -> str:

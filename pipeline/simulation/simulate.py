@@ -75,14 +75,9 @@ def simulate(
     Source: Hulin 2017, sec. 3.1 and 6.1.1, eq. 6.1.
     """
     K, B = np.asarray(stiffness, dtype=np.float64), np.asarray(damping, dtype=np.float64)
-    if not (np.isfinite(K).all() and np.isfinite(B).all() and (K >= 0).all()):
-        raise ParameterError("simulated stiffness must be finite and not negative, damping finite.")
-    if seed < 0:
-        raise ParameterError(f"seed {seed}: expected 0 or a positive whole number.")
+    _check(setup, K, B, seed, disturbance)
     trials, T = len(K), setup.sampling_period_s
     start = setup.centre - setup.step * np.divide(1.0, K, out=np.zeros(trials), where=K > 0)  # eq. 6.1
-    if disturbance is not None and disturbance.shape != (setup.rows, trials):
-        raise ParameterError(f"disturbance of shape {disturbance.shape}: expected (rows, n) = {(setup.rows, trials)}.")
     chance = draw(setup, Streams(seed, stream, K, B, repetition))
     route = _route(setup, chance.delays)
     farthest = START_MARGIN * np.abs(start - setup.centre)
@@ -133,6 +128,15 @@ def simulate(
     if setup.hidden.clipped_command_logged:
         command = np.clip(command, -limit, limit)
     return _logged(setup, (K, B), rows, command[1:], position, chance)
+
+
+def _check(setup: Setup, K: Floats, B: Floats, seed: int, disturbance: Floats | None) -> None:
+    if not (np.isfinite(K).all() and np.isfinite(B).all() and (K >= 0).all()):
+        raise ParameterError("simulated stiffness must be finite and not negative, damping finite.")
+    if seed < 0:
+        raise ParameterError(f"seed {seed}: expected 0 or a positive whole number.")
+    if disturbance is not None and disturbance.shape != (expected := (setup.rows, len(K))):
+        raise ParameterError(f"disturbance of shape {disturbance.shape}: expected (rows, n) = {expected}.")
 
 
 def external_force(setup: Setup) -> Floats:

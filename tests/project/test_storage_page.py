@@ -3,7 +3,6 @@
 import re
 from pathlib import Path
 
-import pyarrow.parquet as pq
 import pytest
 from native_logs import log_text
 from places import ROOT
@@ -32,17 +31,14 @@ def test_examples_read_what_is_stored(block, tmp_path, monkeypatch):
     if "unit" in names:
         assert names["unit"] == "m"
         assert dict(zip(names["trials"].column("trial_id").to_pylist(), names["peak"], strict=True)) == peaks
-    elif "copy" in names:
-        copies = [pq.read_table(file) for file in Path("for_matlab").rglob("*.parquet")]
-        assert sum(copy.num_rows for copy in copies) == batch.rows.sum()
-        assert len(copies) == 3
     elif "pl" in names:
         assert dict(table.select("trial_id", "peak").iter_rows()) == peaks
     else:
         assert dict(zip(table["trial_id"], table["peak"], strict=True)) == peaks
         assert sorted(table["stiffness"]) == [0.0, 100.0, 200.0]
+        assert "pd" not in names or len(names["samples"]) == batch.rows.sum()
 
 
 def test_each_way_is_shown():
-    for word in ("pandas", "polars", "duckdb", "pyarrow", "parquetread"):
-        assert any(word in block for block in (*BLOCKS, *re.findall(r"```matlab\n(.*?)```", PAGE, re.DOTALL)))
+    for word in ("pandas", "polars", "duckdb", "pyarrow"):
+        assert any(word in block for block in BLOCKS)

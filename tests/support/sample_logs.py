@@ -30,17 +30,6 @@ def matlab() -> None:
     savemat("wall.mat", {"log": log, "K": 300.0})
 
 
-def hdf5() -> None:
-    import h5py
-
-    with h5py.File("rig.h5", "w") as file:
-        file.attrs["K"] = 300.0
-        file["arm/t"] = 1e3 * TIME_S
-        file["arm/t"].attrs["unit"] = "ms"
-        file["arm/tau"] = FORCE
-        file["arm/q"] = np.stack([POSITION_MM, np.full(3, 5.0)], axis=1)
-
-
 def bag() -> None:
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
@@ -57,25 +46,5 @@ def bag() -> None:
             writer.write(topic, 10**9 * 1700000000 + 1_000_000 * k, packed)
 
 
-def tdms() -> None:
-    from nptdms import ChannelObject, TdmsWriter
-
-    timing = {"wf_increment": 0.001, "wf_start_offset": 0.0, "unit_string": "N"}
-    with TdmsWriter("bench.tdms") as writer:
-        channels = {"force": FORCE, "position": POSITION_MM}
-        writer.write_segment([ChannelObject("rig", name, values, timing) for name, values in channels.items()])
-
-
-def mdf() -> None:
-    from asammdf import MDF, Signal
-
-    signals = {"F": (FORCE, "N"), "x": (POSITION_MM, "mm")}
-    with MDF(version="4.10") as file:
-        file.append([Signal(values, TIME_S, name=name, unit=unit) for name, (values, unit) in signals.items()])
-        file.save("bench.mf4")
-
-
-WRITERS: dict[str, Callable[[], None]] = {
-    f"{writer.__name__}.toml": writer for writer in (parquet, matlab, hdf5, bag, tdms, mdf)
-}
+WRITERS: dict[str, Callable[[], None]] = {f"{writer.__name__}.toml": writer for writer in (parquet, matlab, bag)}
 """What writes the sample that a profile of docs/logs.md reads, by the file of the profile."""

@@ -29,6 +29,9 @@ MOST_WALLS = 150
 
 FOLDS = 5
 
+REPEATS = 4
+"""Runs of a device with jitter behind each wall, which must agree on a verdict for it to be one."""
+
 QUANTILES = (-1.2816, -0.5244, 0.0, 0.5244, 1.2816)
 """Friction of each fold's trials, in standard deviations of its scatter: the middles of five equal shares."""
 
@@ -83,7 +86,7 @@ def wall_replay(
     -----
     The walls of a fold are simulated with the device that the other folds tell, its friction drawn from its scatter.
     Verdicts are compared where the log and the simulated one are decided. Walls within the interval of a measured limit
-    are left out: a device with jitter or friction gives another verdict there from run to run.
+    are left out, and those at which the device itself gives another verdict from run to run, as jitter makes it.
     """
     K, B = (stages.column("response", name) for name in ("stiffness", "damping"))
     verdict = stages.verdicts.verdict
@@ -97,17 +100,19 @@ def wall_replay(
     # the fold in which a fit left a trial out, or the next in turn where none used it
     fold = np.array([place.get(ids[i], number) % FOLDS for number, i in enumerate(chosen)])
     said, fits, costs = np.empty(len(chosen), dtype="<U9"), np.full(len(chosen), np.nan), np.full(len(chosen), np.nan)
+    repeats = REPEATS if trial.jitter else 1
     logged = dict(pair for part in stages.of_each(motions, chosen=[ids[i] for i in chosen]) for pair in part)
     for number, point in enumerate(_without_each_fold(found)):
         some = np.flatnonzero(fold == number)
         if not len(some):
             continue
-        batch = point.behind(K[chosen[some]], B[chosen[some]], trial)
+        batch, *others = (point.behind(K[chosen[some]], B[chosen[some]], trial, run) for run in range(repeats))
         # a spring that holds the device lets it rest at x_0 + F_0/(K + k)
         batch = replace(batch, stiffness=batch.stiffness + max(point.stiffness, 0.0))
         response = find_response(batch)
         verdicts = judge(batch, response)
-        said[some] = verdicts.verdict
+        same = np.all([judge(other).verdict == verdicts.verdict for other in others], axis=0)
+        said[some] = np.where(same, verdicts.verdict, "undecided")
         fits[some] = [_fit(logged[ids[chosen[i]]], batch, row) for row, i in enumerate(some)]
         costs[some] = settling(batch, response, verdicts, int(max(point.delay_samples, 0.0)))["settle_2pct"].value
     stable = (verdict[chosen] == "stable") & (said == "stable")

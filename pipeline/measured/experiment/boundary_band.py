@@ -61,8 +61,8 @@ LARGEST_CONDITION = 1e10
 
 
 WITNESSES = 2
-"""Surely stable trials above an undecided one that outvote it: a motion that sinks below the sensor's floor before a
-mode has grown makes one stiff trial look stable."""
+"""Trials that say the same at a stiffness or beyond, from which on it is believed although each may err: with jitter
+one decided verdict in 100 is another in the next run. As many stable ones outvote an undecided one below."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,11 +126,11 @@ def boundary_band(
 
     The interval is cut to what the verdicts allow: from the stiffest stable trial below all unstable ones to the
     softest unstable one above all stable ones, so that repeated trials that disagree widen it, and undecided ones do
-    that `WITNESSES` stiffer ones do not outvote. Verdicts within `CONCLUSIVE` standard errors of zero growth, and those
-    that the sign of the growth contradicts, are not counted. Where the scatter of the rates cannot be told, as with two
-    of them, the allowed range is the interval and the interpolation of two rates, or the middle of what verdicts
-    bracket, the value; a zero outside of it widens it. The limit can therefore lie outside ``stable`` and ``unstable``,
-    which are plain counts of verdicts.
+    that `WITNESSES` stiffer ones do not outvote. Verdicts within `CONCLUSIVE` standard errors of zero growth that
+    fewer than `WITNESSES` share, and those that the sign of the growth contradicts, are not counted. Where the scatter
+    of the rates cannot be told, as with two of them, the allowed range is the interval and the interpolation of two
+    rates, or the middle of what verdicts bracket, the value; a zero outside of it widens it. The limit can therefore
+    lie outside ``stable`` and ``unstable``, which are plain counts of verdicts.
 
     The limit is that of walls with K >= 0. With jitter of the delay it is the limit of the jittering loop, which is
     not that of its mean delay.
@@ -160,7 +160,10 @@ def boundary_band(
     told = np.isfinite(reach) & (found.zero + reach >= low) & (found.zero - reach <= high)
     # what may grow below the zero is another mode than the one that grows there
     told &= ~(_may_grow(columns, scatter) & (columns.stiffness < (found.zero - reach)[:, None])).any(axis=1)
+    between = np.isfinite(columns.growth) & (columns.stiffness >= low[:, None]) & (columns.stiffness <= high[:, None])
     interpolated = np.isnan(reach) & (found.zero >= low) & (found.zero <= high)
+    # of more rates than two an interpolation would pick any two; a range that begins at 0 has no middle
+    interpolated &= (between.sum(axis=1) <= 2) | (low == 0)
     # rates that contradict the verdicts: a mode that grows below the sensor's floor beside one that dies away
     apart = ~told & ~interpolated
     low, high = (np.where(apart, end(limit, centre), limit) for end, limit in ((np.fmin, low), (np.fmax, high)))
@@ -227,8 +230,8 @@ def _allowed(c: _Columns, scatter: Floats) -> tuple[Floats, Floats]:
     doubt = np.nan_to_num(CONCLUSIVE * scatter)[:, None]
     grows = _may_grow(c, scatter)
     plain = np.isnan(c.growth) & (np.isnan(scatter) & ~grows.any(axis=1))[:, None]
-    stable = c.stable & (plain | (c.growth < -doubt))
-    unstable = c.unstable & (plain | (c.growth > doubt))
+    stable = c.stable & (plain | (c.growth < -doubt) | _witnessed(c.stiffness, c.stable & (c.growth < 0)))
+    unstable = c.unstable & (plain | (c.growth > doubt) | _witnessed(-c.stiffness, c.unstable & (c.growth > 0)))
     softest = np.where(unstable | grows, c.stiffness, np.inf).min(axis=1)
     stiffest = np.where(stable, c.stiffness, 0.0).max(axis=1)
     low = np.where(stable & (c.stiffness < softest[:, None]), c.stiffness, 0.0).max(axis=1)
@@ -279,6 +282,13 @@ def _outvoted(c: _Columns, sure: Booleans) -> Floats:
     """Return the stiffness of each damping above which fewer than `WITNESSES` trials are surely stable."""
     found: Floats = np.sort(np.where(sure, c.stiffness, 0.0), axis=1)[:, -WITNESSES:]
     return found[:, 0] if found.shape[1] == WITNESSES else np.zeros(len(found))
+
+
+def _witnessed(stiffness: Floats, said: Booleans) -> Booleans:
+    """Tell of each trial whether `WITNESSES` that say the same stand at its stiffness or beyond, itself one."""
+    far = np.sort(np.where(said, stiffness, -np.inf), axis=1)[:, -WITNESSES:]
+    found: Booleans = said & (stiffness <= far[:, :1]) & (far.shape[1] == WITNESSES)
+    return found
 
 
 def _pooled(scatter: Floats) -> Floats:

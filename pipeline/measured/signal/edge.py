@@ -41,6 +41,25 @@ LISTED_STEPS = 6
 """Steps that a reason lists."""
 
 
+NEVER = (
+    "no command edge: command plus wall force never stays above half the step ({step:g}) for {samples} rows; check "
+    "step, stiffness and damping in the log's header"
+)
+NO_BASELINE = (
+    "no baseline, the step is already there in row 0: the command edge is not identifiable; record at least one row "
+    "before the step"
+)
+OTHER_COMMAND = (
+    "no command edge: command plus wall force reaches half the step ({step:g}) in row {row}, but the command itself "
+    "has not; check the units, the step, and that it is the total command"
+)
+AGAINST = (
+    "no command edge: command plus wall force first jumps against the step ({step:g}), in row {row}; check the sign of "
+    "command, position and step"
+)
+"""Why a log has no edge."""
+
+
 @dataclass(frozen=True, eq=False)
 class Edges:
     """Row of the command edge (-1 for none), level before it, number of steps, and why there is no edge, shape (n,)."""
@@ -82,54 +101,44 @@ def find_edges(batch: TrialBatch, samples: int = EDGE_SAMPLES) -> Edges:
     first, found = _first_run(towards > half, samples)
     opposite, against = _first_run(towards < -half, samples)
     against &= opposite < first
-    # where the command has a wrong unit or is another signal, the wall force alone crosses half the step, only later;
-    # a chatter before the step may be larger than it, of either sign
-    column, command = np.arange(external.shape[1])[None, :], np.nan_to_num(np.abs(batch.command))
-    early = column < first[:, None] + samples
-    # of a slow ramp the wall takes before it reaches half the step; what stays on its level while the command still
-    # moves is no wall force either
-    off = batch.valid & ~(np.abs(towards - 2 * half) <= 2 * LEVEL * half)
-    behind = batch.valid & (column > np.max(np.where(off, column, -1), axis=1, initial=-1)[:, None])
-    moves = np.any(((command > half) & early) | ((command > 2 * MOVES * half) & behind), axis=1, keepdims=True)[:, 0]
+    moves = _moves(batch, towards, half, first + samples)
     row = np.where(found & (first > 0) & moves & ~against, first, NO_ROW).astype(np.int64)
     level, count = np.zeros(len(batch)), np.zeros(len(batch), dtype=np.int64)
     reasons = []
     for i, step in enumerate(batch.step.tolist()):
-        reason = ""
-        force = external[i, : batch.rows[i]]
+        force, reason = external[i, : batch.rows[i]], ""
         steps = _steps(force, step, batch.damping[i]) if step else []
         count[i] = len(steps)
-        raised = _from_level(force, step, samples) if step else None
         if step == 0:
             reason = "no step was commanded (step is 0)"
         elif len(steps) > 1:
             row[i], reason = NO_ROW, _told(force, steps)
-        elif raised is not None:
+        elif (raised := _from_level(force, step, samples)) is not None:
             row[i], level[i], reason = raised
         elif row[i] != NO_ROW:
             level[i] = level_before(force, int(row[i]), step)
         elif not found[i]:
-            reason = (
-                f"no command edge: command plus wall force never stays above half the step ({step:g}) "
-                f"for {samples} rows; check step, stiffness and damping in the log's header"
-            )
-        elif first[i] == 0:
-            reason = (
-                "no baseline, the step is already there in row 0: the command edge is not identifiable; "
-                "record at least one row before the step"
-            )
-        elif not moves[i]:
-            reason = (
-                f"no command edge: command plus wall force reaches half the step ({step:g}) in row {first[i]}, but the "
-                "command itself has not; check the units, the step, and that it is the total command"
-            )
+            reason = NEVER.format(step=step, samples=samples)
         else:
-            reason = (
-                f"no command edge: command plus wall force first jumps against the step ({step:g}), in row "
-                f"{opposite[i]}; check the sign of command, position and step"
-            )
+            why = NO_BASELINE if first[i] == 0 else OTHER_COMMAND if not moves[i] else AGAINST
+            reason = why.format(step=step, row=opposite[i] if why is AGAINST else first[i])
         reasons.append(reason)
     return Edges(row, level, count, tuple(reasons))
+
+
+def _moves(batch: TrialBatch, towards: Floats, half: Floats, until: Integers) -> Booleans:
+    """Return whether the command itself takes part in a force that reaches half the step, shape (n,).
+
+    Where it has a wrong unit or is another signal, the wall force alone crosses half the step, only later; a chatter
+    before the step may be larger than it, of either sign. Of a slow ramp the wall takes before it reaches half the
+    step; what stays on its level while the command still moves is no wall force either.
+    """
+    column, command = np.arange(towards.shape[1])[None, :], np.nan_to_num(np.abs(batch.command))
+    early = column < until[:, None]
+    off = batch.valid & ~(np.abs(towards - 2 * half) <= 2 * LEVEL * half)
+    behind = batch.valid & (column > np.max(np.where(off, column, -1), axis=1, initial=-1)[:, None])
+    moves = ((command > half) & early) | ((command > 2 * MOVES * half) & behind)
+    return np.asarray(np.any(moves, axis=1, keepdims=True)[:, 0])
 
 
 def level_before(force: Floats, row: int, step: float) -> float:

@@ -324,6 +324,23 @@ def test_jitter_moves_the_limit():
     assert np.median(limits / limit(of.setup, B)) > 1.03  # and not at that of their mean, 4
 
 
+def test_undecided_logs_far_below_the_limit_move_no_limit():
+    """With jitter a trial at a quarter of the limit is undecided, below dozens of stable ones.
+
+    At B = 176 Ns/m four are, from 5,600 N/m on; runs of 4 s die away up to 6,400 N/m and grow from 6,800 N/m on.
+    """
+    of = run_course(load_device("falcon"), "1", seed=8, coarsen=4)
+    points, said = {p.damping: p for p in band(of)}, judge(of.batch).verdict
+    assert sum(p.undecided for p in points.values()) >= 6
+    for p in points.values():
+        stable = of.batch.stiffness[(of.batch.damping == p.damping) & (said == "stable")]
+        # two stable trials outvote what is undecided below them
+        assert not p.undecided or p.low >= 0.8 * np.sort(stable)[-2]
+    last = points[176.0]
+    assert 4800 <= last.low < 6400 < 6800 < last.high <= 7200
+    assert last.estimate == pytest.approx(6600, rel=0.1)
+
+
 def test_trials_that_are_all_unstable_give_an_upper_bound_and_no_limit():
     k = np.array([1500.0, 2000.0, 2500.0, 3000.0] * 2)
     b, growth = np.repeat([0.0, 10.0], 4), np.array([2.0, 3.0, 4.0, 5.0] * 2)
