@@ -306,7 +306,7 @@ class _Run:
         unsettled.sort(key=lambda source: (source.key not in self.stored.last, source.key))
 
         def read(sources: list[Source]) -> list[Read]:
-            return read_and_check(sources, self._is_known, jobs > 2)
+            return read_and_check(sources, self._is_known)
 
         try:
             with ThreadPoolExecutor(jobs) if jobs > 1 and unsettled else nullcontext() as pool:

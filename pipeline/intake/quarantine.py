@@ -1,31 +1,25 @@
 """Logs that were refused, and why: a record of each in a folder of its own below ``processed/quarantine``.
 
 A source has at most one record: refusing it again replaces the record, accepting it removes the record. The
-source itself is never touched, and not copied: the excerpt shows it where it is still as it was.
+source itself is never touched, and not copied.
 """
 
 from __future__ import annotations
 
-import io
 import os
 import shutil
 from collections.abc import Sequence
-from itertools import islice
 from pathlib import Path
 
 from pipeline.base.disk import each, kept_files, read_kept, write_kept
 from pipeline.base.errors import OTHER_COLUMNS, REMEDY, LogError, StoreError, UsageError
-from pipeline.base.paths import open_regular, path_of_text, path_text, storable
+from pipeline.base.paths import path_of_text, path_text, storable
 from pipeline.base.provenance import digest
-from pipeline.base.provenance import sha256 as sha256_of
 from pipeline.intake.sources import Source
 from pipeline.records.findings import Record
 
 RECORD = "reason"
 """Begin of the name of a record."""
-
-EXCERPT_ROWS, LONGEST_SHOWN = 3, 160
-"""Lines shown before and behind the row at fault, and characters of each."""
 
 
 class QuarantineRecord(Record):
@@ -174,36 +168,3 @@ def release(processed: Path, path: str) -> None:
 def folder_of(processed: Path, path: str) -> Path:
     """Return the folder with the record of a source, named by the id of the record."""
     return quarantine_folder(processed) / digest(path)
-
-
-def excerpt_of(record: QuarantineRecord) -> list[tuple[int, str]]:
-    """Return number and text of the lines around the row at fault, safe to print.
-
-    Nothing of a log that is no longer as it was when it was refused, and of one without lines.
-    """
-    from pipeline.readers.formats.delimited import unpacked  # which loads what computes with Arrow
-
-    if ".json" in record.path.lower() and record.code != "syntax":
-        return []  # its row is that of a record
-    log = path_of_text(record.path)
-    try:
-        with open_regular(log) as stream:
-            content = stream.read(record.size + 1)
-        # another content is not what was refused, and may not be for whom reads this
-        data = unpacked(log.name, content) if sha256_of(content) == record.sha256 else b""
-    except (OSError, LogError):
-        return []
-    marks = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
-    try:
-        text = data.decode(marks.get(data[:2], "utf-8-sig"))
-    except UnicodeDecodeError:
-        text = data.decode("latin-1")
-    if "\0" in text:
-        return []
-    at = record.row or 1
-    lines = islice(enumerate(io.StringIO(text, newline=None), 1), max(at - 1 - EXCERPT_ROWS, 0), at + EXCERPT_ROWS)
-    return [(number, _printable(line.rstrip("\n")[:LONGEST_SHOWN])) for number, line in lines]
-
-
-def _printable(text: str) -> str:
-    return "".join(c if c.isprintable() or c == "\t" else c.encode("unicode_escape").decode() for c in text)

@@ -288,9 +288,7 @@ class Read:
     result: tuple[Log, ...] | LogError | None
 
 
-def read_and_check(
-    sources: Sequence[Source], known: Callable[[Source, str], bool], use_threads: bool = False
-) -> list[Read]:
+def read_and_check(sources: Sequence[Source], known: Callable[[Source, str], bool]) -> list[Read]:
     """Read, hash, parse and check sources of one profile, in the order given.
 
     It writes and keeps nothing, so that it may run in a thread.
@@ -301,8 +299,6 @@ def read_and_check(
         All claimed by the same profile, or by none; at most some MB together, which are held in memory.
     known : callable
         Whether a source with a content (its SHA-256) is stored already; such a source is not parsed.
-    use_threads : bool
-        Whether parsing may use several processors.
     """
     reads: dict[int, Read] = {}
     raws: dict[int, RawLog] = {}
@@ -317,7 +313,7 @@ def read_and_check(
             raws[index] = raw
     profile = sources[0].profile if sources else None
     if raws and profile:
-        outcomes = reader_of(profile)(profile, list(raws.values()), use_threads)
+        outcomes = reader_of(profile)(profile, list(raws.values()))
         for index, outcome in zip(raws, outcomes, strict=True):
             reads[index] = replace(reads[index], result=outcome)
     for read in reads.values():
@@ -336,7 +332,7 @@ def logs_of(source: Source) -> tuple[Profile, RawLog, tuple[Log, ...]]:
     """
     raw, _, _ = load_source(source)
     assert source.profile is not None, "a source that no profile claims is refused by load_source"
-    (outcome,) = reader_of(source.profile)(source.profile, [raw], False)
+    (outcome,) = reader_of(source.profile)(source.profile, [raw])
     if isinstance(outcome, LogError):
         raise outcome
     return source.profile, raw, outcome

@@ -19,8 +19,8 @@ __all__ = ["Log", "Outcome", "RawLog", "Reader", "check_samples", "reader_of"]
 Outcome = tuple[Log, ...] | LogError
 """What a raw log holds, one log or several, or why it is refused."""
 
-Reader = Callable[[Profile, Sequence[RawLog], bool], list[Outcome]]
-"""Function ``read(profile, raws, use_threads)`` that gives one outcome for each raw log, in the order given."""
+Reader = Callable[[Profile, Sequence[RawLog]], list[Outcome]]
+"""Function ``read(profile, raws)`` that gives one outcome for each raw log, in the order given."""
 
 
 def reader_of(profile: Profile) -> Reader:

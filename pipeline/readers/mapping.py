@@ -57,7 +57,7 @@ LONGEST_STEP = 1.5
 """Time between rows in sampling periods from which on a row is missing: a velocity says nothing of it."""
 
 
-def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[tuple[Log, ...] | LogError]:
+def read(profile: Profile, raws: Sequence[RawLog]) -> list[tuple[Log, ...] | LogError]:
     """Read logs of one or two files each.
 
     Parameters
@@ -65,8 +65,6 @@ def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[tu
     profile : Profile
         A profile of any format but ``native``.
     raws : sequence of RawLog
-    use_threads : bool
-        Not used: one file at a time is read.
 
     Returns
     -------

@@ -78,7 +78,7 @@ def _logs(source: Source) -> tuple[Log, ...]:
     raw, _, _ = load_source(source)
     assert source.profile is not None, "a source that no profile claims is refused by load_source"
     whole = _completed(raw) if source.profile.format == "native" else raw
-    (outcome,) = reader_of(source.profile)(source.profile, [whole], False)
+    (outcome,) = reader_of(source.profile)(source.profile, [whole])
     if isinstance(outcome, LogError):
         added = whole.data[0].count(b"\n") - raw.data[0].count(b"\n")
         row = "" if outcome.row is None else f", row {max(outcome.row - added, 1)}"

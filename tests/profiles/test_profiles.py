@@ -59,7 +59,7 @@ def profile_file(tmp_path):
 
 
 def read_one(profile, *data: str, names=("run_K300.txt", "partner")):
-    (outcome,) = reader_of(profile)(profile, [RawLog(tuple(names), tuple(d.encode() for d in data))], False)
+    (outcome,) = reader_of(profile)(profile, [RawLog(tuple(names), tuple(d.encode() for d in data))])
     if isinstance(outcome, LogError):
         return outcome
     (log,) = outcome
@@ -412,7 +412,7 @@ def test_long_form_holds_many_trials():
     profile = load_profile("long_form")
     assert claim("june.trials.csv", shipped_profiles()) is profile
     raw = RawLog(("june.trials.csv",), ("\n".join([names, *rows, ""]).encode(),))
-    (logs,) = reader_of(profile)(profile, [raw], False)
+    (logs,) = reader_of(profile)(profile, [raw])
     assert [(log.label, log.header.experiment, log.header.stiffness) for log in logs] == [
         ("1", "1", 100),
         ("2", "1", 200),

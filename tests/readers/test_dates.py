@@ -117,7 +117,7 @@ def read(form, data, names, unit, **time) -> Log:
     if form == "delimited":
         values |= {"delimiter": ";", "decimal": "," if b"," in data else "."}
     profile = Profile.model_validate(values)
-    (outcome,) = reader_of(profile)(profile, [RawLog(("log",), (data,))], False)
+    (outcome,) = reader_of(profile)(profile, [RawLog(("log",), (data,))])
     if isinstance(outcome, Exception):
         raise outcome
     (log,) = outcome

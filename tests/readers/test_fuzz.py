@@ -201,10 +201,8 @@ PIECES = st.one_of(
 def test_any_text_is_a_native_log_or_refused(pieces, end, kept):
     text = "\n".join(LINES[:kept]) + "\n" + end.join(pieces)
     data = text.encode("utf-8", "surrogatepass")
-    (alone,) = read(NATIVE, [RawLog(("log.csv",), (data,))], False)
-    good, beside = read(
-        NATIVE, [RawLog((n,), (d,)) for n, d in (("good.csv", GOOD.encode()), ("log.csv", data))], False
-    )
+    (alone,) = read(NATIVE, [RawLog(("log.csv",), (data,))])
+    good, beside = read(NATIVE, [RawLog((n,), (d,)) for n, d in (("good.csv", GOOD.encode()), ("log.csv", data))])
     assert isinstance(good, tuple), "a log beside it was refused"
     for outcome in (alone, beside):
         if isinstance(outcome, LogError):

@@ -46,7 +46,7 @@ def profile(layout, columns=COLUMNS, **more) -> Profile:
 
 def read(chosen: Profile, data: bytes | str, name="run") -> Log | LogError:
     raw = RawLog((name,), (data if isinstance(data, bytes) else data.encode(),))
-    (outcome,) = reader_of(chosen)(chosen, [raw], False)
+    (outcome,) = reader_of(chosen)(chosen, [raw])
     return outcome if isinstance(outcome, LogError) else outcome[0]
 
 

@@ -48,7 +48,7 @@ class _Body:
             self.view, self.lines = memoryview(text), text.count(b"\n") if len(text) > 1 else 0
 
 
-def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[tuple[Log, ...] | LogError]:
+def read(profile: Profile, raws: Sequence[RawLog]) -> list[tuple[Log, ...] | LogError]:
     """Read native logs.
 
     Parameters
@@ -56,8 +56,6 @@ def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[tu
     profile : Profile
         The native profile.
     raws : sequence of RawLog
-    use_threads : bool
-        Whether parsing may use several processors.
 
     Returns
     -------
@@ -72,7 +70,7 @@ def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[tu
         except LogError as error:
             outcomes[index] = error
     filled = [body for body in bodies.values() if body.lines]
-    columns = _parse(b"".join([body.view for body in filled]), sum(body.lines for body in filled), use_threads)
+    columns = _parse(b"".join([body.view for body in filled]), sum(body.lines for body in filled))
     end = 0
     for index, body in bodies.items():
         start, end = end, end + body.lines
@@ -109,14 +107,14 @@ def _split(data: bytes) -> tuple[NativeHeader, int, int]:
     raise refusal("header-missing", "", found, cure="Add it and the samples.", row=len(lines) + 1)
 
 
-def _parse(text: bytes, lines: int, use_threads: bool) -> Columns | None:
+def _parse(text: bytes, lines: int) -> Columns | None:
     """Return the columns, or None where the text is not exactly three numbers on each line."""
     if not lines:
         return np.empty(0), np.empty(0), np.empty(0)
     try:
         table = pacsv.read_csv(
             pa.BufferReader(text),
-            pacsv.ReadOptions(column_names=_NAMES, use_threads=use_threads),
+            pacsv.ReadOptions(column_names=_NAMES, use_threads=False),
             # blank lines are rows and quotes are text, so that one line is one row
             pacsv.ParseOptions(quote_char=False, ignore_empty_lines=False),
             pacsv.ConvertOptions(

@@ -233,7 +233,6 @@ class Refused(Answer):
     code: str | None
     profile: str | None
     profile_line: str | None
-    excerpt: list[tuple[int, str]]
 
 
 PARTS: dict[str, Any] = {

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
 from pipeline.base.paths import path_of_text
-from pipeline.intake.quarantine import excerpt_of, list_quarantine, record_id, release
+from pipeline.intake.quarantine import list_quarantine, record_id, release
 from pipeline.records.criteria import CRITERIA, with_discrete
 from pipeline.service import profiles
 from pipeline.service.problems import Problem
@@ -119,7 +119,7 @@ def refused(service: Service) -> list[dict[str, Any]]:
         name, author = sent.get(record.path, (str(path_of_text(record.path)), None))
         since = os.stat(processed / "quarantine" / record_id(record)).st_mtime
         shown = record.model_dump(include={"row", "reason", "code", "profile", "profile_line"})
-        more = {"id": record_id(record), "since": since, "excerpt": excerpt_of(record)}
+        more = {"id": record_id(record), "since": since}
         found.append({**shown, **more, "name": name, "author": author})
     return found
 

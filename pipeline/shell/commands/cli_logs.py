@@ -113,7 +113,7 @@ def quarantine(
 
     Example: pipeline quarantine logs/run_01.csv
     """
-    from pipeline.intake.quarantine import excerpt_of, find_record, list_quarantine, record_id
+    from pipeline.intake.quarantine import find_record, list_quarantine, record_id
 
     if not processed.is_dir():  # a mistyped one must not look like one without refusals
         raise UsageError(f"{processed}: no such folder. Give the folder of the stored tables (--processed).")
@@ -122,8 +122,7 @@ def quarantine(
     if not logs:
         console.tell(found, _list_lines(found))
         return
-    shown = [{**document, "excerpt": excerpt_of(record)} for record, document in zip(records, found, strict=True)]
-    console.tell(shown[0] if len(shown) == 1 else shown, (line for one in shown for line in _reason_lines(one)))
+    console.tell(found[0] if len(found) == 1 else found, (line for one in found for line in _reason_lines(one)))
 
 
 def _list_lines(records: Sequence[Mapping[str, Any]]) -> Iterable[str]:
@@ -142,13 +141,9 @@ def _list_lines(records: Sequence[Mapping[str, Any]]) -> Iterable[str]:
 
 
 def _reason_lines(record: Mapping[str, Any]) -> Iterable[str]:
-    """Yield why a log was refused, with the lines around the row at fault."""
+    """Yield why a log was refused, line by line."""
     for key in ("path", "profile", "size", "row", "code", "reason"):
         yield f"{key:<8} {'–' if record[key] is None else record[key]}"
     if record["profile_line"] is not None:
         yield "this might help in the profile:"
         yield from (f"    {line}" for line in record["profile_line"].splitlines())
-    if not record["excerpt"]:
-        yield "no excerpt: the log has no lines, or is no longer as it was"
-    for number, line in record["excerpt"]:
-        yield f"{'>' if number == record['row'] else ' '} {number:>6}  {line}"
