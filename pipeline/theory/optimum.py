@@ -17,9 +17,9 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.criteria import CRITERIA, DISCRETE, OVERSHOOT, SETTLING_BANDS, criterion_of, with_discrete
+from pipeline.theory.boundary import boundary, stiffness_limit
 from pipeline.theory.costs import point_costs_by_name
 from pipeline.theory.energy import energy_costs
-from pipeline.theory.limits import boundary, stiffness_limit
 from pipeline.theory.poles import REAL, damping_ratio, pole_settling_time, poles, spectral_radius, threefold_pole
 from pipeline.theory.search import (
     JUMPING,
@@ -35,7 +35,7 @@ from pipeline.theory.search import (
     search_plane,
     where_stable,
 )
-from pipeline.theory.transient import NO_OVERSHOOT, late_deviation, transient_costs
+from pipeline.theory.settling_overshoot import NO_OVERSHOOT, late_deviation, transient_costs
 
 UNDAMPED_LOSS = 1e-9
 """Distance of a damping ratio from 1 that is rounding: a threefold pole is split by 1e-5, which costs 2e-10."""
