@@ -254,8 +254,9 @@ the [age of the command in force](definitions.md#measured), {jitter}.
 
 All kinds inside the model: {inside}. Outside: {outside}.
 
-**Not covered**: cogging, cables and several axes; wrong clocks; a mode above half the sampling frequency; delays that
-depend on the motion; energies and limits, whose intervals follow from these ([verification.md](verification.md)).
+**Not covered**: devices that are not listed; other print formats and time stamps than the simulator's; cogging, cables
+and several axes; wrong clocks; a mode above half the sampling frequency; delays that depend on the motion; energies and
+limits, whose intervals follow from these ([verification.md](verification.md)).
 """
 
 

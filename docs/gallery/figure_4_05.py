@@ -20,8 +20,8 @@ for (whole, close, undamped), delay in zip(grid, delays, strict=True):
     for delta, shown in ((0.02, (whole, close)), (0, (undamped,))):
         for gamma in (np.pi**2 + delta**2 / 4) * np.linspace(0, 1, 21) * 0.999:
             border = pipeline.Loop(1, delta, 1, delay, gamma).boundary(300)
-            border = border.mask(border["damping"].diff().abs() > 0.5)  # parts that lie apart
-            border = pd.concat([border, border[:1]])  # α = −γ closes it
+            if not border["damping"].hasnans:  # of a region in one piece
+                border = pd.concat([border, border[:1]])  # α = −γ closes it
             for axes in shown:
                 axes.plot(border["stiffness"], border["damping"], "C1", lw=0.6)
         for axes in shown:

@@ -14,11 +14,10 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from importlib import import_module
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from pipeline.base.errors import EXIT_ERROR, UsageError
+from pipeline.base.errors import EXIT_ERROR
 
 if TYPE_CHECKING:
     from concurrent.futures import ProcessPoolExecutor
@@ -28,32 +27,6 @@ STOP_SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)
 )
 """Signals that ask for an end: Ctrl-C, a service manager, a terminal that is closed; as far as the system has them."""
-
-ADDRESS_SPACE = 2 << 30
-"""Bytes of address space that a comparison reserves, of which it uses a tenth. With less OpenBLAS tries again and again
-to get its buffers, without end."""
-
-
-def check_address_space() -> None:
-    """Refuse to compute under a limit that numerical libraries do not live with.
-
-    Raises
-    ------
-    UsageError
-        If the process may reserve less than `ADDRESS_SPACE`.
-    """
-    try:
-        resource = import_module("resource")
-    except ImportError:  # Windows has no such limit
-        return
-    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if limit != resource.RLIM_INFINITY and limit < ADDRESS_SPACE:
-        raise UsageError(
-            f"this process may reserve {limit / 1e6:.0f} MB of address space; expected at least "
-            f"{ADDRESS_SPACE / 1e6:.0f} MB, of which a tenth is used. Raise the limit (ulimit -v unlimited); to "
-            "bound memory, limit what is used (a container, or systemd-run -p MemoryMax=600M)."
-        )
-
 
 _alone = False
 """Whether this process runs nothing but this package."""

@@ -10,7 +10,6 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from pipeline.base.disk import write_text
-from pipeline.base.process import check_address_space
 from pipeline.base.provenance import code_digest, digest, sha256
 from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, motion_of, nominal_theories
 from pipeline.comparison.executors import Executor
@@ -118,7 +117,6 @@ def compare(
     DeviceError, UsageError, StoreError
         Where the request does not fit what is stored; see `scene.open_scene`.
     """
-    check_address_space()
     data = open_scene(device, processed, experiments, criteria, shown)
     data = replace(data, truth=truths(data.experiments, truth or {}))
     plan = plan_measured(data)

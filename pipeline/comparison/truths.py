@@ -20,7 +20,7 @@ from pipeline.records.findings import BoundaryPoint, Estimate, holds
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.results import ExperimentResult, TheoryParameters, Truth, TruthHeld
 from pipeline.simulation.simulate import age_in_force
-from pipeline.theory.limits import stiffness_limit
+from pipeline.theory.boundary import stiffness_limit
 from pipeline.theory.predictions import Theory
 
 TRUTH_FILE = "truth.json"

@@ -15,16 +15,16 @@ from pathlib import Path
 from typing import Literal
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from pipeline.base.disk import READABLE, content_of, make_folder, remove_all, said_content, sync_folder, write_text
-from pipeline.base.errors import ProfileError
+from pipeline.base.errors import ProfileError, StoreError
 from pipeline.base.lock import WAIT_S, writing
 from pipeline.base.paths import path_of_text
 from pipeline.intake.ingest import ingest
 from pipeline.intake.quarantine import RECORD, quarantine_folder
 from pipeline.profiles.profile_files import load_profile
 from pipeline.records.findings import Record
+from pipeline.records.table_files import open_table
 from pipeline.store.batch_files import GROUP_TRIALS, Place, write_batch
 from pipeline.store.storage import TABLE, Gone, gone, read_rows
 
@@ -165,7 +165,7 @@ def _set_aside(processed: Path, file: Path) -> None:
 
 def _groups(file: Path) -> Iterator[pa.Table]:
     """Yield the groups of rows of a damaged file that can be read."""
-    with suppress(*_UNREADABLE), pq.ParquetFile(file, page_checksum_verification=True) as stored:
+    with suppress(StoreError), open_table(file) as stored:
         for number in range(stored.num_row_groups):
             with suppress(*_UNREADABLE):
                 yield stored.read_row_group(number, use_threads=False)
@@ -174,12 +174,12 @@ def _groups(file: Path) -> Iterator[pa.Table]:
 def _rows_of(file: Path) -> list[dict[str, str]]:
     """Return id, log and profile of each trial of a damaged file, empty where they cannot be read."""
     columns: dict[str, list[str]] = {name: [] for name in ("trial_id", "source_path", "profile")}
-    with suppress(*_UNREADABLE), pq.ParquetFile(file, page_checksum_verification=True) as stored:
+    with suppress(StoreError), open_table(file) as stored:
         for number in range(stored.num_row_groups):
             for name, values in columns.items():
                 rows, found = min(stored.metadata.row_group(number).num_rows, GROUP_TRIALS), list[str]()
                 with suppress(*_UNREADABLE):
-                    found = stored.read_row_group(number, [name], use_threads=False).column(0).to_pylist()
+                    found = stored.read_row_group(number, [name], use_threads=False).column(name).to_pylist()
                 values += found if len(found) == rows and all(found) else [""] * rows
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 

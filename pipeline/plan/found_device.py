@@ -18,7 +18,7 @@ from pipeline.records.loop_parts import Friction, LoopParts, Mode, VelocityFilte
 from pipeline.records.models import Device, Experiment
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import delays_of, simulate
-from pipeline.theory.limits import boundary, stabilises, stiffness_limit
+from pipeline.theory.boundary import boundary, stabilises, stiffness_limit
 
 AT_LOAD = "mode at the load"
 """Part of a fitted device whose position is sensed beyond its vibration mode."""

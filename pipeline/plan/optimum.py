@@ -16,8 +16,8 @@ from pipeline.plan.found_device import LoopPoint
 from pipeline.plan.limits import VOTES, Tried
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
+from pipeline.theory.boundary import stiffness_limit
 from pipeline.theory.costs import point_costs_by_name
-from pipeline.theory.limits import stiffness_limit
 
 LENGTHS = np.array([0.12, 0.08])
 """Lengths over which the logarithm of a cost changes, relative to the ranges of B and K."""

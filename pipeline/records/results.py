@@ -211,7 +211,7 @@ class WallReplay(Record):
     ``fit_percent`` of the position behind stable walls, median; ``verdicts_same`` share of the decided verdicts;
     ``limits_off_percent`` and ``costs_off_percent`` median errors of limits and settling times,
     ``limits_known_percent`` that of the measured limits by themselves. None where there is nothing to compare.
-    ``trials`` were replayed.
+    ``trials`` are those verdicts: of a device with jitter those that several runs of it agree on.
     """
 
     fit_percent: float | None

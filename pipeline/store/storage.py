@@ -26,12 +26,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.base.disk import kept_files
+from pipeline.base.disk import content_of, kept_files, said_content
 from pipeline.base.errors import StoreError
 from pipeline.base.wording import counted
 from pipeline.records.batch import Booleans, Integers
 from pipeline.records.findings import Record
-from pipeline.records.table_files import damaged_file, metadata_of, open_table, read_metadata
+from pipeline.records.table_files import damaged_file, metadata_of, open_table
 from pipeline.records.tables import LOCATION, OF_TRIALS, TABLES, arrow_schema
 from pipeline.store.corrections import applied, moved_from, read_corrections
 from pipeline.store.names import name_of_folder, place_of
@@ -287,7 +287,9 @@ def check_version(processed: Path) -> None:
         with suppress(pa.ArrowException, OSError, KeyError):  # what is damaged is told as such
             if pq.read_schema(file).names == list(TABLES["trials"]):
                 return
-            folders |= set(map(os.path.dirname, pq.read_table(file, columns=["source_path"]).column(0).to_pylist()))
+            if said_content(file.name) in (None, content_of(file)):
+                paths = pq.read_table(file, columns=["source_path"]).column("source_path").to_pylist()
+                folders |= set(map(os.path.dirname, paths))
     if folders:
         raise StoreError(
             f"{processed}: was written by another version. Rebuild it beside: `pipeline ingest "
@@ -344,10 +346,11 @@ def gone(processed: Path, device: str | None = None) -> tuple[Gone, ...]:
         of, experiment = map(name_of_folder, file.parts[-3:-1])
         if device not in (None, of):
             continue
-        with suppress(OSError, pa.ArrowException):
-            ids = pq.read_table(file, columns=["trial_id"]).column("trial_id").to_pylist()
+        with suppress(OSError, StoreError), open_table(file) as table:  # computed again where they are damaged
+            ids = table.read(["trial_id"], use_threads=False).column("trial_id").to_pylist()
             lost = sorted({*ids} - known - corrections.keys())
-            excluded = sorted({*read_metadata(file).get("pipeline.excluded", "").split()} - corrections.keys())
+            out = metadata_of(table.schema_arrow).get("pipeline.excluded", "").split()
+            excluded = sorted({*out} - corrections.keys())
             if damaged or len(lost) <= np.count_nonzero(written > file.stat().st_mtime_ns):
                 lost = []
             if lost or excluded:

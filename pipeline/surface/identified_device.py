@@ -21,7 +21,7 @@ from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.records.loop_parts import LoopParts, Mode
 from pipeline.records.models import Motion
-from pipeline.theory.limits import outline
+from pipeline.theory.boundary import outline
 
 UNITS: dict[str, tuple[str, str]] = {
     "mass": ("kg", "kg m^2"),

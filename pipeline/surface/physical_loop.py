@@ -19,10 +19,10 @@ from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import Device, Experiment, Motion
 from pipeline.rendering.frames import units_of
+from pipeline.theory.boundary import boundary, stiffness_limit
 from pipeline.theory.cases import POINT_COSTS, Case, costs_of_walls, islands_in_si, optimum_document, why_missing
 from pipeline.theory.costs import MAP_DEFAULT, CostMap, check_criteria
 from pipeline.theory.curves import Curve, best_damping, best_stiffness
-from pipeline.theory.limits import boundary, stiffness_limit
 from pipeline.theory.margins import Margins, margins
 from pipeline.theory.motion import response
 from pipeline.theory.passivity import passive_outline, stiffest_passive

@@ -1,4 +1,4 @@
-"""What follows from a loop by theory: limits, transients, energies, poles, passivity, optima, maps; a module each.
+"""What follows from a loop by theory, a module each: boundary, settling and overshoot, energy, passivity, optimum.
 
 Walls are arguments, normalised as in `pipeline.loop`; `cases` makes the documents that users read.
 """

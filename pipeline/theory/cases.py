@@ -18,11 +18,11 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, Normalised, loop_of, wall_units
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, criterion_of, with_discrete
+from pipeline.theory.boundary import boundary, has_islands, outline
 from pipeline.theory.costs import check_criteria, point_costs_by_name
-from pipeline.theory.limits import boundary, has_islands, outline
 from pipeline.theory.optimum import POINT_CRITERIA, marked_point, optimal_point
 from pipeline.theory.poles import slowest_poles, spectral_radius, stable_by_radius
-from pipeline.theory.transient import LONGEST
+from pipeline.theory.settling_overshoot import LONGEST
 
 if TYPE_CHECKING:  # its classes take longer to load than a short command to run
     from pipeline.records.models import Device, Experiment

@@ -27,11 +27,11 @@ from pipeline.records.criteria import (
     criterion_of,
     with_discrete,
 )
+from pipeline.theory.boundary import boundary, is_inside, is_well_inside
 from pipeline.theory.energy import energy_costs
-from pipeline.theory.limits import boundary, is_inside, is_well_inside
 from pipeline.theory.modes import TOGETHER
 from pipeline.theory.poles import damping_ratio, spectral_radius
-from pipeline.theory.transient import QUIET, first_reached, transient_costs
+from pipeline.theory.settling_overshoot import first_reached, transient_costs
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -43,9 +43,6 @@ MAP_DEFAULT = tuple(name for name in REPORTED if CRITERIA[name].tabled)
 
 MAP_LONGEST = 1 << 14
 """Samples after which a response on a map is given up; only cells along the boundary need more."""
-
-MAP_QUIET = 1e-13
-"""Deviation at which a response on a map without overshoot ends: below the 1e-12 that counts as none."""
 
 LARGEST_MAP = 4001
 """Grid points along an axis, for the sake of time: minutes. Memory is that of a block, whatever the size."""
@@ -61,7 +58,7 @@ _FEWEST = 8
 
 
 def point_costs_by_name(
-    loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], longest: int, quiet: float = QUIET
+    loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], longest: int
 ) -> dict[str, Floats]:
     """Return costs of stable points by name, computing no more than what is asked for.
 
@@ -74,21 +71,17 @@ def point_costs_by_name(
         Of criteria with costs; those of a response also with ``_discrete`` appended.
     longest : int
         Samples after which a response that still moves gets NaN for settling time and overshoot.
-    quiet : float
-        Deviation below which a response without overshoot is no longer followed.
     """
     result = {name: np.empty(len(alpha)) for name in names}
     for first in range(0, len(alpha), TOGETHER):  # they share their modes
         some = slice(first, first + TOGETHER)
-        for name, values in _together(loop, alpha[some], beta[some], names, longest, quiet).items():
+        for name, values in _together(loop, alpha[some], beta[some], names, longest).items():
             if name in result:
                 result[name][some] = values
     return result
 
 
-def _together(
-    loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], longest: int, quiet: float
-) -> dict[str, Floats]:
+def _together(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], longest: int) -> dict[str, Floats]:
     of = {name: criterion_of(name) for name in names}
     found: dict[str, Floats] = {}
     transient = [name for name in names if of[name].family in (SETTLING, OVERSHOOT)]
@@ -98,7 +91,7 @@ def _together(
             "overshoot": any(of[name].family is OVERSHOOT for name in transient),
             "continuous": not all(name.endswith(DISCRETE) for name in transient),
         }
-        found |= transient_costs(loop, alpha, beta, bands, longest=longest, quiet=quiet, **whether)
+        found |= transient_costs(loop, alpha, beta, bands, longest=longest, **whether)
     for signal in dict.fromkeys(criterion.signal for criterion in of.values() if criterion.family is ENERGY):
         found |= energy_costs(loop, alpha, beta, signal)
     if any(criterion.family is RISE for criterion in of.values()):
@@ -158,7 +151,7 @@ def costs_inside(
     samples.
     """
     inside = np.flatnonzero(is_well_inside(loop, alpha, beta, MARGIN))
-    found = point_costs_by_name(loop, alpha[inside], beta[inside], names, longest, MAP_QUIET)
+    found = point_costs_by_name(loop, alpha[inside], beta[inside], names, longest)
     result = {name: np.full(len(alpha), np.nan) for name in names}
     for name, values in result.items():
         values[inside] = found[name]

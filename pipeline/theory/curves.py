@@ -14,8 +14,8 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.criteria import CRITERIA, DISCRETE, SETTLING_BANDS, criterion_of, with_discrete
+from pipeline.theory.boundary import boundary, is_well_inside, stiffness_limit
 from pipeline.theory.energy import energy_costs
-from pipeline.theory.limits import boundary, is_well_inside, stiffness_limit
 from pipeline.theory.optimum import (
     UNDAMPED_LOSS,
     impulse_energy_limit,
@@ -23,7 +23,7 @@ from pipeline.theory.optimum import (
 )
 from pipeline.theory.poles import damping_ratio, spectral_radius
 from pipeline.theory.search import LEVELS, Cost, LineCost, LineOptima, extents, search_lines, where_stable
-from pipeline.theory.transient import NO_OVERSHOOT, late_deviation, transient_costs
+from pipeline.theory.settling_overshoot import NO_OVERSHOOT, late_deviation, transient_costs
 
 _LONGEST = 1024
 """Samples after which a response of a curve counts as not settled; the curves of Fig. 5.4 end at about 60."""

@@ -130,20 +130,14 @@ def _on_limit(loop: Loop, alpha: float, beta: float, factors: Floats) -> np.ndar
 def _added_delay(loop: Loop, alpha: float, beta: float, expected: Floats) -> float | None:
     """Return the smallest added delay [samples] that makes the loop unstable, next to what phases let expect."""
 
-    def stable(delay: float) -> bool:
+    def stable(delay: Floats) -> np.ndarray:
         try:
-            return bool(spectral_radius(replace(loop, delay=loop.delay + delay), alpha, beta)[0] < 1)
+            return spectral_radius(replace(loop, delay=loop.delay + float(delay[0])), alpha, beta) < 1
         except ParameterError:  # beyond the delays that are computed
-            return True
+            return np.array([True])
 
     if not len(expected):
         return None
-    steps = float(expected.min()) * np.linspace(0, _FARTHEST, int(_FARTHEST * _STEPS) + 1)
+    steps = expected.min() * np.linspace(0, _FARTHEST, int(_FARTHEST * _STEPS) + 1)[:, None]
     bad = next((i for i, step in enumerate(steps) if i and not stable(step)), None)
-    if bad is None:
-        return None
-    low, high = steps[bad - 1], steps[bad]
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if stable(middle) else (low, middle)
-    return float(low)
+    return None if bad is None else float(bisect(stable, steps[bad - 1], steps[bad], 40)[0][0])

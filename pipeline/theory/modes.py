@@ -350,9 +350,8 @@ class Outlook:
         """Return the points whose motion may exceed a peak, shape (n,), at a sample before it does."""
         with np.errstate(all="ignore"):  # of no motion at all nothing is finite
             free = np.nan_to_num(self._below(peak), nan=0.0, posinf=np.inf)
-            may = np.flatnonzero(np.isfinite(free))
-            free = np.maximum(free[may], self._leap(may, peak[may]))
-        sample = self.run.sample[may] + np.where(free >= _SHORTEST, np.floor(free), 0.0)
+        may = np.flatnonzero(np.isfinite(free))
+        sample = self.run.sample[may] + np.where(free[may] >= _SHORTEST, np.floor(free[may]), 0.0)
         return _placed(self.run.part(may), self.past.part(may), sample)
 
     def _below(self, peak: Floats) -> Floats:
@@ -380,19 +379,6 @@ class Outlook:
         span = np.log(total[some] / peak[some]) / slowest
         result[some] = np.where(holds(span), np.inf, bisect(holds, np.zeros(len(some)), span)[0])
         return result
-
-    def _leap(self, which: Integers, peak: Floats) -> Floats:
-        """Return samples in which the motion stays below a peak, or rises in each interval above the one before.
-
-        Its coefficients change by sum_i sensed_i (pole_i^h - 1) in h samples, which is h times their first step up to
-        h^2/2 sum_i size_i |pole_i - 1|^2; a later step differs from the first by at most h times that sum.
-        """
-        turn, sensed = self.pole[which] - 1, self.sensed[which]
-        bend = (self.size[which] * np.abs(turn) ** 2).sum(axis=1)
-        step = (sensed @ turn[:, :, None])[..., 0].real
-        room, fastest = np.maximum(peak - sensed.sum(axis=2).real.max(axis=1), 0.0), step.max(axis=1)
-        below = (np.sqrt(fastest**2 + 2 * bend * room) - fastest) / bend
-        return np.asarray(np.maximum(below, step.min(axis=1) / bend))
 
 
 def outlooks(run: Motion, everyone: Motion) -> Iterator[Outlook]:

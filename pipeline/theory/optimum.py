@@ -17,9 +17,9 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.criteria import CRITERIA, DISCRETE, OVERSHOOT, SETTLING_BANDS, criterion_of, with_discrete
+from pipeline.theory.boundary import boundary, stiffness_limit
 from pipeline.theory.costs import point_costs_by_name
 from pipeline.theory.energy import energy_costs
-from pipeline.theory.limits import boundary, stiffness_limit
 from pipeline.theory.poles import REAL, damping_ratio, pole_settling_time, poles, spectral_radius, threefold_pole
 from pipeline.theory.search import (
     JUMPING,
@@ -35,7 +35,7 @@ from pipeline.theory.search import (
     search_plane,
     where_stable,
 )
-from pipeline.theory.transient import NO_OVERSHOOT, late_deviation, transient_costs
+from pipeline.theory.settling_overshoot import NO_OVERSHOOT, late_deviation, transient_costs
 
 UNDAMPED_LOSS = 1e-9
 """Distance of a damping ratio from 1 that is rounding: a threefold pole is split by 1e-5, which costs 2e-10."""
@@ -412,7 +412,7 @@ def stiffest_without_overshoot(loop: Loop, *, continuous: bool = True, at_all: b
     def clean(alpha: Floats, beta: Floats, _: float) -> Floats:
         if at_all:
             return np.where(never_overshoots(loop, alpha, beta, continuous=continuous), 0.0, np.inf)
-        costs = transient_costs(loop, alpha, beta, (), continuous=continuous, enough=NO_OVERSHOOT)
+        costs = transient_costs(loop, alpha, beta, (), continuous=continuous)
         return np.where(costs[name] <= NO_OVERSHOOT, 0.0, np.inf)
 
     guarded = where_stable(loop, clean)
@@ -496,8 +496,6 @@ def never_overshoots(loop: Loop, alpha: object, beta: object, *, continuous: boo
     slow_is_real = np.flatnonzero(result)
     if len(slow_is_real):
         name = "overshoot" if continuous else "overshoot_discrete"
-        costs = transient_costs(
-            loop, a[slow_is_real], b[slow_is_real], (), continuous=continuous, quiet=_FAINT, enough=0.0
-        )
+        costs = transient_costs(loop, a[slow_is_real], b[slow_is_real], (), continuous=continuous, quiet=_FAINT)
         result[slow_is_real] = costs[name] == 0
     return result

@@ -23,8 +23,8 @@ from pipeline.loop.loop import Loop, Normalised, loop_of, wall_units
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.records.results import TheoryParameters
+from pipeline.theory.boundary import Boundary, boundary, stabilises
 from pipeline.theory.costs import costs_at
-from pipeline.theory.limits import Boundary, boundary, stabilises
 from pipeline.theory.optimum import optimal_point
 from pipeline.theory.passivity import passive_outline
 from pipeline.theory.search import OptimalPoint

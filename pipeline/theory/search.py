@@ -10,8 +10,8 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats, Integers
+from pipeline.theory.boundary import boundary, is_well_inside, limits
 from pipeline.theory.circle import bisect
-from pipeline.theory.limits import boundary, is_well_inside, limits
 
 Cost = Callable[[Floats, Floats, float], Floats]
 """Cost of points; the last argument is the best cost known, points that are worse may be given infinity."""

@@ -19,8 +19,8 @@ from pipeline.measured.signal.verdict import judge
 from pipeline.records.criteria import MEASURED, REPORTED
 from pipeline.rendering.table_export import export_tables
 from pipeline.shell.cli import app
+from pipeline.theory.boundary import boundary, is_well_inside
 from pipeline.theory.costs import cost_maps, point_costs_by_name
-from pipeline.theory.limits import boundary, is_well_inside
 from pipeline.theory.optimum import optimal_point
 from pipeline.theory.poles import spectral_radius
 

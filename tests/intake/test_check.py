@@ -1,6 +1,7 @@
 """Damaged files are named, and what can be saved of them is: from the logs where they are, else group by group."""
 
 import random
+import re
 
 import pyarrow.parquet as pq
 import pytest
@@ -48,6 +49,26 @@ def test_every_flipped_byte_of_every_file_is_named(lab):
             flip(file, at)
             assert [one.file for one in check(processed).damage] == [file.relative_to(processed).as_posix()]
             file.write_bytes(whole)
+
+
+@pytest.mark.parametrize("name", [b"trial_id", b"source_path", b"pipeline.table"])
+@pytest.mark.parametrize("tree", ["trials", "stages"])
+def test_a_flipped_letter_of_a_name_in_a_footer_is_named_and_saved(lab, tree, name):
+    """The file then has all its data and another column: which nobody may take for another version, or end by."""
+    processed = lab / "processed"
+    (file,) = (processed / tree).rglob("*.parquet")
+    places = [found.start() for found in re.finditer(name, file.read_bytes())]
+    for at in places:
+        flip(file, at)
+        assert [one.file for one in check(processed).damage] == [file.relative_to(processed).as_posix()]
+        assert ingest([lab / "logs"], processed, jobs=1, dry_run=True).found == 7
+        flip(file, at)
+    if places:
+        flip(file, places[-1])
+        check(processed, repair=True)
+        assert ingest([lab / "logs"], processed, jobs=1).found == 7
+        assert sorted(read_trials(processed).column("stiffness").to_pylist()) == [0, 1, 2, 3, 4, 5]
+    assert places or (tree, name) == ("stages", b"source_path")
 
 
 def test_a_deleted_table_of_corrections_is_named(lab):

@@ -13,7 +13,7 @@ from pipeline.loop.loop import Normalised, loop_of, wall_units
 from pipeline.plan.course import Wish, foretold, open_course, wanted_dampings
 from pipeline.plan.planner import plan, plan_of
 from pipeline.records.loop_parts import LoopParts
-from pipeline.theory.limits import limits
+from pipeline.theory.boundary import limits
 from pipeline.theory.optimum import optimal_point
 
 

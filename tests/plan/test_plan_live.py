@@ -15,7 +15,7 @@ from pipeline.loop.loop import Normalised
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
-from pipeline.theory.limits import boundary
+from pipeline.theory.boundary import boundary
 
 MOST = 25
 """Answers after which the rig gives up: bisection takes 15 trials."""

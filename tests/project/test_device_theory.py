@@ -10,7 +10,7 @@ from test_cli import call, document  # noqa: F401
 
 from pipeline.device_data.devices import load_device, read_device
 from pipeline.loop.loop import Normalised
-from pipeline.theory.limits import boundary
+from pipeline.theory.boundary import boundary
 
 PAGE = (ROOT / "docs" / "devices.md").read_text(encoding="utf-8")
 FILE = re.sub("^ {4}", "", re.search(r"( {4}name = .*?)\n\nThen", PAGE, re.DOTALL)[1], flags=re.MULTILINE)

@@ -290,18 +290,6 @@ class TestEnds:
         ingest(tmp_path / "logs", processed=tmp_path / "processed")
         return tmp_path / "processed"
 
-    @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the limit of address space is Linux's")
-    def test_a_limit_of_memory_that_is_too_low_is_an_error(self, store):
-        import resource
-
-        limit = (600 << 20,) * 2
-        status, _, said = run(
-            *("compare", "--device", "bench", "--processed", store),
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, limit),
-        )
-        assert status == 2
-        assert "629 MB" in said
-
     @pytest.mark.sampled
     @pytest.mark.parametrize("seed", range(3))
     def test_a_flipped_bit_in_what_can_be_computed_anew_is_computed_anew(self, store, seed):

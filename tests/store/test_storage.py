@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from stored import merge_all
 
+from pipeline.base.disk import content_of
 from pipeline.base.errors import StoreError
 from pipeline.intake.ingest import ingest
 from pipeline.records.native import NativeHeader, format_header
@@ -202,6 +203,7 @@ def test_a_table_of_other_columns_is_not_written():
 def test_a_store_of_an_earlier_version_is_told_with_what_rebuilds_it(processed, tmp_path):
     for file in trials_files(processed):
         pq.write_table(pq.read_table(file).drop_columns(["claims"]), file)
+        file.rename(file.with_name(f"{content_of(file)}.parquet"))
     words = rf"another version.*pipeline ingest {tmp_path}/logs --processed {processed}-new"
     with pytest.raises(StoreError, match=words):
         ingest([tmp_path / "logs"], processed)

@@ -15,7 +15,7 @@ from pipeline.simulation.simulate import simulate
 from pipeline.studies.accuracy import page as page_of
 from pipeline.studies.accuracy import run
 from pipeline.studies.accuracy.measured import COMPLETE, MODEL, SLOWEST, Trials, drawn, true_costs, truth, whole_sum
-from pipeline.theory.limits import stiffness_limit
+from pipeline.theory.boundary import stiffness_limit
 
 
 @pytest.fixture(scope="module")

@@ -25,8 +25,8 @@ from pipeline.studies.thesis_tables import (
     summary_line,
     table_lines,
 )
+from pipeline.theory.boundary import boundary
 from pipeline.theory.energy import energy_costs
-from pipeline.theory.limits import boundary
 from pipeline.theory.search import where_stable
 
 

@@ -15,8 +15,8 @@ from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate as simulate_trials
+from pipeline.theory.boundary import boundary, stiffness_limit
 from pipeline.theory.costs import point_costs_by_name
-from pipeline.theory.limits import boundary, stiffness_limit
 from pipeline.theory.poles import spectral_radius as exact_radius
 
 SENSORS = [(2e-6, 5e-7), (2e-6, 1e-6), (1e-5, 5e-7), (1e-5, 1e-6)]

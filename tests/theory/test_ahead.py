@@ -6,8 +6,8 @@ from general_devices import EXTREMES, random_device
 
 from pipeline.loop.loop import Loop, loop_of
 from pipeline.theory import modes
-from pipeline.theory.limits import limits, outline
-from pipeline.theory.transient import transient_costs
+from pipeline.theory.boundary import limits, outline
+from pipeline.theory.settling_overshoot import transient_costs
 
 SLOWEST = 0.995
 """Pole radius of points that are also followed to their end."""

@@ -12,9 +12,9 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, loop_of, wall_units
 from pipeline.loop.many_digits import as_exact, many_digits, product
 from pipeline.records.loop_parts import Coefficients, Difference, LoopParts
+from pipeline.theory.boundary import boundary, is_inside, limits, outline, stiffness_limit
 from pipeline.theory.circle import right_half, sampled_cells
 from pipeline.theory.crossings import Branches, _breaks, counted_stretches, exact_branches, positive_roots
-from pipeline.theory.limits import boundary, is_inside, limits, outline, stiffness_limit
 from pipeline.theory.poles import spectral_radius
 
 

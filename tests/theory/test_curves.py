@@ -8,13 +8,13 @@ from independent import discrete_settling, settling_bracket, simulate
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
+from pipeline.theory.boundary import boundary
 from pipeline.theory.curves import CURVE_CRITERIA, best_damping, best_stiffness
 from pipeline.theory.energy import energy_costs
-from pipeline.theory.limits import boundary
 from pipeline.theory.optimum import optimal_point
 from pipeline.theory.poles import damping_ratio, spectral_radius
 from pipeline.theory.search import where_stable
-from pipeline.theory.transient import transient_costs
+from pipeline.theory.settling_overshoot import transient_costs
 
 FREE = [Loop(0.0, 0.0, d) for d in (0, 1, 2)]
 

@@ -12,12 +12,12 @@ from scipy.linalg import expm
 
 from pipeline.loop.loop import Loop, Vibration, loop_of, wall_units
 from pipeline.records.loop_parts import Butterworth
+from pipeline.theory.boundary import outline
 from pipeline.theory.costs import point_costs_by_name
 from pipeline.theory.energy import energy_costs
-from pipeline.theory.limits import outline
 from pipeline.theory.optimum import optimal_point
 from pipeline.theory.poles import slowest_poles
-from pipeline.theory.transient import transient_costs
+from pipeline.theory.settling_overshoot import transient_costs
 
 RICH = Loop(
     *(1e-4, 0.01, 2.4),

@@ -23,8 +23,8 @@ from independent import (
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, Normalised
+from pipeline.theory.boundary import boundary
 from pipeline.theory.energy import _by_modes, _exact, energy_costs
-from pipeline.theory.limits import boundary
 from pipeline.theory.modes import Modes, modes
 
 RANDOM = stable_walls(random_loops(60, seed=21), each=5, seed=22, slowest=0.85)

@@ -11,7 +11,7 @@ from independent import NYQUIST as STIFFEST
 from independent import characteristic, random_loops, stable_by_schur_cohn
 
 from pipeline.loop.loop import Loop
-from pipeline.theory.limits import boundary, is_inside, robust_limits, stable_intervals, stiffness_limit
+from pipeline.theory.boundary import boundary, is_inside, robust_limits, stable_intervals, stiffness_limit
 
 NYQUIST = math.pi**2
 EXTREME = [

@@ -7,10 +7,10 @@ import pytest
 
 from pipeline.loop.loop import Loop
 from pipeline.records.loop_parts import Butterworth
+from pipeline.theory.boundary import limits, outline
 from pipeline.theory.energy import energy_costs
-from pipeline.theory.limits import limits, outline
 from pipeline.theory.poles import slowest_poles
-from pipeline.theory.transient import transient_costs
+from pipeline.theory.settling_overshoot import transient_costs
 
 
 @pytest.mark.sampled

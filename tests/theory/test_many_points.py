@@ -7,7 +7,7 @@ from pipeline.loop.loop import Loop
 from pipeline.theory import energy, modes
 from pipeline.theory.costs import bounding_box, point_costs_by_name
 from pipeline.theory.poles import spectral_radius
-from pipeline.theory.transient import transient_costs
+from pipeline.theory.settling_overshoot import transient_costs
 
 LOOPS = [
     Loop(0, 0, 0),

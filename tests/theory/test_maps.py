@@ -5,11 +5,11 @@ import pytest
 
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.records.criteria import REPORTED
+from pipeline.theory.boundary import boundary
 from pipeline.theory.costs import cost_maps
 from pipeline.theory.energy import energy_costs
-from pipeline.theory.limits import boundary
 from pipeline.theory.poles import is_stable, spectral_radius
-from pipeline.theory.transient import transient_costs
+from pipeline.theory.settling_overshoot import transient_costs
 
 LOOP = Normalised(0.58, 1e-3).loop(0.0, 4.0, 4)
 

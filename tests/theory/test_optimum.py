@@ -13,12 +13,12 @@ from places import SHARED
 from pipeline.base.errors import ParameterError
 from pipeline.device_data.published import PublishedRow, published_rows
 from pipeline.loop.loop import Loop, Normalised, Vibration
+from pipeline.theory.boundary import stiffness_limit
 from pipeline.theory.energy import energy_costs
-from pipeline.theory.limits import stiffness_limit
 from pipeline.theory.optimum import POINT_CRITERIA, marked_point, optimal_point
 from pipeline.theory.poles import is_stable
 from pipeline.theory.search import OptimalPoint
-from pipeline.theory.transient import transient_costs
+from pipeline.theory.settling_overshoot import transient_costs
 
 FALCON = Normalised(0.58, 1e-3), Normalised(0.58, 1e-3).loop(0.0, 4.0, 4)
 FIRM = Normalised(1.0, 1e-3), Normalised(1.0, 1e-3).loop(0.0, 34.0, 4)
@@ -238,7 +238,7 @@ def test_no_stiffer_point_is_without_overshoot() -> None:
     alpha, beta = np.meshgrid(point.alpha * np.linspace(1.0005, 1.5, 12), np.linspace(0.05, 0.5, 150))
     a, b = alpha.ravel(), beta.ravel()
     keep = is_stable(loop, a, b)
-    costs = transient_costs(loop, a[keep], b[keep], (), enough=1e-12)
+    costs = transient_costs(loop, a[keep], b[keep], ())
     assert (costs["overshoot"] > 1e-12).all()
 
 

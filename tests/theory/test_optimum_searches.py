@@ -10,11 +10,11 @@ import pytest
 import pipeline
 from pipeline.loop.loop import Loop
 from pipeline.records.criteria import CRITERIA, criterion_of, with_discrete
+from pipeline.theory.boundary import boundary
 from pipeline.theory.energy import energy_costs
-from pipeline.theory.limits import boundary
 from pipeline.theory.optimum import SEARCHES, optimal_point
 from pipeline.theory.poles import damping_ratio, is_stable, spectral_radius
-from pipeline.theory.transient import transient_costs
+from pipeline.theory.settling_overshoot import transient_costs
 
 STARTS = 300
 

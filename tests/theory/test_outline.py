@@ -8,7 +8,7 @@ from general_devices import random_device
 
 import pipeline
 from pipeline.loop.loop import Loop, Vibration, loop_of
-from pipeline.theory.limits import boundary, outline
+from pipeline.theory.boundary import boundary, outline
 
 LONG = {
     "lag": ({"damping": 10, "delay_samples": 0, "actuator_lag_s": 1.5e-3}, 142_313, 1_166.7),

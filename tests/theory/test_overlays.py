@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.loop.loop import Loop
-from pipeline.theory.limits import limits, quantum_limit, step_limits
+from pipeline.theory.boundary import limits, quantum_limit, step_limits
 
 DELAY, DELTA, FRICTION, FINE = 2, 0.005, 1e-3, 100
 LOOP = Loop(0.0, DELTA, float(DELAY))

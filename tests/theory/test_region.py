@@ -12,8 +12,8 @@ from test_extent import EXTREME, damping_range, stiffest_point
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
+from pipeline.theory.boundary import is_inside, robust_limits, stable_intervals, stiffness_limit
 from pipeline.theory.circle import first_branch
-from pipeline.theory.limits import is_inside, robust_limits, stable_intervals, stiffness_limit
 from pipeline.theory.poles import spectral_radius
 
 NYQUIST = math.pi**2

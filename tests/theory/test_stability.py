@@ -20,8 +20,8 @@ from places import SHARED
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
+from pipeline.theory.boundary import Boundary, boundary
 from pipeline.theory.circle import circle_points, place_of
-from pipeline.theory.limits import Boundary, boundary
 from pipeline.theory.poles import (
     is_stable,
     spectral_radius,

@@ -8,8 +8,8 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from pipeline.loop.loop import Loop
+from pipeline.theory.boundary import boundary
 from pipeline.theory.costs import point_costs_by_name
-from pipeline.theory.limits import boundary
 from pipeline.theory.poles import spectral_radius
 
 TIMES = np.concatenate(([0.0], np.geomspace(1e-7, 1.0, 400)))

@@ -7,7 +7,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.theory import cases as theory
 from pipeline.theory import modes
-from pipeline.theory.limits import robust_outline
+from pipeline.theory.boundary import robust_outline
 
 HEADER = "alpha,beta,gamma,delta,delay\n"
 

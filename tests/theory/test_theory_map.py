@@ -14,7 +14,7 @@ from pipeline.theory import costs as map_file
 from pipeline.theory import poles as stability
 from pipeline.theory.costs import CostMap
 from pipeline.theory.energy import energy_costs
-from pipeline.theory.transient import transient_costs
+from pipeline.theory.settling_overshoot import transient_costs
 
 
 def map_table(*arguments, points=map_file.BLOCK, **options):

@@ -24,13 +24,13 @@ from independent import (
     stable_walls,
 )
 
-import pipeline.theory.transient
+import pipeline.theory.settling_overshoot
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, Normalised, loop_of
 from pipeline.records.loop_parts import Coefficients, LoopParts
-from pipeline.theory.limits import boundary
+from pipeline.theory.boundary import boundary
 from pipeline.theory.poles import is_stable, spectral_radius
-from pipeline.theory.transient import late_deviation, transient_costs
+from pipeline.theory.settling_overshoot import late_deviation, transient_costs
 
 BANDS = (0.01, 0.02, 0.05)
 ROUNDING = 1e-9
@@ -173,7 +173,7 @@ def test_ending_a_response_early_changes_nothing(
     alpha, beta = alpha[keep], beta[keep]
     assert len(alpha) > 20
     early = transient_costs(loop, alpha, beta)
-    monkeypatch.setattr(pipeline.theory.transient, "_SETTLED", 1e-6)
+    monkeypatch.setattr(pipeline.theory.settling_overshoot, "_SETTLED", 1e-6)
     late = transient_costs(loop, alpha, beta, quiet=1e-15)
     for name, values_ in early.items():
         np.testing.assert_allclose(values_, late[name], rtol=1e-12, atol=1e-12, err_msg=name)

@@ -123,7 +123,7 @@ def wall_replay(
         limits_off_percent=limits_off(result, limits),
         limits_known_percent=median(_limit_errors(result, limits)[1]),
         costs_off_percent=_costs_off(result, stages, chosen[stable], costs[stable]),
-        trials=len(chosen),
+        trials=int(decided.sum()),
     )
 
 

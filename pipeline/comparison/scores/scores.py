@@ -14,7 +14,7 @@ from pipeline.comparison.scores.overlap import MeasuredLimits, Overlap, Stretche
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.results import ExperimentResult, RegionScore, Scores, StiffnessScore
-from pipeline.theory.limits import is_inside, stable_intervals
+from pipeline.theory.boundary import is_inside, stable_intervals
 from pipeline.theory.predictions import Theory
 
 

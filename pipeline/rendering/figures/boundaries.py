@@ -15,7 +15,7 @@ from pipeline.records.models import FigureKind, Motion, Overlay, Shown
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.figures.drawing import Figure, Panel, Series, reach
 from pipeline.rendering.labels import UNITS, damping_text, stiffness_text
-from pipeline.theory.limits import robust_outline
+from pipeline.theory.boundary import robust_outline
 from pipeline.theory.predictions import Theory
 
 SEEN = 0.01

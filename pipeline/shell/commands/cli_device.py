@@ -194,7 +194,7 @@ def _held(device: Device, conditions: Any, hand: str | None) -> Loop:
 
 def _quantum(coulomb: float, quantum: float, stiffness: float | None) -> dict[str, Any] | None:
     """Return up to which stiffness the sensor's quantum causes no limit cycle, and the quantum that K asks for."""
-    from pipeline.theory.limits import quantum_limit
+    from pipeline.theory.boundary import quantum_limit
 
     if not (coulomb > 0 and quantum > 0):
         return None

@@ -13,7 +13,7 @@ from pipeline.records.accuracy import OURS, WRONG, Sweep
 from pipeline.studies.accuracy.measure import FAILURES, largest
 from pipeline.studies.accuracy.peers import Case
 from pipeline.studies.accuracy.theory import ENERGY, PLANTS, RADII, case_of, installed, loop_of, reference
-from pipeline.theory.limits import is_inside
+from pipeline.theory.boundary import is_inside
 from pipeline.theory.poles import is_stable
 
 QUICK_DELAY = 64

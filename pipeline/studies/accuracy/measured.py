@@ -30,8 +30,8 @@ from pipeline.simulation.setup import Setup, setup_of
 from pipeline.simulation.simulate import simulate
 from pipeline.studies.accuracy.measure import Row, Table, Values, mean, median
 from pipeline.studies.accuracy.theory import COSTS
+from pipeline.theory.boundary import boundary, stiffness_limit
 from pipeline.theory.costs import point_costs_by_name
-from pipeline.theory.limits import boundary, stiffness_limit
 from pipeline.theory.poles import spectral_radius
 
 DELAY, DELAYS = 4.0, (4.1, 4.3, 4.5, 4.7, 4.9)

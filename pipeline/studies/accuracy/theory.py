@@ -24,11 +24,11 @@ from pipeline.records.loop_parts import Butterworth
 from pipeline.studies.accuracy import peers
 from pipeline.studies.accuracy.measure import Row, Table, Values
 from pipeline.studies.accuracy.peers import Case
+from pipeline.theory.boundary import stiffness_limit
 from pipeline.theory.costs import cost_maps, point_costs_by_name
-from pipeline.theory.limits import stiffness_limit
 from pipeline.theory.optimum import optimal_point
 from pipeline.theory.poles import spectral_radius
-from pipeline.theory.transient import LONGEST
+from pipeline.theory.settling_overshoot import LONGEST
 
 ENERGIES = ("energy, w = 0", "energy, w = 1", "energy, w = 2")
 COSTS = {"settling time": "settle_2pct", "overshoot": "overshoot"}

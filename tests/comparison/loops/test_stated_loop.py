@@ -11,7 +11,7 @@ from pipeline.intake.ingest import ingest
 from pipeline.loop.loop import loop_of, wall_units
 from pipeline.records.loop_parts import LoopParts
 from pipeline.simulation.course import run_course, write_course
-from pipeline.theory.limits import stiffness_limit
+from pipeline.theory.boundary import stiffness_limit
 
 FILE = """
 name = "{name}"

@@ -9,7 +9,7 @@ from pipeline.comparison.compare_experiment import nominal_theories
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.comparison.scores.scores import _scores
 from pipeline.records.findings import BoundaryPoint
-from pipeline.theory.limits import stiffness_limit
+from pipeline.theory.boundary import stiffness_limit
 
 
 @pytest.fixture(scope="module")

@@ -21,9 +21,9 @@ from pipeline.measured.stages.stage_tables import StageTables
 from pipeline.measured.stages.stages import STAGES, ExperimentStages, required
 from pipeline.records.table_files import read_table
 from pipeline.store.storage import stage_file
+from pipeline.theory.boundary import stiffness_limit
 from pipeline.theory.energy import energy_costs
-from pipeline.theory.limits import stiffness_limit
-from pipeline.theory.transient import transient_costs
+from pipeline.theory.settling_overshoot import transient_costs
 
 TRUE_MASS, TRUE_DAMPING, DELAY, T = 0.58, 4.0, 4, 1e-3
 

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats, Integers
-from pipeline.theory.circle import FirstBranch, angle_of, circle_points, first_branch, place_of
+from pipeline.theory.circle import FirstBranch, angle_of, bisect, circle_points, first_branch, place_of
 from pipeline.theory.crossings import Stretches, polished, stretches, turning_dampings
 
 _NODES = np.concatenate([[1e-9], 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, 9)[1:-1])), [1 - 1e-9]])
@@ -23,9 +23,6 @@ _NODES = np.concatenate([[1e-9], 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, 9)[
 corners are noticed."""
 
 _MIDDLE = len(_NODES) // 2
-
-_HALVINGS = 60
-"""A gap between two dampings to the last bit of a double."""
 
 _MOST_CORNERS = 8
 """Corners between two neighbours that are told apart; more than one is rare."""
@@ -174,14 +171,14 @@ def _corners(loop: Loop, levels: Floats) -> Floats:
         low, high, left, right = (values[differ] for values in (low, high, left, right))
         if not len(low):
             break
-        good, bad = low, high
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (good + bad)
-            same = _bounds(loop, middle) == left
-            good, bad = np.where(same, middle, good), np.where(same, bad, middle)
+        good, bad = bisect(partial(_are_bounded, loop, left), low, high)
         corners += [good, bad]
         low, left = bad, _bounds(loop, bad)
     return np.concatenate(corners)
+
+
+def _are_bounded(loop: Loop, by: Integers, beta: Floats) -> Booleans:
+    return np.asarray(_bounds(loop, beta) == by)
 
 
 def _bounds(loop: Loop, beta: Floats) -> Integers:
