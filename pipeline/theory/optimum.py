@@ -412,7 +412,7 @@ def stiffest_without_overshoot(loop: Loop, *, continuous: bool = True, at_all: b
     def clean(alpha: Floats, beta: Floats, _: float) -> Floats:
         if at_all:
             return np.where(never_overshoots(loop, alpha, beta, continuous=continuous), 0.0, np.inf)
-        costs = transient_costs(loop, alpha, beta, (), continuous=continuous, enough=NO_OVERSHOOT)
+        costs = transient_costs(loop, alpha, beta, (), continuous=continuous)
         return np.where(costs[name] <= NO_OVERSHOOT, 0.0, np.inf)
 
     guarded = where_stable(loop, clean)
@@ -496,8 +496,6 @@ def never_overshoots(loop: Loop, alpha: object, beta: object, *, continuous: boo
     slow_is_real = np.flatnonzero(result)
     if len(slow_is_real):
         name = "overshoot" if continuous else "overshoot_discrete"
-        costs = transient_costs(
-            loop, a[slow_is_real], b[slow_is_real], (), continuous=continuous, quiet=_FAINT, enough=0.0
-        )
+        costs = transient_costs(loop, a[slow_is_real], b[slow_is_real], (), continuous=continuous, quiet=_FAINT)
         result[slow_is_real] = costs[name] == 0
     return result

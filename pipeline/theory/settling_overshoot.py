@@ -72,7 +72,6 @@ class _Asked:
     longest: int
     quiet: float
     cutoff: float
-    enough: float
     unfinished_overshoot: bool
 
 
@@ -87,7 +86,6 @@ def transient_costs(
     longest: int = LONGEST,
     quiet: float = QUIET,
     cutoff: float = np.inf,
-    enough: float = np.inf,
     unfinished_overshoot: bool = False,
 ) -> dict[str, Floats]:
     """Return settling times and overshoot of the step response of stable points.
@@ -111,8 +109,6 @@ def transient_costs(
     cutoff : float
         Settling time [samples] from which on a point is of no interest: one still outside all bands then is given
         up. A search knows the best value so far.
-    enough : float
-        Overshoot above which a point is of no further interest; only for calls without bands.
     unfinished_overshoot : bool
         Whether points that still move after ``longest`` samples get the overshoot found so far instead of none.
 
@@ -132,7 +128,7 @@ def transient_costs(
         raise ParameterError("a step response needs alpha + gamma > 0: without stiffness there is no final position.")
     if any(not 0 < band < 1 for band in bands):
         raise ParameterError(f"bands = {list(bands)}: expected fractions between 0 and 1, such as 0.02.")
-    asked = _Asked(bands, overshoot, continuous, longest, quiet, cutoff, enough, unfinished_overshoot)
+    asked = _Asked(bands, overshoot, continuous, longest, quiet, cutoff, unfinished_overshoot)
     found, everyone = _Found(loop, asked, len(a)), Motion(loop, a, b, between=continuous)
     for first in range(0, len(a), TOGETHER):
         _follow(everyone.part(slice(first, first + TOGETHER)), found)
@@ -366,9 +362,7 @@ def _finished(run: Motion, found: _Found, size: Floats) -> Booleans:
     found.quiet[at] = np.where(motion > limit, 0.0, found.quiet[at] + count)
     found.calm[at] = np.where(motion > still, 0.0, found.calm[at] + count)
     done = found.quiet[at] > run.memory
-    if not asked.bands:
-        done |= np.maximum(found.peak, found.sampled_peak)[at] > asked.enough
-    elif not asked.overshoot:
+    if asked.bands and not asked.overshoot:
         late = (np.abs(run.position[-1]) > max(asked.bands)) & (run.sample >= asked.cutoff) & np.isinf(run.stop)
         found.unfinished.append(at[late])
         found.restless.append(at[late])

@@ -238,7 +238,7 @@ def test_no_stiffer_point_is_without_overshoot() -> None:
     alpha, beta = np.meshgrid(point.alpha * np.linspace(1.0005, 1.5, 12), np.linspace(0.05, 0.5, 150))
     a, b = alpha.ravel(), beta.ravel()
     keep = is_stable(loop, a, b)
-    costs = transient_costs(loop, a[keep], b[keep], (), enough=1e-12)
+    costs = transient_costs(loop, a[keep], b[keep], ())
     assert (costs["overshoot"] > 1e-12).all()
 
 

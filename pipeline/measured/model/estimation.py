@@ -454,9 +454,12 @@ def begun(held: Stretches, names: tuple[str, ...], most_delay: float) -> Device:
 def _robust(products: Floats) -> tuple[Floats, float]:
     """Return least squares over stretches, and what is left; one that is left much more than most weighs little.
 
-    A stretch tells by how far it moves: one that rests is left little by any device.
+    A stretch tells by how far it moves, up to what most do: one that rests is left little by any device, and one that
+    grows without bound would say all alone.
     """
-    way = products[:, -1, -1] / products[:, -1, -1].sum()
+    way = np.sqrt(products[:, -1, -1])
+    way = np.minimum(way, np.median(way[way > 0]) if way.any() else 1.0)
+    way /= max(float(way.sum()), 1e-300)
     weight = np.ones(len(products))
     for _ in range(ROBUST_ROUNDS):
         total = (products * weight[:, None, None]).sum(axis=0)
