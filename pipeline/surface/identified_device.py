@@ -281,9 +281,8 @@ def device_text(document: dict[str, Any], name: str) -> str:
     loop = document["loop"]
     known = wall_loop(document)
     if known is None:
-        raise ParameterError(
-            "no device file: these logs do not tell the mass and the delay. " + " ".join(_remedies(document))
-        )
+        untold = "mass" if loop["mass"] is None else "delay"
+        raise ParameterError(" ".join([f"no device file: these logs do not tell the {untold}.", *_remedies(document)]))
     units = {row["name"]: row["unit"] for row in document["parameters"]}
     mass = units.get("mass") or units.get("inertia", "")
 
@@ -326,6 +325,6 @@ def device_text(document: dict[str, Any], name: str) -> str:
 def _remedies(document: dict[str, Any]) -> list[str]:
     """Return what to record, as sentences."""
     told = [f"Record {each['record']}." for each in document["not_told_apart"]]
-    if "delay" in document["assumed_none"]:
+    if document["loop"]["delay_samples"] is None:
         told.append("For the delay, record a change of the command within a log, or give --delay.")
     return list(dict.fromkeys(told))

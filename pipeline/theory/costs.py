@@ -72,7 +72,7 @@ def point_costs_by_name(
     longest : int
         Samples after which a response that still moves gets NaN for settling time and overshoot.
     """
-    result = {name: np.empty(len(alpha)) for name in names}
+    result = {name: np.full(len(alpha), np.nan) for name in names}
     for first in range(0, len(alpha), TOGETHER):  # they share their modes
         some = slice(first, first + TOGETHER)
         for name, values in _together(loop, alpha[some], beta[some], names, longest).items():

@@ -1,6 +1,6 @@
 """Optimal curves: the best damping for each stiffness, and the best stiffness for each damping.
 
-All lines of a curve are searched at once (`theory.lines`). Each line is searched afresh and not from its neighbour's
+All lines of a curve are searched at once (`theory.search`). Each line is searched afresh and not from its neighbour's
 result, so a curve may jump where the optimum jumps (settling time and overshoot, Figs. 5.4 and 5.8).
 """
 

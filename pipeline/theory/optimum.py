@@ -3,7 +3,7 @@
 Each kind of criterion has the search that its costs ask for: energy is smooth; settling time jumps where an extremum of
 the response crosses the band, and its optimum sits in the corner of such a jump; the discrete settling time has steps;
 pole radius and damping ratio have kinks where poles meet; the region without overshoot ends in cusps. Why each
-search finds the global optimum stands in `search`, `lines` and `overshoot` of this folder.
+search finds the global optimum stands in `search` and `curves`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Settling time, overshoot and rise time of the step response, from the exact motion between samples.
 
 All points are advanced sample by sample, and leave as soon as nothing that is asked for can change any more, which is
-mostly known ahead from their modes (`ahead`). A device's motion is small only where all its states are, so that a
+mostly known ahead from their modes. A device's motion is small only where all its states are, so that a
 beat's silence is not taken for its end.
 """
 

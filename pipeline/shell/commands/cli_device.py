@@ -92,9 +92,10 @@ def identify(
     if out is not None:
         check_output(out, "--out")
     document = identified_device(paths, profile, period, delay)
+    console.tell(document, _identified(document))
     if out is not None:
         write_text(out, device_text(document, out.stem))
-    console.tell(document, [*_identified(document), *([] if out is None else [f"wrote {out}"])])
+        console.note(f"wrote {out}")
 
 
 def _identified(document: dict[str, Any]) -> Iterator[str]:
@@ -122,7 +123,8 @@ def _identified(document: dict[str, Any]) -> Iterator[str]:
     if limits is not None:
         top, B = limits["stiffness_max"], limits["damping_at_stiffness_max"]
         yield f"walls at T = {limits['sampling_period_s']:g} s and a delay of {limits['delay_samples']:.4g} samples:"
-        yield f"  stable up to K = {top['value']:.5g} ({top['low']:.5g} to {top['high']:.5g}) at B = {B:.5g} (linear)"
+        yield f"  stable up to K = {top['value']:.5g} ({top['low']:.5g} to {top['high']:.5g}) at B = {B:.5g}"
+        yield "  (linear, with a velocity by plain difference: friction adds to it, a velocity filter takes from it)"
 
 
 def _words(names: list[str]) -> str:
@@ -218,6 +220,8 @@ def _design_lines(document: dict[str, Any], loop: Loop) -> Iterator[str]:
         yield f"  {parts}: {_wall(change['wall'], k, b)}"
     if len(changes) > _SHOWN:
         yield f"  ({len(changes) - _SHOWN} more: --json)"
+    if any("sampling_period_s" in change["after"] for change in changes[:_SHOWN]):
+        yield "  (the delay stays as many samples, and is shorter in time with a shorter sampling period)"
     yield from (f"  {name} alone: {why}" for name, why in document["out_of_reach"].items())
     if not reached and not changes:
         yield "No change of one or two quantities reaches it."
