@@ -73,11 +73,11 @@ FORMATS: dict[Format, FileFormat] = {
     "parquet": FileFormat("arrow", "a Parquet or Feather file", (b"PAR1",)),
     "feather": FileFormat("arrow", "a Parquet or Feather file", (b"ARROW1", b"FEA1")),
     "matlab": FileFormat("matlab", "a MATLAB file", (b"MATLAB 5.0", b"MATLAB 7.3"), "mat"),
-    "hdf5": FileFormat("measured", "an HDF5 file", (HDF5,), "hdf5", "read_hdf5", "h5py"),
+    "hdf5": FileFormat("hdf5_tdms_mdf", "an HDF5 file", (HDF5,), "hdf5", "read_hdf5", "h5py"),
     "rosbag": FileFormat("bags", "a ROS bag", (b"#ROSBAG", b"SQLite format 3\0"), "bags"),
     "mcap": FileFormat("bags", "an MCAP file", (b"\x89MCAP0\r\n",), "bags"),
-    "tdms": FileFormat("measured", "a TDMS file", (b"TDSm",), "tdms", "read_tdms", "nptdms"),
-    "mdf": FileFormat("measured", "an MDF file", (b"MDF     ",), "mdf", "read_mdf", "asammdf"),
+    "tdms": FileFormat("hdf5_tdms_mdf", "a TDMS file", (b"TDSm",), "tdms", "read_tdms", "nptdms"),
+    "mdf": FileFormat("hdf5_tdms_mdf", "an MDF file", (b"MDF     ",), "mdf", "read_mdf", "asammdf"),
 }
 
 
