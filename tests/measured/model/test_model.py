@@ -267,9 +267,9 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     assert {name: sum(each) for name, each in inside.items() if sum(each) < 52} == {}
 
 
-def behind_walls(rng, device, parts, n=16, rows=250):
+def behind_walls(rng, device, parts, n=16, rows=250, walls=None):
     """Recordings of simulated wall trials of a device with other parts, by the simulator's own exact motion."""
-    stiffness, damping = rng.uniform(200, 1500, n), rng.uniform(5, 25, n)
+    stiffness, damping = (rng.uniform(200, 1500, n), rng.uniform(5, 25, n)) if walls is None else walls
     mechanism = Mechanism(**device, **parts)
     late = int(np.floor(2.4))
     state, delayed = mechanism.rest(np.zeros(n)), np.zeros((late + 2, n))
@@ -307,6 +307,15 @@ def test_an_ideal_device_behind_walls_has_no_parts():
     assert found.parts == {}
     assert holds(found.parameters, {"mass": 0.6, "damping": 4.0, "delay": 2.4e-3}) == []
     assert found.parameters["mass"].high - found.parameters["mass"].low < 1e-3 * 0.6
+
+
+def test_walls_far_beyond_their_limit_do_not_say_all_alone():
+    walls = np.repeat([300, 500, 800, 1200, 2000, 3000, 5000, 8000, 12000, 20000], 2), np.tile([12.0, 5.0], 10)
+    logs = behind_walls(np.random.default_rng(19), {"mass": 0.6, "damping": 4.0}, {}, n=20, rows=380, walls=walls)
+    found = identified(logs).parameters
+    assert max(np.ptp(log.position) for log in logs) > 1.0
+    assert found["delay"].value == pytest.approx(2.4e-3, abs=2e-5)
+    assert found["mass"].value == pytest.approx(0.6, rel=2e-3)
 
 
 def reading(position):
