@@ -197,6 +197,7 @@ def test_repeated_trials_at_a_point_count_by_their_median_and_overshoot_by_its_d
     assert "fewer than 6 points" in found.reason
 
 
+@pytest.mark.slow
 def test_chance_is_called_significant_in_one_of_twenty_runs():
     rng = np.random.default_rng(8)
     k, b = np.arange(61.0), np.zeros(61)
@@ -224,6 +225,7 @@ def test_costs_of_the_first_against_the_second_are_the_mirror_image(count):
 # --- stored experiments, documents, commands --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_two_delays_differ_as_the_theory_says(lwr):
     notes = [Note(experiment="delay-4", tags=("slow",), text="gears <greased>")]
     page = against_experiments(lwr.processed, ("lwr", "delay-2"), ("lwr", "delay-4"), CRITERIA, notes=((), notes))

@@ -86,6 +86,7 @@ def test_nothing_is_recommended_in_units_that_the_command_does_not_obey(tmp_path
     assert not re.search(r"× K|largest stable K", told)
 
 
+@pytest.mark.slow
 def test_single_logs_of_another_wall_are_left_out_by_name_and_the_rest_is_used(tmp_path, course):
     double = {"stiffness": lambda of: 2 * of["stiffness"], "damping": lambda of: 2 * of["damping"]}
     off = [name for i, name in enumerate(course) if i % 11 == 5 and "K000000" not in name]
@@ -112,6 +113,7 @@ def test_single_logs_of_another_wall_are_left_out_by_name_and_the_rest_is_used(t
     assert (found.passive, found.loop.adequate) == (rest.passive, True)
 
 
+@pytest.mark.slow
 def test_a_criterion_without_an_optimum_in_theory_is_a_row_with_a_reason(tmp_path, course, monkeypatch):
     """A loop with a mode at the load may have no wall without overshoot: the other criteria are compared."""
 

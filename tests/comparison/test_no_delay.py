@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 import pipeline
 
 M, DAMPER, T, STEP = 0.6, 4.0, 0.001, 2.0
@@ -24,6 +26,7 @@ def log_of(K: float, B: float, rows: int = 500, edge: int = 50, fine: int = 10) 
     return "\n".join(lines) + "\n"
 
 
+@pytest.mark.slow
 def test_a_delay_of_nothing_is_compared(tmp_path: Path) -> None:
     raw, processed = tmp_path / "raw", tmp_path / "processed"
     raw.mkdir()

@@ -108,6 +108,7 @@ def test_a_file_that_is_no_truth_of_these_logs_counts_for_nothing(falcon, tmp_pa
         path.write_bytes(kept)
 
 
+@pytest.mark.slow
 def test_a_report_is_made_anew_where_the_truth_is_gone(falcon, tmp_path):
     logs = tmp_path / "logs"
     path = next(falcon.processed.parent.rglob("truth.json"))

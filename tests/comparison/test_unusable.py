@@ -42,6 +42,7 @@ def logs(tmp_path_factory):
     return folder, bad.name, text, without
 
 
+@pytest.mark.slow
 @pytest.mark.sampled
 @pytest.mark.parametrize("what", CELLS)
 def test_a_bad_cell_takes_its_own_log_alone(what, logs, tmp_path):

@@ -93,7 +93,7 @@ def test_from_a_foreign_csv_to_a_report(capsys):
     assert "tability boundar" in report
     assert "stability limit" in outputs["pipeline compare --device bench"]
     assert "lab/K100_B1.csv, row 4: " in outputs["pipeline ingest lab --profile lab.toml"]
-    assert ">      4  1;--;0;" in outputs["pipeline quarantine lab/K100_B1.csv"]
+    assert 'missing = ["--"]' in outputs["pipeline quarantine lab/K100_B1.csv"]
     assert outputs["pipeline ingest lab/K100_B1.csv --profile lab.toml"].splitlines()[1].split() == ["1", "1", "0", "0"]
 
 

@@ -142,6 +142,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.sampled
 @pytest.mark.parametrize("change", CHANGES)
 def test_after_a_change_all_is_as_from_scratch_and_little_is_computed(lab, tmp_path, monkeypatch, change):

@@ -17,6 +17,7 @@ def verdicts(client):
     return {t["id"]: t["verdict"] for t in client.get("trials?limit=1000").content["items"]}
 
 
+@pytest.mark.slow
 def test_an_excluded_trial_is_used_for_nothing_until_it_is_used_again(three):
     before = verdicts(three)
     trial = three.get("trials?device=falcon&experiment=2").content["items"][0]["id"]

@@ -145,6 +145,7 @@ def test_a_login_ends_after_half_a_day(guarded, monkeypatch):
     assert len(guarded.database.run("SELECT 1 FROM sessions")) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="has no such modes")
 def test_only_its_owner_reads_what_the_service_keeps(empty, logs):
     Database(empty.settings.data).create_token("viewer", "")

@@ -211,6 +211,7 @@ def test_a_running_job_ends_when_it_is_cancelled(empty, logs, tmp_path):
     assert empty.get(f"jobs/{job}").content["state"] == "cancelled"
 
 
+@pytest.mark.slow
 def test_a_killed_worker_is_followed_by_another(empty, logs, tmp_path):
     database = Database(Settings(tmp_path / "processed", tmp_path / "reports").data)
     empty.upload(logs)

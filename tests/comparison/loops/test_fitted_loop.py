@@ -101,6 +101,7 @@ def test_an_ideal_device_has_no_part(tmp_path):
     assert fitted_device(stages).parts == ()
 
 
+@pytest.mark.slow
 def test_mass_and_friction_are_told_where_friction_differs_from_run_to_run(tmp_path):
     stages, _, _ = soft_course({"friction": {"coulomb": 0.6}}, tmp_path, scatter=0.2)
     device = fitted_device(stages)
@@ -111,6 +112,7 @@ def test_mass_and_friction_are_told_where_friction_differs_from_run_to_run(tmp_p
         assert number.high - number.low < 2 * most * true
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lag", [0.001, 0.0023])
 def test_costs_behind_a_lag_are_counted_from_the_delay_and_not_from_the_motion_that_is_seen(tmp_path, lag):
     """The motion that is seen begins one or two samples late, which takes 4 to 6 % from the energies."""

@@ -284,6 +284,7 @@ def behind_walls(rng, device, parts, n=16, rows=250, walls=None):
     return [Recording(str(i), T * np.arange(rows), sent[:, i], seen[:, i], T) for i in range(n)]
 
 
+@pytest.mark.slow
 def test_a_lag_is_found_behind_walls():
     logs = behind_walls(np.random.default_rng(16), {"mass": 0.6, "damping": 4.0}, {"lag_s": 0.003})
     found = identified(logs)

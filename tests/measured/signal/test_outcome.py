@@ -70,6 +70,7 @@ def check(trials: list[Labelled], at_least: int) -> None:
     assert strange <= 0.02 * sum(near.values()), report
 
 
+@pytest.mark.slow
 def test_outcomes_meet_the_labels() -> None:
     # the long logs are left to the large set: each costs as much as ten short ones
     groups = tuple(group for i, group in enumerate(GROUPS) if i in (0, 2, 4, 7, 8, 10, 12))

@@ -62,6 +62,7 @@ def test_delay_of_every_ideal_trial_is_that_of_the_simulator(ideal):
     assert (estimate.value, estimate.low, estimate.high) == (4.0, 4.0, 5.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("samples", range(2, 9))
 def test_all_seven_delays_of_the_lwr(sweep, samples):
     of = sweep.stages(f"delay-{samples}")

@@ -207,6 +207,7 @@ def test_changes_outside_the_cells_are_told(desk, quick):
         assert not found.equal
 
 
+@pytest.mark.slow
 def test_a_changed_value_of_the_json_document_is_named(desk):
     path = desk.report.with_suffix(".json")
     document = json.loads(path.read_text(encoding="utf-8"))
@@ -216,6 +217,7 @@ def test_a_changed_value_of_the_json_document_is_named(desk):
     assert [d.name for d in found.differences] == ["json/experiments/0/boundary/3/stable"]
 
 
+@pytest.mark.slow
 def test_one_changed_sample_of_a_log_names_the_log_and_the_numbers_that_change_with_it(original, desk):
     log = original.logs()[40]
     before = log.read_bytes()
