@@ -501,11 +501,10 @@ def test_signals_end_a_watch_with_status_0_and_no_process_left(tmp_path, number)
 # What the page on it says
 
 
-def test_commands_of_the_service_and_of_cron_exist():
+def test_the_command_of_cron_exists():
     text = (ROOT / "docs" / "plan.md").read_text(encoding="utf-8")
     commands = re.findall(r"bin/(pipeline watch .*)$", text, flags=re.MULTILINE)
-    assert len(commands) == 2
-    assert [fault(command) for command in commands] == [None, None]
+    assert [fault(command) for command in commands] == [None]
 
 
 def test_every_event_is_on_the_page_and_has_words():

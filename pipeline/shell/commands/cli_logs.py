@@ -144,3 +144,6 @@ def _reason_lines(record: Mapping[str, Any]) -> Iterable[str]:
     """Yield why a log was refused, line by line."""
     for key in ("path", "profile", "size", "row", "code", "reason"):
         yield f"{key:<8} {'–' if record[key] is None else record[key]}"
+    if record["profile_line"] is not None:
+        yield "this might help in the profile:"
+        yield from (f"    {line}" for line in record["profile_line"].splitlines())
