@@ -6,7 +6,7 @@ unknown variances. Restricted maximum likelihood estimates these; a noisier tria
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -35,12 +35,15 @@ RIDGE = 1e-12
 class Moments:
     """Sums of products of each trial's whitened columns and errors (T, p + 1, p + 1); its free rows (T,).
 
-    ``least`` is the variance of an error that rounding of the readings alone leaves.
+    ``least`` is the variance of an error that rounding of the readings alone leaves, ``log_spread`` the sum of the
+    logarithms of the filter's spreads over all rows, ``told`` what readings of noise 1 tell of each unknown of a start.
     """
 
     products: Floats
     rows: Floats
     least: float = 0.0
+    log_spread: float = 0.0
+    told: Floats = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +110,8 @@ def solve(moments: Moments, random: Integers) -> Solved:
     likelihood = found.determinants.sum() - 0.5 * float(
         (rows * np.log(noise) + (rows + OWN_ROWS) * np.log1p(squares / (OWN_ROWS * noise))).sum()
     )
+    # a start is anywhere within the range of the readings: what these do not tell of it makes no device likelier
+    likelihood -= moments.log_spread + 0.5 * float(np.log(moments.told + noise).sum())
     back = scale[:, None] * scale[None, :]
     return Solved(
         found.step * scale,
