@@ -223,10 +223,16 @@ def _log_spread(held: Stretches, found: Filter) -> float:
     return float(np.log(np.broadcast_to(found.spread, held.position.shape)[held.valid]).sum())
 
 
-def _told(held: Stretches, triangle: Floats) -> Floats:
-    """Return the information about each unknown of the starts, known those before it, by readings of noise 1."""
-    unknown = ~held.rests[:, None] | (np.arange(triangle.shape[2]) == 0)
-    return np.asarray(np.diagonal(triangle, axis1=1, axis2=2)[unknown] ** 2)
+def _told(held: Stretches, device: Device, triangle: Floats) -> Floats:
+    """Return the information about each unknown of the starts, known those before it, by readings of noise 1.
+
+    Position and rate are at most 1; what a lag or a mode holds is at most what the largest command makes.
+    """
+    gain, shape = abs(device.numbers["gain"]), device.shape
+    mode = [gain / shape.turn**2, gain / shape.turn] if shape.share > 0 else []
+    sizes = np.array([1.0, 1.0, *mode, *([gain] if shape.lag else [])])[: triangle.shape[2]]
+    unknown = ~held.rests[:, None] | (np.arange(len(sizes)) == 0)
+    return np.asarray((np.diagonal(triangle, axis1=1, axis2=2) * sizes)[unknown] ** 2)
 
 
 def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats, Floats]:
@@ -264,7 +270,7 @@ def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats, Fl
     stacked = np.stack([*(columns[name] for name in device.names), common], axis=-1).transpose(1, 0, 2)
     reduced = stacked - q @ (q.transpose(0, 2, 1) @ stacked)
     unknowns = np.full(len(held), q.shape[2]) - held.rests * (q.shape[2] - 1)
-    return reduced, _log_spread(held, found), _told(held, r), unknowns
+    return reduced, _log_spread(held, found), _told(held, device, r), unknowns
 
 
 def refined(
@@ -345,7 +351,7 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
         # the strength of a jitter is that of its forces, beside readings whose noise is seen
         variance = white if noise.late else np.maximum(squares / rows, some.least)
         lost = 0.5 * (rows * np.log(variance) + squares / variance + np.log(pushed)).sum()
-        return float(lost) + _log_spread(some, found) + 0.5 * float(np.log(_told(some, r) + white).sum())
+        return float(lost) + _log_spread(some, found) + 0.5 * float(np.log(_told(some, device, r) + white).sum())
 
     def likeliest(make: Callable[[float], Noise], limits: tuple[float, float]) -> tuple[float, Noise]:
         bounds = tuple(np.log(limits).tolist())

@@ -35,7 +35,7 @@ LONGEST_DELAY = 48
 SHARES = (0.05, 0.2)
 """Shares of the far mass from which a mode is looked for."""
 
-TURNS = (0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7, 1.0)
+TURNS = (0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.2)
 """Frequencies [rad a sample] from which a mode is looked for, a factor of 1.5 apart."""
 
 

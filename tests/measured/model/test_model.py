@@ -330,6 +330,17 @@ def test_a_mode_is_found_behind_walls():
     assert {name: found.parameters[name].value for name in truth} == pytest.approx(truth, rel=0.02)
 
 
+def test_a_mode_near_the_nyquist_frequency_is_no_lag():
+    far, near, frequency = 0.06, 0.13, 2 * np.pi * 300
+    reduced = far * near / (far + near)
+    load = {"load_mass": far, "spring": frequency**2 * reduced, "spring_damping": 2 * 0.02 * frequency * reduced}
+    rng = np.random.default_rng(2)
+    walls = rng.uniform(500, 3800, 24), rng.uniform(13, 63, 24)
+    found = identified(behind_walls(rng, {"mass": near, "damping": 1.3}, load, n=24, walls=walls))
+    assert set(found.parts) == {"mode"}
+    assert holds(found.parameters, {"mass": 0.19, "delay": 2.4e-3, "mode_frequency": 300.0, "mode_mass": far}) == []
+
+
 def test_an_ideal_device_behind_walls_has_no_parts():
     found = identified(behind_walls(np.random.default_rng(18), {"mass": 0.6, "damping": 4.0}, {}))
     assert found.parts == {}
