@@ -46,7 +46,7 @@ report = "reports/lwr.html"
 DEMO = """
 from pipeline.shell import demo
 from pipeline.shell.cli import run
-demo.REDUCED = (demo.Part("lwr", ("delay-2", "delay-4"), coarsen=12),)
+demo.PARTS = (demo.Part("lwr", ("delay-2", "delay-4"), coarsen=12),)
 run(["demo"])
 """
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, OTHER_COLUMNS, UsageError
+from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, HELPS, OTHER_COLUMNS, UsageError
 from pipeline.base.paths import check_output
 from pipeline.shell import console
 from pipeline.shell.commands.options import Out, Processed, ProfileFile
@@ -126,14 +126,12 @@ def quarantine(
 
 
 def _list_lines(records: Sequence[Mapping[str, Any]]) -> Iterable[str]:
-    """Yield the logs in quarantine with id, path, row, code and reason, and a line of a profile that might help."""
+    """Yield the logs in quarantine with id, path, row, code and reason, which ends with the line that might help."""
     told = []
     for one in records:
         row = "" if one["row"] is None else f", row {one['row']}"
         code = "" if one["code"] is None else f" [{one['code']}]"
-        help_lines = "; ".join((one["profile_line"] or "").splitlines())
-        more = f"\n{' ' * 18}profile: {help_lines}" if help_lines else ""
-        told.append((f"{one['id']}  {one['path']}{row}{code}", one["reason"] + more))
+        told.append((f"{one['id']}  {one['path']}{row}{code}", one["reason"]))
     yield from console.grouped(told)
     other = [one["path"] for one in records if one["code"] in OTHER_COLUMNS]
     yield from (console.draft_hint(path) for path in other[:1])
@@ -141,9 +139,9 @@ def _list_lines(records: Sequence[Mapping[str, Any]]) -> Iterable[str]:
 
 
 def _reason_lines(record: Mapping[str, Any]) -> Iterable[str]:
-    """Yield why a log was refused, line by line."""
-    for key in ("path", "profile", "size", "row", "code", "reason"):
+    """Yield why a log was refused, line by line; lines of a profile as they are to be copied."""
+    for key in ("path", "profile", "size", "row", "code"):
         yield f"{key:<8} {'–' if record[key] is None else record[key]}"
+    yield f"reason   {record['reason'].partition(HELPS)[0].rstrip()}"
     if record["profile_line"] is not None:
-        yield "this might help in the profile:"
-        yield from (f"    {line}" for line in record["profile_line"].splitlines())
+        yield from (HELPS, *(f"    {line}" for line in record["profile_line"].splitlines()))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +11,7 @@ import typer
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, UsageError
 from pipeline.base.paths import check_output
 from pipeline.shell import console
-from pipeline.shell.commands.options import Criteria, ExecutorName, Experiments, Store, listed, reports_folder
+from pipeline.shell.commands.options import Criteria, ExecutorName, Experiments, Store, reports_folder
 
 if TYPE_CHECKING:
     from pipeline.comparison.compare import Outcome
@@ -39,10 +39,9 @@ def compare(
     scene: Annotated[
         Path | None, typer.Option("--scene", help="Scene file (.toml) with content and options of the report.")
     ] = None,
-    tables_format: Annotated[
-        list[str] | None, listed("--tables-format", "Export tables: csv, json, markdown, latex.")
+    export: Annotated[
+        Path | None, typer.Option("--export", help="Folder for tables (CSV, JSON, MD, LaTeX) and figures (SVG, PDF).")
     ] = None,
-    figures: Annotated[Path | None, typer.Option("--figures", help="Folder for figures as SVG, PDF, CSV.")] = None,
     against: Annotated[
         str | None, typer.Option("--against", help="Reference: EXPERIMENT, DEVICE:EXPERIMENT or report (.json).")
     ] = None,
@@ -63,15 +62,13 @@ def compare(
     from pipeline.comparison.compare import compare as compare_device
     from pipeline.comparison.executors import executor_of
     from pipeline.comparison.scene.scene_file import read_scene
-    from pipeline.rendering.table_export import export_tables, parse_formats, tables_folder
     from pipeline.shell.report_index import write_index
     from pipeline.store.names import page_against_document, report_of
     from pipeline.store.objects import opened
 
     earlier = Path(against) if against is not None and against.endswith(".json") else None
     if against is not None:
-        choices = {"--tables-format": tables_format, "--figures": figures}
-        _refuse(choices if earlier else {**choices, "--dry-run": dry_run, "--full": full})
+        _refuse({"--export": export} if earlier else {"--export": export, "--dry-run": dry_run, "--full": full})
     asked = None if scene is None else read_scene(scene)
     name = device or (asked.device if asked else None)
     if name is None:
@@ -79,7 +76,6 @@ def compare(
     if save_scene is not None:
         _save_scene(name, processed, save_scene)
         return
-    formats = parse_formats(tables_format or ())
     wanted = criteria or (asked.chosen_criteria if asked else None)
     names = experiment or (asked.experiments if asked else None)
     if against is not None and earlier is None:
@@ -105,28 +101,31 @@ def compare(
             scene_file=scene,
             progress=console.step,
             executor=computes,
-            figures=figures,
+            figures=export and export / "figures",
         )
+    if outcome.result is not None:
+        # other folders may be anybody's: there an index is kept current, but not begun
+        write_index(target.parent, only_renew=target.parent != reports)
+    if outcome.result is not None and document is not None and earlier is not None:
+        _tell_against(against_document(outcome.result, document), page_against_document(target, earlier))
+    else:
+        _tell(outcome, export)
+
+
+def _tell(outcome: Outcome, export: Path | None) -> None:
+    """Print the result of a comparison, whose tables are written into a folder; of a dry run what would be done."""
+    from pipeline.rendering.table_export import export_tables
+
     if outcome.result is None:
         stages = [dict(zip(("stage", "action", "reason"), row, strict=True)) for row in outcome.stages]
         console.tell(stages, console.table(stages, ("stage", "action", "reason")))
         return
-    # other folders may be anybody's: there an index is kept current, but not begun
-    write_index(target.parent, only_renew=target.parent != reports)
-    if document is not None and earlier is not None:
-        _tell_against(against_document(outcome.result, document), page_against_document(target, earlier))
-        return
-    written = {"tables": tables_folder(target)} if formats else {}
-    export_tables(outcome.result, tables_folder(target), formats)
-    written |= {"figures": figures} if figures is not None else {}
-    console.tell(outcome.result.model_dump(mode="json"), _outcome_lines(outcome, written))
-
-
-def _outcome_lines(outcome: Outcome, written: dict[str, Path]) -> Iterator[str]:
-    assert outcome.result is not None, "only a dry run has none"
-    yield from outcome.result.summary
-    yield from (f"Warning: {text}" for text in outcome.result.warnings)
-    yield from (f"{what}: {path}" for what, path in {"report": outcome.report, **written}.items() if path is not None)
+    lines = [*outcome.result.summary, *(f"Warning: {text}" for text in outcome.result.warnings)]
+    lines.append(f"report: {outcome.report}")
+    if export is not None:
+        export_tables(outcome.result, export / "tables")
+        lines.append(f"tables and figures: {export}")
+    console.tell(outcome.result.model_dump(mode="json"), lines)
 
 
 def _refuse(others: dict[str, Any]) -> None:
@@ -191,13 +190,12 @@ def verify(
     report: Annotated[Path, typer.Argument(help="Report (HTML) by `pipeline compare`, or bundle (.zip).")],
     processed: Stored = None,
     profile: Profiles = None,
-    logs: Annotated[Path | None, typer.Option("--logs", help="Folder of the logs; replaces the stored tables.")] = None,
 ) -> int:
     """Recompute the numbers of a report, and name those that differ.
 
-    Reads the logs from where they lay (their stored samples where they are gone), from --logs, or from a bundle,
-    computes everything in a temporary folder, and compares each cell and value. What no log
-    determines, such as run times, is held against hashes in the page. Exit status 1 where something differs.
+    Reads the logs from where they lay (their stored samples where they are gone) or from a bundle, computes everything
+    in a temporary folder, and compares each cell and value. What no log determines, such as run times, is held against
+    hashes in the page. Exit status 1 where something differs.
 
     Example: pipeline verify reports/falcon.html
     """
@@ -206,15 +204,11 @@ def verify(
     from pipeline.shell.verify.verify import verify as verify_report
 
     if report.suffix.lower() == ENDING:
-        if processed or profile or logs:
+        if processed or profile:
             raise UsageError(f"{report}: a bundle holds all that is needed. Leave the options out.")
         found = verify_bundle(report, console.step)
     else:
-        if processed and logs:
-            raise UsageError("--processed and --logs do not go together: give the stored tables, or the logs.")
-        # a lab's own profiles first: what they do not claim the shipped ones may
-        places = [(path, logs) for path in (*(profile or ()), None)] if logs else []
-        found = verify_report(report, processed, profile or (), places, console.step)
+        found = verify_report(report, processed, profile or (), progress=console.step)
     console.tell(found.model_dump(mode="json"), lines_of(found))
     return EXIT_OK if found.equal else EXIT_ERROR
 

@@ -149,7 +149,7 @@ def verify(
         if not fresh.read + fresh.kept:
             raise StoreError(
                 f"{report}: none of its logs are in {logs or place}. Name the folder of stored tables by --processed, "
-                "or that of the logs by --logs."
+                "or verify a bundle."
             )
         for kept in kept_files(folder, STORED, ".json"):
             shutil.copy(kept, store / kept.name)
@@ -363,7 +363,7 @@ def stored_place(report: Path, named: str, given: Path | str | None) -> Path | s
             return each
     raise UsageError(
         f"{', '.join(str(p) for p in dict.fromkeys(places))}: no stored trials; expected the folder that the report "
-        "was made from. Give it with --processed, or the logs themselves with --logs."
+        "was made from. Give it with --processed, or verify a bundle."
     )
 
 
