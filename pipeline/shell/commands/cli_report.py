@@ -17,15 +17,6 @@ if TYPE_CHECKING:
     from pipeline.comparison.compare import Outcome
     from pipeline.rendering.report.report_against import AgainstPage
 
-Report = Annotated[Path, typer.Argument(help="Report (HTML) by `pipeline compare`.")]
-Stored = Annotated[
-    str | None,
-    typer.Option("--processed", help="Stored tables: folder or URL (default: as the report names it)."),
-]
-Profiles = Annotated[
-    list[Path] | None, typer.Option("--profile", help="Profile file (.toml) that read the logs; may be repeated.")
-]
-
 
 def compare(
     device: Annotated[str | None, typer.Option("--device", help="Device to compare (default: the scene's).")] = None,
@@ -188,8 +179,12 @@ def _save_scene(device: str, processed: str, path: Path) -> None:
 
 def verify(
     report: Annotated[Path, typer.Argument(help="Report (HTML) by `pipeline compare`, or bundle (.zip).")],
-    processed: Stored = None,
-    profile: Profiles = None,
+    processed: Annotated[
+        str | None, typer.Option("--processed", help="Stored tables (default: as the report names them).")
+    ] = None,
+    profile: Annotated[
+        list[Path] | None, typer.Option("--profile", help="Profile file (.toml) that read the logs. Repeat.")
+    ] = None,
 ) -> int:
     """Recompute the numbers of a report, and name those that differ.
 
@@ -213,7 +208,7 @@ def verify(
     return EXIT_OK if found.equal else EXIT_ERROR
 
 
-def bundle(report: Report, profile: Profiles = None) -> None:
+def bundle(report: Annotated[Path, typer.Argument(help="Report (HTML) by `pipeline compare`.")]) -> None:
     """Pack a report and all that `pipeline verify` needs into one zip.
 
     It lies beside the report.
@@ -222,6 +217,5 @@ def bundle(report: Report, profile: Profiles = None) -> None:
     """
     from pipeline.shell.verify.bundle import bundle as write
 
-    written = write(report, profiles=profile or ())
-    lines = [f"bundle: {written.bundle}, {written.logs} logs in {written.files} files"]
-    console.tell(written.model_dump(mode="json"), lines)
+    written = write(report)
+    console.tell(written.model_dump(mode="json"), [f"bundle: {written.bundle}, {written.trials} trials"])
