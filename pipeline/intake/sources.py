@@ -23,11 +23,10 @@ from pathlib import Path
 from pipeline.base.disk import READABLE, shared_mode
 from pipeline.base.errors import LogError, UsageError, refusal
 from pipeline.base.paths import open_regular, path_text, storable
-from pipeline.profiles.profile_columns import find_groups
 from pipeline.profiles.profile_files import claim
-from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile
+from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile, find_groups
 from pipeline.readers import Log, RawLog, reader_of
-from pipeline.readers.limits import LARGEST_LOG
+from pipeline.readers.frame import LARGEST_LOG
 from pipeline.records.findings import Motion
 from pipeline.store.names import folder_name
 

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.base.units import unit_between
-from pipeline.profiles.profile_columns import Source, si_unit
-from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile
+from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile, Source, si_unit
 from pipeline.readers.log import Log
 from pipeline.records.batch import Booleans, Floats
 

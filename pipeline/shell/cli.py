@@ -26,7 +26,7 @@ COMMANDS = {
     "exclude": "cli_storage.exclude",
     "move": "cli_storage.move",
     "delete": "cli_storage.delete",
-    "watch": "cli_watch.watch",
+    "watch": "cli_report.watch",
     "compare": "cli_report.compare",
     "verify": "cli_report.verify",
     "bundle": "cli_report.bundle",

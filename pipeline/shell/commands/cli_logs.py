@@ -36,13 +36,13 @@ def look(
     """
     from pipeline.base.disk import write_text
     from pipeline.profiles.profile_files import load_profile
-    from pipeline.shell.profile.picture import document, page
-    from pipeline.shell.profile.picture import look as look_at
+    from pipeline.shell.profile.check import document, page
+    from pipeline.shell.profile.check import look as look_at
 
     check_output(out, "--out")
     picture = look_at(log, None if profile is None else load_profile(profile))
     out.parent.mkdir(parents=True, exist_ok=True)
-    write_text(out, page([picture]))
+    write_text(out, page(picture))
     console.tell({**document(picture), "page": str(out)}, [*picture.notes, f"picture: {out}"])
 
 

@@ -40,7 +40,10 @@ def plan(
         list[str] | None, listed("--limit", "Bound on stiffness, damping, force or travel.", metavar="KEY=VALUE")
     ] = None,
     processed: Processed = Path("processed"),
-    watch: Annotated[list[Path] | None, typer.Option("--watch", help="Folder where logs arrive; ingest them.")] = None,
+    watch: Annotated[
+        list[Path] | None,
+        typer.Option("--watch", help="Folder where logs arrive; ingest them.", exists=True, file_okay=False),
+    ] = None,
     profile: ProfileFile = None,
 ) -> None:
     """Plan which wall (K, B) to try next, and when to stop.

@@ -1,8 +1,10 @@
-"""Commands of reports: `compare`, `verify` and `bundle`: parse, call, print."""
+"""Commands of reports: `compare`, `verify`, `bundle` and `watch`: parse, call, print."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,12 +12,23 @@ import typer
 
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, UsageError
 from pipeline.base.paths import check_output
+from pipeline.base.process import Ended
 from pipeline.shell import console
-from pipeline.shell.commands.options import Criteria, ExecutorName, Experiments, Store, reports_folder
+from pipeline.shell.commands.options import (
+    Criteria,
+    ExecutorName,
+    Experiments,
+    Processed,
+    ProfileFile,
+    Reports,
+    Store,
+    reports_folder,
+)
 
 if TYPE_CHECKING:
     from pipeline.comparison.compare import Outcome
     from pipeline.rendering.report.report_against import AgainstPage
+    from pipeline.shell.watch import Event
 
 
 def compare(
@@ -219,3 +232,76 @@ def bundle(report: Annotated[Path, typer.Argument(help="Report (HTML) by `pipeli
 
     written = write(report)
     console.tell(written.model_dump(mode="json"), [f"bundle: {written.bundle}, {written.trials} trials"])
+
+
+SETTLE_S = 2.0
+NICENESS = 10
+"""Lower priority: the same machine may be recording logs at 1 kHz."""
+
+WORDS = {
+    "started": "watching {folders} every {interval_s:g} s, settle {settle_s:g} s; {processed} -> {reports}",
+    "ingest": "logs: {ingested} new, {found} in all, {quarantined} in quarantine, {waiting} still settle",
+    "refused": "refused: {path}, row {row}: {reason}",
+    "changed": "changed: {path}: {outcome}",
+    "report": "report: {report} ({trials} trials, {seconds:.1f} s)",
+    "unchanged": "report: {report} is up to date",
+    "index": "index: {path}",
+    "failed": "failed: {what}: {reason}",
+    "stopped": "stopped",
+}
+"""Events in words."""
+
+
+def watch(
+    folders: Annotated[
+        list[Path],
+        typer.Argument(help="Folders in which logs arrive (searched below, too).", exists=True, file_okay=False),
+    ],
+    processed: Processed = Path("processed"),
+    reports: Reports = Path("reports"),
+    profile: ProfileFile = None,
+    scene: Annotated[
+        list[Path] | None,
+        typer.Option("--scene", help="Scene file of a report (default: all devices). Repeat.", exists=True),
+    ] = None,
+    settle: Annotated[float, typer.Option("--settle", min=0, help="Seconds a log must stay the same.")] = SETTLE_S,
+    once: Annotated[bool, typer.Option("--once", help="Make one pass; leave logs that still settle.")] = False,
+) -> int:
+    """Keep reports and the index current while logs arrive.
+
+    Only reports whose logs changed are renewed. Logs that are refused go into quarantine, and the watch goes on.
+    Nothing is lost when it is killed: the next start does what is left. With --json each line is a document. Exit
+    status with --once: 1 where something failed, 3 where logs are in quarantine.
+
+    Example: pipeline watch raw
+
+    Example: pipeline watch raw --once --processed processed --reports reports
+    """
+    from pipeline.shell.watch import Watched, follow, run_pass, status_of
+
+    watched = Watched(tuple(folders), processed, reports, profile, tuple(scene or ()), settle)
+    if once:
+        events = []
+        for event in run_pass(watched):
+            events.append(event)
+            _tell_event(event)
+        return status_of(events)
+    os.nice(NICENESS)
+    try:
+        for event in follow(watched, settle or SETTLE_S):
+            _tell_event(event)
+    except Ended:
+        _tell_event({"event": "stopped"})
+    return 0
+
+
+def _tell_event(event: Event) -> None:
+    """Print an event with its time (UTC), at once: somebody may be reading the lines as they come."""
+    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    console.tell_line({"time": now, **event}, [f"{now} {line_of(event)}".replace("\n", " ")])
+
+
+def line_of(event: Event) -> str:
+    """Return an event in words; a list of files is their number."""
+    shown = {name: len(value) if name == "waiting" else value for name, value in event.items()}
+    return WORDS[event["event"]].format(**shown)

@@ -144,7 +144,6 @@ def status(processed: Processed = Path("processed")) -> int:
 
     Example: pipeline status --processed processed
     """
-    from pipeline.base.lock import holder
     from pipeline.intake import correct
     from pipeline.intake.quarantine import list_quarantine
     from pipeline.store.corrections import read_exclusions
@@ -159,13 +158,11 @@ def status(processed: Processed = Path("processed")) -> int:
     rows.sort(key=lambda row: (row["device"], row["experiment"]))
     excluded = [one.model_dump(mode="json") for one in read_exclusions(processed).values()]
     refused = Counter(record.code or "other" for record in list_quarantine(processed, damaged))
-    held = holder(processed)
     document = {
         "experiments": rows,
         "excluded": excluded,
         "bin": len(correct.in_bin(processed)),
         "quarantined": dict(sorted(refused.items())),
-        "lock": held and {"pid": held.pid, "host": held.host, "since": held.since},
         "damaged": sorted(damaged.values()),
     }
     console.tell(document, _status_lines(document))
@@ -179,8 +176,6 @@ def _status_lines(found: Mapping[str, Any]) -> Iterable[str]:
     yield from _listed("excluded", [f"{_trial(one)}: {one['exclusion_reason']}" for one in found["excluded"]])
     yield from (f"in quarantine, {code}: {count}" for code, count in found["quarantined"].items())
     yield from _listed("damaged", found["damaged"])
-    if found["lock"]:
-        yield "process {pid} on {host} writes there since {since}".format(**found["lock"])
 
 
 def exclude(
