@@ -435,7 +435,9 @@ class _Run:
         accepted: list[Accepted] = []
         if logs is not None:
             stamps = {"profile_sha256": self.digests[profile], "claims": self.claims}
-            accepted = accepted_logs(source, sha256, self.periods.apart(logs), profile, self._motions, stamps)
+            accepted = accepted_logs(
+                source, sha256, [self.periods.apart(log) for log in logs], profile, self._motions, stamps
+            )
             paths = {self.places.get(one.trial) for one in accepted}
             twin = None if again else (paths.pop() if len(paths) == 1 else None) or twin
         if logs is None or self._read_alike(twin, source):

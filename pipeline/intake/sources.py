@@ -46,9 +46,8 @@ ENDINGS = (".db3", ".mcap")
 LARGEST_METADATA = 1 << 20
 """Bytes of ``metadata.yaml`` that are read; it has some hundred for each file and topic."""
 
-_LISTED = re.compile(r"relative_file_paths:\s*(\[[^\]]*\]|(?:[ ]*-[^\n]*(?:\n|$))+)")
 _RECORDED = re.compile(rf"""[^/'",\[\]\n]*({"|".join(map(re.escape, ENDINGS))})(\.zstd)?\b""")
-"""List of the files in the metadata, and the name of one in it, without its folder."""
+"""Name of a recorded file in the metadata, without its folder."""
 
 
 def files_of_bag(file: Path) -> tuple[Path, ...]:
@@ -60,8 +59,8 @@ def files_of_bag(file: Path) -> tuple[Path, ...]:
             text = stream.read(LARGEST_METADATA).decode("utf-8", "replace")
     except OSError:
         return ()
-    section = _LISTED.search(text)
-    found = [name[0].lstrip("- ") for name in _RECORDED.finditer(section[1])] if section else []
+    # each stands there several times
+    found = dict.fromkeys(name[0].rpartition(": ")[2].lstrip("- ") for name in _RECORDED.finditer(text))
     # one that was unpacked by hand has lost its second ending
     names = [plain if os.path.exists(file.with_name(plain := name.removesuffix(".zstd"))) else name for name in found]
     return tuple(map(file.with_name, names)) if file.name in (METADATA, *names) else ()
@@ -148,12 +147,8 @@ def find_sources(
     # what a link leads to may be reached by its own name, too
     excluded = None if exclude is None else os.path.realpath(exclude)
     for path in paths:
-        try:
-            there = path.exists()
-        except OSError as error:
-            raise UsageError(f"{path}: cannot be looked at ({error.strerror}). Correct its permissions.") from error
-        if not there:
-            raise UsageError(f"{path}: no such file or folder. Give folders with logs, or single logs.")
+        if not os.path.exists(path):
+            raise UsageError(f"{path}: no such file or folder that may be looked at. Give folders with logs, or logs.")
         if excluded is not None and os.path.join(os.path.realpath(path), "").startswith(os.path.join(excluded, "")):
             raise UsageError(f"{path}: lies in {exclude}, where results are kept. Give folders with logs.")
         look = _files(path, excluded, notice, {} if unchanged is None else unchanged)
@@ -178,7 +173,7 @@ def _files(folder: Path, excluded: str | None, notice: Notice, unchanged: dict[s
                         del unchanged[path]
                     elif entry.name[0] == ".":
                         continue
-                    elif not _is_folder(entry):
+                    elif not os.path.isdir(path):
                         if entry.name.lower() not in UNCOUNTED:
                             yield Path(entry.path)
                     elif entry.is_symlink():
@@ -197,13 +192,6 @@ def _state(entry: os.DirEntry[str]) -> tuple[int, int] | None:
     except OSError:
         return None
     return status.st_size, status.st_mtime_ns
-
-
-def _is_folder(entry: os.DirEntry[str]) -> bool:
-    try:
-        return entry.is_dir()
-    except OSError:
-        return False
 
 
 def told_by_name(profile: Profile, path: Path) -> str | None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -13,13 +12,6 @@ from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, HELPS, O
 from pipeline.base.paths import check_output
 from pipeline.shell import console
 from pipeline.shell.commands.options import Out, Processed, ProfileFile
-
-
-class Deed(StrEnum):
-    """What is done with profiles."""
-
-    check = "check"
-    draft = "draft"
 
 
 def look(
@@ -47,7 +39,7 @@ def look(
 
 
 def profile(
-    deed: Annotated[Deed, typer.Argument(help="What to do.", metavar="check|draft")],
+    deed: Annotated[Literal["check", "draft"], typer.Argument(help="What to do.", metavar="check|draft")],
     files: Annotated[list[Path], typer.Argument(help="check: profile, then logs. draft: logs, the first drafted.")],
     out: Out = None,
 ) -> int:
@@ -63,7 +55,7 @@ def profile(
 
     Example: pipeline profile check lab.toml run_01.csv
     """
-    if deed is Deed.draft:
+    if deed == "draft":
         return _draft(files, out)
     if len(files) < 2 or out is not None:
         raise UsageError("expected check PROFILE LOGS, without --out, or draft LOGS.")

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from enum import StrEnum
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -19,14 +18,6 @@ from pipeline.shell.commands.options import Processed, ProfileFile, Reports
 TOKEN_VARIABLE = "PIPELINE_TOKEN"
 NEEDED = ("fastapi", "uvicorn", "python_multipart")
 """What a plain installation leaves out."""
-
-
-class RoleName(StrEnum):
-    """What the holder of a token may do."""
-
-    viewer = "viewer"
-    contributor = "contributor"
-    admin = "admin"
 
 
 def serve(
@@ -58,18 +49,14 @@ def serve(
     run(settings, lambda place: console.note(f"{place} (Ctrl-C ends it)"))
 
 
-class Deed(StrEnum):
-    """What is done with tokens."""
-
-    create = "create"
-    list = "list"
-    revoke = "revoke"
-
-
 def token(
-    deed: Annotated[Deed, typer.Argument(help="What to do.", metavar="create|list|revoke")],
+    deed: Annotated[
+        Literal["create", "list", "revoke"], typer.Argument(help="What to do.", metavar="create|list|revoke")
+    ],
     identifier: Annotated[str | None, typer.Argument(help="Token to revoke, as the list shows it.")] = None,
-    role: Annotated[RoleName | None, typer.Option("--role", help="What the holder may do.")] = None,
+    role: Annotated[
+        Literal["viewer", "contributor", "admin"] | None, typer.Option("--role", help="What the holder may do.")
+    ] = None,
     name: Annotated[str, typer.Option("--name", help="Holder; stands beside all that he does.")] = "",
     days: Annotated[float | None, typer.Option("--days", min=0, help="Days until it expires.")] = None,
     processed: Processed = Path("processed"),
@@ -88,11 +75,11 @@ def token(
     from pipeline.service.database import Database
     from pipeline.service.settings import Settings
 
-    if (deed is Deed.create) != (role is not None) or (deed is Deed.revoke) != (identifier is not None):
+    if (deed == "create") != (role is not None) or (deed == "revoke") != (identifier is not None):
         raise UsageError("expected create --role ROLE, list, or revoke ID.")
     database = Database(Settings(processed, Path("reports")).data)
     if role is not None:
-        made = database.create_token(role.value, name, days)
+        made = database.create_token(role, name, days)
         console.tell({"token": made}, [made])
     elif identifier is not None:
         if not database.revoke_token(identifier):

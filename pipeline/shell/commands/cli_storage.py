@@ -50,8 +50,6 @@ def ingest(
     from pipeline.intake.ingest import ingest as ingest_logs
     from pipeline.store.objects import stored_by
 
-    if jobs is not None and jobs < 1:
-        raise UsageError(f"jobs must be at least 1, found {jobs}. Leave it out for one per processor.")
     how: dict[str, Any] = {"jobs": jobs, "dry_run": dry_run, "rehash": rehash, "replace": replace, "say": console.step}
     with console.progress("ingest", "logs") as advance:
         report = stored_by(processed, lambda folder: ingest_logs(paths, folder, profile, progress=advance, **how))

@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from pipeline.base.errors import ParameterError
 from pipeline.base.paths import check_output
 from pipeline.shell import console
-from pipeline.shell.commands.options import PROCESSED, Criteria, One, Signal, device_of, reports_folder
+from pipeline.shell.commands.options import PROCESSED, Criteria, One, device_of, reports_folder
 
 if TYPE_CHECKING:
     from pipeline.theory.cases import Case
@@ -89,7 +89,8 @@ def optimum(
     device: OfDevice = None,
     experiment: One = None,
     signal: Annotated[
-        Signal | None, typer.Option("--signal", help="Response (default: as the criterion says).")
+        Literal["continuous", "discrete"] | None,
+        typer.Option("--signal", help="Response (default: the criterion's)."),
     ] = None,
 ) -> None:
     """Compute the optimal stiffness and damping for a criterion.
@@ -99,7 +100,7 @@ def optimum(
     from pipeline.theory.cases import optimum_document
 
     case = _case(delay, gamma, delta, device, experiment)
-    document = optimum_document(case, criterion, signal.value if signal else None)
+    document = optimum_document(case, criterion, signal)
     cost = "" if document["cost"] is None else f", cost {document['cost']:.6g}"
     wall = ", ".join(f"{name} {document[name]:.6g}" for name in case.axes)
     console.tell(document, [f"{document['criterion']}: {wall}{cost}"])

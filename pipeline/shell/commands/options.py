@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import os
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -47,13 +46,6 @@ One = Annotated[str | None, typer.Option("--experiment", "-e", help="Experiment 
 Experiments = Annotated[list[str] | None, listed("--experiment", "Experiments (default: all).", "-e")]
 Criteria = Annotated[list[str] | None, listed("--criteria", "Criteria (default: standard set).")]
 Out = Annotated[Path | None, typer.Option("--out", help="File to write.", show_default=False)]
-
-
-class Signal(StrEnum):
-    """Which response a cost is taken from."""
-
-    continuous = "continuous"
-    discrete = "discrete"
 
 
 def device_of(text: str) -> Device:
