@@ -30,7 +30,18 @@ _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _JSON = ContextVar("json", default=False)
 """Whether the command that runs prints JSON, and nothing else."""
 
-Json = Annotated[bool, typer.Option("--json", help="Print JSON on stdout, and nothing else there.")]
+
+def option(name: str, help_text: str, *more: str, **how: Any) -> Any:
+    """Return an option with its words."""
+    return typer.Option(name, *more, help=help_text, **how)
+
+
+def argument(help_text: str, **how: Any) -> Any:
+    """Return an argument with its words."""
+    return typer.Argument(help=help_text, **how)
+
+
+Json = Annotated[bool, option("--json", "Print JSON on stdout, and nothing else there.")]
 
 
 def command(work: Callable[..., int | None]) -> Callable[..., None]:

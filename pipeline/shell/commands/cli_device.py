@@ -6,12 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from pipeline.base.errors import UsageError
 from pipeline.base.paths import check_output
 from pipeline.shell import console
 from pipeline.shell.commands.options import DeviceName, Experiments, One, Out, ProfileFile, device_of, listed
+from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
     from pipeline.records.models import Device
@@ -46,11 +45,11 @@ def demo() -> None:
 
 
 def simulate(
-    device: Annotated[str, typer.Argument(help="Device: name or file (.toml).")],
+    device: Annotated[str, argument("Device: name or file (.toml).")],
     experiment: Experiments = None,
-    out: Annotated[Path, typer.Option("--out", help="Folder; logs go to DEVICE/EXPERIMENT in it.")] = Path("raw"),
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of noise and jitter.")] = 0,
-    coarsen: Annotated[int, typer.Option("--coarsen", help="Take each n-th damping, n times the step in K.")] = 1,
+    out: Annotated[Path, option("--out", "Folder; logs go to DEVICE/EXPERIMENT in it.")] = Path("raw"),
+    seed: Annotated[int, option("--seed", "Seed of noise and jitter.", min=0)] = 0,
+    coarsen: Annotated[int, option("--coarsen", "Take each n-th damping, n times the step in K.")] = 1,
 ) -> None:
     """Write simulated logs of a device, with the truth beside them.
 
@@ -73,7 +72,7 @@ def simulate(
 
 
 def identify(
-    paths: Annotated[list[Path], typer.Argument(help="Logs with command and position, or folders with some.")],
+    paths: Annotated[list[Path], argument("Logs with command and position, or folders with some.")],
     profile: ProfileFile = None,
     out: Out = None,
 ) -> None:
@@ -133,11 +132,11 @@ def _words(names: list[str]) -> str:
 def design(
     device: DeviceName,
     experiment: One = None,
-    stiffness: Annotated[float | None, typer.Option("--stiffness", help="Wanted K, in N/m or Nm/rad.")] = None,
-    settling: Annotated[float | None, typer.Option("--settling", help="Longest settling time to 2 %, in s.")] = None,
-    overshoot: Annotated[float | None, typer.Option("--overshoot", help="Largest overshoot, a fraction.")] = None,
-    margin: Annotated[float, typer.Option("--margin", help="Factor on K up to which it stays stable.")] = 1.0,
-    hand: Annotated[str | None, typer.Option("--hand", help="Arm of Table 3.2 that holds it (default: none).")] = None,
+    stiffness: Annotated[float | None, option("--stiffness", "Wanted K, in N/m or Nm/rad.")] = None,
+    settling: Annotated[float | None, option("--settling", "Longest settling time to 2 %, in s.")] = None,
+    overshoot: Annotated[float | None, option("--overshoot", "Largest overshoot, a fraction.")] = None,
+    margin: Annotated[float, option("--margin", "Factor on K up to which it stays stable.")] = 1.0,
+    hand: Annotated[str | None, option("--hand", "Arm of Table 3.2 that holds it (default: none).")] = None,
     keep: Annotated[list[str] | None, listed("--keep", "Quantities that cannot change.")] = None,
 ) -> None:
     """Find the smallest changes of a rig that reach the wanted wall.

@@ -6,18 +6,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import typer
-
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, HELPS, OTHER_COLUMNS, UsageError
 from pipeline.base.paths import check_output
 from pipeline.shell import console
 from pipeline.shell.commands.options import Out, Processed, ProfileFile
+from pipeline.shell.console import argument, option
 
 
 def look(
-    log: Annotated[Path, typer.Argument(help="A log in any format, or the folder of a bag.")],
+    log: Annotated[Path, argument("A log in any format, or the folder of a bag.")],
     profile: ProfileFile = None,
-    out: Annotated[Path, typer.Option("--out", help="HTML file.")] = Path("look.html"),
+    out: Annotated[Path, option("--out", "HTML file.")] = Path("look.html"),
 ) -> None:
     """Draw a log as recorded: columns, step, jumps, rests, missing rows.
 
@@ -39,8 +38,8 @@ def look(
 
 
 def profile(
-    deed: Annotated[Literal["check", "draft"], typer.Argument(help="What to do.", metavar="check|draft")],
-    files: Annotated[list[Path], typer.Argument(help="check: profile, then logs. draft: logs, the first drafted.")],
+    deed: Annotated[Literal["check", "draft"], argument("What to do.", metavar="check|draft")],
+    files: Annotated[list[Path], argument("check: profile, then logs. draft: logs, the first drafted.")],
     out: Out = None,
 ) -> int:
     """Draft a profile from sample logs, or show what a profile reads.
@@ -94,7 +93,7 @@ def _draft(samples: Sequence[Path], out: Path | None) -> int:
 
 
 def quarantine(
-    logs: Annotated[list[str] | None, typer.Argument(help="Ids or paths of refused logs (default: all).")] = None,
+    logs: Annotated[list[str] | None, argument("Ids or paths of refused logs (default: all).")] = None,
     processed: Processed = Path("processed"),
 ) -> None:
     """List refused logs, or show why they were refused.

@@ -24,6 +24,7 @@ from pipeline.shell.commands.options import (
     Store,
     reports_folder,
 )
+from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
     from pipeline.comparison.compare import Outcome
@@ -32,28 +33,18 @@ if TYPE_CHECKING:
 
 
 def compare(
-    device: Annotated[str | None, typer.Option("--device", help="Device to compare (default: the scene's).")] = None,
+    device: Annotated[str | None, option("--device", "Device to compare (default: the scene's).")] = None,
     experiment: Experiments = None,
     criteria: Criteria = None,
     processed: Store = "processed",
     executor: ExecutorName = "local",
-    report: Annotated[
-        Path | None, typer.Option("--report", help="HTML file (default: reports/DEVICE.html).", show_default=False)
-    ] = None,
-    scene: Annotated[
-        Path | None, typer.Option("--scene", help="Scene file (.toml) with content and options of the report.")
-    ] = None,
-    export: Annotated[
-        Path | None, typer.Option("--export", help="Folder for tables (CSV, JSON, MD, LaTeX) and figures (SVG, PDF).")
-    ] = None,
-    against: Annotated[
-        str | None, typer.Option("--against", help="Reference: EXPERIMENT, DEVICE:EXPERIMENT or report (.json).")
-    ] = None,
-    save_scene: Annotated[
-        Path | None, typer.Option("--save-scene", help="Write a scene file of what is stored, and stop.")
-    ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done and why; do nothing.")] = False,
-    full: Annotated[bool, typer.Option("--full", help="Show the response of every trial, whatever the size.")] = False,
+    report: Annotated[Path | None, option("--report", "HTML file (default: reports/DEVICE.html).")] = None,
+    scene: Annotated[Path | None, option("--scene", "Scene file (.toml) with the content of the report.")] = None,
+    export: Annotated[Path | None, option("--export", "Folder for tables and figures in all formats.")] = None,
+    against: Annotated[str | None, option("--against", "EXPERIMENT, DEVICE:EXPERIMENT or a report (.json).")] = None,
+    save_scene: Annotated[Path | None, option("--save-scene", "Write a scene file of what is stored; stop.")] = None,
+    dry_run: Annotated[bool, option("--dry-run", "Say what would be done and why; do nothing.")] = False,
+    full: Annotated[bool, option("--full", "Show the response of every trial, whatever the size.")] = False,
 ) -> None:
     """Estimate, judge and compare with theory; write the report.
 
@@ -191,13 +182,9 @@ def _save_scene(device: str, processed: str, path: Path) -> None:
 
 
 def verify(
-    report: Annotated[Path, typer.Argument(help="Report (HTML) by `pipeline compare`, or bundle (.zip).")],
-    processed: Annotated[
-        str | None, typer.Option("--processed", help="Stored tables (default: as the report names them).")
-    ] = None,
-    profile: Annotated[
-        list[Path] | None, typer.Option("--profile", help="Profile file (.toml) that read the logs. Repeat.")
-    ] = None,
+    report: Annotated[Path, argument("Report (HTML) by `pipeline compare`, or bundle (.zip).")],
+    processed: Annotated[str | None, option("--processed", "Stored tables (default: as in the report).")] = None,
+    profile: Annotated[list[Path] | None, option("--profile", "Profile file (.toml) of the logs. Repeat.")] = None,
 ) -> int:
     """Recompute the numbers of a report, and name those that differ.
 
@@ -221,7 +208,7 @@ def verify(
     return EXIT_OK if found.equal else EXIT_ERROR
 
 
-def bundle(report: Annotated[Path, typer.Argument(help="Report (HTML) by `pipeline compare`.")]) -> None:
+def bundle(report: Annotated[Path, argument("Report (HTML) by `pipeline compare`.")]) -> None:
     """Pack a report and all that `pipeline verify` needs into one zip.
 
     It lies beside the report.
@@ -253,19 +240,15 @@ WORDS = {
 
 
 def watch(
-    folders: Annotated[
-        list[Path],
-        typer.Argument(help="Folders in which logs arrive (searched below, too).", exists=True, file_okay=False),
-    ],
+    folders: Annotated[list[Path], argument("Folders where logs arrive.", exists=True, file_okay=False)],
     processed: Processed = Path("processed"),
     reports: Reports = Path("reports"),
     profile: ProfileFile = None,
     scene: Annotated[
-        list[Path] | None,
-        typer.Option("--scene", help="Scene file of a report (default: all devices). Repeat.", exists=True),
+        list[Path] | None, option("--scene", "Scene file (default: all devices). Repeat.", exists=True)
     ] = None,
-    settle: Annotated[float, typer.Option("--settle", min=0, help="Seconds a log must stay the same.")] = SETTLE_S,
-    once: Annotated[bool, typer.Option("--once", help="Make one pass; leave logs that still settle.")] = False,
+    settle: Annotated[float, option("--settle", "Seconds a log must stay the same.", min=0)] = SETTLE_S,
+    once: Annotated[bool, option("--once", "Make one pass; leave logs that still settle.")] = False,
 ) -> int:
     """Keep reports and the index current while logs arrive.
 

@@ -8,12 +8,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import typer
-
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, UsageError
 from pipeline.shell import console
 from pipeline.shell.commands.cli_storage import counts_of, refusals
 from pipeline.shell.commands.options import Processed, ProfileFile, Reports
+from pipeline.shell.console import argument, option
 
 TOKEN_VARIABLE = "PIPELINE_TOKEN"
 NEEDED = ("fastapi", "uvicorn", "python_multipart")
@@ -23,11 +22,9 @@ NEEDED = ("fastapi", "uvicorn", "python_multipart")
 def serve(
     processed: Processed = Path("processed"),
     reports: Reports = Path("reports"),
-    host: Annotated[str, typer.Option("--host", help="Address to listen at; not this computer: needs a token.")] = (
-        "127.0.0.1"
-    ),
-    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="Port to listen at.")] = 8000,
-    read_only: Annotated[bool, typer.Option("--read-only", help="Refuse every change.")] = False,
+    host: Annotated[str, option("--host", "Address to listen at; not this computer: needs a token.")] = ("127.0.0.1"),
+    port: Annotated[int, option("--port", "Port to listen at.", min=0, max=65535)] = 8000,
+    read_only: Annotated[bool, option("--read-only", "Refuse every change.")] = False,
 ) -> None:
     """Serve the lab in the browser and by REST, until Ctrl-C.
 
@@ -50,15 +47,11 @@ def serve(
 
 
 def token(
-    deed: Annotated[
-        Literal["create", "list", "revoke"], typer.Argument(help="What to do.", metavar="create|list|revoke")
-    ],
-    identifier: Annotated[str | None, typer.Argument(help="Token to revoke, as the list shows it.")] = None,
-    role: Annotated[
-        Literal["viewer", "contributor", "admin"] | None, typer.Option("--role", help="What the holder may do.")
-    ] = None,
-    name: Annotated[str, typer.Option("--name", help="Holder; stands beside all that he does.")] = "",
-    days: Annotated[float | None, typer.Option("--days", min=0, help="Days until it expires.")] = None,
+    deed: Annotated[Literal["create", "list", "revoke"], argument("What to do.", metavar="create|list|revoke")],
+    identifier: Annotated[str | None, argument("Token to revoke, as the list shows it.")] = None,
+    role: Annotated[Literal["viewer", "contributor", "admin"] | None, option("--role", "What he may do.")] = None,
+    name: Annotated[str, option("--name", "Holder; stands beside all that he does.")] = "",
+    days: Annotated[float | None, option("--days", "Days until it expires.", min=0)] = None,
     processed: Processed = Path("processed"),
 ) -> None:
     """Create, list or revoke tokens for other computers.
@@ -91,8 +84,8 @@ def token(
 
 
 def push(
-    folder: Annotated[Path, typer.Argument(help="Folder with logs (searched below, too), or one log.")],
-    to: Annotated[str, typer.Option("--to", help="Address of the server, such as http://127.0.0.1:8000.")],
+    folder: Annotated[Path, argument("Folder with logs (searched below, too), or one log.")],
+    to: Annotated[str, option("--to", "Address of the server, such as http://127.0.0.1:8000.")],
     profile: ProfileFile = None,
 ) -> int:
     """Upload logs to a server; run again to resume.

@@ -7,11 +7,10 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
-import typer
-
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, OTHER_COLUMNS, UsageError
 from pipeline.shell import console
 from pipeline.shell.commands.options import Processed, ProfileFile, Store
+from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
     from pipeline.intake.check import CheckReport
@@ -22,19 +21,17 @@ Result = TypeVar("Result")
 LISTED = 10
 """Lines of one kind that are printed; `--json` has all."""
 
-Trials = Annotated[str, typer.Argument(help="DEVICE, DEVICE/EXPERIMENT, path of a log, or (start of) a trial id.")]
+Trials = Annotated[str, argument("DEVICE, DEVICE/EXPERIMENT, path of a log, or (start of) a trial id.")]
 
 
 def ingest(
-    paths: Annotated[list[Path], typer.Argument(help="Logs, and folders to search for logs.")],
+    paths: Annotated[list[Path], argument("Logs, and folders to search for logs.")],
     profile: ProfileFile = None,
     processed: Store = "processed",
-    jobs: Annotated[int | None, typer.Option("--jobs", help="Threads (default: one per processor).")] = None,
-    rehash: Annotated[bool, typer.Option("--rehash", help="Read logs of unchanged size and time, too.")] = False,
-    replace: Annotated[
-        bool, typer.Option("--replace", help="Let another profile or device claim stored logs.")
-    ] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check and report, store nothing.")] = False,
+    jobs: Annotated[int | None, option("--jobs", "Threads (default: one per processor).")] = None,
+    rehash: Annotated[bool, option("--rehash", "Read logs of unchanged size and time, too.")] = False,
+    replace: Annotated[bool, option("--replace", "Let another profile or device claim stored logs.")] = False,
+    dry_run: Annotated[bool, option("--dry-run", "Check and report, store nothing.")] = False,
 ) -> int:
     """Check and store new logs; refused ones go into quarantine.
 
@@ -104,7 +101,7 @@ def _listed(title: str, paths: list[str]) -> Iterable[str]:
 
 
 def check(
-    repair: Annotated[bool, typer.Option("--repair", help="Repair; the rest goes to PROCESSED/damaged.")] = False,
+    repair: Annotated[bool, option("--repair", "Repair; the rest goes to PROCESSED/damaged.")] = False,
     processed: Processed = Path("processed"),
 ) -> int:
     """Verify checksums of what is stored; repair it on request.
@@ -178,8 +175,8 @@ def _status_lines(found: Mapping[str, Any]) -> Iterable[str]:
 
 def exclude(
     trial: Trials,
-    reason: Annotated[str | None, typer.Option("--reason", help="Why; every report shows it.")] = None,
-    undo: Annotated[bool, typer.Option("--undo", help="Use the trial again.")] = False,
+    reason: Annotated[str | None, option("--reason", "Why; every report shows it.")] = None,
+    undo: Annotated[bool, option("--undo", "Use the trial again.")] = False,
     processed: Store = "processed",
 ) -> None:
     """Exclude trials from all results; they stay stored, and are reported.
@@ -211,7 +208,7 @@ def exclude(
 
 def move(
     trial: Trials,
-    to: Annotated[str, typer.Argument(help="DEVICE or DEVICE/EXPERIMENT; a slash in a name is %2F.")],
+    to: Annotated[str, argument("DEVICE or DEVICE/EXPERIMENT; a slash in a name is %2F.")],
     processed: Store = "processed",
 ) -> None:
     """Rename or move a device, an experiment or a trial.
@@ -229,9 +226,9 @@ def move(
 
 
 def delete(
-    trial: Annotated[str | None, typer.Argument(help="As for `exclude` (default: list the bin).")] = None,
-    undo: Annotated[bool, typer.Option("--undo", help="Take them out of the bin.")] = False,
-    empty: Annotated[bool, typer.Option("--empty", help="Remove what is in the bin from the store.")] = False,
+    trial: Annotated[str | None, argument("As for `exclude` (default: list the bin).")] = None,
+    undo: Annotated[bool, option("--undo", "Take them out of the bin.")] = False,
+    empty: Annotated[bool, option("--empty", "Remove what is in the bin from the store.")] = False,
     processed: Store = "processed",
 ) -> None:
     """Move trials to the bin, list it, or empty it. Logs stay untouched.
