@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pipeline.base.errors import ParameterError
 from pipeline.base.paths import check_output
 from pipeline.shell import console
-from pipeline.shell.commands.options import PROCESSED, Criteria, One, device_of, reports_folder
+from pipeline.shell.commands.options import PROCESSED, Criteria, One, Signal, device_of, reports_folder
 from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
@@ -85,10 +85,7 @@ def optimum(
     delta: Delta = 0.0,
     device: OfDevice = None,
     experiment: One = None,
-    signal: Annotated[
-        Literal[continuous, discrete] | None,
-        option("--signal", "Response (default: the criterion's)."),
-    ] = None,
+    signal: Annotated[Signal | None, option("--signal", "Response (default: the criterion's).")] = None,
 ) -> None:
     """Compute the optimal stiffness and damping for a criterion.
 
