@@ -137,7 +137,7 @@ def compare(
         return Outcome(None, _rows(plan), None)
 
     say = progress or (lambda _: None)
-    lost = tuple(one.sentence for one in gone(processed, device))
+    lost = gone(processed, device)
     found = _compute(data, early, predictions, say, executor)
     output = [*(["--scene", str(scene_file)] if scene_file else []), *(["--full"] if full else [])]
     made = partial(provenance, processed=origin(processed), key=key, output=output)

@@ -26,7 +26,7 @@ from pipeline.profiles.profile_files import load_profile
 from pipeline.records.findings import Record
 from pipeline.records.table_files import open_table
 from pipeline.store.batch_files import GROUP_TRIALS, Place, write_batch
-from pipeline.store.storage import TABLE, Gone, gone, read_rows
+from pipeline.store.storage import TABLE, gone, read_rows
 
 DAMAGED_FOLDER = "damaged"
 """Folder below `processed` for damaged files that cannot be made again; nothing there is ever removed."""
@@ -81,7 +81,7 @@ class CheckReport(Record):
     bytes: int
     damage: tuple[Damage, ...]
     repaired: bool = False
-    gone: tuple[Gone, ...] = ()
+    gone: tuple[str, ...] = ()
 
 
 def check(

@@ -129,7 +129,7 @@ def _check_lines(found: CheckReport) -> Iterable[str]:
         counts = f": {damage.kept} trials kept, {damage.read_again} read again from their logs" if damage.trials else ""
         yield f"  {damage.remedy} ({'done' if found.repaired else 'by --repair'}){counts}"
         yield from _listed("  lost", [f"{one.trial_id} of {one.source_path}" for one in damage.lost])
-    yield from (one.sentence for one in found.gone)
+    yield from found.gone
 
 
 def status(processed: Processed = Path("processed")) -> int:
