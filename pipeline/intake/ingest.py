@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,16 +22,7 @@ from pipeline.base.process import Ended
 from pipeline.base.provenance import digest
 from pipeline.base.wording import counted
 from pipeline.intake.quarantine import QuarantineRecord, Refused, keep, list_quarantine, record_of, release
-from pipeline.intake.sources import (
-    Read,
-    Source,
-    batches_of,
-    find_sources,
-    in_order,
-    is_settled,
-    read_and_check,
-    told_by_name,
-)
+from pipeline.intake.sources import Read, Source, find_sources, is_settled, reads_of, told_by_name
 from pipeline.intake.trialstore import (
     LOG_BYTES,
     Accepted,
@@ -304,15 +294,10 @@ class _Run:
             self.places = self.stored.places({source.key for source in unsettled})
         # stored sources come first: a log that was copied and touched is recognised at its old place
         unsettled.sort(key=lambda source: (source.key not in self.stored.last, source.key))
-
-        def read(sources: list[Source]) -> list[Read]:
-            return read_and_check(sources, self._is_known)
-
         try:
-            with ThreadPoolExecutor(jobs) if jobs > 1 and unsettled else nullcontext() as pool:
-                for batch in in_order(read, batches_of(unsettled), pool, jobs):
-                    self._keep([record for done in batch if (record := self._settle(done)) is not None])
-                self._flush()
+            for batch in reads_of(unsettled, self._is_known, jobs):
+                self._keep([record for done in batch if (record := self._settle(done)) is not None])
+            self._flush()
         except (KeyboardInterrupt, Ended) as error:
             error.add_note(
                 f"{self.visible} new logs are stored in {self.processed} and {self.kept} more are in quarantine. The "

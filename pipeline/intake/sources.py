@@ -13,7 +13,7 @@ import re
 import stat
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -406,18 +406,15 @@ def batches_of(sources: Sequence[Source]) -> Iterator[list[Source]]:
         yield batch
 
 
-def in_order(
-    work: Callable[[list[Source]], list[Read]], batches: Iterator[list[Source]], pool: Executor | None, ahead: int
-) -> Iterator[list[Read]]:
-    """Work on batches in the threads of a pool, by default in the caller's, and yield the results in order.
+def reads_of(sources: Sequence[Source], known: Callable[[Source, str], bool], jobs: int) -> Iterator[list[Read]]:
+    """Read sources in batches, in so many threads, and yield the results in order.
 
-    At most so many batches are ahead, so that memory is bounded.
+    At most so many batches are ahead, so that memory is bounded. Parameters as for `read_and_check`.
     """
-    if pool is None:
-        yield from map(work, batches)
-        return
-    running: list[Future[list[Read]]] = [pool.submit(work, batch) for batch in islice(batches, ahead)]
-    while running:
-        done = running.pop(0).result()
-        running += [pool.submit(work, batch) for batch in islice(batches, 1)]
-        yield done
+    batches, running = batches_of(sources), list[Future[list[Read]]]()
+    with ThreadPoolExecutor(jobs) as pool:
+        while True:
+            running += [pool.submit(read_and_check, batch, known) for batch in islice(batches, jobs - len(running))]
+            if not running:
+                return
+            yield running.pop(0).result()
