@@ -46,8 +46,9 @@ ENDINGS = (".db3", ".mcap")
 LARGEST_METADATA = 1 << 20
 """Bytes of ``metadata.yaml`` that are read; it has some hundred for each file and topic."""
 
+_LISTED = re.compile(r"relative_file_paths:\s*(\[[^\]]*\]|(?:[ ]*-[^\n]*(?:\n|$))+)")
 _RECORDED = re.compile(rf"""[^/'",\[\]\n]*({"|".join(map(re.escape, ENDINGS))})(\.zstd)?\b""")
-"""Name of a recorded file in the metadata, without its folder."""
+"""List of the files in the metadata, and the name of one in it, without its folder."""
 
 
 def files_of_bag(file: Path) -> tuple[Path, ...]:
@@ -59,8 +60,8 @@ def files_of_bag(file: Path) -> tuple[Path, ...]:
             text = stream.read(LARGEST_METADATA).decode("utf-8", "replace")
     except OSError:
         return ()
-    # each stands there several times
-    found = dict.fromkeys(name[0].rpartition(": ")[2].lstrip("- ") for name in _RECORDED.finditer(text))
+    section = _LISTED.search(text)
+    found = [name[0].lstrip("- ") for name in _RECORDED.finditer(section[1])] if section else []
     # one that was unpacked by hand has lost its second ending
     names = [plain if os.path.exists(file.with_name(plain := name.removesuffix(".zstd"))) else name for name in found]
     return tuple(map(file.with_name, names)) if file.name in (METADATA, *names) else ()
