@@ -89,8 +89,6 @@ def run_app(app: typer.Typer, arguments: Sequence[str] | None) -> None:
             app(args=None if arguments is None else list(arguments))
     except Ended as end:
         note(f"Stopped by {end}. Each file is complete or as it was before: run the command again for what is left.")
-        for text in getattr(end, "__notes__", ()):
-            note(text)
         end.leave()
     except PipelineError as error:
         note(f"Error: {error}")
