@@ -52,9 +52,6 @@ _FOUND = 1e-12
 _APART = 1e-3
 """Share by which first guesses are turned: real ones would stay real."""
 
-_EIGENVALUE = 1e-14
-"""Rounding of eigenvalues that lie apart."""
-
 _CACHED = 1 << 15
 """Entries of the arrays that are computed at a time."""
 
@@ -68,17 +65,14 @@ class Modes:
     pole : complex128, shape (n, modes)
     state : complex128, shape (n, states, modes)
         What each mode has of the loop's state at sample 0; nan where modes lie so close together that they cancel.
-    rounding : float64, shape (n, modes)
-        What rounding may have moved each pole by.
     """
 
     pole: Complexes
     state: Complexes
-    rounding: Floats
 
     def part(self, which: Integers | Booleans | slice) -> Modes:
         """Return the modes of some points."""
-        return Modes(self.pole[which], self.state[which], self.rounding[which])
+        return Modes(self.pole[which], self.state[which])
 
     @property
     def rate(self) -> Floats:
@@ -117,22 +111,21 @@ def _modes(loop: Loop, alpha: bytes, beta: bytes, signal: str) -> Modes:
     a, b = np.frombuffer(alpha), np.frombuffer(beta)
     start, states = loop.starts(a, signal), loop.states
     pole, state = np.empty((len(a), states), np.complex128), np.empty((len(a), states, states), np.complex128)
-    rest, rounding = np.ones(len(a), np.bool_), np.full(pole.shape, _EIGENVALUE)
+    rest = np.ones(len(a), np.bool_)
     if states - loop.oldest_force <= _LONGEST:
         zeta, known = _poles(loop, a, b)
-        pole, rounding, chunk = zeta.T + 1, _rounding(loop, a, b, zeta).T, max(_NEIGHBOURS, _CACHED // states**2)
+        pole, chunk = zeta.T + 1, max(_NEIGHBOURS, _CACHED // states**2)
         for some in (slice(i, i + chunk) for i in range(0, len(a), chunk)):
             with np.errstate(all="ignore"):  # what is no number is left to eigenvectors
                 state[some] = _states(loop, a[some], b[some], zeta[:, some], start[some])
             rest[some] = ~(known[some] & _reproduce(state[some], start[some]))
     last = np.flatnonzero(rest)
     pole[last], state[last] = _by_eigenvectors(loop.matrix(a[last], b[last]), start[last])
-    rounding[last] = _EIGENVALUE
     with np.errstate(over="ignore", invalid="ignore"):  # what is no number, or too large for one, is not apart
         apart = np.linalg.norm(state, axis=1).sum(axis=1) <= _CANCELLED * np.linalg.norm(start, axis=1)
         apart &= _reproduce(state, start)
     state[~apart] = np.nan
-    return Modes(pole, state, rounding)
+    return Modes(pole, state)
 
 
 def _reproduce(state: Complexes, start: Floats) -> Booleans:
@@ -233,16 +226,6 @@ def _characteristic(loop: Loop, alpha: Floats, beta: Floats, zeta: Complexes) ->
     wall, wall_slope = _value_and_slope(r.wall[0][:, None] * alpha + r.wall[1][:, None] * beta, zeta)
     power = (1 + zeta) ** delay
     return power * top + wall, power * (top_slope + delay * top / (1 + zeta)) + wall_slope
-
-
-def _rounding(loop: Loop, alpha: Floats, beta: Floats, zeta: Complexes) -> Floats:
-    """Return what rounding of the equation's terms moves its roots by."""
-    r, size = _resolvent(loop), np.abs(zeta)
-    walls = np.abs(r.wall[0])[:, None] * np.abs(alpha) + np.abs(r.wall[1])[:, None] * np.abs(beta)
-    gross = np.abs(1 + zeta) ** loop.oldest_force * _value_and_slope(np.abs(r.determinant), size)[0]
-    with np.errstate(all="ignore"):
-        gross = gross + _value_and_slope(walls, size)[0]
-        return np.asarray(np.finfo(np.float64).eps * gross / np.abs(_characteristic(loop, alpha, beta, zeta)[1]))
 
 
 def _value_and_slope(coefficients: Floats, place: Complexes) -> tuple[Complexes, Complexes]:
