@@ -52,6 +52,9 @@ _FOUND = 1e-12
 _APART = 1e-3
 """Share by which first guesses are turned: real ones would stay real."""
 
+_REAL = 1e-12
+"""Imaginary part of a real pole, which rounding may leave."""
+
 _CACHED = 1 << 15
 """Entries of the arrays that are computed at a time."""
 
@@ -124,6 +127,7 @@ def _modes(loop: Loop, alpha: bytes, beta: bytes, signal: str) -> Modes:
     with np.errstate(over="ignore", invalid="ignore"):  # what is no number, or too large for one, is not apart
         apart = np.linalg.norm(state, axis=1).sum(axis=1) <= _CANCELLED * np.linalg.norm(start, axis=1)
         apart &= _reproduce(state, start)
+    pole.imag[np.abs(pole.imag) < _REAL] = 0.0
     state[~apart] = np.nan
     return Modes(pole, state)
 
@@ -282,9 +286,6 @@ _FEW_STATES = 32
 _ROUNDING = 0.99
 """Share of a leading negative mode that all others together may have for it to keep its sign."""
 
-_REAL = 1e-12
-"""Imaginary part of a real pole, which rounding may leave."""
-
 _STRAIGHT = 1e-3
 """Angle of a pole [rad/sample] that counts as none for the window: 3,800 samples."""
 
@@ -346,7 +347,7 @@ class Outlook:
         """
         # what a motion below zero keeps of itself within an interval
         least = np.maximum(-self.sensed.real.max(axis=1), 0.0)
-        below = (np.abs(self.pole.imag) < _REAL) & (self.pole.real > 0) & (least > 0)
+        below = (self.pole.imag == 0) & (self.pole.real > 0) & (least > 0)
         others = np.where(below, 0.0, self.size)
         total = others.sum(axis=1)
         result = np.where(total <= peak, np.inf, 0.0)
@@ -360,7 +361,7 @@ class Outlook:
             return np.asarray((others * np.exp(-faster * time[:, None])).sum(axis=1) <= outweighs)
 
         span = np.log(total[some] / peak[some]) / slowest
-        result[some] = np.where(holds(span), np.inf, bisect(holds, np.zeros(len(some)), span)[0])
+        result[some] = np.where(holds(span), np.inf, bisect(holds, np.zeros(len(some)), span, 24)[0])
         return result
 
 
