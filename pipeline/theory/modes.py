@@ -52,8 +52,8 @@ _FOUND = 1e-12
 _APART = 1e-3
 """Share by which first guesses are turned: real ones would stay real."""
 
-_EIGENVALUE = 1e-14
-"""Rounding of eigenvalues that lie apart."""
+_REAL = 1e-12
+"""Imaginary part of a real pole, which rounding may leave."""
 
 _CACHED = 1 << 15
 """Entries of the arrays that are computed at a time."""
@@ -68,17 +68,14 @@ class Modes:
     pole : complex128, shape (n, modes)
     state : complex128, shape (n, states, modes)
         What each mode has of the loop's state at sample 0; nan where modes lie so close together that they cancel.
-    rounding : float64, shape (n, modes)
-        What rounding may have moved each pole by.
     """
 
     pole: Complexes
     state: Complexes
-    rounding: Floats
 
     def part(self, which: Integers | Booleans | slice) -> Modes:
         """Return the modes of some points."""
-        return Modes(self.pole[which], self.state[which], self.rounding[which])
+        return Modes(self.pole[which], self.state[which])
 
     @property
     def rate(self) -> Floats:
@@ -117,22 +114,22 @@ def _modes(loop: Loop, alpha: bytes, beta: bytes, signal: str) -> Modes:
     a, b = np.frombuffer(alpha), np.frombuffer(beta)
     start, states = loop.starts(a, signal), loop.states
     pole, state = np.empty((len(a), states), np.complex128), np.empty((len(a), states, states), np.complex128)
-    rest, rounding = np.ones(len(a), np.bool_), np.full(pole.shape, _EIGENVALUE)
+    rest = np.ones(len(a), np.bool_)
     if states - loop.oldest_force <= _LONGEST:
         zeta, known = _poles(loop, a, b)
-        pole, rounding, chunk = zeta.T + 1, _rounding(loop, a, b, zeta).T, max(_NEIGHBOURS, _CACHED // states**2)
+        pole, chunk = zeta.T + 1, max(_NEIGHBOURS, _CACHED // states**2)
         for some in (slice(i, i + chunk) for i in range(0, len(a), chunk)):
             with np.errstate(all="ignore"):  # what is no number is left to eigenvectors
                 state[some] = _states(loop, a[some], b[some], zeta[:, some], start[some])
             rest[some] = ~(known[some] & _reproduce(state[some], start[some]))
     last = np.flatnonzero(rest)
     pole[last], state[last] = _by_eigenvectors(loop.matrix(a[last], b[last]), start[last])
-    rounding[last] = _EIGENVALUE
     with np.errstate(over="ignore", invalid="ignore"):  # what is no number, or too large for one, is not apart
         apart = np.linalg.norm(state, axis=1).sum(axis=1) <= _CANCELLED * np.linalg.norm(start, axis=1)
         apart &= _reproduce(state, start)
+    pole.imag[np.abs(pole.imag) < _REAL] = 0.0
     state[~apart] = np.nan
-    return Modes(pole, state, rounding)
+    return Modes(pole, state)
 
 
 def _reproduce(state: Complexes, start: Floats) -> Booleans:
@@ -235,16 +232,6 @@ def _characteristic(loop: Loop, alpha: Floats, beta: Floats, zeta: Complexes) ->
     return power * top + wall, power * (top_slope + delay * top / (1 + zeta)) + wall_slope
 
 
-def _rounding(loop: Loop, alpha: Floats, beta: Floats, zeta: Complexes) -> Floats:
-    """Return what rounding of the equation's terms moves its roots by."""
-    r, size = _resolvent(loop), np.abs(zeta)
-    walls = np.abs(r.wall[0])[:, None] * np.abs(alpha) + np.abs(r.wall[1])[:, None] * np.abs(beta)
-    gross = np.abs(1 + zeta) ** loop.oldest_force * _value_and_slope(np.abs(r.determinant), size)[0]
-    with np.errstate(all="ignore"):
-        gross = gross + _value_and_slope(walls, size)[0]
-        return np.asarray(np.finfo(np.float64).eps * gross / np.abs(_characteristic(loop, alpha, beta, zeta)[1]))
-
-
 def _value_and_slope(coefficients: Floats, place: Complexes) -> tuple[Complexes, Complexes]:
     value, slope = coefficients[-1] + 0 * place, 0 * place
     for coefficient in coefficients[-2::-1]:
@@ -298,9 +285,6 @@ _FEW_STATES = 32
 
 _ROUNDING = 0.99
 """Share of a leading negative mode that all others together may have for it to keep its sign."""
-
-_REAL = 1e-12
-"""Imaginary part of a real pole, which rounding may leave."""
 
 _STRAIGHT = 1e-3
 """Angle of a pole [rad/sample] that counts as none for the window: 3,800 samples."""
@@ -363,7 +347,7 @@ class Outlook:
         """
         # what a motion below zero keeps of itself within an interval
         least = np.maximum(-self.sensed.real.max(axis=1), 0.0)
-        below = (np.abs(self.pole.imag) < _REAL) & (self.pole.real > 0) & (least > 0)
+        below = (self.pole.imag == 0) & (self.pole.real > 0) & (least > 0)
         others = np.where(below, 0.0, self.size)
         total = others.sum(axis=1)
         result = np.where(total <= peak, np.inf, 0.0)
@@ -377,7 +361,7 @@ class Outlook:
             return np.asarray((others * np.exp(-faster * time[:, None])).sum(axis=1) <= outweighs)
 
         span = np.log(total[some] / peak[some]) / slowest
-        result[some] = np.where(holds(span), np.inf, bisect(holds, np.zeros(len(some)), span)[0])
+        result[some] = np.where(holds(span), np.inf, bisect(holds, np.zeros(len(some)), span, 24)[0])
         return result
 
 

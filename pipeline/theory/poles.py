@@ -153,7 +153,7 @@ def threefold_pole(loop: Loop, near: float) -> tuple[float, float, float] | None
     eps^(1/3), 1e-5, on each processor otherwise; the Wronskian's root is a simple one.
     """
     with many_digits(loop.digits):
-        rows = [[part, derivative(part), derivative(derivative(part))] for part in _characteristic_parts(loop)]
+        rows = [[part, derivative(part), derivative(derivative(part))] for part in characteristic_parts(loop)]
         (p, dp, ddp), (a, da, dda), (b, db, ddb) = rows
         bend = [product(ddp, a, db), product(ddp, da, b), product(dda, p, db)]
         bend += [product(dda, dp, b), product(ddb, p, da), product(ddb, dp, a)]
@@ -201,11 +201,11 @@ def slowest_poles(loop: Loop, alpha: Floats, beta: Floats) -> list[SlowestPole]:
 def characteristic(loop: Loop, alpha: float, beta: float) -> Digits:
     """Return the characteristic polynomial in w = (z - 1)/(z + 1), lowest power first."""
     with many_digits(loop.digits):
-        free, by_alpha, by_beta = _characteristic_parts(loop)
+        free, by_alpha, by_beta = characteristic_parts(loop)
         return total(free, total(Decimal(float(alpha)) * by_alpha, Decimal(float(beta)) * by_beta))
 
 
-def _characteristic_parts(loop: Loop) -> tuple[Digits, Digits, Digits]:
+def characteristic_parts(loop: Loop) -> tuple[Digits, Digits, Digits]:
     """Return what the characteristic polynomial has without a wall, times alpha, and times beta."""
     g = loop.sampled
     up, down, two_w = as_exact([1, 1]), as_exact([1, -1]), as_exact([0, 2])

@@ -42,13 +42,13 @@ _CREEPING = 4.0
 _AT_ONCE = 1024
 """Points that are advanced together: products of their matrices stay in a cache, and on one processor."""
 
-_FIRST = 64
+_FIRST = 32
 """Samples before modes are looked at."""
 
 _LOOK = 0.25
 """Samples of a point, times the square of its states, that take as long as a look: the modes of many are slow."""
 
-_AGAIN = 32
+_AGAIN = 64
 """Samples before those that may still overshoot are looked at again: about what a look costs."""
 
 _FEW, _LONGER = 256, 7
