@@ -132,7 +132,7 @@ def test_groups_that_can_be_read_are_kept_where_the_logs_are_gone(lab):
     flip(file, position.data_page_offset + position.total_compressed_size // 3)
     (damage,) = check(processed, repair=True).damage
     assert (damage.remedy, damage.trials, damage.kept, damage.read_again) == ("save", 6, 4, 0)
-    assert {one.source_path.rpartition("/")[2] for one in damage.lost} == {"2.csv", "3.csv"}
+    assert {one["source_path"].rpartition("/")[2] for one in damage.lost} == {"2.csv", "3.csv"}
     assert len(load_batch(processed, read_trials(processed))) == 4
     assert len(list((processed / "damaged").rglob("*.lost.json"))) == 1
     assert len(list((processed / "damaged").rglob("*.damaged"))) == 1

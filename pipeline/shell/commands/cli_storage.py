@@ -128,7 +128,7 @@ def _check_lines(found: CheckReport) -> Iterable[str]:
         yield f"{damage.file}: {damage.fault}"
         counts = f": {damage.kept} trials kept, {damage.read_again} read again from their logs" if damage.trials else ""
         yield f"  {damage.remedy} ({'done' if found.repaired else 'by --repair'}){counts}"
-        yield from _listed("  lost", [f"{one.trial_id} of {one.source_path}" for one in damage.lost])
+        yield from _listed("  lost", [f"{one['trial_id']} of {one['source_path']}" for one in damage.lost])
     yield from found.gone
 
 
