@@ -53,12 +53,9 @@ def compare(
 
     Example: pipeline compare --device falcon --experiment 1 --criteria settle_2pct,overshoot
     """
-    from pipeline.comparison.against import against_document, read_document
-    from pipeline.comparison.compare import compare as compare_device
     from pipeline.comparison.executors import executor_of
     from pipeline.comparison.scene.scene_file import read_scene
-    from pipeline.shell.report_index import write_index
-    from pipeline.store.names import page_against_document, report_of
+    from pipeline.store.names import report_of
     from pipeline.store.objects import opened
 
     earlier = Path(against) if against is not None and against.endswith(".json") else None
@@ -77,30 +74,32 @@ def compare(
         with opened(processed) as folder:
             _compare_against((name, names), against, folder, wanted, report)
         return
-    computes, reports = executor_of(executor), reports_folder()
-    target = report or (Path(asked.report) if asked and asked.report else report_of(reports, name))
-    if not dry_run:
+    target = report or (Path(asked.report) if asked and asked.report else report_of(reports_folder(), name))
+    how: dict[str, Any] = {"experiments": names, "criteria": wanted, "dry_run": dry_run, "full": full}
+    how |= {"shown": asked.shown if asked else None, "scene_file": scene, "executor": executor_of(executor)}
+    _write_report(name, processed, target, how, earlier, export)
+
+
+def _write_report(
+    device: str, processed: str, target: Path, how: dict[str, Any], earlier: Path | None, export: Path | None
+) -> None:
+    """Compare a device as asked, and print what it comes to, or what differs from an earlier document."""
+    from pipeline.comparison.against import against_document, read_document
+    from pipeline.comparison.compare import compare as compare_device
+    from pipeline.shell.report_index import write_index
+    from pipeline.store.names import page_against_document
+    from pipeline.store.objects import opened
+
+    if not how["dry_run"]:
         check_output(target, "--report", document_beside=True)
     # read before the comparison, which may replace it
-    document = None if earlier is None else read_document(earlier, name)
-    with opened(processed, name) as folder:
-        outcome = compare_device(
-            name,
-            folder,
-            experiments=names,
-            criteria=wanted,
-            report=target,
-            dry_run=dry_run,
-            full=full,
-            shown=asked.shown if asked else None,
-            scene_file=scene,
-            progress=console.step,
-            executor=computes,
-            figures=export and export / "figures",
-        )
+    document = None if earlier is None else read_document(earlier, device)
+    figures = export and export / "figures"
+    with opened(processed, device) as folder:
+        outcome = compare_device(device, folder, report=target, progress=console.step, figures=figures, **how)
     if outcome.result is not None:
         # other folders may be anybody's: there an index is kept current, but not begun
-        write_index(target.parent, only_renew=target.parent != reports)
+        write_index(target.parent, only_renew=target.parent != reports_folder())
     if outcome.result is not None and document is not None and earlier is not None:
         _tell_against(against_document(outcome.result, document), page_against_document(target, earlier))
     else:
