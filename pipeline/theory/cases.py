@@ -268,7 +268,8 @@ def point_documents(case: Case, walls: Floats, criteria: Sequence[str] = POINT_C
     stable = stable_by_radius(loop, alpha, radius)
     usable, found = np.flatnonzero(stable & (radius < 1 - MARGINAL)), np.full((len(criteria), len(walls)), np.nan)
     known = point_costs_by_name(loop, alpha[usable], beta[usable], criteria, LONGEST)
-    found[:, usable] = [known[name] for name in criteria]
+    for row, name in zip(found, criteria, strict=True):
+        row[usable] = known[name]
     result = []
     for i, wall in enumerate(walls):
         costs = dict(zip(criteria, _listed(found[:, i]), strict=True))
