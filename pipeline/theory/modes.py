@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from decimal import Decimal
 from functools import lru_cache
 from math import comb
 
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.loop.loop import Loop
-from pipeline.loop.many_digits import as_exact, as_floats, many_digits
+from pipeline.loop.many_digits import as_exact, as_floats, many_digits, resolvent
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.theory.circle import bisect
 from pipeline.theory.motion import DEGREE, Motion, joined, pieces, starts
@@ -170,19 +169,13 @@ class _Resolvent:
 def _resolvent(loop: Loop) -> _Resolvent:
     steps, n = loop.own, len(loop.own.free)
     with many_digits(loop.digits):
-        one, none = as_exact(np.eye(n)), as_exact(np.zeros((1, n)))
-        power, determinant, adjugate = one, [Decimal(1)], []
-        for k in range(1, n + 1):  # Faddeev and LeVerrier
-            adjugate.append(power)
-            moved = (steps.free - one) @ power
-            determinant.append(-sum(np.diagonal(moved), Decimal(0)) / k)
-            power = moved + determinant[-1] * one
-        inverse = np.array(adjugate[::-1])
+        none = as_exact(np.zeros((1, n)))
+        determinant, inverse = resolvent(steps.free - as_exact(np.eye(n)))
         older, newer = (steps.gains[0], steps.gains[1] if len(steps.gains) > 1 else none[0])
         columns = np.concatenate([inverse @ (older + newer), none]) + np.concatenate([none, inverse @ newer])
         outputs = np.array([steps.position, steps.velocity])
         rows = np.swapaxes(outputs @ inverse, 0, 1)
-        parts = np.array(determinant[::-1]), rows, columns, outputs @ columns.T, np.array([older, newer])
+        parts = determinant, rows, columns, outputs @ columns.T, np.array([older, newer])
         return _Resolvent(*map(as_floats, parts))
 
 

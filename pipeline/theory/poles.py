@@ -9,10 +9,11 @@ from decimal import Decimal
 from functools import reduce
 
 import numpy as np
+from numpy.polynomial.polynomial import polyder, polyval
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
-from pipeline.loop.many_digits import Digits, as_exact, derivative, many_digits, power, product, total, value
+from pipeline.loop.many_digits import Digits, as_exact, many_digits, power, product, total
 from pipeline.records.batch import Booleans, Floats
 
 _CHUNK = 8192
@@ -157,21 +158,21 @@ def threefold_pole(loop: Loop, near: float) -> tuple[float, float, float] | None
     eps^(1/3), 1e-5, on each processor otherwise; the Wronskian's root is a simple one.
     """
     with many_digits(loop.digits):
-        rows = [[part, derivative(part), derivative(derivative(part))] for part in characteristic_parts(loop)]
+        rows = [[part, polyder(part), polyder(polyder(part))] for part in characteristic_parts(loop)]
         (p, dp, ddp), (a, da, dda), (b, db, ddb) = rows
         bend = [product(ddp, a, db), product(ddp, da, b), product(dda, p, db)]
         bend += [product(dda, dp, b), product(ddb, p, da), product(ddb, dp, a)]
         wronskian = reduce(total, (part * (-1) ** k for k, part in zip((0, 1, 1, 0, 0, 1), bend, strict=True)))
-        slope, w = derivative(wronskian), Decimal((near - 1) / (near + 1))
+        slope, w = polyder(wronskian), Decimal((near - 1) / (near + 1))
         for _ in range(_STEPS):
-            step = value(wronskian, w) / value(slope, w)
+            step = polyval(w, wronskian) / polyval(w, slope)
             w -= step
             if abs(step) <= _FINE * abs(w):
                 break
         z = (1 + w) / (1 - w)
         if abs(float(z) / near - 1) > _REACH:
             return None
-        (free, fall), (one, rise), (other, turn) = ([value(part, w) for part in row[:2]] for row in rows)
+        (free, fall), (one, rise), (other, turn) = ([polyval(w, part) for part in row[:2]] for row in rows)
         scale = one * turn - other * rise
         alpha, beta = (other * fall - free * turn) / scale, (free * rise - one * fall) / scale
         return float(alpha), float(beta), float(z)
