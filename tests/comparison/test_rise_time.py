@@ -12,7 +12,7 @@ from simulated import simulate
 from typer.testing import CliRunner
 
 from pipeline.loop.loop import Loop, Normalised
-from pipeline.measured.cost.costs import FAMILIES
+from pipeline.measured.cost.costs import BY_FAMILY
 from pipeline.measured.cost.reading_error import reading_error
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
@@ -119,7 +119,7 @@ def stable_neighbours(loop, best):
 
 
 def rise(batch, response, verdicts, error):
-    return FAMILIES["rise"](batch, response, verdicts, error, {"delay": 0})
+    return BY_FAMILY["rise"](batch, response, verdicts, error, {"delay": 0})
 
 
 def ideal():

@@ -146,3 +146,24 @@ def test_the_command_answers() -> None:
     document = json.loads(done.stdout)
     assert document["hand"] == "hogan"
     assert document["reached"] is True  # the arm's mass on the handle holds the wall
+
+
+def test_a_device_without_damping_of_its_own_has_sensitivities() -> None:
+    rows = design(Loop(1.0, 0.0, 0.001, 2), 500.0).sensitivities.set_index("quantity")
+    assert rows.loc["damping", "stiffness_max_per_unit"] > 0
+
+
+@pytest.mark.parametrize(
+    ("device", "stiffness", "told"),
+    [
+        ("falcon", "1 N/mm", "Wanted: K = 1000 N/m."),
+        ("lwr", "500", "Wanted: K = 500 Nm/rad."),
+        ("lwr", "5 N/mm", "expected Nm/rad"),
+        ("falcon", "5 mm", "expected N/m"),
+        ("falcon", "hard", "expected a number"),
+    ],
+)
+def test_a_stiffness_is_told_with_its_unit(device: str, stiffness: str, told: str) -> None:
+    answer = CliRunner().invoke(application("design"), ["design", "--device", device, "--stiffness", stiffness])
+    assert told in answer.output + str(answer.exception)
+    assert (answer.exit_code == 0) == told.startswith("Wanted")

@@ -132,7 +132,7 @@ def _words(names: list[str]) -> str:
 def design(
     device: DeviceName,
     experiment: One = None,
-    stiffness: Annotated[float | None, option("--stiffness", "Wanted K, in N/m or Nm/rad.")] = None,
+    stiffness: Annotated[str | None, option("--stiffness", "Wanted K, as 5000 or '5 N/mm'.")] = None,
     settling: Annotated[float | None, option("--settling", "Longest settling time to 2 %, in s.")] = None,
     overshoot: Annotated[float | None, option("--overshoot", "Largest overshoot, a fraction.")] = None,
     margin: Annotated[float, option("--margin", "Factor on K up to which it stays stable.")] = 1.0,
@@ -152,16 +152,34 @@ def design(
     known = device_of(device)
     conditions = find_experiment(known, experiment) if experiment else known.experiments[0]
     loop = _held(known, conditions, hand)
+    wanted = None if stiffness is None else _stiffness(stiffness, loop)
     wish = {"settling_s": settling, "overshoot": overshoot, "margin": margin}
-    answer = answer_of(loop, stiffness, keep=keep or (), **wish)  # type: ignore[arg-type]
+    answer = answer_of(loop, wanted, keep=keep or (), **wish)  # type: ignore[arg-type]
     parts, quantum = known.loop_of(conditions), known.sensor.quantum
     coulomb = parts.friction.coulomb if parts.friction is not None else 0.0
     rows = published_limits(loop, answer.wall["damping"] or 0.0, coulomb=coulomb, quantum=quantum)
     document = {"device": known.name, "experiment": conditions.name, "hand": hand, **answer.document()}
     document["left_out"] = parts.left_out
-    document["quantum"] = _quantum(coulomb, quantum, stiffness)
+    document["quantum"] = _quantum(coulomb, quantum, wanted)
     document["published"] = rows.astype(object).where(rows.notna(), None).to_dict("records")
     console.tell(document, _design_lines(document, loop))
+
+
+def _stiffness(text: str, loop: Loop) -> float:
+    """Return a stiffness in SI; a number alone is in SI, a unit has to be that of the device's motion."""
+    from pipeline.base.units import find_unit
+
+    quantity, si = {"translation": ("stiffness", "N/m")}.get(loop.motion, ("rotational stiffness", "Nm/rad"))
+    number, _, symbol = text.strip().partition(" ")
+    unit = find_unit(symbol or si)
+    try:
+        value = float(number)
+    except ValueError as error:
+        raise UsageError(f"--stiffness {text}: expected a number, and a unit behind a space, as '5 {si}'.") from error
+    if unit is None or unit.quantity != quantity:
+        lever = " One of N/m at a lever of r m is r^2 times as many Nm/rad." if loop.motion == "rotation" else ""
+        raise UsageError(f"--stiffness {text}: the device's motion is a {loop.motion}; expected {si}.{lever}")
+    return value * unit.factor
 
 
 def _held(device: Device, conditions: Any, hand: str | None) -> Loop:
@@ -196,7 +214,10 @@ def _design_lines(document: dict[str, Any], loop: Loop) -> Iterator[str]:
     """Yield the answer: reached or not, the wall, changes, sensitivities, published limits."""
     k, b = ("N/m", "Ns/m") if loop.motion == "translation" else ("Nm/rad", "Nms/rad")
     reached, most = document["reached"], document["stiffness_reached"]
-    limit = most is not None and document["wish"]["stiffness"] is not None
+    wanted = document["wish"]["stiffness"]
+    limit = most is not None and wanted is not None
+    if wanted is not None:
+        yield f"Wanted: K = {wanted:.5g} {k}."
     yield f"Reached: {'yes' if reached else 'no'}." + (f" Largest K for this wish: {most:.5g} {k}." if limit else "")
     yield f"Nearest wall: {_wall(document['wall'], k, b)}"
     changes = document["changes"]
