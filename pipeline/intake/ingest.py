@@ -21,17 +21,8 @@ from pipeline.base.paths import is_gone, path_of_text, path_text, storable
 from pipeline.base.provenance import digest
 from pipeline.base.wording import counted
 from pipeline.intake.quarantine import QuarantineRecord, Refused, keep, list_quarantine, record_of, release
-from pipeline.intake.sources import Read, Source, find_sources, is_settled, reads_of, told_by_name
-from pipeline.intake.trialstore import (
-    LOG_BYTES,
-    Accepted,
-    Periods,
-    StoredSource,
-    StoredSources,
-    accepted_logs,
-    store_logs,
-    trial_id,
-)
+from pipeline.intake.sources import Read, Source, find_sources, is_settled, reads_of
+from pipeline.intake.trialstore import Accepted, Periods, StoredSource, StoredSources, accepted_logs, id_of, store_logs
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
@@ -372,8 +363,7 @@ class _Run:
 
     def _find(self, source: Source, sha256: str) -> str | None:
         """Return the path under which a log is stored that is this one: content, and what its name tells."""
-        told = None if source.profile is None else told_by_name(source.profile, source.path)
-        return self.places.get(trial_id(sha256, None, told))
+        return self.places.get(id_of(source, sha256))
 
     def _at(self, path: str) -> StoredSource | None:
         """Return what is stored under a path, by this run or before."""
@@ -492,7 +482,7 @@ class _Run:
         if not self.dry_run:
             new = [one for one in accepted if one.trial not in present]
             self.pending += new
-            self.pending_bytes += sum(one.bytes + LOG_BYTES for one in new)
+            self.pending_bytes += sum(one.bytes for one in new)
             if self.pending_bytes >= PENDING_BYTES:
                 self._flush()
 

@@ -224,8 +224,8 @@ class Accepted:
 
     @property
     def bytes(self) -> int:
-        """Memory of the samples [byte]."""
-        return sum(values.nbytes for values in vars(self.log).values() if isinstance(values, np.ndarray))
+        """Memory of the log [byte]."""
+        return LOG_BYTES + sum(values.nbytes for values in vars(self.log).values() if isinstance(values, np.ndarray))
 
     @property
     def place(self) -> Place:
@@ -312,14 +312,9 @@ def store_logs(
 
 def _tables(members: Sequence[Accepted]) -> Iterator[pa.Table]:
     """Yield the trials of logs, a group of rows at a time."""
-    group, size = list[Accepted](), 0
-    for one in members:
-        if group and (len(group) >= GROUP_TRIALS or size + one.bytes > GROUP_BYTES):
-            yield _table(group)
-            group, size = [], 0
-        group.append(one)
-        size += one.bytes
-    yield _table(group)
+    step = max(min(GROUP_TRIALS, GROUP_BYTES // max(one.bytes for one in members)), 1)
+    for first in range(0, len(members), step):
+        yield _table(members[first : first + step])
 
 
 def _table(members: Sequence[Accepted]) -> pa.Table:
@@ -370,6 +365,12 @@ def _lists(columns: Sequence[Floats | Integers | None], dtype: pa.DataType) -> p
         for kind, array in ((pa.int32(), edges), (dtype.value_type, np.concatenate(there)))
     )
     return pa.ListArray.from_arrays(rows, values, type=dtype, mask=mask)
+
+
+def id_of(source: Source, sha256: str) -> str:
+    """Return the id of the trial of a source that holds one."""
+    told = None if source.profile is None else told_by_name(source.profile, source.path)
+    return trial_id(sha256, None, told)
 
 
 def trial_id(sha256: str, label: str | None, told: str | None = None) -> str:
