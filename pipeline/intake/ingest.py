@@ -221,8 +221,8 @@ class _Run:
         self.taken = dict[str, StoredSource]()
         self.renamed = dict[str, str]()
         """Id of each trial whose log was renamed, and the one that it has now."""
-        self.pending, self.pending_bytes, self.dropped = list[Accepted](), 0, set[Key]()
-        """Trials that are not visible yet, and those that give way to them."""
+        self.pending, self.pending_bytes, self.dropped, self.outdated = list[Accepted](), 0, set[Key](), set[Key]()
+        """Trials that are not visible yet, and those that give way to them: of any, and of older content."""
         self.folders = set[Path]()
         self.counts = Counter[Action]()
         """Sources by what becomes of them."""
@@ -472,7 +472,10 @@ class _Run:
                 reason = f"its name was {path}"
         elif not again:
             reason = "content changed"
-            self._drop(source.shown, source.key, former, "its trials were replaced by those of the new content")
+            keys = self.outdated if source.mtime_ns > former.mtime_ns else self.dropped
+            keys |= former.keys(source.key)
+            outcome = "its trials were replaced by those of the new content"
+            self.changed.append(ChangedSource(path=source.shown, outcome=outcome))
         elif former.profile_sha256 != row["profile_sha256"]:
             reason = "profile changed"
             self._drop(source.shown, source.key, former, outcome)
@@ -514,11 +517,11 @@ class _Run:
         """Make all that is pending visible, and drop what it replaces; after an error all that is stored is valid."""
         if self.dry_run or not (self.pending or self.dropped):
             return
-        self.folders |= store_logs(self.processed, self.pending, self.dropped, self.damaged)
+        self.folders |= store_logs(self.processed, self.pending, self.dropped, self.outdated, self.damaged)
         publish(self.processed)
         for source in {one.source.key: one.source for one in self.pending}.values():
             self._release(source)
-        self.pending, self.pending_bytes, self.dropped = [], 0, set()
+        self.pending, self.pending_bytes, self.dropped, self.outdated = [], 0, set(), set()
 
     def _release(self, source: Source) -> None:
         if self.refused and not self.dry_run:

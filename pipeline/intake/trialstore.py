@@ -284,22 +284,31 @@ def accepted_logs(
 
 
 def store_logs(
-    processed: Path, accepted: Sequence[Accepted], dropped: Collection[Key], damaged: dict[Path, str]
+    processed: Path,
+    accepted: Sequence[Accepted],
+    dropped: Collection[Key],
+    outdated: Collection[Key],
+    damaged: dict[Path, str],
 ) -> set[Path]:
     """Store logs, a file for each place, and drop what they replace; return the folders that changed.
 
-    What is dropped goes with the same file that brings the new trials, where it is of their place. Elsewhere it goes
-    before, since what is new can be read again from its log.
+    What they replace goes with the same file that brings the new trials, where it is of their place. Elsewhere it goes
+    before, since what is new can be read again from its log; but what is outdated goes afterwards: a reader who sees
+    two contents of a log takes the newer one, and misses none.
     """
     places = defaultdict[Place, list[Accepted]](list)
     for one in accepted:
         places[one.place].append(one)
-    absorbed, kept = defaultdict[Place, list[Path]](list), without(processed, dropped, damaged) if dropped else {}
+    absorbed, later = defaultdict[Place, list[Path]](list), list[Path]()
+    first = without(processed, dropped, damaged) if dropped else {}
+    kept = without(processed, {*dropped, *outdated}, damaged) if outdated else first
     for file in kept:
         if (place := place_of_file(file)) in places:
             absorbed[place].append(file)
-        else:
+        elif file in first:
             rewrite(processed, [file], kept)
+        else:
+            later.append(file)
     for place in places:  # one after the other: the name of a folder depends on those that are there
         make_folder(trials_folder(processed, place.device, place.experiment))
 
@@ -307,7 +316,10 @@ def store_logs(
         former = chain.from_iterable(trials_of(file, kept[file]) for file in absorbed[place])
         return write_batch(processed, place, chain(_tables(places[place]), former), absorbed[place])
 
-    return {path.parent for path in each(write, list(places), OPEN_FILES) if path is not None}
+    folders = {path.parent for path in each(write, list(places), OPEN_FILES) if path is not None}
+    for file in later:
+        rewrite(processed, [file], kept)
+    return folders
 
 
 def _tables(members: Sequence[Accepted]) -> Iterator[pa.Table]:
