@@ -60,6 +60,7 @@ def test_a_second_simulator_says_the_same_of_walls_beside_the_limit():
         assert (swing > before) == grows
 
 
+@pytest.mark.slow
 def test_a_course_with_friction_tells_both_limits(sticky_outcome):
     (result,) = sticky_outcome.result.experiments
     limits = {each.damping: each for each in result.loop_boundary}
