@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from decimal import Decimal
 from functools import lru_cache
 from math import comb
 
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.loop.loop import Loop
-from pipeline.loop.many_digits import as_exact, as_floats, many_digits
+from pipeline.loop.many_digits import as_exact, as_floats, many_digits, resolvent
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.theory.circle import bisect
 from pipeline.theory.motion import DEGREE, Motion, joined, pieces, starts
@@ -34,8 +33,9 @@ _GONE = 1e-30
 _CANCELLED = 1e3
 """Sizes of all modes over that of their sum from which on they cancel too many digits: rounding grows as the square."""
 
-_REPRODUCED = 1e-12
-"""Largest difference of the state at sample 0 and its modes, relative to these."""
+_ROUNDED = 1e-12
+"""What rounding may leave: of a pole's step relative to its distance from z = 1, of a real one's imaginary part, and of
+the difference of the state at sample 0 and its modes, relative to these."""
 
 _LONGEST = 8
 """States without delayed forces up to which polynomials keep their digits."""
@@ -46,14 +46,8 @@ _NEIGHBOURS = 24
 _STEPS = 30
 """Simultaneous iterations at most: some five from a neighbour's poles, each with three times the digits."""
 
-_FOUND = 1e-12
-"""Step, relative to the distance from z = 1, after which a pole is known to rounding."""
-
 _APART = 1e-3
 """Share by which first guesses are turned: real ones would stay real."""
-
-_REAL = 1e-12
-"""Imaginary part of a real pole, which rounding may leave."""
 
 _CACHED = 1 << 15
 """Entries of the arrays that are computed at a time."""
@@ -91,14 +85,13 @@ class Modes:
         return np.ascontiguousarray((self.state @ self.grown(sample)[:, :, None])[:, :, 0].real.T)
 
 
-def modes(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> Modes:
-    """Return the modes of responses; those of the latest points are kept, as several costs ask for them.
+def modes(loop: Loop, alpha: Floats, beta: Floats) -> Modes:
+    """Return the modes of step responses; those of the latest points are kept, as several costs ask for them.
 
     Parameters
     ----------
     loop : Loop
     alpha, beta : float64, shape (n,)
-    signal : {"step", "impulse"}
 
     Returns
     -------
@@ -106,13 +99,13 @@ def modes(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> Modes:
         Of n points; the states are those of `loop.matrix` (position error, its history, delayed commands, device).
 
     """
-    return _modes(loop, alpha.tobytes(), beta.tobytes(), signal)
+    return _modes(loop, alpha.tobytes(), beta.tobytes())
 
 
 @lru_cache(maxsize=1)
-def _modes(loop: Loop, alpha: bytes, beta: bytes, signal: str) -> Modes:
+def _modes(loop: Loop, alpha: bytes, beta: bytes) -> Modes:
     a, b = np.frombuffer(alpha), np.frombuffer(beta)
-    start, states = loop.starts(a, signal), loop.states
+    start, states = loop.starts(a, "step"), loop.states
     pole, state = np.empty((len(a), states), np.complex128), np.empty((len(a), states, states), np.complex128)
     rest = np.ones(len(a), np.bool_)
     if states - loop.oldest_force <= _LONGEST:
@@ -127,7 +120,7 @@ def _modes(loop: Loop, alpha: bytes, beta: bytes, signal: str) -> Modes:
     with np.errstate(over="ignore", invalid="ignore"):  # what is no number, or too large for one, is not apart
         apart = np.linalg.norm(state, axis=1).sum(axis=1) <= _CANCELLED * np.linalg.norm(start, axis=1)
         apart &= _reproduce(state, start)
-    pole.imag[np.abs(pole.imag) < _REAL] = 0.0
+    pole.imag[np.abs(pole.imag) < _ROUNDED] = 0.0
     state[~apart] = np.nan
     return Modes(pole, state)
 
@@ -136,7 +129,7 @@ def _reproduce(state: Complexes, start: Floats) -> Booleans:
     """Return whose modes make up the state at sample 0; a pole next to z = 0 has lost its digits."""
     with np.errstate(invalid="ignore"):
         off = np.abs(state.sum(axis=2) - start)
-        return np.asarray((off <= _REPRODUCED * np.abs(state).sum(axis=2).max(axis=1)[:, None]).all(axis=1))
+        return np.asarray((off <= _ROUNDED * np.abs(state).sum(axis=2).max(axis=1)[:, None]).all(axis=1))
 
 
 def _by_eigenvectors(matrix: Floats, start: Floats) -> tuple[Complexes, Complexes]:
@@ -176,19 +169,13 @@ class _Resolvent:
 def _resolvent(loop: Loop) -> _Resolvent:
     steps, n = loop.own, len(loop.own.free)
     with many_digits(loop.digits):
-        one, none = as_exact(np.eye(n)), as_exact(np.zeros((1, n)))
-        power, determinant, adjugate = one, [Decimal(1)], []
-        for k in range(1, n + 1):  # Faddeev and LeVerrier
-            adjugate.append(power)
-            moved = (steps.free - one) @ power
-            determinant.append(-sum(np.diagonal(moved), Decimal(0)) / k)
-            power = moved + determinant[-1] * one
-        inverse = np.array(adjugate[::-1])
+        none = as_exact(np.zeros((1, n)))
+        determinant, inverse = resolvent(steps.free - as_exact(np.eye(n)))
         older, newer = (steps.gains[0], steps.gains[1] if len(steps.gains) > 1 else none[0])
         columns = np.concatenate([inverse @ (older + newer), none]) + np.concatenate([none, inverse @ newer])
         outputs = np.array([steps.position, steps.velocity])
         rows = np.swapaxes(outputs @ inverse, 0, 1)
-        parts = np.array(determinant[::-1]), rows, columns, outputs @ columns.T, np.array([older, newer])
+        parts = determinant, rows, columns, outputs @ columns.T, np.array([older, newer])
         return _Resolvent(*map(as_floats, parts))
 
 
@@ -204,7 +191,7 @@ def _poles(loop: Loop, alpha: Floats, beta: Floats) -> tuple[Complexes, Booleans
             place = zeta[:, active]
             step = _step(loop, alpha[active], beta[active], place)
             zeta[:, active] = place - step
-            size = np.abs(step) - _FOUND * np.abs(place)
+            size = np.abs(step) - _ROUNDED * np.abs(place)
             known[active] = (size <= 0).all(axis=0)
             active = active[(size > 0).any(axis=0)]
             if not len(active):
@@ -372,19 +359,19 @@ def outlooks(run: Motion, everyone: Motion) -> Iterator[Outlook]:
     """
     states = run.loop.states
     if states <= _FEW_STATES:
-        yield Outlook(run, modes(run.loop, everyone.alpha, everyone.beta, "step").part(run.index - everyone.index[0]))
+        yield Outlook(run, modes(run.loop, everyone.alpha, everyone.beta).part(run.index - everyone.index[0]))
         return
     together = max(1, TOGETHER * _FEW_STATES**2 // (4 * states**2))
     for first in range(0, len(run.index), together):
         some = run.part(slice(first, first + together))
-        yield Outlook(some, modes(run.loop, some.alpha, some.beta, "step"))
+        yield Outlook(some, modes(run.loop, some.alpha, some.beta))
 
 
 def earlier(run: Motion) -> Motion:
     """Return points a wider window before their stop; from where samples were left out, if modes fail for them."""
     parts = [run.part(slice(first, first + TOGETHER)) for first in range(0, len(run.index), TOGETHER)]
     for part in parts:
-        past = modes(part.loop, part.alpha, part.beta, "step")
+        past = modes(part.loop, part.alpha, part.beta)
         start = np.maximum(np.floor(part.stop - _WIDER * (part.stop - part.sample)), part.since)
         part.sample, part.state = part.since, part.begun
         _placed(part, past, np.where(_told(part, past), start, part.since))

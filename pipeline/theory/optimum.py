@@ -8,7 +8,6 @@ search finds the global optimum stands in `search` and `curves`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache, partial
 
 import numpy as np
@@ -300,16 +299,8 @@ REFERENCE_DELAY = 8.0
 """Delay factor at which the scaling factors of Table 5.1 were taken."""
 
 
-@dataclass(frozen=True)
-class MarkedPoint:
-    """Normalised stiffness and damping of a point that has no cost."""
-
-    alpha: float
-    beta: float
-
-
-def marked_point(loop: Loop, name: str) -> MarkedPoint:
-    """Return the stable point of largest stiffness or damping, or the Ziegler-Nichols point.
+def marked_point(loop: Loop, name: str) -> OptimalPoint:
+    """Return the stable point of largest stiffness or damping, or the Ziegler-Nichols point; its cost is nan.
 
     Parameters
     ----------
@@ -333,12 +324,12 @@ def marked_point(loop: Loop, name: str) -> MarkedPoint:
         raise ParameterError(f"point {name!r} is unknown; expected one of {list(POINT_CRITERIA)}.")
     border = boundary(loop)
     if name == "alpha_max":
-        return MarkedPoint(border.alpha_max, border.beta_at_alpha_max)
+        return OptimalPoint(border.alpha_max, border.beta_at_alpha_max, np.nan)
     if name == "beta_max":
-        return MarkedPoint(border.alpha_at_beta_max, border.beta_max)
+        return OptimalPoint(border.alpha_at_beta_max, border.beta_max, np.nan)
     top = np.nanargmax(np.where(np.isnan(border.theta), np.nan, border.beta))
     period = 2 * np.pi / float(border.theta[top])
-    return MarkedPoint(0.54 * border.beta_max / period, 0.45 * border.beta_max)
+    return OptimalPoint(0.54 * border.beta_max / period, 0.45 * border.beta_max, np.nan)
 
 
 def scaling_factor(criterion: str, reference: float = REFERENCE_DELAY, gamma: float = 0.0, delta: float = 0.0) -> float:

@@ -34,7 +34,6 @@ def test_boundary_of_the_page(call, arm):  # noqa: F811
     walls.write_text("stiffness,damping\n" + "\n".join(f"{k!r},{b!r}" for k, b in rows))
     points = document(call("theory", "points", walls, "--device", arm, "--json"))
     assert [point["stable"] for point in points] == [True, False] * len(inner)
-    assert {point["separation"] > 0 for point in points} == {True}
 
 
 def test_an_ideal_device_has_the_boundary_of_its_normalised_loop(call):  # noqa: F811

@@ -10,8 +10,18 @@ import pytest
 from places import ROOT
 from sample_logs import STEP, WRITERS
 
-from pipeline.profiles.profile_columns import Fraction, PositionSource, TimeSource
-from pipeline.profiles.profile_model import ConditionUnits, Constants, FileEntry, Partner, Profile, StepEntry, Window
+from pipeline.profiles.profile_model import (
+    ConditionUnits,
+    Constants,
+    FileEntry,
+    Fraction,
+    Partner,
+    PositionSource,
+    Profile,
+    StepEntry,
+    TimeSource,
+    Window,
+)
 from pipeline.shell.cli import run
 
 PAGE = (ROOT / "docs" / "logs.md").read_text(encoding="utf-8")

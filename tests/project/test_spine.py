@@ -48,8 +48,7 @@ def call(capsys, monkeypatch, tmp_path):
 
 
 def test_commands_lead_from_simulation_to_the_report(call, tmp_path):
-    simulate = call("simulate", "lwr", "--experiment", "delay-8", "--ideal", "--coarsen", "4", "--json")
-    logs = json.loads(simulate)["logs"]["delay-8"]
+    logs = write_course(run_course(load_device("lwr"), "delay-8", ideal=True, coarsen=4), tmp_path / "raw")
     stored = json.loads(call("ingest", "raw", "--json"))
     nothing: dict[str, list] = {
         key: [] for key in ("quarantined", "warnings", "removed", "changed", "waiting", "damaged")
