@@ -170,6 +170,7 @@ def test_what_a_log_cannot_tell_has_a_reason():
     assert np.isnan(found["rise_time"]).all()
 
 
+@pytest.mark.slow
 def test_reports_hold_it_where_it_is_asked_for(falcon, one_process, tmp_path):
     assert "rise_time" in MEASURED
     assert "rise_time" not in REPORTED

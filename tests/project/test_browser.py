@@ -24,7 +24,7 @@ from pipeline.rendering.report import report
 from pipeline.shell.profile.check import look, page
 from pipeline.shell.report_index import write_index
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.slow, pytest.mark.browser]
 playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright: pip install -e '.[dev]'")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 WIDTHS = (1440, 390)

@@ -9,6 +9,8 @@ from pipeline.rendering.report.report_parts import CELLS_META, take_apart
 from pipeline.shell import demo
 from pipeline.store.storage import read_trials
 
+pytestmark = pytest.mark.slow
+
 SMALL = (demo.Part("lwr", ("delay-8",), coarsen=3),)
 
 

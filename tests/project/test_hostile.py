@@ -460,6 +460,7 @@ def test_the_record_names_code_place_and_remedy(logs, processed, store, lab, cap
 CLAIMS = ROOT / "tests" / "support" / "false_claims.py"
 
 
+@pytest.mark.slow
 def test_memory_never_follows_what_a_file_claims():
     """Each format in a process of its own, whose address space ends where it would follow."""
     done = subprocess.run([sys.executable, str(CLAIMS)], capture_output=True, text=True, timeout=120, check=False)

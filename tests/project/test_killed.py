@@ -262,6 +262,7 @@ def kill_often(name: str, course: Path, folder: Path, kills: int, seed: int) -> 
     assert running > kills / 4, "few were killed before they had ended"
 
 
+@pytest.mark.slow
 @pytest.mark.sampled
 @pytest.mark.parametrize("manner", [(signal.SIGKILL,), (signal.SIGTERM,)])
 @pytest.mark.parametrize("name", ["compare", "verify", "theory tables"])

@@ -87,6 +87,7 @@ def empty_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
 
 
+@pytest.mark.slow
 def test_from_a_foreign_csv_to_a_report(capsys):
     printed = follow(section("## From a foreign CSV to a report"), capsys)
     outputs = {command: out + err for command, out, err in printed}

@@ -19,6 +19,8 @@ from places import ROOT
 import pipeline
 from pipeline.shell.cli import run
 
+pytestmark = pytest.mark.slow
+
 DOCS = ROOT / "docs"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 

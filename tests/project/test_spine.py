@@ -179,6 +179,7 @@ def bare_log(stiffness, damping, rows=300, **header):
     return format_header(native) + "".join("{:.17g},{:.17g},{:.17g}\n".format(*map(float, row)) for row in rows)
 
 
+@pytest.mark.slow
 def test_logs_without_a_baseline_give_reasons_and_no_crash(tmp_path):
     logs = tmp_path / "logs"
     logs.mkdir()
@@ -214,6 +215,7 @@ def test_logs_without_a_baseline_give_reasons_and_no_crash(tmp_path):
 DEVICES = ["<script>alert(1)</script>", HOSTILE, "..", "$(touch owned)", "_", "a\\b", "{{ 7 * 7 }}"]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("device", DEVICES)
 def test_hostile_names_stay_text_and_inside_the_folder(tmp_path, device):
     home = tmp_path / "home"
@@ -241,6 +243,7 @@ def test_hostile_names_stay_text_and_inside_the_folder(tmp_path, device):
     assert ("&lt;script&gt;" in page) == ("<script>" in device)
 
 
+@pytest.mark.slow
 def test_names_in_the_command_are_quoted_for_a_shell(tmp_path):
     (tmp_path / "a.csv").write_text(bare_log(1000.0, 60.0, device="$(touch owned); x", experiment="it's"))
     ingest([tmp_path / "a.csv"], tmp_path / "processed")
@@ -249,6 +252,7 @@ def test_names_in_the_command_are_quoted_for_a_shell(tmp_path):
     assert words[:6] == ["pipeline", "compare", "--device", "$(touch owned); x", "--experiment", "it's"]
 
 
+@pytest.mark.slow
 def test_two_devices_in_one_folder_do_not_mix(tmp_path):
     for i, device in enumerate(("one", "two")):
         (tmp_path / f"{i}.csv").write_text(bare_log(1000.0 + i, 60.0, device=device))

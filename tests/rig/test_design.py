@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from scipy.linalg import expm
 from typer.testing import CliRunner
 
 from pipeline import Loop, PipelineError, design
+from pipeline.rig.picture import picture
 from pipeline.shell.cli import application
 
 FALCON = Loop(0.58, 4.0, 0.001, 4)
@@ -167,3 +169,17 @@ def test_a_stiffness_is_told_with_its_unit(device: str, stiffness: str, told: st
     answer = CliRunner().invoke(application("design"), ["design", "--device", device, "--stiffness", stiffness])
     assert told in answer.output + str(answer.exception)
     assert (answer.exit_code == 0) == told.startswith("Wanted")
+
+
+@pytest.mark.slow
+def test_the_command_draws(tmp_path: Path) -> None:
+    drawn = tmp_path / "rig.svg"
+    words = "--device falcon --stiffness 20000 --picture"
+    done = CliRunner().invoke(application("design"), ["design", *words.split(), str(drawn)])
+    assert done.exit_code == 0, done.output
+    assert "stiffness" in drawn.read_text(encoding="utf-8")
+
+
+def test_a_picture_of_what_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(PipelineError, match="expected two of"):
+        picture(FALCON, None, ("mass", "velocity_cutoff_hz"), tmp_path / "a.svg")  # type: ignore[arg-type]

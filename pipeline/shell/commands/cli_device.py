@@ -74,13 +74,15 @@ def simulate(
 def identify(
     paths: Annotated[list[Path], argument("Logs with command and position, or folders with some.")],
     profile: ProfileFile = None,
+    period: Annotated[float | None, option("--period", "Sampling period of the walls, in s.")] = None,
+    delay: Annotated[float | None, option("--delay", "Delay of the walls, in samples.")] = None,
     out: Out = None,
 ) -> None:
     """Identify a device from any logs, and the walls it can render.
 
     No wall and no rest are needed; steps, staircases, sweeps and wall trials all serve. A native log of no wall may
-    leave out stiffness, damping, step and names. Walls have the period and delay of the logs; for others edit the
-    device file (.toml) that --out writes, for `pipeline theory boundary`.
+    leave out stiffness, damping, step and names. Walls have the period and delay of the logs, where not given. With
+    --out a device file (.toml) is written.
 
     Example: pipeline identify logs --out motor.toml
     """
@@ -89,7 +91,7 @@ def identify(
 
     if out is not None:
         check_output(out, "--out")
-    document = identified_device(paths, profile)
+    document = identified_device(paths, profile, period, delay)
     console.tell(document, _identified(document))
     if out is not None:
         write_text(out, device_text(document, out.stem))
@@ -138,23 +140,31 @@ def design(
     margin: Annotated[float, option("--margin", "Factor on K up to which it stays stable.")] = 1.0,
     hand: Annotated[str | None, option("--hand", "Arm of Table 3.2 that holds it (default: none).")] = None,
     keep: Annotated[list[str] | None, listed("--keep", "Quantities that cannot change.")] = None,
+    picture: Annotated[Path | None, option("--picture", "Picture over T and delay: .svg, .pdf, .png.")] = None,
 ) -> None:
     """Find the smallest changes of a rig that reach the wanted wall.
 
     Example: pipeline design --device falcon --stiffness 5000 --overshoot 0
 
-    Example: pipeline design --device arm.toml --stiffness 20000 --margin 1.5 --keep mass
+    Example: pipeline design --device arm.toml --stiffness 20000 --margin 1.5 --keep mass --picture arm.svg
     """
     from pipeline.device_data.devices import find_experiment
     from pipeline.rig.design import design as answer_of
+    from pipeline.rig.picture import picture as draw
     from pipeline.rig.published import published_limits
 
+    if picture is not None:
+        check_output(picture, "--picture")
+        if picture.suffix not in (".svg", ".pdf", ".png"):
+            raise UsageError(f"--picture {picture}: expected a name that ends with .svg, .pdf or .png.")
     known = device_of(device)
     conditions = find_experiment(known, experiment) if experiment else known.experiments[0]
     loop = _held(known, conditions, hand)
     wanted = None if stiffness is None else _stiffness(stiffness, loop)
     wish = {"settling_s": settling, "overshoot": overshoot, "margin": margin}
     answer = answer_of(loop, wanted, keep=keep or (), **wish)  # type: ignore[arg-type]
+    if picture is not None:
+        draw(loop, answer, ("sampling_period_s", "delay_samples"), picture)
     parts, quantum = known.loop_of(conditions), known.sensor.quantum
     coulomb = parts.friction.coulomb if parts.friction is not None else 0.0
     rows = published_limits(loop, answer.wall["damping"] or 0.0, coulomb=coulomb, quantum=quantum)

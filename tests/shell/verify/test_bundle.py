@@ -23,7 +23,7 @@ from pipeline.shell.cli import app
 from pipeline.shell.verify.bundle import bundle, verify_bundle
 from pipeline.shell.verify.verify import lines_of, verify
 
-pytestmark = pytest.mark.usefixtures("one_process")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_process")]
 
 PROFILE = 'name = "bench"\nformat = "native"\nfiles = ["*.log"]\n'
 

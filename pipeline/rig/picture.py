@@ -1,0 +1,111 @@
+"""A picture of the stiffest stable wall over two quantities of a rig, with the rig and the wish marked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base.errors import ParameterError
+from pipeline.records.batch import Floats
+from pipeline.rig.design import Design
+from pipeline.rig.quantities import QUANTITIES, Quantity
+from pipeline.surface.physical_loop import Loop
+
+_PLACES, _REACH = 15, np.log(4.0)
+"""Places along each axis, from a quarter of the quantity to four times."""
+
+
+def picture(loop: Loop, answer: Design, over: Sequence[str], path: Path) -> None:
+    """Draw the largest stable stiffness over two quantities, the others as they are.
+
+    Parameters
+    ----------
+    loop : Loop
+        The rig as it is.
+    answer : Design
+        Its single changes are marked where they are of one of the two, and a change of both.
+    over : sequence of str
+        Two names of `quantities.QUANTITIES`, across and up.
+    path : Path
+        .svg, .pdf or .png.
+
+    Raises
+    ------
+    ParameterError
+        If the names are not two that the rig has.
+    """
+    across, up = _two(loop, over)
+    stiffest = _stiffest(loop, across, up)
+    import matplotlib
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    with matplotlib.rc_context({"svg.hashsalt": "pipeline", "svg.fonttype": "none", "font.size": 10}):
+        figure = Figure(figsize=(6.4, 4.8), layout="constrained")
+        axes = figure.subplots()
+        x, y = (np.array([_value(loop, q, part) for part in _parts()]) for q in (across, up))
+        unit = "N/m" if loop.motion == "translation" else "Nm/rad"
+        wanted = answer.wish.stiffness
+        levels = [level for level in _levels(stiffest) if wanted is None or not 0.8 < level / wanted < 1.25]
+        drawn = axes.contour(x, y, stiffest, levels=levels, colors="0.55", linewidths=1)
+        for label in axes.clabel(drawn, fmt=lambda level: f"{level:g}", fontsize=9, inline=False):
+            label.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 1})
+        if wanted is not None:
+            wanted *= answer.wish.margin
+            if np.nanmin(stiffest) < wanted < np.nanmax(stiffest):
+                axes.contour(x, y, stiffest, levels=[wanted], colors="tab:red", linewidths=2.5)
+            axes.plot([], [], color="tab:red", linewidth=2.5, label=f"{wanted:g} {unit} stable")
+        axes.plot(_value(loop, across, 0.0), _value(loop, up, 0.0), "o", color="black", label="the rig as it is")
+        for i, change in enumerate(c for c in answer.changes if set(c.after) <= {across.name, up.name}):
+            place = [change.after.get(q.name, _value(loop, q, 0.0)) for q in (across, up)]
+            axes.plot(*place, "x", color="tab:red", markersize=9, label="" if i else "changes that reach the wish")
+        axes.set(xscale="log", yscale="log", xlabel=_label(loop, across), ylabel=_label(loop, up))
+        axes.set(xlim=(x.min(), x.max()), ylim=(y.min(), y.max()))
+        axes.set_title(f"Largest stable stiffness [{unit}]", loc="left", fontsize=11)
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axis.set_minor_locator(NullLocator())
+        figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
+
+
+def _two(loop: Loop, over: Sequence[str]) -> tuple[Quantity, Quantity]:
+    names = [name for name, quantity in QUANTITIES.items() if quantity.read(loop)]
+    if len(over) != 2 or over[0] == over[1] or not set(over) <= set(names):
+        raise ParameterError(f"over = {', '.join(over)}: expected two of {', '.join(names)}.")
+    return QUANTITIES[over[0]], QUANTITIES[over[1]]
+
+
+def _parts() -> Floats:
+    return np.linspace(-_REACH, _REACH, _PLACES)
+
+
+def _value(loop: Loop, quantity: Quantity, part: float) -> float:
+    return float((quantity.read(loop) or 0.0) * np.exp(part))
+
+
+def _label(loop: Loop, quantity: Quantity) -> str:
+    return f"{quantity.label} [{quantity.unit(loop)}]"
+
+
+def _stiffest(loop: Loop, across: Quantity, up: Quantity) -> Floats:
+    """Return the largest stable stiffness at each place, shape (up, across); nan where there is no rig."""
+    parts, result = _parts(), np.full((_PLACES, _PLACES), np.nan)
+    for i, j in np.ndindex(*result.shape):
+        try:
+            rig = up.changed(across.changed(loop, float(parts[j])), float(parts[i]))
+            result[i, j] = rig.boundary(16).attrs["stiffness_max"]
+        except ParameterError:  # no such rig, or none that renders a wall
+            continue
+    return result
+
+
+def _levels(values: Floats) -> list[float]:
+    """Return levels at 1, 2 and 5 times powers of ten."""
+    powers = 10.0 ** np.arange(-3, 10)
+    every = np.sort(np.concatenate([powers, 2 * powers, 5 * powers]))
+    return [float(level) for level in every if np.nanmin(values) < level < np.nanmax(values)]
