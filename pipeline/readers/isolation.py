@@ -25,14 +25,14 @@ from pipeline.base.errors import LogError, refusal
 from pipeline.base.process import begin_alone, without_pandas
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.formats import FORMATS
-from pipeline.readers.frame import Contents
-from pipeline.readers.limits import (
+from pipeline.readers.frame import (
     COPIES,
     CPU_SECONDS,
     CPU_SECONDS_PER_BYTE,
     MOST_VALUES,
     SLACK,
     WALL_FACTOR,
+    Contents,
     allowed_bytes,
 )
 

@@ -13,6 +13,7 @@ from pipeline.theory.poles import spectral_radius
 from pipeline.theory.settling_overshoot import transient_costs
 
 
+@pytest.mark.slow
 @pytest.mark.sampled
 @pytest.mark.sampled
 @pytest.mark.parametrize(("order", "cutoff"), [(4, 0.01), (4, 0.001), (3, 0.003), (2, 0.3)])

@@ -19,9 +19,16 @@ import numpy as np
 
 from pipeline.base.errors import LogError, ProfileError, UsageError, refusal
 from pipeline.base.units import UNITS, find_unit, unit_between, unit_in_heading
-from pipeline.profiles.profile_columns import QUANTITIES, find_groups, group_names, si_unit
 from pipeline.profiles.profile_files import QUESTION
-from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Format, Profile
+from pipeline.profiles.profile_model import (
+    CONDITION_QUANTITIES,
+    QUANTITIES,
+    Format,
+    Profile,
+    find_groups,
+    group_names,
+    si_unit,
+)
 from pipeline.readers.formats import format_of
 from pipeline.readers.formats.delimited import Layout, text_layout, unpacked
 from pipeline.readers.frame import Contents
