@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 .PHONY: help demo test test-all lint bench docs site clean
 
 help:
-	@echo "make demo      simulate a small Falcon and LWR course, ingest it, write reports/*.html (FULL=1: thesis size)"
+	@echo "make demo      simulate a small Falcon and LWR course, ingest it, write reports/*.html"
 	@echo "make test      lint, type check and the fast tests"
 	@echo "make test-all  the slow tests too"
 	@echo "make bench     speed and memory of ingest, theory, comparisons and watch, at thesis size; trials that the planner needs"
@@ -25,7 +25,7 @@ help:
 	@touch $@
 
 demo: .venv/.run
-	$(BIN)/pipeline demo $(if $(FULL),--full)
+	$(BIN)/pipeline demo
 
 lint: .venv/.dev
 	$(BIN)/ruff check .

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from filelock import FileLock
 from labs import Lab, make_lab
 
 from pipeline.base import provenance
@@ -60,70 +64,89 @@ def one_process():
 
 
 @pytest.fixture(scope="session")
-def falcon(tmp_path_factory) -> Lab:
+def made_once(tmp_path_factory) -> Callable[[str, Callable[[Path], Any]], Any]:
+    """Call it with a name and what makes something in a folder: made by one worker, and taken over by the others."""
+    own = tmp_path_factory.getbasetemp()
+    shared = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+    def taken(name: str, make: Callable[[Path], Any]) -> Any:
+        folder = shared / "made-once" / name
+        folder.mkdir(parents=True, exist_ok=True)
+        kept = folder / "made.pickle"
+        with FileLock(folder / ".made"):
+            if not kept.exists():
+                kept.write_bytes(pickle.dumps(make(folder)))
+            return pickle.loads(kept.read_bytes())
+
+    return taken
+
+
+@pytest.fixture(scope="session")
+def falcon(made_once) -> Lab:
     """Ideal experiment 1, 180 trials: every fourth damping, four times the stiffness step."""
-    return make_lab(tmp_path_factory.mktemp("falcon"), load_device("falcon"), ("1",), ideal=True, coarsen=4)
+    return made_once("falcon", lambda folder: make_lab(folder, load_device("falcon"), ("1",), ideal=True, coarsen=4))
 
 
 @pytest.fixture(scope="session")
-def patient(tmp_path_factory) -> Lab:
+def patient(made_once) -> Lab:
     """Ideal experiment 1 with logs of 1.5 s: most stable responses have decayed to nothing at their end."""
-    folder = tmp_path_factory.mktemp("patient")
-    return make_lab(folder, load_device("falcon"), ("1",), ideal=True, coarsen=5, duration_s=1.5)
+    device, options = load_device("falcon"), {"ideal": True, "coarsen": 5, "duration_s": 1.5}
+    return made_once("patient", lambda folder: make_lab(folder, device, ("1",), **options))
 
 
 @pytest.fixture(scope="session")
-def noisy(tmp_path_factory) -> Lab:
+def noisy(made_once) -> Lab:
     """The same with jitter, sensor noise and quantum of the device file."""
-    return make_lab(tmp_path_factory.mktemp("noisy"), load_device("falcon"), ("1",), seed=11, coarsen=4)
+    return made_once("noisy", lambda folder: make_lab(folder, load_device("falcon"), ("1",), seed=11, coarsen=4))
 
 
 @pytest.fixture(scope="session")
-def lwr(tmp_path_factory) -> Lab:
+def lwr(made_once) -> Lab:
     """Ideal sweep over two delays, some 200 trials."""
-    folder = tmp_path_factory.mktemp("lwr")
-    return make_lab(folder, load_device("lwr"), ("delay-2", "delay-4"), ideal=True, coarsen=4)
+    device, options = load_device("lwr"), {"ideal": True, "coarsen": 4}
+    return made_once("lwr", lambda folder: make_lab(folder, device, ("delay-2", "delay-4"), **options))
 
 
 @pytest.fixture(scope="session")
-def sweep(tmp_path_factory) -> Lab:
+def sweep(made_once) -> Lab:
     """All seven delays of the LWR, some 230 trials."""
     device = load_device("lwr")
     names = tuple(e.name for e in device.experiments)
-    return make_lab(tmp_path_factory.mktemp("sweep"), device, names, ideal=True, coarsen=8)
+    return made_once("sweep", lambda folder: make_lab(folder, device, names, ideal=True, coarsen=8))
 
 
 @pytest.fixture(scope="session")
-def sticky(tmp_path_factory) -> Lab:
+def sticky(made_once) -> Lab:
     """A device with friction, stiction and jitter, 88 trials: most rest elsewhere than at x_0 + F_0/K."""
-    return make_lab(tmp_path_factory.mktemp("sticky"), load_device("falcon-real"), ("1",), seed=1, coarsen=6)
+    device = load_device("falcon-real")
+    return made_once("sticky", lambda folder: make_lab(folder, device, ("1",), seed=1, coarsen=6))
 
 
 @pytest.fixture(scope="session")
-def unknown(tmp_path_factory) -> Lab:
+def unknown(made_once) -> Lab:
     """A device without a device file that moves like the Falcon."""
     device = load_device("falcon").model_copy(update={"name": "mydevice"})
-    return make_lab(tmp_path_factory.mktemp("unknown"), device, ("1",), ideal=True, coarsen=6)
+    return made_once("unknown", lambda folder: make_lab(folder, device, ("1",), ideal=True, coarsen=6))
 
 
 @pytest.fixture(scope="session")
-def falcon_outcome(falcon, one_process) -> Outcome:
-    return falcon.compare(report=falcon.raw.parent / "falcon.html")
+def falcon_outcome(falcon, one_process, made_once) -> Outcome:
+    return made_once("falcon-report", lambda _: falcon.compare(report=falcon.raw.parent / "falcon.html"))
 
 
 @pytest.fixture(scope="session")
-def lwr_outcome(lwr, one_process) -> Outcome:
-    return lwr.compare(report=lwr.raw.parent / "lwr.html")
+def lwr_outcome(lwr, one_process, made_once) -> Outcome:
+    return made_once("lwr-report", lambda _: lwr.compare(report=lwr.raw.parent / "lwr.html"))
 
 
 @pytest.fixture(scope="session")
-def sticky_outcome(sticky, one_process) -> Outcome:
-    return sticky.compare(report=sticky.raw.parent / "sticky.html")
+def sticky_outcome(sticky, one_process, made_once) -> Outcome:
+    return made_once("sticky-report", lambda _: sticky.compare(report=sticky.raw.parent / "sticky.html"))
 
 
 @pytest.fixture(scope="session")
-def unknown_outcome(unknown, one_process) -> Outcome:
-    return unknown.compare(report=unknown.raw.parent / "unknown.html")
+def unknown_outcome(unknown, one_process, made_once) -> Outcome:
+    return made_once("unknown-report", lambda _: unknown.compare(report=unknown.raw.parent / "unknown.html"))
 
 
 @pytest.fixture

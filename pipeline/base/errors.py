@@ -39,6 +39,9 @@ CURES: dict[str, str] = {
 """Why a log is refused, for programs, and what to do where nothing more special is known: a closed list, explained in
 docs/logs.md. The words of reasons may change."""
 
+HELPS = "This might help in the profile:"
+"""Before the line of a profile with which a reason ends."""
+
 OTHER_COLUMNS = frozenset({"no-profile", "header-missing", "column-missing"})
 """Codes of a log that is of another form than its profile describes."""
 
@@ -115,7 +118,7 @@ def refusal(
     """
     text = f"{where}: {found}" if where else found
     text += f"; expected {expected}." if expected else "" if text.endswith((".", "?")) else "."
-    helps = f" This might help in the profile: {'; '.join(line.splitlines())}" if line else ""
+    helps = f" {HELPS} {'; '.join(line.splitlines())}" if line else ""
     return LogError(f"{text} {cure or CURES[code]}{helps}", row, code=code, profile_line=line or None)
 
 

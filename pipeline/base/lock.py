@@ -7,18 +7,16 @@ what is stored is whole at any moment. Works on Linux, macOS and Windows, on loc
 from __future__ import annotations
 
 import errno
-import json
 import os
 import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from pipeline.base.disk import make_folder
-from pipeline.base.errors import StoreError, UsageError
+from pipeline.base.errors import StoreError
 
 LOCK_FILE = ".lock"
 
@@ -27,7 +25,7 @@ WAIT_S = 60.0
 by scripts at the same moment both succeed; one that hangs is told within a minute."""
 
 _GRACE_S = 0.05
-"""Wait without being asked to [s]: who looks at the lock (`holder`) takes it for microseconds."""
+"""Wait without a word [s]: most writers are done by then."""
 
 _LONGEST_NOTE = 4096
 """Bytes read of a lock file; a holder's note has some 100."""
@@ -38,19 +36,6 @@ _LOCKED = 1
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 
 _UNSUPPORTED = (errno.ENOLCK, errno.ENOTSUP, errno.EINVAL, errno.ENOSYS)
-
-
-@dataclass(frozen=True)
-class Holder:
-    """Who writes: process id, host, and since when (UTC, ISO 8601); None where the holder's note is not to be read."""
-
-    pid: int | None = None
-    host: str | None = None
-    since: str | None = None
-
-    def __str__(self) -> str:
-        known = f"process {self.pid} on {self.host} (since {self.since})"
-        return "another process" if self.pid is None else known
 
 
 @contextmanager
@@ -67,30 +52,27 @@ def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] 
 
     Raises
     ------
-    UsageError
-        If `wait_s` is negative or not a number.
     StoreError
         If another process still holds the lock after that time, the file system has no locks, or the block fails to
         write; what was stored stays valid.
     """
-    if not wait_s >= 0:
-        raise UsageError(f"wait must be 0 s or more, found {wait_s:g}. 0 does not wait for another command.")
     file = -1
     try:
         make_folder(processed)
         file = os.open(processed / LOCK_FILE, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o666)
         if not _taken(file, _GRACE_S):
-            if say is not None and wait_s:
+            if say is not None:
                 say(f"{processed}: {_noted(file)} writes there; waiting up to {wait_s:g} s")
             if not _taken(file, wait_s):
                 raise StoreError(
                     f"{processed}: {_noted(file)} writes there; waited {wait_s:g} s. Only one command may "
                     "write at a time: run the command again when it has ended."
                 )
-        note = Holder(os.getpid(), socket.gethostname(), datetime.now(UTC).isoformat(timespec="seconds"))
+        since = datetime.now(UTC).isoformat(timespec="seconds")
+        note = f"process {os.getpid()} on {socket.gethostname()} (since {since})"
         os.ftruncate(file, 0)
         os.lseek(file, 0, os.SEEK_SET)
-        os.write(file, b" " * _LOCKED + json.dumps(vars(note)).encode())
+        os.write(file, b" " * _LOCKED + note.encode())
         yield
         os.ftruncate(file, 0)
     except OSError as error:
@@ -101,22 +83,6 @@ def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] 
     finally:
         if file >= 0:
             os.close(file)  # lets the lock go
-
-
-def holder(processed: Path) -> Holder | None:
-    """Return who holds the lock of a store, None where nobody does."""
-    path = processed / LOCK_FILE
-    try:
-        # NFS has no lock for files that may only be read
-        file = os.open(path, (os.O_RDWR if os.access(path, os.W_OK) else os.O_RDONLY) | _NO_LINK)
-    except OSError:
-        return None
-    try:
-        return None if _taken(file, _GRACE_S) else _noted(file)
-    except StoreError:  # without locks nobody holds one
-        return None
-    finally:
-        os.close(file)
 
 
 def _taken(file: int, within_s: float) -> bool:
@@ -139,9 +105,7 @@ def _taken(file: int, within_s: float) -> bool:
     return True
 
 
-def _noted(file: int) -> Holder:
-    try:
-        os.lseek(file, _LOCKED, os.SEEK_SET)
-        return Holder(**json.loads(os.read(file, _LONGEST_NOTE)))
-    except (OSError, ValueError, TypeError):
-        return Holder()
+def _noted(file: int) -> str:
+    """Return who writes, as the holder noted it."""
+    os.lseek(file, _LOCKED, os.SEEK_SET)
+    return os.read(file, _LONGEST_NOTE).decode("utf-8", "replace").strip() or "another process"

@@ -12,7 +12,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -85,53 +85,33 @@ class Ended(BaseException):
 
 
 @contextmanager
-def on_stop_signals(handler: Callable[[int, FrameType | None], object]) -> Iterator[None]:
-    """Call a handler on signals that ask for an end; one that is ignored (nohup) stays so."""
-    former = {number: signal.getsignal(number) for number in STOP_SIGNALS}
-    handled = [number for number, before in former.items() if before not in (signal.SIG_IGN, None)]
-    try:
-        for number in handled:
-            signal.signal(number, handler)
-        yield
-    finally:
-        for number in handled:
-            signal.signal(number, former[number])
-
-
-@contextmanager
 def ending_on_signals() -> Iterator[None]:
     """Raise `Ended` in the block on a signal that asks for an end; the next one ends the process, which is safe, too.
 
-    What others make of that exception is an end, too: an extension module says that its import failed.
+    A signal that is ignored (nohup) stays so. What others make of that exception is an end, too: an extension module
+    says that its import failed.
     """
     asked: list[int] = []
+    former = {number: signal.getsignal(number) for number in STOP_SIGNALS}
+    handled = [number for number, before in former.items() if before not in (signal.SIG_IGN, None)]
 
     def handle(number: int, frame: FrameType | None) -> None:
         asked.append(number)
-        for other in STOP_SIGNALS:
-            if signal.getsignal(other) == handle:
-                signal.signal(other, signal.SIG_DFL)
+        for other in handled:
+            signal.signal(other, signal.SIG_DFL)
         raise Ended(number)
 
-    with on_stop_signals(handle):
-        try:
-            yield
-        except Exception as error:
-            if asked:
-                raise Ended(asked[0]) from error
-            raise
-
-
-def end_when(gone: Callable[[], object]) -> None:
-    """End this process when a function returns that waits for the end of its parent."""
-
-    def wait() -> None:
-        try:
-            gone()
-        finally:
-            os._exit(EXIT_ERROR)
-
-    threading.Thread(target=wait, name="end with the parent", daemon=True).start()
+    try:
+        for number in handled:
+            signal.signal(number, handle)
+        yield
+    except Exception as error:
+        if asked:
+            raise Ended(asked[0]) from error
+        raise
+    finally:
+        for number in handled:
+            signal.signal(number, former[number])
 
 
 @contextmanager
@@ -160,12 +140,13 @@ def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 def _begin(parent: Connection) -> None:
     """Begin a process of a pool; signals are for its parent, which ends it."""
-    end_when(lambda: _closed(parent))
+    threading.Thread(target=_end_with, args=(parent,), name="end with the parent", daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     begin_alone()
 
 
-def _closed(parent: Connection) -> None:
-    """Return when the other end of a pipe is closed; nothing is ever sent."""
+def _end_with(parent: Connection) -> None:
+    """End this process when the other end of a pipe is closed; nothing is ever sent."""
     with suppress(EOFError, OSError):
         parent.recv_bytes()
+    os._exit(EXIT_ERROR)

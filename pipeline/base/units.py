@@ -19,50 +19,22 @@ class Unit(NamedTuple):
 
 _DEGREE = pi / 180
 
-UNITS: dict[str, Unit] = {
-    "s": Unit("time", 1.0),
-    "ms": Unit("time", 1e-3),
-    "us": Unit("time", 1e-6),
-    "ns": Unit("time", 1e-9),
-    "min": Unit("time", 60.0),
-    "m": Unit("length", 1.0),
-    "cm": Unit("length", 1e-2),
-    "mm": Unit("length", 1e-3),
-    "um": Unit("length", 1e-6),
-    "nm": Unit("length", 1e-9),
-    "rad": Unit("angle", 1.0),
-    "mrad": Unit("angle", 1e-3),
-    "urad": Unit("angle", 1e-6),
-    "deg": Unit("angle", _DEGREE),
-    "rev": Unit("angle", 2 * pi),
-    "m/s": Unit("velocity", 1.0),
-    "cm/s": Unit("velocity", 1e-2),
-    "mm/s": Unit("velocity", 1e-3),
-    "um/s": Unit("velocity", 1e-6),
-    "rad/s": Unit("angular velocity", 1.0),
-    "deg/s": Unit("angular velocity", _DEGREE),
-    "rpm": Unit("angular velocity", 2 * pi / 60),
-    "N": Unit("force", 1.0),
-    "mN": Unit("force", 1e-3),
-    "kN": Unit("force", 1e3),
-    "Nm": Unit("torque", 1.0),
-    "mNm": Unit("torque", 1e-3),
-    "Nmm": Unit("torque", 1e-3),
-    "Ncm": Unit("torque", 1e-2),
-    "kNm": Unit("torque", 1e3),
-    "N/m": Unit("stiffness", 1.0),
-    "kN/m": Unit("stiffness", 1e3),
-    "N/cm": Unit("stiffness", 1e2),
-    "N/mm": Unit("stiffness", 1e3),
-    "Nm/rad": Unit("rotational stiffness", 1.0),
-    "mNm/rad": Unit("rotational stiffness", 1e-3),
-    "Nm/deg": Unit("rotational stiffness", 1 / _DEGREE),
-    "Ns/m": Unit("damping", 1.0),
-    "Ns/mm": Unit("damping", 1e3),
-    "Nms/rad": Unit("rotational damping", 1.0),
-    "mNms/rad": Unit("rotational damping", 1e-3),
-    "Nms/deg": Unit("rotational damping", 1 / _DEGREE),
+_FACTORS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9},
+    "angle": {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": _DEGREE, "rev": 2 * pi},
+    "velocity": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "um/s": 1e-6},
+    "angular velocity": {"rad/s": 1.0, "deg/s": _DEGREE, "rpm": 2 * pi / 60},
+    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
+    "torque": {"Nm": 1.0, "mNm": 1e-3, "Nmm": 1e-3, "Ncm": 1e-2, "kNm": 1e3},
+    "stiffness": {"N/m": 1.0, "kN/m": 1e3, "N/cm": 1e2, "N/mm": 1e3},
+    "rotational stiffness": {"Nm/rad": 1.0, "mNm/rad": 1e-3, "Nm/deg": 1 / _DEGREE},
+    "damping": {"Ns/m": 1.0, "Ns/mm": 1e3},
+    "rotational damping": {"Nms/rad": 1.0, "mNms/rad": 1e-3, "Nms/deg": 1 / _DEGREE},
 }
+"""What each unit of a quantity is in SI, the SI unit first."""
+
+UNITS = {name: Unit(quantity, factor) for quantity, units in _FACTORS.items() for name, factor in units.items()}
 """Known units by symbol; a micro sign or degree sign is read as `u` and `deg` (see `find_unit`)."""
 
 _SPELLINGS = str.maketrans({"µ": "u", "μ": "u", "°": "deg", "·": "", "*": "", " ": ""})

@@ -121,7 +121,6 @@ def compare(
     data = replace(data, truth=truths(data.experiments, truth or {}))
     plan = plan_measured(data)
     predictions = Predictions(processed / "theory")
-    early = nominal_theories(data)
     accuracy = measured_accuracy.stored(processed)
     key = _report_key(data, report, accuracy.measured if accuracy else "", full, notes)
     stored = _stored_result(report, key)
@@ -129,6 +128,7 @@ def compare(
         unchanged = "the report and all that it rests on are unchanged"
         plan += [PlannedStage(name, REUSE, unchanged) for name in ("theory", "report")]
         return Outcome(None if dry_run else stored, _rows(plan), report)
+    early = nominal_theories(data)
     plan += _plan_theory(data, early, predictions)
     if report is not None:
         plan += plan_parts(data)
@@ -137,7 +137,7 @@ def compare(
         return Outcome(None, _rows(plan), None)
 
     say = progress or (lambda _: None)
-    lost = tuple(one.sentence for one in gone(processed, device))
+    lost = gone(processed, device)
     found = _compute(data, early, predictions, say, executor)
     output = [*(["--scene", str(scene_file)] if scene_file else []), *(["--full"] if full else [])]
     made = partial(provenance, processed=origin(processed), key=key, output=output)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Collection, Sequence
 
+from pipeline.base.disk import if_writable, read_kept, write_kept
+from pipeline.base.provenance import code_digest, digest
 from pipeline.comparison.loops.departures import SHORT as OTHER_WALL
 from pipeline.comparison.loops.departures import law_departures, other_gains
 from pipeline.comparison.loops.findings import loop_findings
@@ -23,7 +26,11 @@ from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import Experiment, Motion
 from pipeline.records.results import ExperimentResult, LoopFindings, TheoryParameters
 from pipeline.rendering.labels import UNITS, Units
+from pipeline.store.storage import stage_folder
 from pipeline.theory.predictions import Theory
+
+FINDINGS = "loop"
+"""Begin of the name of the file with the findings on a loop, beside the stages that they rest on."""
 
 
 def motion_of(data: SceneData) -> Motion:
@@ -127,7 +134,7 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
         reason = "the command is logged in another row than its position, and the delay is off by as many samples"
         others = {**result.estimates, "delay_samples": _without("samples", reason)}
         result = result.model_copy(update={"estimates": others})
-    findings = loop_findings(result, stages, data.device, units)
+    findings = _findings(data, stages, result, units)
     found = dict(result.estimates)
     if not findings.loop.adequate:
         device = stages.once(fitted_device)
@@ -135,6 +142,25 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
             found |= {name: _doubted(found[name]) for name in _OF_A_LOOP if name in found}
     named = {name: getattr(findings, name) for name in LoopFindings.model_fields}
     return with_large_motion(result.model_copy(update={**named, "estimates": found}), stages)
+
+
+def _findings(data: SceneData, stages: ExperimentStages, result: ExperimentResult, units: Units) -> LoopFindings:
+    """Return the loop and what follows from it: the stored one where all that it rests on is as it was.
+
+    Simulating the found device behind the tested walls takes longer than reading all stages.
+    """
+    device = data.device.model_dump_json() if data.device else ""
+    keys = [stages.key(stage) for stage in sorted(STAGES)]
+    key = digest([result.model_dump_json(), device, code_digest("report"), *keys])
+    folder = stage_folder(stages.processed, stages.device, stages.experiment)
+    stored = json.loads(read_kept(folder, FINDINGS, ".json") or b"{}")
+    if stored.get("key") == key:
+        return LoopFindings.model_validate(stored["findings"])
+    found = loop_findings(result, stages, data.device, units)
+    with if_writable():
+        document = {"key": key, "findings": found.model_dump(mode="json")}
+        write_kept(folder, FINDINGS, ".json", json.dumps(document, allow_nan=False).encode())
+    return found
 
 
 def _doubted(estimate: Estimate) -> Estimate:

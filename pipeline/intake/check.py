@@ -26,7 +26,7 @@ from pipeline.profiles.profile_files import load_profile
 from pipeline.records.findings import Record
 from pipeline.records.table_files import open_table
 from pipeline.store.batch_files import GROUP_TRIALS, Place, write_batch
-from pipeline.store.storage import TABLE, Gone, gone, read_rows
+from pipeline.store.storage import TABLE, gone, read_rows
 
 DAMAGED_FOLDER = "damaged"
 """Folder below `processed` for damaged files that cannot be made again; nothing there is ever removed."""
@@ -36,13 +36,6 @@ _UNREADABLE = (pa.ArrowException, OSError, ValueError)
 Remedy = Literal["save", "remove", "set aside"]
 """What is done with a damaged file: its trials read again or kept, and the file set aside; removed, since it is made
 again; set aside, where nobody can tell what it said."""
-
-
-class LostTrial(Record):
-    """A trial that cannot be saved: its id and log, as far as they can be read."""
-
-    trial_id: str
-    source_path: str
 
 
 class Damage(Record):
@@ -57,7 +50,8 @@ class Damage(Record):
     trials, read_again, kept : int
         Trials that the file is known to hold; those of them that are stored by their logs, or will be where these are
         there; and those that are kept of it.
-    lost : tuple of LostTrial
+    lost : tuple of dict
+        ``trial_id`` and ``source_path``, as far as they can be read, of trials that cannot be saved.
     """
 
     file: str
@@ -66,7 +60,7 @@ class Damage(Record):
     trials: int = 0
     read_again: int = 0
     kept: int = 0
-    lost: tuple[LostTrial, ...] = ()
+    lost: tuple[dict[str, str], ...] = ()
 
     @property
     def mended(self) -> bool:
@@ -81,7 +75,7 @@ class CheckReport(Record):
     bytes: int
     damage: tuple[Damage, ...]
     repaired: bool = False
-    gone: tuple[Gone, ...] = ()
+    gone: tuple[str, ...] = ()
 
 
 def check(
@@ -227,7 +221,8 @@ def _of_trials(
             device, experiment, motion = (new.column(name)[0].as_py() for name in ("device", "experiment", "motion"))
             places[Place(device, experiment, motion, file.stat().st_mode & READABLE)].append(new)
             kept |= set(new.column("trial_id").to_pylist())
-    lost = [row for row in rows if row["source_path"] not in stored and row["trial_id"] not in kept]
+    gone = (row for row in rows if row["source_path"] not in stored and row["trial_id"] not in kept)
+    lost = tuple({key: row[key] for key in ("trial_id", "source_path")} for row in gone)
     found = Damage(
         file=file.relative_to(processed).as_posix(),
         fault=faults[file],
@@ -235,13 +230,13 @@ def _of_trials(
         trials=len(rows),
         read_again=sum(row["source_path"] in stored for row in rows),
         kept=len(kept),
-        lost=tuple(LostTrial(trial_id=row["trial_id"], source_path=row["source_path"]) for row in lost),
+        lost=lost,
     )
     if repair:
         written = [write_batch(processed, place, parts) for place, parts in places.items()]
         if file in damaged and file not in written:
             _set_aside(processed, file)
         if lost:
-            text = json.dumps([one.model_dump() for one in found.lost], indent=1)
-            write_text(processed / DAMAGED_FOLDER / f"{found.file.removesuffix(TABLE)}.lost.json", text + "\n")
+            path = processed / DAMAGED_FOLDER / f"{found.file.removesuffix(TABLE)}.lost.json"
+            write_text(path, json.dumps(lost, indent=1) + "\n")
     return found

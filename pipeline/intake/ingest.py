@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,30 +18,11 @@ from typing import Literal
 from pipeline.base.errors import LogError, StoreError, UsageError
 from pipeline.base.lock import WAIT_S, writing
 from pipeline.base.paths import is_gone, path_of_text, path_text, storable
-from pipeline.base.process import Ended
 from pipeline.base.provenance import digest
 from pipeline.base.wording import counted
 from pipeline.intake.quarantine import QuarantineRecord, Refused, keep, list_quarantine, record_of, release
-from pipeline.intake.sources import (
-    Read,
-    Source,
-    batches_of,
-    find_sources,
-    in_order,
-    is_settled,
-    read_and_check,
-    told_by_name,
-)
-from pipeline.intake.trialstore import (
-    LOG_BYTES,
-    Accepted,
-    Periods,
-    StoredSource,
-    StoredSources,
-    accepted_logs,
-    store_logs,
-    trial_id,
-)
+from pipeline.intake.sources import Read, Source, find_sources, is_settled, reads_of
+from pipeline.intake.trialstore import Accepted, Periods, StoredSource, StoredSources, accepted_logs, id_of, store_logs
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
@@ -241,11 +221,11 @@ class _Run:
         self.taken = dict[str, StoredSource]()
         self.renamed = dict[str, str]()
         """Id of each trial whose log was renamed, and the one that it has now."""
-        self.pending, self.pending_bytes, self.dropped = list[Accepted](), 0, set[Key]()
-        """Trials that are not visible yet, and those that give way to them."""
+        self.pending, self.pending_bytes, self.dropped, self.outdated = list[Accepted](), 0, set[Key](), set[Key]()
+        """Trials that are not visible yet, and those that give way to them: of any, and of older content."""
         self.folders = set[Path]()
-        self.counts, self.visible, self.kept = Counter[Action](), 0, 0
-        """Sources by what becomes of them; those of them that were made visible, and put into quarantine."""
+        self.counts = Counter[Action]()
+        """Sources by what becomes of them."""
         self.refusals, self.warnings, self.changed = list[Refusal](), list[LogWarning](), list[ChangedSource]()
         self.waiting, self.plan = list[str](), list[PlannedSource]()
 
@@ -304,21 +284,11 @@ class _Run:
             self.places = self.stored.places({source.key for source in unsettled})
         # stored sources come first: a log that was copied and touched is recognised at its old place
         unsettled.sort(key=lambda source: (source.key not in self.stored.last, source.key))
-
-        def read(sources: list[Source]) -> list[Read]:
-            return read_and_check(sources, self._is_known)
-
-        try:
-            with ThreadPoolExecutor(jobs) if jobs > 1 and unsettled else nullcontext() as pool:
-                for batch in in_order(read, batches_of(unsettled), pool, jobs):
-                    self._keep([record for done in batch if (record := self._settle(done)) is not None])
-                self._flush()
-        except (KeyboardInterrupt, Ended) as error:
-            error.add_note(
-                f"{self.visible} new logs are stored in {self.processed} and {self.kept} more are in quarantine. The "
-                "same command finds the rest again."
-            )
-            raise
+        for batch in reads_of(unsettled, self._is_known, jobs):
+            refused = [record for done in batch if (record := self._settle(done)) is not None]
+            if not self.dry_run:
+                keep(self.processed, refused)
+        self._flush()
         if self.dry_run:
             return
         if self.renamed:
@@ -393,8 +363,7 @@ class _Run:
 
     def _find(self, source: Source, sha256: str) -> str | None:
         """Return the path under which a log is stored that is this one: content, and what its name tells."""
-        told = None if source.profile is None else told_by_name(source.profile, source.path)
-        return self.places.get(trial_id(sha256, None, told))
+        return self.places.get(id_of(source, sha256))
 
     def _at(self, path: str) -> StoredSource | None:
         """Return what is stored under a path, by this run or before."""
@@ -435,7 +404,9 @@ class _Run:
         accepted: list[Accepted] = []
         if logs is not None:
             stamps = {"profile_sha256": self.digests[profile], "claims": self.claims}
-            accepted = accepted_logs(source, sha256, self.periods.apart(logs), profile, self._motions, stamps)
+            accepted = accepted_logs(
+                source, sha256, [self.periods.apart(log) for log in logs], profile, self._motions, stamps
+            )
             paths = {self.places.get(one.trial) for one in accepted}
             twin = None if again else (paths.pop() if len(paths) == 1 else None) or twin
         if logs is None or self._read_alike(twin, source):
@@ -501,7 +472,10 @@ class _Run:
                 reason = f"its name was {path}"
         elif not again:
             reason = "content changed"
-            self._drop(source.shown, source.key, former, "its trials were replaced by those of the new content")
+            keys = self.outdated if source.mtime_ns > former.mtime_ns else self.dropped
+            keys |= former.keys(source.key)
+            outcome = "its trials were replaced by those of the new content"
+            self.changed.append(ChangedSource(path=source.shown, outcome=outcome))
         elif former.profile_sha256 != row["profile_sha256"]:
             reason = "profile changed"
             self._drop(source.shown, source.key, former, outcome)
@@ -511,7 +485,7 @@ class _Run:
         if not self.dry_run:
             new = [one for one in accepted if one.trial not in present]
             self.pending += new
-            self.pending_bytes += sum(one.bytes + LOG_BYTES for one in new)
+            self.pending_bytes += sum(one.bytes for one in new)
             if self.pending_bytes >= PENDING_BYTES:
                 self._flush()
 
@@ -543,19 +517,11 @@ class _Run:
         """Make all that is pending visible, and drop what it replaces; after an error all that is stored is valid."""
         if self.dry_run or not (self.pending or self.dropped):
             return
-        self.folders |= store_logs(self.processed, self.pending, self.dropped, self.damaged)
+        self.folders |= store_logs(self.processed, self.pending, self.dropped, self.outdated, self.damaged)
         publish(self.processed)
-        sources = {one.source.key: one.source for one in self.pending}
-        for source in sources.values():
+        for source in {one.source.key: one.source for one in self.pending}.values():
             self._release(source)
-        self.visible += len(sources)
-        self.pending, self.pending_bytes, self.dropped = [], 0, set()
-
-    def _keep(self, refused: Sequence[Refused]) -> None:
-        """Put into quarantine what was refused."""
-        if not self.dry_run:
-            keep(self.processed, refused)
-            self.kept += len(refused)
+        self.pending, self.pending_bytes, self.dropped, self.outdated = [], 0, set(), set()
 
     def _release(self, source: Source) -> None:
         if self.refused and not self.dry_run:

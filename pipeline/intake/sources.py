@@ -13,7 +13,7 @@ import re
 import stat
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -23,11 +23,10 @@ from pathlib import Path
 from pipeline.base.disk import READABLE, shared_mode
 from pipeline.base.errors import LogError, UsageError, refusal
 from pipeline.base.paths import open_regular, path_text, storable
-from pipeline.profiles.profile_columns import find_groups
 from pipeline.profiles.profile_files import claim
-from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile
+from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile, find_groups
 from pipeline.readers import Log, RawLog, reader_of
-from pipeline.readers.limits import LARGEST_LOG
+from pipeline.readers.frame import LARGEST_LOG
 from pipeline.records.findings import Motion
 from pipeline.store.names import folder_name
 
@@ -149,12 +148,8 @@ def find_sources(
     # what a link leads to may be reached by its own name, too
     excluded = None if exclude is None else os.path.realpath(exclude)
     for path in paths:
-        try:
-            there = path.exists()
-        except OSError as error:
-            raise UsageError(f"{path}: cannot be looked at ({error.strerror}). Correct its permissions.") from error
-        if not there:
-            raise UsageError(f"{path}: no such file or folder. Give folders with logs, or single logs.")
+        if not os.path.exists(path):
+            raise UsageError(f"{path}: no such file or folder that may be looked at. Give folders with logs, or logs.")
         if excluded is not None and os.path.join(os.path.realpath(path), "").startswith(os.path.join(excluded, "")):
             raise UsageError(f"{path}: lies in {exclude}, where results are kept. Give folders with logs.")
         look = _files(path, excluded, notice, {} if unchanged is None else unchanged)
@@ -179,7 +174,7 @@ def _files(folder: Path, excluded: str | None, notice: Notice, unchanged: dict[s
                         del unchanged[path]
                     elif entry.name[0] == ".":
                         continue
-                    elif not _is_folder(entry):
+                    elif not os.path.isdir(path):
                         if entry.name.lower() not in UNCOUNTED:
                             yield Path(entry.path)
                     elif entry.is_symlink():
@@ -198,13 +193,6 @@ def _state(entry: os.DirEntry[str]) -> tuple[int, int] | None:
     except OSError:
         return None
     return status.st_size, status.st_mtime_ns
-
-
-def _is_folder(entry: os.DirEntry[str]) -> bool:
-    try:
-        return entry.is_dir()
-    except OSError:
-        return False
 
 
 def told_by_name(profile: Profile, path: Path) -> str | None:
@@ -419,18 +407,15 @@ def batches_of(sources: Sequence[Source]) -> Iterator[list[Source]]:
         yield batch
 
 
-def in_order(
-    work: Callable[[list[Source]], list[Read]], batches: Iterator[list[Source]], pool: Executor | None, ahead: int
-) -> Iterator[list[Read]]:
-    """Work on batches in the threads of a pool, by default in the caller's, and yield the results in order.
+def reads_of(sources: Sequence[Source], known: Callable[[Source, str], bool], jobs: int) -> Iterator[list[Read]]:
+    """Read sources in batches, in so many threads, and yield the results in order.
 
-    At most so many batches are ahead, so that memory is bounded.
+    At most so many batches are ahead, so that memory is bounded. Parameters as for `read_and_check`.
     """
-    if pool is None:
-        yield from map(work, batches)
-        return
-    running: list[Future[list[Read]]] = [pool.submit(work, batch) for batch in islice(batches, ahead)]
-    while running:
-        done = running.pop(0).result()
-        running += [pool.submit(work, batch) for batch in islice(batches, 1)]
-        yield done
+    batches, running = batches_of(sources), list[Future[list[Read]]]()
+    with ThreadPoolExecutor(jobs) as pool:
+        while True:
+            running += [pool.submit(read_and_check, batch, known) for batch in islice(batches, jobs - len(running))]
+            if not running:
+                return
+            yield running.pop(0).result()

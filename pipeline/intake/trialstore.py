@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, compress
@@ -115,10 +115,6 @@ class StoredSources:
             found.pop(path, None)
         return found
 
-    def is_whole(self, path: str) -> bool:
-        """Return whether all trials of a stored source are there."""
-        return not self._missing.get(path)
-
     def get(self, path: str) -> StoredSource | None:
         """Return what is stored under a path; of a file that is damaged nothing, so that its logs count as new."""
         if path not in self.last:
@@ -132,7 +128,7 @@ class StoredSources:
         sha256, profile_sha256, profile, _, _ = details[-1]
         told = sha256, profile_sha256, profile, int(self.size[rows[-1]]), int(self.time[rows[-1]])
         devices, trials = tuple(row[3] for row in details), tuple(row[4] for row in details)
-        return StoredSource(*told, devices, trials, self.is_whole(path))
+        return StoredSource(*told, devices, trials, not self._missing.get(path))
 
     def _detail(self, row: int) -> tuple[str, str, str, str, str]:
         """Return the values of `MORE`."""
@@ -184,11 +180,8 @@ class Periods:
                     continue
         return found
 
-    def apart(self, logs: Iterable[Log]) -> list[Log]:
-        """Return logs with the names of experiments of their own period; one that is renamed says so."""
-        return [self._of_own_period(log) for log in logs]
-
-    def _of_own_period(self, log: Log) -> Log:
+    def apart(self, log: Log) -> Log:
+        """Return a log with the name of the experiment of its own period; one that is renamed says so."""
         header, period = log.header, log.header.sampling_period_s
         common = self.known.setdefault((header.device, header.experiment), period)
         if alike(common, period):
@@ -231,10 +224,8 @@ class Accepted:
 
     @property
     def bytes(self) -> int:
-        """Memory of the samples [byte]."""
-        log = self.log
-        columns = (log.time, log.command, log.position, log.force, log.velocity, log.raw_time)
-        return sum(values.nbytes for values in columns if values is not None)
+        """Memory of the log [byte]."""
+        return LOG_BYTES + sum(values.nbytes for values in vars(self.log).values() if isinstance(values, np.ndarray))
 
     @property
     def place(self) -> Place:
@@ -251,7 +242,7 @@ def accepted_logs(
     known: Mapping[str, Motion],
     stamps: Mapping[str, str],
 ) -> list[Accepted]:
-    """Return the trials of a source that was read.
+    """Return the trials of a source that was read; one whose command obeys other gains bears a mark and a warning.
 
     Parameters
     ----------
@@ -285,35 +276,39 @@ def accepted_logs(
     for log in logs:
         motion = motion_of(log, known)
         own = {"trial_id": trial_id(sha256, log.label, told), "label": log.label, "motion": motion}
-        found.append(Accepted(source, _marked(profile, log), motion, common | own))
+        if (text := other_gains(profile, log)) is not None:
+            header = replace(log.header, extra=log.header.extra | {OTHER_GAINS: text})
+            log = replace(log, header=header, warnings=(*log.warnings, text))
+        found.append(Accepted(source, log, motion, common | own))
     return found
 
 
-def _marked(profile: Profile, log: Log) -> Log:
-    """Return a log with a mark and a warning where its command obeys other gains than its header says."""
-    if (text := other_gains(profile, log)) is None:
-        return log
-    header = replace(log.header, extra=log.header.extra | {OTHER_GAINS: text})
-    return replace(log, header=header, warnings=(*log.warnings, text))
-
-
 def store_logs(
-    processed: Path, accepted: Sequence[Accepted], dropped: Collection[Key], damaged: dict[Path, str]
+    processed: Path,
+    accepted: Sequence[Accepted],
+    dropped: Collection[Key],
+    outdated: Collection[Key],
+    damaged: dict[Path, str],
 ) -> set[Path]:
     """Store logs, a file for each place, and drop what they replace; return the folders that changed.
 
-    What is dropped goes with the same file that brings the new trials, where it is of their place. Elsewhere it goes
-    before, since what is new can be read again from its log.
+    What they replace goes with the same file that brings the new trials, where it is of their place. Elsewhere it goes
+    before, since what is new can be read again from its log; but what is outdated goes afterwards: a reader who sees
+    two contents of a log takes the newer one, and misses none.
     """
     places = defaultdict[Place, list[Accepted]](list)
     for one in accepted:
         places[one.place].append(one)
-    absorbed, kept = defaultdict[Place, list[Path]](list), without(processed, dropped, damaged) if dropped else {}
+    absorbed, later = defaultdict[Place, list[Path]](list), list[Path]()
+    first = without(processed, dropped, damaged) if dropped else {}
+    kept = without(processed, {*dropped, *outdated}, damaged) if outdated else first
     for file in kept:
         if (place := place_of_file(file)) in places:
             absorbed[place].append(file)
-        else:
+        elif file in first:
             rewrite(processed, [file], kept)
+        else:
+            later.append(file)
     for place in places:  # one after the other: the name of a folder depends on those that are there
         make_folder(trials_folder(processed, place.device, place.experiment))
 
@@ -321,19 +316,17 @@ def store_logs(
         former = chain.from_iterable(trials_of(file, kept[file]) for file in absorbed[place])
         return write_batch(processed, place, chain(_tables(places[place]), former), absorbed[place])
 
-    return {path.parent for path in each(write, list(places), OPEN_FILES) if path is not None}
+    folders = {path.parent for path in each(write, list(places), OPEN_FILES) if path is not None}
+    for file in later:
+        rewrite(processed, [file], kept)
+    return folders
 
 
 def _tables(members: Sequence[Accepted]) -> Iterator[pa.Table]:
     """Yield the trials of logs, a group of rows at a time."""
-    group, size = list[Accepted](), 0
-    for one in members:
-        if group and (len(group) >= GROUP_TRIALS or size + one.bytes > GROUP_BYTES):
-            yield _table(group)
-            group, size = [], 0
-        group.append(one)
-        size += one.bytes
-    yield _table(group)
+    step = max(min(GROUP_TRIALS, GROUP_BYTES // max(one.bytes for one in members)), 1)
+    for first in range(0, len(members), step):
+        yield _table(members[first : first + step])
 
 
 def _table(members: Sequence[Accepted]) -> pa.Table:
@@ -343,16 +336,11 @@ def _table(members: Sequence[Accepted]) -> pa.Table:
     period = np.array([log.header.sampling_period_s for log in logs], dtype=np.float64)
     flags = step_flags(np.concatenate([log.time for log in logs]), rows, period)
     trials = [_trial(member, flag) for member, flag in zip(members, flags, strict=True)]
-    samples: dict[str, Sequence[Any]] = {
-        "time_s": [log.time for log in logs],
-        "command": [log.command for log in logs],
-        "position": [log.position for log in logs],
-        "force": [log.force for log in logs],
-        "velocity": [log.velocity for log in logs],
-        "raw_time": [_raw(log, "f") for log in logs],
-        "raw_count": [_raw(log, "i") for log in logs],
-    }
     columns: dict[str, Any] = {name: [trial[name] for trial in trials] for name in trials[0]}
+    samples: dict[str, list[Any]] = {"time_s": [log.time for log in logs]}
+    samples |= {key: [getattr(log, key) for log in logs] for key in ("command", "position", "force", "velocity")}
+    # stamps of the file with a fraction, and whole ones
+    samples |= {name: [_raw(log, kind) for log in logs] for name, kind in (("raw_time", "f"), ("raw_count", "i"))}
     columns |= {name: _lists(values, COLUMNS[name].dtype) for name, values in samples.items()}
     return to_arrow("trials", columns, rotation=members[0].motion == "rotation")
 
@@ -371,7 +359,7 @@ def _trial(accepted: Accepted, flags: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _raw(log: Log, kind: str) -> Floats | Integers | None:
-    """Return the time stamps of the file where they are numbers of a kind: "f" with a fraction, "i" whole."""
+    """Return the time stamps of the file where they are numbers of a kind."""
     return log.raw_time if log.raw_time is not None and log.raw_time.dtype.kind == kind else None
 
 
@@ -389,6 +377,12 @@ def _lists(columns: Sequence[Floats | Integers | None], dtype: pa.DataType) -> p
         for kind, array in ((pa.int32(), edges), (dtype.value_type, np.concatenate(there)))
     )
     return pa.ListArray.from_arrays(rows, values, type=dtype, mask=mask)
+
+
+def id_of(source: Source, sha256: str) -> str:
+    """Return the id of the trial of a source that holds one."""
+    told = None if source.profile is None else told_by_name(source.profile, source.path)
+    return trial_id(sha256, None, told)
 
 
 def trial_id(sha256: str, label: str | None, told: str | None = None) -> str:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.many_digits import Digits, as_exact, as_floats, bilinear, exponential, many_digits, total
+from pipeline.loop.many_digits import Digits, as_exact, as_floats, bilinear, exponential, many_digits, resolvent, total
 from pipeline.loop.velocity_filter import filter_in_w, filter_in_z, filter_order, filter_steps, per_sample
 from pipeline.records.batch import Floats
 
@@ -283,7 +283,8 @@ class Loop:
         """Transfer functions in w; exact."""
         with many_digits(self.digits):
             whole, gains = self.pushes
-            bottom, tops = _transfer(whole, gains, as_exact(self.device[2]))
+            bottom, adjugate = resolvent(whole)
+            tops = [as_exact(self.device[2]) @ adjugate @ gain for gain in gains]
             # the newer force comes first by one sample: z times its polynomial
             top = total(tops[0], np.append(as_exact([0]), tops[1])) if len(tops) > 1 else tops[0]
             n = len(bottom) - 1
@@ -403,21 +404,6 @@ def as_points(alpha: object, beta: object) -> tuple[Floats, Floats]:
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
         raise ParameterError("alpha and beta must be finite numbers.")
     return np.ascontiguousarray(a), np.ascontiguousarray(b)
-
-
-def _transfer(whole: Digits, gains: tuple[Digits, ...], sensor: Digits) -> tuple[Digits, list[Digits]]:
-    """Return the characteristic polynomial in z, and the numerator of each gain (Faddeev and LeVerrier)."""
-    n = len(whole)
-    one = as_exact(np.eye(n))
-    adjugate, bottom = one, [Decimal(1)]
-    tops: list[list[Decimal]] = [[] for _ in gains]
-    for k in range(1, n + 1):
-        for top, gain in zip(tops, gains, strict=True):
-            top.append(sensor @ adjugate @ gain)
-        turned = whole @ adjugate
-        bottom.append(-sum(np.diagonal(turned), Decimal(0)) / k)
-        adjugate = turned + bottom[-1] * one
-    return np.array(bottom[::-1], dtype=object), [np.array(top[::-1], dtype=object) for top in tops]
 
 
 def wall_units(mass: float, sampling_period_s: float, parts: LoopParts) -> Normalised:

@@ -55,6 +55,20 @@ def exponential(matrix: Digits, digits: int) -> Digits:
     return result
 
 
+def resolvent(matrix: Digits) -> tuple[Digits, Digits]:
+    """Return determinant and adjugate of x - matrix as polynomials in x, shapes (n + 1,), (n, n, n) by power.
+
+    Source: Faddeev and LeVerrier.
+    """
+    one = as_exact(np.eye(len(matrix)))
+    adjugate, determinant = [one], [Decimal(1)]
+    for k in range(1, len(matrix) + 1):
+        turned = matrix @ adjugate[-1]
+        determinant.append(-sum(np.diagonal(turned), Decimal(0)) / k)
+        adjugate.append(turned + determinant[-1] * one)
+    return np.array(determinant[::-1], dtype=object), np.array(adjugate[-2::-1], dtype=object)
+
+
 def product(*factors: Digits) -> Digits:
     """Return the product of polynomials."""
     result = factors[0]
@@ -73,19 +87,6 @@ def total(first: Digits, second: Digits) -> Digits:
     longer, shorter = (first, second) if len(first) >= len(second) else (second, first)
     result = longer.copy()
     result[: len(shorter)] += shorter
-    return result
-
-
-def derivative(polynomial: Digits) -> Digits:
-    """Return the derivative of a polynomial."""
-    return np.asarray(polynomial[1:] * np.arange(1, len(polynomial)), dtype=object)
-
-
-def value(polynomial: Digits, place: Decimal) -> Decimal:
-    """Return the value of a polynomial."""
-    result = Decimal(0)
-    for coefficient in polynomial[::-1]:
-        result = result * place + coefficient
     return result
 
 

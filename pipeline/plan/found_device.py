@@ -104,8 +104,8 @@ class LoopPoint:
         hidden = setup.hidden.model_copy(update={"constant_force": self.force})
         return simulate(replace(setup, hidden=hidden), K, B, repetition=repetition)
 
-    def step_limits(self, damping: Floats, trial: Trial, softest: Floats) -> Floats:
-        """Return the wall at each damping from which on a step makes it unstable, by simulation [N/m, Nm/rad].
+    def step_limits(self, damping: Floats, trial: Trial, softest: Floats) -> tuple[Floats, Floats]:
+        """Return the wall at each damping from which on a step makes it unstable, by simulation, and how open it is.
 
         Parameters
         ----------
@@ -117,9 +117,10 @@ class LoopPoint:
 
         Returns
         -------
-        float64, shape (n,)
-            NaN where no wall is unstable up to `BEYOND` times the largest linear limit above the linear one, and where
-            the softest one is already. Friction can but raise a limit; jitter moves it either way.
+        limits, open : float64, shape (n,)
+            In the middle of the walls that a log leaves undecided, and half of their range [N/m, Nm/rad]. NaN where no
+            wall is unstable up to `BEYOND` times the largest linear limit above the linear one, and where the softest
+            one is already. Friction can but raise a limit; jitter moves it either way.
         """
         linear = self.limit(damping)
         least = linear if self.coulomb and not trial.jitter else 0.5 * linear
@@ -135,7 +136,8 @@ class LoopPoint:
             stable = (said == "stable") & (np.arange(WALLS)[:, None] < first)
             last = np.where(stable.any(axis=0), WALLS - np.argmax(stable[::-1], axis=0), 0)
             low, high = low + last * step, low + (first + 1) * step
-        return np.where(ends & (low > np.where(begin > least, begin, -1.0)), 0.5 * (low + high), np.nan)
+        known = ends & (low > np.where(begin > least, begin, -1.0))
+        return np.where(known, 0.5 * (low + high), np.nan), 0.5 * (high - low)
 
 
 @dataclass(frozen=True)
@@ -206,14 +208,16 @@ class FoundDevice:
         """Return the limits at dampings B, and how far the numbers leave them open, 95 %; both (n,) [N/m, Nm/rad].
 
         They are those of the linear loop; for a trial of a device that is not linear with it those of its step, as
-        `LoopPoint.step_limits`, which leave open a share of what friction adds beside.
+        `LoopPoint.step_limits`, which leave open a share of what friction adds beside. A quantum alone moves no limit:
+        what it keeps up ends below it.
         """
         limit = self.point.limit(wall_damping)
         off = [np.abs([end.limit(wall_damping) - limit for end in both]).max(axis=0) for both in self.ends]
         reach = np.sqrt(np.sum(np.square(off), axis=0)) if off else np.zeros(len(wall_damping))
-        if trial is None or not (self.point.coulomb or trial.quantum or trial.jitter):
+        if trial is None or not (self.point.coulomb or trial.jitter):
             return limit, reach
-        own = self.point.step_limits(wall_damping, trial, np.broadcast_to(softest, limit.shape))
+        own, undecided = self.point.step_limits(wall_damping, trial, np.broadcast_to(softest, limit.shape))
+        reach = np.hypot(reach, undecided)
         if self.point.coulomb:
             friction = self.fitted.known("coulomb")
             reach = np.hypot(reach, (own - limit) * (friction.high - friction.low) / (2 * friction.value))

@@ -13,26 +13,365 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
-from pydantic import Field, model_validator
+import re2
+from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from pipeline.base.errors import ParameterError
 from pipeline.base.provenance import sha256
-from pipeline.base.units import factor_to_si
-from pipeline.profiles.profile_columns import (
-    Columns,
-    Count,
-    Number,
-    Problem,
-    Source,
-    TextLayout,
-    factor,
-    group_names,
-    pattern_problem,
-    problems_of,
-)
+from pipeline.base.units import UNITS, factor_to_si, find_unit
 from pipeline.records.findings import Grip, Motion, Name, Record
 from pipeline.records.native import FREE
+
+QUANTITIES: dict[str, dict[Motion, str]] = {
+    "time": {"translation": "time", "rotation": "time"},
+    "command": {"translation": "force", "rotation": "torque"},
+    "position": {"translation": "length", "rotation": "angle"},
+    "force": {"translation": "force", "rotation": "torque"},
+    "velocity": {"translation": "velocity", "rotation": "angular velocity"},
+}
+"""Physical quantity of each column by the motion of the device."""
+
+BLANKS = "blanks"
+"""Delimiter of tables whose columns are parted by runs of blanks and tabs."""
+
+Number = Annotated[float, Field(strict=True)]
+"""A number as such: "300" in quotation marks and true are mistakes, not 300 and 1."""
+
+Count = Annotated[int, Field(ge=0, strict=True)]
+"""A whole number from 0."""
+
+Problem = tuple[tuple[str | int, ...], str]
+"""Place of a key in a profile, and what is wrong there."""
+
+
+NoTruth = BeforeValidator(lambda value: "true" if value is True else value)
+"""Keeps true from being taken for 1."""
+
+_NEGATED = {
+    "command": "a positive number pushes towards smaller positions",
+    "position": "its numbers fall as the device moves in the direction that counts as positive",
+    "force": "it counts against the command",
+    "velocity": "it counts against the position",
+}
+"""Where the sign of each column is -1."""
+
+
+@cache
+def _compiled(pattern: str) -> Any:
+    # Python's own engine tries every way to divide a text: ^(a+)+$ takes years for a file name of sixty letters
+    options = re2.Options()
+    options.log_errors = False  # they are raised, too
+    return re2.compile(pattern, options)
+
+
+def find_groups(pattern: str, text: str) -> dict[str, str] | None:
+    """Return what the named groups of a pattern take out of the first place where it fits, None where it fits nowhere.
+
+    Groups that take no part are left out. Lone surrogates are no text: give what `file_names.storable` returns.
+    """
+    match = _compiled(pattern).search(text)
+    return None if match is None else {key: value for key, value in match.groupdict().items() if value is not None}
+
+
+def group_names(pattern: str) -> frozenset[str]:
+    """Return the names of the groups of a pattern."""
+    return frozenset(_compiled(pattern).groupindex)
+
+
+def pattern_problem(pattern: str | None) -> str | None:
+    """Return why a text is no pattern and what to do, or None where it is one."""
+    try:
+        _compiled(pattern or "")
+    except re2.error as error:
+        found = error.args[0].decode() if isinstance(error.args[0], bytes) else error.args[0]
+        return (
+            f"no regular expression: {found}. A pattern is found in one pass, which has no lookahead, lookbehind or "
+            "backreference. Write out what stands there, or give the condition by [[file]]"
+        )
+    return None
+
+
+class TextLayout(Record):
+    """Layout of a delimited text file, plain or compressed (gzip, zstd: known by their first bytes).
+
+    Parameters
+    ----------
+    delimiter : str
+        One character, or ``"blanks"`` for runs of blanks and tabs.
+    decimal : {".", ","}
+        Needed, because "1,234" is two numbers: there is no default.
+    encoding : {"utf-8", "utf-16", "latin-1", "cp1252"}
+        A byte order mark is legal in UTF-8 and UTF-16.
+    skip_rows : int
+        Lines above the table, or above the first line that is searched for its beginning.
+    header : bool
+        Whether the table begins with a line of column names; if not, columns are taken by position (``column = 3``).
+    header_at : str, optional
+        Regular expression: the table begins at the first line in which it is found, as behind a banner.
+    unit_line : bool
+        Whether the line below the names holds units. They are shown by checks, never used.
+    comment : str, optional
+        Lines that begin with it are left out.
+    labels : str, optional
+        Sign between label and value in lines such as ``Gain: 32``, above the table or between its rows.
+    trailing_delimiter : bool
+        Whether rows end with one more delimiter.
+    blank_lines : {"refuse", "skip"}
+        What becomes of blank lines between rows; those at the end of a file are never counted.
+    missing : tuple of str
+        Cells that mean "no value", as a blank cell does.
+    """
+
+    delimiter: Annotated[str, Field(min_length=1)] = ","
+    decimal: Literal[".", ","] | None = None
+    encoding: Literal["utf-8", "utf-16", "latin-1", "cp1252"] = "utf-8"
+    skip_rows: Count = 0
+    header: bool = True
+    header_at: str | None = None
+    unit_line: bool = False
+    comment: Annotated[str, Field(min_length=1)] | None = None
+    labels: Annotated[str, Field(min_length=1)] | None = None
+    trailing_delimiter: bool = False
+    blank_lines: Literal["refuse", "skip"] = "refuse"
+    missing: tuple[str, ...] = ()
+
+    @property
+    def decimal_sign(self) -> str:
+        """Decimal sign of numbers in texts; a point in formats that keep numbers as such, where none is stated."""
+        return self.decimal or "."
+
+    def layout_problems(self) -> Iterator[Problem]:
+        """Yield what does not fit together in the layout."""
+        if len(self.delimiter) != 1 and self.delimiter != BLANKS:
+            yield ("delimiter",), f"expected one character or {BLANKS!r}, found {self.delimiter!r}"
+        if self.decimal is None:
+            yield ("decimal",), """missing; add the line decimal = "." or decimal = ",", as the file has it"""
+        if self.delimiter == self.decimal:
+            yield ("decimal",), f"{self.decimal!r} as the delimiter is; expected different characters"
+        if problem := pattern_problem(self.header_at):
+            yield ("header_at",), problem
+
+
+class Source(Record):
+    """A column of a file, with the unit of its numbers.
+
+    Parameters
+    ----------
+    name : str, optional
+        Name of the column in the file.
+    column : int, optional
+        Its position, counted from 1, in delimited text; one of both is needed.
+    file : {"source", "partner"}
+        Which file of a pair it stands in.
+    unit : str
+        Unit of the numbers; there is no default, because a unit is never guessed.
+    counts_per_unit : float, optional
+        Numbers are counts: so many make one unit (4096 and ``rev`` for an encoder).
+    sentinels : tuple of float
+        Numbers that mean "no value".
+    blanks : {"refuse", "hold", "skip"}
+        What becomes of a row in which the cell is blank or a sentinel: the log is refused, the value before it holds
+        on, or the row is left out.
+    provenance : str
+        How the values came about ("motor current", "numerical derivative"); kept with each trial.
+    """
+
+    name: str | None = None
+    column: Annotated[int, Field(ge=1, strict=True)] | None = None
+    file: Literal["source", "partner"] = "source"
+    unit: Name | None = None
+    counts_per_unit: Annotated[Number, Field(gt=0)] | None = None
+    sentinels: tuple[Number, ...] = ()
+    blanks: Literal["refuse", "hold", "skip"] = "refuse"
+    provenance: str = ""
+
+    @property
+    def in_file(self) -> bool:
+        """Whether the file has such a column."""
+        return self.name is not None or self.column is not None
+
+    @property
+    def key(self) -> str:
+        """Name of the column in `Contents`."""
+        return str(self.column) if self.name is None else self.name
+
+
+class ColumnSource(Source):
+    """Source of command, position, force or velocity.
+
+    Parameters
+    ----------
+    sign : {1, -1}
+        -1 where the axis of the column points the other way; there is no default, because a sign is never guessed.
+    stands_for : str, optional
+        SI-like unit that one `unit` stands for, in logs of another kind: a heater's ``%`` that stands for ``N``. It is
+        kept with each trial.
+    """
+
+    sign: Annotated[Literal[1, -1], NoTruth] | None = None
+    stands_for: Name | None = None
+
+
+class CommandSource(ColumnSource):
+    """Source of the command, or its value where the file has no column of it.
+
+    Parameters
+    ----------
+    value : float, optional
+        The command [`unit`] from `from_row` (counted from 0) or `from_s` (seconds, as the stamps) on; 0 before.
+    from_row, from_s : optional
+        Where it begins; one of both.
+    """
+
+    value: Number | None = None
+    from_row: Annotated[int, Field(ge=0, strict=True)] | None = None
+    from_s: Number | None = None
+
+
+class PositionSource(ColumnSource):
+    """Source of the position, or of a velocity that it is the integral of.
+
+    Parameters
+    ----------
+    integrate : {"difference", "trapezoid"}, optional
+        The column is a velocity [m/s, rad/s], and the position its integral over the stamps, from 0 in the first row.
+        ``"difference"``: each velocity is the way since the row before over the time since then, as drives compute it
+        from an encoder; the integral is exactly what the encoder read. ``"trapezoid"``: it is the velocity in the
+        moment of its row, as of a tachometer, and changes evenly from row to row.
+    """
+
+    integrate: Literal["difference", "trapezoid"] | None = None
+
+
+class Fraction(Record):
+    """Second part of a time stamp, such as nanoseconds beside seconds; both are whole numbers."""
+
+    name: Name
+    unit: Literal["s", "ms", "us", "ns"]
+
+
+class TimeSource(Source):
+    """Source of the time stamps.
+
+    Parameters
+    ----------
+    kind : {"absolute", "steps", "counter", "sampled"}
+        Stamps as they are; time since the row before (the first row is 0); a counter (time is counted from the first
+        row); no stamps, one row each sampling period (a column that is named is kept as raw time and must agree).
+    wrap : float, optional
+        Counter: number at which it starts again from 0 (2^32 = 4294967296), in counts.
+    fraction : Fraction, optional
+        Column with the rest of the stamp.
+    order : {"file", "sort"}
+        ``"sort"`` puts rows into the order of their stamps; without it, time that runs backwards is refused.
+    duplicates : {"refuse", "keep first", "keep last"}
+        What becomes of rows with one and the same stamp.
+    """
+
+    blanks: Literal["refuse", "skip"] = "refuse"  # a stamp cannot hold on
+    kind: Literal["absolute", "steps", "counter", "sampled"] = "absolute"
+    wrap: Annotated[Number, Field(gt=0)] | None = None
+    fraction: Fraction | None = None
+    order: Literal["file", "sort"] = "file"
+    duplicates: Literal["refuse", "keep first", "keep last"] = "refuse"
+
+
+class Columns(Record):
+    """The three columns that every log needs, and two that it may have: measured force, logged velocity."""
+
+    time: TimeSource | None = None
+    command: CommandSource | None = None
+    position: PositionSource | None = None
+    force: ColumnSource | None = None
+    velocity: ColumnSource | None = None
+
+    def sources(self) -> dict[str, Source]:
+        """Return the columns that are described, by SI name."""
+        found = {key: getattr(self, key) for key in Columns.model_fields}
+        return {key: source for key, source in found.items() if source is not None}
+
+
+def si_unit(quantity: str) -> str:
+    """Return the SI unit of a physical quantity.
+
+    >>> si_unit("rotational stiffness")
+    'Nm/rad'
+    """
+    return next(symbol for symbol, unit in UNITS.items() if unit == (quantity, 1.0))
+
+
+def quantity_of(key: str, source: Source, motion: Motion) -> str:
+    """Return the physical quantity of a column of the file: of a position that is integrated, a velocity."""
+    integrated = isinstance(source, PositionSource) and source.integrate is not None
+    return QUANTITIES["velocity" if integrated else key][motion]
+
+
+def factor(key: str, source: Source, motion: Motion) -> float:
+    """Return the signed factor from a column's numbers to SI.
+
+    Raises
+    ------
+    ParameterError
+        If the unit is not known or does not fit the column.
+    """
+    sign, unit = 1, source.unit
+    if isinstance(source, ColumnSource):
+        # a sign that is missing is a mistake of its own; here the unit is looked at
+        sign, unit = source.sign or 1, source.stands_for or source.unit
+    if unit is None:
+        raise ParameterError(f"{key} has no unit")
+    return sign * factor_to_si(unit, (quantity_of(key, source, motion),)) / (source.counts_per_unit or 1.0)
+
+
+def problems_of(columns: Columns, motion: Motion) -> Iterator[Problem]:
+    """Yield what is missing or wrong in the columns; units are held against the motion of the device."""
+    for key in ("time", "command", "position"):
+        if getattr(columns, key) is None:
+            yield ("columns", key), f"missing. Add [columns.{key}] with name and unit"
+    taken: dict[tuple[str, str], str] = {}
+    for key, source in columns.sources().items():
+        yield from ((("columns", key, part), words) for part, words in _source_problems(key, source, motion))
+        other = taken.setdefault((source.file, source.key), key) if source.in_file else key
+        if other != key:
+            text = f"{source.key!r} is columns.{other}, too; expected another column"
+            if "velocity" in (key, other) and columns.position is not None and columns.position.integrate:
+                text = f"{source.key!r} is columns.position, which is integrated and kept as velocity. Remove this one"
+            yield ("columns", key, "column" if source.name is None else "name"), text
+
+
+def _source_problems(key: str, source: Source, motion: Motion) -> Iterator[tuple[str, str]]:
+    """Yield key and words of what is missing or wrong in one column."""
+    sampled = isinstance(source, TimeSource) and source.kind == "sampled"
+    stated = isinstance(source, CommandSource) and source.value is not None
+    if isinstance(source, ColumnSource) and source.sign is None:
+        yield "sign", f"missing; add the line sign = 1 or sign = -1 (-1 where {_NEGATED[key]})"
+    if source.name is not None and source.column is not None:
+        yield "column", "given beside name; expected one of them"
+    if isinstance(source, CommandSource) and stated == (source.from_row is None and source.from_s is None):
+        yield "value", "give value and one of from_row, from_s, or none of them"
+    if stated and source.in_file:
+        yield "value", "given beside the column; expected one of them"
+    if not source.in_file and not sampled and not stated:
+        more = " (without such a column: value and from_row, or from_s)" if key == "command" else ""
+        yield "name", f'missing. Add name = "<column in the file>" or column = <position>{more}'
+    if sampled and not source.in_file:
+        return
+    if source.unit is None:
+        quantity = quantity_of(key, source, motion)
+        units = ", ".join(symbol for symbol, unit in UNITS.items() if unit.quantity == quantity)
+        yield "unit", f'missing; a unit is never guessed. Add unit = "..." for column {source.key!r}, one of {units}'
+        return
+    try:
+        factor(key, source, motion)
+    except ParameterError as error:
+        hint = "; for counts give counts_per_unit and the unit" if source.unit in ("count", "counts") else ""
+        unit = find_unit(source.unit)
+        if key == "position" and unit is not None and unit.quantity in QUANTITIES["velocity"].values():
+            hint = '; a velocity becomes a position with integrate = "difference" (of an encoder) or "trapezoid"'
+        at = "stands_for" if getattr(source, "stands_for", None) else "unit"
+        yield at, f"{error} (motion is {motion}){hint}"
+
 
 Format = Literal[
     "native", "delimited", "json", "parquet", "feather", "matlab", "hdf5", "rosbag", "mcap", "tdms", "mdf"

@@ -124,18 +124,18 @@ def check_samples(
     for name, values in columns.items():
         if values is None:
             continue
-        finite = np.isfinite(values)
-        if not finite.all():
-            at = int(np.argmin(finite))
-            raise refused("not-finite", at, f"{name} is {values[at]}", "a finite number")
-        if (beyond := np.abs(values) > LARGEST[name]).any():
+        if not (-LARGEST[name] <= values.min() and values.max() <= LARGEST[name]):  # what is no number is neither
+            finite, beyond = np.isfinite(values), np.abs(values) > LARGEST[name]
+            if not finite.all():
+                at = int(np.argmin(finite))
+                raise refused("not-finite", at, f"{name} is {values[at]}", "a finite number")
             at, expected = int(np.argmax(beyond)), f"at most {LARGEST[name]:g} [SI], no reading is larger"
             raise refused("out-of-range", at, f"{name} is {values[at]:.6g}", expected, _LARGE)
         scale = {"position": travel, "velocity": 0.0}.get(name)
         if scale is not None and (off := stray(values, scale)) is not None:
             found = f"{name} is {values[off]:.6g}, the others lie about {np.median(values):.6g}: a gap that no motion "
             raise refused("out-of-range", off, f"{found}leaves")
-    steps, period = np.diff(time), header.sampling_period_s
+    steps, period = time[1:] - time[:-1], header.sampling_period_s
     at = int(np.argmin(steps > 0)) + 1
     if steps[at - 1] <= 0:
         found = f"time is {time[at]:.17g} s after {time[at - 1]:.17g} s"
@@ -156,6 +156,8 @@ def stray(readings: Floats, scale: float) -> int | None:
     scale : float
         What the readings are expected to change by at least, in their unit; 0 where that is not known.
     """
+    if readings.max() - readings.min() <= GAP * scale:
+        return None
     rows = len(readings)
     few, middle = rows // OUTSIDE, rows // 2
     ordered = np.partition(readings, (few, middle, rows - 1 - few))

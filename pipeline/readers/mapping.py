@@ -16,21 +16,24 @@ import numpy as np
 from pipeline.base.errors import LogError, ParameterError, ProfileError, refusal
 from pipeline.base.paths import storable
 from pipeline.base.units import factor_to_si, find_unit, unit_in_heading
-from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, CommandSource, PositionSource, find_groups
 from pipeline.profiles.profile_model import (
     CONDITION_QUANTITIES,
+    QUANTITIES,
     REQUIRED_CONDITIONS,
     STEP_MISSING,
+    ColumnSource,
+    CommandSource,
     FileEntry,
+    PositionSource,
     Profile,
     StepEntry,
     StepTime,
     Window,
+    find_groups,
 )
 from pipeline.readers.formats import refuse_other_kind
-from pipeline.readers.frame import Contents, Scalar
+from pipeline.readers.frame import KEPT_ATTRIBUTES, LONGEST_ATTRIBUTE, Contents, Scalar
 from pipeline.readers.isolation import read_file
-from pipeline.readers.limits import KEPT_ATTRIBUTES, LONGEST_ATTRIBUTE
 from pipeline.readers.log import Log, RawLog, check_samples
 from pipeline.readers.rows import Table, rows_of
 from pipeline.records.batch import Floats, Integers

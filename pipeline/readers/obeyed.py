@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.base.units import unit_between
-from pipeline.profiles.profile_columns import Source, si_unit
-from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile
+from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile, Source, si_unit
 from pipeline.readers.log import Log
 from pipeline.records.batch import Booleans, Floats
 
@@ -81,17 +80,17 @@ def obeyed(log: Log) -> Obeyed | None:
     """Return which other gains the command of a log obeys; None where they are as stated, or not to be seen."""
     header, command = log.header, log.command
     stated = {"stiffness": header.stiffness, "damping": header.damping, "step": header.step}
-    gains, size = np.array([*stated.values()]), float(np.sqrt(np.mean(command**2)))
-    terms = _terms(log.time, command, log.position, header.sampling_period_s, header.extra.get("step_row"))
+    gains, size = np.array([*stated.values()]), _size(command)
+    terms = _terms(log.time, command, log.position, header.extra.get("step_row"))
     off = command - gains @ terms
-    if not header.step or not size or np.sqrt(np.mean(off**2)) <= EXACT * size:
+    if not header.step or not size or _size(off) <= EXACT * size:
         return None
     free = _free(command)
     if free.sum() < LEAST_ROWS:
         return None
     largest = float(np.abs(command).max())
     values, error, left = _fit(terms[:, free], command[free])
-    if left <= min(EXACT * size, EXPLAINED * float(np.sqrt(np.mean(off[free] ** 2)))):
+    if left <= min(EXACT * size, EXPLAINED * _size(off[free])):
         told = np.abs(terms[:, free]).max(axis=1) * np.maximum(np.abs(values), np.abs(gains)) > SHARE * largest
         least = np.maximum(TOLERANCE * np.abs(gains), SURE * error)
         # a position that is logged a row or two beside its command looks like B + K T
@@ -133,25 +132,32 @@ def law_of(time: Floats, command: Floats, position: Floats) -> Law | None:
     """
     if len(time) < LEAST_ROWS or not (np.diff(time) > 0).all() or not np.ptp(command) or not np.ptp(position):
         return None
-    terms, free = _terms(time, command, position, float(np.median(np.diff(time))), None), _free(command)
+    terms, free = _terms(time, command, position), _free(command)
     if free.sum() < LEAST_ROWS:
         return None
     values, _, left = _fit(terms[:, free], command[free])
-    if left > EXACT * np.sqrt(np.mean(command**2)):
+    if left > EXACT * _size(command):
         return None
     told = np.abs(terms[:, free]).max(axis=1) * np.abs(values) > SHARE * np.abs(command).max()
     return Law(*map(float, np.where(told, values, 0.0)))
 
 
-def _terms(time: Floats, command: Floats, position: Floats, period: float, declared: str | None) -> Floats:
+def _terms(time: Floats, command: Floats, position: Floats, declared: str | None = None) -> Floats:
     """Return the terms of stiffness, damping and step in the command, shape (3, rows)."""
-    passed = np.diff(time, prepend=time[:1] - period)
-    jump = np.abs(np.diff(command))
+    jump = np.abs(command[1:] - command[:-1])
     edge = int(declared) if declared is not None else int(jump.argmax()) + 1
     if declared is None and abs(command[0]) > 0.5 * jump.max():
         edge = 0
-    after = (np.arange(len(time)) >= edge).astype(np.float64)
-    return np.stack([position[0] - position, -np.diff(position, prepend=position[:1]) / passed, after])
+    terms = np.zeros((3, len(time)))
+    terms[0] = position[0] - position
+    terms[1, 1:] = (position[:-1] - position[1:]) / (time[1:] - time[:-1])
+    terms[2, edge:] = 1.0
+    return terms
+
+
+def _size(values: Floats) -> float:
+    """Return the root of the mean square."""
+    return float(np.sqrt(values @ values / len(values)))
 
 
 def _free(command: Floats) -> Booleans:
@@ -171,7 +177,7 @@ def _fit(terms: Floats, command: Floats) -> tuple[Floats, Floats, float]:
     scaled = terms.T / scale
     inverse = np.linalg.pinv(scaled.T @ scaled)
     solution, *_ = np.linalg.lstsq(scaled, command, rcond=None)
-    left = float(np.sqrt(np.mean((command - scaled @ solution) ** 2)))
+    left = _size(command - scaled @ solution)
     return solution / scale, left * np.sqrt(np.diag(inverse)) / scale, left
 
 

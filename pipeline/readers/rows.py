@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.errors import LogError, refusal
 from pipeline.base.units import factor_to_si
-from pipeline.profiles.profile_columns import Source, TimeSource
-from pipeline.profiles.profile_model import Profile
+from pipeline.profiles.profile_model import Profile, Source, TimeSource
 from pipeline.readers.frame import Contents
 from pipeline.records.batch import Booleans, Floats, Integers
 

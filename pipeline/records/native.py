@@ -16,6 +16,7 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import cast, get_args
 
 from pipeline.base.errors import LogError, ParameterError
@@ -209,6 +210,7 @@ def _wrong(reason: str, row: int) -> LogError:
     return LogError(reason, row, code="condition-wrong")
 
 
+@lru_cache(1024)  # logs of a course share most lines, in all of these
 def _name(key: str, value: str, row: int) -> str:
     name = _NOTE_BEHIND_TEXT.sub("", value).strip()
     if not name or len(name) > LONGEST_NAME or not name.isprintable():
@@ -217,6 +219,7 @@ def _name(key: str, value: str, row: int) -> str:
     return name
 
 
+@lru_cache(1024)
 def _number(key: str, value: str, row: int) -> float:
     text, bracket, note = value.partition("[")
     text = text.strip()
@@ -243,6 +246,7 @@ def _period(value: str, row: int) -> float:
     return period
 
 
+@lru_cache(1024)
 def _count(key: str, value: str, row: int) -> int:
     number = _number(key, _OPTIONAL_NOTE.sub("", value), row)
     if number < 0 or number != int(number):
@@ -250,6 +254,7 @@ def _count(key: str, value: str, row: int) -> int:
     return int(number)
 
 
+@lru_cache(1024)
 def _choice(key: str, allowed: tuple[str, ...], value: str, row: int) -> str:
     word = _OPTIONAL_NOTE.sub("", value.partition("[")[0]).strip()
     if word not in allowed:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from pipeline.base.disk import write_text
-from pipeline.base.errors import UsageError
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.frames import frames
 from pipeline.rendering.report.report import printed_tables
@@ -18,9 +16,6 @@ from pipeline.rendering.table import Table, footnote, records
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Format = Literal["csv", "json", "markdown", "latex"]
-FORMATS: tuple[Format, ...] = get_args(Format)
 
 LONGEST = 45
 """Rows beyond which a table does not fit on a page, and is a ``longtable``."""
@@ -50,44 +45,17 @@ _LETTERS = {
 """What stands for a character in LaTeX; other letters are UTF-8, which LaTeX reads since 2018."""
 
 
-def parse_formats(words: Sequence[str]) -> tuple[Format, ...]:
-    """Return formats by their names, each once; several may be joined by commas.
-
-    Raises
-    ------
-    UsageError
-        If one is not known.
-    """
-    names = [part.strip() for word in words for part in word.split(",") if part.strip()]
-    unknown = [name for name in names if name not in FORMATS]
-    if unknown:
-        raise UsageError(f"unknown format of tables {unknown[0]!r}; expected some of {', '.join(FORMATS)}.")
-    return tuple(name for name in FORMATS if name in names)
-
-
-def tables_folder(report: Path) -> Path:
-    """Return the folder beside a report that gets its tables."""
-    return report.with_name(f"{report.stem}-tables")
-
-
-def export_tables(result: ComparisonResult, folder: Path, formats: Sequence[Format]) -> tuple[Path, ...]:
+def export_tables(result: ComparisonResult, folder: Path) -> tuple[Path, ...]:
     """Write the tables of a comparison; files of the same name are replaced, others are left alone.
 
     One ``.csv`` and one ``.tex`` a table, ``tables.json``, ``tables.md``. Returns the files written.
     """
     values, printed = named_frames(result), printed_tables(result)
-    files: dict[str, str] = {}
-    if "csv" in formats:
-        files |= {f"{_file_name(name)}.csv": csv_text(frame) for name, frame in values.items()}
-    if "json" in formats:
-        document = {name: as_document(frame) for name, frame in values.items()}
-        files["tables.json"] = (
-            json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False, default=_plain) + "\n"
-        )
-    if "markdown" in formats:
-        files["tables.md"] = f"# {_markdown(result.title)}\n\n" + "\n".join(map(markdown_text, printed))
-    if "latex" in formats:
-        files |= {f"{_file_name(t.name)}.tex": latex_text(t, f"{result.device}-{t.name}") for t in printed}
+    document = {name: as_document(frame) for name, frame in values.items()}
+    files = {f"{_file_name(name)}.csv": csv_text(frame) for name, frame in values.items()}
+    files |= {f"{_file_name(t.name)}.tex": latex_text(t, f"{result.device}-{t.name}") for t in printed}
+    files["tables.json"] = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False, default=_plain) + "\n"
+    files["tables.md"] = f"# {_markdown(result.title)}\n\n" + "\n".join(map(markdown_text, printed))
     for name, text in files.items():
         write_text(folder / name, text)
     return tuple(folder / name for name in files)

@@ -244,7 +244,8 @@ def _sensitivities(loop: Loop, quantities: Sequence[Quantity], best: Best) -> pd
     rows = []
     largest = float(loop.boundary(16).attrs["stiffness_max"])
     for quantity in quantities:
-        sides = [quantity.changed(loop, sign * _DIFFERENCE) for sign in (-1, 1)]
+        ends = -_DIFFERENCE if quantity.read(loop) else 0.0, _DIFFERENCE  # nothing is below none
+        sides = [quantity.changed(loop, end) for end in ends]
         limits = [float(side.boundary(16).attrs["stiffness_max"]) for side in sides]
         settling = [
             float(side.points(best.stiffness, best.damping, ("settle_2pct",))["settle_2pct"].iloc[0])
@@ -252,14 +253,14 @@ def _sensitivities(loop: Loop, quantities: Sequence[Quantity], best: Best) -> pd
             for side in sides
         ]
         values = [quantity.read(side) or 0.0 for side in sides]
-        rise = math.log(limits[1] / limits[0]) / (2 * _DIFFERENCE)
+        rise = math.log(limits[1] / limits[0]) / (ends[1] - ends[0])
         row = {
             "quantity": quantity.name,
             "value": quantity.read(loop) or 0.0,
             "unit": quantity.unit(loop),
             "stiffness_max_per_unit": (limits[1] - limits[0]) / (values[1] - values[0]),
             "stiffness_max_percent": rise,
-            "settling_percent": math.log(settling[1] / settling[0]) / (2 * _DIFFERENCE),
+            "settling_percent": math.log(settling[1] / settling[0]) / (ends[1] - ends[0]),
             "stiffness_max": largest,
         }
         rows.append(row)

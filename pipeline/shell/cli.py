@@ -18,35 +18,19 @@ from pipeline.base.process import begin_alone
 from pipeline.shell import console
 
 COMMANDS = {
-    "demo": "cli_device.demo",
-    "simulate": "cli_device.simulate",
-    "ingest": "cli_storage.ingest",
-    "status": "cli_storage.status",
-    "check": "cli_storage.check",
-    "exclude": "cli_storage.exclude",
-    "move": "cli_storage.move",
-    "delete": "cli_storage.delete",
-    "watch": "cli_watch.watch",
-    "compare": "cli_report.compare",
-    "verify": "cli_report.verify",
-    "bundle": "cli_report.bundle",
-    "accuracy": "cli_theory.accuracy",
-    "serve": "cli_serve.serve",
-    "token": "cli_serve.token",
-    "push": "cli_serve.push",
-    "look": "cli_logs.look",
-    "profile": "cli_logs.profile",
-    "quarantine": "cli_logs.quarantine",
-    "identify": "cli_device.identify",
-    "plan": "cli_plan.plan",
-    "design": "cli_device.design",
-    "theory points": "cli_theory.points",
-    "theory boundary": "cli_theory.boundary",
-    "theory optimum": "cli_theory.optimum",
-    "theory map": "cli_theory.cost_map",
-    "theory tables": "cli_theory.tables",
+    name: module
+    for module, names in {
+        "cli_device": ("demo", "simulate", "identify", "design"),
+        "cli_storage": ("ingest", "status", "check", "exclude", "move", "delete"),
+        "cli_report": ("compare", "verify", "bundle", "watch"),
+        "cli_plan": ("plan",),
+        "cli_logs": ("look", "profile", "quarantine"),
+        "cli_serve": ("serve", "token", "push"),
+        "cli_theory": ("accuracy", *(f"theory {name}" for name in ("points", "boundary", "optimum", "map", "tables"))),
+    }.items()
+    for name in names
 }
-"""Function of each command, in the order of the help."""
+"""Module of each command, in the order of the help; its function bears the last word of the name."""
 
 PLAIN = ("demo", "serve")
 """Commands without a result, and so without --json."""
@@ -73,8 +57,8 @@ def application(word: str | None = None) -> typer.Typer:
     chosen = [name for name in COMMANDS if name.split()[0] == word] or COMMANDS
     for name in chosen:
         group, _, own = name.rpartition(" ")
-        module, _, function = COMMANDS[name].partition(".")
-        work = getattr(import_module(f"pipeline.shell.commands.{module}"), function)
+        module = import_module(f"pipeline.shell.commands.{COMMANDS[name]}")
+        work = getattr(module, {"map": "cost_map"}.get(own, own))
         (theory if group else app).command(own)(work if name in PLAIN else console.command(work))
     if any(" " in name for name in chosen):
         app.add_typer(theory, name="theory")

@@ -8,7 +8,6 @@ import os
 import re
 import shlex
 import sys
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -25,16 +24,24 @@ from pipeline.base.process import Ended, ending_on_signals
 Advance = Callable[[int, int | None], None]
 """Reports (things done, things in all or None where that is not known)."""
 
-QUIET_SECONDS = 2.0
-"""Least time between two progress lines where stderr is no terminal: a log file stays short."""
-
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 """Control characters but for tab and line feed."""
 
 _JSON = ContextVar("json", default=False)
 """Whether the command that runs prints JSON, and nothing else."""
 
-Json = Annotated[bool, typer.Option("--json", help="Print JSON on stdout, and nothing else there.")]
+
+def option(name: str, help_text: str, *more: str, **how: Any) -> Any:
+    """Return an option with its words."""
+    return typer.Option(name, *more, help=help_text, **how)
+
+
+def argument(help_text: str, **how: Any) -> Any:
+    """Return an argument with its words."""
+    return typer.Argument(help=help_text, **how)
+
+
+Json = Annotated[bool, option("--json", "Print JSON on stdout, and nothing else there.")]
 
 
 def command(work: Callable[..., int | None]) -> Callable[..., None]:
@@ -82,8 +89,6 @@ def run_app(app: typer.Typer, arguments: Sequence[str] | None) -> None:
             app(args=None if arguments is None else list(arguments))
     except Ended as end:
         note(f"Stopped by {end}. Each file is complete or as it was before: run the command again for what is left.")
-        for text in getattr(end, "__notes__", ()):
-            note(text)
         end.leave()
     except PipelineError as error:
         note(f"Error: {error}")
@@ -181,12 +186,9 @@ def _text(value: object) -> str:
 
 @contextmanager
 def progress(label: str, unit: str) -> Iterator[Advance]:
-    """Show progress on stderr: a bar on a terminal, a line now and then elsewhere, nothing with ``--json``."""
-    if _JSON.get():
+    """Show progress as a bar on stderr where that is a terminal, and not with ``--json``."""
+    if _JSON.get() or not sys.stderr.isatty():
         yield lambda done, total: None
-        return
-    if not sys.stderr.isatty():
-        yield _lines(label, unit)
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -195,18 +197,3 @@ def progress(label: str, unit: str) -> Iterator[Advance]:
     with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(label, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
-def _lines(label: str, unit: str) -> Advance:
-    """Return what tells progress by lines, at most one in `QUIET_SECONDS`."""
-    began = printed = time.monotonic()
-
-    def advance(done: int, total: int | None) -> None:
-        nonlocal printed
-        now = time.monotonic()
-        if now - printed >= QUIET_SECONDS and done:
-            printed, rate = now, done / (now - began)
-            of, left = ("", "") if total is None else (f" of {total}", f", {max(total - done, 0) / rate:.3g} s left")
-            note(f"{label}: {done}{of} {unit}, {rate:.3g}/s{left}")
-
-    return advance

@@ -26,11 +26,9 @@ class Part(NamedTuple):
     coarsen: int = 1
 
 
-REDUCED = (Part("falcon-real", ("1",), coarsen=4), Part("falcon", ("1", "2", "6"), coarsen=2), Part("lwr", coarsen=2))
+PARTS = (Part("falcon-real", ("1",), coarsen=4), Part("falcon", ("1", "2", "6"), coarsen=2), Part("lwr", coarsen=2))
 """Half the dampings and half the stiffness steps: a fourth of the trials, and maps that look like the full ones. First
 comes a device that deviates as the real one may (docs/falcon.md)."""
-
-FULL = (Part("falcon-real"), Part("falcon"), Part("lwr"))
 
 
 class DemoOutcome(NamedTuple):
@@ -42,7 +40,6 @@ class DemoOutcome(NamedTuple):
 
 def run_demo(
     folder: Path = Path("."),
-    full: bool = False,
     report_progress: Callable[[str], None] = lambda _: None,
     parts: Sequence[Part] | None = None,
 ) -> DemoOutcome:
@@ -51,15 +48,12 @@ def run_demo(
     Parameters
     ----------
     folder : Path
-        Gets ``raw/demo``, ``processed/demo`` and ``reports`` with an index page (with ``full``: ``raw/demo-full``,
-        ``processed/demo-full``). Logs of an earlier demo, and reports of its devices as
-        `compare` writes them, are replaced; other files are never touched.
-    full : bool
-        Thesis size: all experiments and all trials.
+        Gets ``raw/demo``, ``processed/demo`` and ``reports`` with an index page. Logs of an earlier demo, and reports
+        of its devices as `compare` writes them, are replaced; other files are never touched.
     report_progress : callable
         Gets a line before each step.
     parts : sequence of Part, optional
-        Other devices and experiments than those of the two demos.
+        Devices and experiments; by default `PARTS`.
 
     Raises
     ------
@@ -67,10 +61,10 @@ def run_demo(
         If a file cannot be written, or a simulated log was refused.
     """
     say, began = report_progress, time.monotonic()
-    chosen, name = parts or (FULL if full else REDUCED), "demo-full" if full else "demo"
-    raw, processed, pages = folder / "raw" / name, folder / "processed" / name, folder / "reports"
+    parts = parts or PARTS
+    raw, processed, pages = folder / "raw" / "demo", folder / "processed" / "demo", folder / "reports"
     logs = 0
-    for part in chosen:
+    for part in parts:
         device = load_device(part.device)
         for experiment in part.experiments or [e.name for e in device.experiments]:
             say(f"simulate: {device.name}, experiment {experiment}")
@@ -82,7 +76,7 @@ def run_demo(
             "only simulated ones there). Remove the file, or the folder, and run the demo again."
         )
     reports, told = [], []
-    for part in chosen:
+    for part in parts:
         report = pages / f"{part.device}.html"
         result = compare(
             part.device,

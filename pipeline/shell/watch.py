@@ -8,14 +8,13 @@ from __future__ import annotations
 import os
 import time
 import traceback
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, PipelineError, StoreError, UsageError
-from pipeline.base.lock import holder, writing
 from pipeline.base.provenance import user_device_folder
 from pipeline.shell import console
 
@@ -43,9 +42,6 @@ RETRY_S, LONGEST_RETRY_S = 60.0, 3600.0
 PLAN_SETTLE_S = 0.3
 """For which a log must stay the same before the planner reads it [s]: the next wall is told within a second."""
 
-PASS_FOLDER = ".watch"
-"""Folder below `processed/` with the lock that lets one pass work at a time; an ingest by hand is not kept waiting."""
-
 
 @dataclass(frozen=True)
 class Watched:
@@ -66,7 +62,7 @@ class Watched:
     Raises
     ------
     UsageError
-        If a folder or file is not there, or logs and results would lie in each other.
+        If reports would lie among the logs.
     """
 
     folders: tuple[Path, ...]
@@ -77,20 +73,12 @@ class Watched:
     settle_s: float = 2.0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.settle_s < float("inf"):
-            raise UsageError(f"--settle {self.settle_s:g}: expected a time of 0 s or more.")
-        reports, processed = (Path(os.path.abspath(path)) for path in (self.reports, self.processed))
-        for folder in check_folders(self.folders):
-            if reports.is_relative_to(os.path.abspath(folder)):
+        for folder in self.folders:
+            if Path(os.path.abspath(self.reports)).is_relative_to(os.path.abspath(folder)):
                 raise UsageError(
                     f"{self.reports}: lies in the watched folder {folder}, where reports would be taken for logs. Give "
                     "another folder for them (--reports), or watch the folder of the logs alone."
                 )
-            if Path(os.path.abspath(folder)).is_relative_to(processed):
-                raise UsageError(f"{folder}: lies in {self.processed}, where results are kept. Give folders with logs.")
-        for scene in self.scenes:
-            if not scene.is_file():
-                raise UsageError(f"{scene}: no such file. `pipeline compare --save-scene` writes one.")
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -98,14 +86,6 @@ class Watched:
         devices = user_device_folder()
         profile = [Path(self.profile)] if self.profile and os.path.isfile(self.profile) else []
         return *self.scenes, *profile, *(sorted(devices.glob("*.toml")) if devices else [])
-
-
-def check_folders(folders: Iterable[Path]) -> Iterator[Path]:
-    """Yield folders of logs, and refuse one that is not there."""
-    for folder in folders:
-        if not os.path.isdir(folder):
-            raise UsageError(f"{folder}: no such folder. Give folders in which logs arrive.")
-        yield folder
 
 
 @dataclass
@@ -181,27 +161,21 @@ def follow(watched: Watched, interval_s: float) -> Iterator[Event]:
     """Yield what happens while logs arrive, without end; not what is as it was, nor what was told before."""
     places = {"folders": [str(f) for f in watched.folders], "interval_s": interval_s, "settle_s": watched.settle_s}
     yield {"event": "started", **places, "processed": str(watched.processed), "reports": str(watched.reports)}
-    arrivals, unreachable, told = Arrivals(watched.settle_s), dict[str, str](), dict[tuple[str, str], Event]()
+    arrivals, unreachable, told = Arrivals(watched.settle_s), set[str](), dict[tuple[str, str], Event]()
     # reports may be out of date from before, whether logs come or not
     due, retry_s = time.monotonic() + watched.settle_s, RETRY_S
     while True:
         began = time.monotonic()
         now = arrivals.look(watched.folders, watched.files, (watched.processed,))
-        for path in sorted(arrivals.troubles.keys() ^ unreachable.keys()):
-            reason = arrivals.troubles.get(path)
-            yield (
-                {"event": "unreachable", "path": path, "reason": reason}
-                if reason
-                else {"event": "reachable", "path": path}
-            )
-        unreachable, growing = arrivals.troubles, arrivals.restless(now)
+        yield from (_failed(path, arrivals.troubles[path]) for path in sorted(arrivals.troubles.keys() - unreachable))
+        unreachable, growing = {*arrivals.troubles}, arrivals.restless(now)
         if arrivals.ready(now) or due <= now:
             arrivals.take(now)
             failed, waiting = set(), False
             for event in run_pass(watched, tuple(growing)):
                 key = event["event"], str(event.get("what") or event.get("path"))
                 waiting |= bool(event.get("waiting"))
-                failed |= {key} if key[0] in ("failed", "busy") else set()
+                failed |= {key} if key[0] == "failed" else set()
                 is_news = event["event"] not in ("unchanged", "ingest") or event.get("ingested")
                 if is_news and told.get(key) != event:
                     yield event
@@ -218,7 +192,7 @@ def follow(watched: Watched, interval_s: float) -> Iterator[Event]:
 
 def status_of(events: Sequence[Event]) -> int:
     """Return the exit status of a pass: 1 where something failed, 3 where logs are in quarantine."""
-    if any(event["event"] in ("failed", "busy") for event in events):
+    if any(event["event"] == "failed" for event in events):
         return EXIT_ERROR
     return EXIT_QUARANTINED if any(event.get("quarantined") for event in events) else EXIT_OK
 
@@ -229,20 +203,8 @@ def run_pass(watched: Watched, growing: Sequence[str] = ()) -> Iterator[Event]:
     Named errors are events, and so are defects, with their traceback on stderr: one device must not keep the reports of
     others from being renewed. ``growing`` are absolute paths of files that are not at rest, whatever their times say.
     """
-    lock = watched.processed / PASS_FOLDER
-    with ExitStack() as held:
-        try:
-            held.enter_context(writing(lock, 0.0))
-        except StoreError as error:
-            other = holder(lock)
-            yield (
-                {"event": "busy", "reason": f"{other} is at work on {watched.processed}"}
-                if other
-                else _failed("pass", error)
-            )
-            return
-        yield from _ingest(watched, growing)
-        yield from _reports(watched)
+    yield from _ingest(watched, growing)
+    yield from _reports(watched)
 
 
 def _failed(what: str, reason: object) -> Event:
@@ -336,8 +298,7 @@ def plan_beside(
     from pipeline.plan.course import open_course
     from pipeline.plan.planner import plan_of
 
-    folders, told = list(check_folders(folders)), set[tuple[str, str]]()
-    running: list[Future[Choice]] = []
+    told, running = set[tuple[str, str]](), list["Future[Choice]"]()
 
     def parts(recordings: list[Recording]) -> Choice | None:
         if not running:

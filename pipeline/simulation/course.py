@@ -242,7 +242,7 @@ def write_course(course: Course, folder: Path, *, overwrite: bool = False) -> in
     except OSError as error:
         raise PipelineError(
             f"{error.filename or target}: simulated logs cannot be written ({error.strerror or error}). "
-            "Make room or choose another folder (--out), then run again with --overwrite."
+            "Make room or choose another folder (--out), then run again."
         ) from error
     return len(names)
 
@@ -288,7 +288,7 @@ def _earlier_logs(target: Path, overwrite: bool) -> set[str]:
         return set()
     if not overwrite:
         raise UsageError(
-            f"{target} holds the logs of an earlier simulation. Give --overwrite to replace them, "
+            f"{target} holds the logs of an earlier simulation. Give overwrite=True to replace them, "
             "or choose another folder (--out)."
         )
     try:

@@ -25,7 +25,7 @@ from pipeline.simulation.setup import Setup
 DIGITS = 40
 """In which a filter is written in powers of 1/z: a low cut-off cancels many of them."""
 
-MOST_DELAYS, REPEATS = 9, 8
+MOST_DELAYS, MOST_ALIKE = 9, 8
 """Most delays of a sample apart that commands draw from, so that the age in force scatters by 1.6 samples; and how many
 times as likely as the others one of them may be."""
 
@@ -212,9 +212,9 @@ def delays_of(age: float, jitter: float) -> tuple[int, ...]:
 
 @cache
 def _drawn() -> tuple[list[tuple[int, ...]], Floats, Floats]:
-    """Return delays from 0 on, one of them up to `REPEATS` times as likely, with mean and deviation of their age."""
+    """Return delays from 0 on, one of them up to `MOST_ALIKE` times as likely, with mean and deviation of their age."""
     every = [tuple(range(count)) for count in range(2, MOST_DELAYS + 1)]
-    every = [(*alike, *(one,) * more) for alike in every for one in alike for more in range(REPEATS)]
+    every = [(*alike, *(one,) * more) for alike in every for one in alike for more in range(MOST_ALIKE)]
     mean, deviation = np.array([age_in_force(drawn) for drawn in every]).T
     return every, mean, deviation
 

@@ -30,7 +30,6 @@ from pipeline.base.disk import content_of, kept_files, said_content
 from pipeline.base.errors import StoreError
 from pipeline.base.wording import counted
 from pipeline.records.batch import Booleans, Integers
-from pipeline.records.findings import Record
 from pipeline.records.table_files import damaged_file, metadata_of, open_table
 from pipeline.records.tables import LOCATION, OF_TRIALS, TABLES, arrow_schema
 from pipeline.store.corrections import applied, moved_from, read_corrections
@@ -305,35 +304,12 @@ MOST = 3
 """Ids that are named in a sentence."""
 
 
-class Gone(Record):
-    """Ids of trials of an experiment that are in no file any more, and of those whose exclusion is in none."""
-
-    device: str
-    experiment: str
-    trials: tuple[str, ...]
-    exclusions: tuple[str, ...]
-
-    @property
-    def sentence(self) -> str:
-        """What is gone, and what to do."""
-        said = [
-            f"{counted(len(ids), name)} ({', '.join(ids[:MOST])}{', ...' * (len(ids) > MOST)})"
-            for name, ids in (("trial", self.trials), ("exclusion", self.exclusions))
-            if ids
-        ]
-        return (
-            f"Experiment {self.experiment} of {self.device}: {' and '.join(said)} that stored results were computed "
-            "with are in no file of the store any more. Bring the files back from a backup, or ingest the logs and "
-            "exclude the trials again."
-        )
-
-
-def gone(processed: Path, device: str | None = None) -> tuple[Gone, ...]:
+def gone(processed: Path, device: str | None = None) -> tuple[str, ...]:
     """Return what stored results were computed with and no file holds any more, of all devices or of one.
 
-    Trials that a later ingest may have replaced by as many others are not told.
+    A sentence for each experiment. Trials that a later ingest may have replaced by as many others are not told.
     """
-    found = []
+    found = list[str]()
     damaged: dict[Path, str] = {}
     stored = read_rows(processed, ["trial_id"], damaged)
     known = set(stored.column("trial_id"))
@@ -353,6 +329,15 @@ def gone(processed: Path, device: str | None = None) -> tuple[Gone, ...]:
             excluded = sorted({*out} - corrections.keys())
             if damaged or len(lost) <= np.count_nonzero(written > file.stat().st_mtime_ns):
                 lost = []
-            if lost or excluded:
-                found.append(Gone(device=of, experiment=experiment, trials=tuple(lost), exclusions=tuple(excluded)))
+            said = " and ".join(
+                f"{counted(len(ids), name)} ({', '.join(ids[:MOST])}{', ...' * (len(ids) > MOST)})"
+                for name, ids in (("trial", lost), ("exclusion", excluded))
+                if ids
+            )
+            if said:
+                found.append(
+                    f"Experiment {experiment} of {of}: {said} that stored results were computed with are in no file of "
+                    "the store any more. Bring the files back from a backup, or ingest the logs and exclude the trials "
+                    "again."
+                )
     return tuple(found)

@@ -20,13 +20,12 @@ from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import Device, Experiment, Motion
 from pipeline.rendering.frames import units_of
 from pipeline.theory.boundary import boundary, stiffness_limit
-from pipeline.theory.cases import POINT_COSTS, Case, costs_of_walls, islands_in_si, optimum_document, why_missing
-from pipeline.theory.costs import MAP_DEFAULT, CostMap, check_criteria
+from pipeline.theory.cases import POINT_COSTS, Case, islands_in_si, optimum_document, point_documents
+from pipeline.theory.costs import MAP_DEFAULT, CostMap
 from pipeline.theory.curves import Curve, best_damping, best_stiffness
 from pipeline.theory.margins import Margins, margins
 from pipeline.theory.motion import response
 from pipeline.theory.passivity import passive_outline, stiffest_passive
-from pipeline.theory.poles import spectral_radius
 
 if TYPE_CHECKING:  # takes longer to load than most answers to compute
     from scipy.signal import StateSpace
@@ -208,15 +207,10 @@ class Loop:
             If lengths differ, a value is not finite, or a criterion is unknown.
         """
         K, B = _as_walls(stiffness, damping)
-        alpha, beta = K / self._scale.stiffness, B / self._scale.damping
-        check_criteria(criteria)
-        radius = spectral_radius(self._normalised, alpha, beta)
-        stable, costs = costs_of_walls(self._normalised, alpha, beta, radius, criteria)
-        frame = self._frame({"stiffness": K, "damping": B, "stable": stable, "spectral_radius": radius, **costs})
-        missing = [[name for name, values in costs.items() if np.isnan(values[i])] for i in range(len(K))]
-        known = zip(alpha.tolist(), radius.tolist(), missing, strict=True)
-        frame["reason"] = [why_missing(self._normalised, *point) for point in known]
-        return frame
+        rows = point_documents(Case(self._normalised, self._scale), np.stack([K, B], axis=1), criteria)
+        kinds = {"stable": np.bool_, "reason": np.object_}
+        names = ("stiffness", "damping", "stable", "spectral_radius", *criteria, "reason")
+        return self._frame({name: np.array([row[name] for row in rows], kinds.get(name, np.float64)) for name in names})
 
     def limits(self, damping: object) -> pd.DataFrame:
         """Return the limit of stability at dampings B [Ns/m, Nms/rad]: ``damping``, ``stiffness`` (nan without any).

@@ -16,7 +16,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.theory.circle import FirstBranch, angle_of, bisect, circle_points, first_branch, place_of
-from pipeline.theory.crossings import Stretches, polished, stretches, turning_dampings
+from pipeline.theory.crossings import polished, stretches, turning_dampings
 
 _NODES = np.concatenate([[1e-9], 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, 9)[1:-1])), [1 - 1e-9]])
 """Places between two dampings at which stretches change: next to both, where limits still have 11 digits, and where
@@ -331,11 +331,6 @@ def _edges(rows: Floats, level: Integers, line: float) -> Floats:
         up, down = rows[chain][:, [2, 0, 4]], rows[chain][kept][::-1, [1, 0, 3]]
         found += [gap, up, gap[: int(joined[chain[-1]])], down]
     return np.concatenate(found[2:])
-
-
-def stable_intervals(loop: Loop, beta: object) -> Stretches:
-    """Return the intervals of alpha that are stable at each beta, array_like of shape (n,)."""
-    return stretches(loop, as_points(0.0, beta)[1])
 
 
 def is_inside(loop: Loop, alpha: object, beta: object) -> Booleans:

@@ -17,11 +17,11 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, Normalised, loop_of, wall_units
 from pipeline.records.batch import Floats
-from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, criterion_of, with_discrete
+from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, with_discrete
 from pipeline.theory.boundary import boundary, has_islands, outline
 from pipeline.theory.costs import check_criteria, point_costs_by_name
 from pipeline.theory.optimum import POINT_CRITERIA, marked_point, optimal_point
-from pipeline.theory.poles import slowest_poles, spectral_radius, stable_by_radius
+from pipeline.theory.poles import spectral_radius, stable_by_radius
 from pipeline.theory.settling_overshoot import LONGEST
 
 if TYPE_CHECKING:  # its classes take longer to load than a short command to run
@@ -250,8 +250,8 @@ def point_documents(case: Case, walls: Floats, criteria: Sequence[str] = POINT_C
     -------
     list of dict
         Stiffness and damping, ``stable``, ``spectral_radius``, the cost by each criterion (None where it cannot be
-        had) and ``reason`` (why costs are None, else None); normalised ones with the loop's parameters, those in SI
-        with ``separation`` (`SlowestPole`) and ``left_out``.
+        had) and ``reason`` (why costs are None, else None); normalised ones with the loop's parameters, those of a
+        device with ``left_out``.
 
     Raises
     ------
@@ -264,37 +264,25 @@ def point_documents(case: Case, walls: Floats, criteria: Sequence[str] = POINT_C
     """
     check_criteria(criteria)
     loop, (alpha, beta) = case.loop, walls[:, :2].T / np.array(case.scale)[:, None]
-    slowest = slowest_poles(loop, alpha, beta) if case.units is not None else []
-    radius = np.array([pole.radius for pole in slowest]) if slowest else spectral_radius(loop, alpha, beta)
-    stable, columns = costs_of_walls(loop, alpha, beta, radius, criteria)
+    radius = spectral_radius(loop, alpha, beta)
+    stable = stable_by_radius(loop, alpha, radius)
+    usable, found = np.flatnonzero(stable & (radius < 1 - MARGINAL)), np.full((len(criteria), len(walls)), np.nan)
+    known = point_costs_by_name(loop, alpha[usable], beta[usable], criteria, LONGEST)
+    for row, name in zip(found, criteria, strict=True):
+        row[usable] = known[name]
     result = []
     for i, wall in enumerate(walls):
-        costs = {name: None if math.isnan(column[i]) else float(column[i]) for name, column in columns.items()}
+        costs = dict(zip(criteria, _listed(found[:, i]), strict=True))
         missing = [name for name, cost in costs.items() if cost is None]
         document: dict[str, Any] = {case.axes[0]: float(wall[0]), case.axes[1]: float(wall[1])}
         document |= case.said if case.units is None else {}
         document |= {"stable": bool(stable[i]), "spectral_radius": float(radius[i])}
-        document |= {"separation": slowest[i].separation} if slowest else {}
-        document |= {**costs, "reason": why_missing(loop, float(alpha[i]), float(radius[i]), missing)}
+        document |= {**costs, "reason": _why_missing(loop, float(alpha[i]), float(radius[i]), missing)}
         result.append(document | ({"left_out": case.names["left_out"]} if case.names else {}))
     return result
 
 
-def costs_of_walls(
-    loop: Loop, alpha: Floats, beta: Floats, radius: Floats, criteria: Sequence[str]
-) -> tuple[np.ndarray, dict[str, Floats]]:
-    """Return which walls of known spectral radius are stable, and costs by name, NaN where there is none; (n,) all."""
-    stable = stable_by_radius(loop, alpha, radius)
-    usable = np.flatnonzero(stable & (radius < 1 - MARGINAL))
-    costs = {name: np.full(len(alpha), np.nan) for name in criteria}
-    if len(usable):
-        found = point_costs_by_name(loop, alpha[usable], beta[usable], criteria, LONGEST)
-        for name, values in found.items():
-            costs[name][usable] = values
-    return stable, costs
-
-
-def why_missing(loop: Loop, alpha: float, radius: float, missing: list[str]) -> str | None:
+def _why_missing(loop: Loop, alpha: float, radius: float, missing: list[str]) -> str | None:
     """Return why a wall has no costs by some criteria, None where none is missing."""
     if alpha + loop.gamma <= 0:
         return "no final position: alpha + gamma <= 0"
@@ -302,10 +290,7 @@ def why_missing(loop: Loop, alpha: float, radius: float, missing: list[str]) -> 
         return "unstable"
     if radius >= 1 - MARGINAL:
         return f"spectral radius within {MARGINAL:g} of 1: costs would be rounding errors"
-    reasons: dict[str, list[str]] = {f"still moves after {LONGEST} samples": [], "its sum is lost in rounding": []}
-    for name in missing:
-        reasons[list(reasons)[criterion_of(name).family is ENERGY]].append(name)
-    return "; ".join(f"{why}: no {', '.join(names)}" for why, names in reasons.items() if names) or None
+    return f"still moves after {LONGEST} samples: no {', '.join(missing)}" if missing else None
 
 
 def boundary_document(case: Case, points: int = 400) -> dict[str, Any]:

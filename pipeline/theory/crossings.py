@@ -14,17 +14,16 @@ from functools import lru_cache
 from itertools import accumulate, pairwise
 
 import numpy as np
+from numpy.polynomial.polynomial import polyder, polyval
 
 from pipeline.loop.loop import Loop
 from pipeline.loop.many_digits import (
     Digits,
     as_exact,
-    derivative,
     many_digits,
     power,
     product,
     total,
-    value,
 )
 from pipeline.records.batch import Floats, Integers
 from pipeline.theory.circle import (
@@ -123,10 +122,10 @@ def _refined(polynomial: Digits, low: Decimal, high: Decimal) -> Decimal:
         return low
     # an end may be a root itself, which is another one
     beside = (high - low) * _BESIDE
-    at_low, at_high = (value(polynomial, end) for end in (low + beside, high - beside))
+    at_low, at_high = (polyval(end, polynomial) for end in (low + beside, high - beside))
     for step in range(_STEPS):
         middle = (low * at_high - high * at_low) / (at_high - at_low) if step % 3 else _between(low, high)
-        there = value(polynomial, middle)
+        there = polyval(middle, polynomial)
         if (there > 0) == (at_low > 0):
             low, at_low, at_high = middle, there, at_high / 2
         else:
@@ -226,7 +225,7 @@ def exact_branches(loop: Loop) -> Branches:
             # beta is infinite where it has no value: at its poles
             low.append(start if start is not None else Decimal("-Infinity" if rises else "Infinity"))
             high.append(end if end is not None else Decimal("Infinity" if rises else "-Infinity"))
-            turns.append(2 if rises == (value(c.rate, middle) > 0) else -2)
+            turns.append(2 if rises == (polyval(middle, c.rate) > 0) else -2)
         logs, at_low, at_high = (np.array([float(v) for v in row]) for row in ([s.ln() for s in edges], low, high))
         return Branches(Cells(logs[:-1], logs[1:], at_low, at_high), np.array(turns))
 
@@ -252,7 +251,7 @@ def _exact_turns(loop: Loop, levels: list[float]) -> Floats:
         whole = product(power(as_exact([1, 1]), c.delay), c.turn)
         passing = [total(c.rise, -Decimal(level) * whole) for level in levels]
         roots = [root for part in (_bend(c, c.rise), *passing) for root in positive_roots(part, loop.digits)]
-        return np.array([float(_beta(c, root)) for root in roots if value(c.turn, root) != 0])
+        return np.array([float(_beta(c, root)) for root in roots if polyval(root, c.turn) != 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,14 +314,14 @@ def polished(loop: Loop, beta: Floats, place: Floats) -> Floats:
     """Return alpha of crossings at ln s near ``place``, shape (n,), to the last digit or two of a double."""
     c, result = on_circle(loop), []
     with many_digits(loop.digits):
-        twist, turn = derivative(c.twist), derivative(c.turn)
+        twist, turn = polyder(c.twist), polyder(c.turn)
         for b, start in zip(as_exact(beta), place, strict=True):
             first = s = Decimal(float(np.exp(start)))
             for _ in range(_POLISHINGS):
                 # of twist + beta (1 + s)^delay turn
-                pull, lever = b * (1 + s) ** c.delay, value(c.turn, s)
-                slope = value(twist, s) + pull * (value(turn, s) + c.delay * lever / (1 + s))
-                s -= (value(c.twist, s) + pull * lever) / slope
+                pull, lever = b * (1 + s) ** c.delay, polyval(s, c.turn)
+                slope = polyval(s, twist) + pull * (polyval(s, turn) + c.delay * lever / (1 + s))
+                s -= (polyval(s, c.twist) + pull * lever) / slope
             touches = abs(s - first) > _FARTHEST * first
             result.append(_exact_alpha(c, first if touches else s, b))
     return np.array([float(a) for a in result])
@@ -335,17 +334,17 @@ def _alpha(loop: Loop, place: Floats, beta: Floats) -> Floats:
 
 def _bend(c: OnCircle, over: Digits) -> Digits:
     """Return the slope of over/((1 + s)^delay turn) without its positive factors."""
-    plain = total(product(derivative(over), c.turn), -product(over, derivative(c.turn)))
+    plain = total(product(polyder(over), c.turn), -product(over, polyder(c.turn)))
     return total(product(as_exact([1, 1]), plain), -c.delay * product(over, c.turn))
 
 
 def _beta(c: OnCircle, s: Decimal) -> Decimal:
-    return Decimal(-value(c.twist, s) / ((1 + s) ** c.delay * value(c.turn, s)))
+    return Decimal(-polyval(s, c.twist) / ((1 + s) ** c.delay * polyval(s, c.turn)))
 
 
 def _exact_alpha(c: OnCircle, s: Decimal, beta: Decimal) -> Decimal:
-    stretch = value(c.stretch, s) / ((1 + s) ** c.delay * value(c.size, s))
-    return Decimal(-stretch - beta * value(c.level, s) / value(c.filter, s))
+    stretch = polyval(s, c.stretch) / ((1 + s) ** c.delay * polyval(s, c.size))
+    return Decimal(-stretch - beta * polyval(s, c.level) / polyval(s, c.filter))
 
 
 def _mirrored(polynomial: Digits) -> Digits:

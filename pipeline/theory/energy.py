@@ -1,30 +1,31 @@
 """Energy costs of the loop's step and impulse response, summed exactly to infinity.
 
 The energy of a sampling interval is a form of few numbers, the device's state at its start and the wall's forces in it;
-every energy cost follows from the sums of their products with the weights k^w. They come from the modes; where these
-lose digits, from the transfer function in many.
+every energy cost follows from the sums of their products with the weights k^w. Those follow from the transforms of the
+sequences by Astroem's recursion: in doubles, and where rounding has a share in it, in more digits.
 """
 
 from __future__ import annotations
 
 from decimal import Decimal
+from functools import lru_cache
 from math import comb
+from typing import Any
 
 import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
-from pipeline.loop.many_digits import Digits, as_exact, as_floats, from_w, many_digits
+from pipeline.loop.many_digits import Digits, as_exact, bilinear, from_w, many_digits, total
 from pipeline.records.batch import Booleans, Floats
-from pipeline.theory.modes import TOGETHER, Modes, modes
 from pipeline.theory.motion import WEIGHTS, energy_forms
-from pipeline.theory.poles import characteristic
+from pipeline.theory.poles import characteristic_parts
 
-_CACHED = 1 << 15
-"""Pairs of modes that are summed at a time."""
+_TOGETHER = 1 << 17
+"""Numbers of the recursion at a time: they fit a cache."""
 
-_SKEW = 1e-11
-"""Bound of the share that rounding may have in sums by modes, above which they are computed in many digits."""
+_ROUNDED = 1e-13
+"""Share that rounding may have in a sum by its estimate, mostly right within a factor of three."""
 
 
 def energy_costs(loop: Loop, alpha: object, beta: object, signal: str = "step") -> dict[str, Floats]:
@@ -40,8 +41,8 @@ def energy_costs(loop: Loop, alpha: object, beta: object, signal: str = "step") 
     Returns
     -------
     dict of float64, shape (n,)
-        ``energy_<signal>_w0`` to ``_w2`` and the same with ``_discrete`` appended; dimensionless. NaN where rounding
-        leaves nothing of the sums.
+        ``energy_<signal>_w0`` to ``_w2`` and the same with ``_discrete`` appended; dimensionless. NaN of a point that
+        is not stable.
 
     Raises
     ------
@@ -60,100 +61,151 @@ def energy_costs(loop: Loop, alpha: object, beta: object, signal: str = "step") 
     a, b = as_points(alpha, beta)
     if np.any(a + loop.gamma <= 0):
         raise ParameterError("energy costs need alpha + gamma > 0: without stiffness there is no final position.")
-    result = {f"energy_{signal}_w{w}{suffix}": np.empty(len(a)) for suffix in ("", "_discrete") for w in WEIGHTS}
-    for first in range(0, len(a), TOGETHER):
-        some = slice(first, first + TOGETHER)
-        for name, values in zip(result, _energies(loop, a[some], b[some], signal), strict=True):
-            result[name][some] = values
-    return result
-
-
-def _energies(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> list[Floats]:
-    sums, forms = _sums(loop, alpha, beta, signal), energy_forms(loop)
-    stiffness, one = alpha + loop.gamma, np.ones_like(alpha)
+    sums, forms = _sums(loop, a, b, signal), energy_forms(loop)
+    rows, columns = np.triu_indices(forms.shape[-1])
+    both = forms[..., rows, columns] + forms[..., columns, rows] * (rows != columns)
+    stiffness, one = a + loop.gamma, np.ones_like(a)
     # deviations of a step are relative to chi_inf, E/E_0 = e^2 + v^2/(alpha + gamma); an impulse starts with v = 1
     potential, kinetic = (one, 1 / stiffness) if signal == "step" else (stiffness, one)
-    with np.errstate(invalid="ignore"):  # of sums that rounding left nothing of
-        traces = sums.reshape(len(WEIGHTS), len(alpha), -1) @ forms.reshape(-1, sums.shape[-1] ** 2).T
-    parts = np.moveaxis(traces, 1, 2).reshape(len(WEIGHTS), *forms.shape[:3], len(alpha))
+    parts = np.moveaxis(np.tensordot(both, sums, (3, 1)), 3, 0)
     summed = potential * parts[:, 0] + kinetic * parts[:, 1]
+    names = [f"energy_{signal}_w{w}{suffix}" for suffix in ("", "_discrete") for w in WEIGHTS]
     # (k + tau)^w = sum_i binomial(w, i) k^(w-i) tau^i
-    return [sum(comb(w, i) * summed[w - i, kind, i] for i in range(w + 1)) for kind in (0, 1) for w in WEIGHTS]
+    costs = [sum(comb(w, i) * summed[w - i, kind, i] for i in range(w + 1)) for kind in (0, 1) for w in WEIGHTS]
+    return dict(zip(names, costs, strict=True))
 
 
 def _sums(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> Floats:
-    """Return sum_k k^w g_k g_k' of what an interval sees (`Loop.seen`), shape (3, n, q, q)."""
-    law, n, q = loop.law(alpha, beta), len(alpha), len(loop.device[1]) + len(loop.segments)
-    found, sums, good = modes(loop, alpha, beta, signal), np.empty((len(WEIGHTS), n, q, q)), np.zeros(n, np.bool_)
-    size = max(1, _CACHED // loop.states**2)
-    for first in range(0, n, size):
-        near = slice(first, first + size)
-        sums[:, near], good[near] = _by_modes(loop, law[near], found.part(near))
-    for i in np.flatnonzero(~good):
-        sums[:, i] = _exact(loop, float(alpha[i]), float(beta[i]), signal)
-    return sums
+    """Return sum_k k^w g_k g_k' of what an interval sees (`Loop.seen`): pairs of its upper triangle, (3, pairs, n)."""
+    numbers = (len(loop.device[1]) + len(loop.segments)) * loop.states
+    pairs = len(np.triu_indices(len(loop.device[1]) + len(loop.segments))[0])
+    result, left = np.full((len(WEIGHTS), pairs, len(alpha)), np.nan), np.arange(len(alpha))
+    for kind in (np.float64, np.longdouble, np.object_):
+        size, bad = max(1, _TOGETHER // numbers), left[:0]
+        for some in (left[first : first + size] for first in range(0, len(left), size)):
+            with np.errstate(all="ignore"), many_digits(loop.digits) as context:
+                context.clear_traps()  # what is no number is not good
+                found, good = _by_recursion(loop, alpha[some], beta[some], signal, kind)
+            result[:, :, some[good]] = found[:, :, good]
+            bad = np.append(bad, some[~good])
+        left = bad
+    return result
 
 
-def _by_modes(loop: Loop, law: Floats, found: Modes) -> tuple[Floats, Booleans]:
-    """Return the sums, and where rounding has a small share in them."""
-    seen = loop.seen(law, found.state)
-    back = np.swapaxes(seen.conj(), 1, 2)
-    ratio = found.pole[:, :, None] * found.pole[:, None, :].conj()
-    with np.errstate(divide="ignore", invalid="ignore"):  # a pole on the circle leaves no sum, and is not good
-        once = 1 / (1 - ratio)
-        first = ratio * once * once
-        weights = (once, first, (1 + ratio) * first * once)  # sum_k k^w ratio^k
-        sums = np.stack([((seen @ weight) @ back).real for weight in weights])
-        # what moves 1/(1 - ratio) by a share moves the sum of k^2 ratio^k by three
-        size, slowness = np.abs(seen), np.abs(once)
-        doubt = 3 * (found.rounding[:, :, None] + found.rounding[:, None, :]) * slowness**2
-        share = ((size @ doubt) * size).sum(axis=2) / np.einsum("nii->ni", sums[0])
-        good = (share.max(axis=1) < _SKEW) & (np.abs(found.pole) < 1).all(axis=1)
-        return sums, np.asarray(good)
+def _by_recursion(loop: Loop, alpha: Floats, beta: Floats, signal: str, kind: Any) -> tuple[Floats, Booleans]:
+    """Return the sums in a kind of numbers, and where they are good: of stable points, and nothing lost by rounding.
 
+    With H the transform of a sequence h, sum_k k^w h_k^2 is the w-th derivative by s, at 0, of the sum of those of
+    H(z exp(-s/2)), an integral along the imaginary axis of w. Numbers have five parts: value, first and half the second
+    derivative, and what two changes of the polynomials, each term by a share at random, make of the value: times the
+    rounding of a number of this kind they are what rounding does.
 
-def _exact(loop: Loop, alpha: float, beta: float, signal: str) -> Floats:
-    """Return the sums of one point in many digits, shape (3, q, q); nan where it is not stable.
-
-    With G = B/A the transform of the sequences, sum_k k^w g_k^2 is the w-th derivative by s, at 0, of the sum of those
-    of G(z exp(-s/2)): Astroem's recursion for it, on coefficients with their derivatives.
-
-    Source: Astroem 1970, Introduction to Stochastic Control Theory, ch. 5, theorem 2.1.
+    Source: Astroem 1970, Introduction to Stochastic Control Theory, ch. 5, theorem 3.1.
     """
-    bottom = characteristic(loop, alpha, beta)
-    with many_digits(loop.digits):
-        a = from_w(bottom)[::-1]
-        a = a / a[0]
-        place, orders = _sequences(loop, alpha, beta, signal, len(a)), as_exact(np.arange(len(a))) / 2
-        b = np.array([[row[: i + 1] @ a[i::-1] for i in range(len(a))] for row in place.T])
-        powers = np.array([as_exact(np.ones(len(a))), orders, orders * orders])
-        a, b = powers * a, powers[:, None] * b
-        total = as_exact(np.zeros((len(WEIGHTS), len(b[0]), len(b[0]))))
-        for _ in range(a.shape[1]):
-            last = b[:, :, -1]
-            total = total + _ratio(_times(last[:, :, None], last[:, None, :]), a[:, 0, None, None])
-            share, each = _ratio(a[:, -1], a[:, 0]), _ratio(last, a[:, 0, None])
-            if a.shape[1] > 1 and abs(share[0]) >= 1:
-                return np.full(total.shape, np.nan)
-            turned = a[:, ::-1]
-            b = (b - _times(each[:, :, None], turned[:, None, :]))[:, :, :-1]
-            a = (a - _times(share[:, None], turned))[:, :-1]
-        return as_floats(total)
+    bottom, top = _transforms(loop, signal, kind)
+    one, a, b = (_as(kind, values) for values in (np.ones(len(alpha)), alpha, beta))
+    walls = np.stack([one, a, b, a * a, a * b])
+    a, b = _at(bottom, walls[: bottom.shape[1]]), _at(top, walls)
+    rows, columns = np.triu_indices(b.shape[1])
+    sums, good = 0 * b[:, rows, 0], np.ones(len(alpha), np.bool_)
+    for _ in range(a.shape[1] - 1):
+        first, odd = b[:, :, 0], a[:, 3::2]
+        size = _times(a[:, 0], a[:, 1])
+        good &= (size[0] > 0).astype(np.bool_)
+        sums += _ratio(_times(first[:, rows], first[:, columns]), size[:, None])
+        share, each = _ratio(a[:, 0], a[:, 1]), _ratio(first, a[:, None, 1])
+        a, b = a[:, 1:], b[:, :, 1:]
+        a[:, 1 : 2 * odd.shape[1] : 2] -= _times(share[:, None], odd)
+        b[:, :, 1 : 2 * odd.shape[1] : 2] -= _times(each[:, :, None], odd[:, None])
+    if kind is not np.object_:
+        own = sums[0, rows == columns]
+        doubt = (np.abs(sums[3:]) / np.sqrt(own[rows] * own[columns])).max(axis=(0, 1))
+        good &= doubt * np.finfo(kind).eps < _ROUNDED
+    sums[2] *= 2
+    return sums[:3].astype(np.float64), good
 
 
-def _times(x: Digits, y: Digits) -> Digits:
-    """Return products of numbers with their first two derivatives along the first axis."""
-    return np.array([x[0] * y[0], x[1] * y[0] + x[0] * y[1], x[2] * y[0] + 2 * x[1] * y[1] + x[0] * y[2]])
+def _at(polynomials: np.ndarray, walls: np.ndarray) -> np.ndarray:
+    """Return polynomials at walls with two more parts, changes at random; lowest power first, (5, ..., powers, n)."""
+    found = np.tensordot(np.moveaxis(polynomials, 1, -1), walls, 1)
+    terms = np.tensordot(np.moveaxis(np.abs(polynomials[0]), 0, -1), np.abs(walls), 1)
+    number = np.arange(terms[..., 0].size).reshape(*terms.shape[:-1], 1)
+    chance = np.cos([1.7 * number**2, 2.9 * number**2 + 1.0])
+    return np.concatenate([found, terms * _as(found.dtype.type, chance)])
 
 
-def _ratio(x: Digits, y: Digits) -> Digits:
+def _times(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return products of numbers of five parts, along the first axis."""
+    result = x[0] * y
+    result[1:] += x[1:] * y[0]
+    result[2] += x[1] * y[1]
+    return np.asarray(result)
+
+
+def _ratio(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return ratios of such numbers."""
-    value = x[0] / y[0]
-    slope = (x[1] - value * y[1]) / y[0]
-    return np.array([value, slope, (x[2] - 2 * slope * y[1] - value * y[2]) / y[0]])
+    result, parts = x / y[0], y[1:] / y[0]
+    result[1:] -= result[0] * parts
+    result[2] -= result[1] * parts[0]
+    return np.asarray(result)
 
 
-def _sequences(loop: Loop, alpha: float, beta: float, signal: str, count: int) -> Digits:
+@lru_cache(maxsize=64)
+def _transforms(loop: Loop, signal: str, kind: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return the transforms of what an interval sees as ratios of polynomials in w, by kind of numbers.
+
+    The bottom, (3, 3, powers): value, first and half the second derivative by s; what is free, times alpha, and times
+    beta; a factor 1 + w turns the sum into an integral along the axis. The tops, (3, 5, q, powers): also times alpha^2
+    and alpha beta.
+    """
+    with many_digits(loop.digits):
+        if kind is not np.object_:
+            bottom, top = (_as(kind, part) for part in _transforms(loop, signal, np.object_))
+            return bottom, top
+        known = characteristic_parts(loop)
+        none = as_exact(np.zeros(max(map(len, known))))
+        parts = np.array([total(none, part) for part in known])
+        here, stiffer, softer, damped, both = (
+            _tops(loop, parts, alpha, beta, signal) for alpha, beta in ((0, 0), (1, 0), (-1, 0), (0, 1), (1, 1))
+        )
+        even, odd = (stiffer + softer) / 2, (stiffer - softer) / 2
+        top = np.array([here, odd, damped - here, even - here, both - stiffer - damped + here])
+        bottom, top = (np.stack([p, _by_s(p), _by_s(_by_s(p)) / 2]) for p in (parts, top))
+        edge = np.zeros_like(bottom[..., :1])
+        return np.concatenate([bottom, edge], axis=-1) + np.concatenate([edge, bottom], axis=-1), top
+
+
+def _tops(loop: Loop, parts: Digits, alpha: int, beta: int, signal: str) -> Digits:
+    """Return the numerators of what an interval sees behind a wall, shape (q, powers of w)."""
+    bottom = from_w(parts[0] + alpha * parts[1] + beta * parts[2])[::-1]
+    n = len(bottom) - 1
+    rows = [
+        bilinear(np.array([row[: i + 1] @ bottom[i::-1] for i in range(n + 1)])[::-1], n)
+        for row in _sequences(loop, alpha, beta, signal, n + 1).T
+    ]
+    return np.asarray(np.array(rows) / Decimal(2) ** n, dtype=object)  # of (1 + z)^n (1 - w)^n
+
+
+def _by_s(polynomial: Digits) -> Digits:
+    """Return the derivative of p(w(z exp(-s/2))) by s, its common factor left out, along the last axis."""
+    result: Digits = np.zeros_like(polynomial)
+    k = np.arange(polynomial.shape[-1])
+    result[..., :-1] -= polynomial[..., 1:] * k[1:] / 4
+    result[..., 1:] -= polynomial[..., :-1] * k[:0:-1] / 4
+    return np.asarray(result)
+
+
+def _as(kind: Any, values: np.ndarray) -> np.ndarray:
+    """Return Decimal numbers or doubles as numbers of a kind."""
+    if kind is np.object_:
+        return as_exact(values)
+    found: np.ndarray = values.astype(np.float64).astype(kind)
+    if kind is not np.float64 and values.dtype == np.object_:
+        found += (values - as_exact(found.astype(np.float64))).astype(np.float64)
+    return found
+
+
+def _sequences(loop: Loop, alpha: int, beta: int, signal: str, count: int) -> Digits:
     """Return the first samples of what an interval sees, shape (count, q)."""
     steps, p = loop.own, len(loop.device[1])
     start = as_exact(loop.starts(np.array([alpha]), signal)[0])

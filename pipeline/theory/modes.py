@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from decimal import Decimal
 from functools import lru_cache
 from math import comb
 
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.loop.loop import Loop
-from pipeline.loop.many_digits import as_exact, as_floats, many_digits
+from pipeline.loop.many_digits import as_exact, as_floats, many_digits, resolvent
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.theory.circle import bisect
 from pipeline.theory.motion import DEGREE, Motion, joined, pieces, starts
@@ -34,8 +33,9 @@ _GONE = 1e-30
 _CANCELLED = 1e3
 """Sizes of all modes over that of their sum from which on they cancel too many digits: rounding grows as the square."""
 
-_REPRODUCED = 1e-12
-"""Largest difference of the state at sample 0 and its modes, relative to these."""
+_ROUNDED = 1e-12
+"""What rounding may leave: of a pole's step relative to its distance from z = 1, of a real one's imaginary part, and of
+the difference of the state at sample 0 and its modes, relative to these."""
 
 _LONGEST = 8
 """States without delayed forces up to which polynomials keep their digits."""
@@ -46,14 +46,8 @@ _NEIGHBOURS = 24
 _STEPS = 30
 """Simultaneous iterations at most: some five from a neighbour's poles, each with three times the digits."""
 
-_FOUND = 1e-12
-"""Step, relative to the distance from z = 1, after which a pole is known to rounding."""
-
 _APART = 1e-3
 """Share by which first guesses are turned: real ones would stay real."""
-
-_EIGENVALUE = 1e-14
-"""Rounding of eigenvalues that lie apart."""
 
 _CACHED = 1 << 15
 """Entries of the arrays that are computed at a time."""
@@ -68,17 +62,14 @@ class Modes:
     pole : complex128, shape (n, modes)
     state : complex128, shape (n, states, modes)
         What each mode has of the loop's state at sample 0; nan where modes lie so close together that they cancel.
-    rounding : float64, shape (n, modes)
-        What rounding may have moved each pole by.
     """
 
     pole: Complexes
     state: Complexes
-    rounding: Floats
 
     def part(self, which: Integers | Booleans | slice) -> Modes:
         """Return the modes of some points."""
-        return Modes(self.pole[which], self.state[which], self.rounding[which])
+        return Modes(self.pole[which], self.state[which])
 
     @property
     def rate(self) -> Floats:
@@ -94,14 +85,13 @@ class Modes:
         return np.ascontiguousarray((self.state @ self.grown(sample)[:, :, None])[:, :, 0].real.T)
 
 
-def modes(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> Modes:
-    """Return the modes of responses; those of the latest points are kept, as several costs ask for them.
+def modes(loop: Loop, alpha: Floats, beta: Floats) -> Modes:
+    """Return the modes of step responses; those of the latest points are kept, as several costs ask for them.
 
     Parameters
     ----------
     loop : Loop
     alpha, beta : float64, shape (n,)
-    signal : {"step", "impulse"}
 
     Returns
     -------
@@ -109,37 +99,37 @@ def modes(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> Modes:
         Of n points; the states are those of `loop.matrix` (position error, its history, delayed commands, device).
 
     """
-    return _modes(loop, alpha.tobytes(), beta.tobytes(), signal)
+    return _modes(loop, alpha.tobytes(), beta.tobytes())
 
 
 @lru_cache(maxsize=1)
-def _modes(loop: Loop, alpha: bytes, beta: bytes, signal: str) -> Modes:
+def _modes(loop: Loop, alpha: bytes, beta: bytes) -> Modes:
     a, b = np.frombuffer(alpha), np.frombuffer(beta)
-    start, states = loop.starts(a, signal), loop.states
+    start, states = loop.starts(a, "step"), loop.states
     pole, state = np.empty((len(a), states), np.complex128), np.empty((len(a), states, states), np.complex128)
-    rest, rounding = np.ones(len(a), np.bool_), np.full(pole.shape, _EIGENVALUE)
+    rest = np.ones(len(a), np.bool_)
     if states - loop.oldest_force <= _LONGEST:
         zeta, known = _poles(loop, a, b)
-        pole, rounding, chunk = zeta.T + 1, _rounding(loop, a, b, zeta).T, max(_NEIGHBOURS, _CACHED // states**2)
+        pole, chunk = zeta.T + 1, max(_NEIGHBOURS, _CACHED // states**2)
         for some in (slice(i, i + chunk) for i in range(0, len(a), chunk)):
             with np.errstate(all="ignore"):  # what is no number is left to eigenvectors
                 state[some] = _states(loop, a[some], b[some], zeta[:, some], start[some])
             rest[some] = ~(known[some] & _reproduce(state[some], start[some]))
     last = np.flatnonzero(rest)
     pole[last], state[last] = _by_eigenvectors(loop.matrix(a[last], b[last]), start[last])
-    rounding[last] = _EIGENVALUE
     with np.errstate(over="ignore", invalid="ignore"):  # what is no number, or too large for one, is not apart
         apart = np.linalg.norm(state, axis=1).sum(axis=1) <= _CANCELLED * np.linalg.norm(start, axis=1)
         apart &= _reproduce(state, start)
+    pole.imag[np.abs(pole.imag) < _ROUNDED] = 0.0
     state[~apart] = np.nan
-    return Modes(pole, state, rounding)
+    return Modes(pole, state)
 
 
 def _reproduce(state: Complexes, start: Floats) -> Booleans:
     """Return whose modes make up the state at sample 0; a pole next to z = 0 has lost its digits."""
     with np.errstate(invalid="ignore"):
         off = np.abs(state.sum(axis=2) - start)
-        return np.asarray((off <= _REPRODUCED * np.abs(state).sum(axis=2).max(axis=1)[:, None]).all(axis=1))
+        return np.asarray((off <= _ROUNDED * np.abs(state).sum(axis=2).max(axis=1)[:, None]).all(axis=1))
 
 
 def _by_eigenvectors(matrix: Floats, start: Floats) -> tuple[Complexes, Complexes]:
@@ -179,19 +169,13 @@ class _Resolvent:
 def _resolvent(loop: Loop) -> _Resolvent:
     steps, n = loop.own, len(loop.own.free)
     with many_digits(loop.digits):
-        one, none = as_exact(np.eye(n)), as_exact(np.zeros((1, n)))
-        power, determinant, adjugate = one, [Decimal(1)], []
-        for k in range(1, n + 1):  # Faddeev and LeVerrier
-            adjugate.append(power)
-            moved = (steps.free - one) @ power
-            determinant.append(-sum(np.diagonal(moved), Decimal(0)) / k)
-            power = moved + determinant[-1] * one
-        inverse = np.array(adjugate[::-1])
+        none = as_exact(np.zeros((1, n)))
+        determinant, inverse = resolvent(steps.free - as_exact(np.eye(n)))
         older, newer = (steps.gains[0], steps.gains[1] if len(steps.gains) > 1 else none[0])
         columns = np.concatenate([inverse @ (older + newer), none]) + np.concatenate([none, inverse @ newer])
         outputs = np.array([steps.position, steps.velocity])
         rows = np.swapaxes(outputs @ inverse, 0, 1)
-        parts = np.array(determinant[::-1]), rows, columns, outputs @ columns.T, np.array([older, newer])
+        parts = determinant, rows, columns, outputs @ columns.T, np.array([older, newer])
         return _Resolvent(*map(as_floats, parts))
 
 
@@ -207,7 +191,7 @@ def _poles(loop: Loop, alpha: Floats, beta: Floats) -> tuple[Complexes, Booleans
             place = zeta[:, active]
             step = _step(loop, alpha[active], beta[active], place)
             zeta[:, active] = place - step
-            size = np.abs(step) - _FOUND * np.abs(place)
+            size = np.abs(step) - _ROUNDED * np.abs(place)
             known[active] = (size <= 0).all(axis=0)
             active = active[(size > 0).any(axis=0)]
             if not len(active):
@@ -233,16 +217,6 @@ def _characteristic(loop: Loop, alpha: Floats, beta: Floats, zeta: Complexes) ->
     wall, wall_slope = _value_and_slope(r.wall[0][:, None] * alpha + r.wall[1][:, None] * beta, zeta)
     power = (1 + zeta) ** delay
     return power * top + wall, power * (top_slope + delay * top / (1 + zeta)) + wall_slope
-
-
-def _rounding(loop: Loop, alpha: Floats, beta: Floats, zeta: Complexes) -> Floats:
-    """Return what rounding of the equation's terms moves its roots by."""
-    r, size = _resolvent(loop), np.abs(zeta)
-    walls = np.abs(r.wall[0])[:, None] * np.abs(alpha) + np.abs(r.wall[1])[:, None] * np.abs(beta)
-    gross = np.abs(1 + zeta) ** loop.oldest_force * _value_and_slope(np.abs(r.determinant), size)[0]
-    with np.errstate(all="ignore"):
-        gross = gross + _value_and_slope(walls, size)[0]
-        return np.asarray(np.finfo(np.float64).eps * gross / np.abs(_characteristic(loop, alpha, beta, zeta)[1]))
 
 
 def _value_and_slope(coefficients: Floats, place: Complexes) -> tuple[Complexes, Complexes]:
@@ -298,9 +272,6 @@ _FEW_STATES = 32
 
 _ROUNDING = 0.99
 """Share of a leading negative mode that all others together may have for it to keep its sign."""
-
-_REAL = 1e-12
-"""Imaginary part of a real pole, which rounding may leave."""
 
 _STRAIGHT = 1e-3
 """Angle of a pole [rad/sample] that counts as none for the window: 3,800 samples."""
@@ -363,7 +334,7 @@ class Outlook:
         """
         # what a motion below zero keeps of itself within an interval
         least = np.maximum(-self.sensed.real.max(axis=1), 0.0)
-        below = (np.abs(self.pole.imag) < _REAL) & (self.pole.real > 0) & (least > 0)
+        below = (self.pole.imag == 0) & (self.pole.real > 0) & (least > 0)
         others = np.where(below, 0.0, self.size)
         total = others.sum(axis=1)
         result = np.where(total <= peak, np.inf, 0.0)
@@ -377,7 +348,7 @@ class Outlook:
             return np.asarray((others * np.exp(-faster * time[:, None])).sum(axis=1) <= outweighs)
 
         span = np.log(total[some] / peak[some]) / slowest
-        result[some] = np.where(holds(span), np.inf, bisect(holds, np.zeros(len(some)), span)[0])
+        result[some] = np.where(holds(span), np.inf, bisect(holds, np.zeros(len(some)), span, 24)[0])
         return result
 
 
@@ -388,19 +359,19 @@ def outlooks(run: Motion, everyone: Motion) -> Iterator[Outlook]:
     """
     states = run.loop.states
     if states <= _FEW_STATES:
-        yield Outlook(run, modes(run.loop, everyone.alpha, everyone.beta, "step").part(run.index - everyone.index[0]))
+        yield Outlook(run, modes(run.loop, everyone.alpha, everyone.beta).part(run.index - everyone.index[0]))
         return
     together = max(1, TOGETHER * _FEW_STATES**2 // (4 * states**2))
     for first in range(0, len(run.index), together):
         some = run.part(slice(first, first + together))
-        yield Outlook(some, modes(run.loop, some.alpha, some.beta, "step"))
+        yield Outlook(some, modes(run.loop, some.alpha, some.beta))
 
 
 def earlier(run: Motion) -> Motion:
     """Return points a wider window before their stop; from where samples were left out, if modes fail for them."""
     parts = [run.part(slice(first, first + TOGETHER)) for first in range(0, len(run.index), TOGETHER)]
     for part in parts:
-        past = modes(part.loop, part.alpha, part.beta, "step")
+        past = modes(part.loop, part.alpha, part.beta)
         start = np.maximum(np.floor(part.stop - _WIDER * (part.stop - part.sample)), part.since)
         part.sample, part.state = part.since, part.begun
         _placed(part, past, np.where(_told(part, past), start, part.since))

@@ -5,15 +5,15 @@ Source: Hulin 2017, secs. 3.4 and 3.5; the boundary by the closed form on |z| = 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from decimal import Decimal
 from functools import reduce
 
 import numpy as np
+from numpy.polynomial.polynomial import polyder, polyval
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
-from pipeline.loop.many_digits import Digits, as_exact, derivative, many_digits, power, product, total, value
+from pipeline.loop.many_digits import Digits, as_exact, many_digits, power, product, total
 from pipeline.records.batch import Booleans, Floats
 
 _CHUNK = 8192
@@ -82,6 +82,11 @@ _TIME_CONSTANTS = 4.0
 
 REAL = 1e-7
 """Angle of a pole that counts as real: a double pole is split by sqrt(1e-16) = 1e-8, where ratios lose nothing."""
+
+_STEPS = 80
+"""Newton steps; at a double pole, which each only halves the distance to, to 1e-20."""
+
+_FINE = Decimal("1e-20")
 
 _REACH = 0.04
 """Relative range of z in which a threefold pole is looked for around the slowest pole of a search."""
@@ -153,105 +158,30 @@ def threefold_pole(loop: Loop, near: float) -> tuple[float, float, float] | None
     eps^(1/3), 1e-5, on each processor otherwise; the Wronskian's root is a simple one.
     """
     with many_digits(loop.digits):
-        rows = [[part, derivative(part), derivative(derivative(part))] for part in _characteristic_parts(loop)]
+        rows = [[part, polyder(part), polyder(polyder(part))] for part in characteristic_parts(loop)]
         (p, dp, ddp), (a, da, dda), (b, db, ddb) = rows
         bend = [product(ddp, a, db), product(ddp, da, b), product(dda, p, db)]
         bend += [product(dda, dp, b), product(ddb, p, da), product(ddb, dp, a)]
         wronskian = reduce(total, (part * (-1) ** k for k, part in zip((0, 1, 1, 0, 0, 1), bend, strict=True)))
-        start = (near - 1) / (near + 1)
-        w = _newton(wronskian, derivative(wronskian), (Decimal(start), Decimal(0)))[0]
+        slope, w = polyder(wronskian), Decimal((near - 1) / (near + 1))
+        for _ in range(_STEPS):
+            step = polyval(w, wronskian) / polyval(w, slope)
+            w -= step
+            if abs(step) <= _FINE * abs(w):
+                break
         z = (1 + w) / (1 - w)
         if abs(float(z) / near - 1) > _REACH:
             return None
-        (free, slope), (one, rise), (other, turn) = ([value(part, w) for part in row[:2]] for row in rows)
+        (free, fall), (one, rise), (other, turn) = ([polyval(w, part) for part in row[:2]] for row in rows)
         scale = one * turn - other * rise
-        alpha, beta = (other * slope - free * turn) / scale, (free * rise - one * slope) / scale
+        alpha, beta = (other * fall - free * turn) / scale, (free * rise - one * fall) / scale
         return float(alpha), float(beta), float(z)
 
 
-_NEAR = 1e-4
-"""Distance from the largest modulus within which an eigenvalue may be it: a fourfold pole is split so far."""
-
-_STEPS = 80
-"""Newton steps; at a double pole, which each only halves the distance to, to 1e-20."""
-
-_FINE = Decimal("1e-20")
-
-Complex = tuple[Decimal, Decimal]
-
-
-@dataclass(frozen=True)
-class SlowestPole:
-    """Largest pole modulus, good to a double's last digits where ``separation`` is above some 1e-9.
-
-    ``separation`` is the distance to the nearest other pole, its own conjugate left out: a pole of multiplicity two
-    moves by the root of what the parameters are rounded by.
-    """
-
-    radius: float
-    separation: float
-
-
-def slowest_poles(loop: Loop, alpha: Floats, beta: Floats) -> list[SlowestPole]:
-    """Return the slowest pole of each point, alpha and beta of shape (n,)."""
-    found = np.linalg.eigvals(loop.matrix(alpha, beta))
-    return [_slowest(loop, a, b, z) for a, b, z in zip(alpha, beta, found, strict=True)]
-
-
-def characteristic(loop: Loop, alpha: float, beta: float) -> Digits:
-    """Return the characteristic polynomial in w = (z - 1)/(z + 1), lowest power first."""
-    with many_digits(loop.digits):
-        free, by_alpha, by_beta = _characteristic_parts(loop)
-        return total(free, total(Decimal(float(alpha)) * by_alpha, Decimal(float(beta)) * by_beta))
-
-
-def _characteristic_parts(loop: Loop) -> tuple[Digits, Digits, Digits]:
+def characteristic_parts(loop: Loop) -> tuple[Digits, Digits, Digits]:
     """Return what the characteristic polynomial has without a wall, times alpha, and times beta."""
     g = loop.sampled
     up, down, two_w = as_exact([1, 1]), as_exact([1, -1]), as_exact([0, 2])
     bottom, force = product(up, g.filter), product(power(down, g.delay), g.force)
     free = product(power(up, g.delay), g.motion, bottom)
     return free, product(force, bottom), product(force, two_w, g.velocity)
-
-
-def _slowest(loop: Loop, alpha: float, beta: float, poles: np.ndarray) -> SlowestPole:
-    size = np.abs(poles)
-    candidates = poles[(size >= size.max() * (1 - _NEAR)) & (poles.imag >= 0)]
-    polynomial = characteristic(loop, alpha, beta)
-    with many_digits(loop.digits):
-        slope = derivative(polynomial)
-        guesses = (candidates - 1) / (candidates + 1)
-        found = [_newton(polynomial, slope, (Decimal(w.real), Decimal(w.imag))) for w in guesses.tolist()]
-        refined = [_quotient((1 + w[0], w[1]), (1 - w[0], -w[1])) for w in found]
-        radius, pole = max((float((z[0] ** 2 + z[1] ** 2).sqrt()), complex(*map(float, z))) for z in refined)
-    own = np.argsort(np.minimum(np.abs(poles - pole), np.abs(poles - pole.conjugate())))
-    others = np.delete(poles, own[: 2 if abs(pole.imag) > 0 else 1])
-    return SlowestPole(radius, float(np.abs(others - pole).min(initial=np.inf)))
-
-
-def _newton(polynomial: Digits, slope: Digits, w: Complex) -> Complex:
-    """Return the root of a polynomial next to a first guess."""
-    for _ in range(_STEPS):
-        here, change = _value(polynomial, w), _value(slope, w)
-        if not any(here):
-            break
-        step = _quotient(here, change)
-        w = (w[0] - step[0], w[1] - step[1])
-        if abs(step[0]) + abs(step[1]) <= _FINE * (abs(w[0]) + abs(w[1])):
-            break
-    return w
-
-
-def _value(polynomial: Digits, place: Complex) -> Complex:
-    x, y = Decimal(0), Decimal(0)
-    for coefficient in polynomial[::-1]:
-        x, y = x * place[0] - y * place[1] + coefficient, x * place[1] + y * place[0]
-    return x, y
-
-
-def _quotient(top: Complex, bottom: Complex) -> Complex:
-    size = bottom[0] ** 2 + bottom[1] ** 2
-    return (
-        (top[0] * bottom[0] + top[1] * bottom[1]) / size,
-        (top[1] * bottom[0] - top[0] * bottom[1]) / size,
-    )

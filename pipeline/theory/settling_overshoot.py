@@ -15,13 +15,14 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats, Integers
+from pipeline.records.criteria import OVERSHOOT
 from pipeline.theory.modes import TOGETHER, earlier, outlooks
 from pipeline.theory.motion import Motion, at_share, joined, pieces, turning_share, within_pieces
 
 LONGEST = 1 << 18
 """Samples after which a response that still moves is given up (no settling time): spectral radius about 1 - 1e-5."""
 
-NO_OVERSHOOT = 1e-12
+NO_OVERSHOOT = OVERSHOOT.none
 """Overshoot up to this fraction counts as none. Part of the definition: Hulin 2017, footnote 4 of 5.2.2."""
 
 QUIET = 0.1 * NO_OVERSHOOT
@@ -42,13 +43,13 @@ _CREEPING = 4.0
 _AT_ONCE = 1024
 """Points that are advanced together: products of their matrices stay in a cache, and on one processor."""
 
-_FIRST = 64
+_FIRST = 32
 """Samples before modes are looked at."""
 
 _LOOK = 0.25
 """Samples of a point, times the square of its states, that take as long as a look: the modes of many are slow."""
 
-_AGAIN = 32
+_AGAIN = 64
 """Samples before those that may still overshoot are looked at again: about what a look costs."""
 
 _FEW, _LONGER = 256, 7

@@ -246,6 +246,7 @@ def test_two_delays_differ_as_the_theory_says(lwr):
     assert "gears &lt;greased&gt;" in page_text
 
 
+@pytest.mark.slow
 def test_a_device_that_turns_keeps_its_units_beside_one_that_does_not(falcon, lwr, tmp_path):
     both = tmp_path / "processed"
     for lab in (falcon, lwr):

@@ -77,6 +77,7 @@ def nothing_is_computed(monkeypatch):
 # --- the document -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", ["falcon_outcome", "lwr_outcome", "unknown_outcome"])
 def test_document_holds_what_the_design_lists(name, request):
     outcome = request.getfixturevalue(name)
@@ -193,6 +194,7 @@ def test_one_more_log_runs_only_its_experiment(own):
     assert after.result.experiments[0] == before.result.experiments[0]
 
 
+@pytest.mark.slow
 def test_other_criteria_run_only_what_is_missing(lwr, tmp_path, plain_page):
     for part in ("trials",):
         shutil.copytree(lwr.processed / part, tmp_path / "processed" / part)
@@ -324,6 +326,7 @@ def test_a_damaged_experiment_keeps_no_other_from_being_compared(own, tree):
 # --- the rest ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_unknown_device_is_compared_with_theory_from_its_estimates(unknown_outcome):
     result = unknown_outcome.result
     assert not result.known_device

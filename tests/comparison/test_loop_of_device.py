@@ -36,6 +36,7 @@ def test_boundary_and_optimum_are_those_of_the_loop_with_its_parts():
     assert best[1].cost > best[0].cost
 
 
+@pytest.mark.slow
 def test_passive_region_and_linear_condition_know_the_lag():
     ideal, real = theory(), theory(PARTS)
     first, second = ({s.kind: s for s in conditions(one)} for one in (ideal, real))

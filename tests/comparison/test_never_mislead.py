@@ -135,6 +135,7 @@ def test_a_criterion_without_an_optimum_in_theory_is_a_row_with_a_reason(tmp_pat
     assert [row.note for row in again.tables] == [row.note for row in result.tables]
 
 
+@pytest.mark.slow
 def test_stable_with_friction_is_said_of_the_step_with_the_limit_of_large_motions_beside(tmp_path):
     device = load_device("falcon").model_copy(update={"name": "rubbing"})
     device = device.model_copy(update={"loop": LoopParts(friction=Friction(coulomb=0.7))})

@@ -12,7 +12,7 @@ from simulated import simulate
 from typer.testing import CliRunner
 
 from pipeline.loop.loop import Loop, Normalised
-from pipeline.measured.cost.costs import FAMILIES
+from pipeline.measured.cost.costs import BY_FAMILY
 from pipeline.measured.cost.reading_error import reading_error
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
@@ -119,7 +119,7 @@ def stable_neighbours(loop, best):
 
 
 def rise(batch, response, verdicts, error):
-    return FAMILIES["rise"](batch, response, verdicts, error, {"delay": 0})
+    return BY_FAMILY["rise"](batch, response, verdicts, error, {"delay": 0})
 
 
 def ideal():
@@ -170,6 +170,7 @@ def test_what_a_log_cannot_tell_has_a_reason():
     assert np.isnan(found["rise_time"]).all()
 
 
+@pytest.mark.slow
 def test_reports_hold_it_where_it_is_asked_for(falcon, one_process, tmp_path):
     assert "rise_time" in MEASURED
     assert "rise_time" not in REPORTED
@@ -182,7 +183,7 @@ def test_reports_hold_it_where_it_is_asked_for(falcon, one_process, tmp_path):
     assert rows["experiment"].cost == best.cost >= rows["theory_discrete"].cost
     for text in ("rise time, 10 % to 90 % [samples]", "Rise time <i>C</i>", "Cost maps, rise time"):
         assert text in page
-    export_tables(result, tmp_path / "tables", ("csv",))
+    export_tables(result, tmp_path / "tables")
     assert any("rise_time" in path.read_text(encoding="utf-8") for path in (tmp_path / "tables").glob("*.csv"))
     planned = {stage for stage, action, _ in outcome.stages if action != "leave out"}
     assert "1: rise" in planned

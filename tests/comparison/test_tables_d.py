@@ -172,6 +172,7 @@ def test_layouts_hold_what_is_stored_and_asked_for(falcon, lwr, unknown):
     assert names(unknown) == {"experiment 1": (("1",), ("settle_2pct", "overshoot", *energies))}
 
 
+@pytest.mark.slow
 def test_unknown_device_is_not_held_against_published_tables(unknown_outcome):
     rows = unknown_outcome.result.tables
     assert {r.condition for r in rows} == {"theory_discrete", "theory_continuous", "experiment"}

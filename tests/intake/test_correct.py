@@ -96,7 +96,7 @@ def test_it_stays_excluded_through_all_that_rewrites_the_store(store):
     data[20] ^= 0xFF
     file.write_bytes(data)
     (damage,) = check(store, repair=True).damage
-    assert [Path(one.source_path).name for one in damage.lost] == ["2.csv"], "its log bears another name"
+    assert [Path(one["source_path"]).name for one in damage.lost] == ["2.csv"], "its log bears another name"
     ingest([logs], store, jobs=1)
     assert excluded(store) == [trial]
     stages = ExperimentStages.stored(store, "bench", "9")

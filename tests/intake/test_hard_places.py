@@ -98,14 +98,14 @@ def test_a_look_at_files_that_move_is_repeated_and_one_at_damage_is_not(store):
 
 def test_a_pass_on_a_disk_that_takes_nothing_is_told(store, logs, monkeypatch):
     def no_folder(*_):
-        raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(store / ".watch"))
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(store))
 
     monkeypatch.setattr("pipeline.base.lock.make_folder", no_folder)
     events = []
     events += run_pass(Watched((logs,), store, store.parent / "reports"))
     assert status_of(events) == 1
-    (event,) = events
-    assert "Read-only file system" in event["reason"]
+    assert (events[0]["event"], events[0]["what"]) == ("failed", "ingest")
+    assert "Read-only file system" in events[0]["reason"]
 
 
 def test_trials_of_a_store_are_read_once_when_a_log_stands_under_two_names(store, logs):

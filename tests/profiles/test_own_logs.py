@@ -9,11 +9,11 @@ from native_logs import FAULTS
 
 from pipeline.base.units import unit_in_heading
 from pipeline.intake.quarantine import list_quarantine
-from pipeline.profiles.profile_columns import QUANTITIES
 from pipeline.profiles.profile_files import find_questions
+from pipeline.profiles.profile_model import QUANTITIES
 from pipeline.shell.cli import run
+from pipeline.shell.profile.check import look
 from pipeline.shell.profile.draft import draft_profile
-from pipeline.shell.profile.picture import look
 
 PROFILE = """name = "mine"
 format = "delimited"

@@ -7,8 +7,8 @@ import pytest
 
 from pipeline.base.errors import ProfileError
 from pipeline.intake.ingest import ingest
-from pipeline.profiles.profile_columns import find_groups, group_names, pattern_problem
 from pipeline.profiles.profile_files import read_profile, shipped_profiles
+from pipeline.profiles.profile_model import find_groups, group_names, pattern_problem
 
 PROFILE = """name = "lab"
 format = "delimited"

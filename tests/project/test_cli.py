@@ -6,7 +6,6 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pyarrow.parquet as pq
 import pytest
@@ -20,10 +19,9 @@ from pipeline.shell import cli, console
 from pipeline.shell.cli import app, run
 
 COMMANDS = {
-    "demo": ["--full"],
+    "demo": [],
     "simulate": [
-        *("--experiment", "--out", "--seed", "--ideal"),
-        *("--coarsen", "--overwrite", "--json"),
+        *("--experiment", "--out", "--seed", "--coarsen", "--json"),
     ],
     "ingest": ["--profile", "--processed", "--jobs", "--rehash", "--dry-run", "--json"],
     "status": ["--processed", "--json"],
@@ -37,7 +35,7 @@ COMMANDS = {
     "theory optimum": ["--criterion", "--delay", "--gamma", "--delta", "--device", "--signal", "--json"],
     "theory tables": ["--json"],
     "accuracy": ["--quick", "--json"],
-    "theory map": ["--delay", "--gamma", "--delta", "--device", "--size", "--criteria", "--out", "--json"],
+    "theory map": ["--delay", "--gamma", "--delta", "--size", "--criteria", "--out", "--json"],
 }
 
 
@@ -201,18 +199,13 @@ def test_simulate_writes_logs_and_counts_them(call, tmp_path):
     assert found == {"device": "lwr", "folder": "raw", "seed": 3, "logs": {"delay-8": len(list(folder.glob("*.csv")))}}
     assert found["logs"]["delay-8"] > 20
     assert json.loads((folder / "truth.json").read_text())["seed"] == 3
-    status, out, err = call(*arguments)
-    assert (status, out) == (2, "")
-    assert "--overwrite" in err
-    assert document(call(*arguments, "--overwrite")) == found
+    assert document(call(*arguments)) == found
 
 
 def test_simulate_options_reach_the_simulation(call, tmp_path):
     out = tmp_path / "logs"
-    document(call("simulate", "falcon", "-e", "4,6", "--ideal", "--coarsen", "8", "--out", out, "--json"))
+    document(call("simulate", "falcon", "-e", "4,6", "--coarsen", "8", "--out", out, "--json"))
     assert sorted(p.name for p in (out / "falcon").iterdir()) == ["4", "6"]
-    truth = json.loads((out / "falcon" / "6" / "truth.json").read_text())
-    assert (truth["quantum"], truth["noise"], truth["jitter_samples"]) == (0.0, 0.0, [])
 
 
 def test_simulate_takes_a_device_file(call, tmp_path):
@@ -305,9 +298,7 @@ def test_a_second_writer_is_refused_and_readers_are_not(call, logs, tmp_path, mo
             status, out, err = call(*command)
             assert (status, out) == (1, "")
             assert "writes there; waited 60 s" in err
-        found = document(call("status", "--json"))
-        assert found["lock"]["pid"] > 0
-        assert call("status")[1].splitlines()[-1].startswith(f"process {found['lock']['pid']} on ")
+        assert call("status")[0] == 0
         assert call("ingest", "logs", "--dry-run")[0] == 0
     assert document(call("ingest", "logs", "--json"))["ingested"] == 1
 
@@ -474,8 +465,7 @@ def test_reports_that_cannot_be_written_stop_demo_and_comparison_at_once(call, c
     "words",
     [
         *(["--against", "delay-4", "--dry-run"], ["--against", "delay-4", "--full"]),
-        *(["--against", "delay-4", "--tables-format", "csv"], ["--against", "lwr:delay-4", "--dry-run"]),
-        *(["--against", "a.json", "--tables-format", "csv"], ["--against", "a.json", "--figures", "figures"]),
+        *(["--against", "a.json", "--export", "out"], ["--against", "lwr:delay-4", "--dry-run"]),
     ],
 )
 def test_options_without_effect_on_the_page_of_two_are_refused(call, course, words, tmp_path):
@@ -575,16 +565,6 @@ def test_named_errors_are_messages_and_others_pass(monkeypatch, call, course):
     monkeypatch.setattr(compare, "compare", broken)
     with pytest.raises(ZeroDivisionError, match="a defect"):
         run(["compare", "--device", "lwr"])
-
-
-def test_progress_is_lines_where_stderr_is_no_terminal(monkeypatch, capsys):
-    clock = iter([0.0, 1.0, 2.5, 3.0, 5.0])
-    monkeypatch.setattr(console, "time", SimpleNamespace(monotonic=lambda: next(clock)))
-    with console.progress("ingest", "logs") as advance:
-        for done in (1, 2, 3):
-            advance(done, 4)
-        advance(4, None)
-    assert capsys.readouterr() == ("", "ingest: 2 of 4 logs, 0.8/s, 2.5 s left\ningest: 4 logs, 0.8/s\n")
 
 
 def test_progress_is_a_bar_on_a_terminal_and_nothing_with_json(monkeypatch, capsys):

@@ -45,6 +45,7 @@ def test_a_script_is_short_and_imports_public_names_alone(script: Path) -> None:
     assert not re.search(r"pipeline\.[a-z_]+\.|\b_[a-z]\w*\(", text)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     "script",
     [pytest.param(s, marks=() if s.stem in QUICK else pytest.mark.slow, id=s.stem) for s in SCRIPTS],

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from locks import is_free
 from report_data import document_without_places
 
-from pipeline.base import lock
 from pipeline.device_data.devices import load_device
 from pipeline.simulation.course import run_course, write_course
 from pipeline.store.storage import read_trials
@@ -46,7 +46,7 @@ report = "reports/lwr.html"
 DEMO = """
 from pipeline.shell import demo
 from pipeline.shell.cli import run
-demo.REDUCED = (demo.Part("lwr", ("delay-2", "delay-4"), coarsen=12),)
+demo.PARTS = (demo.Part("lwr", ("delay-2", "delay-4"), coarsen=12),)
 run(["demo"])
 """
 
@@ -255,13 +255,14 @@ def kill_often(name: str, course: Path, folder: Path, kills: int, seed: int) -> 
         manner = MANNERS[number % len(MANNERS)]
         status = run.end(manner)
         assert status in (0, *(-number for number in manner)) or run.had_not_begun(), status
-        assert lock.holder(folder / "processed") is None
+        assert is_free(folder / "processed")
         if number % 5 == 4 or number == kills - 1:
             assert Run(command, folder, again).finished() in (0, 1)
             assert command.result(folder) == expected
     assert running > kills / 4, "few were killed before they had ended"
 
 
+@pytest.mark.slow
 @pytest.mark.sampled
 @pytest.mark.parametrize("manner", [(signal.SIGKILL,), (signal.SIGTERM,)])
 @pytest.mark.parametrize("name", ["compare", "verify", "theory tables"])

@@ -10,8 +10,18 @@ import pytest
 from places import ROOT
 from sample_logs import STEP, WRITERS
 
-from pipeline.profiles.profile_columns import Fraction, PositionSource, TimeSource
-from pipeline.profiles.profile_model import ConditionUnits, Constants, FileEntry, Partner, Profile, StepEntry, Window
+from pipeline.profiles.profile_model import (
+    ConditionUnits,
+    Constants,
+    FileEntry,
+    Fraction,
+    Partner,
+    PositionSource,
+    Profile,
+    StepEntry,
+    TimeSource,
+    Window,
+)
 from pipeline.shell.cli import run
 
 PAGE = (ROOT / "docs" / "logs.md").read_text(encoding="utf-8")
@@ -77,6 +87,7 @@ def empty_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
 
 
+@pytest.mark.slow
 def test_from_a_foreign_csv_to_a_report(capsys):
     printed = follow(section("## From a foreign CSV to a report"), capsys)
     outputs = {command: out + err for command, out, err in printed}

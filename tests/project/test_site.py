@@ -19,6 +19,8 @@ from places import ROOT
 import pipeline
 from pipeline.shell.cli import run
 
+pytestmark = pytest.mark.slow
+
 DOCS = ROOT / "docs"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
@@ -84,7 +86,7 @@ def test_the_tutorial_goes_from_logs_to_a_figure(
         assert not leaving.value.code, words
         printed[words[1]] = capsys.readouterr().out
     text = (DOCS / "tutorial.md").read_text(encoding="utf-8")
-    named = [Path(name) for name in re.findall(r"\{((?:figures|reports)/[^}]+)\}", text)]
+    named = [Path(name) for name in re.findall(r"\{(paper/[^}]+)\}", text)]
     assert len(named) == 2
     assert all(path.is_file() for path in named)
     assert "Theory predicts poorly" in printed["compare"]

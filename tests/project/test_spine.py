@@ -48,8 +48,7 @@ def call(capsys, monkeypatch, tmp_path):
 
 
 def test_commands_lead_from_simulation_to_the_report(call, tmp_path):
-    simulate = call("simulate", "lwr", "--experiment", "delay-8", "--ideal", "--coarsen", "4", "--json")
-    logs = json.loads(simulate)["logs"]["delay-8"]
+    logs = write_course(run_course(load_device("lwr"), "delay-8", ideal=True, coarsen=4), tmp_path / "raw")
     stored = json.loads(call("ingest", "raw", "--json"))
     nothing: dict[str, list] = {
         key: [] for key in ("quarantined", "warnings", "removed", "changed", "waiting", "damaged")
@@ -180,6 +179,7 @@ def bare_log(stiffness, damping, rows=300, **header):
     return format_header(native) + "".join("{:.17g},{:.17g},{:.17g}\n".format(*map(float, row)) for row in rows)
 
 
+@pytest.mark.slow
 def test_logs_without_a_baseline_give_reasons_and_no_crash(tmp_path):
     logs = tmp_path / "logs"
     logs.mkdir()
@@ -215,6 +215,7 @@ def test_logs_without_a_baseline_give_reasons_and_no_crash(tmp_path):
 DEVICES = ["<script>alert(1)</script>", HOSTILE, "..", "$(touch owned)", "_", "a\\b", "{{ 7 * 7 }}"]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("device", DEVICES)
 def test_hostile_names_stay_text_and_inside_the_folder(tmp_path, device):
     home = tmp_path / "home"
@@ -242,6 +243,7 @@ def test_hostile_names_stay_text_and_inside_the_folder(tmp_path, device):
     assert ("&lt;script&gt;" in page) == ("<script>" in device)
 
 
+@pytest.mark.slow
 def test_names_in_the_command_are_quoted_for_a_shell(tmp_path):
     (tmp_path / "a.csv").write_text(bare_log(1000.0, 60.0, device="$(touch owned); x", experiment="it's"))
     ingest([tmp_path / "a.csv"], tmp_path / "processed")
@@ -250,6 +252,7 @@ def test_names_in_the_command_are_quoted_for_a_shell(tmp_path):
     assert words[:6] == ["pipeline", "compare", "--device", "$(touch owned); x", "--experiment", "it's"]
 
 
+@pytest.mark.slow
 def test_two_devices_in_one_folder_do_not_mix(tmp_path):
     for i, device in enumerate(("one", "two")):
         (tmp_path / f"{i}.csv").write_text(bare_log(1000.0 + i, 60.0, device=device))

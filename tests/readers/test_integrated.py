@@ -73,6 +73,7 @@ def test_the_difference_of_an_encoder_gives_its_positions_again(tmp_path):
     assert "record steps of two sizes" in stages.mass_estimate.reason
 
 
+@pytest.mark.slow
 def test_two_sizes_of_a_step_tell_the_inertia_by_integrated_speeds(tmp_path):
     u, angle, _ = motor()
     for size in (1, 2):

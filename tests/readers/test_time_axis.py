@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import LogError
-from pipeline.profiles.profile_columns import TimeSource
+from pipeline.profiles.profile_model import TimeSource
 from pipeline.readers.log import step_flags
 from pipeline.readers.rows import add_seconds, in_order
 

@@ -179,6 +179,7 @@ def test_after_a_change_all_is_as_from_scratch_and_little_is_computed(lab, tmp_p
         assert now[stage].equals(again.table(stage), check_metadata=True), stage
 
 
+@pytest.mark.slow
 @pytest.mark.sampled
 @pytest.mark.parametrize("changed", ["code", "given", "samples"])
 def test_no_row_outlives_what_it_rests_on(lab, tmp_path, monkeypatch, edit, changed):

@@ -42,7 +42,7 @@ def compiled(tables: list[Path], folder: Path) -> str:
 @pytest.mark.skipif(LATEX is None, reason="no TeX: apt-get install texlive-latex-extra")
 @pytest.mark.parametrize("hostile", [False, True])
 def test_tables_compile(tmp_path: Path, hostile: bool) -> None:
-    export_tables(report_data(hostile=hostile).result, tmp_path / "tables", ["latex"])
+    export_tables(report_data(hostile=hostile).result, tmp_path / "tables")
     tables = sorted((tmp_path / "tables").glob("*.tex"))
     assert len(tables) > 5
     compiled(tables, tmp_path / "all")

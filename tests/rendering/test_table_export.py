@@ -12,7 +12,6 @@ import pandas as pd
 import pytest
 from report_data import HOSTILE, report_data
 
-from pipeline.base.errors import UsageError
 from pipeline.rendering.frames import frames
 from pipeline.rendering.report.report import printed_tables
 from pipeline.rendering.table import Column, table_of
@@ -23,8 +22,6 @@ from pipeline.rendering.table_export import (
     latex_text,
     markdown_text,
     named_frames,
-    parse_formats,
-    tables_folder,
 )
 
 
@@ -36,7 +33,7 @@ def result():
 @pytest.fixture(scope="module")
 def written(result, tmp_path_factory):
     folder = tmp_path_factory.mktemp("tables")
-    export_tables(result, folder, ("csv", "json", "markdown", "latex"))
+    export_tables(result, folder)
     return folder
 
 
@@ -142,14 +139,7 @@ def test_hostile_names_become_file_names_and_the_files_can_be_read(tmp_path):
     result = report_data(full=False, hostile=True).result
     names = ["../../up", ".hidden", "=1+1", HOSTILE, "x" * 300]
     rows = tuple(result.tables[0].model_copy(update={"table": name}) for name in names)
-    written = export_tables(result.model_copy(update={"tables": rows}), tmp_path / "out", ("csv", "markdown", "latex"))
+    written = export_tables(result.model_copy(update={"tables": rows}), tmp_path / "out")
     assert {p.parent for p in written} == {tmp_path / "out"}
     assert all(p.is_file() and not p.name.startswith(".") for p in written)
     assert sorted(tmp_path.iterdir()) == [tmp_path / "out"]
-
-
-def test_formats_are_told_where_one_is_not_known(tmp_path):
-    assert parse_formats(["latex,csv", "csv"]) == ("csv", "latex")
-    with pytest.raises(UsageError, match="'xlsx'; expected some of csv, json, markdown, latex"):
-        parse_formats(["csv,xlsx"])
-    assert tables_folder(tmp_path / "falcon.html") == tmp_path / "falcon-tables"

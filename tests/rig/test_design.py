@@ -141,17 +141,45 @@ def test_a_wrong_wish_is_refused(numbers: dict[str, object], said: str) -> None:
         design(FALCON, **numbers)  # type: ignore[arg-type]
 
 
-def test_the_command_answers_and_draws(tmp_path: Path) -> None:
-    drawn = tmp_path / "rig.svg"
-    words = "design --device falcon --stiffness 20000 --hand hogan --json --picture"
-    done = CliRunner().invoke(application("design"), [*words.split(), str(drawn)])
+def test_the_command_answers() -> None:
+    words = "design --device falcon --stiffness 20000 --hand hogan --json"
+    done = CliRunner().invoke(application("design"), words.split())
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)
     assert document["hand"] == "hogan"
     assert document["reached"] is True  # the arm's mass on the handle holds the wall
+
+
+def test_a_device_without_damping_of_its_own_has_sensitivities() -> None:
+    rows = design(Loop(1.0, 0.0, 0.001, 2), 500.0).sensitivities.set_index("quantity")
+    assert rows.loc["damping", "stiffness_max_per_unit"] > 0
+
+
+@pytest.mark.parametrize(
+    ("device", "stiffness", "told"),
+    [
+        ("falcon", "1 N/mm", "Wanted: K = 1000 N/m."),
+        ("lwr", "500", "Wanted: K = 500 Nm/rad."),
+        ("lwr", "5 N/mm", "expected Nm/rad"),
+        ("falcon", "5 mm", "expected N/m"),
+        ("falcon", "hard", "expected a number"),
+    ],
+)
+def test_a_stiffness_is_told_with_its_unit(device: str, stiffness: str, told: str) -> None:
+    answer = CliRunner().invoke(application("design"), ["design", "--device", device, "--stiffness", stiffness])
+    assert told in answer.output + str(answer.exception)
+    assert (answer.exit_code == 0) == told.startswith("Wanted")
+
+
+@pytest.mark.slow
+def test_the_command_draws(tmp_path: Path) -> None:
+    drawn = tmp_path / "rig.svg"
+    words = "--device falcon --stiffness 20000 --picture"
+    done = CliRunner().invoke(application("design"), ["design", *words.split(), str(drawn)])
+    assert done.exit_code == 0, done.output
     assert "stiffness" in drawn.read_text(encoding="utf-8")
 
 
 def test_a_picture_of_what_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(PipelineError, match="expected two of"):
-        picture(FALCON, design(FALCON, 1.0), ("mass", "velocity_cutoff_hz"), tmp_path / "a.svg")
+        picture(FALCON, None, ("mass", "velocity_cutoff_hz"), tmp_path / "a.svg")  # type: ignore[arg-type]

@@ -79,6 +79,7 @@ def test_push_uploads_a_folder_and_resumes(empty, logs, tmp_path):
     assert stored_rows(tmp_path / "processed").total() == len(logs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("to", ["http://127.0.0.1:9", "nowhere", "ftp://127.0.0.1"])
 def test_push_to_nowhere_is_an_error(tmp_path, to):
     (tmp_path / "a.csv").write_text("x")

@@ -229,7 +229,7 @@ def test_an_earlier_simulation_is_replaced_only_on_request(small: Course, tmp_pa
     folder = tmp_path / "falcon" / "6"
     own = folder / "my_own.csv"
     own.write_text("recorded by hand")
-    with pytest.raises(UsageError, match="--overwrite"):
+    with pytest.raises(UsageError, match="overwrite=True"):
         write_course(small, tmp_path)
     few = small.batch.select(np.arange(5))
     half = replace(small, batch=few, passes=small.passes[:5], verdict=small.verdict[:5])

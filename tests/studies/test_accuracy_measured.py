@@ -17,6 +17,8 @@ from pipeline.studies.accuracy import run
 from pipeline.studies.accuracy.measured import COMPLETE, MODEL, SLOWEST, Trials, drawn, true_costs, truth, whole_sum
 from pipeline.theory.boundary import stiffness_limit
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def report() -> AccuracyReport:

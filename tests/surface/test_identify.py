@@ -81,6 +81,7 @@ def test_the_command_prints_the_document_and_writes_the_file(staircase, tmp_path
     assert document["boundary"]["delay_samples"] == pytest.approx(device.experiments[0].delay_samples, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_device_that_another_force_moves_is_not_predicted(tmp_path):
     random = np.random.default_rng(5)
     command = np.repeat(random.uniform(-0.3, 0.3, 12), 50)

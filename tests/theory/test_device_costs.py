@@ -16,7 +16,7 @@ from pipeline.theory.boundary import outline
 from pipeline.theory.costs import point_costs_by_name
 from pipeline.theory.energy import energy_costs
 from pipeline.theory.optimum import optimal_point
-from pipeline.theory.poles import slowest_poles
+from pipeline.theory.poles import spectral_radius
 from pipeline.theory.settling_overshoot import transient_costs
 
 RICH = Loop(
@@ -80,7 +80,7 @@ def test_costs_of_random_devices_equal_fine_integration(seed):
     while True:
         loop = loop_of(*random_device(rng).arguments)
         loop = replace(loop, delay=np.floor(64 * loop.delay) / 64)
-        if len(outline(loop, 8).beta) and slowest_poles(loop, *a_wall(loop))[0].radius < 0.97:
+        if len(outline(loop, 8).beta) and spectral_radius(loop, *a_wall(loop))[0] < 0.97:
             break
     finely_right(loop)
 
@@ -146,7 +146,7 @@ def test_discrete_energies_equal_long_sums_in_many_digits(seed):
             if not len(outline(loop, 8).beta):
                 continue
             alpha, beta = a_wall(loop, 0.3)
-            radius = slowest_poles(loop, alpha, beta)[0].radius
+            radius = spectral_radius(loop, alpha, beta)[0]
             if radius < 0.93:
                 break
         assert radius < 0.93
@@ -191,18 +191,15 @@ def test_slowest_pole_in_many_digits(extreme):
             break
     alpha, beta = a_wall(loop, 0.5)
     units = wall_units(example.mass, example.sampling_period_s, example.parts)
-    found = slowest_poles(loop, alpha, beta)[0]
+    radius = float(spectral_radius(loop, alpha, beta)[0])
     with mp.workdps(60):
         truth = ManyDigits(example)
         matrix = truth.matrix(mp.mpf(float(alpha[0] * units.stiffness)), mp.mpf(float(beta[0] * units.damping)))
         # |z| below r (1 + 1e-9) and not below r (1 - 1e-9), by scaling the poles
         used = [*truth.kept, *range(5, matrix.rows)]
         kept = mp.matrix([[matrix[i, j] for j in used] for i in used])
-        inside = [
-            schur_cohn(characteristic(kept / (mp.mpf(found.radius) * (1 + side * mp.mpf("1e-9"))))) for side in (1, -1)
-        ]
+        inside = [schur_cohn(characteristic(kept / (mp.mpf(radius) * (1 + side * mp.mpf("1e-9"))))) for side in (1, -1)]
     assert inside == [True, False]
-    assert found.separation > 0
 
 
 @pytest.mark.slow
@@ -217,7 +214,7 @@ def test_no_random_wall_beats_the_optimum(criterion):
     inside = (alpha > 0) & (alpha < 0.8 * np.interp(beta, found.beta, found.alpha, left=0, right=0))
     alpha, beta = alpha[inside], beta[inside]
     if criterion == "pole_radius":
-        others = np.array([pole.radius for pole in slowest_poles(loop, alpha, beta)])
+        others = spectral_radius(loop, alpha, beta)
     elif criterion.startswith("energy"):
         others = energy_costs(loop, alpha, beta)[criterion]
     else:

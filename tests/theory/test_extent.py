@@ -11,7 +11,8 @@ from independent import NYQUIST as STIFFEST
 from independent import characteristic, random_loops, stable_by_schur_cohn
 
 from pipeline.loop.loop import Loop
-from pipeline.theory.boundary import boundary, is_inside, robust_limits, stable_intervals, stiffness_limit
+from pipeline.theory.boundary import boundary, is_inside, robust_limits, stiffness_limit
+from pipeline.theory.crossings import stretches
 
 NYQUIST = math.pi**2
 EXTREME = [
@@ -74,7 +75,7 @@ def check_extremes(loop: Loop) -> None:
     # flat maximum: 1e-7 beyond it, the radius exceeds 1 by about as much at the very place, and by more elsewhere
     assert companion_radius(loop, np.full(201, peak + 1e-7 * width), across).min() > 1 + 1e-12, loop
     alpha_at = float(stiffness_limit(loop, high - 1e-6 * (high - low))[0])
-    intervals = stable_intervals(loop, high - 1e-6 * (high - low))
+    intervals = stretches(loop, np.array([high - 1e-6 * (high - low)]))
     middle = float(0.5 * (intervals.low[0] + intervals.high[0]))
     assert stable_by_schur_cohn(characteristic(*values, middle, high - 1e-6 * (high - low))), loop
     along = -loop.gamma + width * np.append(np.linspace(0, 1.2, 160)[1:], np.logspace(-9, -1, 40))

@@ -9,10 +9,11 @@ from pipeline.loop.loop import Loop
 from pipeline.records.loop_parts import Butterworth
 from pipeline.theory.boundary import limits, outline
 from pipeline.theory.energy import energy_costs
-from pipeline.theory.poles import slowest_poles
+from pipeline.theory.poles import spectral_radius
 from pipeline.theory.settling_overshoot import transient_costs
 
 
+@pytest.mark.slow
 @pytest.mark.sampled
 @pytest.mark.sampled
 @pytest.mark.parametrize(("order", "cutoff"), [(4, 0.01), (4, 0.001), (3, 0.003), (2, 0.3)])
@@ -21,12 +22,11 @@ def test_every_wall_of_a_slow_filter_has_costs(order, cutoff):
     found, rng = outline(loop, 30), np.random.default_rng(17)
     beta = rng.uniform(found.beta[0], found.beta[-1], 35)
     alpha = limits(loop, beta).alpha * rng.uniform(0.05, 0.95, 35)
-    exact = np.array([pole.radius for pole in slowest_poles(loop, alpha, beta)])
-    assert np.abs(np.linalg.eigvals(loop.matrix(alpha, beta))).max(axis=1) == pytest.approx(exact, abs=1e-12)
+    radius = spectral_radius(loop, alpha, beta)
     for values in (energy_costs(loop, alpha, beta) | transient_costs(loop, alpha, beta, (0.02,))).values():
         assert np.isfinite(values).all()
     # the energies of a response by its own samples
-    quick = np.flatnonzero(exact < 0.999)[:3]
+    quick = np.flatnonzero(radius < 0.999)[:3]
     state, total = loop.starts(alpha[quick], "step"), np.zeros(len(quick))
     matrix = loop.matrix(alpha[quick], beta[quick])
     for _ in range(40_000):

@@ -12,8 +12,9 @@ from test_extent import EXTREME, damping_range, stiffest_point
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
-from pipeline.theory.boundary import is_inside, robust_limits, stable_intervals, stiffness_limit
+from pipeline.theory.boundary import is_inside, robust_limits, stiffness_limit
 from pipeline.theory.circle import first_branch
+from pipeline.theory.crossings import stretches
 from pipeline.theory.poles import spectral_radius
 
 NYQUIST = math.pi**2
@@ -164,12 +165,12 @@ def test_extremes_against_a_fine_grid_of_lines(values: tuple[float, float, float
     lines = 2001
     beta = low + (high - low) * (np.arange(lines) + 0.5) / lines
     alpha, at = stiffest_point(loop)
-    best = float(stable_intervals(loop, beta).high.max())
+    best = float(stretches(loop, beta).high.max())
     assert best <= alpha * (1 + 1e-12) + 1e-300
     assert best == pytest.approx(alpha, rel=2e-3)
     assert low <= at <= high
     outside = np.array([low, high]) + np.array([-1e-7, 1e-7]) * (high - low)
-    assert not len(stable_intervals(loop, outside).index)
+    assert not len(stretches(loop, outside).index)
 
 
 def test_nothing_is_stable_outside_the_range_of_damping() -> None:

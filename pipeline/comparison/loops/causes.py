@@ -162,7 +162,7 @@ def _beside(point: LoopPoint, other: LoopPoint, shown: Shown) -> tuple[float, st
     where = np.unique(np.concatenate([ALONG * each.stiffest for each in (point, other)]))
     own, others = point.limit(where), other.limit(where)
     if point.coulomb != other.coulomb:  # for the step: to large motions friction is none
-        own = np.maximum(np.nan_to_num(point.step_limits(where, shown.trial, np.zeros(len(where)))), own)
+        own = np.maximum(np.nan_to_num(point.step_limits(where, shown.trial, np.zeros(len(where)))[0]), own)
     larger = np.maximum(own, others)
     some = larger > LOW * larger.max(initial=0.0)
     apart = np.divide(np.abs(own - others), larger, out=np.zeros(len(where)), where=some)

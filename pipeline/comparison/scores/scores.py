@@ -14,7 +14,8 @@ from pipeline.comparison.scores.overlap import MeasuredLimits, Overlap, Stretche
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.results import ExperimentResult, RegionScore, Scores, StiffnessScore
-from pipeline.theory.boundary import is_inside, stable_intervals
+from pipeline.theory.boundary import is_inside
+from pipeline.theory.crossings import stretches
 from pipeline.theory.predictions import Theory
 
 
@@ -69,7 +70,7 @@ def _scores(result: ExperimentResult, stages: ExperimentStages, theory: Theory, 
 
 def _theory_stretches(theory: Theory, damping: Floats) -> Stretches:
     """Stable stiffness K >= 0 of theory at each damping; several stretches where the stable set has gaps."""
-    found = stable_intervals(theory.loop, damping / theory.units.damping)
+    found = stretches(theory.loop, damping / theory.units.damping)
     layer = np.arange(len(found.index)) - np.searchsorted(found.index, found.index)
     shape = (int(layer.max(initial=-1)) + 1, len(damping))
     low, high = np.zeros(shape), np.zeros(shape)

@@ -21,10 +21,7 @@ from pipeline.measured.signal.motion_end import SETTLED_SAMPLES, reach
 from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
-from pipeline.records.criteria import RISE_LEVELS, SETTLING_BANDS
-
-NO_OVERSHOOT = 1e-12
-"""Overshoot that counts as none (footnote 4 of 5.2.2), and so the smallest upper end."""
+from pipeline.records.criteria import OVERSHOOT, RISE_LEVELS, SETTLING_BANDS
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,7 +268,7 @@ def overshoot(batch: TrialBatch, response: Response, verdicts: Verdicts, error: 
     beyond = (far - everywhere * open_) / size
     ends = (
         np.maximum(largest - _quantile(tail / rivals) * spread, 0.0),
-        np.maximum(np.maximum(largest, beyond) + NORMAL_95 * spread, NO_OVERSHOOT),
+        np.maximum(np.maximum(largest, beyond) + NORMAL_95 * spread, OVERSHOOT.none),
     )
     value = np.where(of.usable, np.maximum(largest, 0.0), np.nan)
     low, high = (np.where(of.known, end, np.nan) for end in ends)
@@ -344,5 +341,5 @@ def _rise(batch: TrialBatch, response: Response, verdicts: Verdicts, error: Read
     return {**found.columns("rise_time"), "reason": found.reason}
 
 
-FAMILIES: dict[str, Measure] = {"settling": _settling, "overshoot": _overshoot, "rise": _rise}
+BY_FAMILY: dict[str, Measure] = {"settling": _settling, "overshoot": _overshoot, "rise": _rise}
 """What computes the costs of a family, but for the energies, which need the mass."""

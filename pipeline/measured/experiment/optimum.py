@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.records.batch import Booleans, Floats
+from pipeline.records.criteria import OVERSHOOT
 from pipeline.records.findings import Optimum
-
-NO_OVERSHOOT = 1e-12
-"""Overshoot that counts as none (footnote 4 of 5.2.2): part of the definition, it gives the printed edges."""
 
 LARGEST_OVERSHOOT_FLOOR = 0.01
 """Uncertainty of the overshoot from which on "none" is no finding: a tenth of the distance between contour
@@ -26,7 +24,7 @@ def without_overshoot(overshoot: Floats, floor: Floats) -> Booleans:
     overshoot, floor : float64, shape (n,)
         Overshoot and the one that the sensor alone can cause, as fractions of the final displacement.
     """
-    free: Booleans = (floor <= LARGEST_OVERSHOOT_FLOOR) & (overshoot <= np.maximum(NO_OVERSHOOT, floor))
+    free: Booleans = (floor <= LARGEST_OVERSHOOT_FLOOR) & (overshoot <= np.maximum(OVERSHOOT.none, floor))
     return free
 
 

@@ -13,14 +13,15 @@ import numpy as np
 
 from pipeline.records.batch import Floats, Integers, TrialBatch
 
-OTHER_PERIOD = 1.2
-"""Ratio of the usual distance of stamps and the sampling period, or its inverse, from which on one of both is wrong."""
-
 PERIOD_DIGITS = 4
 """Digits of a period that stamps show."""
 
 EVEN = 0.01
-"""Part of a period up to which distances of stamps are even: models of the motion allow as much."""
+"""Part of a period up to which distances of stamps are even, and that of the header: a hundredth of the period is two
+of the mass."""
+
+SIGMAS = 4.0
+"""Standard errors of the usual distance of stamps by which it differs from the sampling period where one is wrong."""
 
 ODD = 0.5
 """Part of a period by which the distance of two stamps differs from it where rows are looked for between them."""
@@ -81,8 +82,11 @@ def read_stamps(time: Floats, period: float) -> Stamps:
     none = np.zeros(len(steps), dtype=np.int64)
     if len(time) < FEWEST_ROWS or (np.abs(steps / period - 1) <= EVEN).all():
         return Stamps(none, period)
-    usual = float(np.median(steps))
-    if not period / OTHER_PERIOD < usual < period * OTHER_PERIOD:
+    usual, mean = float(np.median(steps)), float(steps.mean())
+    # half of the stamps say so, and the whole log: lost rows move the mean alone, stamps of few digits the median
+    off = np.array([usual, mean]) / period - 1
+    error = np.sqrt(0.5 * np.pi / len(steps)) * _scatter(steps) / period
+    if (np.sign(off) * off[0] > EVEN + SIGMAS * error).all() and (np.abs(off) > EVEN).all():
         usual = float(f"{usual:.{PERIOD_DIGITS}g}")  # nobody sets more digits
         return Stamps(read_stamps(time, usual).skipped, usual)
     late = (time - time[0]) / period - np.arange(len(time))

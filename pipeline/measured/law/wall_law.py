@@ -158,7 +158,9 @@ class Account:
 def account(log: LogRows) -> Account:
     """Return what explains a log: a law with its rows as they are, then without repeated or with lost ones."""
     stamps = read_stamps(log.time, log.period)
-    log = replace(log, period=stamps.period).without(np.append(0, stamps.skipped) > 0)
+    log = log.without(np.append(0, stamps.skipped) > 0)
+    if stamps.period != log.period and explanation(log) != ():  # else the control keeps the time of the header
+        log = replace(log, period=stamps.period)
     held, repeats = repeated_rows(log, by_law=False), repeated_rows(log)
     found = explanation(log)
     if found is None and len(repeats):

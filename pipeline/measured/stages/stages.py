@@ -8,18 +8,17 @@ from functools import cached_property, partial
 import numpy as np
 
 from pipeline.base.wording import commonest
-from pipeline.measured.cost.costs import FAMILIES, Measure
+from pipeline.measured.cost.costs import BY_FAMILY, Measure
 from pipeline.measured.cost.energy import energy
 from pipeline.measured.experiment import estimates, optimum
 from pipeline.measured.stages import stage_device
 from pipeline.measured.stages import stage_rows as rows
 from pipeline.measured.stages.stage_tables import SAMPLED, Stage, StageTables
 from pipeline.records.batch import Floats
-from pipeline.records.criteria import ENERGY, Family, criterion_of, members
-from pipeline.records.criteria import FAMILIES as CRITERION_FAMILIES
+from pipeline.records.criteria import ENERGY, FAMILIES, Family, criterion_of, members
 from pipeline.records.findings import BoundaryPoint, Estimate, ModelCheck, Optimum
 
-MEASURES: dict[str, Measure] = {**FAMILIES, "energy": energy}
+MEASURES: dict[str, Measure] = {**BY_FAMILY, "energy": energy}
 """What computes the costs of each family of criteria."""
 
 
@@ -39,7 +38,7 @@ STAGES: dict[str, Stage] = {
     "model": Stage(("response", "wall_law", "device"), whole=stage_device.model),
     "delay": Stage(("response",), rows.delays),
     "mass": Stage(("response", "delay"), rows.masses, rows.given_to_mass),
-    **{name: _cost_stage(family) for name, family in CRITERION_FAMILIES.items()},
+    **{name: _cost_stage(family) for name, family in FAMILIES.items()},
 }
 """Stages in the order in which they can be computed; the plan is made backwards along what they need."""
 

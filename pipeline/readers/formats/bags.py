@@ -18,8 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.formats.json import column, columns_of
-from pipeline.readers.frame import Contents, with_gaps
-from pipeline.readers.limits import LISTED_ELEMENTS
+from pipeline.readers.frame import LISTED_ELEMENTS, Contents, with_gaps
 from pipeline.records.batch import Integers
 
 zstd = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")

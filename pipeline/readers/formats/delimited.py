@@ -17,11 +17,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pipeline.base.errors import LogError, refusal
-from pipeline.profiles.profile_columns import BLANKS, TextLayout, find_groups
-from pipeline.profiles.profile_model import Profile
+from pipeline.profiles.profile_model import BLANKS, Profile, TextLayout, find_groups
 from pipeline.readers.formats import PACKED
-from pipeline.readers.frame import Array, Contents
-from pipeline.readers.limits import LONGEST_ATTRIBUTE, allowed_bytes
+from pipeline.readers.frame import LONGEST_ATTRIBUTE, Array, Contents, allowed_bytes
 
 LONGEST_CHARACTER = 4
 """Bytes of the longest character in UTF-8 and UTF-16: a cut file lacks fewer than that."""

@@ -17,7 +17,7 @@ import pyarrow.csv as pacsv
 from pipeline.base.errors import LogError, refusal
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.formats import refuse_other_kind
-from pipeline.readers.limits import LONGEST_HEADER
+from pipeline.readers.frame import LONGEST_HEADER
 from pipeline.readers.log import Log, RawLog, check_samples
 from pipeline.records.batch import Floats
 from pipeline.records.native import COLUMN_LINE, NativeHeader, parse_header

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,6 +13,7 @@ from pipeline.records.results import ComparisonResult, ExperimentResult, TheoryP
 from pipeline.rendering.frames import flat, frames
 from pipeline.rendering.labels import (
     UNITS,
+    Units,
     condition_label,
     cost_text,
     criterion_label,
@@ -132,28 +133,50 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
     made: dict[str, Table | None] = {
         "scores": _scores(result, units.stiffness),
         "experiments": _experiments(result),
-        "measured_optima": table_of(
-            "optima",
-            "Trials with the least cost",
-            (
-                Column("criterion_label", "criterion"),
-                Column("stiffness", "stiffness", units.stiffness, show=_stiffness, notes=_at_edge, linked=True),
-                Column("damping", "damping", units.damping, show=_damping, linked=True),
-                Column("cost", "cost, 95 %", show=_cost, ends=("cost_low", "cost_high"), linked=True),
-                Column("ties", "equal trials", show=_number),
-            ),
-            [
-                row | {"criterion_label": criterion_label(row["criterion"])}
-                for row in f["optima"]
-                if row["cost"] is not None
-            ],
-            _of_what("criterion"),
-            _of_experiment,
-            place,
-        ),
+        "measured_optima": _measured_optima(f["optima"], units, place),
         "boundary": _boundary(f["boundary"], units, trials),
         "methods": _methods(f["estimates"], result),
         "loops": _loops(result),
+        **_of_logs(f),
+        "outcomes": _outcomes(result),
+        "truth": _truth(result),
+        "use": _use(result, place),
+        **_by_hand(f),
+        "header": _header(result),
+        "trend": table_of(
+            "trend",
+            "Limits and estimates with 95 % intervals over the experiments, beside header lines that differ",
+            (Column("line", "header lines"), Column("value", show=digits(4), ends=("low", "high"), notes=_at_end)),
+            f["trend"],
+            lambda row: f"{row['quantity']}/{row['experiment']}",
+            lambda row: f"{quantity_name(row['quantity'])} [{unit_text(row['unit'])}]",
+        ),
+    }
+    tables = {name: [table] if table else [] for name, table in made.items()}
+    return tables | _optima(f["tables"], units, place)
+
+
+def _measured_optima(rows: Sequence[dict[str, Any]], units: Units, place: Callable[[Row], str]) -> Table | None:
+    return table_of(
+        "optima",
+        "Trials with the least cost",
+        (
+            Column("criterion_label", "criterion"),
+            Column("stiffness", "stiffness", units.stiffness, show=_stiffness, notes=_at_edge, linked=True),
+            Column("damping", "damping", units.damping, show=_damping, linked=True),
+            Column("cost", "cost, 95 %", show=_cost, ends=("cost_low", "cost_high"), linked=True),
+            Column("ties", "equal trials", show=_number),
+        ),
+        [row | {"criterion_label": criterion_label(row["criterion"])} for row in rows if row["cost"] is not None],
+        _of_what("criterion"),
+        _of_experiment,
+        place,
+    )
+
+
+def _of_logs(f: Mapping[str, list[dict[str, Any]]]) -> dict[str, Table | None]:
+    """Return the tables of what logs show of their device."""
+    return {
         "causes": table_of(
             "causes",
             "What the logs show beside mass, damping and delay",
@@ -174,9 +197,12 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
             f["model"],
             _name,
         ),
-        "outcomes": _outcomes(result),
-        "truth": _truth(result),
-        "use": _use(result, place),
+    }
+
+
+def _by_hand(f: Mapping[str, list[dict[str, Any]]]) -> dict[str, Table | None]:
+    """Return the tables of what is missing, excluded and noted."""
+    return {
         "missing": table_of(
             "missing",
             "Missing results",
@@ -199,18 +225,7 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
             _of_what("trial_id"),
             _of_experiment,
         ),
-        "header": _header(result),
-        "trend": table_of(
-            "trend",
-            "Limits and estimates with 95 % intervals over the experiments, beside header lines that differ",
-            (Column("line", "header lines"), Column("value", show=digits(4), ends=("low", "high"), notes=_at_end)),
-            f["trend"],
-            lambda row: f"{row['quantity']}/{row['experiment']}",
-            lambda row: f"{quantity_name(row['quantity'])} [{unit_text(row['unit'])}]",
-        ),
     }
-    tables = {name: [table] if table else [] for name, table in made.items()}
-    return tables | _optima(f["tables"], units, place)
 
 
 def _place(trials: TrialPage) -> Callable[[Row], str]:

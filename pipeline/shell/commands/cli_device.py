@@ -6,12 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from pipeline.base.errors import UsageError
 from pipeline.base.paths import check_output
 from pipeline.shell import console
 from pipeline.shell.commands.options import DeviceName, Experiments, One, Out, ProfileFile, device_of, listed
+from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
     from pipeline.records.models import Device
@@ -30,7 +29,7 @@ COMBINATIONS = {
 """Combinations of parameters that logs tell, where they do not tell them apart."""
 
 
-def demo(full: Annotated[bool, typer.Option("--full", help="Simulate all experiments and trials.")] = False) -> None:
+def demo() -> None:
     """Simulate, ingest and compare small courses of two devices.
 
     Writes raw/demo/, processed/demo/, reports/falcon.html and reports/lwr.html below the current folder, and
@@ -41,41 +40,42 @@ def demo(full: Annotated[bool, typer.Option("--full", help="Simulate all experim
     from pipeline.shell.demo import run_demo
 
     check_output(Path("reports/falcon.html"), "", document_beside=True)
-    done = run_demo(full=full, report_progress=console.step)
+    done = run_demo(report_progress=console.step)
     console.tell({"reports": [str(path) for path in done.reports]}, done.lines)
 
 
 def simulate(
-    device: Annotated[str, typer.Argument(help="Device: name or file (.toml).")],
+    device: Annotated[str, argument("Device: name or file (.toml).")],
     experiment: Experiments = None,
-    out: Annotated[Path, typer.Option("--out", help="Folder; logs go to DEVICE/EXPERIMENT in it.")] = Path("raw"),
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of noise and jitter.")] = 0,
-    ideal: Annotated[bool, typer.Option("--ideal", help="Omit noise, quantum, jitter and friction.")] = False,
-    coarsen: Annotated[int, typer.Option("--coarsen", help="Take each n-th damping, n times the step in K.")] = 1,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the logs of an earlier simulation.")] = False,
+    out: Annotated[Path, option("--out", "Folder; logs go to DEVICE/EXPERIMENT in it.")] = Path("raw"),
+    seed: Annotated[int, option("--seed", "Seed of noise and jitter.", min=0)] = 0,
+    coarsen: Annotated[int, option("--coarsen", "Take each n-th damping, n times the step in K.")] = 1,
 ) -> None:
     """Write simulated logs of a device, with the truth beside them.
+
+    Logs of an earlier simulation in the folder are replaced, other files never.
 
     Example: pipeline simulate falcon --experiment 1 --out raw --seed 1
     """
     from pipeline.simulation.course import run_course, write_course
 
     record = device_of(device)
-    counts: dict[str, int] = {}
-    for name in dict.fromkeys(experiment or [e.name for e in record.experiments]):
+
+    def simulated(name: str) -> int:
         with console.progress(f"{record.name} {name}", "trials") as advance:
-            how = {"seed": seed, "ideal": ideal, "coarsen": coarsen}
-            course = run_course(record, name, **how, progress=lambda kept, show=advance: show(kept, None))  # type: ignore
-        counts[name] = write_course(course, out, overwrite=overwrite)
+            course = run_course(record, name, seed=seed, coarsen=coarsen, progress=lambda kept: advance(kept, None))
+        return write_course(course, out, overwrite=True)
+
+    counts = {name: simulated(name) for name in experiment or [e.name for e in record.experiments]}
     lines = (f"{record.name}, experiment {name}: {count} logs in {out}" for name, count in counts.items())
     console.tell({"device": record.name, "folder": str(out), "seed": seed, "logs": counts}, lines)
 
 
 def identify(
-    paths: Annotated[list[Path], typer.Argument(help="Logs with command and position, or folders with some.")],
+    paths: Annotated[list[Path], argument("Logs with command and position, or folders with some.")],
     profile: ProfileFile = None,
-    period: Annotated[float | None, typer.Option("--period", help="Sampling period of the walls, in s.")] = None,
-    delay: Annotated[float | None, typer.Option("--delay", help="Delay of the walls, in samples.")] = None,
+    period: Annotated[float | None, option("--period", "Sampling period of the walls, in s.")] = None,
+    delay: Annotated[float | None, option("--delay", "Delay of the walls, in samples.")] = None,
     out: Out = None,
 ) -> None:
     """Identify a device from any logs, and the walls it can render.
@@ -134,15 +134,13 @@ def _words(names: list[str]) -> str:
 def design(
     device: DeviceName,
     experiment: One = None,
-    stiffness: Annotated[float | None, typer.Option("--stiffness", help="Wanted K, in N/m or Nm/rad.")] = None,
-    settling: Annotated[float | None, typer.Option("--settling", help="Longest settling time to 2 %, in s.")] = None,
-    overshoot: Annotated[float | None, typer.Option("--overshoot", help="Largest overshoot, a fraction.")] = None,
-    margin: Annotated[float, typer.Option("--margin", help="Factor on K up to which it stays stable.")] = 1.0,
-    hand: Annotated[str | None, typer.Option("--hand", help="Arm of Table 3.2 that holds it (default: none).")] = None,
+    stiffness: Annotated[str | None, option("--stiffness", "Wanted K, as 5000 or '5 N/mm'.")] = None,
+    settling: Annotated[float | None, option("--settling", "Longest settling time to 2 %, in s.")] = None,
+    overshoot: Annotated[float | None, option("--overshoot", "Largest overshoot, a fraction.")] = None,
+    margin: Annotated[float, option("--margin", "Factor on K up to which it stays stable.")] = 1.0,
+    hand: Annotated[str | None, option("--hand", "Arm of Table 3.2 that holds it (default: none).")] = None,
     keep: Annotated[list[str] | None, listed("--keep", "Quantities that cannot change.")] = None,
-    picture: Annotated[
-        Path | None, typer.Option("--picture", help="Picture over T and delay: .svg, .pdf, .png.")
-    ] = None,
+    picture: Annotated[Path | None, option("--picture", "Picture over T and delay: .svg, .pdf, .png.")] = None,
 ) -> None:
     """Find the smallest changes of a rig that reach the wanted wall.
 
@@ -155,15 +153,16 @@ def design(
     from pipeline.rig.picture import picture as draw
     from pipeline.rig.published import published_limits
 
-    known = device_of(device)
-    conditions = find_experiment(known, experiment) if experiment else known.experiments[0]
-    loop = _held(known, conditions, hand)
     if picture is not None:
         check_output(picture, "--picture")
         if picture.suffix not in (".svg", ".pdf", ".png"):
             raise UsageError(f"--picture {picture}: expected a name that ends with .svg, .pdf or .png.")
+    known = device_of(device)
+    conditions = find_experiment(known, experiment) if experiment else known.experiments[0]
+    loop = _held(known, conditions, hand)
+    wanted = None if stiffness is None else _stiffness(stiffness, loop)
     wish = {"settling_s": settling, "overshoot": overshoot, "margin": margin}
-    answer = answer_of(loop, stiffness, keep=keep or (), **wish)  # type: ignore[arg-type]
+    answer = answer_of(loop, wanted, keep=keep or (), **wish)  # type: ignore[arg-type]
     if picture is not None:
         draw(loop, answer, ("sampling_period_s", "delay_samples"), picture)
     parts, quantum = known.loop_of(conditions), known.sensor.quantum
@@ -171,9 +170,26 @@ def design(
     rows = published_limits(loop, answer.wall["damping"] or 0.0, coulomb=coulomb, quantum=quantum)
     document = {"device": known.name, "experiment": conditions.name, "hand": hand, **answer.document()}
     document["left_out"] = parts.left_out
-    document["quantum"] = _quantum(coulomb, quantum, stiffness)
+    document["quantum"] = _quantum(coulomb, quantum, wanted)
     document["published"] = rows.astype(object).where(rows.notna(), None).to_dict("records")
     console.tell(document, _design_lines(document, loop))
+
+
+def _stiffness(text: str, loop: Loop) -> float:
+    """Return a stiffness in SI; a number alone is in SI, a unit has to be that of the device's motion."""
+    from pipeline.base.units import find_unit
+
+    quantity, si = {"translation": ("stiffness", "N/m")}.get(loop.motion, ("rotational stiffness", "Nm/rad"))
+    number, _, symbol = text.strip().partition(" ")
+    unit = find_unit(symbol or si)
+    try:
+        value = float(number)
+    except ValueError as error:
+        raise UsageError(f"--stiffness {text}: expected a number, and a unit behind a space, as '5 {si}'.") from error
+    if unit is None or unit.quantity != quantity:
+        lever = " One of N/m at a lever of r m is r^2 times as many Nm/rad." if loop.motion == "rotation" else ""
+        raise UsageError(f"--stiffness {text}: the device's motion is a {loop.motion}; expected {si}.{lever}")
+    return value * unit.factor
 
 
 def _held(device: Device, conditions: Any, hand: str | None) -> Loop:
@@ -208,7 +224,10 @@ def _design_lines(document: dict[str, Any], loop: Loop) -> Iterator[str]:
     """Yield the answer: reached or not, the wall, changes, sensitivities, published limits."""
     k, b = ("N/m", "Ns/m") if loop.motion == "translation" else ("Nm/rad", "Nms/rad")
     reached, most = document["reached"], document["stiffness_reached"]
-    limit = most is not None and document["wish"]["stiffness"] is not None
+    wanted = document["wish"]["stiffness"]
+    limit = most is not None and wanted is not None
+    if wanted is not None:
+        yield f"Wanted: K = {wanted:.5g} {k}."
     yield f"Reached: {'yes' if reached else 'no'}." + (f" Largest K for this wish: {most:.5g} {k}." if limit else "")
     yield f"Nearest wall: {_wall(document['wall'], k, b)}"
     changes = document["changes"]

@@ -3,29 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
-import typer
-
-from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, OTHER_COLUMNS, UsageError
+from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, HELPS, OTHER_COLUMNS, UsageError
 from pipeline.base.paths import check_output
 from pipeline.shell import console
 from pipeline.shell.commands.options import Out, Processed, ProfileFile
-
-
-class Deed(StrEnum):
-    """What is done with profiles."""
-
-    check = "check"
-    draft = "draft"
+from pipeline.shell.console import argument, option
 
 
 def look(
-    log: Annotated[Path, typer.Argument(help="A log in any format, or the folder of a bag.")],
+    log: Annotated[Path, argument("A log in any format, or the folder of a bag.")],
     profile: ProfileFile = None,
-    out: Annotated[Path, typer.Option("--out", help="HTML file.")] = Path("look.html"),
+    out: Annotated[Path, option("--out", "HTML file.")] = Path("look.html"),
 ) -> None:
     """Draw a log as recorded: columns, step, jumps, rests, missing rows.
 
@@ -36,19 +27,19 @@ def look(
     """
     from pipeline.base.disk import write_text
     from pipeline.profiles.profile_files import load_profile
-    from pipeline.shell.profile.picture import document, page
-    from pipeline.shell.profile.picture import look as look_at
+    from pipeline.shell.profile.check import document, page
+    from pipeline.shell.profile.check import look as look_at
 
     check_output(out, "--out")
     picture = look_at(log, None if profile is None else load_profile(profile))
     out.parent.mkdir(parents=True, exist_ok=True)
-    write_text(out, page([picture]))
+    write_text(out, page(picture))
     console.tell({**document(picture), "page": str(out)}, [*picture.notes, f"picture: {out}"])
 
 
 def profile(
-    deed: Annotated[Deed, typer.Argument(help="What to do.", metavar="check|draft")],
-    files: Annotated[list[Path], typer.Argument(help="check: profile, then logs. draft: logs, the first drafted.")],
+    deed: Annotated[Literal["check", "draft"], argument("What to do.", metavar="check|draft")],
+    files: Annotated[list[Path], argument("check: profile, then logs. draft: logs, the first drafted.")],
     out: Out = None,
 ) -> int:
     """Draft a profile from sample logs, or show what a profile reads.
@@ -63,7 +54,7 @@ def profile(
 
     Example: pipeline profile check lab.toml run_01.csv
     """
-    if deed is Deed.draft:
+    if deed == "draft":
         return _draft(files, out)
     if len(files) < 2 or out is not None:
         raise UsageError("expected check PROFILE LOGS, without --out, or draft LOGS.")
@@ -102,7 +93,7 @@ def _draft(samples: Sequence[Path], out: Path | None) -> int:
 
 
 def quarantine(
-    logs: Annotated[list[str] | None, typer.Argument(help="Ids or paths of refused logs (default: all).")] = None,
+    logs: Annotated[list[str] | None, argument("Ids or paths of refused logs (default: all).")] = None,
     processed: Processed = Path("processed"),
 ) -> None:
     """List refused logs, or show why they were refused.
@@ -126,14 +117,12 @@ def quarantine(
 
 
 def _list_lines(records: Sequence[Mapping[str, Any]]) -> Iterable[str]:
-    """Yield the logs in quarantine with id, path, row, code and reason, and a line of a profile that might help."""
+    """Yield the logs in quarantine with id, path, row, code and reason, which ends with the line that might help."""
     told = []
     for one in records:
         row = "" if one["row"] is None else f", row {one['row']}"
         code = "" if one["code"] is None else f" [{one['code']}]"
-        help_lines = "; ".join((one["profile_line"] or "").splitlines())
-        more = f"\n{' ' * 18}profile: {help_lines}" if help_lines else ""
-        told.append((f"{one['id']}  {one['path']}{row}{code}", one["reason"] + more))
+        told.append((f"{one['id']}  {one['path']}{row}{code}", one["reason"]))
     yield from console.grouped(told)
     other = [one["path"] for one in records if one["code"] in OTHER_COLUMNS]
     yield from (console.draft_hint(path) for path in other[:1])
@@ -141,9 +130,9 @@ def _list_lines(records: Sequence[Mapping[str, Any]]) -> Iterable[str]:
 
 
 def _reason_lines(record: Mapping[str, Any]) -> Iterable[str]:
-    """Yield why a log was refused, line by line."""
-    for key in ("path", "profile", "size", "row", "code", "reason"):
+    """Yield why a log was refused, line by line; lines of a profile as they are to be copied."""
+    for key in ("path", "profile", "size", "row", "code"):
         yield f"{key:<8} {'–' if record[key] is None else record[key]}"
+    yield f"reason   {record['reason'].partition(HELPS)[0].rstrip()}"
     if record["profile_line"] is not None:
-        yield "this might help in the profile:"
-        yield from (f"    {line}" for line in record["profile_line"].splitlines())
+        yield from (HELPS, *(f"    {line}" for line in record["profile_line"].splitlines()))

@@ -8,12 +8,11 @@ from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from pipeline.base.errors import UsageError
 from pipeline.base.process import Ended
 from pipeline.shell import console
 from pipeline.shell.commands.options import DeviceName, Processed, ProfileFile, listed
+from pipeline.shell.console import option
 
 if TYPE_CHECKING:
     from pipeline.plan.planner import Plan
@@ -29,18 +28,16 @@ LIMITS = {
 
 def plan(
     device: DeviceName,
-    experiment: Annotated[
-        str | None, typer.Option("--experiment", "-e", help="Experiment (default: the only stored one).")
-    ] = None,
-    count: Annotated[int, typer.Option("--next", min=1, help="Number of walls to name at once.")] = 1,
-    goal: Annotated[str, typer.Option("--goal", help="boundary, optimum, or a criterion.")] = "boundary",
+    experiment: Annotated[str | None, option("--experiment", "Experiment (default: the only one).", "-e")] = None,
+    count: Annotated[int, option("--next", "Number of walls to name at once.", min=1)] = 1,
+    goal: Annotated[str, option("--goal", "boundary, optimum, or a criterion.")] = "boundary",
     dampings: Annotated[list[str] | None, listed("--dampings", "Dampings B (default: the device's).")] = None,
-    gentle: Annotated[bool, typer.Option("--gentle", help="Prefer stable walls, approach limits from below.")] = False,
-    limit: Annotated[
-        list[str] | None, listed("--limit", "Bound on stiffness, damping, force or travel.", metavar="KEY=VALUE")
-    ] = None,
+    gentle: Annotated[bool, option("--gentle", "Prefer stable walls, approach limits from below.")] = False,
+    limit: Annotated[list[str] | None, listed("--limit", "Bound on what is tried.", metavar="KEY=VALUE")] = None,
     processed: Processed = Path("processed"),
-    watch: Annotated[list[Path] | None, typer.Option("--watch", help="Folder where logs arrive; ingest them.")] = None,
+    watch: Annotated[
+        list[Path] | None, option("--watch", "Folder where logs arrive.", exists=True, file_okay=False)
+    ] = None,
     profile: ProfileFile = None,
 ) -> None:
     """Plan which wall (K, B) to try next, and when to stop.

@@ -1,8 +1,10 @@
-"""Commands of reports: `compare`, `verify` and `bundle`: parse, call, print."""
+"""Commands of reports: `compare`, `verify`, `bundle` and `watch`: parse, call, print."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import os
+from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,47 +12,39 @@ import typer
 
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, UsageError
 from pipeline.base.paths import check_output
+from pipeline.base.process import Ended
 from pipeline.shell import console
-from pipeline.shell.commands.options import Criteria, ExecutorName, Experiments, Store, listed, reports_folder
+from pipeline.shell.commands.options import (
+    Criteria,
+    ExecutorName,
+    Experiments,
+    Processed,
+    ProfileFile,
+    Reports,
+    Store,
+    reports_folder,
+)
+from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
     from pipeline.comparison.compare import Outcome
     from pipeline.rendering.report.report_against import AgainstPage
-
-Report = Annotated[Path, typer.Argument(help="Report (HTML) by `pipeline compare`.")]
-Stored = Annotated[
-    str | None,
-    typer.Option("--processed", help="Stored tables: folder or URL (default: as the report names it)."),
-]
-Profiles = Annotated[
-    list[Path] | None, typer.Option("--profile", help="Profile file (.toml) that read the logs; may be repeated.")
-]
+    from pipeline.shell.watch import Event
 
 
 def compare(
-    device: Annotated[str | None, typer.Option("--device", help="Device to compare (default: the scene's).")] = None,
+    device: Annotated[str | None, option("--device", "Device to compare (default: the scene's).")] = None,
     experiment: Experiments = None,
     criteria: Criteria = None,
     processed: Store = "processed",
     executor: ExecutorName = "local",
-    report: Annotated[
-        Path | None, typer.Option("--report", help="HTML file (default: reports/DEVICE.html).", show_default=False)
-    ] = None,
-    scene: Annotated[
-        Path | None, typer.Option("--scene", help="Scene file (.toml) with content and options of the report.")
-    ] = None,
-    tables_format: Annotated[
-        list[str] | None, listed("--tables-format", "Export tables: csv, json, markdown, latex.")
-    ] = None,
-    figures: Annotated[Path | None, typer.Option("--figures", help="Folder for figures as SVG, PDF, CSV.")] = None,
-    against: Annotated[
-        str | None, typer.Option("--against", help="Reference: EXPERIMENT, DEVICE:EXPERIMENT or report (.json).")
-    ] = None,
-    save_scene: Annotated[
-        Path | None, typer.Option("--save-scene", help="Write a scene file of what is stored, and stop.")
-    ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done and why; do nothing.")] = False,
-    full: Annotated[bool, typer.Option("--full", help="Show the response of every trial, whatever the size.")] = False,
+    report: Annotated[Path | None, option("--report", "HTML file (default: reports/DEVICE.html).")] = None,
+    scene: Annotated[Path | None, option("--scene", "Scene file (.toml) with the content of the report.")] = None,
+    export: Annotated[Path | None, option("--export", "Folder for tables and figures in all formats.")] = None,
+    against: Annotated[str | None, option("--against", "EXPERIMENT, DEVICE:EXPERIMENT or a report (.json).")] = None,
+    save_scene: Annotated[Path | None, option("--save-scene", "Write a scene file of what is stored; stop.")] = None,
+    dry_run: Annotated[bool, option("--dry-run", "Say what would be done and why; do nothing.")] = False,
+    full: Annotated[bool, option("--full", "Show the response of every trial, whatever the size.")] = False,
 ) -> None:
     """Estimate, judge and compare with theory; write the report.
 
@@ -59,19 +53,14 @@ def compare(
 
     Example: pipeline compare --device falcon --experiment 1 --criteria settle_2pct,overshoot
     """
-    from pipeline.comparison.against import against_document, read_document
-    from pipeline.comparison.compare import compare as compare_device
     from pipeline.comparison.executors import executor_of
     from pipeline.comparison.scene.scene_file import read_scene
-    from pipeline.rendering.table_export import export_tables, parse_formats, tables_folder
-    from pipeline.shell.report_index import write_index
-    from pipeline.store.names import page_against_document, report_of
+    from pipeline.store.names import report_of
     from pipeline.store.objects import opened
 
     earlier = Path(against) if against is not None and against.endswith(".json") else None
     if against is not None:
-        choices = {"--tables-format": tables_format, "--figures": figures}
-        _refuse(choices if earlier else {**choices, "--dry-run": dry_run, "--full": full})
+        _refuse({"--export": export} if earlier else {"--export": export, "--dry-run": dry_run, "--full": full})
     asked = None if scene is None else read_scene(scene)
     name = device or (asked.device if asked else None)
     if name is None:
@@ -79,54 +68,58 @@ def compare(
     if save_scene is not None:
         _save_scene(name, processed, save_scene)
         return
-    formats = parse_formats(tables_format or ())
     wanted = criteria or (asked.chosen_criteria if asked else None)
     names = experiment or (asked.experiments if asked else None)
     if against is not None and earlier is None:
         with opened(processed) as folder:
             _compare_against((name, names), against, folder, wanted, report)
         return
-    computes, reports = executor_of(executor), reports_folder()
-    target = report or (Path(asked.report) if asked and asked.report else report_of(reports, name))
-    if not dry_run:
+    target = report or (Path(asked.report) if asked and asked.report else report_of(reports_folder(), name))
+    how: dict[str, Any] = {"experiments": names, "criteria": wanted, "dry_run": dry_run, "full": full}
+    how |= {"shown": asked.shown if asked else None, "scene_file": scene, "executor": executor_of(executor)}
+    _write_report(name, processed, target, how, earlier, export)
+
+
+def _write_report(
+    device: str, processed: str, target: Path, how: dict[str, Any], earlier: Path | None, export: Path | None
+) -> None:
+    """Compare a device as asked, and print what it comes to, or what differs from an earlier document."""
+    from pipeline.comparison.against import against_document, read_document
+    from pipeline.comparison.compare import compare as compare_device
+    from pipeline.shell.report_index import write_index
+    from pipeline.store.names import page_against_document
+    from pipeline.store.objects import opened
+
+    if not how["dry_run"]:
         check_output(target, "--report", document_beside=True)
     # read before the comparison, which may replace it
-    document = None if earlier is None else read_document(earlier, name)
-    with opened(processed, name) as folder:
-        outcome = compare_device(
-            name,
-            folder,
-            experiments=names,
-            criteria=wanted,
-            report=target,
-            dry_run=dry_run,
-            full=full,
-            shown=asked.shown if asked else None,
-            scene_file=scene,
-            progress=console.step,
-            executor=computes,
-            figures=figures,
-        )
+    document = None if earlier is None else read_document(earlier, device)
+    figures = export and export / "figures"
+    with opened(processed, device) as folder:
+        outcome = compare_device(device, folder, report=target, progress=console.step, figures=figures, **how)
+    if outcome.result is not None:
+        # other folders may be anybody's: there an index is kept current, but not begun
+        write_index(target.parent, only_renew=target.parent != reports_folder())
+    if outcome.result is not None and document is not None and earlier is not None:
+        _tell_against(against_document(outcome.result, document), page_against_document(target, earlier))
+    else:
+        _tell(outcome, export)
+
+
+def _tell(outcome: Outcome, export: Path | None) -> None:
+    """Print the result of a comparison, whose tables are written into a folder; of a dry run what would be done."""
+    from pipeline.rendering.table_export import export_tables
+
     if outcome.result is None:
         stages = [dict(zip(("stage", "action", "reason"), row, strict=True)) for row in outcome.stages]
         console.tell(stages, console.table(stages, ("stage", "action", "reason")))
         return
-    # other folders may be anybody's: there an index is kept current, but not begun
-    write_index(target.parent, only_renew=target.parent != reports)
-    if document is not None and earlier is not None:
-        _tell_against(against_document(outcome.result, document), page_against_document(target, earlier))
-        return
-    written = {"tables": tables_folder(target)} if formats else {}
-    export_tables(outcome.result, tables_folder(target), formats)
-    written |= {"figures": figures} if figures is not None else {}
-    console.tell(outcome.result.model_dump(mode="json"), _outcome_lines(outcome, written))
-
-
-def _outcome_lines(outcome: Outcome, written: dict[str, Path]) -> Iterator[str]:
-    assert outcome.result is not None, "only a dry run has none"
-    yield from outcome.result.summary
-    yield from (f"Warning: {text}" for text in outcome.result.warnings)
-    yield from (f"{what}: {path}" for what, path in {"report": outcome.report, **written}.items() if path is not None)
+    lines = [*outcome.result.summary, *(f"Warning: {text}" for text in outcome.result.warnings)]
+    lines.append(f"report: {outcome.report}")
+    if export is not None:
+        export_tables(outcome.result, export / "tables")
+        lines.append(f"tables and figures: {export}")
+    console.tell(outcome.result.model_dump(mode="json"), lines)
 
 
 def _refuse(others: dict[str, Any]) -> None:
@@ -188,16 +181,15 @@ def _save_scene(device: str, processed: str, path: Path) -> None:
 
 
 def verify(
-    report: Annotated[Path, typer.Argument(help="Report (HTML) by `pipeline compare`, or bundle (.zip).")],
-    processed: Stored = None,
-    profile: Profiles = None,
-    logs: Annotated[Path | None, typer.Option("--logs", help="Folder of the logs; replaces the stored tables.")] = None,
+    report: Annotated[Path, argument("Report (HTML) by `pipeline compare`, or bundle (.zip).")],
+    processed: Annotated[str | None, option("--processed", "Stored tables (default: as in the report).")] = None,
+    profile: Annotated[list[Path] | None, option("--profile", "Profile file (.toml) of the logs. Repeat.")] = None,
 ) -> int:
     """Recompute the numbers of a report, and name those that differ.
 
-    Reads the logs from where they lay (their stored samples where they are gone), from --logs, or from a bundle,
-    computes everything in a temporary folder, and compares each cell and value. What no log
-    determines, such as run times, is held against hashes in the page. Exit status 1 where something differs.
+    Reads the logs from where they lay (their stored samples where they are gone) or from a bundle, computes everything
+    in a temporary folder, and compares each cell and value. What no log determines, such as run times, is held against
+    hashes in the page. Exit status 1 where something differs.
 
     Example: pipeline verify reports/falcon.html
     """
@@ -206,20 +198,16 @@ def verify(
     from pipeline.shell.verify.verify import verify as verify_report
 
     if report.suffix.lower() == ENDING:
-        if processed or profile or logs:
+        if processed or profile:
             raise UsageError(f"{report}: a bundle holds all that is needed. Leave the options out.")
         found = verify_bundle(report, console.step)
     else:
-        if processed and logs:
-            raise UsageError("--processed and --logs do not go together: give the stored tables, or the logs.")
-        # a lab's own profiles first: what they do not claim the shipped ones may
-        places = [(path, logs) for path in (*(profile or ()), None)] if logs else []
-        found = verify_report(report, processed, profile or (), places, console.step)
+        found = verify_report(report, processed, profile or (), progress=console.step)
     console.tell(found.model_dump(mode="json"), lines_of(found))
     return EXIT_OK if found.equal else EXIT_ERROR
 
 
-def bundle(report: Report, profile: Profiles = None) -> None:
+def bundle(report: Annotated[Path, argument("Report (HTML) by `pipeline compare`.")]) -> None:
     """Pack a report and all that `pipeline verify` needs into one zip.
 
     It lies beside the report.
@@ -228,6 +216,74 @@ def bundle(report: Report, profile: Profiles = None) -> None:
     """
     from pipeline.shell.verify.bundle import bundle as write
 
-    written = write(report, profiles=profile or ())
-    lines = [f"bundle: {written.bundle}, {written.logs} logs in {written.files} files"]
-    console.tell(written.model_dump(mode="json"), lines)
+    written = write(report)
+    console.tell(written.model_dump(mode="json"), [f"bundle: {written.bundle}, {written.trials} trials"])
+
+
+SETTLE_S = 2.0
+NICENESS = 10
+"""Lower priority: the same machine may be recording logs at 1 kHz."""
+
+WORDS = {
+    "started": "watching {folders} every {interval_s:g} s, settle {settle_s:g} s; {processed} -> {reports}",
+    "ingest": "logs: {ingested} new, {found} in all, {quarantined} in quarantine, {waiting} still settle",
+    "refused": "refused: {path}, row {row}: {reason}",
+    "changed": "changed: {path}: {outcome}",
+    "report": "report: {report} ({trials} trials, {seconds:.1f} s)",
+    "unchanged": "report: {report} is up to date",
+    "index": "index: {path}",
+    "failed": "failed: {what}: {reason}",
+    "stopped": "stopped",
+}
+"""Events in words."""
+
+
+def watch(
+    folders: Annotated[list[Path], argument("Folders where logs arrive.", exists=True, file_okay=False)],
+    processed: Processed = Path("processed"),
+    reports: Reports = Path("reports"),
+    profile: ProfileFile = None,
+    scene: Annotated[
+        list[Path] | None, option("--scene", "Scene file (default: all devices). Repeat.", exists=True)
+    ] = None,
+    settle: Annotated[float, option("--settle", "Seconds a log must stay the same.", min=0)] = SETTLE_S,
+    once: Annotated[bool, option("--once", "Make one pass; leave logs that still settle.")] = False,
+) -> int:
+    """Keep reports and the index current while logs arrive.
+
+    Only reports whose logs changed are renewed. Logs that are refused go into quarantine, and the watch goes on.
+    Nothing is lost when it is killed: the next start does what is left. With --json each line is a document. Exit
+    status with --once: 1 where something failed, 3 where logs are in quarantine.
+
+    Example: pipeline watch raw
+
+    Example: pipeline watch raw --once --processed processed --reports reports
+    """
+    from pipeline.shell.watch import Watched, follow, run_pass, status_of
+
+    watched = Watched(tuple(folders), processed, reports, profile, tuple(scene or ()), settle)
+    if once:
+        events = []
+        for event in run_pass(watched):
+            events.append(event)
+            _tell_event(event)
+        return status_of(events)
+    os.nice(NICENESS)
+    try:
+        for event in follow(watched, settle or SETTLE_S):
+            _tell_event(event)
+    except Ended:
+        _tell_event({"event": "stopped"})
+    return 0
+
+
+def _tell_event(event: Event) -> None:
+    """Print an event with its time (UTC), at once: somebody may be reading the lines as they come."""
+    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    console.tell_line({"time": now, **event}, [f"{now} {line_of(event)}".replace("\n", " ")])
+
+
+def line_of(event: Event) -> str:
+    """Return an event in words; a list of files is their number."""
+    shown = {name: len(value) if name == "waiting" else value for name, value in event.items()}
+    return WORDS[event["event"]].format(**shown)

@@ -4,39 +4,27 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from enum import StrEnum
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import Annotated, Any, Literal
 
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, UsageError
 from pipeline.shell import console
 from pipeline.shell.commands.cli_storage import counts_of, refusals
 from pipeline.shell.commands.options import Processed, ProfileFile, Reports
+from pipeline.shell.console import argument, option
 
 TOKEN_VARIABLE = "PIPELINE_TOKEN"
 NEEDED = ("fastapi", "uvicorn", "python_multipart")
 """What a plain installation leaves out."""
 
 
-class RoleName(StrEnum):
-    """What the holder of a token may do."""
-
-    viewer = "viewer"
-    contributor = "contributor"
-    admin = "admin"
-
-
 def serve(
     processed: Processed = Path("processed"),
     reports: Reports = Path("reports"),
-    host: Annotated[str, typer.Option("--host", help="Address to listen at; not this computer: needs a token.")] = (
-        "127.0.0.1"
-    ),
-    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="Port to listen at.")] = 8000,
-    read_only: Annotated[bool, typer.Option("--read-only", help="Refuse every change.")] = False,
+    host: Annotated[str, option("--host", "Address to listen at; not this computer: needs a token.")] = ("127.0.0.1"),
+    port: Annotated[int, option("--port", "Port to listen at.", min=0, max=65535)] = 8000,
+    read_only: Annotated[bool, option("--read-only", "Refuse every change.")] = False,
 ) -> None:
     """Serve the lab in the browser and by REST, until Ctrl-C.
 
@@ -58,20 +46,12 @@ def serve(
     run(settings, lambda place: console.note(f"{place} (Ctrl-C ends it)"))
 
 
-class Deed(StrEnum):
-    """What is done with tokens."""
-
-    create = "create"
-    list = "list"
-    revoke = "revoke"
-
-
 def token(
-    deed: Annotated[Deed, typer.Argument(help="What to do.", metavar="create|list|revoke")],
-    identifier: Annotated[str | None, typer.Argument(help="Token to revoke, as the list shows it.")] = None,
-    role: Annotated[RoleName | None, typer.Option("--role", help="What the holder may do.")] = None,
-    name: Annotated[str, typer.Option("--name", help="Holder; stands beside all that he does.")] = "",
-    days: Annotated[float | None, typer.Option("--days", min=0, help="Days until it expires.")] = None,
+    deed: Annotated[Literal["create", "list", "revoke"], argument("What to do.", metavar="create|list|revoke")],
+    identifier: Annotated[str | None, argument("Token to revoke, as the list shows it.")] = None,
+    role: Annotated[Literal["viewer", "contributor", "admin"] | None, option("--role", "What he may do.")] = None,
+    name: Annotated[str, option("--name", "Holder; stands beside all that he does.")] = "",
+    days: Annotated[float | None, option("--days", "Days until it expires.", min=0)] = None,
     processed: Processed = Path("processed"),
 ) -> None:
     """Create, list or revoke tokens for other computers.
@@ -88,11 +68,11 @@ def token(
     from pipeline.service.database import Database
     from pipeline.service.settings import Settings
 
-    if (deed is Deed.create) != (role is not None) or (deed is Deed.revoke) != (identifier is not None):
+    if (deed == "create") != (role is not None) or (deed == "revoke") != (identifier is not None):
         raise UsageError("expected create --role ROLE, list, or revoke ID.")
     database = Database(Settings(processed, Path("reports")).data)
     if role is not None:
-        made = database.create_token(role.value, name, days)
+        made = database.create_token(role, name, days)
         console.tell({"token": made}, [made])
     elif identifier is not None:
         if not database.revoke_token(identifier):
@@ -104,8 +84,8 @@ def token(
 
 
 def push(
-    folder: Annotated[Path, typer.Argument(help="Folder with logs (searched below, too), or one log.")],
-    to: Annotated[str, typer.Option("--to", help="Address of the server, such as http://127.0.0.1:8000.")],
+    folder: Annotated[Path, argument("Folder with logs (searched below, too), or one log.")],
+    to: Annotated[str, option("--to", "Address of the server, such as http://127.0.0.1:8000.")],
     profile: ProfileFile = None,
 ) -> int:
     """Upload logs to a server; run again to resume.

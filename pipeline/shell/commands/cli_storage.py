@@ -7,11 +7,10 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
-import typer
-
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, OTHER_COLUMNS, UsageError
 from pipeline.shell import console
 from pipeline.shell.commands.options import Processed, ProfileFile, Store
+from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
     from pipeline.intake.check import CheckReport
@@ -22,19 +21,17 @@ Result = TypeVar("Result")
 LISTED = 10
 """Lines of one kind that are printed; `--json` has all."""
 
-Trials = Annotated[str, typer.Argument(help="DEVICE, DEVICE/EXPERIMENT, path of a log, or (start of) a trial id.")]
+Trials = Annotated[str, argument("DEVICE, DEVICE/EXPERIMENT, path of a log, or (start of) a trial id.")]
 
 
 def ingest(
-    paths: Annotated[list[Path], typer.Argument(help="Logs, and folders to search for logs.")],
+    paths: Annotated[list[Path], argument("Logs, and folders to search for logs.")],
     profile: ProfileFile = None,
     processed: Store = "processed",
-    jobs: Annotated[int | None, typer.Option("--jobs", help="Threads (default: one per processor).")] = None,
-    rehash: Annotated[bool, typer.Option("--rehash", help="Read logs of unchanged size and time, too.")] = False,
-    replace: Annotated[
-        bool, typer.Option("--replace", help="Let another profile or device claim stored logs.")
-    ] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check and report, store nothing.")] = False,
+    jobs: Annotated[int | None, option("--jobs", "Threads (default: one per processor).")] = None,
+    rehash: Annotated[bool, option("--rehash", "Read logs of unchanged size and time, too.")] = False,
+    replace: Annotated[bool, option("--replace", "Let another profile or device claim stored logs.")] = False,
+    dry_run: Annotated[bool, option("--dry-run", "Check and report, store nothing.")] = False,
 ) -> int:
     """Check and store new logs; refused ones go into quarantine.
 
@@ -50,8 +47,6 @@ def ingest(
     from pipeline.intake.ingest import ingest as ingest_logs
     from pipeline.store.objects import stored_by
 
-    if jobs is not None and jobs < 1:
-        raise UsageError(f"jobs must be at least 1, found {jobs}. Leave it out for one per processor.")
     how: dict[str, Any] = {"jobs": jobs, "dry_run": dry_run, "rehash": rehash, "replace": replace, "say": console.step}
     with console.progress("ingest", "logs") as advance:
         report = stored_by(processed, lambda folder: ingest_logs(paths, folder, profile, progress=advance, **how))
@@ -106,7 +101,7 @@ def _listed(title: str, paths: list[str]) -> Iterable[str]:
 
 
 def check(
-    repair: Annotated[bool, typer.Option("--repair", help="Repair; the rest goes to PROCESSED/damaged.")] = False,
+    repair: Annotated[bool, option("--repair", "Repair; the rest goes to PROCESSED/damaged.")] = False,
     processed: Processed = Path("processed"),
 ) -> int:
     """Verify checksums of what is stored; repair it on request.
@@ -133,8 +128,8 @@ def _check_lines(found: CheckReport) -> Iterable[str]:
         yield f"{damage.file}: {damage.fault}"
         counts = f": {damage.kept} trials kept, {damage.read_again} read again from their logs" if damage.trials else ""
         yield f"  {damage.remedy} ({'done' if found.repaired else 'by --repair'}){counts}"
-        yield from _listed("  lost", [f"{one.trial_id} of {one.source_path}" for one in damage.lost])
-    yield from (one.sentence for one in found.gone)
+        yield from _listed("  lost", [f"{one['trial_id']} of {one['source_path']}" for one in damage.lost])
+    yield from found.gone
 
 
 def status(processed: Processed = Path("processed")) -> int:
@@ -144,7 +139,6 @@ def status(processed: Processed = Path("processed")) -> int:
 
     Example: pipeline status --processed processed
     """
-    from pipeline.base.lock import holder
     from pipeline.intake import correct
     from pipeline.intake.quarantine import list_quarantine
     from pipeline.store.corrections import read_exclusions
@@ -159,13 +153,11 @@ def status(processed: Processed = Path("processed")) -> int:
     rows.sort(key=lambda row: (row["device"], row["experiment"]))
     excluded = [one.model_dump(mode="json") for one in read_exclusions(processed).values()]
     refused = Counter(record.code or "other" for record in list_quarantine(processed, damaged))
-    held = holder(processed)
     document = {
         "experiments": rows,
         "excluded": excluded,
         "bin": len(correct.in_bin(processed)),
         "quarantined": dict(sorted(refused.items())),
-        "lock": held and {"pid": held.pid, "host": held.host, "since": held.since},
         "damaged": sorted(damaged.values()),
     }
     console.tell(document, _status_lines(document))
@@ -179,14 +171,12 @@ def _status_lines(found: Mapping[str, Any]) -> Iterable[str]:
     yield from _listed("excluded", [f"{_trial(one)}: {one['exclusion_reason']}" for one in found["excluded"]])
     yield from (f"in quarantine, {code}: {count}" for code, count in found["quarantined"].items())
     yield from _listed("damaged", found["damaged"])
-    if found["lock"]:
-        yield "process {pid} on {host} writes there since {since}".format(**found["lock"])
 
 
 def exclude(
     trial: Trials,
-    reason: Annotated[str | None, typer.Option("--reason", help="Why; every report shows it.")] = None,
-    undo: Annotated[bool, typer.Option("--undo", help="Use the trial again.")] = False,
+    reason: Annotated[str | None, option("--reason", "Why; every report shows it.")] = None,
+    undo: Annotated[bool, option("--undo", "Use the trial again.")] = False,
     processed: Store = "processed",
 ) -> None:
     """Exclude trials from all results; they stay stored, and are reported.
@@ -218,7 +208,7 @@ def exclude(
 
 def move(
     trial: Trials,
-    to: Annotated[str, typer.Argument(help="DEVICE or DEVICE/EXPERIMENT; a slash in a name is %2F.")],
+    to: Annotated[str, argument("DEVICE or DEVICE/EXPERIMENT; a slash in a name is %2F.")],
     processed: Store = "processed",
 ) -> None:
     """Rename or move a device, an experiment or a trial.
@@ -236,9 +226,9 @@ def move(
 
 
 def delete(
-    trial: Annotated[str | None, typer.Argument(help="As for `exclude` (default: list the bin).")] = None,
-    undo: Annotated[bool, typer.Option("--undo", help="Take them out of the bin.")] = False,
-    empty: Annotated[bool, typer.Option("--empty", help="Remove what is in the bin from the store.")] = False,
+    trial: Annotated[str | None, argument("As for `exclude` (default: list the bin).")] = None,
+    undo: Annotated[bool, option("--undo", "Take them out of the bin.")] = False,
+    empty: Annotated[bool, option("--empty", "Remove what is in the bin from the store.")] = False,
     processed: Store = "processed",
 ) -> None:
     """Move trials to the bin, list it, or empty it. Logs stay untouched.

@@ -7,26 +7,23 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from pipeline.base.errors import ParameterError
 from pipeline.base.paths import check_output
 from pipeline.shell import console
 from pipeline.shell.commands.options import PROCESSED, Criteria, One, Signal, device_of, reports_folder
+from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
     from pipeline.theory.cases import Case
 
-Delay = Annotated[float | None, typer.Option("--delay", help="Delay d in samples, at most 256.", show_default=False)]
-OfDevice = Annotated[str | None, typer.Option("--device", help="Device (name or file) in SI; replaces the above.")]
-Gamma = Annotated[float, typer.Option("--gamma", help="Normalised stiffness of the device itself.")]
-Delta = Annotated[float, typer.Option("--delta", help="Normalised viscous damping of the device itself.")]
+Delay = Annotated[float | None, option("--delay", "Delay d in samples, at most 256.", show_default=False)]
+OfDevice = Annotated[str | None, option("--device", "Device (name or file) in SI; replaces the above.")]
+Gamma = Annotated[float, option("--gamma", "Normalised stiffness of the device itself.")]
+Delta = Annotated[float, option("--delta", "Normalised viscous damping of the device itself.")]
 
 
 def points(
-    cases: Annotated[
-        Path, typer.Argument(help="CSV: alpha, beta, gamma, delta, delay; or stiffness, damping.", metavar="CSV")
-    ],
+    cases: Annotated[Path, argument("CSV: alpha, beta, gamma, delta, delay; or stiffness, damping.", metavar="CSV")],
     criteria: Criteria = None,
     device: OfDevice = None,
     experiment: One = None,
@@ -82,15 +79,13 @@ def _boundary_lines(document: dict[str, Any], axes: tuple[str, str]) -> Iterator
 
 
 def optimum(
-    criterion: Annotated[str, typer.Option("--criterion", help="Such as settle_2pct or energy_impulse_w1.")],
+    criterion: Annotated[str, option("--criterion", "Such as settle_2pct or energy_impulse_w1.")],
     delay: Delay = None,
     gamma: Gamma = 0.0,
     delta: Delta = 0.0,
     device: OfDevice = None,
     experiment: One = None,
-    signal: Annotated[
-        Signal | None, typer.Option("--signal", help="Response (default: as the criterion says).")
-    ] = None,
+    signal: Annotated[Signal | None, option("--signal", "Response (default: the criterion's).")] = None,
 ) -> None:
     """Compute the optimal stiffness and damping for a criterion.
 
@@ -99,40 +94,39 @@ def optimum(
     from pipeline.theory.cases import optimum_document
 
     case = _case(delay, gamma, delta, device, experiment)
-    document = optimum_document(case, criterion, signal.value if signal else None)
+    document = optimum_document(case, criterion, signal)
     cost = "" if document["cost"] is None else f", cost {document['cost']:.6g}"
     wall = ", ".join(f"{name} {document[name]:.6g}" for name in case.axes)
     console.tell(document, [f"{document['criterion']}: {wall}{cost}"])
 
 
 def cost_map(
-    out: Annotated[Path, typer.Option("--out", help="Parquet file to write.", show_default=False)],
+    out: Annotated[Path, option("--out", "Parquet file to write.", show_default=False)],
     delay: Delay = None,
     gamma: Gamma = 0.0,
     delta: Delta = 0.0,
-    device: OfDevice = None,
-    experiment: One = None,
-    size: Annotated[int, typer.Option("--size", help="Grid points along each axis.")] = 251,
+    size: Annotated[int, option("--size", "Grid points along each axis.")] = 251,
     criteria: Criteria = None,
 ) -> None:
     """Compute costs on a grid over the stable region, as Parquet.
+
+    In SI, for a device: `Loop.map` in Python.
 
     Example: pipeline theory map --delay 1 --criteria settle_2pct,energy_step_w0 --out map.parquet
     """
     from pipeline.theory.costs import MAP_DEFAULT, CostMap, write_map
 
     check_output(out, "--out")
-    case = _case(delay, gamma, delta, device, experiment)
-    made = CostMap(case.loop, size, tuple(criteria or MAP_DEFAULT), units=case.units)
+    made = CostMap(_case(delay, gamma, delta, None, None).loop, size, tuple(criteria or MAP_DEFAULT))
     with console.progress("map", "points") as advance:
         stable = write_map(out, made, advance)
-    columns = [*made.axes, "stable", *made.names]
+    columns = ["alpha", "beta", "stable", *made.names]
     lines = [f"{out}: {size**2} points, {stable} of them stable, columns {columns}"]
     console.tell({"file": str(out), "rows": size**2, "stable": stable}, lines)
 
 
 def tables(
-    table: Annotated[list[str] | None, typer.Argument(help="Such as B.1, C.3, 5.1(a) (default: all).")] = None,
+    table: Annotated[list[str] | None, argument("Such as B.1, C.3, 5.1(a) (default: all).")] = None,
 ) -> None:
     """Compute Tables B.1 to B.4, C.1 to C.3 and 5.1 of the thesis anew.
 
@@ -155,7 +149,7 @@ def tables(
 
 
 def accuracy(
-    quick: Annotated[bool, typer.Option("--quick", help="Take fewer settings and repetitions: seconds.")] = False,
+    quick: Annotated[bool, option("--quick", "Take fewer settings and repetitions: seconds.")] = False,
 ) -> None:
     """Measure error against run time of each numerical method.
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import csv
 import os
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+
+from pipeline.shell.console import option
 
 if TYPE_CHECKING:
     from pipeline.records.models import Device
@@ -29,31 +30,23 @@ def _split(given: list[str] | None) -> list[str] | None:
 
 def listed(name: str, help_text: str, *more: str, **how: Any) -> Any:
     """Return an option that is a list of words."""
-    return typer.Option(name, *more, callback=_split, help=f"{help_text} Repeat or use commas.", **how)
+    return option(name, f"{help_text} Repeat or use commas.", *more, callback=_split, **how)
 
 
 PROCESSED, REPORTS = "PIPELINE_PROCESSED", "PIPELINE_REPORTS"
 """Variables that stand for the folders of stored tables and of reports, where an option does not."""
 
-Processed = Annotated[
-    Path, typer.Option("--processed", envvar=PROCESSED, parser=_folder, help="Folder of the stored tables.")
-]
-Store = Annotated[str, typer.Option("--processed", envvar=PROCESSED, help="Stored tables: folder or s3://BUCKET/KEY.")]
-Reports = Annotated[Path, typer.Option("--reports", envvar=REPORTS, help="Folder of the reports.")]
-ExecutorName = Annotated[str, typer.Option("--executor", help="Where to compute: local, or dask://HOST:PORT.")]
-ProfileFile = Annotated[str | None, typer.Option("--profile", help="Log profile: name or file (.toml).")]
-DeviceName = Annotated[str, typer.Option("--device", help="Device: name or file (.toml).")]
-One = Annotated[str | None, typer.Option("--experiment", "-e", help="Experiment (default: the first).")]
+Processed = Annotated[Path, option("--processed", "Folder of the stored tables.", envvar=PROCESSED, parser=_folder)]
+Store = Annotated[str, option("--processed", "Stored tables: folder or s3://BUCKET/KEY.", envvar=PROCESSED)]
+Reports = Annotated[Path, option("--reports", "Folder of the reports.", envvar=REPORTS)]
+ExecutorName = Annotated[str, option("--executor", "Where to compute: local, or dask://HOST:PORT.")]
+ProfileFile = Annotated[str | None, option("--profile", "Log profile: name or file (.toml).")]
+DeviceName = Annotated[str, option("--device", "Device: name or file (.toml).")]
+One = Annotated[str | None, option("--experiment", "Experiment (default: the first).", "-e")]
 Experiments = Annotated[list[str] | None, listed("--experiment", "Experiments (default: all).", "-e")]
 Criteria = Annotated[list[str] | None, listed("--criteria", "Criteria (default: standard set).")]
-Out = Annotated[Path | None, typer.Option("--out", help="File to write.", show_default=False)]
-
-
-class Signal(StrEnum):
-    """Which response a cost is taken from."""
-
-    continuous = "continuous"
-    discrete = "discrete"
+Signal = Literal["continuous", "discrete"]
+Out = Annotated[Path | None, option("--out", "File to write.", show_default=False)]
 
 
 def device_of(text: str) -> Device:

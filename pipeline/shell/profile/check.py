@@ -1,5 +1,5 @@
 """What a profile would read of sample files: conditions and where each comes from, columns in SI, time, step, warnings
-where a log reads without a fault and yet speaks against its profile.
+where a log reads without a fault and yet speaks against its profile; and the picture of a log as it was recorded.
 
 Nothing is stored. A file that would be refused is shown with the reason that `pipeline ingest` would give.
 """
@@ -7,25 +7,33 @@ Nothing is stored. A file that would be refused is shown with the reason that `p
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.base.errors import LogError, refusal
+from pipeline import __version__
+from pipeline.base.errors import OTHER_COLUMNS, LogError, UsageError, refusal
 from pipeline.base.wording import counted
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.sources import find_sources, logs_of, motion_of
+from pipeline.measured.signal.marks import gaps, jumps, rests
 from pipeline.measured.signal.response import NO_ROW, find_response
-from pipeline.profiles.profile_columns import QUANTITIES, si_unit
-from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Profile
+from pipeline.profiles.profile_files import shipped_profiles
+from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, QUANTITIES, Profile, si_unit
 from pipeline.readers import Log
 from pipeline.readers.log import step_flags
 from pipeline.readers.mapping import entry_of, statements
 from pipeline.readers.obeyed import other_gains
-from pipeline.records.batch import TrialBatch
+from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.models import Motion
-from pipeline.shell.console import grouped
+from pipeline.rendering.figures.drawing import draw
+from pipeline.rendering.figures.overview import RecordedColumn, recorded_figure
+from pipeline.rendering.report.page_template import fill_template
+from pipeline.shell.console import draft_hint, grouped
+from pipeline.shell.profile.draft import open_sample
 
 NOTHING = 1e-15
 """Size [SI] up to which a number is what rounding leaves of 0."""
@@ -98,7 +106,7 @@ def _trial(profile: Profile, name: str, log: Log, motion: Motion) -> Checked:
         "step_row": step_row,
         "step": step,
         "other_gains": other_gains(profile, log),
-        "warnings": [*log.warnings, *_implausible(conditions, motion), *_other_step(log, step_row)],
+        "warnings": [*log.warnings, *filter(None, (c.pop("fault") for c in conditions)), *_other_step(log, step_row)],
     }
 
 
@@ -113,16 +121,13 @@ def _conditions(profile: Profile, name: str, log: Log, motion: Motion) -> Iterat
     samples = {"displacement": float(np.ptp(log.position)), "duration_s": float(np.ptp(log.time))}
     for key, value in ({k: getattr(log.header, k) for k in CONDITIONS} | {"motion": motion} | samples).items():
         place = "samples" if key in samples else places.get(key, "default")
-        usual = "{:g} to {:g}".format(*PLAUSIBLE[key][motion]) if key in PLAUSIBLE else ""
-        yield {"name": key, "value": value, "unit": units.get(key, ""), "place": place, "usual": usual}
-
-
-def _implausible(conditions: Sequence[Checked], motion: Motion) -> Iterator[str]:
-    """Yield which numbers of a log no device has, so that a unit may be wrong."""
-    for c in conditions:
-        low, high = PLAUSIBLE[c["name"]][motion] if c["usual"] else (0.0, np.inf)
-        if c["usual"] and c["value"] and not low <= abs(c["value"]) <= high:
-            yield f"{c['name']} is {c['value']:.4g} [SI]; devices have {c['usual']}: is its unit right?"
+        usual, fault = "", ""
+        if key in PLAUSIBLE:
+            low, high = PLAUSIBLE[key][motion]
+            usual = f"{low:g} to {high:g}"
+            if value and not low <= abs(value) <= high:
+                fault = f"{key} is {value:.4g} [SI]; devices have {usual}: is its unit right?"
+        yield {"name": key, "value": value, "unit": units.get(key, ""), "place": place, "usual": usual, "fault": fault}
 
 
 def _columns(profile: Profile, log: Log, motion: Motion) -> Iterator[dict[str, Any]]:
@@ -209,3 +214,112 @@ def _full(trial: Checked) -> str:
     for key, text in (("rows", str(trial["rows"])), ("quality of time", settled), ("step", f"{row}: {trial['step']}")):
         lines.append(f"  {key:<20} {text}")
     return "\n".join(lines)
+
+
+MOST_COLUMNS = 24
+"""Columns of a file without a profile that are drawn; a bag has hundreds."""
+
+MOST_TRIALS = 12
+"""Trials of one file that are drawn."""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A log: its name, the columns of each of its trials by title, what is to be said, and what they stand over."""
+
+    log: str
+    trials: tuple[tuple[str, tuple[RecordedColumn, ...]], ...]
+    notes: tuple[str, ...]
+    abscissa: str
+
+
+def look(log: Path, profile: Profile | None = None) -> Picture:
+    """Return the picture of a log.
+
+    Parameters
+    ----------
+    log : Path
+        A file, or the folder of a bag.
+    profile : Profile, optional
+        That reads it; the shipped profiles are known, and a file that none of them reads is shown as it stands.
+
+    Raises
+    ------
+    UsageError
+        If the path does not exist or holds several logs.
+    LogError
+        If the profile refuses the log, or no columns of numbers are found in it.
+    """
+    sources = find_sources([log], shipped_profiles() if profile is None else (profile,))
+    if len(sources) != 1:
+        raise UsageError(f"{log}: expected one log, found {len(sources)}. Give a single file.")
+    (source,) = sources
+    try:
+        claimant, _, outcome = logs_of(source)
+    except LogError as error:
+        row = "" if error.row is None else f", row {error.row}"
+        if profile is not None:
+            raise LogError(f"{log}{row}: {error.reason}", error.row, code=error.code) from error
+        notes = [f"Shown as it stands; `pipeline ingest` would refuse it{row}: {error.reason.split('. ')[0]}."]
+        notes += [draft_hint(str(log))] if error.code in OTHER_COLUMNS else []
+        return Picture(str(log), (_as_it_stands(log),), tuple(notes), "row")
+    notes = [f"Read by profile {claimant.name}, in SI."]
+    if len(outcome) > MOST_TRIALS:
+        notes.append(f"The file holds {len(outcome)} trials; the first {MOST_TRIALS} are shown.")
+    motions = {name: device.motion for name, device in known_devices().items()}
+    trials = []
+    for one in outcome[:MOST_TRIALS]:
+        title, columns, said = _drawn(one, motion_of(one, motions))
+        trials.append((title, columns))
+        notes += [f"{title}: {text}" for text in said]
+    return Picture(str(log), tuple(trials), tuple(notes), "time [s]")
+
+
+def _drawn(log: Log, motion: Motion) -> tuple[str, tuple[RecordedColumn, ...], list[str]]:
+    """Return the title of a trial, its columns, how its step is known and what else is to be said."""
+    row, how = step_of(log)
+    columns = tuple(
+        _column(key, si_unit(QUANTITIES[key][motion]), log.time, values, log.time, row)
+        for key in ("command", "position", "force", "velocity")
+        if (values := getattr(log, key)) is not None
+    )
+    said = f"step in row {row}" if row is not None else "no step is known"
+    title = f"trial {log.label}" if log.label else f"K = {log.header.stiffness:g}, B = {log.header.damping:g}"
+    return title, columns, [f"{said} ({how})", *log.warnings]
+
+
+def _as_it_stands(log: Path) -> tuple[str, tuple[RecordedColumn, ...]]:
+    """Return the columns of numbers of a file of which nothing is known."""
+    sample = open_sample(log)
+    columns = dict(islice(sample.numbers.items(), MOST_COLUMNS))
+    # a column that rises in every row is a clock or a counter: its gaps are those of the log
+    clock = next((values for values in columns.values() if (np.diff(values) > 0).all()), None)
+    return sample.name, tuple(
+        _column(name, sample.contents.hints.get(name, ""), rows, values, rows if clock is None else clock, None)
+        for name, values in columns.items()
+        for rows in [np.arange(len(values), dtype=np.float64)]
+    )
+
+
+def _column(name: str, unit: str, place: Floats, values: Floats, time: Floats, step_row: int | None) -> RecordedColumn:
+    found = tuple(jumps(values).tolist()), tuple(rests(values)), tuple(gaps(time).tolist())
+    return RecordedColumn(name, unit, place, values, *found, step_row)
+
+
+def page(picture: Picture) -> str:
+    """Return the page of a log."""
+    drawn = []
+    for number, (title, columns) in enumerate(picture.trials):
+        panels = draw(recorded_figure(f"log-{number}", title, columns, picture.abscissa)).panels
+        drawn.append((title, list(zip(panels, (column.words for column in columns), strict=True))))
+    return fill_template("log.html.j2", picture=picture, drawn=drawn, version=__version__)
+
+
+def document(picture: Picture) -> dict[str, Any]:
+    """Return what was found in a log as a JSON document."""
+    trials = []
+    for title, columns in picture.trials:
+        found = [{"name": c.name, "unit": c.unit, "jumps": c.jumps, "rests": c.rests} for c in columns]
+        known = {"rows": len(columns[0].values), "step_row": columns[0].step_row, "gaps": columns[0].gaps}
+        trials.append({"title": title, **known, "columns": found})
+    return {"log": picture.log, "trials": trials, "notes": picture.notes}

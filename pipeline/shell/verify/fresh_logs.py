@@ -6,6 +6,7 @@ Nothing that was computed from the logs is taken over: the folder gets trials an
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
@@ -16,12 +17,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from pipeline.base.errors import UsageError
+from pipeline.base.disk import kept_files
 from pipeline.base.wording import counted
 from pipeline.comparison.scene.origin import joint_sha256
 from pipeline.intake.ingest import ingest
-from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
+from pipeline.records.accuracy import STORED
 from pipeline.records.findings import Record
 from pipeline.records.results import LogList
 from pipeline.records.tables import LOCATION
@@ -79,7 +80,7 @@ def read_anew(
     reported: Mapping[str, ReportedLogs],
     lists: Mapping[str, LogList],
     folder: Path,
-    profiles: Sequence[Path],
+    profiles: Sequence[Path] | None,
     excluded: Sequence[Exclusion],
 ) -> FreshStore:
     """Read the logs behind a report from where they lay; of those that are gone, take the stored samples over.
@@ -95,8 +96,8 @@ def read_anew(
         What its document says, by experiment, where it is there.
     folder : Path
         Gets the trials.
-    profiles : sequence of Path
-        Profile files of the lab; the shipped profiles are known.
+    profiles : sequence of Path or None
+        Profile files of the lab; the shipped profiles are known. None reads no log: stored samples are taken over.
     excluded : sequence of Exclusion
         Trials that the page says were excluded by hand.
 
@@ -106,9 +107,12 @@ def read_anew(
         If `processed` is damaged.
     """
     store = FreshStore(folder)
-    files = {load_profile(path).name: path for path in profiles}
-    shipped = {profile.name for profile in shipped_profiles()}
-    _exclude(folder, excluded)
+    files: dict[str, Path | str] = {}
+    if profiles is not None:
+        files = {profile.name: profile.name for profile in shipped_profiles()}
+        files |= {load_profile(path).name: path for path in profiles}
+    if excluded:
+        write_corrections(folder, [Correction(**one.model_dump()) for one in excluded])
     for experiment in sorted({*reported, *(one.experiment for one in excluded)}):
         every = read_trials(processed, device, experiment)
         used, left_out = _of_the_report(store, every, excluded, lists.get(experiment))
@@ -117,57 +121,24 @@ def read_anew(
             continue
         columns = (used.column(name).to_pylist() for name in ("source_path", "source_sha256", "profile"))
         rows = list(zip(*columns, strict=True))
-        here = [os.path.isfile(path) and profile in {*files, *shipped} for path, _, profile in rows]
-        for profile in sorted({profile for _, _, profile in rows}):
-            paths = {path: sha for (path, sha, own), there in zip(rows, here, strict=True) if there and own == profile}
-            _read(store, experiment, paths, files.get(profile, profile))
-            if profile not in {*files, *shipped}:
+        here = [os.path.isfile(path) and profile in files for path, _, profile in rows]
+        for profile in sorted({profile for _, _, profile in rows} if profiles is not None else ()):
+            if profile not in files:
                 store.notes.append(f"profile {profile!r} is not shipped: give it with --profile to read its logs again")
+                continue
+            paths = {path: sha for (path, sha, own), there in zip(rows, here, strict=True) if there and own == profile}
+            _read(store, experiment, paths, files[profile])
         gone = used.filter(pc.invert(pa.array(here, pa.bool_())))
-        if gone.num_rows:
+        if gone.num_rows and profiles is not None:
             store.notes.append(f"{counted(gone.num_rows, 'trial')}: the stored samples count, not the log")
         store.read += sum(here)
         store.kept += gone.num_rows
         _keep(store, device, experiment, processed, pa.concat_tables([gone, left_out]))
         if experiment in reported:
             _hold_samples(store, device, experiment, reported[experiment])
+    for kept in kept_files(processed, STORED, ".json"):
+        shutil.copy(kept, folder / kept.name)
     return store
-
-
-def store_of(logs: Sequence[tuple[Path | None, Path]], folder: Path, excluded: Sequence[Exclusion]) -> Path:
-    """Store what lies in folders of logs, as a lab's ``processed/`` would have it, and return the folder of that.
-
-    Parameters
-    ----------
-    logs : sequence of (Path or None, Path)
-        Profile file, or None for whichever shipped profile claims a log that is not stored by then; folder of logs.
-    folder : Path
-        Gets trials and samples.
-    excluded : sequence of Exclusion
-        Trials that were excluded by hand.
-
-    Raises
-    ------
-    UsageError
-        If a folder is not there, or no log is found.
-    """
-    for profile, place in logs:
-        if profile is not None:
-            ingest([place], folder, profile)
-            continue
-        stored = set(read_trials(folder, columns=["source_path"]).column("source_path").to_pylist())
-        sources = find_sources([place], shipped_profiles(), folder)
-        ingest([source.path for source in sources if source.key not in stored], folder)
-    if not read_trials(folder, columns=["source_path"]).num_rows:
-        places = ", ".join(str(place) for _, place in logs)
-        raise UsageError(f"{places}: found no log that can be read. Give the folder of the logs behind the report.")
-    _exclude(folder, excluded)
-    return folder
-
-
-def _exclude(folder: Path, excluded: Sequence[Exclusion]) -> None:
-    if excluded:
-        write_corrections(folder, [Correction(**one.model_dump()) for one in excluded])
 
 
 def _among(table: pa.Table, column: str, values: Collection[str]) -> pa.ChunkedArray:
@@ -178,7 +149,7 @@ def _of_the_report(
     store: FreshStore, trials: pa.Table, excluded: Sequence[Exclusion], listed: LogList | None
 ) -> tuple[pa.Table, pa.Table]:
     """Return the stored trials of the report's logs, and those that were excluded by hand; later ones are neither."""
-    used, _ = split_trials(trials, {one.key: one for one in excluded})
+    used, _ = split_trials(trials, {one.trial_id: one for one in excluded})
     left_out = trials.filter(pc.invert(_among(trials, "trial_id", used.column("trial_id").to_pylist())))
     if listed is None:
         return used, left_out

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -12,18 +11,16 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ValidationError
 
-from pipeline.base.disk import kept_files
 from pipeline.base.errors import DeviceError, PipelineError, StoreError, UsageError
 from pipeline.base.provenance import USER_FOLDER_VARIABLE, digest
 from pipeline.base.wording import counted
 from pipeline.comparison.compare import compare, report_code
 from pipeline.device_data.devices import digest_of, known_devices
-from pipeline.records.accuracy import STORED
 from pipeline.records.findings import Note, Record
 from pipeline.records.models import Scene
 from pipeline.records.results import ComparisonResult, Truth
 from pipeline.rendering.report.report_parts import Parts, digests_of, is_free_cell, page_digest, take_apart
-from pipeline.shell.verify.fresh_logs import LogProblem, ReportedLogs, read_anew, store_of
+from pipeline.shell.verify.fresh_logs import LogProblem, ReportedLogs, read_anew
 from pipeline.store.corrections import Exclusion
 from pipeline.store.objects import is_url, opened
 
@@ -97,8 +94,7 @@ class Request(BaseModel):
 def verify(
     report: Path,
     processed: Path | str | None = None,
-    profiles: Sequence[Path] = (),
-    logs: Sequence[tuple[Path | None, Path]] = (),
+    profiles: Sequence[Path] | None = (),
     progress: Callable[[str], None] | None = None,
 ) -> Verification:
     """Compute the numbers of a report anew and compare them, part by part.
@@ -113,11 +109,8 @@ def verify(
     processed : Path or str, optional
         Folder or URL of the stored tables; by default that which the report names, a folder looked for in the current
         one and beside the report.
-    profiles : sequence of Path
-        Profile files of the lab that read the logs.
-    logs : sequence of (Path or None, Path)
-        Folders with the logs, each with the profile that reads it (None: whichever claims a file). With these nothing
-        stored is needed, and `processed` is left aside.
+    profiles : sequence of Path or None
+        Profile files of the lab that read the logs; None takes the stored samples alone.
     progress : callable, optional
         Gets the name of each step when it begins.
 
@@ -133,7 +126,7 @@ def verify(
     document, notes = read_document(report)
     devices = device_problems(request)
     device = request.scene.device
-    place = Path() if logs else stored_place(report, request.processed, processed)
+    place = stored_place(report, request.processed, processed)
     if request.code != report_code():
         notes.append("the report was made by another version of the code: numbers may differ for that reason")
     with (
@@ -142,17 +135,13 @@ def verify(
     ):
         store = Path(temporary) / "processed"
         say("reading the logs")
-        if logs:
-            folder = store_of(logs, Path(temporary) / "found", request.excluded)
         lists = {logs.experiment: logs for logs in document.logs} if document else {}
         fresh = read_anew(device, folder, request.logs, lists, store, profiles, request.excluded)
         if not fresh.read + fresh.kept:
             raise StoreError(
-                f"{report}: none of its logs are in {logs or place}. Name the folder of stored tables by --processed, "
-                "or that of the logs by --logs."
+                f"{report}: none of its logs are in {place}. Name the folder of stored tables by --processed, "
+                "or verify a bundle."
             )
-        for kept in kept_files(folder, STORED, ".json"):
-            shutil.copy(kept, store / kept.name)
         say(f"computing anew: {fresh.read} trials from logs, {fresh.kept} from stored samples")
         again = Path(temporary) / "report.html"
         result = _compare_anew(report, request, store, again, progress)
@@ -363,7 +352,7 @@ def stored_place(report: Path, named: str, given: Path | str | None) -> Path | s
             return each
     raise UsageError(
         f"{', '.join(str(p) for p in dict.fromkeys(places))}: no stored trials; expected the folder that the report "
-        "was made from. Give it with --processed, or the logs themselves with --logs."
+        "was made from. Give it with --processed, or verify a bundle."
     )
 
 

@@ -130,29 +130,44 @@ ENERGY: dict[str, Callable[[Case, Floats, Floats], Floats]] = {
 
 def theory_tables() -> Iterator[Table]:
     """Yield the tables of the ideal loop, then those of loops with parts."""
-    known, plants, edge, best = (reference()[name] for name in ("points", "plant", "boundary", "optimum"))
+    known = reference()["points"]
     case, loop = case_of(reference()["loop"]), loop_of(reference()["loop"])
     points = {name: np.array([row[name] for row in known["rows"]]) for name in known["rows"][0]}
     wall = points["alpha"], points["beta"]
-
-    def one(quantity: str, run: Callable[..., Any], *first: Any) -> Callable[..., Values]:
-        return lambda *setting: {quantity: np.asarray(run(*first, *setting))}
-
+    plants = reference()["plant"]
     yield Table(
         {"plant": np.array([row["numerator"] for row in plants])},
         [
-            Row(name, one("plant", lambda of=of: [of(row["gamma"], row["delta"]) for row in plants]))
+            Row(name, _one("plant", lambda of=of: [of(row["gamma"], row["delta"]) for row in plants]))
             for name, of in PLANTS.items()
         ],
     )
+    yield _edge(case, loop)
+    quantity = "spectral radius"
+    radii = [Row(name, _one(quantity, of, case, *wall)) for name, of in installed(RADII).items()]
+    yield Table({quantity: points["radius"]}, radii)
+    yield _costs(case, loop, points)
+    yield from (_optimum(quantity, criterion) for quantity, criterion in OPTIMA.items())
+    yield _map(case, loop, known)
+    yield from _with_parts()
+
+
+def _one(quantity: str, run: Callable[..., Any], *first: Any) -> Callable[..., Values]:
+    """Return what gives a quantity by a function of a setting."""
+    return lambda *setting: {quantity: np.asarray(run(*first, *setting))}
+
+
+def _edge(case: Case, loop: Loop) -> Table:
+    """Boundary: largest alpha at some beta."""
+    edge = reference()["boundary"]
     beta, high = np.array(edge["beta"]), 1.1 * edge["alpha_max"]
 
     def bisection(radius: Callable[..., Floats]) -> Callable[..., Values]:
-        return one("boundary", peers.bisect_limit, partial(radius, case), beta, high)
+        return _one("boundary", peers.bisect_limit, partial(radius, case), beta, high)
 
-    gridding, poles = one("boundary", peers.grid_limit, case, beta, high), bisection(peers.radius_by_control)
+    gridding, poles = _one("boundary", peers.grid_limit, case, beta, high), bisection(peers.radius_by_control)
     states, roots = bisection(peers.radius_by_eigenvalues), bisection(peers.radius_by_roots)
-    yield Table(
+    return Table(
         {"boundary": np.array(edge["alpha"])},
         (
             Row("gridding with poles (3.4)", gridding, _TOLERANCE, (1e-2, 1e-4, 1e-6), 1),
@@ -162,9 +177,11 @@ def theory_tables() -> Iterator[Table]:
             Row(OURS, lambda: {"boundary": stiffness_limit(unknown(loop), beta)}),
         ),
     )
-    quantity = "spectral radius"
-    radii = [Row(name, one(quantity, of, case, *wall)) for name, of in installed(RADII).items()]
-    yield Table({quantity: points["radius"]}, radii)
+
+
+def _costs(case: Case, loop: Loop, points: Mapping[str, Floats]) -> Table:
+    """Costs of the responses behind some walls."""
+    wall = points["alpha"], points["beta"]
 
     def simulated(fine: int) -> Values:
         place, speed = peers.dense(case, *wall, DENSE_SAMPLES, fine)
@@ -179,7 +196,7 @@ def theory_tables() -> Iterator[Table]:
         return lambda: dict(zip(ENERGIES, of(case, *wall), strict=True))
 
     responses = ("settling time", "overshoot")
-    yield Table(
+    return Table(
         {quantity: points[name] for quantity, name in COSTS.items()},
         (
             Row("dense simulation", simulated, *_FINE),
@@ -189,25 +206,27 @@ def theory_tables() -> Iterator[Table]:
         ),
         scale={"overshoot": 1.0},
     )
-    for quantity, criterion in OPTIMA.items():
-        cost = partial(_simulated_cost, case_of(best), tuple(COSTS.values()).index(criterion))
 
-        def ours(quantity: str = quantity, criterion: str = criterion) -> Values:
-            point = optimal_point(unknown(loop_of(best)), criterion)
-            return {quantity: np.array([point.alpha, point.beta])}
 
-        grid = one(quantity, peers.grid_optimum, cost, SEARCH_BOX)
-        simplex = one(quantity, peers.nelder_mead, cost, START)
-        yield Table(
-            {quantity: np.array([best[criterion]["alpha"], best[criterion]["beta"]])},
-            (
-                Row("iterated gridding (5.1.2)", grid, _TOLERANCE, (1e-2, 1e-3, 1e-5), 1),
-                Row("Nelder-Mead, one start", simplex, _TOLERANCE, (1e-2, 1e-4, 1e-6), 1),
-                Row(OURS, ours),
-            ),
-        )
-    yield _map(case, loop, known)
-    yield from _with_parts()
+def _optimum(quantity: str, criterion: str) -> Table:
+    """Place of the least cost by a criterion."""
+    best = reference()["optimum"]
+    cost = partial(_simulated_cost, case_of(best), tuple(COSTS.values()).index(criterion))
+
+    def ours() -> Values:
+        point = optimal_point(unknown(loop_of(best)), criterion)
+        return {quantity: np.array([point.alpha, point.beta])}
+
+    grid = _one(quantity, peers.grid_optimum, cost, SEARCH_BOX)
+    simplex = _one(quantity, peers.nelder_mead, cost, START)
+    return Table(
+        {quantity: np.array([best[criterion]["alpha"], best[criterion]["beta"]])},
+        (
+            Row("iterated gridding (5.1.2)", grid, _TOLERANCE, (1e-2, 1e-3, 1e-5), 1),
+            Row("Nelder-Mead, one start", simplex, _TOLERANCE, (1e-2, 1e-4, 1e-6), 1),
+            Row(OURS, ours),
+        ),
+    )
 
 
 def _simulated_cost(case: Case, place: int, alpha: Floats, beta: Floats) -> Floats:

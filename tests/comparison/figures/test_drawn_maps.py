@@ -12,6 +12,8 @@ from pipeline.comparison.tables_d import TableBuilder
 from pipeline.rendering.figures.drawing import draw
 from pipeline.theory.predictions import Predictions
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def of_falcon(falcon, falcon_outcome):

@@ -27,6 +27,8 @@ from pipeline.records.criteria import REPORTED
 from pipeline.rendering.labels import cost_text
 from pipeline.rendering.report.page_template import json_text
 
+pytestmark = pytest.mark.slow
+
 SIGNALS = arrays(np.float64, st.integers(2, 60), elements=st.floats(-1e3, 1e3))
 
 

@@ -70,6 +70,7 @@ def soft_course(parts: dict, folder, scatter=0.0, **experiment) -> tuple[Experim
     return ExperimentStages.stored(folder / "processed", "soft", one.name), course, limit
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     ("parts", "experiment", "expected"),
     [

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from fine_loop import Body, run
 
-from pipeline.plan.found_device import LoopPoint, Trial
+from pipeline.measured.experiment.fitted_device import FittedDevice
+from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
 from pipeline.records.loop_parts import Friction, LoopParts
 
 MASS, DAMPING, T, DELAY, COULOMB = 0.456, 4.6, 0.001, 4, 0.9
@@ -18,7 +19,7 @@ LINEAR = DEVICE.limit(B)
 
 
 def of_step(step, device=DEVICE, **more):
-    return device.step_limits(B, Trial(step, 400, **more), np.full(2, 200.0))
+    return device.step_limits(B, Trial(step, 400, **more), np.full(2, 200.0))[0]
 
 
 def test_a_harder_push_is_unstable_from_softer_walls_on_down_to_the_linear_limit():
@@ -60,6 +61,7 @@ def test_a_second_simulator_says_the_same_of_walls_beside_the_limit():
         assert (swing > before) == grows
 
 
+@pytest.mark.slow
 def test_a_course_with_friction_tells_both_limits(sticky_outcome):
     (result,) = sticky_outcome.result.experiments
     limits = {each.damping: each for each in result.loop_boundary}
@@ -74,3 +76,15 @@ def test_a_course_with_friction_tells_both_limits(sticky_outcome):
     assert np.median(np.abs(off)) < 0.1 < np.median(np.abs(linear))
     held = [limits[p.damping].low <= p.high and p.low <= limits[p.damping].high for p in known]
     assert np.mean(held) > 0.9
+
+
+def test_a_coarse_sensor_alone_moves_no_limit_and_undecided_walls_leave_it_open():
+    values = {"mass": MASS, "damping": DAMPING, "delay_samples": DELAY, "stiffness": 0.0}
+    plain = FittedDevice((), values, np.zeros((4, 4)))
+    limit, reach = FoundDevice(plain, T).limits(B, Trial(8.0, 400, quantum=1e-4))
+    assert limit == pytest.approx(LINEAR, rel=1e-12)
+    assert (reach == 0).all()
+    rubs = FittedDevice(("friction",), values | {"coulomb": COULOMB}, np.zeros((5, 5)))
+    (short, open_), (long, closed) = (FoundDevice(rubs, T).limits(B, Trial(8.0, rows)) for rows in (150, 2000))
+    assert (np.abs(short - long) <= open_ + closed).all()
+    assert (open_ > 2 * closed).all()

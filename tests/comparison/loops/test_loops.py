@@ -76,6 +76,7 @@ def test_an_adequate_loop_is_the_true_one_and_its_passive_wall_is_stable(compare
             )
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     ("name", "code"),
     [
@@ -110,6 +111,7 @@ def test_what_logs_show_is_named_and_statements_rest_on_the_replay_alone(compare
         assert result.answer.predicts.code in ("unknown", "with_friction")
 
 
+@pytest.mark.slow
 def test_a_force_of_several_steps_leaves_the_loop_as_it_is(compared):
     course, result = compared("several steps")
     (found,) = result.experiments

@@ -18,6 +18,7 @@ def test_an_ideal_loop_is_right_behind_walls_it_was_not_fitted_to(falcon_outcome
     assert told.limits_off_percent == replay.limits_off_percent
 
 
+@pytest.mark.slow
 def test_with_friction_the_replay_is_told_with_its_limits_whether_it_is_right_or_not(sticky_outcome):
     (found,) = sticky_outcome.result.experiments
     assert found.loop_boundary

@@ -141,6 +141,7 @@ def test_a_settling_scene_has_its_figures_and_tables_and_no_empty_section(settli
     assert links <= set(re.findall(r'\bid="([^"]+)"', page)), "no link leads to a part that was left out"
 
 
+@pytest.mark.slow
 def test_what_the_scene_leaves_out_is_not_computed(falcon, tmp_path, monkeypatch):
     """Stages, optima and figures that nothing asks for would fail here."""
 

@@ -53,6 +53,7 @@ def test_a_ratio_that_changes_over_the_plane_moves_the_best_point() -> None:
     assert found.selection == pytest.approx(0.0, abs=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.sampled
 @pytest.mark.parametrize("noise", [0.02, 0.1])
 def test_luck_of_a_trial_is_selection_and_the_interval_holds_the_model(noise: float) -> None:

@@ -17,6 +17,7 @@ def device_scores(falcon_outcome):
     return falcon_outcome.result.experiments[0].scores[0]
 
 
+@pytest.mark.slow
 def test_device_without_a_file_is_scored_against_its_estimates(unknown_outcome):
     (only,) = unknown_outcome.result.experiments[0].scores
     assert only.basis == "estimates"

@@ -95,6 +95,7 @@ def test_the_wall_to_set_has_a_clean_trial_with_costs(falcon, falcon_outcome, mo
     assert len(set(chosen)) == 3
 
 
+@pytest.mark.slow
 def test_a_log_that_rests_where_friction_holds_it_is_no_disturbed_one(sticky, sticky_outcome, monkeypatch):
     """Half of the logs rest elsewhere than at x_0 + F_0/K: friction of 0.9 N and stiction of 1.65 N hold them there."""
     (result,) = sticky_outcome.result.experiments

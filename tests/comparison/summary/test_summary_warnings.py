@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from pipeline.comparison.summary.summary_warnings import warnings_of
 from pipeline.records.findings import Estimate, Optimum
@@ -59,6 +60,7 @@ def test_bad_fits_and_extrapolated_costs_are_named(data, result):
     assert text.startswith("Optimal energy costs partly extrapolated beyond the logs: experiment 1, w = 2 (")
 
 
+@pytest.mark.slow
 def test_unknown_device_is_named_in_a_warning(unknown_outcome):
     assert any("'mydevice' has no device file" in text for text in unknown_outcome.result.warnings)
 

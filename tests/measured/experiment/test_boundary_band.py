@@ -54,6 +54,7 @@ def covered(of):
     return inside, points, truth
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("sensor", [FINE, COARSE], ids=["2um", "10um"])
 def test_interval_covers_the_true_limit(sensor):
     inside, widths, brackets, deviations = [], [], [], []

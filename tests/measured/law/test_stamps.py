@@ -41,12 +41,23 @@ def test_rows_that_are_missing_are_counted_among_stamps_that_scatter(seed):
     assert found.scatters
 
 
-@pytest.mark.parametrize("factor", [0.25, 0.5, 2.0, 1.5])
+@pytest.mark.parametrize("factor", [0.25, 0.5, 2.0, 1.5, 0.97, 1.03])
 def test_another_period_is_named_and_no_row_is_missing(factor):
     time, _ = stamps(1)
     found = read_stamps(time, factor * T)
     assert found.period == pytest.approx(T)
     assert found.skipped.sum() == 0
+
+
+@pytest.mark.parametrize(("lost", "scatter"), [(0.0, 0.15), (0.05, 0.0), (0.05, 0.15)])
+@pytest.mark.parametrize("seed", range(20))
+def test_lost_rows_and_scatter_are_no_other_period(seed, lost, scatter):
+    time, _ = stamps(seed, lost=lost, scatter=scatter)
+    assert read_stamps(time, T).period == T
+
+
+def test_stamps_of_few_digits_are_no_other_period():
+    assert read_stamps(np.round(np.arange(ROWS) * 1.6, 0) * T, 1.6 * T).period == 1.6 * T
 
 
 def test_control_that_is_uneven_is_no_scatter_of_stamps():

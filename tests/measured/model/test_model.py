@@ -156,6 +156,7 @@ def test_scatter_between_trials_is_that_of_the_dense_likelihood():
     np.testing.assert_allclose(found.covariance, np.linalg.inv(total), rtol=2e-2, atol=1e-7)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("scatter", [0.0, 0.05, 0.3])
 def test_scatter_of_friction_is_a_slope_and_no_cliff(scatter):
     rng = np.random.default_rng(31)
@@ -177,6 +178,7 @@ def excitation(name, rng):
     return 0.15 * np.sin(2 * np.pi * (time + 2 * time**2))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", ["relay", "staircase", "sweep"])
 def test_one_log_of_any_excitation_is_enough(name):
     rng = np.random.default_rng(7)
@@ -235,6 +237,7 @@ def test_a_bumped_trial_weighs_little():
     assert found["mass"].value == pytest.approx(TURNING["mass"], rel=0.01)
 
 
+@pytest.mark.slow
 def test_lost_rows_are_left_out():
     rng = np.random.default_rng(13)
     logs = []
@@ -319,6 +322,7 @@ def test_a_lag_is_found_behind_walls():
     assert holds(found.parameters, {"mass": 0.6, "damping": 4.0, "actuator_lag": 0.003, "delay": 2.4e-3}) == []
 
 
+@pytest.mark.slow
 def test_a_mode_is_found_behind_walls():
     far, near = 0.15, 0.45
     spring = (2 * np.pi * 40) ** 2 * far * near / (far + near)

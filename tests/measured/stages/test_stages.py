@@ -56,6 +56,7 @@ def normalised(K, B):
     return units.loop(0.0, TRUE_DAMPING, DELAY), K / units.stiffness, B / units.damping
 
 
+@pytest.mark.slow
 def test_delay_of_every_ideal_trial_is_that_of_the_simulator(ideal):
     assert set(ideal.column("delay", "first_change_samples")) == {float(DELAY)}
     estimate = ideal.delay_estimate
@@ -166,6 +167,7 @@ def test_measured_boundary_encloses_the_closed_form_at_every_damping(grid, reque
     assert seen >= 11
 
 
+@pytest.mark.slow
 def test_estimates_of_noisy_logs_hold_the_truth(noisy):
     of = noisy.stages("1")
     delay_found = of.delay_estimate

@@ -76,6 +76,7 @@ def test_measured_limits_have_the_interval_of_their_estimate_or_their_trials() -
     assert np.isnan(line.x[2]), "a lower bound is no limit: a line through it would claim one"
 
 
+@pytest.mark.slow
 def test_experiments_share_colours_over_all_figures_and_overlays_are_those_asked_for() -> None:
     results = [experiment("1"), experiment("2"), experiment("6", "firm")]
     theories = {"1": theory(), "6": theory(mass=0.7)}

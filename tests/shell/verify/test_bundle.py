@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
 from pipeline.base.errors import DeviceError, StoreError, UsageError
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import device_file
+from pipeline.intake.correct import delete
 from pipeline.intake.ingest import ingest
 from pipeline.shell.cli import app
 from pipeline.shell.verify.bundle import bundle, verify_bundle
 from pipeline.shell.verify.verify import lines_of, verify
 
-pytestmark = pytest.mark.usefixtures("one_process")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_process")]
 
 PROFILE = 'name = "bench"\nformat = "native"\nfiles = ["*.log"]\n'
 
@@ -58,7 +62,7 @@ def bench(tmp_path_factory, falcon) -> Bench:
         ingest([lab.logs], folder / "processed")
         ingest([lab.logs], folder / "processed", lab.profile)
         compare("bench", folder / "processed", criteria=("settle_2pct",), report=lab.report)
-        bundle(lab.report, profiles=[lab.profile])
+        bundle(lab.report)
     return lab
 
 
@@ -79,19 +83,17 @@ def changed(file: Path, target: Path, name: str, change) -> Path:
     return target
 
 
-def test_it_holds_page_document_logs_profiles_and_device_and_has_the_same_bytes_again(bench, tmp_path, monkeypatch):
+def test_it_holds_page_document_trials_and_device_and_has_the_same_bytes_again(bench, tmp_path, monkeypatch):
     monkeypatch.setenv("PIPELINE_DEVICES", str(bench.devices))
     before = bench.report.with_suffix(".zip").read_bytes()
-    again = bundle(bench.report, profiles=[bench.profile])
-    assert again.logs == len(list(bench.logs.iterdir())) == 90
+    again = bundle(bench.report)
+    assert again.trials == len(list(bench.logs.iterdir())) == 90
     assert Path(again.bundle).read_bytes() == before
     with zipfile.ZipFile(again.bundle) as one:
         names = one.namelist()
         assert one.read("devices/bench.toml") == (bench.devices / "any.toml").read_bytes()
-        assert one.read("profiles/bench.toml") == bench.profile.read_bytes()
-    assert {"README.txt", "bench.html", "bench.json", "profiles/native.toml"} <= set(names)
-    for folder, ending in (("native", ".csv"), ("bench", ".log")):
-        assert sum(name.startswith(f"logs/{folder}/1/") and name.endswith(ending) for name in names) == 45
+    assert {"README.txt", "bench.html", "bench.json"} <= set(names)
+    assert sum(name.startswith("processed/trials/bench/1/") for name in names) == 1
 
 
 @pytest.mark.slow
@@ -112,30 +114,23 @@ def test_it_holds_where_no_file_of_the_lab_is_left(bench, away, monkeypatch, tmp
 
 
 @pytest.mark.slow
-def test_a_changed_log_or_document_in_it_is_named(away, tmp_path):
-    with zipfile.ZipFile(away) as archive:
-        log = next(name for name in archive.namelist() if name.endswith(".log"))
-    one = changed(away, tmp_path / "log.zip", log, lambda content: content + content.splitlines(True)[-1][:-1])
-    found = verify_bundle(one)
+def test_a_changed_sample_or_document_in_it_is_named(away, tmp_path):
+    def another(content: bytes) -> bytes:
+        table = pq.read_table(io.BytesIO(content))
+        position = table.column("position").to_pylist()
+        position[12][34] += 1e-9
+        index = table.schema.get_field_index("position")
+        field = table.schema.field(index)
+        stream = io.BytesIO()
+        pq.write_table(table.set_column(index, field, pa.array(position, field.type)), stream)
+        return stream.getvalue()
+
+    found = verify_bundle(changed(away, tmp_path / "sample.zip", ".parquet", another))
     assert not found.equal
-    assert [Path(problem.path).name for problem in found.logs] == [Path(log).name]
+    assert [problem.problem for problem in found.logs] == ["its samples are not those of the report"]
     stable = b'"stable": '
     two = changed(away, tmp_path / "json.zip", "bench.json", lambda text: text.replace(stable, stable + b"1", 1))
     assert [d.kind for d in verify_bundle(two).differences] == ["value"]
-
-
-@pytest.mark.slow
-def test_logs_are_found_under_other_names_without_anything_stored(bench, tmp_path, monkeypatch):
-    monkeypatch.setenv("PIPELINE_DEVICES", str(bench.devices))
-    for number, log in enumerate(sorted(bench.logs.iterdir())):
-        (tmp_path / f"{number % 7}").mkdir(exist_ok=True)
-        shutil.copy(log, tmp_path / f"{number % 7}" / f"renamed-{number}{log.suffix}")
-    logs = [(bench.profile, tmp_path), (None, tmp_path)]
-    found = verify(bench.report, profiles=[bench.profile], logs=logs)
-    assert found.equal, lines_of(found)
-    (tmp_path / "3" / "renamed-3.log").unlink()
-    found = verify(bench.report, profiles=[bench.profile], logs=logs)
-    assert [problem.problem for problem in found.logs] == ["is not stored as it was when the report was made"]
 
 
 def test_a_missing_device_file_is_one_sentence(bench, monkeypatch):
@@ -143,7 +138,7 @@ def test_a_missing_device_file_is_one_sentence(bench, monkeypatch):
     with pytest.raises(DeviceError, match=r"device 'bench': the report rests on its device file, which is not known"):
         verify(bench.report, bench.folder / "processed", [bench.profile])
     with pytest.raises(DeviceError, match="not known here"):
-        bundle(bench.report, profiles=[bench.profile])
+        bundle(bench.report)
 
 
 @pytest.mark.slow
@@ -157,22 +152,16 @@ def test_another_device_file_is_named_before_what_differs_with_it(bench, tmp_pat
 
 def test_what_a_bundle_needs_and_is_not_there_is_named(bench, tmp_path, monkeypatch):
     monkeypatch.setenv("PIPELINE_DEVICES", str(bench.devices))
-    with pytest.raises(UsageError, match=r"'bench', which read logs of the report, is not shipped. Give its file"):
-        bundle(bench.report)
-    log = sorted(bench.logs.iterdir())[5]
-    before = log.read_bytes()
-    try:
-        log.write_bytes(before + b"\n")
-        with pytest.raises(StoreError, match="has changed since the report was made"):
-            bundle(bench.report, profiles=[bench.profile])
-        log.unlink()
-        with pytest.raises(StoreError, match=r"is no longer where it was \(1 log of the report in all\)"):
-            bundle(bench.report, profiles=[bench.profile])
-    finally:
-        log.write_bytes(before)
     lone = Path(shutil.copy(bench.report, tmp_path / "lone.html"))
     with pytest.raises(UsageError, match=r"lone.json: missing.*A bundle holds it, too"):
-        bundle(lone, profiles=[bench.profile])
+        bundle(lone)
+    shutil.copy(bench.report.with_suffix(".json"), tmp_path / "lone.json")
+    shutil.copytree(bench.folder / "processed", tmp_path / "processed")
+    monkeypatch.setattr("pipeline.shell.verify.bundle.stored_place", lambda *_: tmp_path / "processed")
+    log = sorted(bench.logs.glob("*.csv"))[5]
+    delete(tmp_path / "processed", str(log))
+    with pytest.raises(StoreError, match=r"is not stored as it was when the report was made. Ingest its log again"):
+        bundle(lone)
     assert not (tmp_path / "lone.zip").exists()
 
 

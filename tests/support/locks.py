@@ -1,0 +1,14 @@
+"""Is the lock of a store free?"""
+
+from pathlib import Path
+
+from pipeline.base.errors import StoreError
+from pipeline.base.lock import writing
+
+
+def is_free(processed: Path) -> bool:
+    try:
+        with writing(processed, 0):
+            return True
+    except StoreError:
+        return False
