@@ -342,7 +342,8 @@ def test_a_mode_near_the_nyquist_frequency_is_no_lag():
     walls = rng.uniform(500, 3800, 24), rng.uniform(13, 63, 24)
     found = identified(behind_walls(rng, {"mass": near, "damping": 1.3}, load, n=24, walls=walls))
     assert set(found.parts) == {"mode"}
-    assert holds(found.parameters, {"mass": 0.19, "delay": 2.4e-3, "mode_frequency": 300.0, "mode_mass": far}) == []
+    assert holds(found.parameters, {"mass": 0.19, "delay": 2.4e-3, "mode_mass": far}) == []
+    assert found.parameters["mode_frequency"].value == pytest.approx(300.0, rel=0.01)
 
 
 def test_an_ideal_device_behind_walls_has_no_parts():
