@@ -96,7 +96,7 @@ CHANGES = (
     Change("simulation/simulate.py", "slots = in_force(delays) + 1", "slots = in_force(delays)"),
     Change("theory/margins.py", "(factors > 0)], max)", "(factors > 0)], min)"),
     Change("theory/passivity.py", "(4 * near - twice) / 3", "near"),
-    Change("theory/settling_overshoot.py", "NO_OVERSHOOT = 1e-12", "NO_OVERSHOOT = 1e-3"),
+    Change("records/criteria.py", "none=1e-12", "none=1e-3"),
     Change("rig/wish.py", "(1 - tolerance, 1 + tolerance)", "(1 + tolerance, 1 + tolerance)"),
     Change("plan/limits.py", "0.5 * (of.bottom + far)", "0.9 * (of.bottom + far)"),
 )  # fmt: skip
