@@ -77,7 +77,7 @@ CHANGES = (
     Change(AGREEMENT, "wall = stiffness > 0", "wall = stiffness >= 0"),
     Change(AGREEMENT, "bounded & (low - limit[relative] > reach)", "bounded & (limit[relative] - low > reach)"),
     Change(AGAINST, "len(values) / 2 - half)) - 1, 0)", "len(values) / 2 - half)), 0)"),
-    Change("base/units.py", "\"Ncm\": Unit(\"torque\", 1e-2)", "\"Ncm\": Unit(\"torque\", 1e-3)", "tests/readers"),
+    Change("base/units.py", "\"Ncm\": 1e-2", "\"Ncm\": 1e-3", "tests/readers"),
     Change("base/units.py", "2 * pi / 60", "2 * pi"),
     Change("store/names.py", "if safe.startswith((\".\", \"_\")) or", "if"),
     Change("store/names.py", "parent / (other if taken else name)", "parent / name"),
