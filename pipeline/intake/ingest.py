@@ -21,17 +21,8 @@ from pipeline.base.paths import is_gone, path_of_text, path_text, storable
 from pipeline.base.provenance import digest
 from pipeline.base.wording import counted
 from pipeline.intake.quarantine import QuarantineRecord, Refused, keep, list_quarantine, record_of, release
-from pipeline.intake.sources import Read, Source, find_sources, is_settled, reads_of, told_by_name
-from pipeline.intake.trialstore import (
-    LOG_BYTES,
-    Accepted,
-    Periods,
-    StoredSource,
-    StoredSources,
-    accepted_logs,
-    store_logs,
-    trial_id,
-)
+from pipeline.intake.sources import Read, Source, find_sources, is_settled, reads_of
+from pipeline.intake.trialstore import Accepted, Periods, StoredSource, StoredSources, accepted_logs, id_of, store_logs
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
@@ -230,8 +221,8 @@ class _Run:
         self.taken = dict[str, StoredSource]()
         self.renamed = dict[str, str]()
         """Id of each trial whose log was renamed, and the one that it has now."""
-        self.pending, self.pending_bytes, self.dropped = list[Accepted](), 0, set[Key]()
-        """Trials that are not visible yet, and those that give way to them."""
+        self.pending, self.pending_bytes, self.dropped, self.outdated = list[Accepted](), 0, set[Key](), set[Key]()
+        """Trials that are not visible yet, and those that give way to them: of any, and of older content."""
         self.folders = set[Path]()
         self.counts = Counter[Action]()
         """Sources by what becomes of them."""
@@ -372,8 +363,7 @@ class _Run:
 
     def _find(self, source: Source, sha256: str) -> str | None:
         """Return the path under which a log is stored that is this one: content, and what its name tells."""
-        told = None if source.profile is None else told_by_name(source.profile, source.path)
-        return self.places.get(trial_id(sha256, None, told))
+        return self.places.get(id_of(source, sha256))
 
     def _at(self, path: str) -> StoredSource | None:
         """Return what is stored under a path, by this run or before."""
@@ -482,7 +472,10 @@ class _Run:
                 reason = f"its name was {path}"
         elif not again:
             reason = "content changed"
-            self._drop(source.shown, source.key, former, "its trials were replaced by those of the new content")
+            keys = self.outdated if source.mtime_ns > former.mtime_ns else self.dropped
+            keys |= former.keys(source.key)
+            outcome = "its trials were replaced by those of the new content"
+            self.changed.append(ChangedSource(path=source.shown, outcome=outcome))
         elif former.profile_sha256 != row["profile_sha256"]:
             reason = "profile changed"
             self._drop(source.shown, source.key, former, outcome)
@@ -492,7 +485,7 @@ class _Run:
         if not self.dry_run:
             new = [one for one in accepted if one.trial not in present]
             self.pending += new
-            self.pending_bytes += sum(one.bytes + LOG_BYTES for one in new)
+            self.pending_bytes += sum(one.bytes for one in new)
             if self.pending_bytes >= PENDING_BYTES:
                 self._flush()
 
@@ -524,11 +517,11 @@ class _Run:
         """Make all that is pending visible, and drop what it replaces; after an error all that is stored is valid."""
         if self.dry_run or not (self.pending or self.dropped):
             return
-        self.folders |= store_logs(self.processed, self.pending, self.dropped, self.damaged)
+        self.folders |= store_logs(self.processed, self.pending, self.dropped, self.outdated, self.damaged)
         publish(self.processed)
         for source in {one.source.key: one.source for one in self.pending}.values():
             self._release(source)
-        self.pending, self.pending_bytes, self.dropped = [], 0, set()
+        self.pending, self.pending_bytes, self.dropped, self.outdated = [], 0, set(), set()
 
     def _release(self, source: Source) -> None:
         if self.refused and not self.dry_run:

@@ -224,8 +224,8 @@ class Accepted:
 
     @property
     def bytes(self) -> int:
-        """Memory of the samples [byte]."""
-        return sum(values.nbytes for values in vars(self.log).values() if isinstance(values, np.ndarray))
+        """Memory of the log [byte]."""
+        return LOG_BYTES + sum(values.nbytes for values in vars(self.log).values() if isinstance(values, np.ndarray))
 
     @property
     def place(self) -> Place:
@@ -284,22 +284,31 @@ def accepted_logs(
 
 
 def store_logs(
-    processed: Path, accepted: Sequence[Accepted], dropped: Collection[Key], damaged: dict[Path, str]
+    processed: Path,
+    accepted: Sequence[Accepted],
+    dropped: Collection[Key],
+    outdated: Collection[Key],
+    damaged: dict[Path, str],
 ) -> set[Path]:
     """Store logs, a file for each place, and drop what they replace; return the folders that changed.
 
-    What is dropped goes with the same file that brings the new trials, where it is of their place. Elsewhere it goes
-    before, since what is new can be read again from its log.
+    What they replace goes with the same file that brings the new trials, where it is of their place. Elsewhere it goes
+    before, since what is new can be read again from its log; but what is outdated goes afterwards: a reader who sees
+    two contents of a log takes the newer one, and misses none.
     """
     places = defaultdict[Place, list[Accepted]](list)
     for one in accepted:
         places[one.place].append(one)
-    absorbed, kept = defaultdict[Place, list[Path]](list), without(processed, dropped, damaged) if dropped else {}
+    absorbed, later = defaultdict[Place, list[Path]](list), list[Path]()
+    first = without(processed, dropped, damaged) if dropped else {}
+    kept = without(processed, {*dropped, *outdated}, damaged) if outdated else first
     for file in kept:
         if (place := place_of_file(file)) in places:
             absorbed[place].append(file)
-        else:
+        elif file in first:
             rewrite(processed, [file], kept)
+        else:
+            later.append(file)
     for place in places:  # one after the other: the name of a folder depends on those that are there
         make_folder(trials_folder(processed, place.device, place.experiment))
 
@@ -307,19 +316,17 @@ def store_logs(
         former = chain.from_iterable(trials_of(file, kept[file]) for file in absorbed[place])
         return write_batch(processed, place, chain(_tables(places[place]), former), absorbed[place])
 
-    return {path.parent for path in each(write, list(places), OPEN_FILES) if path is not None}
+    folders = {path.parent for path in each(write, list(places), OPEN_FILES) if path is not None}
+    for file in later:
+        rewrite(processed, [file], kept)
+    return folders
 
 
 def _tables(members: Sequence[Accepted]) -> Iterator[pa.Table]:
     """Yield the trials of logs, a group of rows at a time."""
-    group, size = list[Accepted](), 0
-    for one in members:
-        if group and (len(group) >= GROUP_TRIALS or size + one.bytes > GROUP_BYTES):
-            yield _table(group)
-            group, size = [], 0
-        group.append(one)
-        size += one.bytes
-    yield _table(group)
+    step = max(min(GROUP_TRIALS, GROUP_BYTES // max(one.bytes for one in members)), 1)
+    for first in range(0, len(members), step):
+        yield _table(members[first : first + step])
 
 
 def _table(members: Sequence[Accepted]) -> pa.Table:
@@ -370,6 +377,12 @@ def _lists(columns: Sequence[Floats | Integers | None], dtype: pa.DataType) -> p
         for kind, array in ((pa.int32(), edges), (dtype.value_type, np.concatenate(there)))
     )
     return pa.ListArray.from_arrays(rows, values, type=dtype, mask=mask)
+
+
+def id_of(source: Source, sha256: str) -> str:
+    """Return the id of the trial of a source that holds one."""
+    told = None if source.profile is None else told_by_name(source.profile, source.path)
+    return trial_id(sha256, None, told)
 
 
 def trial_id(sha256: str, label: str | None, told: str | None = None) -> str:

@@ -31,17 +31,6 @@ SMALL_FILE = 64 << 20
 EXPANSION = 30
 """Times its own size that reading a larger file may take; recorded samples pack 1 to 20 times."""
 
-COPIES, SLACK = 3, 32 << 20
-"""Times that reading may hold what its file may unpack to, and the file itself: as read, as numbers, as columns; and
-memory that a library takes for itself [byte]: caches, buffers, pieces that its allocator asks for."""
-
-CPU_SECONDS, CPU_SECONDS_PER_BYTE = 0.6, 4e-6
-"""Processor time for any file, and more for each byte: libraries take 3e-9, ten times that where it is packed, and
-other machines are six times slower. Messages, and objects in text, are made one by one: some 20 us for 60 bytes."""
-
-WALL_FACTOR = 30
-"""Longest wait in multiples of the processor time, for machines that are busy with other things."""
-
 LONGEST_HEADER = 1 << 16
 """Bytes searched for the column line; a header is some hundred bytes, a file without one may be huge."""
 

@@ -25,16 +25,18 @@ from pipeline.base.errors import LogError, refusal
 from pipeline.base.process import begin_alone, without_pandas
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.formats import FORMATS
-from pipeline.readers.frame import (
-    COPIES,
-    CPU_SECONDS,
-    CPU_SECONDS_PER_BYTE,
-    MOST_VALUES,
-    SLACK,
-    WALL_FACTOR,
-    Contents,
-    allowed_bytes,
-)
+from pipeline.readers.frame import MOST_VALUES, Contents, allowed_bytes
+
+COPIES, SLACK = 3, 32 << 20
+"""Times that reading may hold what its file may unpack to, and the file itself: as read, as numbers, as columns; and
+memory that a library takes for itself [byte]: caches, buffers, pieces that its allocator asks for."""
+
+CPU_SECONDS, CPU_SECONDS_PER_BYTE = 0.6, 4e-6
+"""Processor time for any file, and more for each byte: libraries take 3e-9, ten times that where it is packed, and
+other machines are six times slower. Messages, and objects in text, are made one by one: some 20 us for 60 bytes."""
+
+WALL_FACTOR = 30
+"""Longest wait in multiples of the processor time, for machines that are busy with other things."""
 
 
 def read_file(settings: Profile, names: Sequence[str], data: Sequence[bytes], wanted: Sequence[str] = ()) -> Contents:

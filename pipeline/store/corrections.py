@@ -20,12 +20,12 @@ from pipeline.records.findings import Record
 from pipeline.records.table_files import damaged_file, metadata_of, parquet_bytes, read_table
 from pipeline.records.tables import TABLES, to_arrow
 
-Key = str
-"""What a trial is known by: its id, a hash of its log, of which trial of that it is, and of what the name tells."""
-
 
 class Exclusion(Record):
-    """A trial that is excluded by hand: where it belongs, its log, why, and since when (UTC, ISO 8601)."""
+    """A trial that is excluded by hand: where it belongs, its log, why, and since when (UTC, ISO 8601).
+
+    It is known by its id, a hash of its log, of which trial of that it is, and of what the name tells.
+    """
 
     trial_id: str
     label: str | None
@@ -35,11 +35,6 @@ class Exclusion(Record):
     source_sha256: str
     exclusion_reason: str
     excluded_since: str
-
-    @property
-    def key(self) -> Key:
-        """What the trial is known by."""
-        return self.trial_id
 
 
 class Correction(Exclusion):
@@ -72,7 +67,7 @@ def corrections_files(processed: Path) -> list[Path]:
     return sorted((processed / "corrections").glob("*.parquet"))
 
 
-def read_corrections(processed: Path) -> dict[Key, Correction]:
+def read_corrections(processed: Path) -> dict[str, Correction]:
     """Return the corrections of a store in the order in which they were made, of trials no longer stored, too.
 
     Raises
@@ -92,14 +87,14 @@ def read_corrections(processed: Path) -> dict[Key, Correction]:
     replaced = {name for t in tables.values() for name in metadata_of(t.schema).get("pipeline.replaces", "").split()}
     rows = [row for file, table in tables.items() if file.stem not in replaced for row in table.to_pylist()]
     found = [Correction(**row) for row in sorted(rows, key=lambda row: int(row["corrected_ns"]))]
-    return {one.key: one for one in found}
+    return {one.trial_id: one for one in found}
 
 
 def write_corrections(processed: Path, new: Iterable[Correction]) -> None:
     """Store corrections beside those of other trials, in one step. For who holds the lock of the store."""
     known, former = read_corrections(processed), corrections_files(processed)
     now = max([time.time_ns(), *(one.corrected_ns + 1 for one in known.values())])
-    known |= {one.key: one.model_copy(update={"corrected_ns": now}) for one in new}
+    known |= {one.trial_id: one.model_copy(update={"corrected_ns": now}) for one in new}
     rows = [one.model_dump() for one in known.values()]
     columns = {name: [row[name] for row in rows] for name in TABLES["corrections"]}
     metadata = stamp(replaces=" ".join(file.stem for file in former))
@@ -116,7 +111,7 @@ def carry(processed: Path, ids: Mapping[str, str]) -> None:
         write_corrections(processed, new)
 
 
-def read_exclusions(processed: Path) -> dict[Key, Exclusion]:
+def read_exclusions(processed: Path) -> dict[str, Exclusion]:
     """Return the exclusions of a store; order and errors as those of `read_corrections`."""
     found = {}
     for key, one in read_corrections(processed).items():
@@ -126,7 +121,7 @@ def read_exclusions(processed: Path) -> dict[Key, Exclusion]:
     return found
 
 
-def split_trials(trials: pa.Table, exclusions: Mapping[Key, Exclusion]) -> tuple[pa.Table, tuple[Exclusion, ...]]:
+def split_trials(trials: pa.Table, exclusions: Mapping[str, Exclusion]) -> tuple[pa.Table, tuple[Exclusion, ...]]:
     """Return the rows of a trials table that are in use, and the exclusions of the others, in order of trial ids."""
     keys = trials.column("trial_id").to_pylist()
     if exclusions.keys().isdisjoint(keys):
@@ -148,7 +143,7 @@ def moved_from(
 
 
 def applied(
-    trials: pa.Table, corrections: Mapping[Key, Correction], device: str | None, experiment: str | None
+    trials: pa.Table, corrections: Mapping[str, Correction], device: str | None, experiment: str | None
 ) -> pa.Table:
     """Return trials with device and experiment as corrected, those of a device or experiment, without deleted ones."""
     if not corrections:

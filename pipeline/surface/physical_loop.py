@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pandas as pd
@@ -208,13 +208,9 @@ class Loop:
         """
         K, B = _as_walls(stiffness, damping)
         rows = point_documents(Case(self._normalised, self._scale), np.stack([K, B], axis=1), criteria)
-        frame = self._frame(
-            {
-                name: [row[name] for row in rows]
-                for name in ("stiffness", "damping", "stable", "spectral_radius", *criteria, "reason")
-            }
-        )
-        return frame.astype(dict.fromkeys(criteria, np.float64))
+        kinds = {"stable": np.bool_, "reason": np.object_}
+        names = ("stiffness", "damping", "stable", "spectral_radius", *criteria, "reason")
+        return self._frame({name: np.array([row[name] for row in rows], kinds.get(name, np.float64)) for name in names})
 
     def limits(self, damping: object) -> pd.DataFrame:
         """Return the limit of stability at dampings B [Ns/m, Nms/rad]: ``damping``, ``stiffness`` (nan without any).
@@ -427,7 +423,7 @@ class Loop:
         columns |= {best: found.best * unit, "cost": found.cost}
         return self._frame({**columns, f"{best}_low": found.low * unit, f"{best}_high": found.high * unit})
 
-    def _frame(self, columns: Mapping[str, Any]) -> pd.DataFrame:
+    def _frame(self, columns: dict[str, np.ndarray]) -> pd.DataFrame:
         frame = pd.DataFrame(columns)
         physical = units_of(("stiffness", "damping"), {self.motion})
         settling = {name: "samples" for name in columns if name.startswith("settle")}

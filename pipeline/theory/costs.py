@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.base.disk import replacing
 from pipeline.base.errors import ParameterError, PipelineError
 from pipeline.base.provenance import stamp
-from pipeline.loop.loop import Loop, Normalised
+from pipeline.loop.loop import Loop
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.criteria import (
     CRITERIA,
@@ -174,6 +174,10 @@ class MapBlock:
     costs: dict[str, Floats]
 
 
+AXES = ("alpha", "beta")
+"""Names of the columns that tell a point of a map."""
+
+
 @dataclass(frozen=True)
 class CostMap:
     """What a map shows: a grid over the bounding box of the stable region, both ends included.
@@ -187,8 +191,6 @@ class CostMap:
         Any of `MAP_CRITERIA`; those of a response also with ``_discrete`` appended.
     longest : int
         Samples after which a response that still moves gets no cost.
-    units : Normalised, optional
-        Of stiffness and damping, where the map is to be in SI.
 
     Raises
     ------
@@ -206,7 +208,6 @@ class CostMap:
     size: int = 251
     criteria: Sequence[str] = MAP_DEFAULT
     longest: int = MAP_LONGEST
-    units: Normalised | None = None
 
     def __post_init__(self) -> None:
         check_criteria(self.criteria)
@@ -219,11 +220,6 @@ class CostMap:
     def names(self) -> tuple[str, ...]:
         """Criteria, each once."""
         return tuple(dict.fromkeys(self.criteria))
-
-    @property
-    def axes(self) -> tuple[str, str]:
-        """Names of the columns that tell a point."""
-        return ("alpha", "beta") if self.units is None else ("stiffness", "damping")
 
     def blocks(self, points: int = BLOCK) -> Iterator[MapBlock]:
         """Compute the map from the lowest beta on, in blocks of about so many points (at least a row).
@@ -268,7 +264,7 @@ def write_map(
     try:
         with replacing(path) as stream, pq.ParquetWriter(stream, schema, **WRITING) as writer:
             for block in cost_map.blocks(points):
-                writer.write_table(block_table(block, schema, cost_map.units))
+                writer.write_table(block_table(block, schema))
                 stable += int(block.stable.sum())
                 done += len(block.alpha)
                 if progress is not None:
@@ -288,19 +284,18 @@ def map_schema(cost_map: CostMap) -> pa.Schema:
     meaning = (
         f"null where not stable, within {MARGIN:g} of the boundary, or still moving after {cost_map.longest} samples"
     )
-    fields = [pa.field(name, pa.float64(), False) for name in cost_map.axes]
+    fields = [pa.field(name, pa.float64(), False) for name in AXES]
     fields += [pa.field("stable", pa.bool_(), False)]
     fields += [pa.field(name, pa.float64(), metadata={"unit": "1", "meaning": meaning}) for name in cost_map.names]
     plant = {field.name: repr(getattr(loop, field.name)) for field in dataclasses.fields(loop)}
     return pa.schema(fields, metadata=dict(stamp(**plant, size=str(cost_map.size))))
 
 
-def block_table(block: MapBlock, schema: pa.Schema, units: Normalised | None = None) -> pa.Table:
+def block_table(block: MapBlock, schema: pa.Schema) -> pa.Table:
     """Return a block as an Arrow table; NaN becomes null."""
     import pyarrow as pa
 
-    stiffness, damping = (units.stiffness, units.damping) if units is not None else (1.0, 1.0)
-    columns = [_column(block.alpha * stiffness), _column(block.beta * damping), _bits(block.stable)]
+    columns = [_column(block.alpha), _column(block.beta), _bits(block.stable)]
     return pa.table([*columns, *(_column(values) for values in block.costs.values())], schema=schema)
 
 

@@ -122,11 +122,6 @@ def _least(loop: Loop, criterion: str) -> OptimalPoint:
     return OptimalPoint(float(alpha[0]), float(beta[0]), float(edge.cost[0]), attained=False)
 
 
-def _stiffest(loop: Loop, criterion: str) -> OptimalPoint:
-    base = criterion_of(criterion)
-    return stiffest_without_overshoot(loop, continuous=criterion == base.name, at_all=base.optimum_only)
-
-
 def _best_poles(loop: Loop, criterion: str) -> OptimalPoint:
     return _smallest_radius(loop) if criterion == "pole_radius" else _most_damped(loop)
 
@@ -288,10 +283,6 @@ def _settling_region(loop: Loop, band: float, criterion: str) -> OptimalPoint:
     return OptimalPoint(0.5 * (ends[0] + ends[1]), 0.5 * (ends[2] + ends[3]), float(samples), ends)
 
 
-SEARCHES = {"settling": _soonest_settled, "overshoot": _stiffest, "energy": _least_energy, "poles": _best_poles}
-"""What finds the optimum of a family, where that is not the one search for all others."""
-
-
 POINT_CRITERIA = ("alpha_max", "beta_max", "ziegler_nichols")
 """Points of the plane that are no optimum of a cost."""
 
@@ -379,24 +370,16 @@ _EQUAL = 1e-4
 """Relative stiffness within which two tips count as equal; the thesis's tables print four digits."""
 
 
-def stiffest_without_overshoot(loop: Loop, *, continuous: bool = True, at_all: bool = False) -> OptimalPoint:
+def _stiffest(loop: Loop, criterion: str) -> OptimalPoint:
     """Return the stiffest point whose step response has no overshoot; its cost is 0.
 
-    Parameters
-    ----------
-    loop : Loop
-    continuous : bool
-        Whether the motion between samples counts, or the samples only.
-    at_all : bool
-        Whether there may be none whatever its size (`never_overshoots`), or at most 1e-12 as in the thesis.
-
-    Raises
-    ------
-    ParameterError
-        If no point without overshoot was found.
+    By the criterion the motion between samples counts or the samples only; and there may be none whatever its size
+    (`never_overshoots`), or at most 1e-12 as in the thesis.
 
     Source: Hulin 2017, sec. 5.2.2 with footnote 4.
     """
+    base = criterion_of(criterion)
+    continuous, at_all = criterion == base.name, base.optimum_only
     _, high = box(loop)
     name = "overshoot" if continuous else "overshoot_discrete"
 
@@ -490,3 +473,7 @@ def never_overshoots(loop: Loop, alpha: object, beta: object, *, continuous: boo
         costs = transient_costs(loop, a[slow_is_real], b[slow_is_real], (), continuous=continuous, quiet=_FAINT)
         result[slow_is_real] = costs[name] == 0
     return result
+
+
+SEARCHES = {"settling": _soonest_settled, "overshoot": _stiffest, "energy": _least_energy, "poles": _best_poles}
+"""What finds the optimum of a family, where that is not the one search for all others."""

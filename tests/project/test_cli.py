@@ -35,7 +35,7 @@ COMMANDS = {
     "theory optimum": ["--criterion", "--delay", "--gamma", "--delta", "--device", "--signal", "--json"],
     "theory tables": ["--json"],
     "accuracy": ["--quick", "--json"],
-    "theory map": ["--delay", "--gamma", "--delta", "--device", "--size", "--criteria", "--out", "--json"],
+    "theory map": ["--delay", "--gamma", "--delta", "--size", "--criteria", "--out", "--json"],
 }
 
 

@@ -105,23 +105,22 @@ def cost_map(
     delay: Delay = None,
     gamma: Gamma = 0.0,
     delta: Delta = 0.0,
-    device: OfDevice = None,
-    experiment: One = None,
     size: Annotated[int, option("--size", "Grid points along each axis.")] = 251,
     criteria: Criteria = None,
 ) -> None:
     """Compute costs on a grid over the stable region, as Parquet.
+
+    In SI, for a device: `Loop.map` in Python.
 
     Example: pipeline theory map --delay 1 --criteria settle_2pct,energy_step_w0 --out map.parquet
     """
     from pipeline.theory.costs import MAP_DEFAULT, CostMap, write_map
 
     check_output(out, "--out")
-    case = _case(delay, gamma, delta, device, experiment)
-    made = CostMap(case.loop, size, tuple(criteria or MAP_DEFAULT), units=case.units)
+    made = CostMap(_case(delay, gamma, delta, None, None).loop, size, tuple(criteria or MAP_DEFAULT))
     with console.progress("map", "points") as advance:
         stable = write_map(out, made, advance)
-    columns = [*made.axes, "stable", *made.names]
+    columns = ["alpha", "beta", "stable", *made.names]
     lines = [f"{out}: {size**2} points, {stable} of them stable, columns {columns}"]
     console.tell({"file": str(out), "rows": size**2, "stable": stable}, lines)
 

@@ -20,15 +20,7 @@ import numpy as np
 from pipeline.base.errors import LogError, ProfileError, UsageError, refusal
 from pipeline.base.units import UNITS, find_unit, unit_between, unit_in_heading
 from pipeline.profiles.profile_files import QUESTION
-from pipeline.profiles.profile_model import (
-    CONDITION_QUANTITIES,
-    QUANTITIES,
-    Format,
-    Profile,
-    find_groups,
-    group_names,
-    si_unit,
-)
+from pipeline.profiles.profile_model import CONDITION_QUANTITIES, QUANTITIES, Format, Profile, find_groups, si_unit
 from pipeline.readers.formats import format_of
 from pipeline.readers.formats.delimited import Layout, text_layout, unpacked
 from pipeline.readers.frame import Contents
@@ -323,7 +315,7 @@ def _of_names(path: Path, others: Sequence[Path], law: _Law | None) -> Keys:
     if wall:
         sure = others and law and all(find_groups(wall, other.name) for other in others)
         keys["name_pattern"] = wall, "" if sure else KEYS["name_pattern"][1]
-        keys |= {f"constants.{key}": (None, "") for key in group_names(wall)}
+        keys |= {f"constants.{key}": (None, "") for key in find_groups(wall, path.name) or ()}
     return keys
 
 

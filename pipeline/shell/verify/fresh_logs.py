@@ -149,7 +149,7 @@ def _of_the_report(
     store: FreshStore, trials: pa.Table, excluded: Sequence[Exclusion], listed: LogList | None
 ) -> tuple[pa.Table, pa.Table]:
     """Return the stored trials of the report's logs, and those that were excluded by hand; later ones are neither."""
-    used, _ = split_trials(trials, {one.key: one for one in excluded})
+    used, _ = split_trials(trials, {one.trial_id: one for one in excluded})
     left_out = trials.filter(pc.invert(_among(trials, "trial_id", used.column("trial_id").to_pylist())))
     if listed is None:
         return used, left_out
