@@ -77,7 +77,7 @@ CHANGES = (
     Change(AGREEMENT, "wall = stiffness > 0", "wall = stiffness >= 0"),
     Change(AGREEMENT, "bounded & (low - limit[relative] > reach)", "bounded & (limit[relative] - low > reach)"),
     Change(AGAINST, "len(values) / 2 - half)) - 1, 0)", "len(values) / 2 - half)), 0)"),
-    Change("base/units.py", "\"Ncm\": Unit(\"torque\", 1e-2)", "\"Ncm\": Unit(\"torque\", 1e-3)", "tests/readers"),
+    Change("base/units.py", "\"Ncm\": 1e-2", "\"Ncm\": 1e-3", "tests/readers"),
     Change("base/units.py", "2 * pi / 60", "2 * pi"),
     Change("store/names.py", "if safe.startswith((\".\", \"_\")) or", "if"),
     Change("store/names.py", "parent / (other if taken else name)", "parent / name"),
@@ -96,7 +96,7 @@ CHANGES = (
     Change("simulation/simulate.py", "slots = in_force(delays) + 1", "slots = in_force(delays)"),
     Change("theory/margins.py", "(factors > 0)], max)", "(factors > 0)], min)"),
     Change("theory/passivity.py", "(4 * near - twice) / 3", "near"),
-    Change("theory/settling_overshoot.py", "NO_OVERSHOOT = 1e-12", "NO_OVERSHOOT = 1e-3"),
+    Change("records/criteria.py", "none=1e-12", "none=1e-3"),
     Change("rig/wish.py", "(1 - tolerance, 1 + tolerance)", "(1 + tolerance, 1 + tolerance)"),
     Change("plan/limits.py", "0.5 * (of.bottom + far)", "0.9 * (of.bottom + far)"),
 )  # fmt: skip
