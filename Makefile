@@ -59,5 +59,5 @@ site: .venv/.dev
 	@echo "build/site/index.html"
 
 clean:
-	rm -rf .venv raw/demo raw/demo-full processed/demo processed/demo-full .pytest_cache .mypy_cache .ruff_cache .hypothesis dist
+	rm -rf .venv raw/demo processed/demo .pytest_cache .mypy_cache .ruff_cache .hypothesis dist
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -31,19 +31,14 @@ PARTS = (Part("falcon-real", ("1",), coarsen=4), Part("falcon", ("1", "2", "6"),
 comes a device that deviates as the real one may (docs/falcon.md)."""
 
 
-class DemoOutcome(NamedTuple):
-    """Reports that were written, and the key result with their places as lines."""
-
-    reports: tuple[Path, ...]
-    lines: tuple[str, ...]
-
-
 def run_demo(
     folder: Path = Path("."),
     report_progress: Callable[[str], None] = lambda _: None,
     parts: Sequence[Part] | None = None,
-) -> DemoOutcome:
+) -> tuple[list[Path], list[str]]:
     """Simulate logs, ingest them, compare them with theory, and write one report for each device.
+
+    Returns the reports, and the key results with their places as lines.
 
     Parameters
     ----------
@@ -90,4 +85,4 @@ def run_demo(
         told += [f"{result.title}: {line}" for line in result.summary]
     write_index(pages)
     head = f"{logs} simulated logs in {raw}, compared in {time.monotonic() - began:.0f} s; open in a browser:"
-    return DemoOutcome(tuple(reports), (head, *(f"  {page}" for page in (*reports, pages / INDEX_FILE)), *told))
+    return reports, [head, *(f"  {page}" for page in (*reports, pages / INDEX_FILE)), *told]

@@ -24,7 +24,10 @@ from pipeline.theory.poles import characteristic_parts
 _TOGETHER = 1 << 17
 """Numbers of the recursion at a time: they fit a cache."""
 
-_ROUNDED = 1e-13
+_LONG = 64
+"""Delay from which on polynomials in z keep more digits than those in w: their binomials of the delay are left out."""
+
+_ROUNDED, _ROUNDED_LONG = 1e-13, 2e-13
 """Share that rounding may have in a sum by its estimate, mostly right within a factor of three."""
 
 
@@ -108,21 +111,39 @@ def _by_recursion(loop: Loop, alpha: Floats, beta: Floats, signal: str, kind: An
     a, b = _at(bottom, walls[: bottom.shape[1]]), _at(top, walls)
     rows, columns = np.triu_indices(b.shape[1])
     sums, good = 0 * b[:, rows, 0], np.ones(len(alpha), np.bool_)
-    for _ in range(a.shape[1] - 1):
-        first, odd = b[:, :, 0], a[:, 3::2]
-        size = _times(a[:, 0], a[:, 1])
-        good &= (size[0] > 0).astype(np.bool_)
+    step, limit = (_step_in_z, _ROUNDED_LONG) if loop.oldest_force > _LONG else (_step_in_w, _ROUNDED)
+    while b.shape[2]:
+        first, size, stable, a, b = step(a, b)
+        good &= stable.astype(np.bool_)
         sums += _ratio(_times(first[:, rows], first[:, columns]), size[:, None])
-        share, each = _ratio(a[:, 0], a[:, 1]), _ratio(first, a[:, None, 1])
-        a, b = a[:, 1:], b[:, :, 1:]
-        a[:, 1 : 2 * odd.shape[1] : 2] -= _times(share[:, None], odd)
-        b[:, :, 1 : 2 * odd.shape[1] : 2] -= _times(each[:, :, None], odd[:, None])
     if kind is not np.object_:
         own = sums[0, rows == columns]
         doubt = (np.abs(sums[3:]) / np.sqrt(own[rows] * own[columns])).max(axis=(0, 1))
-        good &= doubt * np.finfo(kind).eps < _ROUNDED
+        good &= doubt * np.finfo(kind).eps < limit
     sums[2] *= 2
     return sums[:3].astype(np.float64), good
+
+
+def _step_in_w(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return coefficients whose product over a size is a share of the sum, that size, whether stable, what is left."""
+    first, odd = b[:, :, 0], a[:, 3::2]
+    size, share, each = _times(a[:, 0], a[:, 1]), _ratio(a[:, 0], a[:, 1]), _ratio(first, a[:, None, 1])
+    a, b = a[:, 1:], b[:, :, 1:]
+    a[:, 1 : 2 * odd.shape[1] : 2] -= _times(share[:, None], odd)
+    b[:, :, 1 : 2 * odd.shape[1] : 2] -= _times(each[:, :, None], odd[:, None])
+    return first, size, size[0] > 0, a, b
+
+
+def _step_in_z(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the same of polynomials in z, highest power first, that of the bottom 1.
+
+    Source: Astroem 1970, theorem 2.1.
+    """
+    last, size, turned = b[:, :, -1], a[:, 0], a[:, ::-1]
+    share, each = _ratio(a[:, -1], size), _ratio(last, size[:, None])
+    stable = (np.abs(share[0]) < 1) | (a.shape[1] == 1)
+    b = (b - _times(each[:, :, None], turned[:, None]))[:, :, :-1]
+    return last, size, stable, (a - _times(share[:, None], turned))[:, :-1], b
 
 
 def _at(polynomials: np.ndarray, walls: np.ndarray) -> np.ndarray:
@@ -164,26 +185,33 @@ def _transforms(loop: Loop, signal: str, kind: Any) -> tuple[np.ndarray, np.ndar
             return bottom, top
         known = characteristic_parts(loop)
         none = as_exact(np.zeros(max(map(len, known))))
-        parts = np.array([total(none, part) for part in known])
+        parts, long = np.array([total(none, part) for part in known]), loop.oldest_force > _LONG
+        if long:
+            parts = np.array([from_w(part)[::-1] for part in parts])
+            parts /= parts[0, 0]
         here, stiffer, softer, damped, both = (
             _tops(loop, parts, alpha, beta, signal) for alpha, beta in ((0, 0), (1, 0), (-1, 0), (0, 1), (1, 1))
         )
         even, odd = (stiffer + softer) / 2, (stiffer - softer) / 2
         top = np.array([here, odd, damped - here, even - here, both - stiffer - damped + here])
-        bottom, top = (np.stack([p, _by_s(p), _by_s(_by_s(p)) / 2]) for p in (parts, top))
+        by_s = _by_s_in_z if long else _by_s
+        bottom, top = (np.stack([p, by_s(p), by_s(by_s(p)) / 2]) for p in (parts, top))
+        if long:
+            return bottom, top
         edge = np.zeros_like(bottom[..., :1])
         return np.concatenate([bottom, edge], axis=-1) + np.concatenate([edge, bottom], axis=-1), top
 
 
 def _tops(loop: Loop, parts: Digits, alpha: int, beta: int, signal: str) -> Digits:
     """Return the numerators of what an interval sees behind a wall, shape (q, powers of w)."""
-    bottom = from_w(parts[0] + alpha * parts[1] + beta * parts[2])[::-1]
+    long, bottom = loop.oldest_force > _LONG, parts[0] + alpha * parts[1] + beta * parts[2]
+    bottom = bottom if long else from_w(bottom)[::-1]
     n = len(bottom) - 1
-    rows = [
-        bilinear(np.array([row[: i + 1] @ bottom[i::-1] for i in range(n + 1)])[::-1], n)
-        for row in _sequences(loop, alpha, beta, signal, n + 1).T
-    ]
-    return np.asarray(np.array(rows) / Decimal(2) ** n, dtype=object)  # of (1 + z)^n (1 - w)^n
+    seen = _sequences(loop, alpha, beta, signal, n + 1).T
+    rows = [np.array([row[: i + 1] @ bottom[i::-1] for i in range(n + 1)]) for row in seen]
+    if long:
+        return np.array(rows, dtype=object)
+    return np.asarray(np.array([bilinear(row[::-1], n) for row in rows]) / Decimal(2) ** n)  # of (1 + z)^n (1 - w)^n
 
 
 def _by_s(polynomial: Digits) -> Digits:
@@ -193,6 +221,10 @@ def _by_s(polynomial: Digits) -> Digits:
     result[..., :-1] -= polynomial[..., 1:] * k[1:] / 4
     result[..., 1:] -= polynomial[..., :-1] * k[:0:-1] / 4
     return np.asarray(result)
+
+
+def _by_s_in_z(polynomial: Digits) -> Digits:
+    return np.asarray(polynomial * np.arange(polynomial.shape[-1]) / 2, dtype=object)
 
 
 def _as(kind: Any, values: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ from pipeline.theory.motion import DEGREE, Motion, joined, pieces, starts
 
 Complexes = NDArray[np.complex128]
 
-TOGETHER = 16384
+TOGETHER = 12288
 """Points that are computed together: their states fit a cache."""
 
 _GONE = 1e-30

@@ -123,6 +123,12 @@ def test_a_position_that_counts_the_other_way_has_no_delay():
     assert len(words) > 30
 
 
+def test_a_growing_motion_that_counts_the_other_way_has_no_delay_though_it_swings_past_its_start():
+    batch = simulate(np.array([9000.0, 12000.0]), np.array([20.0, 20.0]), **FALCON, quantum=1e-5)
+    mirrored = dataclasses.replace(batch, position=2 * batch.position[:, :1] - batch.position)
+    assert first_change(mirrored, find_response(mirrored)).delay_samples.tolist() == [-1, -1]
+
+
 def test_three_rows_off_by_a_quantum_are_no_response():
     """A response goes on to rise; a sensor that flickers does not, however often."""
     batch = simulate([3000.0], [50.0], **{**FALCON, "delay": 9}, quantum=2e-6)

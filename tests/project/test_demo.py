@@ -30,12 +30,12 @@ def test_demo_goes_from_logs_to_a_complete_report(first):
     logs = list((folder / "raw" / "demo" / "lwr" / "delay-8").glob("*.csv"))
     assert len(logs) > 20
     assert read_trials(folder / "processed" / "demo").num_rows == len(logs)
-    assert outcome.reports == (folder / "reports" / "lwr.html",)
-    page = outcome.reports[0].read_text(encoding="utf-8")
+    assert outcome[0] == [folder / "reports" / "lwr.html"]
+    page = outcome[0][0].read_text(encoding="utf-8")
     assert take_apart(page).metas.get(CELLS_META) is not None
     assert take_apart(page).cells
     assert 'href="./lwr.html"' in (folder / "reports" / "index.html").read_text(encoding="utf-8")
-    assert str(folder / "reports" / "index.html") in " ".join(outcome.lines)
+    assert str(folder / "reports" / "index.html") in " ".join(outcome[1])
     assert [s for s in said if s.startswith("simulate")] == ["simulate: lwr, experiment delay-8"]
 
 
@@ -44,7 +44,7 @@ def test_key_result_holds_the_largest_stable_stiffness_of_the_course(first):
     truth = json.loads((folder / "raw/demo/lwr/delay-8/truth.json").read_text())
     # the ideal LWR has no jitter, so its poles say what is stable
     stable = max(log["stiffness"] for log in truth["logs"].values() if log["spectral_radius"] < 1)
-    text = " ".join(outcome.lines)
+    text = " ".join(outcome[1])
     assert str(folder / "reports" / "lwr.html") in text
     document = json.loads((folder / "reports/lwr.json").read_text())
     (experiment,) = document["experiments"]
@@ -70,7 +70,7 @@ def test_second_demo_stores_nothing_anew(first):
     assert before
     again = demo.run_demo(folder, parts=SMALL)
     assert stamps(folder / "processed") == before
-    assert again.lines[1:] == outcome.lines[1:]
+    assert again[1][1:] == outcome[1][1:]
 
 
 def test_demo_leaves_foreign_files_alone_and_says_so(first):

@@ -23,6 +23,7 @@ from independent import (
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, Normalised
+from pipeline.theory import energy
 from pipeline.theory.boundary import boundary, stiffness_limit
 from pipeline.theory.energy import _by_recursion, energy_costs
 
@@ -244,3 +245,25 @@ def test_sums_that_rounding_has_a_share_in_are_not_taken(loop: Loop, signal: str
     off = np.abs((found - truth) / np.sqrt(own[:, rows] * own[:, columns])).max(axis=(0, 1))
     assert 5 < good.sum() < 35
     assert off[good].max() < 1e-12 < 1e-6 < off.max()
+
+
+@pytest.mark.parametrize("delay", [64.0, 64.5, 100.0])
+def test_long_delays_keep_their_digits_in_z(delay: float) -> None:
+    loop = Loop(1e-5, 0.02, delay)
+    beta = np.array([0.3, 0.5]) * boundary(loop, 60).beta_max
+    alpha = stiffness_limit(loop, beta) * np.array([0.3, 0.9])
+    truth, good = _by_recursion(loop, alpha, beta, "step", np.object_)
+    assert good.all()
+    with np.errstate(all="ignore"):
+        found, good = _by_recursion(loop, alpha, beta, "step", np.longdouble)
+    rows, columns = np.triu_indices(len(loop.device[1]) + len(loop.segments))
+    own = truth[:, rows == columns]
+    off = np.abs((found - truth) / np.sqrt(own[:, rows] * own[:, columns])).max(axis=(0, 1))
+    assert (off[good] < 1e-10).all()
+    # the two recursions, of polynomials in w and in z, on both sides of the delay that parts them
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(energy, "_LONG", 1e9 if delay > 64 else 0)
+        energy._transforms.cache_clear()
+        other, _ = _by_recursion(loop, alpha, beta, "step", np.object_)
+    energy._transforms.cache_clear()
+    assert other == pytest.approx(truth, rel=1e-12)

@@ -40,8 +40,8 @@ def demo() -> None:
     from pipeline.shell.demo import run_demo
 
     check_output(Path("reports/falcon.html"), "", document_beside=True)
-    done = run_demo(report_progress=console.step)
-    console.tell({"reports": [str(path) for path in done.reports]}, done.lines)
+    reports, lines = run_demo(report_progress=console.step)
+    console.tell({"reports": [str(path) for path in reports]}, lines)
 
 
 def simulate(

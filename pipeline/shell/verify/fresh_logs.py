@@ -136,7 +136,7 @@ def read_anew(
         _keep(store, device, experiment, processed, pa.concat_tables([gone, left_out]))
         if experiment in reported:
             _hold_samples(store, device, experiment, reported[experiment])
-    for kept in kept_files(processed, STORED, ".json"):
+    for kept in kept_files(processed, STORED, ".json") if folder.is_dir() else ():
         shutil.copy(kept, folder / kept.name)
     return store
 

@@ -206,6 +206,12 @@ def test_a_device_without_friction_and_with_a_spring():
     assert {name: found.parameters[name].value for name in truth} == pytest.approx(truth, rel=5e-3)
 
 
+@pytest.mark.parametrize(("friction", "seed"), [(0.002, 5), (0.0, 5), (0.0, 6)])
+def test_a_part_is_found_where_the_likelihood_asks_for_it(friction, seed):
+    found = identified(moved(np.random.default_rng(seed), steps(TEN), friction=friction, noise=0.03))
+    assert (found.parts.get("friction", 0.0) > 0) == (friction > 0)
+
+
 def test_one_step_tells_the_acceleration_and_no_mass():
     rng = np.random.default_rng(10)
     found = identified(moved(rng, steps([0.1])))

@@ -1,0 +1,69 @@
+"""Intervals of a fit against those of textbooks: a mean by Student's t, by leaving out, in groups, and at its bound."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import norm, t
+
+from pipeline.measured.intervals import NORMAL_95, student_95
+from pipeline.measured.model.intervals import GROUPS, Errors
+
+SAMPLE = np.random.default_rng(8).normal(5.0, 2.0, 8)
+
+
+def mean_of(values, known):
+    """Errors of the mean of values, each of which tells it with information 1; its information says ``known``."""
+    deviation = values - values.mean()
+    solved = SimpleNamespace(
+        total=np.array([[float(len(values))]]),
+        information=np.ones((len(values), 1, 1)),
+        score=deviation[:, None],
+        covariance=np.array([[known**2]]),
+    )
+    device = SimpleNamespace(numbers={"mean": float(values.mean())})
+    return Errors.of(SimpleNamespace(device=device, solved=solved, few=False, alike=1.0))
+
+
+def half_width(values, known=1e-6):
+    found = mean_of(values, known).interval(lambda n: n["mean"])
+    assert found.value == pytest.approx(values.mean())
+    return 0.5 * (found.high - found.low)
+
+
+def test_factors_are_those_of_the_distributions():
+    assert pytest.approx(norm.ppf(0.975)) == NORMAL_95
+    assert student_95([1, 4, 9.5, np.inf]) == pytest.approx(t.ppf(0.975, [1, 4, 9.5, 1e12]))
+
+
+def test_a_scattering_mean_has_the_interval_of_student():
+    expected = t.ppf(0.975, len(SAMPLE) - 1) * SAMPLE.std(ddof=1) / np.sqrt(len(SAMPLE))
+    assert half_width(SAMPLE) == pytest.approx(expected)
+
+
+def test_information_counts_where_it_leaves_more_open():
+    assert half_width(SAMPLE, 3.0) == pytest.approx(t.ppf(0.975, len(SAMPLE) - 1) * 3.0)
+
+
+def test_units_that_are_alike_in_groups_count_as_so_many():
+    groups = np.random.default_rng(4).normal(5.0, 2.0, GROUPS)
+    expected = t.ppf(0.975, GROUPS - 1) * groups.std(ddof=1) / np.sqrt(GROUPS)
+    # leaving out a group at once moves the mean by so much to first order
+    assert half_width(np.repeat(groups, 40)) == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("value", [0.1, 0.0, -0.1, -3.0])
+def test_what_is_not_negative_ends_at_zero(value):
+    errors = Errors({"b": value}, np.array([[0.04]]), np.zeros((5, 1)), np.inf)
+    found, reach = errors.interval(lambda n: n["b"], bounded=True), 0.2 * norm.ppf(0.975)
+    assert (found.value, found.low) == (max(value, 0.0), 0.0)
+    # the likelihood falls by as much from its largest value that is allowed as to an end of the plain interval
+    fall = ((found.high - value) ** 2 - (found.value - value) ** 2) / reach**2
+    assert fall == pytest.approx(1.0)
+
+
+def test_what_is_far_from_its_bound_is_as_without():
+    errors = Errors({"b": 0.5}, np.array([[0.04]]), np.zeros((5, 1)), np.inf)
+    assert errors.interval(lambda n: n["b"], bounded=True) == errors.interval(lambda n: n["b"])
