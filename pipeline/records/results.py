@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import sqrt
 from typing import Any, Literal
 
 from pydantic import Field
@@ -209,8 +208,9 @@ class WallReplay(Record):
     """How the found device, friction and scatter included, predicts tested walls that it was not fitted to.
 
     ``fit_percent`` of the position behind stable walls, median; ``verdicts_same`` share of the decided verdicts;
-    ``limits_off_percent`` and ``costs_off_percent`` median errors of limits and settling times,
-    ``limits_known_percent`` that of the measured limits by themselves. None where there is nothing to compare.
+    ``limits_off_percent`` and ``costs_off_percent`` median errors of limits and settling times. A measured limit is
+    known to lie in its interval, ``limits_known_percent`` wide to either side in the median; 95 % of the predicted ones
+    are at most ``limits_error_percent`` outside of these. None where there is nothing to compare.
     ``trials`` are those verdicts: of a device with jitter those that several runs of it agree on.
     """
 
@@ -220,17 +220,12 @@ class WallReplay(Record):
     costs_off_percent: float | None
     trials: int
     limits_known_percent: float | None = None
-
-    @property
-    def limits_error_percent(self) -> float:
-        """Median error of limits without what the measured ones leave open; 0 where there are none."""
-        off, known = self.limits_off_percent or 0.0, self.limits_known_percent or 0.0
-        return float(sqrt(max(off**2 - known**2, 0.0)))
+    limits_error_percent: float | None = None
 
     @property
     def is_right(self) -> bool:
-        """Whether limits are within 5 %, and 95 % of the verdicts are right."""
-        limits = self.limits_error_percent <= LIMITS_WITHIN
+        """Whether limits are within 5 % of what is known of them, and 95 % of the verdicts are right."""
+        limits = (self.limits_off_percent or 0.0) <= LIMITS_WITHIN + (self.limits_known_percent or 0.0)
         if self.verdicts_same is None:
             return False
         # of few trials one may be chance

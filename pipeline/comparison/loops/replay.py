@@ -14,14 +14,13 @@ from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.comparison.summary.advice import NARROW
 from pipeline.measured.cost.costs import settling
 from pipeline.measured.experiment.boundary import spread_over_plane
-from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.stages.stage_groups import Given, TrialGroup
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
-from pipeline.records.results import ExperimentResult, LoopLimit, WallReplay
+from pipeline.records.results import LIMITS_WITHIN, ExperimentResult, LoopLimit, WallReplay
 from pipeline.rendering.labels import share_text, significant
 
 MOST_WALLS = 150
@@ -37,9 +36,6 @@ QUANTILES = (-1.2816, -0.5244, 0.0, 0.5244, 1.2816)
 
 LOW = 0.25
 """Limit relative to the largest one below which none is compared in percent: at its ends a boundary tends to zero."""
-
-TYPICAL = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
 
 
 def usual_trial(result: ExperimentResult, stages: ExperimentStages) -> Trial:
@@ -117,11 +113,13 @@ def wall_replay(
         costs[some] = settling(batch, response, verdicts, int(max(point.delay_samples, 0.0)))["settle_2pct"].value
     stable = (verdict[chosen] == "stable") & (said == "stable")
     decided = said != "undecided"
+    off, known, outside = _limit_errors(result, limits)
     return WallReplay(
         fit_percent=median(fits[stable]),
         verdicts_same=float((said == verdict[chosen])[decided].mean()) if decided.any() else None,
-        limits_off_percent=limits_off(result, limits),
-        limits_known_percent=median(_limit_errors(result, limits)[1]),
+        limits_off_percent=median(off),
+        limits_known_percent=median(known),
+        limits_error_percent=float(np.quantile(outside, 0.95)) if len(outside) else None,
         costs_off_percent=_costs_off(result, stages, chosen[stable], costs[stable]),
         trials=int(decided.sum()),
     )
@@ -146,8 +144,8 @@ def _without_each_fold(found: FoundDevice) -> list[LoopPoint]:
 
 
 def replay_error(replay: WallReplay | None) -> float:
-    """Return the error of limits that a replay shows, relative, 95 % of a normal one with its median."""
-    return NORMAL_95 * TYPICAL * replay.limits_error_percent / 100 if replay is not None else 0.0
+    """Return the error of limits that a replay shows, 95 %, relative."""
+    return (replay.limits_error_percent or 0.0) / 100 if replay is not None else 0.0
 
 
 def replay_words(replay: WallReplay) -> str:
@@ -155,9 +153,12 @@ def replay_words(replay: WallReplay) -> str:
     verdicts = share_text(replay.verdicts_same or 0.0, 0)
     walls = counted(replay.trials, "wall")
     text = f"behind {walls} that it was not fitted to the found device is right in {verdicts} % of verdicts"
-    if replay.limits_off_percent is None:
+    off, known = replay.limits_off_percent, replay.limits_known_percent
+    if off is None:
         return text
-    return f"{text}, its limits within {significant(replay.limits_off_percent, 2)} %"
+    if known is not None and known > max(off, LIMITS_WITHIN):
+        return f"{text}, its limits within what the tested walls tell, {significant(known, 2)} % to either side"
+    return f"{text}, its limits within {significant(off, 2)} %"
 
 
 def told_limits(
@@ -212,15 +213,18 @@ def limits_off(result: ExperimentResult, predicted: Floats) -> float | None:
     return median(_limit_errors(result, predicted)[0])
 
 
-def _limit_errors(result: ExperimentResult, predicted: Floats) -> tuple[Floats, Floats]:
-    """Return the errors of predicted limits, and those that measured ones have by themselves in the median [%]."""
+def _limit_errors(result: ExperimentResult, predicted: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the errors of predicted limits, the half widths of measured ones' intervals, and how far predicted ones
+    lie outside these [%]."""
     measured = measured_limits(result.boundary)
-    known = measured.known & ~measured.censored & (measured.low > 0)
-    known &= measured.limit > LOW * measured.limit[known].max(initial=0.0)
+    some = measured.known & ~measured.censored & (measured.low > 0)
+    some &= measured.limit > LOW * measured.limit[some].max(initial=0.0)
     at = dict(zip([each.damping for each in result.boundary], predicted.tolist(), strict=True))
-    ahead = np.array([at.get(B, np.nan) for B in measured.damping[known].tolist()])
-    limit, reach = measured.limit[known], 0.5 * (measured.high - measured.low)[known]
-    return 100 * np.abs(ahead / limit - 1), 100 * reach / limit / (NORMAL_95 * TYPICAL)
+    ahead = np.array([at.get(B, np.nan) for B in measured.damping[some].tolist()])
+    limit, low, high = (each[some] for each in (measured.limit, measured.low, measured.high))
+    outside = np.maximum(np.maximum(low - ahead, ahead - high), 0.0)
+    off, known, outside = (100 * each / limit for each in (np.abs(ahead - limit), 0.5 * (high - low), outside))
+    return off, known, outside[np.isfinite(outside)]
 
 
 def motions(group: TrialGroup, given: Given) -> list[tuple[str, Floats]]:

@@ -148,21 +148,20 @@ class Device:
 class Fit:
     """A device with what its likelihood says.
 
-    ``solved`` at the device, with its ``moments``; units are portions of ``few`` logs, else trials. ``log_spread`` is
-    the sum over all rows, ``alike`` the mean number of equal readings in a row, which count as one.
+    ``solved`` at the device, with its ``moments``; units are portions of ``few`` logs, else trials. ``alike`` is the
+    mean number of equal readings in a row, which count as one.
     """
 
     device: Device
     solved: Solved
     moments: Moments
     few: bool
-    log_spread: float
     alike: float
 
     @property
     def likelihood(self) -> float:
-        """Restricted logarithm of the likelihood, filter included."""
-        return self.solved.likelihood - self.log_spread
+        """Restricted logarithm of the likelihood."""
+        return self.solved.likelihood
 
 
 def chunks(held: Stretches, columns: int) -> list[np.ndarray]:
@@ -177,15 +176,16 @@ def portions_of(held: Stretches, trials: int) -> int:
     return 0 if trials >= FEWEST else max(1, -(-PORTIONS // max(len(held), 1)))
 
 
-def moments_of(held: Stretches, device: Device, trials: int) -> tuple[Moments, float]:
-    """Return the moments of all units (trials, or portions) at a device, and the summed logarithms of spreads."""
+def moments_of(held: Stretches, device: Device, trials: int) -> Moments:
+    """Return the moments of all units (trials, or portions) at a device."""
     p, portions = len(device.names), portions_of(held, trials)
     units = len(held) * portions if portions else trials
-    total, rows, spreads = np.zeros((units, p + 1, p + 1)), np.zeros(units), 0.0
+    total, rows, spreads, known = np.zeros((units, p + 1, p + 1)), np.zeros(units), 0.0, []
     for some in chunks(held, p + 8):
         part = held.chosen(some)
-        left, spread, starts = _columns(part, device)
+        left, spread, told, starts = _columns(part, device)
         spreads += spread
+        known.append(told)
         if not portions:
             np.add.at(total, part.trial, left.transpose(0, 2, 1) @ left)
             np.add.at(rows, part.trial, part.rows - starts)
@@ -197,7 +197,7 @@ def moments_of(held: Stretches, device: Device, trials: int) -> tuple[Moments, f
             cut = left * inside[..., None]
             total[some * portions + portion] = cut.transpose(0, 2, 1) @ cut
             rows[some * portions + portion] = behind - first - starts / portions
-    return Moments(total, rows, float(np.median(held.least))), spreads
+    return Moments(total, rows, float(np.median(held.least)), spreads, np.concatenate(known))
 
 
 def errors_of(
@@ -216,19 +216,29 @@ def force_of(held: Stretches, device: Device) -> Column:
     return Column(held.position, device.driven(held) * gain, force - coulomb * held.direction)
 
 
-def _log_spread(held: Stretches, found: Filter, triangle: Floats) -> float:
-    """Return the sum of the logarithms of the errors' spreads, those of the start included (restricted)."""
-    known = np.abs(np.diagonal(triangle, axis1=1, axis2=2))
-    largest = known.max(axis=1, keepdims=True)
-    starts = np.log(np.where(known > 1e-11 * largest, known, 1.0)).sum()
+def _log_spread(held: Stretches, found: Filter) -> float:
+    """Return the sum of the logarithms of the errors' spreads."""
     if found.spread.size == 1:
-        return float(held.rows.sum() * np.log(found.spread[0, 0]) + starts)
-    return float(np.log(np.broadcast_to(found.spread, held.position.shape)[held.valid]).sum() + starts)
+        return float(held.rows.sum() * np.log(found.spread[0, 0]))
+    return float(np.log(np.broadcast_to(found.spread, held.position.shape)[held.valid]).sum())
 
 
-def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats]:
-    """Return columns and errors without the start (S, N, p + 1), the filter's spreads, and unknowns of each start."""
-    passage, nothing = device.passage(held), np.ones_like(held.direction)
+def _told(held: Stretches, device: Device, triangle: Floats) -> Floats:
+    """Return the information about each unknown of the starts, known those before it, by readings of noise 1.
+
+    Position and rate are at most 1; what a lag or a mode holds is at most what the largest command makes.
+    """
+    gain, shape = abs(device.numbers["gain"]), device.shape
+    mode = [gain / shape.turn**2, gain / shape.turn] if shape.share > 0 else []
+    sizes = np.array([1.0, 1.0, *mode, *([gain] if shape.lag else [])])[: triangle.shape[2]]
+    unknown = ~held.rests[:, None] | (np.arange(len(sizes)) == 0)
+    return np.asarray((np.diagonal(triangle, axis1=1, axis2=2) * sizes)[unknown] ** 2)
+
+
+def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats, Floats]:
+    """Return columns and errors without the start (S, N, p + 1), the filter's spreads, `_told`, and unknowns of each
+    start."""
+    passage, nothing = device.passage(held), np.ones(len(held))
     found = Filter.of(passage, device.noise)
     linear = {
         "gain": Column(command=device.driven(held)),
@@ -260,7 +270,7 @@ def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats]:
     stacked = np.stack([*(columns[name] for name in device.names), common], axis=-1).transpose(1, 0, 2)
     reduced = stacked - q @ (q.transpose(0, 2, 1) @ stacked)
     unknowns = np.full(len(held), q.shape[2]) - held.rests * (q.shape[2] - 1)
-    return reduced, _log_spread(held, found, r), unknowns
+    return reduced, _log_spread(held, found), _told(held, device, r), unknowns
 
 
 def refined(
@@ -290,7 +300,7 @@ def refined(
     for count in range(first, first + steps):
         if noisy and count in (1, FIXED_STEPS):
             device = replace(device, noise=noise_of(held, device, jitters=count == FIXED_STEPS))
-        moments, log_spread = moments_of(held, device, trials)
+        moments = moments_of(held, device, trials)
         if not np.isfinite(moments.products).all():
             break
         solved = solve(moments, places if count >= FIXED_STEPS else free)
@@ -300,7 +310,6 @@ def refined(
             solved,
             moments,
             trials < FEWEST,
-            log_spread,
             alike if device.noise == WHITE else 1.0,
         )
         if best is None or count == FIXED_STEPS or fit.likelihood > best.likelihood:
@@ -321,7 +330,7 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
     from scipy.optimize import minimize_scalar
 
     some = held.chosen(spread(held, NOISE_STRETCHES))
-    constant = Column(direct=np.ones_like(some.direction))
+    constant = Column(direct=np.ones(len(some)))
     white = max(_white(some), float(np.median(some.least)))
     unit = float(device.numbers["gain"] ** 2 / white)
 
@@ -342,7 +351,7 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
         # the strength of a jitter is that of its forces, beside readings whose noise is seen
         variance = white if noise.late else np.maximum(squares / rows, some.least)
         lost = 0.5 * (rows * np.log(variance) + squares / variance + np.log(pushed)).sum()
-        return float(lost) + _log_spread(some, found, r)
+        return float(lost) + _log_spread(some, found) + 0.5 * float(np.log(_told(some, device, r) + white).sum())
 
     def likeliest(make: Callable[[float], Noise], limits: tuple[float, float]) -> tuple[float, Noise]:
         bounds = tuple(np.log(limits).tolist())
@@ -433,7 +442,7 @@ def begun(held: Stretches, names: tuple[str, ...], most_delay: float) -> Device:
         passage = Passage(some, Physics(delay=float(delay)))
         forces = [
             Column(command=some.driven),
-            *(Column(direct=each) for each in (middle, some.direction, np.ones_like(y))),
+            *(Column(direct=each) for each in (middle, some.direction, np.ones(len(some)))),
         ]
         twice = [-each for each in passed(passage, Filter.of(passage, Noise()), forces)]
         known = {"gain": twice[0], "delta": -once, "gamma": -twice[1], "coulomb": -twice[2], "force": twice[3]}

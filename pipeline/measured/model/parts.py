@@ -8,8 +8,8 @@ import numpy as np
 
 from pipeline.measured.model.estimation import LIMITS, WORTH, Device, Fit, begun, moments_of, refined, spread
 from pipeline.measured.model.intervals import Errors, physical
-from pipeline.measured.model.recordings import Holding, Recording, Scales, Stretches, stretches
-from pipeline.measured.model.scatter import Moments, inverse, solve
+from pipeline.measured.model.recordings import Recording, Scales, Stretches, stretches
+from pipeline.measured.model.scatter import inverse, solve
 from pipeline.measured.model.whitening import WHITE
 
 BASE = ("gain", "delta", "delay", "force")
@@ -35,7 +35,7 @@ LONGEST_DELAY = 48
 SHARES = (0.05, 0.2)
 """Shares of the far mass from which a mode is looked for."""
 
-TURNS = (0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7, 1.0)
+TURNS = (0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.2)
 """Frequencies [rad a sample] from which a mode is looked for, a factor of 1.5 apart."""
 
 
@@ -128,16 +128,11 @@ def chosen(recordings: list[Recording]) -> Choice:
     begin = _begin(some, scales, base, int(np.clip(rows // 8, 2, LONGEST_DELAY)))
     lead, trials = int(np.ceil(begin.numbers.get("delay", 0.0))) + 3, len(some)
     fit, held, parts, bounds = _first(some, scales, lead, begin)
-    holding = None
-    if parts.get("friction", 0.0) > 0:
-        holding = _holding(fit, scales)
-        held = stretches(some, scales, lead, True, holding)
-        fit = refined(held, replace(fit.device, effects=None), trials, far=False)
     fit, parts = _further(held, fit, parts, trials)
-    if {"lag", "mode"} & set(parts):
+    if set(parts) - {"friction", "stiffness"}:
         held, fit, parts = _pruned((some, scales, lead), held, fit, parts)
     if len(places) < len(recordings):
-        held = stretches(recordings, scales, lead, "friction" in parts, holding)
+        held = stretches(recordings, scales, lead, "friction" in parts)
         alone = replace(fit.device, effects=None)
         fit = refined(held, alone, len(recordings), steps=LAST_STEPS, far=False, noisy=False)
     return Choice(fit, held, scales, parts, assumed, {name: end for name, end in bounds.items() if name not in parts})
@@ -146,8 +141,7 @@ def chosen(recordings: list[Recording]) -> Choice:
 def again(choice: Choice, recordings: list[Recording]) -> Choice:
     """Return the fit of other recordings with the parts of an earlier choice, from its numbers on."""
     found, scales = choice.fit, choice.scales
-    holding = _holding(found, scales) if choice.parts.get("friction", 0.0) > 0 else None
-    held = stretches(recordings, scales, choice.held.lead, choice.moving, holding)
+    held = stretches(recordings, scales, choice.held.lead, choice.moving)
     alone = replace(found.device, effects=None)
     fit = refined(held, alone, len(recordings), steps=LAST_STEPS, far=False, noisy=False)
     return Choice(fit, held, scales, choice.parts, choice.assumed)
@@ -193,14 +187,6 @@ def _worth(held: Stretches, fit: Fit, trials: int) -> tuple[Fit, dict[str, float
     return refined(held, Device(left, fit.device.noise), trials, far=False, noisy=False), {}
 
 
-def _holding(fit: Fit, scales: Scales) -> Holding:
-    """Return what may hold the device in SI, friction a tenth larger than found."""
-    found, numbers = physical(scales), fit.device.numbers
-    spring = found["stiffness"](numbers) if "gamma" in numbers else 0.0
-    late = found["delay"](numbers) if "delay" in numbers else 0.0
-    return Holding(1.1 * found["friction"](numbers), spring, late)
-
-
 def _base(recordings: list[Recording]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the numbers that commands can tell, and those that are taken as none."""
     largest = max(float(np.abs(each.command).max()) for each in recordings)
@@ -225,7 +211,7 @@ def _begin(recordings: list[Recording], scales: Scales, base: tuple[str, ...], l
 def _pruned(
     logs: tuple[list[Recording], Scales, int], held: Stretches, fit: Fit, parts: dict[str, float]
 ) -> tuple[Stretches, Fit, dict[str, float]]:
-    """Return stretches, fit and parts without friction and spring that only stood for a lag or a mode."""
+    """Return stretches, fit and parts without friction and spring that only stood for another part."""
     recordings, scales, lead = logs
     for name, number in (("friction", "coulomb"), ("stiffness", "gamma")):
         if name not in parts or _loss(fit, number) > WORTH:
@@ -313,9 +299,9 @@ def _best(held: Stretches, device: Device, trials: int, part: str, some: list[di
     """Return the likeliest of some devices with a part as it stands, each with the best of its other numbers."""
 
     def promise(found: Device) -> float:
-        moments, log_spread = moments_of(held, found, trials)
+        moments = moments_of(held, found, trials)
         others = [i for i, name in enumerate(found.names) if name not in NUMBERS[part]] + [len(found.names)]
-        left = Moments(moments.products[:, others][:, :, others], moments.rows, moments.least)
-        return solve(left, np.empty(0, dtype=np.int64)).likelihood - log_spread
+        left = replace(moments, products=moments.products[:, others][:, :, others])
+        return solve(left, np.empty(0, dtype=np.int64)).likelihood
 
     return max((replace(device, numbers=device.numbers | each) for each in some), key=promise)

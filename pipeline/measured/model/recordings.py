@@ -23,10 +23,6 @@ LONGEST = 1000
 SHORTEST = 8
 """Rows of the shortest stretch that says more than its own start."""
 
-ALONE = 15
-"""Rows in one direction from which on a turn is left out, as its place is known to a part of a row only: a start of its
-own costs two numbers of fifteen readings."""
-
 SURE = 4.0
 """Speed in its standard errors from which on its direction counts as seen; wrong in 6e-5 of the rows."""
 
@@ -91,8 +87,8 @@ class Stretches:
     rounding alone leaves of a reading.
 
     ``time`` (lead + N + 1, S), ``command`` and ``acts`` (lead + N, S): whether the force of a row acts on the device,
-    which friction holds before; ``position`` (N, S), ``direction`` (N, S) of motion until the next row; ``rows``,
-    ``trial`` and ``rests`` (starts at rest) of shape (S,).
+    which friction holds before; ``position`` (N, S); ``rows``, ``trial``, ``direction`` of motion (0 where it is not
+    asked for) and ``rests`` (starts at rest) of shape (S,).
     """
 
     time: Floats
@@ -131,7 +127,7 @@ class Stretches:
             self.command[:cut, which],
             self.acts[:cut, which],
             self.position[:n, which],
-            self.direction[:n, which],
+            self.direction[which],
             rows,
             self.trial[which],
             self.rests[which],
@@ -149,7 +145,7 @@ class _Cut:
     trial: int
     first: int
     behind: int
-    direction: Floats
+    direction: float
     edge: int | None = None
 
 
@@ -198,24 +194,7 @@ def rounding(position: Floats) -> float:
     return quantum / float(np.sqrt(12.0))
 
 
-@dataclass(frozen=True)
-class Holding:
-    """What may hold a device in a turn: friction [N, Nm], a spring [N/m, Nm/rad] and the delay of the command [s]."""
-
-    friction: float
-    stiffness: float
-    delay: float
-
-    def rows(self, each: Recording, origin: float) -> Booleans:
-        """Return the rows at which friction is the larger force."""
-        late = np.searchsorted(each.time, each.time - self.delay, side="right") - 1
-        driven = each.command[np.maximum(late, 0)] - self.stiffness * (each.position - origin)
-        return np.asarray(np.abs(driven) <= self.friction)
-
-
-def stretches(
-    recordings: list[Recording], scales: Scales, lead: int, moving: bool, holding: Holding | None = None
-) -> Stretches:
+def stretches(recordings: list[Recording], scales: Scales, lead: int, moving: bool) -> Stretches:
     """Return the stretches of recordings.
 
     Parameters
@@ -225,9 +204,8 @@ def stretches(
     lead : int
         Rows of commands that are needed before a reading: the delay, rounded up.
     moving : bool
-        Only rows at which the direction of motion is known, as friction needs; else all.
-    holding : Holding, optional
-        Where it is known, a turn in which the device may have stuck ends a stretch.
+        Only rows at which the direction of motion is known, as friction needs, each stretch in one of them: where a
+        motion turns is known to a part of a row only. Else all rows.
     """
     cuts: list[_Cut] = []
     even = [_even(each.time / scales.period) for each in recordings]
@@ -235,11 +213,10 @@ def stretches(
         pauses = np.flatnonzero((np.diff(grid) > GAP * each.period / scales.period) & (np.diff(each.command) != 0)) + 1
         bounds = [0, *pauses.tolist(), len(grid)]
         seen = each.motion if moving else None
-        stuck = holding.rows(each, scales.origin) if holding else np.zeros(len(grid), dtype=bool)
         for first, behind in pairwise(bounds):
             start = first if first == 0 and _starts_at_rest(each) else first + lead
             if behind - start >= SHORTEST:
-                cuts += _moving(trial, each, seen, stuck, (start, behind), lead) if seen else _all(trial, start, behind)
+                cuts += _moving(trial, each, seen, (start, behind), lead) if seen else _all(trial, start, behind)
     return _padded(recordings, even, cuts, scales, lead)
 
 
@@ -267,91 +244,29 @@ def _starts_at_rest(recording: Recording) -> bool:
 def _all(trial: int, first: int, behind: int) -> list[_Cut]:
     count = max(1, round((behind - first) / LONGEST))
     bounds = np.linspace(first, behind, count + 1).astype(int).tolist()
-    return [_Cut(trial, a, b, np.zeros(b - a)) for a, b in pairwise(bounds)]
+    return [_Cut(trial, a, b, 0.0) for a, b in pairwise(bounds)]
 
 
-def _moving(trial: int, each: Recording, seen: Motion, stuck: Booleans, rows: tuple[int, int], lead: int) -> list[_Cut]:
-    """Return the parts of some rows in which the direction is known; a quick turn is no end, unless it may stick."""
+def _moving(trial: int, each: Recording, seen: Motion, rows: tuple[int, int], lead: int) -> list[_Cut]:
+    """Return the parts of some rows in which the device moves in one direction."""
     first, behind = rows
     sign = seen.direction[first:behind]
-    direction, ends = _directions(seen.velocity[first:behind], sign, stuck[first:behind], seen.half)
+    edges = np.flatnonzero(np.diff(sign)) + 1
     found: list[_Cut] = []
-    for a, b in ends:
+    for a, b in pairwise([0, *edges.tolist(), len(sign)]):
         # the smoothed velocity still moves as many rows behind a stop as it takes from before it
         stop = b - seen.half if b < len(sign) else b
-        if stop <= a:
+        if not sign[a] or stop <= a:
             continue
         edge = _edge(each, seen, first, first + a, lead)
-        if edge is not None:
-            start = max(first, edge - EARLIER)
-            way = np.concatenate([np.full(first + a - start, float(sign[a])), direction[a:stop]])
-            found.append(_Cut(trial, start, min(first + stop, start + LONGEST), way[:LONGEST], edge))
-        else:
-            begin = a + seen.half if a > 0 else a
-            count = max(1, round((stop - begin) / LONGEST))
-            cuts = np.linspace(begin, stop, count + 1).astype(int).tolist()
-            found += [_Cut(trial, first + i, first + j, direction[i:j]) for i, j in pairwise(cuts)]
-    return [cut for cut in found if cut.behind - cut.first >= SHORTEST]
-
-
-def _directions(velocity: Floats, sign: Integers, stuck: Booleans, half: int) -> tuple[Floats, list[tuple[int, int]]]:
-    """Return the mean direction until the next row, and the stretches of rows over which it is known."""
-    edges = np.flatnonzero(np.diff(sign)) + 1
-    runs: list[tuple[int, int, int]] = []
-    for a, b in pairwise([0, *edges.tolist(), len(sign)]):
-        if runs and runs[-1][2] * sign[a] < 0:
-            runs.append((a, a, 0))  # it turns between two rows
-        runs.append((a, b, int(sign[a])))
-    # between rows the velocity changes on a straight line
-    speed = np.append(velocity, velocity[-1])
-    direction = (speed[:-1] + speed[1:]) / np.maximum(np.abs(speed[:-1]) + np.abs(speed[1:]), 1e-300)
-    ends: list[tuple[int, int]] = []
-    begin: int | None = None
-    for index, (a, b, way) in enumerate(runs):
-        if way:
-            begin = a if begin is None else begin
-            continue
-        turns = 0 < index < len(runs) - 1 and _brief(runs[index - 1 : index + 2]) and _turns(velocity, a, b)
-        if turns and not stuck[max(a - half, 0) : b + half].any():
-            if a < b:
-                direction[a:b] = _through(velocity[a : b + 1], runs[index - 1][2], runs[index + 1][2])
-        elif begin is not None:
-            ends.append((begin, a))
-            begin = None
-    if begin is not None:
-        ends.append((begin, len(sign)))
-    return direction, ends
-
-
-def _brief(runs: list[tuple[int, int, int]]) -> bool:
-    """Return whether the rows of one direction before or behind a turn are too few to be a stretch of their own."""
-    return min(behind - first for first, behind, way in runs if way) < ALONE
-
-
-def _turns(velocity: Floats, a: int, b: int) -> bool:
-    """Return whether slow rows [a, b) are those of a turn and not of a rest: as few as the acceleration makes."""
-    if a == b:
-        return True
-    if velocity[a - 1] * velocity[min(b, len(velocity) - 1)] >= 0:
-        return False
-    near, last = max(2, (b - a) // 2), len(velocity) - 1
-    before = velocity[max(a - 1 - near, 0)] - velocity[a - 1]
-    behind = velocity[min(b + near, last)] - velocity[min(b, last)]
-    # at rest readings flicker for a row: they come from no motion and lead to none
-    if before * velocity[a - 1] <= 0 or behind * velocity[min(b, last)] <= 0:
-        return False
-    slope = min(abs(before), abs(behind)) / near
-    return bool(abs(velocity[a - 1] - velocity[min(b, last)]) >= 0.6 * slope * (b - a))
-
-
-def _through(velocity: Floats, before: int, behind: int) -> Floats:
-    """Return the mean direction in each interval of a turn; the velocity crosses 0 on a straight line."""
-    rows = len(velocity) - 1
-    line = np.polynomial.Polynomial.fit(np.arange(rows + 1), velocity, 1) if rows > 1 else None
-    roots = line.roots() if line is not None else np.array([0.5 * rows])
-    at = float(np.clip(roots[0].real if len(roots) else 0.5 * rows, 0, rows))
-    share = np.clip(at - np.arange(rows), 0.0, 1.0)
-    return np.asarray(before * share + behind * (1 - share))
+        begin = max(first, edge - EARLIER) if edge is not None else first + a + seen.half * (a > 0)
+        bounds = [*range(begin, first + stop, LONGEST), first + stop]
+        found += [
+            _Cut(trial, i, j, float(sign[a]), edge if i == begin else None)
+            for i, j in pairwise(bounds)
+            if j - i >= SHORTEST
+        ]
+    return found
 
 
 def _edge(each: Recording, seen: Motion, first: int, moves: int, lead: int) -> int | None:
@@ -375,7 +290,7 @@ def _padded(recordings: list[Recording], even: list[Floats], cuts: list[_Cut], s
     n, count = max((cut.behind - cut.first for cut in cuts), default=1), len(cuts)
     time = np.zeros((lead + n + 1, count))
     command, acts = np.zeros((lead + n, count)), np.ones((lead + n, count))
-    position, direction, distinct = np.zeros((n, count)), np.zeros((n, count)), np.zeros(count)
+    position, distinct = np.zeros((n, count)), np.zeros(count)
     least = [(each.rounding / scales.position) ** 2 for each in recordings]
     for s, cut in enumerate(cuts):
         each, grid = recordings[cut.trial], even[cut.trial]
@@ -388,7 +303,6 @@ def _padded(recordings: list[Recording], even: list[Floats], cuts: list[_Cut], s
         command[:, s] = each.command[inside] / scales.command
         here = cut.behind - cut.first
         position[:here, s] = (each.position[cut.first : cut.behind] - scales.origin) / scales.position
-        direction[:here, s] = cut.direction
         distinct[s] = 1 + np.count_nonzero(np.diff(each.position[cut.first : cut.behind]))
         if cut.edge is not None:
             acts[:, s] = rows >= cut.edge
@@ -398,7 +312,7 @@ def _padded(recordings: list[Recording], even: list[Floats], cuts: list[_Cut], s
         command,
         acts,
         position,
-        direction,
+        np.array([cut.direction for cut in cuts], dtype=np.float64),
         np.array([cut.behind - cut.first for cut in cuts], dtype=np.int64),
         np.array([cut.trial for cut in cuts], dtype=np.int64),
         np.array([cut.edge is not None for cut in cuts], dtype=bool),

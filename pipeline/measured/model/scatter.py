@@ -6,7 +6,7 @@ unknown variances. Restricted maximum likelihood estimates these; a noisier tria
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -35,12 +35,15 @@ RIDGE = 1e-12
 class Moments:
     """Sums of products of each trial's whitened columns and errors (T, p + 1, p + 1); its free rows (T,).
 
-    ``least`` is the variance of an error that rounding of the readings alone leaves.
+    ``least`` is the variance of an error that rounding of the readings alone leaves, ``log_spread`` the sum of the
+    logarithms of the filter's spreads over all rows, ``told`` what readings of noise 1 tell of each unknown of a start.
     """
 
     products: Floats
     rows: Floats
     least: float = 0.0
+    log_spread: float = 0.0
+    told: Floats = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +86,8 @@ def inverse(information: Floats) -> Floats:
 
 def solve(moments: Moments, random: Integers) -> Solved:
     """Return the estimate, with scatter of the numbers at some places."""
+    from scipy.special import gammaln
+
     p = moments.products.shape[1] - 1
     size = np.einsum("tpp->p", moments.products[:, :p, :p])
     scale = 1 / np.sqrt(np.where(size > 0, size, 1.0))
@@ -104,9 +109,11 @@ def solve(moments: Moments, random: Integers) -> Solved:
         for _ in range(20):
             weight = (rows + OWN_ROWS) / (OWN_ROWS + squares / noise)
             noise = max(float((weight * squares).sum() / rows.sum()), least)
-    likelihood = found.determinants.sum() - 0.5 * float(
-        (rows * np.log(noise) + (rows + OWN_ROWS) * np.log1p(squares / (OWN_ROWS * noise))).sum()
-    )
+    free, spread = rows + OWN_ROWS, np.log1p(squares / (OWN_ROWS * noise))
+    of_rows = gammaln(0.5 * free) - 0.5 * (rows * np.log(0.5 * OWN_ROWS * noise) + free * spread)
+    likelihood = found.determinants.sum() + of_rows.sum()
+    # a start is anywhere within the range of the readings: what these do not tell of it makes no device likelier
+    likelihood -= moments.log_spread + 0.5 * float(np.log(moments.told + noise).sum())
     back = scale[:, None] * scale[None, :]
     return Solved(
         found.step * scale,

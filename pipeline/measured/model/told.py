@@ -29,12 +29,11 @@ class Combination:
 
 @dataclass(frozen=True)
 class Recorded:
-    """What was recorded: levels of the command, directions of motion, a motion that turns back, trials."""
+    """What was recorded: most sizes of the command in one direction, directions of it and of the motion, trials."""
 
-    levels: int
+    sizes: int
     signs: int
     directions: int
-    turns: bool
     trials: int
 
     @classmethod
@@ -47,20 +46,19 @@ class Recorded:
         ways = {np.sign(each.position[-1] - each.position[0]) for each in recordings}
         turns = any(_turns(each.position) for each in recordings)
         several = any(len(np.unique(np.round(20 * each.command / largest))) > 2 for each in recordings)
+        signs = {np.sign(level) for level in usual} - {0.0}
+        sizes = max((len({level for level in usual if level * sign > 0}) for sign in signs), default=0)
         return cls(
-            max(len(set(usual[usual != 0])), 2 if several else 0),
-            len({np.sign(level) for level in usual} - {0.0}) if not several else 2,
+            max(sizes, 2 if several else 0),
+            2 if several else len(signs),
             2 if turns else len(ways - {0.0}),
-            turns,
             len(recordings),
         )
 
     def remedy(self) -> str:
         """Return what to record so that friction, a constant force and the mass are told apart."""
-        if self.levels < 2:
-            return "steps of two sizes or more, in both directions"
-        if self.levels < 3 and not self.turns:
-            return "a step of a third size, so that each direction has two sizes"
+        if self.sizes < 2:
+            return "steps of two sizes in one direction"
         if self.directions < 2 or self.signs < 2:
             return "the same steps in the other direction, or one that turns back in motion"
         return f"more runs: sizes and directions differ already, but {self.trials} of them leave this open"

@@ -69,7 +69,7 @@ class Column:
     readings : float64, shape (N, S), optional
     command : float64, shape (lead + N, S), optional
         Force behind the delay and the lag, where it acts on the device.
-    direct : float64, shape (N, S), optional
+    direct : float64, shape (N, S) or (S,), optional
         Force on the motor's side in an interval, where the command in force acts.
     start : float64, shape (S, n), optional
         State at the first row; a spring is held at its position while the stretch still rests.

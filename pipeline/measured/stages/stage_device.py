@@ -14,6 +14,8 @@ from pipeline.measured.experiment.fitted_device import NAMES, PARTS
 from pipeline.measured.model.identified import Identified, identified
 from pipeline.measured.model.own import own_numbers
 from pipeline.measured.model.recordings import GAP, Recording
+from pipeline.measured.model.scatter import FEWEST
+from pipeline.measured.model.told import Recorded
 from pipeline.measured.stages.stage_given import Experiment
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 from pipeline.records.batch import TrialBatch
@@ -35,7 +37,7 @@ LEAST = 1e-300
 WITHOUT = {"command_shifted"}
 """Departures from the wall law by which a logged command is not the one that drives the device at that time."""
 
-NOT_TOLD = "the logs do not tell the mass from the force on the device; record steps of two sizes, or walls"
+NOT_TOLD = "the logs do not tell the mass from the force on the device; record {}, or walls"
 
 
 def found_device(of: Experiment) -> tuple[Identified | None, str]:
@@ -57,7 +59,7 @@ def found_device(of: Experiment) -> tuple[Identified | None, str]:
         device = identified(found)
     except ParameterError as error:
         return None, str(error)
-    return (None, NOT_TOLD) if "mass" in device.untold else (device, "")
+    return (None, NOT_TOLD.format(Recorded.of(found).remedy())) if "mass" in device.untold else (device, "")
 
 
 def device(of: Experiment) -> Columns:
@@ -74,10 +76,15 @@ def model(of: Experiment) -> Columns:
     columns: Columns = {name: of.column("response", name) for name in ("stiffness", "damping")}
     columns |= {name: of.texts("response", name) for name in ("trial_id", "samples_sha256")}
     own = {} if found is None else own_numbers(found)
+    fitted = set(ids) if found is None else set(found.names)
+    if found is not None:
+        few = f"with fewer than {FEWEST} logs none is told apart from the others"
+        reason = few if found.choice.fit.few else "its motion tells none of them alone"
     for place, name in enumerate(name for name in TABLES["model"] if name.startswith("model_")):
         columns[name] = [own[trial][place] if trial in own else None for trial in ids]
     columns["reason"] = [
-        None if trial in own else reason or "left out: its command is not that which moves it" for trial in ids
+        None if trial in own else reason if trial in fitted else "left out: its command is not that which moves it"
+        for trial in ids
     ]
     return columns
 

@@ -20,16 +20,30 @@ T = 1e-3
 TURNING = {"mass": 1.1e-4, "damping": 7e-5, "friction": 0.034, "delay": 2.3e-3}
 
 
-def moved(rng, commands, *, mass=1.1e-4, damping=7e-5, friction=0.034, stiffness=0.0, delay=2.3, noise=2e-4, force=0.0):
+def moved(
+    rng,
+    commands,
+    *,
+    mass=1.1e-4,
+    damping=7e-5,
+    friction=0.034,
+    stiffness=0.0,
+    delay=2.3,
+    noise=2e-4,
+    quantum=1e-12,
+    walls=(0, 0),
+):
     """Recordings of devices under commands, shape (rows, n), by twenty small steps a sample; friction may be (n,)."""
     rows, n = commands.shape
+    commands = commands.copy()
     parts = 20
     h, late = T / parts, round(delay * parts)
     x, v, seen = np.zeros(n), np.zeros(n), np.zeros((rows, n))
     for row in range(rows):
-        seen[row] = x + noise * rng.standard_normal(n)
+        seen[row] = np.round((x + noise * rng.standard_normal(n)) / quantum) * quantum
+        commands[row] -= walls[0] * (seen[row] - seen[0]) + walls[1] * (seen[row] - seen[max(row - 1, 0)]) / T
         for part in range(parts):
-            drive = commands[max((row * parts + part - late) // parts, 0)] + force
+            drive = commands[max((row * parts + part - late) // parts, 0)]
             free = drive - stiffness * x - damping * v
             sticks = (v == 0) & (np.abs(free) <= friction)
             pull = np.where(sticks, 0.0, free - friction * np.where(v == 0, np.sign(free), np.sign(v)))
@@ -262,6 +276,19 @@ def test_direction_of_motion_is_not_seen_at_rest():
     assert (seen.direction[40:] == 1).all()
 
 
+@pytest.mark.parametrize(("seed", "stiffest", "noise", "quantum"), [(24, 380, 1e-5, 1e-12), (31, 500, 0, 1e-4)])
+def test_friction_behind_stiff_walls_is_taken_for_nothing_else(seed, stiffest, noise, quantum):
+    rng = np.random.default_rng(seed)
+    damping = rng.uniform(2e-3, 1e-2, 40)
+    walls = rng.uniform(60, stiffest, 40) * damping, damping
+    friction = 0.034 * (1 + 0.05 * rng.standard_normal(40))
+    sensor = {"noise": noise, "quantum": quantum}
+    found = identified(moved(rng, steps([0.12] * 40), friction=friction, delay=2.0, walls=walls, **sensor))
+    assert set(found.parts) == {"friction"}
+    assert found.choice.fit.device.noise.jitter == 0
+    assert holds(found.parameters, TURNING | {"delay": 2e-3}) == []
+
+
 @pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_say():
     inside = {name: [] for name in TURNING}
@@ -311,6 +338,18 @@ def test_a_mode_is_found_behind_walls():
     assert set(found.parts) == {"mode"}
     truth = {"mass": 0.6, "mode_frequency": 40.0, "mode_mass": far, "mode_damping_ratio": 0.03}
     assert {name: found.parameters[name].value for name in truth} == pytest.approx(truth, rel=0.02)
+
+
+def test_a_mode_near_the_nyquist_frequency_is_no_lag():
+    far, near, frequency = 0.06, 0.13, 2 * np.pi * 300
+    reduced = far * near / (far + near)
+    load = {"load_mass": far, "spring": frequency**2 * reduced, "spring_damping": 2 * 0.02 * frequency * reduced}
+    rng = np.random.default_rng(2)
+    walls = rng.uniform(500, 3800, 24), rng.uniform(13, 63, 24)
+    found = identified(behind_walls(rng, {"mass": near, "damping": 1.3}, load, n=24, walls=walls))
+    assert set(found.parts) == {"mode"}
+    assert holds(found.parameters, {"mass": 0.19, "delay": 2.4e-3, "mode_mass": far}) == []
+    assert found.parameters["mode_frequency"].value == pytest.approx(300.0, rel=0.01)
 
 
 def test_an_ideal_device_behind_walls_has_no_parts():
