@@ -39,6 +39,14 @@ WITHOUT = {"command_shifted"}
 
 NOT_TOLD = "the logs do not tell the mass from the force on the device; record {}, or walls"
 
+OTHER_WALLS = (
+    "the command of most logs is not that of their stated wall and time, so that these are left out, and the others do "
+    "not tell the mass; correct K, B and the units in the profile"
+)
+
+FEW_LEFT = 0.5
+"""Share of the logs that must be usable for what these lack to be the reason."""
+
 
 def found_device(of: Experiment) -> tuple[Identified | None, str]:
     """Return the likeliest device of all logs of an experiment, or None and why."""
@@ -59,7 +67,11 @@ def found_device(of: Experiment) -> tuple[Identified | None, str]:
         device = identified(found)
     except ParameterError as error:
         return None, str(error)
-    return (None, NOT_TOLD.format(Recorded.of(found).remedy())) if "mass" in device.untold else (device, "")
+    if "mass" not in device.untold:
+        return device, ""
+    # logs that obey another wall than stated are the reason, whatever the others lack
+    why = NOT_TOLD.format(Recorded.of(found).remedy()) if usable.mean() > FEW_LEFT else OTHER_WALLS
+    return None, why
 
 
 def device(of: Experiment) -> Columns:
