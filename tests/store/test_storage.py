@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from stored import merge_all
 
@@ -38,11 +38,13 @@ def write_log(path, stiffness, damping=1.0, device="bench", experiment="1", rows
 
 
 @given(st.text(st.characters(codec="utf-8"), min_size=1, max_size=40))
+@example(".hidden")
+@example("_hidden")
 def test_any_name_survives_as_one_visible_folder(name):
     folder = folder_name(name)
     assert name_of_folder(folder) == name
     assert "/" not in folder
-    assert not folder.startswith(".")
+    assert not folder.startswith((".", "_"))
 
 
 def refused_by_windows(name: str) -> bool:
