@@ -72,8 +72,8 @@ def made_once(tmp_path_factory) -> Callable[[str, Callable[[Path], Any]], Any]:
     def taken(name: str, make: Callable[[Path], Any]) -> Any:
         folder = shared / "made-once" / name
         folder.mkdir(parents=True, exist_ok=True)
-        kept = folder / "made.pickle"
-        with FileLock(folder / ".made"):
+        kept = folder.with_suffix(".pickle")
+        with FileLock(folder.with_suffix(".lock")):
             if not kept.exists():
                 kept.write_bytes(pickle.dumps(make(folder)))
             return pickle.loads(kept.read_bytes())

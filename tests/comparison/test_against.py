@@ -260,6 +260,7 @@ def test_a_device_that_turns_keeps_its_units_beside_one_that_does_not(falcon, lw
     assert "delay [samples]" in html
 
 
+@pytest.mark.slow
 def test_an_experiment_of_an_unknown_device_is_compared_in_the_normalised_plane(falcon, unknown, tmp_path):
     both = tmp_path / "processed"
     for lab in (falcon, unknown):

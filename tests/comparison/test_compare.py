@@ -105,6 +105,7 @@ def test_document_holds_what_the_design_lists(name, request):
             assert row["deviation_percent"] is None
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", ["falcon_outcome", "lwr_outcome", "unknown_outcome"])
 def test_document_survives_the_round_trip(name, request):
     outcome = request.getfixturevalue(name)

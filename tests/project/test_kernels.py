@@ -42,4 +42,4 @@ def test_numbers_do_not_depend_on_the_kernel(kernel: str) -> None:
         check=False,
     )
     assert run.returncode == 0, run.stdout + run.stderr
-    assert int(run.stdout.rsplit(" passed", 1)[0].split()[-1]) > 30, run.stdout
+    assert int(run.stdout.rsplit(" passed", 1)[0].split()[-1]) >= 30, run.stdout
