@@ -325,23 +325,23 @@ class Outlook:
         place, turn = self.sensed[:, 0], 1j * np.angle(self.pole) - self.rate
         within, bend = np.abs(self.sensed - place[:, None]).max(axis=1), np.abs(place * turn**2)
         result, some = end.copy(), np.flatnonzero(end > WINDOW)
+
+        def stride(before: Floats, room: Floats, away: Floats) -> Floats:
+            """Return how far back the motion stays inside, if that is not before a time: of both sides of the band."""
+            left = np.exp(-self.rate[some] * before[:, None])
+            free = np.maximum(room - (within[some] * left).sum(axis=1), 0.0)
+            curve = (bend[some] * left).sum(axis=1)
+            return np.asarray((2 * free / (away + np.sqrt(away**2 + 2 * curve * free) + _GONE)).min(axis=0))
+
         for _ in range(_STRIDES):
             if not len(some):
                 break
-            time, parts = result[some], place[some] * self.past.part(some).grown(result[some])
-            at, slope = parts.sum(axis=1).real, -(parts * turn[some]).sum(axis=1).real
-
-            def stride(before: Floats, some: Integers = some, at: Floats = at, slope: Floats = slope) -> Floats:
-                left = np.exp(-self.rate[some] * before[:, None])
-                loose, curve = (within[some] * left).sum(axis=1), (bend[some] * left).sum(axis=1)
-                lengths = []
-                for side in (1, -1):
-                    room, away = np.maximum(band - side * at - loose, 0.0), side * slope
-                    lengths.append(2 * room / (away + np.sqrt(away**2 + 2 * curve * room) + _GONE))
-                return np.minimum(*lengths)
-
-            first = np.minimum(stride(time), time)
-            length = np.minimum(first, stride(time - first))
+            time = result[some]
+            parts = place[some] * np.exp(turn[some] * time[:, None])
+            at, slope = parts.sum(axis=1).real, (parts * turn[some]).sum(axis=1).real
+            room, away = band - np.array([at, -at]), np.array([-slope, slope])
+            first = np.minimum(stride(time, room, away), time)
+            length = np.minimum(first, stride(time - first, room, away))
             result[some] = time - length
             some = some[length >= _SHORTEST]
         return result
