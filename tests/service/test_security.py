@@ -6,6 +6,7 @@ import socket
 import sys
 import time
 import zipfile
+from contextlib import contextmanager
 from http.client import HTTPConnection
 from types import SimpleNamespace
 
@@ -24,14 +25,34 @@ def settings_of(folder, **options):
     return Settings(folder / "processed", folder / "reports", **options)
 
 
-@pytest.fixture
-def guarded(tmp_path):
-    """A server for all addresses, with a token of each role."""
-    settings = settings_of(tmp_path, host="0.0.0.0", max_file=1000, max_request=5000, max_files=3, body_s=0.5)
+@contextmanager
+def guarding(folder):
+    settings = settings_of(folder, host="0.0.0.0", max_file=1000, max_request=5000, max_files=3, body_s=0.5)
     database = Database(settings.data)
     tokens = {role: database.create_token(role, "test") for role in ("viewer", "contributor", "admin")}
     with serving(settings) as client:
         client.tokens, client.database = tokens, database
+        yield client
+
+
+@pytest.fixture
+def guarded(tmp_path):
+    """A server for all addresses, with a token of each role."""
+    with guarding(tmp_path) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def steady(tmp_path_factory):
+    """Such a server for all tests that leave it as it was."""
+    with guarding(tmp_path_factory.mktemp("steady")) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """A server of this computer alone; all of its tests are refused, but for what one names `outside`."""
+    with serving(settings_of(tmp_path_factory.mktemp("plain"))) as client:
         yield client
 
 
@@ -44,31 +65,31 @@ def stored(settings):
 
 
 @pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example:80", "", "[::1", "10.0.0.1"])
-def test_a_foreign_host_is_refused(empty, host):
-    answer = empty.ask("GET", "devices", headers={"Host": host})
+def test_a_foreign_host_is_refused(plain, host):
+    answer = plain.ask("GET", "devices", headers={"Host": host})
     assert (answer.status, answer.content["where"]) == (403, "Host")
 
 
 @pytest.mark.parametrize("host", ["localhost", "127.0.0.1:80", "[::1]:8000"])
-def test_names_of_this_computer_are_taken(empty, host):
-    assert empty.ask("GET", "devices", headers={"Host": host}).status == 200
+def test_names_of_this_computer_are_taken(plain, host):
+    assert plain.ask("GET", "devices", headers={"Host": host}).status == 200
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1", "https://localhost"])
 @pytest.mark.parametrize("method", ["GET", "POST"])
-def test_a_foreign_origin_is_refused(empty, origin, method):
+def test_a_foreign_origin_is_refused(plain, origin, method):
     sent = form(LOG)
     sent["headers"]["Origin"] = origin
-    answer = empty.ask(method, "logs", **sent)
+    answer = plain.ask(method, "logs", **sent)
     assert (answer.status, answer.content["where"]) == (403, "Origin")
 
 
-def test_an_own_page_needs_the_token_of_a_form(empty):
-    headers = {"Origin": f"http://127.0.0.1:{empty.port}"}
+def test_an_own_page_needs_the_token_of_a_form(plain):
+    headers = {"Origin": f"http://127.0.0.1:{plain.port}"}
     asked = {"device": "x"}
-    assert empty.ask("POST", "comparisons", document=asked, headers=headers).status == 403
+    assert plain.ask("POST", "comparisons", document=asked, headers=headers).status == 403
     headers |= {"Cookie": "pipeline-form=mine", "X-CSRF-Token": "0" * 64}
-    assert empty.ask("POST", "comparisons", document=asked, headers=headers).status == 403
+    assert plain.ask("POST", "comparisons", document=asked, headers=headers).status == 403
 
 
 def test_other_addresses_need_a_token_first(tmp_path):
@@ -76,7 +97,7 @@ def test_other_addresses_need_a_token_first(tmp_path):
         create_app(settings_of(tmp_path, host="0.0.0.0"))
 
 
-def test_without_a_token_nothing_is_told(guarded):
+def test_without_a_token_nothing_is_told(steady):
     for headers in (
         {},
         {"Authorization": "Bearer hp_x"},
@@ -84,10 +105,10 @@ def test_without_a_token_nothing_is_told(guarded):
         {"Cookie": "pipeline-session=x"},
     ):
         for path in ("devices", "openapi.json", "jobs", "/"):
-            answer = guarded.ask("GET", path, headers=headers)
+            answer = steady.ask("GET", path, headers=headers)
             assert answer.status == 401
             assert answer.headers["www-authenticate"] == "Bearer"
-    assert guarded.get("health").status == 200
+    assert steady.get("health").status == 200
 
 
 def test_roles(guarded):
@@ -106,8 +127,8 @@ def test_roles(guarded):
 
 
 @pytest.mark.parametrize("name", ["token", "access_token", "api_key", "TOKEN"])
-def test_a_token_in_an_address_is_refused(guarded, name):
-    answer = guarded.ask("GET", f"devices?{name}={guarded.tokens['admin']}", headers=bearer(guarded, "admin"))
+def test_a_token_in_an_address_is_refused(steady, name):
+    answer = steady.ask("GET", f"devices?{name}={steady.tokens['admin']}", headers=bearer(steady, "admin"))
     assert (answer.status, answer.content["where"]) == (400, "query")
 
 
@@ -171,16 +192,16 @@ def test_a_folder_of_an_earlier_version_is_closed(tmp_path):
     assert [path.stat().st_mode & 0o077 for path in (settings.data, settings.data / "service.sqlite")] == [0, 0]
 
 
-def test_a_cookie_alone_changes_nothing(guarded):
-    session = guarded.database.login(guarded.tokens["admin"])
+def test_a_cookie_alone_changes_nothing(steady):
+    session = steady.database.login(steady.tokens["admin"])
     sent = form(LOG)
     sent["headers"]["Cookie"] = f"pipeline-session={session}"
-    assert guarded.ask("POST", "logs", **sent).status == 403
+    assert steady.ask("POST", "logs", **sent).status == 403
 
 
-def test_every_answer_has_the_headers(empty):
+def test_every_answer_has_the_headers(plain):
     for path in ("health", "nothing", "trials?limit=0", "/static/service.css"):
-        headers = empty.get(path).headers
+        headers = plain.get(path).headers
         assert "script-src 'self'" in headers["content-security-policy"]
         assert "unsafe" not in headers["content-security-policy"]
         assert headers["x-content-type-options"] == "nosniff"
@@ -195,12 +216,12 @@ def test_every_answer_has_the_headers(empty):
         ([(f"{i}.csv", b"x" * 900) for i in range(6)], None),
     ],
 )
-def test_limits_of_uploads(guarded, files, where):
+def test_limits_of_uploads(steady, files, where):
     sent = form(files)
-    answer = guarded.ask("POST", "logs", sent["body"], {**sent["headers"], **bearer(guarded, "admin")})
+    answer = steady.ask("POST", "logs", sent["body"], {**sent["headers"], **bearer(steady, "admin")})
     assert answer.status == 413
     assert answer.content.get("where") == where
-    assert stored(guarded.settings) == []
+    assert stored(steady.settings) == []
 
 
 def raw(client, head, *parts):
@@ -224,44 +245,45 @@ def head_of(client, more):
     )
 
 
-def test_ten_gigabytes_are_refused_before_they_come(guarded):
+def test_ten_gigabytes_are_refused_before_they_come(steady):
     began = time.monotonic()
-    answer = raw(guarded, head_of(guarded, f"Content-Length: {10 << 30}"))
+    answer = raw(steady, head_of(steady, f"Content-Length: {10 << 30}"))
     assert b" 413 " in answer.splitlines()[0]
     assert b'"expected":"<= 5000"' in answer
     assert time.monotonic() - began < 60
 
 
-def test_pieces_are_counted_where_no_length_is_told(guarded):
+def test_pieces_are_counted_where_no_length_is_told(steady):
     piece = b"1000\r\n" + b"x" * 0x1000 + b"\r\n"
-    assert b" 413 " in raw(guarded, head_of(guarded, "Transfer-Encoding: chunked"), piece, piece).splitlines()[0]
+    assert b" 413 " in raw(steady, head_of(steady, "Transfer-Encoding: chunked"), piece, piece).splitlines()[0]
 
 
-def test_a_silent_client_is_told(guarded):
-    answer = raw(guarded, head_of(guarded, "Content-Length: 100"), b"--b\r\n")
+def test_a_silent_client_is_told(steady):
+    answer = raw(steady, head_of(steady, "Content-Length: 100"), b"--b\r\n")
     assert b" 408 " in answer.splitlines()[0]
-    assert stored(guarded.settings) == []
+    assert stored(steady.settings) == []
 
 
 OUTSIDE = ("../../../outside.csv", "/etc/outside.csv", "..\\..\\outside.csv", ".", "a/./../b.csv", "con", "x\x01.csv")
 
 
 @pytest.mark.parametrize("name", OUTSIDE)
-def test_no_name_leads_out_of_the_folder(empty, tmp_path, name):
-    answer, job = empty.upload([(name, b"nonsense")])
-    files = stored(settings_of(tmp_path))
+def test_no_name_leads_out_of_the_folder(plain, name):
+    before, folder = stored(plain.settings), plain.settings.processed.parent
+    answer, job = plain.upload([(name, f"nonsense {name!r}".encode())])
+    files = [path for path in stored(plain.settings) if path not in before]
     assert len(files) == 1
-    assert files[0].resolve().is_relative_to(tmp_path / "processed-service" / "logs" / answer["job"])
+    assert files[0].resolve().is_relative_to(plain.settings.data / "logs" / answer["job"])
     assert job["state"] == "done"
-    assert [path for path in tmp_path.rglob("outside.csv") if path not in files] == []
+    assert [path for path in folder.rglob("outside.csv") if path not in (*files, *before)] == []
 
 
 ELSEWHERE = ("/static/../app.py", "/static/%2e%2e/app.py", "/static/..%2fapp.py", "/api/v1/comparisons/..%2f..%2fx")
 
 
 @pytest.mark.parametrize("path", ELSEWHERE)
-def test_no_address_leads_to_other_files(empty, path):
-    connection = HTTPConnection(empty.host, empty.port)
+def test_no_address_leads_to_other_files(plain, path):
+    connection = HTTPConnection(plain.host, plain.port)
     connection.putrequest("GET", path, skip_accept_encoding=True)
     connection.endheaders()
     assert connection.getresponse().status in (404, 422)
@@ -281,10 +303,11 @@ def test_no_address_leads_to_other_files(empty, path):
         (form(LOG, profile="../../x.toml")["body"], form(LOG)["headers"]["Content-Type"]),
     ],
 )
-def test_a_form_that_is_none_is_refused_whole(empty, tmp_path, body, kind):
-    answer = empty.ask("POST", "logs", body, {"Content-Type": kind})
+def test_a_form_that_is_none_is_refused_whole(plain, body, kind):
+    before = stored(plain.settings)
+    answer = plain.ask("POST", "logs", body, {"Content-Type": kind})
     assert (answer.status, answer.content["status"]) == (422, 422)
-    assert stored(settings_of(tmp_path)) == []
+    assert stored(plain.settings) == before
 
 
 def test_a_read_only_server_changes_nothing(tmp_path):

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
+import itertools
 import os
+import threading
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -35,27 +38,31 @@ class FailingOs:
     calls: list[tuple[Any, ...]] = field(default_factory=list)
     _files: dict[int, int] = field(default_factory=dict)
     _folders: dict[int, str] = field(default_factory=dict)
+    _inodes: Iterator[int] = field(default_factory=itertools.count)
+    # batches are written by a thread of their own
+    _lock: Any = field(default_factory=threading.Lock)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(os, name)
 
     def _note(self, *call: Any) -> None:
-        self.calls.append(call)
+        with self._lock:
+            self.calls.append(call)
+            count = len(self.calls)
         # what has lost power does nothing any more, what is full may still remove files
-        if len(self.calls) == self.fail_at or (
-            0 < self.fail_at < len(self.calls) and isinstance(self.error, PowerLoss)
-        ):
+        if count == self.fail_at or (0 < self.fail_at < count and isinstance(self.error, PowerLoss)):
             raise self.error
 
     def open(self, path: Path, flags: int, mode: int = 0o777) -> int:
         folder = os.path.isdir(path)
-        if not folder:
-            self._note("create", len(self.calls), str(path))
-        number = os.open(path, flags, mode)
         if folder:
+            number = os.open(path, flags, mode)
             self._folders[number] = str(path)
         else:
-            self._files[number] = len(self.calls) - 1
+            inode = next(self._inodes)
+            self._note("create", inode, str(path))
+            number = os.open(path, flags, mode)
+            self._files[number] = inode
         return number
 
     def fdopen(self, number: int, mode: str, buffering: int) -> BinaryIO:

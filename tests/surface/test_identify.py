@@ -54,6 +54,14 @@ def test_a_log_without_wall_names_and_period_is_enough(found):
     assert found.document["replay"]["fit_percent"] > 99
 
 
+def test_a_wrong_sign_is_an_error_and_no_device(staircase, tmp_path):
+    head, names, rows = staircase.read_text().partition("time_s,command,position\n")
+    turned = [f"{t},{-float(force)!r},{x}" for t, force, x in (row.split(",") for row in rows.splitlines())]
+    (tmp_path / "turned.csv").write_text(head + names + "\n".join(turned) + "\n")
+    with pytest.raises(ParameterError, match=r"moves against its command.*`sign`"):
+        pipeline.identify(tmp_path / "turned.csv")
+
+
 def test_the_walls_are_those_of_the_linear_loop(found):
     truth = pipeline.Loop(MASS, DAMPING, T, DELAY).boundary().attrs["stiffness_max"]
     top = found.document["boundary"]["stiffness_max"]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from pipeline.base.errors import ParameterError
 from pipeline.measured.model.motion import SHORTEST_LAG, Physics
 from pipeline.measured.model.recordings import Stretches
 from pipeline.measured.model.scatter import FEWEST, Moments, Solved, solve
@@ -103,6 +104,10 @@ LEAST_JITTER = 0.05
 
 NOISE_STRETCHES, NOISE_ROWS = 24, 150
 """Stretches by which the noise is found, cut into parts of so many rows: a variance from 8,000 rows is known to 2 %."""
+
+MIRRORED = 2.0
+"""Fall of the logarithm of what is left from which on a device moves against its command: 8 and more where a sign is
+wrong, below 0 where it is right."""
 
 WORTH = 5.0
 """Gain of log-likelihood from which on a part, of the device or of its noise, is one: odds of 150 to 1."""
@@ -437,6 +442,11 @@ def begun(held: Stretches, names: tuple[str, ...], most_delay: float) -> Device:
 
     With y the position, y = start + gain u'' - delta y' - gamma y'' - coulomb s'' + force t^2/2, where ' is an integral
     from the stretch's start: linear, and errors of readings enter almost undisturbed.
+
+    Raises
+    ------
+    ParameterError
+        If it moves against its command.
     """
     some = held.chosen(spread(held, 60))
     rows = len(some.position)
@@ -449,6 +459,7 @@ def begun(held: Stretches, names: tuple[str, ...], most_delay: float) -> Device:
     way = middle - y[0] * some.rests
     once = np.vstack([np.zeros((1, len(some))), np.cumsum(way * dt, axis=0)[:-1]])
     best: tuple[float, dict[str, float]] = (np.inf, {})
+    against = np.inf
     for delay in np.arange(0.0, most_delay + 0.5) if "delay" in names else (0.0,):
         passage = Passage(some, Physics(delay=float(delay)))
         forces = [
@@ -465,14 +476,23 @@ def begun(held: Stretches, names: tuple[str, ...], most_delay: float) -> Device:
         columns = columns - q @ (q.transpose(0, 2, 1) @ columns)
         found, left = _robust(columns.transpose(0, 2, 1) @ columns)
         # late by half a period a swing is that of a force the other way round
-        if left < best[0] and found[list(known).index("gain")] > 0:
+        if found[list(known).index("gain")] < 0:
+            against = min(against, left)
+        elif left < best[0]:
             best = left, dict(zip(known, found.tolist(), strict=True)) | {"delay": float(delay)}
+    if against < min(best[0], 0.0) - MIRRORED:
+        raise ParameterError(
+            "the device moves against its command, so that one of the two has the wrong sign. Set the other `sign` of "
+            "columns.command in the profile"
+        )
     start_at = dict.fromkeys(names, 0.0) | {"gain": 1e-3, "lag": 0.5} | best[1]
     return Device({name: float(np.clip(start_at[name], *LIMITS.get(name, (-np.inf, np.inf)))) for name in names})
 
 
 def _robust(products: Floats) -> tuple[Floats, float]:
-    """Return least squares over stretches, and what is left; one that is left much more than most weighs little.
+    """Return least squares over stretches, and the logarithm of the share of the motion that is left.
+
+    A stretch of which much more is left than of most weighs little.
 
     A stretch tells by how far it moves, up to what most do: one that rests is left little by any device, and one that
     grows without bound would say all alone.
@@ -489,4 +509,5 @@ def _robust(products: Floats) -> tuple[Floats, float]:
         order = np.argsort(left)
         middle = float(left[order[np.searchsorted(np.cumsum(way[order]), 0.5)]])
         weight = middle / (middle + left)
-    return found, float(way @ np.log(left))
+    moved = np.maximum(products[:, -1, -1], 1e-300)
+    return found, float(way @ np.log(left / moved))
