@@ -104,7 +104,10 @@ def modes(loop: Loop, alpha: Floats, beta: Floats) -> Modes:
 
 @lru_cache(maxsize=1)
 def _modes(loop: Loop, alpha: bytes, beta: bytes) -> Modes:
-    a, b = np.frombuffer(alpha), np.frombuffer(beta)
+    return _fresh(loop, np.frombuffer(alpha), np.frombuffer(beta))
+
+
+def _fresh(loop: Loop, a: Floats, b: Floats) -> Modes:
     start, states = loop.starts(a, "step"), loop.states
     pole, state = np.empty((len(a), states), np.complex128), np.empty((len(a), states, states), np.complex128)
     rest = np.ones(len(a), np.bool_)
@@ -258,23 +261,20 @@ def _states(loop: Loop, alpha: Floats, beta: Floats, zeta: Complexes, start: Flo
 _STILL_REPRODUCED = 1e-11
 """Largest difference of a state and its modes, relative to its motion."""
 
-_HALF_TURNS = 1.2
-"""Length of the window in front of the end, in half turns of the mode that is largest there."""
+_STRIDES = 60
+"""Strides back from the end of an envelope at most."""
 
-_SHORTEST = 8.0
-"""Length of that window at least [samples]."""
+_SHORTEST = 2.0
+"""Samples of a stride, or of motion that is known ahead, that are no quicker than following them."""
 
-_WIDER = 4.0
-"""Growth of the window where nothing outside the band was met in it."""
+WINDOW = 12.0
+"""Samples in front of the end that are followed."""
 
 _FEW_STATES = 32
 """States up to which modes of 4,096 points fit a memory of some 100 MB."""
 
 _ROUNDING = 0.99
 """Share of a leading negative mode that all others together may have for it to keep its sign."""
-
-_STRAIGHT = 1e-3
-"""Angle of a pole [rad/sample] that counts as none for the window: 3,800 samples."""
 
 
 class Outlook:
@@ -305,17 +305,46 @@ class Outlook:
         self.size = np.abs(self.sensed).max(axis=1)
 
     def before_the_end(self, band: float) -> Motion:
-        """Return the points a window before their envelope is inside the band."""
-        run, end = self.run.part(slice(None)), _envelope_end(self.size.T, self.rate.T, band)
-        lead = np.argmax(self.size * np.exp(-self.rate * end[:, None]), axis=1)[:, None]
-        angle, largest, actual, decay = (
-            np.take_along_axis(values, lead, 1)[:, 0]
-            for values in (np.angle(self.pole), self.size, np.abs(self.sensed[:, 0]), self.rate)
-        )
-        turns = _HALF_TURNS * np.pi / np.maximum(np.abs(angle), _STRAIGHT) * (angle != 0)
-        window = _SHORTEST + 1.1 * np.log(largest / actual) / decay + turns
-        run.since, run.begun, run.stop = run.sample, run.state, run.sample + end + 1
+        """Return the points a few samples before the first from which on modes tell that they stay in the band."""
+        run = self.run.part(slice(None))
+        run.since, run.begun = run.sample, run.state
+        run.stop = run.sample + _envelope_end(self.size.T, self.rate.T, band) + 1
+        return self.before(run, band, WINDOW)
+
+    def before(self, run: Motion, band: float, window: float) -> Motion:
+        """Return points so many samples before the first from which on they stay in the band up to their stop."""
+        run.stop = run.sample + self._settled(run.stop - run.sample - 1, band) + 1
         return _placed(run, self.past, np.maximum(np.floor(run.stop - window), run.since))
+
+    def _settled(self, end: Floats, band: float) -> Floats:
+        """Return a time from now [samples] from which on the motion is inside a band for sure, as it is from an end on.
+
+        From the end backwards: by where the motion is, which way it goes, and how much all modes
+        together can bend it, a stride is known in which it stays inside. Strides shorten towards where it is left.
+        """
+        place, turn = self.sensed[:, 0], 1j * np.angle(self.pole) - self.rate
+        within, bend = np.abs(self.sensed - place[:, None]).max(axis=1), np.abs(place * turn**2)
+        result, some = end.copy(), np.flatnonzero(end > WINDOW)
+
+        def stride(before: Floats, room: Floats, away: Floats) -> Floats:
+            """Return how far back the motion stays inside, if that is not before a time: of both sides of the band."""
+            left = np.exp(-self.rate[some] * before[:, None])
+            free = np.maximum(room - (within[some] * left).sum(axis=1), 0.0)
+            curve = (bend[some] * left).sum(axis=1)
+            return np.asarray((2 * free / (away + np.sqrt(away**2 + 2 * curve * free) + _GONE)).min(axis=0))
+
+        for _ in range(_STRIDES):
+            if not len(some):
+                break
+            time = result[some]
+            parts = place[some] * np.exp(turn[some] * time[:, None])
+            at, slope = parts.sum(axis=1).real, (parts * turn[some]).sum(axis=1).real
+            room, away = band - np.array([at, -at]), np.array([-slope, slope])
+            first = np.minimum(stride(time, room, away), time)
+            length = np.minimum(first, stride(time - first, room, away))
+            result[some] = time - length
+            some = some[length >= _SHORTEST]
+        return result
 
     def before_a_peak(self, peak: Floats) -> Motion:
         """Return the points whose motion may exceed a peak, shape (n,), at a sample before it does."""
@@ -367,15 +396,18 @@ def outlooks(run: Motion, everyone: Motion) -> Iterator[Outlook]:
         yield Outlook(some, modes(run.loop, some.alpha, some.beta))
 
 
-def earlier(run: Motion) -> Motion:
-    """Return points a wider window before their stop; from where samples were left out, if modes fail for them."""
-    parts = [run.part(slice(first, first + TOGETHER)) for first in range(0, len(run.index), TOGETHER)]
-    for part in parts:
-        past = modes(part.loop, part.alpha, part.beta)
-        start = np.maximum(np.floor(part.stop - _WIDER * (part.stop - part.sample)), part.since)
-        part.sample, part.state = part.since, part.begun
-        _placed(part, past, np.where(_told(part, past), start, part.since))
-    return joined(parts) if parts else run
+def earlier(run: Motion, band: float, window: float) -> Motion:
+    """Return points that are inside a band from where they are up to their stop, so many samples before they must be.
+
+    Those of which modes tell no more return from where samples were left out.
+    """
+    parts = [run]
+    for first in range(0, len(run.index), TOGETHER):
+        part = run.part(slice(first, first + TOGETHER))
+        part.sample, part.stop, part.state = part.since, part.sample + 1, part.begun
+        view = Outlook(part, _fresh(part.loop, part.alpha, part.beta))  # those of everyone stay kept
+        parts += [view.before(view.run, band, window), view.unknown]
+    return joined(parts[1:] or parts)
 
 
 def _told(run: Motion, past: Modes) -> Booleans:

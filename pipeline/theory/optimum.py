@@ -143,7 +143,7 @@ def _soonest_settled(loop: Loop, criterion: str) -> OptimalPoint:
 
 def _settling(loop: Loop, alpha: Floats, beta: Floats, band: float, best: float) -> dict[str, Floats]:
     longest = int(_ENDLESS * (loop.delay + 1))
-    return transient_costs(loop, alpha, beta, (band,), overshoot=False, longest=longest, cutoff=min(best, longest))
+    return transient_costs(loop, alpha, beta, (band,), overshoot=False, longest=longest, cutoff=best)
 
 
 def _smallest_radius(loop: Loop) -> OptimalPoint:

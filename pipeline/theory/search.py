@@ -61,8 +61,12 @@ _INSET = 0.05
 """Share of the width by which a search stays clear of alpha = -gamma at first: every step response creeps there."""
 
 
-_SOFTEST = 0.005
+_SOFTEST = 0.0005
 """The same for costs with jumps: a mode's limit may be a hundred times the stiffness that settles soonest."""
+
+
+_DEAR = 2.0
+"""Cost, beside the least known, from which on the floor of a line need not be known."""
 
 
 def where_stable(loop: Loop, cost: Cost) -> Cost:
@@ -144,12 +148,20 @@ def search(loop: Loop, cost: Cost, grids: Grids = JUMPING, bounds: tuple[Floats,
     plain, place = where_stable(loop, cost), chart(loop)
 
     def guarded(first: Floats, second: Floats, best: float) -> Floats:
-        return plain(*place(first, second), best)
+        return np.where((second >= 0) & (second <= 1), plain(*place(first, second), best), np.inf)
 
     low, high = bounds or region(_SOFTEST)
     second = np.linspace(low[1], high[1], grids.coarse)
+    least = np.inf
+
+    def along(line: Integers, place: Floats, best: float) -> Floats:
+        nonlocal least
+        values = guarded(place, second[line], min(best, _DEAR * least))
+        least = min(least, float(values.min(initial=np.inf)))
+        return values
+
     found = search_lines(
-        lambda line, place, best: guarded(place, second[line], best),
+        along,
         np.full(grids.coarse, low[0]),
         np.full(grids.coarse, high[0]),
         coarse=grids.coarse,
@@ -279,11 +291,13 @@ def search_lines(
     share = np.linspace(0.0, 1.0, coarse)
     places = low[:, None] + share * (high - low)[:, None]
     values = cost(np.repeat(np.arange(lines), coarse), places.ravel(), np.inf).reshape(lines, coarse)
-    padded = np.pad(values, ((0, 0), (1, 1)), constant_values=np.inf)
-    dips = np.where((values <= padded[:, :-2]) & (values <= padded[:, 2:]), values, np.inf)
+    hopes = _hopes(values)
+    padded = np.pad(hopes, ((0, 0), (1, 1)), constant_values=np.inf)
+    dips = np.where((hopes <= padded[:, :-2]) & (hopes <= padded[:, 2:]), hopes, np.inf)
     chosen = np.argsort(dips, axis=1, kind="stable")[:, :starts]
     line = np.repeat(np.arange(lines), chosen.shape[1])
-    centre, best = places[line, chosen.ravel()], dips[line, chosen.ravel()]
+    centre = places[line, chosen.ravel()]
+    best = np.where(np.isfinite(dips[line, chosen.ravel()]), values[line, chosen.ravel()], np.inf)
     alive = np.flatnonzero(np.isfinite(best))
     line, centre, best = line[alive], centre[alive], best[alive]
     half = 2 * (high - low)[line] / (coarse - 1)
@@ -305,6 +319,20 @@ def search_lines(
     first = order[np.unique(line[order], return_index=True)[1]] if len(line) else order
     place[line[first]], cheapest[line[first]] = centre[first], best[first]
     return LineOptima(place, cheapest)
+
+
+def _hopes(values: Floats) -> Floats:
+    """Return what costs along lines may fall to before the next place: by the factor of the step before it.
+
+    A cost with jumps falls towards a cliff, beyond which it is dear again, so its lowest place mostly lies between two
+    that were looked at, neither of which need be lower than its neighbours.
+    """
+    known = np.isfinite(values) & (values > 0)
+    step = np.divide(values[:, 1:], values[:, :-1], out=np.ones_like(values[:, 1:]), where=known[:, 1:] & known[:, :-1])
+    fall = np.ones_like(values)
+    fall[:, 1:] = np.minimum(step, 1.0)
+    fall[:, :-1] = np.minimum(fall[:, :-1], 1 / step)
+    return np.asarray(values * fall)
 
 
 def search_plane(

@@ -16,7 +16,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.criteria import OVERSHOOT
-from pipeline.theory.modes import TOGETHER, earlier, outlooks
+from pipeline.theory.modes import TOGETHER, WINDOW, earlier, outlooks
 from pipeline.theory.motion import Motion, at_share, joined, pieces, turning_share, within_pieces
 
 LONGEST = 1 << 18
@@ -54,6 +54,9 @@ _AGAIN = 64
 
 _FEW, _LONGER = 256, 7
 """Points below which a look costs more than so many samples, whatever their number, and how many more pass then."""
+
+_WIDER = 4.0
+"""Growth of the window in front of an end where nothing outside the band was met in it."""
 
 _SETTLED = 0.1
 """Share of the band (or of the overshoot found) below which all motion has to stay for a block and a delay."""
@@ -206,6 +209,8 @@ class _Passing:
 
     def set(self, run: Motion, row: Integers, at: Integers, level: Floats) -> None:
         """Note passings in rows of the latest motion; of several of a point the last one counts."""
+        later = ~(run.sample[at] - len(run.start) + row // run.each < self.sample[run.index[at]])
+        row, at, level = row[later], at[later], level[later]
         interval, piece = np.divmod(row, run.each)
         index = run.index[at]
         self.sample[index] = run.sample[at] - len(run.start) + interval
@@ -300,13 +305,14 @@ def _follow(run: Motion, found: _Found) -> None:
 
 def _enter(found: _Found, band: float) -> None:
     """Follow points before they settle; from earlier where no sample outside the band was met."""
-    run = joined(found.ahead[band])
+    run, window = joined(found.ahead[band]), WINDOW
     while len(run.index):  # ends: each round starts earlier, at last where all before is known
         out = np.abs(run.watched[0] @ run.state[: run.own]) > band
         found.settled[band][run.index[out]] = run.sample[out]
         _marched(run, found, (band,), np.inf)
         missed = (found.settled[band][run.index] < run.sample) & (run.sample > run.since)
-        run = found.in_reach(earlier(run.part(missed)), band)
+        window *= _WIDER
+        run = found.in_reach(earlier(run.part(missed), band, window), band)
 
 
 def _rounds(samples: float, least: int, most: int = 0) -> Iterator[int]:

@@ -14,6 +14,7 @@ from pipeline.theory.boundary import boundary
 from pipeline.theory.energy import energy_costs
 from pipeline.theory.optimum import SEARCHES, optimal_point
 from pipeline.theory.poles import damping_ratio, is_stable, spectral_radius
+from pipeline.theory.search import search_lines
 from pipeline.theory.settling_overshoot import transient_costs
 
 STARTS = 300
@@ -135,3 +136,23 @@ def test_the_lowest_of_many_corners_along_a_cliff_is_found():
     mode = {"frequency_hz": 85.6966, "damping_ratio": 0.0557, "mass": 0.6432230293031918, "sensor": "load"}
     loop = pipeline.Loop(3.8043869584513925, 0.0, 0.00033711195108338725, 4.0, mode=mode)
     assert loop.optimum("settle_2pct").cost < 240.6613 * (1 + 1e-3)
+
+
+def test_a_cost_that_falls_towards_a_cliff_between_two_places_is_followed():
+    cliff, places = 0.48, np.linspace(0, 1, 11)
+
+    def cost(_, place, __):
+        return np.where(place <= cliff, np.exp(-3 * place), 0.7 * np.exp(-0.95 * place))
+
+    assert cost(0, places, 0).argmin() == 10  # the other end looks best
+    found = search_lines(cost, np.zeros(1), np.ones(1), coarse=11, starts=1)
+    assert found.place[0] == pytest.approx(cliff, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_a_soft_wall_that_settles_before_all_others_is_found():
+    # spectral radius 0.9999982, and yet settled in 2,613 samples: 0.7 % of the limit, after which the near mode rings
+    mode = {"frequency_hz": 3.7309026439554187, "damping_ratio": 0.0083, "mass": 4.1893573100759, "sensor": "load"}
+    loop = pipeline.Loop(5.6958792, 0.88984534, 0.0022202337, 0.72036481, mode=mode)
+    wall = loop.points(2.22545, 4.68034, ("settle_2pct",))["settle_2pct"][0]
+    assert loop.optimum("settle_2pct").cost < wall < 2700
