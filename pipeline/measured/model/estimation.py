@@ -92,6 +92,9 @@ ASIDE = 0.2
 MOST_COSTS = 40
 """Most likelihoods in the search for a jitter beside the noise of readings, and a random force."""
 
+READINGS = (0.01, 1e4)
+"""Least and largest variance of a reading that is looked for, in that by third differences."""
+
 JITTERY_ROW = 0.01
 """Gain of log-likelihood by a random force, a row, up to which it is rounding and no jitter is looked for."""
 
@@ -101,6 +104,9 @@ from two to four whole ones it is off by up to 0.15."""
 
 LEAST_JITTER = 0.05
 """Jitter [samples] from which on one is believed: what rounding leaves may look like less."""
+
+NOISE_ROUNDS = 4
+"""Most searches for the noise behind the steps: with a mode the random force fell by a third to a tenth in each."""
 
 NOISE_STRETCHES, NOISE_ROWS = 24, 150
 """Stretches by which the noise is found, cut into parts of so many rows: a variance from 8,000 rows is known to 2 %."""
@@ -316,7 +322,16 @@ def refined(
             device = replace(device, noise=noise_of(held, device, jitters=jitters)) if noisy else device
     elif noisy:
         device = replace(device, noise=noise_of(held, device, jitters=True))
-    return _climbed(_fit(held, device, trials, places), held, trials, steps)
+    start = _fit(held, device, trials, places)
+    found = _climbed(start, held, trials, steps)
+    for _ in range(NOISE_ROUNDS if noisy else 0):
+        if found.likelihood - start.likelihood < WORTH:
+            break
+        # what was noise where the search began may be motion where it ends
+        device = replace(found.device, noise=noise_of(held, found.device, jitters=True))
+        start = _fit(held, device, trials, places)
+        found = max(found, _climbed(start, held, trials, steps), key=lambda fit: fit.likelihood)
+    return found
 
 
 def told(held: Stretches, device: Device, trials: int) -> Fit:
@@ -392,11 +407,12 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
     if not jitters or none - by_force <= WORTH + JITTERY_ROW * float(some.rows.sum()):
         return still
     near = device.noise.jitter or _likeliest(lambda jitter: cost(0.0, jitter), JITTERS)[0]
-    numbers, lost = _minimum(lambda jitter, reading: cost(0.0, jitter, reading), (near, 1.0))
+    limits = (JITTERS, READINGS)
+    numbers, lost = _minimum(lambda jitter, reading: cost(0.0, jitter, reading), (near, 1.0), limits)
     beside, more = _likeliest(lambda force: cost(force, *numbers), MEMORIES)
     strength = 0.0
     if more < lost - WORTH:
-        (strength, *numbers), lost = _minimum(cost, (beside, *numbers))
+        (strength, *numbers), lost = _minimum(cost, (beside, *numbers), (MEMORIES, *limits))
     jitter, reading = numbers
     if lost >= least - WORTH or jitter < LEAST_JITTER:
         return still
@@ -415,14 +431,18 @@ def _likeliest(cost: Callable[[float], float], limits: tuple[float, float]) -> t
     return float(np.exp(found.x)), float(found.fun)
 
 
-def _minimum(cost: Callable[..., float], near: tuple[float, ...]) -> tuple[list[float], float]:
-    """Return the positive numbers that cost least, from some near them on, and that cost."""
+def _minimum(
+    cost: Callable[..., float], near: tuple[float, ...], limits: tuple[tuple[float, float], ...]
+) -> tuple[list[float], float]:
+    """Return the numbers within limits that cost least, from some near them on, and that cost."""
     from scipy.optimize import minimize
 
     start = np.log(near)
     simplex = start + ASIDE * np.vstack([np.zeros(len(start)), np.eye(len(start))])
     options = {"maxfev": MOST_COSTS, "xatol": 0.4 * NEAR, "fatol": 0.5, "initial_simplex": simplex}
-    found = minimize(lambda logs: cost(*np.exp(logs).tolist()), start, method="Nelder-Mead", options=options)
+    found = minimize(
+        lambda logs: cost(*np.exp(logs).tolist()), start, method="Nelder-Mead", bounds=np.log(limits), options=options
+    )
     return np.exp(found.x).tolist(), float(found.fun)
 
 

@@ -206,10 +206,16 @@ def _begin(recordings: list[Recording], scales: Scales, base: tuple[str, ...], l
 def _pruned(
     logs: tuple[list[Recording], Scales, int], held: Stretches, fit: Fit, parts: dict[str, float]
 ) -> tuple[Stretches, Fit, dict[str, float]]:
-    """Return stretches, fit and parts without friction and spring that only stood for another part."""
+    """Return stretches, fit and parts without friction and spring that only stood for another part.
+
+    Friction that another part hid is found.
+    """
     recordings, scales, lead = logs
     for name, number in (("friction", "coulomb"), ("stiffness", "gamma")):
-        if name not in parts or _loss(fit, number) > WORTH:
+        if name not in parts:
+            continue
+        if (gain := _loss(fit, number)) > WORTH:
+            parts = parts | {name: parts[name] or gain}
             continue
         if name == "friction":
             if _upper(fit, "friction", scales) >= OPEN * scales.command:

@@ -367,6 +367,36 @@ def test_a_mode_near_the_nyquist_frequency_is_no_lag():
     assert found.parameters["mode_frequency"].value == pytest.approx(300.0, rel=0.01)
 
 
+@pytest.mark.slow
+def test_friction_is_found_beside_a_mode_that_hid_it():
+    """A flexible link: a random force stood for the mode, friction and lag for what was left of it."""
+    rng, n, rows, parts, period = np.random.default_rng(20), 4, 500, 60, 2e-3
+    near, far, friction, frequency = 0.03, 0.05, 0.08, 2 * np.pi * 9
+    spring, h = frequency**2 * near * far / (near + far), period / parts
+    damper = 2 * 0.03 * spring / frequency
+    sizes = np.linspace(0.6, 1.35, n) * rng.choice([-1.0, 1.0], (rows // 50, n))
+    commands, seen = np.repeat(sizes, 50, axis=0), np.zeros((rows, n))
+    x, v, y, w = np.zeros((4, n))
+    for row in range(rows):
+        seen[row] = x
+        for _ in range(parts):
+            between = spring * (x - y) + damper * (v - w)
+            free = commands[row] - 0.05 * v - between
+            sticks = (v == 0) & (np.abs(free) <= friction)
+            pull = np.where(sticks, 0.0, free - friction * np.where(v == 0, np.sign(free), np.sign(v)))
+            after = v + pull / near * h
+            after = np.where(v * after < 0, 0.0, after)
+            faster = w + between / far * h
+            x, y, v, w = x + 0.5 * (v + after) * h, y + 0.5 * (w + faster) * h, after, faster
+    seen = np.round(seen / 3e-4) * 3e-4
+    found = identified(
+        [Recording(str(i), period * np.arange(rows), commands[:, i], seen[:, i], period) for i in range(n)]
+    )
+    assert {name for name, gain in found.parts.items() if gain > 0} == {"friction", "mode"}
+    truth = {"mass": near + far, "friction": friction, "mode_frequency": 9.0, "mode_mass": far}
+    assert {name: found.parameters[name].value for name in truth} == pytest.approx(truth, rel=0.005)
+
+
 def test_an_ideal_device_behind_walls_has_no_parts():
     found = identified(behind_walls(np.random.default_rng(18), {"mass": 0.6, "damping": 4.0}, {}))
     assert found.parts == {}
