@@ -285,6 +285,9 @@ def state(tried: Tried, aim: Aim, by: Forecast | None = None, trial_s: float = i
         of = bracket(own.stiffness, own.verdict, width)
         task = Task(aim, largest, trial_s, float(ahead.limit[i]), float(ahead.error[i]))
         column = _column(aim.dampings[i], of, own, task, holds=ahead.misfit <= aim.accuracy)
+        if len(tried) and not len(own) and task.limit <= 0 and task.error <= width:
+            # a verdict there changes no map: it is known closely enough that nothing is stable
+            column = Column(aim.dampings[i], of, 0.0, note="no stable wall")
         if not len(tried) and column.wall is not None:
             column = replace(column, wall=min(column.wall, aim.start * max(task.limit, task.half)))
         columns.append(column)

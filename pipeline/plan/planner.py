@@ -20,6 +20,7 @@ NOTES = {
     "undecided": "not told: verdicts stay undecided between low and high",
     "limit of the tests": "the walls that may be tried end there",
     "step of the rig": "the rig sets no wall between low and high: it answers by these each time",
+    "no stable wall": "by the device that the logs show nothing is stable there",
     "from below": "told by the stable walls next to it and by the device that all logs show",
 }
 """What is said of a damping that is done for a reason of its own."""

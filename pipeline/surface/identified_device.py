@@ -43,6 +43,9 @@ UNITS: dict[str, tuple[str, str]] = {
 FOLLOWS = 50.0
 """Fit of free runs [%] below which a model does not predict its device: half of the motion is left."""
 
+DRIFT = "behind walls a free run drifts, as nothing corrects it: `pipeline compare` replays the walls"
+"""Why the replay of wall trials says little."""
+
 WITHOUT_WALL = {"device": "device", "experiment": "1", "stiffness": "0", "damping": "0", "step": "0"}
 """What a native log of no wall need not state."""
 
@@ -72,7 +75,8 @@ def identified_device(
         )
         for source, log in read
     ]
-    return _document(identified(recordings), recordings, motions.pop(), period, delay)
+    found, walls = identified(recordings), any(log.header.stiffness > 0 for _, log in read)
+    return _document(found, recordings, motions.pop(), walls, period, delay)
 
 
 def _logs(source: Source) -> tuple[Log, ...]:
@@ -117,7 +121,7 @@ def _period(text: bytes) -> float | None:
 
 
 def _document(
-    found: Model, recordings: list[Recording], motion: Motion, period: float | None, delay: float | None
+    found: Model, recordings: list[Recording], motion: Motion, walls: bool, period: float | None, delay: float | None
 ) -> dict[str, Any]:
     turning = motion == "rotation"
     own = found.scales.period
@@ -152,8 +156,8 @@ def _document(
         "scatter_in_interval": bool(found.scatter),
         "noise": found.noise,
         "disturbance": found.disturbance,
-        "replay": _replay_document(found),
-        "loop": _loop_document(found),
+        "replay": _replay_document(found) | {"behind_walls": walls},
+        "loop": _loop_document(found, DRIFT if walls else ""),
     }
     document["wall"] = {"sampling_period_s": own if period is None else period, "delay_samples": delay}
     document["boundary"] = _boundary(document)
@@ -177,8 +181,8 @@ def _replay_document(found: Model) -> dict[str, Any]:
     return {"fit_percent": float(np.median(seen)) if len(seen) else None, "logs": logs}
 
 
-def _loop_document(found: Model) -> dict[str, Any]:
-    """Return the loop as `compare --json` has it."""
+def _loop_document(found: Model, drift: str) -> dict[str, Any]:
+    """Return the loop as `compare --json` has it, and why free runs may drift."""
 
     def parameter(name: str, factor: float = 1.0) -> dict[str, float] | None:
         if name not in found.parameters or name in found.untold:
@@ -195,7 +199,8 @@ def _loop_document(found: Model) -> dict[str, Any]:
         "reason": (
             f"free runs fit held-out logs to {np.median(fits):.1f} %" if len(fits) else "no log could be replayed"
         )
-        + ("" if told else "; mass or delay is not told by these logs"),
+        + ("" if told else "; mass or delay is not told by these logs")
+        + (f"; {drift}" if drift else ""),
         "explained": None,
         "mass": parameter("mass"),
         "damping": parameter("damping"),

@@ -192,3 +192,12 @@ def test_a_limit_is_looked_for_three_tenths_above_the_largest_one():
     other = Tried(np.array([9000.0, 9100.0]), np.full(2, 60.0), np.array(["stable", "unstable"]), np.full(2, 9.0))
     by = Forecast(np.array([9050.0, 30_000.0]), np.ones(2))
     assert state(other, Aim((60.0, 90.0)), by).largest == pytest.approx(1.3 * 9050.0, rel=0.01)
+
+
+def test_nothing_is_tried_where_the_device_of_the_logs_has_no_stable_wall():
+    by = Forecast(np.array([9000.0, 0.0]), np.ones(2))
+    trials = walls_at((8900.0, "stable", -9.0), (9100.0, "unstable", 9.0))
+    column = state(trials, Aim((60.0, 120.0)), by).columns[1]
+    assert (column.estimate, column.wall, column.note) == (0.0, None, "no stable wall")
+    # before any log a file may be wrong
+    assert state(trials.select(np.zeros(2, dtype=bool)), Aim((60.0, 120.0)), by).columns[1].wall is not None

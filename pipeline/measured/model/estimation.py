@@ -12,7 +12,7 @@ from pipeline.measured.model.motion import SHORTEST_LAG, Physics
 from pipeline.measured.model.recordings import Stretches
 from pipeline.measured.model.scatter import FEWEST, Moments, Solved, solve
 from pipeline.measured.model.whitening import WHITE, Column, Filter, Noise, Passage, passed
-from pipeline.records.batch import Floats
+from pipeline.records.batch import Floats, Integers
 
 SHAPE = ("delta", "gamma", "delay", "lag", "turn", "ratio", "share")
 """Numbers that the shape of a motion depends on; it is linear in the others."""
@@ -23,8 +23,8 @@ LINEAR = ("gain", "coulomb", "force")
 SCATTERED = ("delay", "coulomb", "force")
 """Numbers that may differ from trial to trial."""
 
-FIXED_STEPS = 4
-"""Steps at first without such scatter: far from the solution it would explain everything."""
+FIXED_STEPS = 2
+"""Steps at first without such scatter, before each search for noise."""
 
 LIMITS = {
     "limit": (1e-3, 1.0),
@@ -55,6 +55,12 @@ SMALL = 1e-5
 STEPS = 18
 """Newton's steps at most; seven are usual, a mode may take all."""
 
+LAST_STEPS = 3
+"""Steps on all logs from what some of them have shown: the last one is smaller than rounding."""
+
+CUTS = (1.0, 0.3, 0.1)
+"""Parts of a step that are tried."""
+
 DONE = 1e-3
 """Square of a step in standard errors at which the search ends: 0.03 of the interval's half width."""
 
@@ -80,8 +86,11 @@ ROUGH = 0.7
 NEAR = 0.05
 """Change of the logarithm of a variance, or of a jitter, within which the likelihood is a parabola."""
 
-MOST_COSTS = 24
-"""Most likelihoods in the search for a jitter beside a random force."""
+ASIDE = 0.2
+"""Change of the logarithm of a variance, or of a jitter, to another one that is tried first."""
+
+MOST_COSTS = 40
+"""Most likelihoods in the search for a jitter beside the noise of readings, and a random force."""
 
 JITTERY_ROW = 0.01
 """Gain of log-likelihood by a random force, a row, up to which it is rounding and no jitter is looked for."""
@@ -93,8 +102,8 @@ from two to four whole ones it is off by up to 0.15."""
 LEAST_JITTER = 0.05
 """Jitter [samples] from which on one is believed: what rounding leaves may look like less."""
 
-NOISE_STRETCHES = 24
-"""Stretches by which the noise is found: a variance from 8,000 rows is known to 2 %."""
+NOISE_STRETCHES, NOISE_ROWS = 24, 150
+"""Stretches by which the noise is found, cut into parts of so many rows: a variance from 8,000 rows is known to 2 %."""
 
 MIRRORED = 2.0
 """Fall of the logarithm of what is left from which on a device moves against its command: 8 and more where a sign is
@@ -153,15 +162,18 @@ class Device:
 class Fit:
     """A device with what its likelihood says.
 
-    ``solved`` at the device, with its ``moments``; units are portions of ``few`` logs, else trials. ``alike`` is the
-    mean number of equal readings in a row, which count as one.
+    ``solved`` at the device, with its ``moments`` and the ``places`` of numbers that scatter; units are portions of
+    ``few`` logs, else trials. ``alike`` is the mean number of equal readings in a row, which count as one, ``open``
+    (p,) how far the numbers move with a jitter that is larger by its error.
     """
 
     device: Device
     solved: Solved
     moments: Moments
+    places: Integers
     few: bool
     alike: float
+    open: Floats
 
     @property
     def likelihood(self) -> float:
@@ -298,33 +310,54 @@ def refined(
     """
     scattered = SCATTERED if trials >= FEWEST else ()
     places = np.array([i for i, name in enumerate(device.names) if name in scattered], dtype=np.int64)
-    free = np.empty(0, dtype=np.int64)
-    best: Fit | None = None
-    alike = float(held.rows.sum() / max(held.distinct.sum(), 1.0))
-    first = 0 if far else FIXED_STEPS
-    for count in range(first, first + steps):
-        if noisy and count in (1, FIXED_STEPS):
-            device = replace(device, noise=noise_of(held, device, jitters=count == FIXED_STEPS))
-        moments = moments_of(held, device, trials)
-        if not np.isfinite(moments.products).all():
-            break
-        solved = solve(moments, places if count >= FIXED_STEPS else free)
-        effects = solved.effects if trials >= FEWEST and count >= FIXED_STEPS else None
-        fit = Fit(
-            replace(device, effects=effects),
-            solved,
-            moments,
-            trials < FEWEST,
-            alike if device.noise == WHITE else 1.0,
-        )
-        if best is None or count == FIXED_STEPS or fit.likelihood > best.likelihood:
-            best = fit
-        square = float(solved.step @ solved.total @ solved.step)
-        if square < DONE and count > FIXED_STEPS:
+    if far:
+        for jitters in (False, True):
+            device = _climbed(_fit(held, device, trials, places[:0]), held, trials, FIXED_STEPS).device
+            device = replace(device, noise=noise_of(held, device, jitters=jitters)) if noisy else device
+    elif noisy:
+        device = replace(device, noise=noise_of(held, device, jitters=True))
+    return _climbed(_fit(held, device, trials, places), held, trials, steps)
+
+
+def told(held: Stretches, device: Device, trials: int) -> Fit:
+    """Return the likeliest fit from a device on that is near it, with what its jitter leaves open."""
+    fit = refined(held, device, trials, LAST_STEPS, far=False, noisy=False)
+    noise = fit.device.noise
+    if not noise.jitter:
+        return fit
+    other = replace(noise, jitter=noise.jitter + noise.jitter_error)
+    return replace(fit, open=_fit(held, replace(fit.device, noise=other), trials, fit.places).solved.step)
+
+
+def _fit(held: Stretches, device: Device, trials: int, places: Integers) -> Fit:
+    """Return what the likelihood says at a device, with scatter between trials of the numbers at some places."""
+    moments = moments_of(held, device, trials)
+    if not np.isfinite(moments.products).all():
+        moments = replace(moments, products=np.zeros_like(moments.products), log_spread=np.inf)
+    solved = solve(moments, places)
+    alike = float(held.rows.sum() / max(held.distinct.sum(), 1.0)) if device.noise == WHITE else 1.0
+    device = replace(device, effects=solved.effects if len(places) else None)
+    return Fit(device, solved, moments, places, trials < FEWEST, alike, np.zeros(len(device.names)))
+
+
+def _climbed(fit: Fit, held: Stretches, trials: int, steps: int) -> Fit:
+    """Return the likeliest fit that Newton's steps lead to, each of them cut until the likelihood does not fall."""
+    for _ in range(steps):
+        for cut in CUTS:
+            device = fit.device.stepped(cut * fit.solved.step)
+            change = np.array(list(device.numbers.values())) - np.array(list(fit.device.numbers.values()))
+            if float(change @ fit.solved.total @ change) < DONE:
+                return fit
+            tried = _fit(held, device, trials, fit.places)
+            gain = tried.solved.here - fit.solved.here
+            if gain > 0:
+                break
+        else:
             return fit
-        device = replace(device.stepped(solved.step), effects=effects)
-    assert best is not None
-    return best
+        fit = tried
+        if gain < 0.5 * DONE:
+            break
+    return fit
 
 
 def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
@@ -332,18 +365,13 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
 
     A random force is looked for, and a jitter of the delay if asked for.
     """
-    from scipy.optimize import minimize_scalar
-
-    some = held.chosen(spread(held, NOISE_STRETCHES))
-    constant = Column(direct=np.ones(len(some)))
+    some = held.chosen(spread(held, NOISE_STRETCHES)).shorter(NOISE_ROWS)
+    constant, command = Column(direct=np.ones(len(some))), device.numbers["gain"] ** 2
     white = max(_white(some), float(np.median(some.least)))
-    unit = float(device.numbers["gain"] ** 2 / white)
 
-    def of(force: float, jitter: float) -> Noise:
-        return Noise(force, unit if jitter else 0.0, jitter)
-
-    def cost(noise: Noise) -> float:
-        passage = Passage(some, device.shape, noise.jitter)
+    def cost(force: float, jitter: float = 0.0, reading: float = 1.0) -> float:
+        noise = Noise(force, command / (reading * white) if jitter else 0.0, jitter)
+        passage = Passage(some, device.shape, jitter)
         found, whole = Filter.of(passage, noise), force_of(some, device)
         # the constant force of each stretch is free, so that it is not taken for a random one
         (left, push), q, r = errors_of(some, passage, found, [whole, constant])
@@ -353,66 +381,49 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
         pushed = np.maximum(products[:, 1, 1], 1e-300)
         squares = np.maximum(products[:, 0, 0] - products[:, 0, 1] ** 2 / pushed, 1e-300)
         rows = np.maximum(some.rows - q.shape[2] - 1, 1)
-        # the strength of a jitter is that of its forces, beside readings whose noise is seen
-        variance = white if noise.late else np.maximum(squares / rows, some.least)
+        # the strength of a jitter is that of its forces, beside the noise of a reading
+        variance = reading * white if jitter else np.maximum(squares / rows, some.least)
         lost = 0.5 * (rows * np.log(variance) + squares / variance + np.log(pushed)).sum()
         return float(lost) + _log_spread(some, found) + 0.5 * float(np.log(_told(some, device, r) + white).sum())
 
-    def likeliest(make: Callable[[float], Noise], limits: tuple[float, float]) -> tuple[float, Noise]:
-        bounds = tuple(np.log(limits).tolist())
-        options = {"xatol": ROUGH, "maxiter": 9}
-        found = minimize_scalar(
-            lambda log: cost(make(float(np.exp(log)))), bounds=bounds, method="bounded", options=options
-        )
-        return float(found.fun), make(float(np.exp(found.x)))
-
-    none, force = (cost(WHITE), WHITE), likeliest(lambda force: of(force, 0.0), MEMORIES)
+    none, (force, by_force) = cost(0.0), _likeliest(cost, MEMORIES)
     # what rounding leaves may look like a little of either
-    still = force if force[0] < none[0] - WORTH else none
-    if not jitters or none[0] - force[0] <= WORTH + JITTERY_ROW * float(some.rows.sum()):
-        return still[1]
-    near, far = device.noise, ROUGH / 4
-    if not near.jitter:
-        jitter = likeliest(lambda jitter: of(0.0, jitter), JITTERS)
-        if jitter[0] >= none[0] - WORTH or jitter[1].jitter < LEAST_JITTER:
-            return still[1]
-        # both together, from the likelier one and a tenth of the other
-        shares = (0.1, 1.0) if jitter[0] < force[0] else (1.0, 0.1)
-        near, far = of(force[1].force * shares[0], jitter[1].jitter * shares[1] ** 0.5), ROUGH
-    found = _jittery(cost, of, near, far)
-    return _with_error(cost, found) if cost(found) < still[0] - WORTH else still[1]
+    still, least = (Noise(force), by_force) if by_force < none - WORTH else (WHITE, none)
+    if not jitters or none - by_force <= WORTH + JITTERY_ROW * float(some.rows.sum()):
+        return still
+    near = device.noise.jitter or _likeliest(lambda jitter: cost(0.0, jitter), JITTERS)[0]
+    numbers, lost = _minimum(lambda jitter, reading: cost(0.0, jitter, reading), (near, 1.0))
+    beside, more = _likeliest(lambda force: cost(force, *numbers), MEMORIES)
+    strength = 0.0
+    if more < lost - WORTH:
+        (strength, *numbers), lost = _minimum(cost, (beside, *numbers))
+    jitter, reading = numbers
+    if lost >= least - WORTH or jitter < LEAST_JITTER:
+        return still
+    # half a sample beside a delay of half a sample is at a bend of the likelihood: its flatter side tells the error
+    falls = min(cost(strength, jitter * float(np.exp(sign * NEAR)), reading) for sign in (-1, 1)) - lost
+    error = float(np.hypot(NEAR / np.sqrt(2 * max(falls, 1e-3)), OTHER_AGES * max(jitter - 0.5, 0.0)))
+    return Noise(strength, command / (reading * white), jitter, jitter * error)
 
 
-def _jittery(cost: Callable[[Noise], float], of: Callable[[float, float], Noise], near: Noise, far: float) -> Noise:
-    """Return the likeliest random force and jitter near some, without a force that is worth nothing."""
-    from scipy.optimize import minimize
-
-    start = np.log([max(near.force, MEMORIES[0]), max(near.jitter, JITTERS[0])])
-    simplex = start + far * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 0.5]])
-    options = {"maxfev": MOST_COSTS, "xatol": NEAR, "fatol": 0.05, "initial_simplex": simplex}
-    both = minimize(lambda logs: cost(of(*np.exp(logs).tolist())), start, method="Nelder-Mead", options=options)
-    force, jitter = np.exp(both.x).tolist()
-    without = of(0.0, jitter)
-    return without if cost(without) - WORTH < both.fun else of(force, jitter)
-
-
-def _with_error(cost: Callable[[Noise], float], found: Noise) -> Noise:
-    """Return a noise with the likeliest jitter beside its force, and the error of that.
-
-    Half a sample beside a delay of half a sample is at a bend of the likelihood: its flatter side tells the error.
-    """
+def _likeliest(cost: Callable[[float], float], limits: tuple[float, float]) -> tuple[float, float]:
+    """Return roughly the number within limits that costs least, and that cost."""
     from scipy.optimize import minimize_scalar
 
-    def at(log: float) -> Noise:
-        return replace(found, jitter=float(np.exp(log)))
+    bounds, options = tuple(np.log(limits).tolist()), {"xatol": ROUGH, "maxiter": 9}
+    found = minimize_scalar(lambda log: cost(float(np.exp(log))), bounds=bounds, method="bounded", options=options)
+    return float(np.exp(found.x)), float(found.fun)
 
-    near = np.log(found.jitter)
-    bounds, options = (near - 4 * NEAR, near + 4 * NEAR), {"xatol": 0.1 * NEAR, "maxiter": MOST_COSTS // 2}
-    best = minimize_scalar(lambda log: cost(at(log)), bounds=bounds, method="bounded", options=options)
-    falls = max(min(cost(at(best.x - NEAR)), cost(at(best.x + NEAR))) - float(best.fun), 1e-3)
-    jitter = float(np.exp(best.x))
-    error = float(np.hypot(NEAR / np.sqrt(2 * falls), OTHER_AGES * max(jitter - 0.5, 0.0)))
-    return replace(found, jitter=jitter, jitter_error=jitter * error)
+
+def _minimum(cost: Callable[..., float], near: tuple[float, ...]) -> tuple[list[float], float]:
+    """Return the positive numbers that cost least, from some near them on, and that cost."""
+    from scipy.optimize import minimize
+
+    start = np.log(near)
+    simplex = start + ASIDE * np.vstack([np.zeros(len(start)), np.eye(len(start))])
+    options = {"maxfev": MOST_COSTS, "xatol": 0.4 * NEAR, "fatol": 0.5, "initial_simplex": simplex}
+    found = minimize(lambda logs: cost(*np.exp(logs).tolist()), start, method="Nelder-Mead", options=options)
+    return np.exp(found.x).tolist(), float(found.fun)
 
 
 def _white(held: Stretches) -> float:

@@ -86,6 +86,9 @@ def identified(recordings: list[Recording]) -> Identified:
     if untold:
         untold |= {"damping", "stiffness", "friction", "constant_force", "mode_mass"} & set(names)
     untold |= {name for name in names if name == "friction" and choice.parts["friction"] <= 0}
+    # a force that is known to no better than the largest command is not known
+    forces = {"friction", "constant_force"} & set(names)
+    untold |= {name for name in forces if parameters[name].high - parameters[name].low > 2 * choice.scales.command}
     delay = parameters.get("delay")
     if delay is not None and delay.high - delay.low > choice.scales.period * max(
         2.0, delay.value / choice.scales.period

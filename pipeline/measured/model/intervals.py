@@ -82,12 +82,14 @@ BOUNDED = ("damping", "stiffness", "friction", "actuator_lag", "mode_damping_rat
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """What intervals rest on: numbers and their covariance, those without each unit, and degrees of freedom."""
+    """What intervals rest on: numbers and their covariance, those without each unit, degrees of freedom, and
+    the change of the numbers by an error of the noise."""
 
     numbers: Numbers
     covariance_of_numbers: Floats
     without: Floats
     freedom: float
+    open: Floats
 
     @classmethod
     def of(cls, fit: Fit) -> Errors:
@@ -102,7 +104,7 @@ class Errors:
         without = (total if fit.few else total - own for own in information)
         steps = np.stack([-(inverse(rest) @ each) for rest, each in zip(without, score, strict=True)])
         # equal readings count as one
-        return cls(fit.device.numbers, fit.alike * solved.covariance, steps, max(float(told.sum() - 1), 1.0))
+        return cls(fit.device.numbers, fit.alike * solved.covariance, steps, max(float(told.sum() - 1), 1.0), fit.open)
 
     def interval(self, quantity: Quantity, bounded: bool = False, unit: float = 0.0) -> Interval:
         """Return a quantity's value and interval; one that is not negative by its profile likelihood at 0.
@@ -154,4 +156,4 @@ class Errors:
             groups = np.array([each.sum(axis=0) for each in np.array_split(spread, GROUPS)])
             wider = float(student_95(GROUPS - 1.0) / student_95(self.freedom))
             variance = np.maximum(variance, wider**2 * GROUPS / (GROUPS - 1) * (groups**2).sum(axis=0))
-        return np.asarray(variance)
+        return np.asarray(variance + (slopes @ self.open) ** 2)

@@ -116,19 +116,39 @@ class Pieces:
     """Pieces of the intervals between rows over which the late command is constant.
 
     ``row`` (P, N, S) of the command, and the time from where each begins and ends to the interval's end; (P, 1, 1)
-    where all rows are regular. ``age`` (P,) is the place of its age among those of `ages`, ``share`` (P,) how likely.
+    where all rows are regular. ``age`` (P,) is the place of its age among those of `ages`, ``chances`` (A,) how likely
+    each is.
     """
 
     row: Integers
     begins: Floats
     ends: Floats
     age: Integers
-    share: Floats
+    chances: Floats
+
+    @property
+    def ageing(self) -> Floats:
+        """Chances (A, A) of an age in force after another less those of it after any, for delays drawn anew each time.
+
+        The newest command that has arrived is in force: one of age i has arrived with probability F_i, and the next
+        row finds those that were on their way before with (F_i - F_(i-1))/(1 - F_(i-1)).
+        """
+        count = len(self.chances)
+        left = 1 - np.append(0.0, np.cumsum(self.chances)[:-1])
+        arrived = np.clip(self.chances / np.maximum(left, 1e-12), 0.0, 1.0)
+        arrived = np.maximum.accumulate(np.append(arrived[:-1], 1.0))
+        before = np.append(0.0, arrived[:-1])
+        now = np.where(before < 1, (arrived - before) / np.where(before < 1, 1 - before, 1.0), 1.0)
+        reached = now * np.append(1.0, np.cumprod(1 - now)[:-1])
+        result = np.tril(np.broadcast_to(reached, (count, count)))
+        oldest = np.minimum(np.arange(count) + 1, count - 1)
+        result[np.arange(count), oldest] += 1 - result.sum(axis=1)
+        return result - self.chances
 
     def gains(self, matrix: Floats, inputs: Floats) -> Floats:
         """Return what unit inputs over each piece add to the state at the interval's end, (P, N or 1, S or 1, n, i)."""
         whole = at_times(matrix, inputs, self.begins)[1] - at_times(matrix, inputs, self.ends)[1]
-        return np.asarray(whole * self.share[:, None, None, None, None])
+        return np.asarray(whole * self.chances[self.age][:, None, None, None, None])
 
 
 def pieces(time: Floats, lead: int, delay: float, regular: bool, jitter: float = 0.0) -> Pieces:
@@ -145,11 +165,11 @@ def pieces(time: Floats, lead: int, delay: float, regular: bool, jitter: float =
         Whether all rows are one sample apart.
     """
     made = _even_pieces if regular else _uneven_pieces
-    each_age, shares = ages(delay, jitter)
+    each_age, chances = ages(delay, jitter)
     found = [made(time, lead, float(age)) for age in each_age]
     count = [len(row) for row, _, _ in found]
     row, begins, ends = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return Pieces(row, begins, ends, np.repeat(np.arange(len(count)), count), np.repeat(shares, count))
+    return Pieces(row, begins, ends, np.repeat(np.arange(len(count)), count), chances)
 
 
 def _even_pieces(time: Floats, lead: int, delay: float) -> tuple[Integers, Floats, Floats]:

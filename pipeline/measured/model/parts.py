@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pipeline.measured.model.estimation import LIMITS, WORTH, Device, Fit, begun, moments_of, refined, spread
+from pipeline.measured.model.estimation import LIMITS, WORTH, Device, Fit, begun, moments_of, refined, spread, told
 from pipeline.measured.model.intervals import Errors, physical
 from pipeline.measured.model.recordings import Recording, Scales, Stretches, stretches
 from pipeline.measured.model.scatter import inverse, solve
@@ -50,9 +50,6 @@ LOOKED_AT = 30
 
 SOME_STEPS = 10
 """Steps by which they are looked for at first."""
-
-LAST_STEPS = 3
-"""Steps on all logs from what some of them have shown: the last one is smaller than rounding."""
 
 LEFT = 0.5
 """Share of the random force's variance that a part may leave: a largest force that stood for a stiffening hand left
@@ -133,8 +130,7 @@ def chosen(recordings: list[Recording]) -> Choice:
         held, fit, parts = _pruned((some, scales, lead), held, fit, parts)
     if len(places) < len(recordings):
         held = stretches(recordings, scales, lead, "friction" in parts)
-        alone = replace(fit.device, effects=None)
-        fit = refined(held, alone, len(recordings), steps=LAST_STEPS, far=False, noisy=False)
+    fit = told(held, replace(fit.device, effects=None), len(recordings))
     return Choice(fit, held, scales, parts, assumed, {name: end for name, end in bounds.items() if name not in parts})
 
 
@@ -142,8 +138,7 @@ def again(choice: Choice, recordings: list[Recording]) -> Choice:
     """Return the fit of other recordings with the parts of an earlier choice, from its numbers on."""
     found, scales = choice.fit, choice.scales
     held = stretches(recordings, scales, choice.held.lead, choice.moving)
-    alone = replace(found.device, effects=None)
-    fit = refined(held, alone, len(recordings), steps=LAST_STEPS, far=False, noisy=False)
+    fit = told(held, replace(found.device, effects=None), len(recordings))
     return Choice(fit, held, scales, choice.parts, choice.assumed)
 
 

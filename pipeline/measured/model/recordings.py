@@ -117,6 +117,34 @@ class Stretches:
     def __len__(self) -> int:
         return len(self.rows)
 
+    def shorter(self, most: int) -> Stretches:
+        """Return the stretches as parts of at most so many rows, each with a start of its own."""
+        n = len(self.position)
+        parts = -(-n // most)
+        size = -(-n // parts)
+
+        def cut(values: Floats, more: int) -> Floats:
+            whole = np.pad(values, ((0, parts * size - n), (0, 0)), mode="edge")
+            return np.concatenate([whole[i * size : (i + 1) * size + more] for i in range(parts)], axis=1)
+
+        rows = np.concatenate([np.clip(self.rows - i * size, 0, size) for i in range(parts)])
+        rests = np.concatenate([self.rests & (i == 0) for i in range(parts)])
+        whole = Stretches(
+            cut(self.time, self.lead + 1),
+            cut(self.command, self.lead),
+            cut(self.acts, self.lead),
+            cut(self.position, 0),
+            np.tile(self.direction, parts),
+            rows,
+            np.tile(self.trial, parts),
+            rests,
+            np.tile(self.distinct, parts),
+            np.tile(self.least, parts),
+            self.lead,
+            self.regular,
+        )
+        return whole.chosen(rows >= SHORTEST)
+
     def chosen(self, which: Integers | Booleans) -> Stretches:
         """Return some of the stretches, cut to the longest of them."""
         rows = self.rows[which]

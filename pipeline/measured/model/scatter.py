@@ -52,7 +52,8 @@ class Solved:
 
     ``step`` (p,); ``information`` (T, p, p) and ``score`` (T, p) of each trial at the solution; ``scatter`` (p,) the
     variances between trials; ``effects`` (T, p) each trial's deviations; ``noise`` the variance of a whitened error,
-    ``weight`` (T,) of each trial; ``likelihood`` its restricted logarithm, without constants.
+    ``weight`` (T,) of each trial; ``likelihood`` its restricted logarithm, without constants, as the columns foretell
+    it behind the step, and ``here`` before it.
     """
 
     step: Floats
@@ -63,6 +64,7 @@ class Solved:
     noise: float
     weight: Floats
     likelihood: float
+    here: float
 
     @property
     def total(self) -> Floats:
@@ -105,15 +107,17 @@ def solve(moments: Moments, random: Integers) -> Solved:
         if len(random):
             variances = _variances(mixed, random, variances if count else None)
         found = mixed.solution(variances)
+        before = found.before * noise / weight
         squares = found.squares * noise / weight
-        for _ in range(20):
-            weight = (rows + OWN_ROWS) / (OWN_ROWS + squares / noise)
-            noise = max(float((weight * squares).sum() / rows.sum()), least)
-    free, spread = rows + OWN_ROWS, np.log1p(squares / (OWN_ROWS * noise))
-    of_rows = gammaln(0.5 * free) - 0.5 * (rows * np.log(0.5 * OWN_ROWS * noise) + free * spread)
-    likelihood = found.determinants.sum() + of_rows.sum()
-    # a start is anywhere within the range of the readings: what these do not tell of it makes no device likelier
-    likelihood -= moments.log_spread + 0.5 * float(np.log(moments.told + noise).sum())
+        noise, weight = _weighed(squares, rows, noise, least)
+
+    def likelihood(squares: Floats, noise: float) -> float:
+        free, spread = rows + OWN_ROWS, np.log1p(squares / (OWN_ROWS * noise))
+        of_rows = gammaln(0.5 * free) - 0.5 * (rows * np.log(0.5 * OWN_ROWS * noise) + free * spread)
+        # a start is anywhere within the range of the readings: what these do not tell of it makes no device likelier
+        starts = moments.log_spread + 0.5 * float(np.log(moments.told + noise).sum())
+        return float(found.determinants.sum() + of_rows.sum()) - starts
+
     back = scale[:, None] * scale[None, :]
     return Solved(
         found.step * scale,
@@ -123,13 +127,22 @@ def solve(moments: Moments, random: Integers) -> Solved:
         found.effects * scale,
         noise,
         weight,
-        float(likelihood),
+        likelihood(squares, noise),
+        likelihood(before, _weighed(before, rows, noise, least)[0]),
     )
+
+
+def _weighed(squares: Floats, rows: Floats, noise: float, least: float) -> tuple[float, Floats]:
+    """Return the likeliest variance of errors, from one near it on, and the weights of units with some squares."""
+    for _ in range(20):
+        weight = (rows + OWN_ROWS) / (OWN_ROWS + squares / noise)
+        noise = max(float((weight * squares).sum() / rows.sum()), least)
+    return noise, weight
 
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
-    """Step, information and score of units, their effects, half determinants and weighted squares at the step."""
+    """Step, information and score of units, their effects, half determinants, weighted squares behind and before it."""
 
     step: Floats
     information: Floats
@@ -137,6 +150,7 @@ class _Solution:
     effects: Floats
     determinants: Floats
     squares: Floats
+    before: Floats
 
     @property
     def likelihood(self) -> float:
@@ -173,9 +187,9 @@ class _Mixed:
         step = inverse(information.sum(axis=0)) @ total
         left = self.errors - self.columns @ step
         score = np.einsum("tij,ti->tj", weighted, left)
-        squares = self.rest + np.einsum("ti,tij,tj->t", left, known, left)
+        squares, before = (self.rest + np.einsum("ti,tij,tj->t", each, known, each) for each in (left, self.errors))
         determinants = -0.5 * np.linalg.slogdet(covariance)[1]
-        return _Solution(step, information, score, variances * score, determinants, squares)
+        return _Solution(step, information, score, variances * score, determinants, squares, before)
 
     def slopes(self, found: _Solution) -> Floats:
         """Return the slope of the likelihood along each variance, (p,)."""

@@ -8,7 +8,7 @@ that is always as strong the filter is a steady one, a recursion of two to five 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -22,11 +22,6 @@ DOUBLINGS = 60
 
 STEADY = 1e-14
 """Change of a filter's variance in a doubling, relative to it, that is rounding."""
-
-
-LIKE_NEIGHBOUR, MOST_ALIKE = 0.6, 0.49
-"""Correlation of the ages of commands in force in two samples: 1 - (2 jitter)^-0.6, at most 0.49. Of whole delays that
-are drawn anew and overtaken by later ones, two to six in number, it is right to 0.03, by enumeration."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +44,6 @@ class Noise:
     late: float = 0.0
     jitter: float = 0.0
     jitter_error: float = 0.0
-
-    @property
-    def alike(self) -> float:
-        """Correlation of the age of the command in force with that in the next sample."""
-        return float(np.clip(1 - (2 * max(self.jitter, 0.5)) ** -LIKE_NEIGHBOUR, 0.0, MOST_ALIKE))
 
 
 WHITE = Noise()
@@ -106,18 +96,14 @@ class Passage:
         return np.stack([self.held.acts[row, self._column] for row in self.pieces.row])
 
     @cached_property
-    def late(self) -> Floats:
-        """Variance of the command in force in each interval by the ages it may have, (N, S)."""
-        pieces, driven = self.pieces, self.held.driven
+    def commands(self) -> Floats:
+        """Mean command in each interval by each age that the one in force may have, (N, S, A)."""
+        pieces = self.pieces
         span = np.ones((1, 1)) if self.held.regular else np.diff(self.held.time[self.held.lead :], axis=0)
-        mean, square = np.zeros(self.held.position.shape), np.zeros(self.held.position.shape)
-        for age in np.unique(pieces.age):
-            some = np.flatnonzero(pieces.age == age)
-            part = (pieces.begins[some] - pieces.ends[some]) / span
-            command = (np.stack([driven[pieces.row[i], self._column] for i in some]) * part).sum(axis=0)
-            mean += pieces.share[some[0]] * command
-            square += pieces.share[some[0]] * command**2
-        return np.maximum(square - mean**2, 0.0)
+        result = np.zeros((*self.held.position.shape, len(pieces.chances)))
+        for row, age, width in zip(pieces.row, pieces.age, (pieces.begins - pieces.ends) / span, strict=True):
+            result[..., age] += self.held.driven[row, self._column] * width
+        return result
 
     @property
     def _column(self) -> Integers:
@@ -151,13 +137,20 @@ class Passage:
         return result
 
 
+NONE = np.empty((1, 0, 0))
+"""Forces of ages where the delay does not jitter."""
+
+
 @dataclass(frozen=True, eq=False)
 class Filter:
-    """Gains (N or 1, S or 1, n) of a filter and the standard deviations (N or 1, S or 1) of its errors in those of a
-    reading; a steady one has one row."""
+    """Gains (N or 1, S or 1, n + A) of a filter and the standard deviations (N or 1, S or 1) of its errors in those of
+    a reading; a steady one has one row. Of A ages that the command in force may have ``forces`` (N, S, A) are what each
+    would do, and ``ageing`` (A, A) the chances of one after another."""
 
     gain: Floats
     spread: Floats
+    forces: Floats = field(default_factory=NONE.copy)
+    ageing: Floats = field(default_factory=NONE[0].copy)
 
     @classmethod
     def of(cls, passage: Passage, noise: Noise) -> Filter:
@@ -167,34 +160,35 @@ class Filter:
             return cls(np.zeros((1, 1, n)), np.ones((1, 1)))
         if passage.held.regular and noise.late == 0:
             return cls._steady(passage, noise.force)
-        rows, groups = passage.held.position.shape
-        late = noise.late * passage.late if noise.late else np.zeros((rows, 1))
-        groups = max(late.shape[1], passage.transition.shape[1])
+        rows, count = passage.held.position.shape
+        forces, ageing, groups = NONE, NONE[0], passage.transition.shape[1]
+        if noise.late:
+            forces, ageing, groups = np.sqrt(noise.late) * passage.commands, passage.pieces.ageing, count
+        more = len(ageing)
         transition = np.broadcast_to(passage.transition, (rows, groups, n, n))
         disturbed = np.broadcast_to(passage.disturbed, (rows, groups, n))
-        # the last state is what moved the command in force in the interval before, which the next one shares: what a
-        # reading tells of it acts on as if the state had been another before the interval
-        alike = noise.alike if noise.late else 0.0
-        own = np.sqrt(0.5 * (1 + np.sqrt(1 - 4 * alike**2)))
-        before = np.linalg.solve(passage.transition, passage.disturbed[..., None])[..., 0] if alike else disturbed
-        before = np.broadcast_to(before, disturbed.shape)
-        gain, spread = np.zeros((rows, groups, n)), np.ones((rows, groups))
-        known, sensor = np.zeros((groups, n + 1, n + 1)), np.append(passage.sensor, 0.0)
-        known[:, n, n], moved = 1.0, np.zeros((groups, n + 1, n + 1))
+        gain, spread = np.zeros((rows, groups, n + more)), np.ones((rows, groups))
+        known, sensor = np.zeros((groups, n + more, n + more)), np.append(passage.sensor, np.zeros(more))
+        moved, pushed = np.zeros_like(known), np.zeros_like(known)
+        if more:
+            # which age is in force, less how likely it is
+            chances = passage.pieces.chances
+            known[:, n:, n:] = np.diag(chances) - np.outer(chances, chances)
+            moved[:, n:, n:] = ageing.T
+            pushed[:, n:, n:] = known[:, n:, n:] - ageing.T @ known[:, n:, n:] @ ageing
         for k in range(rows):
             seen = known @ sensor
             # what is known becomes no less certain than a reading's own noise but by rounding
             variance = np.maximum(1.0 + seen @ sensor, 1.0)
             spread[k] = np.sqrt(variance)
-            known = known - (seen / variance[:, None])[:, :, None] * seen[:, None, :]
-            again = np.sqrt(late[k]) * alike / own
-            gain[k] = (seen[:, :n] + before[k] * (again * seen[:, n])[:, None]) / variance[:, None]
-            moved[:, :n, :n], moved[:, :n, n] = transition[k], disturbed[k] * again[:, None]
-            pushed = np.zeros((groups, n + 1))
-            pushed[:, :n], pushed[:, n] = disturbed[k] * (np.sqrt(late[k]) * own)[:, None], 1.0
-            known = moved @ known @ moved.transpose(0, 2, 1) + pushed[:, :, None] * pushed[:, None, :]
-            known[:, :n, :n] += noise.force * disturbed[k][:, :, None] * disturbed[k][:, None, :]
-        return cls(gain, spread)
+            gain[k] = seen / variance[:, None]
+            known = known - gain[k][:, :, None] * seen[:, None, :]
+            moved[:, :n, :n] = transition[k]
+            if more:
+                moved[:, :n, n:] = disturbed[k][:, :, None] * forces[k][:, None, :]
+            pushed[:, :n, :n] = noise.force * disturbed[k][:, :, None] * disturbed[k][:, None, :]
+            known = moved @ known @ moved.transpose(0, 2, 1) + pushed
+        return cls(gain, spread, forces, ageing)
 
     @classmethod
     def _steady(cls, passage: Passage, force: float) -> Filter:
@@ -279,13 +273,19 @@ def _by_rows(passage: Passage, found: Filter, columns: Sequence[Column]) -> list
             pushed[:, :, place] += force[..., None] * passage.gains[piece, :, :, :, of]
     turned = np.broadcast_to(passage.transition.swapaxes(-1, -2), (rows, passage.transition.shape[1], n, n))
     gain = np.broadcast_to(found.gain, (rows, *found.gain.shape[1:]))
+    disturbed = np.broadcast_to(passage.disturbed, (rows, *passage.disturbed.shape[1:]))
     filters = bool(found.gain.any())
+    age = np.zeros((count, len(columns), found.gain.shape[2] - n))
     for k in range(rows):
         error = readings[k] - state @ passage.sensor
         readings[k] = error
         if filters:
-            state = state + error[..., None] * gain[k][:, None, :]
+            state = state + error[..., None] * gain[k][:, None, :n]
         state = (
             state @ turned[k] if len(turned[k]) > 1 else (state.reshape(-1, n) @ turned[k][0]).reshape(state.shape)
         ) + pushed[k]
+        if found.ageing.size:
+            age += error[..., None] * gain[k][:, None, n:]
+            state += (age @ found.forces[k][..., None]) * disturbed[k][:, None, :]
+            age = age @ found.ageing
     return [np.ascontiguousarray(readings[:, :, place]) for place in range(len(columns))]

@@ -99,7 +99,7 @@ def identify(
 
 
 def _identified(document: dict[str, Any]) -> Iterator[str]:
-    from pipeline.surface.identified_device import FOLLOWS
+    from pipeline.surface.identified_device import DRIFT, FOLLOWS
 
     fit, limits = document["replay"]["fit_percent"], document["boundary"]
     yield f"{document['trials']} logs, {document['rows']} rows, T = {document['sampling_period_s']:g} s"
@@ -118,7 +118,9 @@ def _identified(document: dict[str, Any]) -> Iterator[str]:
         yield "intervals are from within the logs; scatter from run to run needs 8 logs or more"
     if fit is not None:
         yield f"replay of held-out logs: fit {fit:.1f} % (median)"
-        if fit < FOLLOWS:
+        if fit < FOLLOWS and document["replay"]["behind_walls"]:
+            yield f"  ({DRIFT})"
+        elif fit < FOLLOWS:
             yield "The command alone does not explain the motion: another force acts, or a part is missing."
     if limits is not None:
         top, B = limits["stiffness_max"], limits["damping_at_stiffness_max"]

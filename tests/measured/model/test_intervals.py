@@ -24,7 +24,7 @@ def mean_of(values, known):
         covariance=np.array([[known**2]]),
     )
     device = SimpleNamespace(numbers={"mean": float(values.mean())})
-    return Errors.of(SimpleNamespace(device=device, solved=solved, few=False, alike=1.0))
+    return Errors.of(SimpleNamespace(device=device, solved=solved, few=False, alike=1.0, open=np.zeros(1)))
 
 
 def half_width(values, known=1e-6):
@@ -56,7 +56,7 @@ def test_units_that_are_alike_in_groups_count_as_so_many():
 
 @pytest.mark.parametrize("value", [0.1, 0.0, -0.1, -3.0])
 def test_what_is_not_negative_ends_at_zero(value):
-    errors = Errors({"b": value}, np.array([[0.04]]), np.zeros((5, 1)), np.inf)
+    errors = Errors({"b": value}, np.array([[0.04]]), np.zeros((5, 1)), np.inf, np.zeros(1))
     found, reach = errors.interval(lambda n: n["b"], bounded=True), 0.2 * norm.ppf(0.975)
     assert (found.value, found.low) == (max(value, 0.0), 0.0)
     # the likelihood falls by as much from its largest value that is allowed as to an end of the plain interval
@@ -65,5 +65,5 @@ def test_what_is_not_negative_ends_at_zero(value):
 
 
 def test_what_is_far_from_its_bound_is_as_without():
-    errors = Errors({"b": 0.5}, np.array([[0.04]]), np.zeros((5, 1)), np.inf)
+    errors = Errors({"b": 0.5}, np.array([[0.04]]), np.zeros((5, 1)), np.inf, np.zeros(1))
     assert errors.interval(lambda n: n["b"], bounded=True) == errors.interval(lambda n: n["b"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -11,10 +13,11 @@ from scipy.stats import multivariate_normal
 from pipeline.base.errors import ParameterError
 from pipeline.loop.motion import Mechanism
 from pipeline.measured.model.identified import identified
-from pipeline.measured.model.motion import Physics
+from pipeline.measured.model.motion import Physics, pieces
 from pipeline.measured.model.recordings import Recording, Scales, motion_of, stretches
 from pipeline.measured.model.scatter import Moments, solve
 from pipeline.measured.model.whitening import Column, Filter, Noise, Passage, passed
+from pipeline.simulation.simulate import age_in_force
 
 T = 1e-3
 TURNING = {"mass": 1.1e-4, "damping": 7e-5, "friction": 0.034, "delay": 2.3e-3}
@@ -121,10 +124,12 @@ def test_prediction_errors_are_those_of_the_dense_covariance(noise):
         for row in range(first + 1, rows):
             (start if first < 0 else pulse[:, first : first + 1])[row] = states[0]
             states = matrix @ states
-    # forces by a late command are alike in neighbouring samples
-    late = np.sqrt(noise.late * passage.late[:, 0]) if noise.late else np.zeros(rows)
-    alike = np.eye(rows) + noise.alike * (np.eye(rows, k=1) + np.eye(rows, k=-1))
-    forces = noise.force * np.eye(rows) + late[:, None] * alike * late[None, :]
+    forces, pieces = noise.force * np.eye(rows), passage.pieces
+    command = np.sqrt(noise.late) * passage.commands[:, 0]
+    one = np.diag(pieces.chances) - np.outer(pieces.chances, pieces.chances)
+    for k, m in product(range(rows), repeat=2):
+        both = one @ np.linalg.matrix_power(pieces.ageing, abs(k - m))
+        forces[k, m] += command[min(k, m)] @ both @ command[max(k, m)]
     covariance = np.eye(rows) + pulse @ forces @ pulse.T
     # without what the unknown start may be, in any basis
     free = null_space(start.T)
@@ -134,6 +139,16 @@ def test_prediction_errors_are_those_of_the_dense_covariance(noise):
     spread = np.log(np.broadcast_to(found.spread, (rows, 1))).sum() + np.log(np.abs(np.diag(triangle))).sum()
     spread -= 0.5 * np.log(np.linalg.det(start.T @ start))
     assert -0.5 * (left @ left) - spread - 0.5 * (rows - 2) * np.log(2 * np.pi) == pytest.approx(dense, rel=1e-9)
+
+
+def test_ages_of_commands_follow_each_other_as_newly_drawn_delays_have_it():
+    found, seen = pieces(np.arange(40.0)[:, None], 8, 35 / 9, True, age_in_force((3, 4, 5))[1]), np.zeros((3, 3))
+    for drawn in product((3, 4, 5), repeat=7):
+        before, now = (min(age for age in (3, 4, 5) if drawn[row - age] <= age) for row in (5, 6))
+        seen[before - 3, now - 3] += 1 / 3**7
+    chances = seen.sum(axis=1)
+    np.testing.assert_allclose(found.chances, chances, atol=1e-4)
+    np.testing.assert_allclose(found.ageing, seen / chances[:, None] - chances, atol=1e-4)
 
 
 def test_scatter_between_trials_is_that_of_the_dense_likelihood():

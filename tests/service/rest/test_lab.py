@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 import pytest
-from served import form
+from served import HTML, form
 
 PROFILE = """name = "own"
 format = "native"
@@ -94,6 +94,11 @@ def test_next_walls_figures_and_theory_in_si(three):
         assert figure.content.startswith(b"<svg xmlns=")
         assert b"var(" not in figure.content
     assert three.get("figures/falcon/1/none.svg").status == 404
+    # each kind of job has its page
+    three.get("/devices/falcon", **HTML)
+    done = {job["kind"]: job["id"] for job in three.all_done()}
+    assert {"upload", "stages", "plan", "drawing"} <= set(done)
+    assert {kind: three.get(f"/jobs/{job}", **HTML).status for kind, job in done.items()} == dict.fromkeys(done, 200)
     boundary = three.get("theory/boundary?device=falcon&experiment=1").content
     assert boundary["stiffness_max"] == pytest.approx(max(boundary["stiffness"]), rel=1e-6)
     (point,) = three.get("theory/points?device=falcon&stiffness=1000&damping=50").content
