@@ -34,7 +34,7 @@ LIMITS = {
     "delay": (0.0, 300.0),
     "lag": (SHORTEST_LAG, 300.0),
     "turn": (0.002, 3.0),
-    "ratio": (0.0, 0.5),
+    "ratio": (1e-4, 0.5),
     "share": (1e-4, 0.97),
 }
 LARGEST_STEP = {
@@ -44,10 +44,12 @@ LARGEST_STEP = {
     "delay": 1.5,
     "lag": 1.5,
     "turn": 0.1,
-    "ratio": 0.1,
     "share": 0.1,
 }
 """Change of a number in one step within which the response is near a straight line."""
+
+BY_HALF = ("gain", "ratio")
+"""Numbers that change by half of themselves at most: without damping a mode is told so well that no step leaves it."""
 
 SMALL = 1e-5
 """Change of a number for a slope: rounding of 1e-16 then leaves eleven digits of it."""
@@ -139,7 +141,7 @@ class Device:
         """Return the device after a step, each number within its limits."""
         moved = dict(self.numbers)
         for (name, value), change in zip(self.numbers.items(), step.tolist(), strict=True):
-            most = LARGEST_STEP.get(name, 0.5 * abs(value) if name == "gain" else np.inf)
+            most = LARGEST_STEP.get(name, 0.5 * abs(value) if name in BY_HALF else np.inf)
             low, high = LIMITS.get(name, (-np.inf, np.inf))
             moved[name] = float(np.clip(value + np.clip(change, -most, most), low, high))
         return replace(self, numbers=moved)
