@@ -35,19 +35,20 @@ class OptimalPoint:
 
 @dataclass(frozen=True)
 class Grids:
-    """Lines of the first look and points on each, looks along each line at its best two dips, points along each axis of
-    each following grid, and how many of the best places are followed."""
+    """Lines of the first look and points on each, looks along each line at its best two dips, looks closer at the lines
+    around the best, points along each axis of each following grid, and how many of the best places are followed."""
 
     coarse: int
     looks: int
+    closer: int
     fine: int
     starts: int
 
 
-SMOOTH = Grids(coarse=25, looks=0, fine=9, starts=1)
+SMOOTH = Grids(coarse=25, looks=0, closer=0, fine=9, starts=1)
 """For costs that are smooth and have one minimum."""
 
-JUMPING = Grids(coarse=61, looks=8, fine=15, starts=3)
+JUMPING = Grids(coarse=61, looks=8, closer=6, fine=11, starts=2)
 """For costs with jumps: a corner must hold grid points at every scale, and a better valley must not be missed. A valley
 ends in a cliff along a curve, on which many corners lie: only the floors of lines across it tell which is lowest."""
 
@@ -64,6 +65,15 @@ _INSET = 0.05
 _SOFTEST = 0.0005
 """The same for costs with jumps: a mode's limit may be a hundred times the stiffness that settles soonest."""
 
+
+_LINES = 11
+"""Lines of each look closer at the floors beside the best one."""
+
+_NARROWER = 0.25
+"""Way that they cover, relative to the look before: 2.5 lines of it."""
+
+_REACH = 8
+"""Cells of the first look along a line over which floors wander from one line to the next."""
 
 _DEAR = 2.0
 """Cost, beside the least known, from which on the floor of a line need not be known."""
@@ -151,35 +161,44 @@ def search(loop: Loop, cost: Cost, grids: Grids = JUMPING, bounds: tuple[Floats,
         return np.where((second >= 0) & (second <= 1), plain(*place(first, second), best), np.inf)
 
     low, high = bounds or region(_SOFTEST)
+    cell, least = (high - low) / (grids.coarse - 1), np.inf
+
+    def floors(second: Floats, first: tuple[float, float], coarse: int) -> LineOptima:
+        """Return the lowest place of lines at so many ways along the outline."""
+
+        def along(line: Integers, place: Floats, best: float) -> Floats:
+            nonlocal least
+            values = guarded(place, second[line], min(best, _DEAR * least))
+            least = min(least, float(values.min(initial=np.inf)))
+            return values
+
+        ends = (np.full(len(second), end) for end in first)
+        return search_lines(along, *ends, coarse=coarse, starts=2, levels=grids.looks)
+
     second = np.linspace(low[1], high[1], grids.coarse)
-    least = np.inf
-
-    def along(line: Integers, place: Floats, best: float) -> Floats:
-        nonlocal least
-        values = guarded(place, second[line], min(best, _DEAR * least))
-        least = min(least, float(values.min(initial=np.inf)))
-        return values
-
-    found = search_lines(
-        along,
-        np.full(grids.coarse, low[0]),
-        np.full(grids.coarse, high[0]),
-        coarse=grids.coarse,
-        starts=2,
-        levels=grids.looks,
-    )
+    found = floors(second, (low[0], high[0]), grids.coarse)
     first, values = found.place, found.cost
-    cell = (high - low) / (grids.coarse - 1)
     best: OptimalPoint | None = None
     left = np.isfinite(values)
     for _ in range(grids.starts):
         if not left.any():
             break
         index = int(np.flatnonzero(left)[np.argmin(values[left])])
-        near = refine(guarded, np.array([first[index], second[index]]), float(values[index]), 2 * cell, grids.fine)
-        if best is None or near.cost < best.cost:
-            best = near
         left &= (np.abs(first - first[index]) > 3 * cell[0]) | (np.abs(second - second[index]) > 3 * cell[1])
+        centre, value, half = np.array([first[index], second[index]]), float(values[index]), cell.copy()
+        for _ in range(grids.closer):
+            ways = centre[1] + half[1] * np.linspace(-1, 1, _LINES)
+            reach = _REACH * cell[0]
+            near = floors(ways, (max(centre[0] - reach, low[0]), min(centre[0] + reach, high[0])), 2 * _LINES)
+            at = int(np.argmin(near.cost))
+            at_rim = near.cost[at] < value and at in (0, _LINES - 1)
+            if near.cost[at] < value:
+                centre, value = np.array([near.place[at], ways[at]]), float(near.cost[at])
+            half = half if at_rim else _NARROWER * half
+        levels = LEVELS_IN_PLANE - int(np.log(half[0] / cell[0]) / np.log(SHRINK))
+        closest = refine(guarded, centre, value, 2 * half, grids.fine, levels)
+        if best is None or closest.cost < best.cost:
+            best = closest
     if best is None:
         raise ParameterError(f"{loop}: no point of the stable region has this cost.")
     alpha, beta = place(np.array([best.alpha]), np.array([best.beta]))
@@ -189,18 +208,33 @@ def search(loop: Loop, cost: Cost, grids: Grids = JUMPING, bounds: tuple[Floats,
 def refine(
     cost: Cost, centre: Floats, value: float, half: Floats, size: int = JUMPING.fine, levels: int = LEVELS_IN_PLANE
 ) -> OptimalPoint:
-    """Return the best point of grids that shrink around it; one whose best point lies at its rim moves instead."""
+    """Return the best point of grids that shrink around it; one whose best point lies at its rim moves instead.
+
+    Grids lean as the best points of their rows do, since a valley that ends in a cliff is narrow and slants.
+    """
+    lean = 0.0
     for _ in range(levels):
         first, second = grid(centre - half, centre + half, size)
+        first += lean * (second - centre[1])
         values = cost(first, second, value)
         index = int(np.argmin(values))
         row, column = divmod(index, size)
+        lean = _lean(values.reshape(size, size), first.reshape(size, size), second[::size], row, lean)
         if values[index] < value:
             centre, value = np.array([first[index], second[index]]), float(values[index])
             if min(row, column) == 0 or max(row, column) == size - 1:
                 continue
         half = half * SHRINK
     return OptimalPoint(float(centre[0]), float(centre[1]), value)
+
+
+def _lean(values: Floats, first: Floats, second: Floats, row: int, known: float) -> float:
+    """Return how the best places of the rows next to one lean; as known where fewer than two have any."""
+    some = np.arange(max(row - 2, 0), min(row + 3, len(second)))
+    some = some[np.isfinite(values[some]).any(axis=1)]
+    if len(some) < 2:
+        return known
+    return float(np.polyfit(second[some], first[some, values[some].argmin(axis=1)], 1)[0])
 
 
 def bounding_box(
