@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import combinations
+from itertools import combinations, count
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ _LOOKS = 8
 """Places between the rig and the largest change at which the wish is tried before the change is halved down."""
 
 _HALVINGS = 9
-"""Halvings of what lies between two looks: ln of a change to 1e-3."""
+"""Of what lies between two looks ends are narrowed to one part in 2 to so many: ln of a change to 1e-3."""
 
 _NUDGE = 0.02
 """Change in ln by which it is seen which way a quantity helps."""
@@ -155,33 +155,51 @@ def _stiffness_reached(loop: Loop, wish: Wish, best: Best) -> float | None:
     if wanted is None:
         return best.stiffness if best.room >= 0 else None
     upward = best.room >= 0
-    ends = [(1 if upward else -1) * math.log(100.0) * i / (2 * _LOOKS) for i in range(1, 2 * _LOOKS + 1)]
-    turn = _turn(lambda x: (best_wall(loop, replace(wish, stiffness=wanted * math.exp(x))).room >= 0) != upward, ends)
+    side = -1.0 if upward else 1.0
+
+    def room(x: float) -> float:
+        return side * best_wall(loop, replace(wish, stiffness=wanted * math.exp(x)), enough=not upward).room
+
+    ends = [-side * math.log(100.0) * i / (2 * _LOOKS) for i in range(1, 2 * _LOOKS + 1)]
+    turn = _turn(room, side * best.room, ends)
     if turn is None:
         return wanted * 100.0 if upward else None
     return wanted * math.exp(turn[0 if upward else 1])
 
 
-def _turn(turned: Callable[[float], bool], looks: Sequence[float]) -> tuple[float, float] | None:
-    """Return the narrowed ends, before and behind, of where something has turned that has not at 0; None where it has
-    at no look."""
-    before = 0.0
+def _turn(room: Callable[[float], float], at_0: float, looks: Sequence[float]) -> tuple[float, float] | None:
+    """Return the narrowed ends, before and behind, of where a room below zero at 0 is left; None where it is at no
+    look.
+
+    Ends are moved by the false position (Illinois), and every third time half way, since rooms may jump.
+    """
+    before, short = 0.0, at_0
     for behind in looks:
-        if turned(behind):
-            for _ in range(_HALVINGS):
-                middle = 0.5 * (before + behind)
-                before, behind = (before, middle) if turned(middle) else (middle, behind)
-            return before, behind
-        before = behind
+        over = room(behind)
+        if over >= 0:
+            narrow = abs(behind - before) / 2**_HALVINGS
+            for number in count(1):  # ends: every third round halves
+                if abs(behind - before) <= narrow:
+                    return before, behind
+                share = short / (short - over) if number % 3 and math.isfinite(short) else 0.5
+                middle = before + min(max(share, 0.05), 0.95) * (behind - before)
+                found = room(middle)
+                if found < 0:
+                    before, short, over = middle, found, 0.5 * over
+                else:
+                    behind, over, short = middle, found, 0.5 * short
+        before, short = behind, over
     return None
 
 
-def _room_of(loop: Loop, wish: Wish, quantities: Sequence[Quantity], x: Sequence[float]) -> float:
+def _room_of(
+    loop: Loop, wish: Wish, quantities: Sequence[Quantity], x: Sequence[float], *, enough: bool = False
+) -> float:
     """Return the room of the rig with quantities changed by x in ln; -inf where there is no such rig."""
     try:
         for quantity, change in zip(quantities, x, strict=True):
             loop = quantity.changed(loop, change)
-        return best_wall(loop, wish).room
+        return best_wall(loop, wish, enough=enough).room
     except ParameterError:
         return -math.inf
 
@@ -199,7 +217,7 @@ def _changes(loop: Loop, wish: Wish, quantities: Sequence[Quantity], best: Best)
         sign = 1.0 if rooms[1] > rooms[0] else -1.0
         helps[quantity] = sign * gain
         end = math.log(quantity.factors[1] if sign > 0 else quantity.factors[0])
-        size = _smallest(loop, wish, [quantity], [sign], abs(end))
+        size = _smallest(loop, wish, best.room, [quantity], [sign], abs(end))
         if size is None:
             to = (quantity.read(loop) or 0.0) + quantity.scale(loop) * math.expm1(end)
             out_of_reach[quantity.name] = f"not reached with {to:.3g} {quantity.unit(loop)}".rstrip()
@@ -211,18 +229,22 @@ def _changes(loop: Loop, wish: Wish, quantities: Sequence[Quantity], best: Best)
         way /= math.hypot(*way)
         reach = min(abs(math.log(q.factors[int(w > 0)])) / abs(w) for q, w in zip(pair, way, strict=True) if w)
         alone = [change.size for change in found if set(change.after) < {quantity.name for quantity in pair}]
-        size = _smallest(loop, wish, pair, way.tolist(), reach)
+        size = _smallest(loop, wish, best.room, pair, way.tolist(), reach)
         if size is not None and size < _WORTH * min(alone, default=math.inf):
             found.append(_change(loop, wish, pair, (size * way).tolist()))
     return found, out_of_reach
 
 
 def _smallest(
-    loop: Loop, wish: Wish, quantities: Sequence[Quantity], way: Sequence[float], reach: float
+    loop: Loop, wish: Wish, room: float, quantities: Sequence[Quantity], way: Sequence[float], reach: float
 ) -> float | None:
     """Return the smallest change along a way in ln that reaches the wish, None where none does."""
     looks = reach * (np.arange(1, _LOOKS + 1) / _LOOKS) ** 2
-    turn = _turn(lambda size: _room_of(loop, wish, quantities, [size * part for part in way]) >= 0, looks.tolist())
+
+    def room_at(size: float) -> float:
+        return _room_of(loop, wish, quantities, [size * part for part in way], enough=True)
+
+    turn = _turn(room_at, room, looks.tolist())
     return None if turn is None else turn[1]
 
 
