@@ -64,7 +64,8 @@ class Design:
         Single changes and pairs that reach it, smallest first. The size is the root of the sum of squares of ln of the
         factors.
     out_of_reach : dict
-        Quantities that alone do not reach it, with how far they were changed.
+        Quantities that alone do not reach it, with how far they were changed. Pairs are looked for along lines: of
+        seven wishes that no single change fulfils, one that a pair does was missed.
     sensitivities : pandas.DataFrame
         ``quantity``, ``value``, ``unit``, ``stiffness_max`` and its change ``stiffness_max_per_unit``; in percent per
         percent of the quantity ``stiffness_max_percent`` and, of the nearest wall, ``settling_percent``.
@@ -205,24 +206,26 @@ def _room_of(
 
 
 def _changes(loop: Loop, wish: Wish, quantities: Sequence[Quantity], best: Best) -> tuple[list[Change], dict[str, str]]:
-    """Return what reaches the wish: one quantity, and pairs of those that help; and what alone does not."""
+    """Return what reaches the wish: one quantity, and pairs of those that help; and what alone does not.
+
+    Where nothing does, pairs are looked for far from the rig: from the best place of one along the other.
+    """
     found: list[Change] = []
     out_of_reach, helps = {}, {}
     for quantity in quantities:
         rooms = [_room_of(loop, wish, [quantity], [sign * _NUDGE]) for sign in (-1, 1)]
-        gain = max(rooms) - best.room
-        if not gain > 0:
-            out_of_reach[quantity.name] = "a change either way helps nothing"
-            continue
-        sign = 1.0 if rooms[1] > rooms[0] else -1.0
-        helps[quantity] = sign * gain
-        end = math.log(quantity.factors[1] if sign > 0 else quantity.factors[0])
-        size = _smallest(loop, wish, best.room, [quantity], [sign], abs(end))
-        if size is None:
-            to = (quantity.read(loop) or 0.0) + quantity.scale(loop) * math.expm1(end)
-            out_of_reach[quantity.name] = f"not reached with {to:.3g} {quantity.unit(loop)}".rstrip()
+        if max(rooms) > best.room:
+            helps[quantity] = (max(rooms) - best.room) * (1.0 if rooms[1] > rooms[0] else -1.0)
+        sizes = []
+        for sign, factor in zip((-1.0, 1.0), quantity.factors, strict=True):
+            size = _smallest(loop, wish, best.room, [quantity], [sign], abs(math.log(factor)))
+            sizes += [] if size is None else [sign * size]
+        if sizes:
+            found.append(_change(loop, wish, [quantity], [min(sizes, key=abs)]))
         else:
-            found.append(_change(loop, wish, [quantity], [sign * size]))
+            ends = ((quantity.read(loop) or 0.0) + quantity.scale(loop) * (f - 1) for f in quantity.factors)
+            low, high = (f"{end:.3g}" for end in ends)
+            out_of_reach[quantity.name] = f"not reached from {low} to {high} {quantity.unit(loop)}".rstrip()
     most = sorted(helps, key=lambda quantity: -abs(helps[quantity]))[:_PAIRED]
     for pair in combinations(most, 2):
         way = np.array([helps[quantity] for quantity in pair])
@@ -232,7 +235,39 @@ def _changes(loop: Loop, wish: Wish, quantities: Sequence[Quantity], best: Best)
         size = _smallest(loop, wish, best.room, pair, way.tolist(), reach)
         if size is not None and size < _WORTH * min(alone, default=math.inf):
             found.append(_change(loop, wish, pair, (size * way).tolist()))
+    if not found:
+        rooms_of = {q: {x: _room_of(loop, wish, [q], [x]) for x in _looks(q)} for q in quantities}
+        best_first = sorted(quantities, key=lambda q: -max(rooms_of[q].values()))
+        for pair in combinations(best_first, 2):
+            x = _together(loop, wish, pair, max(rooms_of[pair[0]], key=lambda x: rooms_of[pair[0]][x]))
+            if x is not None:
+                whole = math.hypot(*x)
+                size = _smallest(loop, wish, best.room, pair, [part / whole for part in x], whole) or whole
+                found.append(_change(loop, wish, pair, [part * size / whole for part in x]))
     return found, out_of_reach
+
+
+def _together(loop: Loop, wish: Wish, pair: Sequence[Quantity], first: float) -> list[float] | None:
+    """Return changes in ln of a pair that reach the wish; None if none is met along one, from where the other is best.
+
+    Along the second from a change of the first, then along the first again.
+    """
+    x = [first, 0.0]
+    for turn in (1, 0):
+        rooms = {}
+        for look in sorted(_looks(pair[turn]), key=abs):
+            x[turn] = look
+            rooms[look] = _room_of(loop, wish, pair, x, enough=True)
+            if rooms[look] >= 0:
+                return x
+        x[turn] = max(rooms, key=lambda look: rooms[look])
+    return None
+
+
+def _looks(quantity: Quantity) -> list[float]:
+    """Return changes in ln of a quantity, both ways to its ends."""
+    share = (np.arange(1, _LOOKS + 1) / _LOOKS) ** 2
+    return [float(x) for factor in quantity.factors for x in math.log(factor) * share]
 
 
 def _smallest(

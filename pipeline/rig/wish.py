@@ -148,7 +148,7 @@ def _spare(rig: Loop, wish: Wish, alpha: Floats, beta: Floats) -> Floats:
     found = transient_costs(rig._normalised, alpha, beta, bands, overshoot=swings, quiet=_FAINT * OVERSHOOT_SEEN)
     spare = np.full(len(alpha), np.inf)
     if wish.settling_s is not None:
-        spare = math.log(wish.settling_s) - np.log(found["settle_2pct"] * rig.sampling_period_s)
+        spare = np.asarray(math.log(wish.settling_s) - np.log(found["settle_2pct"] * rig.sampling_period_s))
     if wish.overshoot is not None:
         spare = np.fmin(spare, wish.overshoot + OVERSHOOT_SEEN - found["overshoot"])
-    return np.nan_to_num(spare, nan=_NOTHING)
+    return np.asarray(np.nan_to_num(spare, nan=_NOTHING))
