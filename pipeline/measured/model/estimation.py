@@ -34,7 +34,7 @@ LIMITS = {
     "delay": (0.0, 300.0),
     "lag": (SHORTEST_LAG, 300.0),
     "turn": (0.002, 3.0),
-    "ratio": (0.0, 0.5),
+    "ratio": (1e-4, 0.5),
     "share": (1e-4, 0.97),
 }
 LARGEST_STEP = {
@@ -44,10 +44,12 @@ LARGEST_STEP = {
     "delay": 1.5,
     "lag": 1.5,
     "turn": 0.1,
-    "ratio": 0.1,
     "share": 0.1,
 }
 """Change of a number in one step within which the response is near a straight line."""
+
+BY_HALF = ("gain", "ratio")
+"""Numbers that change by half of themselves at most: without damping a mode is told so well that no step leaves it."""
 
 SMALL = 1e-5
 """Change of a number for a slope: rounding of 1e-16 then leaves eleven digits of it."""
@@ -77,8 +79,12 @@ MEMORIES = (1e-12, 3e5)
 """Least and largest variance of the disturbing force in that of a reading, per sample: from a random walk that forgets
 in a thousand samples to one that forgets in one."""
 
-JITTERS = (0.02, 2.5)
-"""Least and largest jitter of the delay that is looked for [samples]."""
+JITTERS = (0.02, 1.5)
+"""Least and largest jitter of the delay that is looked for [samples]: with nine ages of the command in force; of eight
+whole delays that are drawn alike it is 1.5."""
+
+READINGS = (0.1, 10.0)
+"""Least and largest variance of a reading that is looked for beside a jitter, in that by third differences."""
 
 ROUGH = 0.7
 """Change of the logarithm of a variance that is near enough for a start: intervals grow with its root."""
@@ -135,7 +141,7 @@ class Device:
         """Return the device after a step, each number within its limits."""
         moved = dict(self.numbers)
         for (name, value), change in zip(self.numbers.items(), step.tolist(), strict=True):
-            most = LARGEST_STEP.get(name, 0.5 * abs(value) if name == "gain" else np.inf)
+            most = LARGEST_STEP.get(name, 0.5 * abs(value) if name in BY_HALF else np.inf)
             low, high = LIMITS.get(name, (-np.inf, np.inf))
             moved[name] = float(np.clip(value + np.clip(change, -most, most), low, high))
         return replace(self, numbers=moved)
@@ -392,11 +398,11 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
     if not jitters or none - by_force <= WORTH + JITTERY_ROW * float(some.rows.sum()):
         return still
     near = device.noise.jitter or _likeliest(lambda jitter: cost(0.0, jitter), JITTERS)[0]
-    numbers, lost = _minimum(lambda jitter, reading: cost(0.0, jitter, reading), (near, 1.0))
+    numbers, lost = _minimum(lambda *numbers: cost(0.0, *numbers), (near, 1.0), (JITTERS, READINGS))
     beside, more = _likeliest(lambda force: cost(force, *numbers), MEMORIES)
     strength = 0.0
     if more < lost - WORTH:
-        (strength, *numbers), lost = _minimum(cost, (beside, *numbers))
+        (strength, *numbers), lost = _minimum(cost, (beside, *numbers), (MEMORIES, JITTERS, READINGS))
     jitter, reading = numbers
     if lost >= least - WORTH or jitter < LEAST_JITTER:
         return still
@@ -415,14 +421,19 @@ def _likeliest(cost: Callable[[float], float], limits: tuple[float, float]) -> t
     return float(np.exp(found.x)), float(found.fun)
 
 
-def _minimum(cost: Callable[..., float], near: tuple[float, ...]) -> tuple[list[float], float]:
-    """Return the positive numbers that cost least, from some near them on, and that cost."""
+def _minimum(
+    cost: Callable[..., float], near: tuple[float, ...], limits: tuple[tuple[float, float], ...]
+) -> tuple[list[float], float]:
+    """Return the positive numbers within limits that cost least, from some near them on, and that cost."""
     from scipy.optimize import minimize
 
-    start = np.log(near)
+    bounds = np.log(limits)
+    start = np.clip(np.log(near), bounds[:, 0], bounds[:, 1] - ASIDE)
     simplex = start + ASIDE * np.vstack([np.zeros(len(start)), np.eye(len(start))])
     options = {"maxfev": MOST_COSTS, "xatol": 0.4 * NEAR, "fatol": 0.5, "initial_simplex": simplex}
-    found = minimize(lambda logs: cost(*np.exp(logs).tolist()), start, method="Nelder-Mead", options=options)
+    found = minimize(
+        lambda logs: cost(*np.exp(logs).tolist()), start, method="Nelder-Mead", bounds=bounds, options=options
+    )
     return np.exp(found.x).tolist(), float(found.fun)
 
 

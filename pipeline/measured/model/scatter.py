@@ -53,7 +53,7 @@ class Solved:
     ``step`` (p,); ``information`` (T, p, p) and ``score`` (T, p) of each trial at the solution; ``scatter`` (p,) the
     variances between trials; ``effects`` (T, p) each trial's deviations; ``noise`` the variance of a whitened error,
     ``weight`` (T,) of each trial; ``likelihood`` its restricted logarithm, without constants, as the columns foretell
-    it behind the step, and ``here`` before it.
+    it behind the step, and ``here`` before it, for the likeliest starts.
     """
 
     step: Floats
@@ -114,10 +114,10 @@ def solve(moments: Moments, random: Integers) -> Solved:
     def likelihood(squares: Floats, noise: float) -> float:
         free, spread = rows + OWN_ROWS, np.log1p(squares / (OWN_ROWS * noise))
         of_rows = gammaln(0.5 * free) - 0.5 * (rows * np.log(0.5 * OWN_ROWS * noise) + free * spread)
-        # a start is anywhere within the range of the readings: what these do not tell of it makes no device likelier
-        starts = moments.log_spread + 0.5 * float(np.log(moments.told + noise).sum())
-        return float(found.determinants.sum() + of_rows.sum()) - starts
+        return float(found.determinants.sum() + of_rows.sum()) - moments.log_spread
 
+    # a start is anywhere within the range of the readings: what these do not tell of it makes no device likelier
+    starts = 0.5 * float(np.log(moments.told + noise).sum())
     back = scale[:, None] * scale[None, :]
     return Solved(
         found.step * scale,
@@ -127,7 +127,7 @@ def solve(moments: Moments, random: Integers) -> Solved:
         found.effects * scale,
         noise,
         weight,
-        likelihood(squares, noise),
+        likelihood(squares, noise) - starts,
         likelihood(before, _weighed(before, rows, noise, least)[0]),
     )
 
