@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import combinations
+from itertools import combinations, count
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ _LOOKS = 8
 """Places between the rig and the largest change at which the wish is tried before the change is halved down."""
 
 _HALVINGS = 9
-"""Halvings of what lies between two looks: ln of a change to 1e-3."""
+"""Of what lies between two looks ends are narrowed to one part in 2 to so many: ln of a change to 1e-3."""
 
 _NUDGE = 0.02
 """Change in ln by which it is seen which way a quantity helps."""
@@ -64,7 +64,8 @@ class Design:
         Single changes and pairs that reach it, smallest first. The size is the root of the sum of squares of ln of the
         factors.
     out_of_reach : dict
-        Quantities that alone do not reach it, with how far they were changed.
+        Quantities that alone do not reach it, with how far they were changed. Pairs are looked for along lines: of
+        seven wishes that no single change fulfils, one that a pair does was missed.
     sensitivities : pandas.DataFrame
         ``quantity``, ``value``, ``unit``, ``stiffness_max`` and its change ``stiffness_max_per_unit``; in percent per
         percent of the quantity ``stiffness_max_percent`` and, of the nearest wall, ``settling_percent``.
@@ -155,74 +156,130 @@ def _stiffness_reached(loop: Loop, wish: Wish, best: Best) -> float | None:
     if wanted is None:
         return best.stiffness if best.room >= 0 else None
     upward = best.room >= 0
-    ends = [(1 if upward else -1) * math.log(100.0) * i / (2 * _LOOKS) for i in range(1, 2 * _LOOKS + 1)]
-    turn = _turn(lambda x: (best_wall(loop, replace(wish, stiffness=wanted * math.exp(x))).room >= 0) != upward, ends)
+    side = -1.0 if upward else 1.0
+
+    def room(x: float) -> float:
+        return side * best_wall(loop, replace(wish, stiffness=wanted * math.exp(x)), enough=not upward).room
+
+    ends = [-side * math.log(100.0) * i / (2 * _LOOKS) for i in range(1, 2 * _LOOKS + 1)]
+    turn = _turn(room, side * best.room, ends)
     if turn is None:
         return wanted * 100.0 if upward else None
     return wanted * math.exp(turn[0 if upward else 1])
 
 
-def _turn(turned: Callable[[float], bool], looks: Sequence[float]) -> tuple[float, float] | None:
-    """Return the narrowed ends, before and behind, of where something has turned that has not at 0; None where it has
-    at no look."""
-    before = 0.0
+def _turn(room: Callable[[float], float], at_0: float, looks: Sequence[float]) -> tuple[float, float] | None:
+    """Return the narrowed ends, before and behind, of where a room below zero at 0 is left; None where it is at no
+    look.
+
+    Ends are moved by the false position (Illinois), and every third time half way, since rooms may jump.
+    """
+    before, short = 0.0, at_0
     for behind in looks:
-        if turned(behind):
-            for _ in range(_HALVINGS):
-                middle = 0.5 * (before + behind)
-                before, behind = (before, middle) if turned(middle) else (middle, behind)
-            return before, behind
-        before = behind
+        over = room(behind)
+        if over >= 0:
+            narrow = abs(behind - before) / 2**_HALVINGS
+            for number in count(1):  # ends: every third round halves
+                if abs(behind - before) <= narrow:
+                    return before, behind
+                share = short / (short - over) if number % 3 and math.isfinite(short) else 0.5
+                middle = before + min(max(share, 0.05), 0.95) * (behind - before)
+                found = room(middle)
+                if found < 0:
+                    before, short, over = middle, found, 0.5 * over
+                else:
+                    behind, over, short = middle, found, 0.5 * short
+        before, short = behind, over
     return None
 
 
-def _room_of(loop: Loop, wish: Wish, quantities: Sequence[Quantity], x: Sequence[float]) -> float:
+def _room_of(
+    loop: Loop, wish: Wish, quantities: Sequence[Quantity], x: Sequence[float], *, enough: bool = False
+) -> float:
     """Return the room of the rig with quantities changed by x in ln; -inf where there is no such rig."""
     try:
         for quantity, change in zip(quantities, x, strict=True):
             loop = quantity.changed(loop, change)
-        return best_wall(loop, wish).room
+        return best_wall(loop, wish, enough=enough).room
     except ParameterError:
         return -math.inf
 
 
 def _changes(loop: Loop, wish: Wish, quantities: Sequence[Quantity], best: Best) -> tuple[list[Change], dict[str, str]]:
-    """Return what reaches the wish: one quantity, and pairs of those that help; and what alone does not."""
+    """Return what reaches the wish: one quantity, and pairs of those that help; and what alone does not.
+
+    Where nothing does, pairs are looked for far from the rig: from the best place of one along the other.
+    """
     found: list[Change] = []
     out_of_reach, helps = {}, {}
     for quantity in quantities:
         rooms = [_room_of(loop, wish, [quantity], [sign * _NUDGE]) for sign in (-1, 1)]
-        gain = max(rooms) - best.room
-        if not gain > 0:
-            out_of_reach[quantity.name] = "a change either way helps nothing"
-            continue
-        sign = 1.0 if rooms[1] > rooms[0] else -1.0
-        helps[quantity] = sign * gain
-        end = math.log(quantity.factors[1] if sign > 0 else quantity.factors[0])
-        size = _smallest(loop, wish, [quantity], [sign], abs(end))
-        if size is None:
-            to = (quantity.read(loop) or 0.0) + quantity.scale(loop) * math.expm1(end)
-            out_of_reach[quantity.name] = f"not reached with {to:.3g} {quantity.unit(loop)}".rstrip()
+        if max(rooms) > best.room:
+            helps[quantity] = (max(rooms) - best.room) * (1.0 if rooms[1] > rooms[0] else -1.0)
+        sizes = []
+        for sign, factor in zip((-1.0, 1.0), quantity.factors, strict=True):
+            size = _smallest(loop, wish, best.room, [quantity], [sign], abs(math.log(factor)))
+            sizes += [] if size is None else [sign * size]
+        if sizes:
+            found.append(_change(loop, wish, [quantity], [min(sizes, key=abs)]))
         else:
-            found.append(_change(loop, wish, [quantity], [sign * size]))
+            ends = ((quantity.read(loop) or 0.0) + quantity.scale(loop) * (f - 1) for f in quantity.factors)
+            low, high = (f"{end:.3g}" for end in ends)
+            out_of_reach[quantity.name] = f"not reached from {low} to {high} {quantity.unit(loop)}".rstrip()
     most = sorted(helps, key=lambda quantity: -abs(helps[quantity]))[:_PAIRED]
     for pair in combinations(most, 2):
         way = np.array([helps[quantity] for quantity in pair])
         way /= math.hypot(*way)
         reach = min(abs(math.log(q.factors[int(w > 0)])) / abs(w) for q, w in zip(pair, way, strict=True) if w)
         alone = [change.size for change in found if set(change.after) < {quantity.name for quantity in pair}]
-        size = _smallest(loop, wish, pair, way.tolist(), reach)
+        size = _smallest(loop, wish, best.room, pair, way.tolist(), reach)
         if size is not None and size < _WORTH * min(alone, default=math.inf):
             found.append(_change(loop, wish, pair, (size * way).tolist()))
+    if not found:
+        rooms_of = {q: {x: _room_of(loop, wish, [q], [x]) for x in _looks(q)} for q in quantities}
+        best_first = sorted(quantities, key=lambda q: -max(rooms_of[q].values()))
+        for pair in combinations(best_first, 2):
+            x = _together(loop, wish, pair, max(rooms_of[pair[0]], key=lambda x: rooms_of[pair[0]][x]))
+            if x is not None:
+                whole = math.hypot(*x)
+                size = _smallest(loop, wish, best.room, pair, [part / whole for part in x], whole) or whole
+                found.append(_change(loop, wish, pair, [part * size / whole for part in x]))
     return found, out_of_reach
 
 
+def _together(loop: Loop, wish: Wish, pair: Sequence[Quantity], first: float) -> list[float] | None:
+    """Return changes in ln of a pair that reach the wish; None if none is met along one, from where the other is best.
+
+    Along the second from a change of the first, then along the first again.
+    """
+    x = [first, 0.0]
+    for turn in (1, 0):
+        rooms = {}
+        for look in sorted(_looks(pair[turn]), key=abs):
+            x[turn] = look
+            rooms[look] = _room_of(loop, wish, pair, x, enough=True)
+            if rooms[look] >= 0:
+                return x
+        x[turn] = max(rooms, key=lambda look: rooms[look])
+    return None
+
+
+def _looks(quantity: Quantity) -> list[float]:
+    """Return changes in ln of a quantity, both ways to its ends."""
+    share = (np.arange(1, _LOOKS + 1) / _LOOKS) ** 2
+    return [float(x) for factor in quantity.factors for x in math.log(factor) * share]
+
+
 def _smallest(
-    loop: Loop, wish: Wish, quantities: Sequence[Quantity], way: Sequence[float], reach: float
+    loop: Loop, wish: Wish, room: float, quantities: Sequence[Quantity], way: Sequence[float], reach: float
 ) -> float | None:
     """Return the smallest change along a way in ln that reaches the wish, None where none does."""
     looks = reach * (np.arange(1, _LOOKS + 1) / _LOOKS) ** 2
-    turn = _turn(lambda size: _room_of(loop, wish, quantities, [size * part for part in way]) >= 0, looks.tolist())
+
+    def room_at(size: float) -> float:
+        return _room_of(loop, wish, quantities, [size * part for part in way], enough=True)
+
+    turn = _turn(room_at, room, looks.tolist())
     return None if turn is None else turn[1]
 
 

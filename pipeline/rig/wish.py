@@ -12,9 +12,14 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.records.batch import Floats
 from pipeline.surface.physical_loop import Loop
+from pipeline.theory.poles import spectral_radius
+from pipeline.theory.settling_overshoot import transient_costs
 
 OVERSHOOT_SEEN = 1e-3
 """Overshoot that counts as none: no best wall has exactly none in a sampled loop."""
+
+_FAINT = 0.01
+"""Share of it down to which motion is followed."""
 
 _DAMPINGS, _STIFFNESSES = 32, 20
 _NARROWER = 2
@@ -77,8 +82,8 @@ class Best:
     room: float
 
 
-def best_wall(loop: Loop, wish: Wish) -> Best:
-    """Return the wall that has most room to a wish.
+def best_wall(loop: Loop, wish: Wish, *, enough: bool = False) -> Best:
+    """Return the wall that has most room to a wish; or, if that is ``enough``, any that fulfils it.
 
     The room of a wall is the smallest of -ln of the spectral radius (behind ``margin``), ln of the settling time that
     is allowed over its own, and the overshoot that is allowed less its own.
@@ -98,6 +103,8 @@ def best_wall(loop: Loop, wish: Wish) -> Best:
         room = _room(rigs, wish, walls)
         at = int(np.argmax(room))
         found = Best(float(walls[at, 0]), float(walls[at, 1]), float(room[at]))
+        if enough and found.room >= 0:
+            break
         K, B = (_between(axis, value) for axis, value in ((K, found.stiffness), (B, found.damping)))
     return found
 
@@ -121,28 +128,27 @@ def _corners(loop: Loop, tolerance: float) -> list[Loop]:
 
 def _room(rigs: Sequence[Loop], wish: Wish, walls: Floats) -> Floats:
     """Return the room of each wall, shape (n,), in the worst of rigs."""
-    K, B = walls.T
-    asked = (("settle_2pct", wish.settling_s), ("overshoot", wish.overshoot))
-    allowed = {name: limit for name, limit in asked if limit is not None}
     room = np.full(len(walls), np.inf)
     for rig in rigs:
-        left = _stability(rig, wish.margin * K, B)
-        stable = left > 0
-        if allowed:
+        loop, unit = rig._normalised, rig._scale
+        alpha, beta = walls.T / [[unit.stiffness], [unit.damping]]
+        with np.errstate(divide="ignore"):
+            left = -np.log(spectral_radius(loop, wish.margin * alpha, beta))
+        if wish.settling_s is not None or wish.overshoot is not None:
+            stable = left > 0
             left = np.where(stable, -_NOTHING, left + 2 * _NOTHING)  # whatever is stable comes before what is not
-        if allowed and stable.any():
-            costs = rig.points(K[stable], B[stable], tuple(allowed))
-            for name, limit in allowed.items():
-                value = costs[name].to_numpy()
-                if name == "settle_2pct":
-                    spare = math.log(limit) - np.log(value * rig.sampling_period_s)
-                else:
-                    spare = limit + OVERSHOOT_SEEN - value
-                left[stable] = np.minimum(left[stable], np.nan_to_num(spare, nan=_NOTHING))
+            left[stable] = np.minimum(left[stable], _spare(rig, wish, alpha[stable], beta[stable]))
         room = np.minimum(room, left)
     return room
 
 
-def _stability(rig: Loop, K: Floats, B: Floats) -> Floats:
-    with np.errstate(divide="ignore"):
-        return np.asarray(-np.log(rig.points(K, B, ())["spectral_radius"].to_numpy()))
+def _spare(rig: Loop, wish: Wish, alpha: Floats, beta: Floats) -> Floats:
+    """Return what stable walls leave of the settling time and the overshoot that are allowed."""
+    bands, swings = (0.02,) * (wish.settling_s is not None), wish.overshoot is not None
+    found = transient_costs(rig._normalised, alpha, beta, bands, overshoot=swings, quiet=_FAINT * OVERSHOOT_SEEN)
+    spare = np.full(len(alpha), np.inf)
+    if wish.settling_s is not None:
+        spare = np.asarray(math.log(wish.settling_s) - np.log(found["settle_2pct"] * rig.sampling_period_s))
+    if wish.overshoot is not None:
+        spare = np.fmin(spare, wish.overshoot + OVERSHOOT_SEEN - found["overshoot"])
+    return np.asarray(np.nan_to_num(spare, nan=_NOTHING))

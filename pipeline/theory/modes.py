@@ -259,7 +259,10 @@ def _states(loop: Loop, alpha: Floats, beta: Floats, zeta: Complexes, start: Flo
 
 
 _STILL_REPRODUCED = 1e-11
-"""Largest difference of a state and its modes, relative to its motion."""
+"""Largest difference of a state and its modes, relative to its motion; as much again every `_ROUNDED_AWAY` samples."""
+
+_ROUNDED_AWAY = 64
+"""Samples: a pole's rounding turns its mode a little further with each."""
 
 _STRIDES = 60
 """Strides back from the end of an envelope at most."""
@@ -413,7 +416,8 @@ def earlier(run: Motion, band: float, window: float) -> Motion:
 def _told(run: Motion, past: Modes) -> Booleans:
     """Return which points are where their modes say."""
     off = np.abs(past.at(run.sample) - run.state)[: len(run.scale)]
-    return np.asarray((off * run.scale).sum(axis=0) <= _STILL_REPRODUCED * run.size())  # nan compares false
+    limit = _STILL_REPRODUCED * (1 + run.sample / _ROUNDED_AWAY)
+    return np.asarray((off * run.scale).sum(axis=0) <= limit * run.size())  # nan compares false
 
 
 def _placed(run: Motion, past: Modes, sample: Floats) -> Motion:

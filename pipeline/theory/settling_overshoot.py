@@ -55,7 +55,7 @@ _AGAIN = 64
 _FEW, _LONGER = 256, 7
 """Points below which a look costs more than so many samples, whatever their number, and how many more pass then."""
 
-_WIDER = 4.0
+_WIDER = 2.0
 """Growth of the window in front of an end where nothing outside the band was met in it."""
 
 _SETTLED = 0.1

@@ -183,3 +183,14 @@ def test_the_command_draws(tmp_path: Path) -> None:
 def test_a_picture_of_what_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(PipelineError, match="expected two of"):
         picture(FALCON, None, ("mass", "velocity_cutoff_hz"), tmp_path / "a.svg")  # type: ignore[arg-type]
+
+
+def test_a_pair_is_found_far_from_the_rig_where_no_single_change_reaches_the_wish() -> None:
+    fixed = ["sampling_period_s", "delay_samples"]
+    rig = Loop(2.0, 10.0, 0.001, 2.5, actuator_lag_s=0.002)
+    answer = design(rig, 1e6, margin=2.0, keep=fixed)
+    (change,) = answer.changes
+    assert set(answer.out_of_reach) == {"damping", "mass", "actuator_lag_s"}
+    assert set(change.after) == {"mass", "actuator_lag_s"}
+    other = replace(rig, **change.after)
+    assert other.points(2e6, change.wall["damping"], ())["stable"][0]

@@ -245,7 +245,7 @@ def _design_lines(document: dict[str, Any], loop: Loop) -> Iterator[str]:
         yield "  (the delay stays as many samples, and is shorter in time with a shorter sampling period)"
     yield from (f"  {name} alone: {why}" for name, why in document["out_of_reach"].items())
     if not reached and not changes:
-        yield "No change of one or two quantities reaches it."
+        yield "No single change reaches it, and no pair of changes was found that does."
     yield from ("", f"Largest stable K {document['sensitivities'][0]['stiffness_max']:.5g} {k}; sensitivities:")
     for row in document["sensitivities"]:
         yield f"  {row['quantity']}: {row['stiffness_max_percent']:+.3g} % per percent"

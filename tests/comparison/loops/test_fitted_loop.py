@@ -74,7 +74,7 @@ def soft_course(parts: dict, folder, scatter=0.0, **experiment) -> tuple[Experim
 @pytest.mark.parametrize(
     ("parts", "experiment", "expected"),
     [
-        ({"actuator_lag_s": 0.0023}, {"delay_samples": 3.4}, {"lag"}),
+        pytest.param({"actuator_lag_s": 0.0023}, {"delay_samples": 3.4}, {"lag"}, marks=pytest.mark.slow),
         ({"operator": {"mass": 0.2, "damping": 4.0, "stiffness": 260.0}}, {}, {"spring"}),
         pytest.param({"actuator_lag_s": 0.0016, "velocity": FILTER}, {}, {"lag"}, marks=pytest.mark.slow),
         pytest.param({"mode": MODE}, {}, {"mode at the motor"}, marks=pytest.mark.slow),

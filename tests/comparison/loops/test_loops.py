@@ -45,7 +45,10 @@ def radius(course: Course, stiffness: float, damping: float) -> float:
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize("name", ["ideal", "fractional delay", "coarse sensor", "few trials", "only unstable"])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param("ideal", marks=pytest.mark.slow), "fractional delay", "coarse sensor", "few trials", "only unstable"],
+)
 def test_an_adequate_loop_is_the_true_one_and_its_passive_wall_is_stable(compared, name):
     course, result = compared(name)
     (found,) = result.experiments
@@ -80,7 +83,7 @@ def test_an_adequate_loop_is_the_true_one_and_its_passive_wall_is_stable(compare
 @pytest.mark.parametrize(
     ("name", "code"),
     [
-        ("clipping in the log", "saturation"),
+        pytest.param("clipping in the log", "saturation", marks=pytest.mark.slow),
         pytest.param("one-sided wall", "unilateral_wall", marks=pytest.mark.slow),
         ("lost rows", "missing_rows"),
         pytest.param("hidden rows", "missing_rows", marks=pytest.mark.slow),

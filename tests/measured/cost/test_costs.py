@@ -324,7 +324,7 @@ def test_reasons():
         reading_error(short, find_response(short), -1)
 
 
-@pytest.mark.parametrize("seed", range(300, 306))
+@pytest.mark.parametrize("seed", [300, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(301, 306))])
 def test_a_slow_swing_that_passes_a_band_has_no_upper_end(seed):
     """Walls so soft that logs end within a swing or two, by a simulator of its own; some with a fast mode on top."""
     random = np.random.default_rng(seed)

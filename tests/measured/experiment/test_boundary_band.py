@@ -55,7 +55,7 @@ def covered(of):
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize("sensor", [FINE, COARSE], ids=["2um", "10um"])
+@pytest.mark.parametrize("sensor", [pytest.param(FINE, marks=pytest.mark.slow), COARSE], ids=["2um", "10um"])
 def test_interval_covers_the_true_limit(sensor):
     inside, widths, brackets, deviations = [], [], [], []
     for seed in range(4):
@@ -293,6 +293,7 @@ def test_area_and_its_error():
     assert (found.high - found.low) / (2 * NORMAL_95) == pytest.approx(20 / np.sqrt(12) * np.sqrt(25 + 100 + 25))
 
 
+@pytest.mark.slow
 def test_area_covers_that_of_the_true_limits():
     inside = []
     for seed in range(4):

@@ -172,7 +172,7 @@ def test_scatter_between_trials_is_that_of_the_dense_likelihood():
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize("scatter", [0.0, 0.05, 0.3])
+@pytest.mark.parametrize("scatter", [pytest.param(0.0, marks=pytest.mark.slow), 0.05, 0.3])
 def test_scatter_of_friction_is_a_slope_and_no_cliff(scatter):
     rng = np.random.default_rng(31)
     friction = 0.034 * (1 + scatter * rng.standard_normal(10))
@@ -194,7 +194,9 @@ def excitation(name, rng):
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize("name", ["relay", "staircase", "sweep"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("relay", marks=pytest.mark.slow), "staircase", pytest.param("sweep", marks=pytest.mark.slow)]
+)
 def test_one_log_of_any_excitation_is_enough(name):
     rng = np.random.default_rng(7)
     log = moved(rng, excitation(name, rng)[:, None])
@@ -221,7 +223,7 @@ def test_a_device_without_friction_and_with_a_spring():
     assert {name: found.parameters[name].value for name in truth} == pytest.approx(truth, rel=5e-3)
 
 
-@pytest.mark.parametrize(("friction", "seed"), [(0.002, 5), (0.0, 5), (0.0, 6)])
+@pytest.mark.parametrize(("friction", "seed"), [(0.002, 5), (0.0, 5), pytest.param(0.0, 6, marks=pytest.mark.slow)])
 def test_a_part_is_found_where_the_likelihood_asks_for_it(friction, seed):
     found = identified(moved(np.random.default_rng(seed), steps(TEN), friction=friction, noise=0.03))
     assert (found.parts.get("friction", 0.0) > 0) == (friction > 0)
@@ -269,6 +271,7 @@ def test_lost_rows_are_left_out():
     assert {name: found[name].value for name in TURNING} == pytest.approx(TURNING, rel=0.02)
 
 
+@pytest.mark.slow
 def test_free_runs_follow_held_out_logs():
     rng = np.random.default_rng(14)
     found = identified(moved(rng, steps(TEN)))
@@ -291,7 +294,10 @@ def test_direction_of_motion_is_not_seen_at_rest():
     assert (seen.direction[40:] == 1).all()
 
 
-@pytest.mark.parametrize(("seed", "stiffest", "noise", "quantum"), [(24, 380, 1e-5, 1e-12), (31, 500, 0, 1e-4)])
+@pytest.mark.parametrize(
+    ("seed", "stiffest", "noise", "quantum"),
+    [pytest.param(24, 380, 1e-5, 1e-12, marks=pytest.mark.slow), (31, 500, 0, 1e-4)],
+)
 def test_friction_behind_stiff_walls_is_taken_for_nothing_else(seed, stiffest, noise, quantum):
     rng = np.random.default_rng(seed)
     damping = rng.uniform(2e-3, 1e-2, 40)
