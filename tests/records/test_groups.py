@@ -51,7 +51,7 @@ GIVEN = {
     "mass": 0.58,
     "mass_error": 0.01,
     "usual_rows": 400,
-    "device": {"mass": 0.58, "damping": 4.0, "stiffness": 0.0, "delay": 4, "jitter": 1, "span": 9, "least": 1.2},
+    "device": {"mass": 0.58, "damping": 4.0, "stiffness": 0.0, "delay": 4, "span": 9, "least": 1.2},
 }
 """What every stage may take of an experiment: here it does not matter where it came from."""
 

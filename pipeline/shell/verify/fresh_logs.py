@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -115,6 +115,8 @@ def read_anew(
         write_corrections(folder, [Correction(**one.model_dump()) for one in excluded])
     for experiment in sorted({*reported, *(one.experiment for one in excluded)}):
         every = read_trials(processed, device, experiment)
+        if profiles is not None:
+            _hold_exclusions(store, every, excluded, read_exclusions(processed).values())
         used, left_out = _of_the_report(store, every, excluded, lists.get(experiment))
         if experiment in reported and not used.num_rows:
             store.differs(f"experiment {experiment}", "none of its logs are stored")
@@ -139,6 +141,16 @@ def read_anew(
     for kept in kept_files(processed, STORED, ".json") if folder.is_dir() else ():
         shutil.copy(kept, folder / kept.name)
     return store
+
+
+def _hold_exclusions(store: FreshStore, trials: pa.Table, said: Iterable[Exclusion], now: Iterable[Exclusion]) -> None:
+    """Hold what the report says was excluded by hand, and why, against what is now."""
+    paths = dict(zip(*(trials.column(name).to_pylist() for name in ("trial_id", "source_path")), strict=True))
+    before, after = ({one.trial_id: one.exclusion_reason for one in each} for each in (said, now))
+    for trial in sorted({*before, *after} & paths.keys()):
+        if before.get(trial) != after.get(trial):
+            expected, found = (each.get(trial, "no exclusion") for each in (before, after))
+            store.differs(paths[trial], "is excluded otherwise than in the report", expected=expected, found=found)
 
 
 def _among(table: pa.Table, column: str, values: Collection[str]) -> pa.ChunkedArray:

@@ -252,7 +252,7 @@ def test_without_logs_a_changed_stored_sample_is_told_of_its_experiment(original
     change_stored_sample(desk)
     found = verify.verify(desk.report, desk.processed)
     assert [p.path for p in found.logs] == ["experiment 1"]
-    assert found.notes == ("180 trials: the stored samples count, not the log",)
+    assert found.notes == ("72 trials: the stored samples count, not the log",)
 
 
 @pytest.mark.slow
