@@ -56,7 +56,13 @@ def picture(loop: Loop, answer: Design, over: Sequence[str], path: Path) -> None
             wanted *= answer.wish.margin
             if np.nanmin(stiffest) < wanted < np.nanmax(stiffest):
                 axes.contour(x, y, stiffest, levels=[wanted], colors="tab:red", linewidths=2.5)
-            axes.plot([], [], color="tab:red", linewidth=2.5, label=f"{wanted:g} {unit} stable")
+            axes.plot([], [], color="tab:red", linewidth=2.5, label=f"{wanted:g} {unit} stable, ringing or not")
+        # where a wish asks for more, the limits behind the changes that reach it are nearly the same
+        if answer.changes and wanted is not None:
+            beyond = float(np.median([change.wall["stiffness_limit"] or np.nan for change in answer.changes]))
+            if np.nanmin(stiffest) < beyond < np.nanmax(stiffest) and beyond > 1.02 * wanted:
+                axes.contour(x, y, stiffest, levels=[beyond], colors="tab:red", linewidths=1.5, linestyles="dashed")
+                axes.plot([], [], color="tab:red", linewidth=1.5, linestyle="dashed", label="about the whole wish")
         axes.plot(_value(loop, across, 0.0), _value(loop, up, 0.0), "o", color="black", label="the rig as it is")
         for i, change in enumerate(c for c in answer.changes if set(c.after) <= {across.name, up.name}):
             place = [change.after.get(q.name, _value(loop, q, 0.0)) for q in (across, up)]
@@ -68,7 +74,7 @@ def picture(loop: Loop, answer: Design, over: Sequence[str], path: Path) -> None
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
             axis.set_minor_locator(NullLocator())
-        figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+        figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
 

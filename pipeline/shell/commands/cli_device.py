@@ -138,7 +138,9 @@ def design(
     experiment: One = None,
     stiffness: Annotated[str | None, option("--stiffness", "Wanted K, as 5000 or '5 N/mm'.")] = None,
     settling: Annotated[float | None, option("--settling", "Longest settling time to 2 %, in s.")] = None,
-    overshoot: Annotated[float | None, option("--overshoot", "Largest overshoot, a fraction.")] = None,
+    overshoot: Annotated[
+        float | None, option("--overshoot", "Largest overshoot, a fraction; below 0.001 is none.")
+    ] = None,
     margin: Annotated[float, option("--margin", "Factor on K up to which it stays stable.")] = 1.0,
     hand: Annotated[str | None, option("--hand", "Arm of Table 3.2 that holds it (default: none).")] = None,
     keep: Annotated[list[str] | None, listed("--keep", "Quantities that cannot change.")] = None,
@@ -242,7 +244,8 @@ def _design_lines(document: dict[str, Any], loop: Loop) -> Iterator[str]:
     if len(changes) > _SHOWN:
         yield f"  ({len(changes) - _SHOWN} more: --json)"
     if any("sampling_period_s" in change["after"] for change in changes[:_SHOWN]):
-        yield "  (the delay stays as many samples, and is shorter in time with a shorter sampling period)"
+        yield "  (the delay counts in samples, and is shorter in time with a shorter sampling period; where yours is a"
+        yield "  fixed time, that is another rig: `identify --period` writes its file, or give --keep sampling_period_s)"
     yield from (f"  {name} alone: {why}" for name, why in document["out_of_reach"].items())
     if not reached and not changes:
         yield "No single change reaches it, and no pair of changes was found that does."
