@@ -244,8 +244,8 @@ def _design_lines(document: dict[str, Any], loop: Loop) -> Iterator[str]:
     if len(changes) > _SHOWN:
         yield f"  ({len(changes) - _SHOWN} more: --json)"
     if any("sampling_period_s" in change["after"] for change in changes[:_SHOWN]):
-        yield "  (the delay counts in samples, and is shorter in time with a shorter sampling period; where yours is a"
-        yield "  fixed time, that is another rig: `identify --period` writes its file, or give --keep sampling_period_s)"
+        yield "  (the delay counts in samples, and is shorter in time with a shorter sampling period. One of a fixed"
+        yield "  time makes another rig: `identify --period` writes its file, or give --keep sampling_period_s)"
     yield from (f"  {name} alone: {why}" for name, why in document["out_of_reach"].items())
     if not reached and not changes:
         yield "No single change reaches it, and no pair of changes was found that does."
