@@ -19,6 +19,9 @@ from pipeline.surface.physical_loop import Loop
 _LOOKS = 8
 """Places between the rig and the largest change at which the wish is tried before the change is halved down."""
 
+_EDGE = 5
+"""Looks towards a change with which there is no rig, as of a cut-off above half the sampling rate."""
+
 _HALVINGS = 9
 """Of what lies between two looks ends are narrowed to one part in 2 to so many: ln of a change to 1e-3."""
 
@@ -176,7 +179,18 @@ def _turn(room: Callable[[float], float], at_0: float, looks: Sequence[float]) -
     """
     before, short = 0.0, at_0
     for behind in looks:
-        over = room(behind)
+        over, edge = room(behind), behind
+        for _ in range(_EDGE if over == -math.inf < short else 0):
+            # the wish may be reached shortly before there is no such rig any more
+            middle = 0.5 * (before + edge)
+            found = room(middle)
+            if found >= 0:
+                behind, over = middle, found
+                break
+            if found == -math.inf:
+                edge = middle
+            else:
+                before, short = middle, found
         if over >= 0:
             narrow = abs(behind - before) / 2**_HALVINGS
             for number in count(1):  # ends: every third round halves
