@@ -62,6 +62,16 @@ def test_a_wrong_sign_is_an_error_and_no_device(staircase, tmp_path):
         pipeline.identify(tmp_path / "turned.csv")
 
 
+def test_of_wall_trials_a_free_run_is_said_to_drift(staircase, found, tmp_path):
+    assert found.document["replay"]["behind_walls"] is False
+    head, names, rows = staircase.read_text().partition("time_s,command,position\n")
+    (tmp_path / "wall.csv").write_text(f"{head}# stiffness: 500\n{names}{rows}")
+    document = pipeline.identify(tmp_path / "wall.csv").document
+    assert document["replay"]["behind_walls"] is True
+    assert "drifts" in document["loop"]["reason"]
+    assert "drifts" not in found.document["loop"]["reason"]
+
+
 def test_the_walls_are_those_of_the_linear_loop(found):
     truth = pipeline.Loop(MASS, DAMPING, T, DELAY).boundary().attrs["stiffness_max"]
     top = found.document["boundary"]["stiffness_max"]

@@ -333,7 +333,10 @@ def refined(
         # what was noise where the search began may be motion where it ends
         device = replace(found.device, noise=noise_of(held, found.device, jitters=True))
         start = _fit(held, device, trials, places)
-        found = max(found, _climbed(start, held, trials, steps), key=lambda fit: fit.likelihood)
+        again = _climbed(start, held, trials, steps)
+        if again.likelihood <= found.likelihood:
+            break
+        found = again
     return found
 
 

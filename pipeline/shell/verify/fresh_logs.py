@@ -113,10 +113,11 @@ def read_anew(
         files |= {load_profile(path).name: path for path in profiles}
     if excluded:
         write_corrections(folder, [Correction(**one.model_dump()) for one in excluded])
+    # a bundle holds no corrections: the page alone has them
+    now = excluded if profiles is None else tuple(read_exclusions(processed).values())
     for experiment in sorted({*reported, *(one.experiment for one in excluded)}):
         every = read_trials(processed, device, experiment)
-        if profiles is not None:
-            _hold_exclusions(store, every, excluded, read_exclusions(processed).values())
+        _hold_exclusions(store, every, excluded, now)
         used, left_out = _of_the_report(store, every, excluded, lists.get(experiment))
         if experiment in reported and not used.num_rows:
             store.differs(f"experiment {experiment}", "none of its logs are stored")
