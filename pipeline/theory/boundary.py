@@ -69,6 +69,8 @@ class Outline:
         Number of the unbroken range of dampings that each belongs to.
     islands : float64, shape (i, 3)
         As of `Limits`: at these beta, and between the first and the last at which anything is stable.
+    tried : float64, shape (t,)
+        In order, dampings at which islands were looked for: both sides of each at which any begins or ends are of them.
     alpha_max, beta_at_alpha_max : float
         The stiffest wall of all, islands left out; nan where there is none.
     ends : tuple of float
@@ -79,6 +81,7 @@ class Outline:
     limits: Limits
     part: Integers
     islands: Floats
+    tried: Floats
     alpha_max: float
     beta_at_alpha_max: float
     ends: tuple[float, float]
@@ -134,8 +137,10 @@ def outline(loop: Loop, points: int = 400, floor: float = 0.0) -> Outline:
     corners, and corners are met where neighbours are bounded by other branches.
     """
     turning = turning_dampings(loop)
-    gaps = np.diff(turning)
-    nodes = turning[:-1, None] + gaps[:, None] * _NODES
+    # evenly where dampings are of the usual size: far beyond, an island beside the end of a gap would not be met
+    usual = float(np.median(np.abs(turning))) or 1.0
+    evenly = np.arcsinh(turning / usual)
+    nodes = usual * np.sinh(evenly[:-1, None] + np.diff(evenly)[:, None] * _NODES)
     marks = nodes[:, [0, -1]].ravel()
     marks = np.append(marks, _corners(loop, np.unique(nodes)))
     levels = np.unique(np.append(nodes, marks))
@@ -146,7 +151,8 @@ def outline(loop: Loop, points: int = 400, floor: float = 0.0) -> Outline:
     low, high = turning[np.flatnonzero(inside[1:] > inside[:-1])], turning[np.flatnonzero(inside[1:] < inside[:-1])]
     if not len(low):
         nothing = np.zeros(0)
-        return Outline(nothing, limits(loop, nothing), nothing.astype(int), islands, np.nan, np.nan, (np.nan, np.nan))
+        part, unknown = nothing.astype(int), (np.nan, np.nan)
+        return Outline(nothing, limits(loop, nothing), part, islands, levels, np.nan, np.nan, unknown)
     counts = np.maximum(8, points * (high - low) / (high - low).sum()).astype(int)
     spread = [
         start + (end - start) * 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, count)[1:-1]))
@@ -158,7 +164,7 @@ def outline(loop: Loop, points: int = 400, floor: float = 0.0) -> Outline:
     beta, found = beta[kept], found.part(kept)
     best = int(np.argmax(found.alpha))
     peak, at, part = float(found.alpha[best]), float(beta[best]), np.searchsorted(low, beta)
-    return Outline(beta, found, part, islands, peak, at, (float(low[0]), float(high[-1])))
+    return Outline(beta, found, part, islands, levels, peak, at, (float(low[0]), float(high[-1])))
 
 
 def _corners(loop: Loop, levels: Floats) -> Floats:
@@ -202,7 +208,7 @@ class Boundary:
         Points in order of beta, then back along what bounds the region from below; nan between separate regions. The
         angle is that of the pole that leaves the unit circle there, nan where it is not told.
     alpha_max, beta_at_alpha_max : float
-        Largest stable alpha and its beta.
+        Largest stable alpha and its beta, of what is joined with soft walls.
     beta_max, alpha_at_beta_max : float
         Largest stable beta and its alpha.
     beta_min : float
@@ -279,15 +285,18 @@ def _over_dampings(loop: Loop, points: int) -> Boundary:
         raise ParameterError(f"{loop}: no damping stabilises a soft wall. Check delay, lag and velocity filter.")
     at, levels, known = found.islands[:, 0], found.beta, found.limits
     if len(at):
-        levels = np.unique(np.concatenate([levels, at, np.linspace(at.min(), at.max(), points)]))
+        levels = np.unique(np.concatenate([levels, found.tried, np.linspace(at.min(), at.max(), points)]))
         known = limits(loop, levels, floor=-loop.gamma)
     soft = np.isfinite(known.alpha)
     ends = [levels[soft], known.low[soft], known.alpha[soft], known.low_angle[soft], known.angle[soft]]
     beside = np.column_stack([known.islands, np.full((len(known.islands), 2), np.nan)])
     rows = np.concatenate([np.transpose(ends), beside])
     rows = rows[np.lexsort((rows[:, 1], rows[:, 0]))]
-    alpha, beta, theta = _edges(rows, np.searchsorted(levels, rows[:, 0]), -loop.gamma).T
-    best, last = rows[np.argmax(rows[:, 2])], rows[-1]
+    edges, of = _edges(rows, np.searchsorted(levels, rows[:, 0]), -loop.gamma)
+    alpha, beta, theta = edges.T
+    softest = of[(rows[:, 1] <= -loop.gamma) | ((rows[:, 1] <= 0) & (rows[:, 2] > 0))]
+    joined = rows[np.isin(of, softest)]
+    best, last = joined[np.argmax(joined[:, 2])], joined[-1]
     return Boundary(
         alpha,
         beta,
@@ -296,18 +305,21 @@ def _over_dampings(loop: Loop, points: int) -> Boundary:
         beta_at_alpha_max=float(best[0]),
         beta_max=max(found.ends[1], float(last[0])),
         alpha_at_beta_max=float(last[2]),
-        beta_min=min(found.ends[0], float(rows[0, 0])),
+        beta_min=min(found.ends[0], float(joined[0, 0])),
         islands=found.islands,
     )
 
 
-def _edges(rows: Floats, level: Integers, line: float) -> Floats:
+def _edges(rows: Floats, level: Integers, line: float) -> tuple[Floats, Integers]:
     """Return alpha, beta and angle along the edges of all regions, shape (n, 3), with a row of nan between them.
+
+    Beside it the number of each row's region.
 
     Rows are stable intervals, upwards in beta: beta, low, high and their angles. Those of neighbouring levels are of
     one region by their order, and where their number changes if they overlap; an edge ends where regions join.
     """
     chains: list[list[int]] = []
+    region = np.arange(len(rows))
     joined = np.zeros(len(rows), np.bool_)
     for number in np.unique(level):
         here = np.flatnonzero(level == number).tolist()
@@ -317,6 +329,7 @@ def _edges(rows: Floats, level: Integers, line: float) -> Floats:
         meets = (low < rows[here, 2, None]) & (high > rows[here, 1, None])
         meets = np.eye(len(here), dtype=np.bool_) if len(here) == len(ends) else meets  # none begins, ends or joins
         for i, met in zip(here, meets, strict=True):
+            region[np.isin(region, region[ends[met]])] = region[i]
             if met.sum() == 1 and meets[:, met].sum() == 1:
                 before[int(met.argmax())].append(i)
             else:
@@ -330,7 +343,7 @@ def _edges(rows: Floats, level: Integers, line: float) -> Floats:
         kept = off | np.append(off[1:], False) | np.append(False, off[:-1])
         up, down = rows[chain][:, [2, 0, 4]], rows[chain][kept][::-1, [1, 0, 3]]
         found += [gap, up, gap[: int(joined[chain[-1]])], down]
-    return np.concatenate(found[2:])
+    return np.concatenate(found[2:]), region
 
 
 def is_inside(loop: Loop, alpha: object, beta: object) -> Booleans:
