@@ -208,7 +208,7 @@ class Boundary:
         Points in order of beta, then back along what bounds the region from below; nan between separate regions. The
         angle is that of the pole that leaves the unit circle there, nan where it is not told.
     alpha_max, beta_at_alpha_max : float
-        Largest stable alpha and its beta, of what is joined with soft walls.
+        Largest stable alpha and its beta, islands left out here and below.
     beta_max, alpha_at_beta_max : float
         Largest stable beta and its alpha.
     beta_min : float
@@ -292,34 +292,27 @@ def _over_dampings(loop: Loop, points: int) -> Boundary:
     beside = np.column_stack([known.islands, np.full((len(known.islands), 2), np.nan)])
     rows = np.concatenate([np.transpose(ends), beside])
     rows = rows[np.lexsort((rows[:, 1], rows[:, 0]))]
-    edges, of = _edges(rows, np.searchsorted(levels, rows[:, 0]), -loop.gamma)
-    alpha, beta, theta = edges.T
-    softest = of[(rows[:, 1] <= -loop.gamma) | ((rows[:, 1] <= 0) & (rows[:, 2] > 0))]
-    joined = rows[np.isin(of, softest)]
-    best, last = joined[np.argmax(joined[:, 2])], joined[-1]
+    alpha, beta, theta = _edges(rows, np.searchsorted(levels, rows[:, 0]), -loop.gamma).T
     return Boundary(
         alpha,
         beta,
         theta,
-        alpha_max=float(best[2]),
-        beta_at_alpha_max=float(best[0]),
-        beta_max=max(found.ends[1], float(last[0])),
-        alpha_at_beta_max=float(last[2]),
-        beta_min=min(found.ends[0], float(joined[0, 0])),
+        alpha_max=found.alpha_max,
+        beta_at_alpha_max=found.beta_at_alpha_max,
+        beta_max=found.ends[1],
+        alpha_at_beta_max=float(found.alpha[-1]),
+        beta_min=found.ends[0],
         islands=found.islands,
     )
 
 
-def _edges(rows: Floats, level: Integers, line: float) -> tuple[Floats, Integers]:
+def _edges(rows: Floats, level: Integers, line: float) -> Floats:
     """Return alpha, beta and angle along the edges of all regions, shape (n, 3), with a row of nan between them.
-
-    Beside it the number of each row's region.
 
     Rows are stable intervals, upwards in beta: beta, low, high and their angles. Those of neighbouring levels are of
     one region by their order, and where their number changes if they overlap; an edge ends where regions join.
     """
     chains: list[list[int]] = []
-    region = np.arange(len(rows))
     joined = np.zeros(len(rows), np.bool_)
     for number in np.unique(level):
         here = np.flatnonzero(level == number).tolist()
@@ -329,7 +322,6 @@ def _edges(rows: Floats, level: Integers, line: float) -> tuple[Floats, Integers
         meets = (low < rows[here, 2, None]) & (high > rows[here, 1, None])
         meets = np.eye(len(here), dtype=np.bool_) if len(here) == len(ends) else meets  # none begins, ends or joins
         for i, met in zip(here, meets, strict=True):
-            region[np.isin(region, region[ends[met]])] = region[i]
             if met.sum() == 1 and meets[:, met].sum() == 1:
                 before[int(met.argmax())].append(i)
             else:
@@ -343,7 +335,7 @@ def _edges(rows: Floats, level: Integers, line: float) -> tuple[Floats, Integers
         kept = off | np.append(off[1:], False) | np.append(False, off[:-1])
         up, down = rows[chain][:, [2, 0, 4]], rows[chain][kept][::-1, [1, 0, 3]]
         found += [gap, up, gap[: int(joined[chain[-1]])], down]
-    return np.concatenate(found[2:]), region
+    return np.concatenate(found[2:])
 
 
 def is_inside(loop: Loop, alpha: object, beta: object) -> Booleans:

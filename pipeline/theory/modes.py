@@ -14,6 +14,7 @@ from functools import lru_cache
 from math import comb
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 
 from pipeline.loop.loop import Loop
@@ -238,14 +239,13 @@ def _states(loop: Loop, alpha: Floats, beta: Floats, zeta: Complexes, start: Flo
     gain counts.
     """
     r, delay, own = _resolvent(loop), loop.oldest_force, len(_resolvent(loop).gains[0])
-    powers = zeta ** np.arange(own + 1)[:, None, None]
-    determinant, right = np.tensordot(r.determinant, powers, 1), np.tensordot(r.columns.T, powers, 1)
-    by_position, by_velocity = (np.tensordot(rows.T, powers[:-1], 1) for rows in r.rows)
+    determinant, right = polyval(zeta, r.determinant), polyval(zeta, r.columns)
+    by_position, by_velocity = (polyval(zeta, rows) for rows in r.rows)
     left = -alpha * by_position - beta * by_velocity
     z = 1 + zeta
     forces = z ** np.arange(delay)[:, None, None]  # z^(delay - age), oldest last in the state
     far = z**delay
-    oldest, newer = (np.tensordot(gain, left, 1) for gain in r.gains)
+    oldest, newer = (np.einsum("s,smn->mn", gain, left) for gain in r.gains)
     pushed = oldest + z * newer
     size = far * (left * right).sum(axis=0)
     begun = far * np.einsum("smn,ns->mn", left, start[:, :own])

@@ -181,6 +181,7 @@ def check_boundary(plain: Plain, loop: pipeline.Loop, rng: np.random.Generator) 
     far = np.nanmin(np.hypot(*(walls[:, None] - line[None]).transpose(2, 0, 1)), axis=1) > 0.02
     # of a boundary that mostly lies at negative stiffness few points are left here
     several = bool(border["stiffness"].isna().any()) or stiffest < plain.stiffness
+    several |= bool(border.attrs["islands"])
     held = loop.limits(B)["stiffness"].fillna(0.0) > K if several else outline.contains_points(walls)
     inside = np.asarray(held) & (walls[:, 1] > 0.01)
     assert (radius[inside & far] < 1 + 1e-9).all(), (loop, "unstable inside", K[inside & far & (radius > 1)][:3])

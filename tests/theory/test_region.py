@@ -165,7 +165,9 @@ def test_extremes_against_a_fine_grid_of_lines(values: tuple[float, float, float
     lines = 2001
     beta = low + (high - low) * (np.arange(lines) + 0.5) / lines
     alpha, at = stiffest_point(loop)
-    best = float(stretches(loop, beta).high.max())
+    found = stretches(loop, beta)
+    # what is stable behind an unstable gap is an island
+    best = float(found.high[(found.low <= -loop.gamma) | (found.low <= 0)].max())
     assert best <= alpha * (1 + 1e-12) + 1e-300
     assert best == pytest.approx(alpha, rel=2e-3)
     assert low <= at <= high
