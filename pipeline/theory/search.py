@@ -163,7 +163,7 @@ def search(loop: Loop, cost: Cost, grids: Grids = JUMPING, bounds: tuple[Floats,
     low, high = bounds or region(_SOFTEST)
     cell, least = (high - low) / (grids.coarse - 1), np.inf
 
-    def floors(second: Floats, first: tuple[float, float], coarse: int) -> LineOptima:
+    def floors(second: Floats, begin: Floats, end: Floats, coarse: int) -> LineOptima:
         """Return the lowest place of lines at so many ways along the outline."""
 
         def along(line: Integers, place: Floats, best: float) -> Floats:
@@ -172,35 +172,46 @@ def search(loop: Loop, cost: Cost, grids: Grids = JUMPING, bounds: tuple[Floats,
             least = min(least, float(values.min(initial=np.inf)))
             return values
 
-        ends = (np.full(len(second), end) for end in first)
-        return search_lines(along, *ends, coarse=coarse, starts=2, levels=grids.looks)
+        return search_lines(along, begin, end, coarse=coarse, starts=2, levels=grids.looks)
 
-    second = np.linspace(low[1], high[1], grids.coarse)
-    found = floors(second, (low[0], high[0]), grids.coarse)
-    first, values = found.place, found.cost
-    best: OptimalPoint | None = None
-    left = np.isfinite(values)
+    second, one = np.linspace(low[1], high[1], grids.coarse), np.ones(grids.coarse)
+    found = floors(second, low[0] * one, high[0] * one, grids.coarse)
+    left, begun = np.isfinite(found.cost), []
     for _ in range(grids.starts):
-        if not left.any():
-            break
-        index = int(np.flatnonzero(left)[np.argmin(values[left])])
-        left &= (np.abs(first - first[index]) > 3 * cell[0]) | (np.abs(second - second[index]) > 3 * cell[1])
-        centre, value, half = np.array([first[index], second[index]]), float(values[index]), cell.copy()
-        for _ in range(grids.closer):
-            ways = centre[1] + half[1] * np.linspace(-1, 1, _LINES)
-            reach = _REACH * cell[0]
-            near = floors(ways, (max(centre[0] - reach, low[0]), min(centre[0] + reach, high[0])), 2 * _LINES)
-            at = int(np.argmin(near.cost))
-            at_rim = near.cost[at] < value and at in (0, _LINES - 1)
-            if near.cost[at] < value:
-                centre, value = np.array([near.place[at], ways[at]]), float(near.cost[at])
-            half = half if at_rim else _NARROWER * half
-        levels = LEVELS_IN_PLANE - int(np.log(half[0] / cell[0]) / np.log(SHRINK))
-        closest = refine(guarded, centre, value, 2 * half, grids.fine, levels)
-        if best is None or closest.cost < best.cost:
-            best = closest
-    if best is None:
+        if left.any():
+            index = int(np.flatnonzero(left)[np.argmin(found.cost[left])])
+            begun.append(index)
+            left &= (np.abs(found.place - found.place[index]) > 3 * cell[0]) | (
+                np.abs(second - second[index]) > 3 * cell[1]
+            )
+    if not begun:
         raise ParameterError(f"{loop}: no point of the stable region has this cost.")
+    first, value = found.place[begun], found.cost[begun]
+    way, half, each = second[begun], np.tile(cell, (len(begun), 1)), np.arange(len(begun))
+    for _ in range(grids.closer):  # of all places together
+        ways = way[:, None] + half[:, 1:] * np.linspace(-1, 1, _LINES)
+        begin, end = (np.clip(first + side * _REACH * cell[0], low[0], high[0]) for side in (-1, 1))
+        near = floors(ways.ravel(), np.repeat(begin, _LINES), np.repeat(end, _LINES), 2 * _LINES)
+        place_there, cost_there = near.place.reshape(ways.shape), near.cost.reshape(ways.shape)
+        at = cost_there.argmin(axis=1)
+        better = cost_there[each, at] < value
+        first, way = np.where(better, place_there[each, at], first), np.where(better, ways[each, at], way)
+        value = np.where(better, cost_there[each, at], value)
+        half *= np.where(better & np.isin(at, (0, _LINES - 1)), 1.0, _NARROWER)[:, None]
+    best = min(
+        (
+            refine(
+                guarded,
+                np.array([first[i], way[i]]),
+                float(value[i]),
+                2 * half[i],
+                grids.fine,
+                LEVELS_IN_PLANE - int(np.log(half[i, 0] / cell[0]) / np.log(SHRINK)),
+            )
+            for i in each
+        ),
+        key=lambda point: point.cost,
+    )
     alpha, beta = place(np.array([best.alpha]), np.array([best.beta]))
     return OptimalPoint(float(alpha[0]), float(beta[0]), best.cost)
 

@@ -64,8 +64,8 @@ _SETTLED = 0.1
 _FADED = 0.25
 """The same for the largest deviation from a sample on."""
 
-_HALVINGS = 55
-"""Halves a piece to below 1e-16, after its turning point."""
+_STEPS, _FINE = 55, 1e-15
+"""Newton's steps or halvings at most, which find a passing after the turn of its piece to below this share of it."""
 
 
 @dataclass(frozen=True)
@@ -219,14 +219,21 @@ class _Passing:
 
     def time(self) -> Floats:
         motion, side = within_pieces(self.loop, self.piece, self.given), np.sign(self.level)
-        turn, high = turning_share(motion), np.ones(len(side))
+        speed, share, high = motion[1:] * np.arange(1, len(motion))[:, None], turning_share(motion), np.ones(len(side))
         low = np.zeros_like(high)
-        for halving in range(_HALVINGS):
-            middle = 0.5 * (low + high) if halving else turn  # beyond it the motion comes back
-            still = (at_share(motion, middle) - self.level) * side > 0
-            low, high = np.where(still, middle, low), np.where(still, high, middle)
+        for step in range(_STEPS):
+            miss = at_share(motion, share) - self.level
+            still = miss * side > 0
+            low, high = np.where(still, share, low), np.where(still, high, share)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                new = share - miss / at_share(speed, share)
+            # from the turn, beyond which the motion comes back, there is no tangent
+            inside = (new > low) & (new < high) & (step > 0)
+            before, share = share, np.where(inside, new, 0.5 * (low + high))
+            if np.abs(share - before).max(initial=0.0) <= _FINE:
+                break
         start, duration = _timing(self.loop)
-        return np.asarray(self.sample + start[self.piece] + 0.5 * (low + high) * duration[self.piece])
+        return np.asarray(self.sample + start[self.piece] + share * duration[self.piece])
 
 
 class _Found:

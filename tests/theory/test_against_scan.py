@@ -188,7 +188,7 @@ def check_boundary(plain: Plain, loop: pipeline.Loop, rng: np.random.Generator) 
     outside = far & ~inside & (walls[:, 1] > 0.01) & (radius < 1 - 1e-9)
     islands = np.array([one["damping"] for one in border.attrs["islands"]])
     if len(islands):
-        outside &= (B < islands.min()) | (B > islands.max())
+        outside &= (islands.min() > B) | (islands.max() < B)
     assert not outside.any(), (loop, "stable outside", K[outside][:3], B[outside][:3])
     good = inside & far & (radius < 1 - 1e-6)
     return K[good], B[good]
