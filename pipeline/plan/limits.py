@@ -301,7 +301,7 @@ def corrected(by: Forecast, ends: Floats, dampings: Floats) -> Forecast:
     function of the damping (kriging) with the misfit as standard deviation and `SMOOTH` of the range as length.
     """
     low, high = ends.T
-    largest = max(float(by.limit.max()), float(low.max()), 1e-300)
+    largest = max(float(by.limit.max()), float(low.max())) or 1.0  # any size where all are none
     missed = (np.clip(by.limit, low, high) - by.limit) / largest
     tried, known = (low > 0) | np.isfinite(high), np.isfinite(high)
     misfit = float(np.hypot(MISFIT, np.sqrt(np.mean(missed[tried] ** 2)) if tried.any() else 0.0))

@@ -157,7 +157,7 @@ def _terms(time: Floats, command: Floats, position: Floats, declared: str | None
 
 def _size(values: Floats) -> float:
     """Return the root of the mean square."""
-    return float(np.sqrt(values @ values / len(values)))
+    return float(np.hypot.reduce(values) / np.sqrt(len(values)))  # squares of damaged numbers have no double
 
 
 def _free(command: Floats) -> Booleans:

@@ -45,8 +45,8 @@ class Grids:
     starts: int
 
 
-SMOOTH = Grids(coarse=25, looks=0, closer=0, fine=9, starts=1)
-"""For costs that are smooth and have one minimum."""
+SMOOTH = Grids(coarse=25, looks=0, closer=0, fine=9, starts=2)
+"""For costs that are smooth and have few minima: a mode may bring a second."""
 
 JUMPING = Grids(coarse=61, looks=8, closer=6, fine=11, starts=2)
 """For costs with jumps: a corner must hold grid points at every scale, and a better valley must not be missed. A valley
@@ -336,7 +336,7 @@ def search_lines(
     share = np.linspace(0.0, 1.0, coarse)
     places = low[:, None] + share * (high - low)[:, None]
     values = cost(np.repeat(np.arange(lines), coarse), places.ravel(), np.inf).reshape(lines, coarse)
-    hopes = _hopes(values)
+    hopes = _hopes(values) if levels else values
     padded = np.pad(hopes, ((0, 0), (1, 1)), constant_values=np.inf)
     dips = np.where((hopes <= padded[:, :-2]) & (hopes <= padded[:, 2:]), hopes, np.inf)
     chosen = np.argsort(dips, axis=1, kind="stable")[:, :starts]

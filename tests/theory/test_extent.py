@@ -11,7 +11,7 @@ from independent import NYQUIST as STIFFEST
 from independent import characteristic, random_loops, stable_by_schur_cohn
 
 from pipeline.loop.loop import Loop
-from pipeline.theory.boundary import boundary, is_inside, robust_limits, stiffness_limit
+from pipeline.theory.boundary import boundary, has_islands, is_inside, robust_limits, stiffness_limit
 from pipeline.theory.crossings import stretches
 
 NYQUIST = math.pi**2
@@ -132,17 +132,22 @@ def test_largest_stiffness_and_damping_of_extreme_loops(record_property) -> None
 
 
 def check_partners(loops: list[Loop]) -> tuple[float, int]:
-    """Largest relative deviation of alpha_max, and how many of the points are corners, which have no stationary one."""
+    """Largest relative deviation of alpha_max, and how many of the points are corners, which have no stationary one.
+
+    Or lie on an island, of which none is the stiffest.
+    """
     worst, corners = 0.0, 0
     for loop in loops:
         exact = partner(loop)
-        if exact is None:
+        if exact is None or has_islands(loop):
             corners += 1
             continue
         alpha, beta = stiffest_point(loop)
         assert alpha == pytest.approx(exact[0], rel=1e-11), loop
-        # a flat maximum is known to the root of rounding, 1e-8, times its flatness, some 20 at strong damping
-        assert beta == pytest.approx(exact[1], rel=1e-6), loop
+        # a flat maximum is known to the root of rounding, 1e-8, times its flatness, some 20 at strong damping; one in a
+        # corner beside it, by 1e-9 of the gap to the next
+        low, high = damping_range(loop)
+        assert beta == pytest.approx(exact[1], rel=1e-6, abs=2e-9 * (high - low)), loop
         worst = max(worst, abs(alpha / exact[0] - 1))
     return worst, corners
 

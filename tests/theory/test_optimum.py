@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-from time import perf_counter
 
 import numpy as np
 import pytest
@@ -290,7 +289,7 @@ def c_rows() -> list[dict[str, str]]:
 def test_all_rows_of_tables_c1_to_c3() -> None:
     rows = c_rows()
     assert len(rows) == 171
-    started, differing = perf_counter(), {}
+    differing = {}
     for row in rows:
         loop = Loop(float(row["gamma"]), float(row["delta"]), float(row["d"]))
         name = row["criterion"]
@@ -308,7 +307,6 @@ def test_all_rows_of_tables_c1_to_c3() -> None:
         if off:
             differing[row["table"], name, row["gamma"], row["delta"]] = off
     assert differing == {key: letters for key, (letters, _) in DEPARTURES.items()}
-    assert perf_counter() - started < 60
 
 
 @pytest.mark.sampled
