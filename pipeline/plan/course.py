@@ -337,7 +337,7 @@ def fitted_of(choice: Choice) -> FittedDevice | None:
     values = {NAMES[name]: quantities[name](errors.numbers) * each for name, each in zip(names, unit, strict=True)}
     late = 0 if "delay_samples" in values else 1
     return FittedDevice(
-        tuple(PARTS[name] for name, gain in choice.parts.items() if gain > 0),
+        tuple(PARTS.get(name, name) for name, gain in choice.parts.items() if gain > 0),
         values | ({"delay_samples": 0.0} if late else {}),
         np.pad(covariance, (0, late)),
     )

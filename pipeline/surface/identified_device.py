@@ -193,6 +193,7 @@ def _loop_document(found: Model, drift: str) -> dict[str, Any]:
     fits = found.replay.fit[np.isfinite(found.replay.fit)]
     told = {"mass", "delay"} & set(found.parameters) - found.untold == {"mass", "delay"}
     mode = {name: parameter(f"mode_{name}") for name in ("frequency", "damping_ratio", "mass")}
+    at_load = dict.fromkeys(("value", "low", "high"), float("mode at the load" in found.parts))
     return {
         "source": "estimated",
         "adequate": bool(told) and len(fits) > 0 and float(np.median(fits)) >= FOLLOWS,
@@ -208,7 +209,7 @@ def _loop_document(found: Model, drift: str) -> dict[str, Any]:
         "delay_samples": parameter("delay", 1 / found.scales.period),
         "actuator_lag_s": parameter("actuator_lag"),
         "velocity": None,
-        "mode": {"frequency_hz": mode["frequency"], "damping_ratio": mode["damping_ratio"], "mass": mode["mass"]}
+        "mode": {"frequency_hz": mode.pop("frequency"), **mode, "sensor_at_load": at_load}
         if all(mode.values())
         else None,
         "operator": None,
@@ -227,6 +228,8 @@ def wall_loop(document: dict[str, Any], **other: float) -> dict[str, Any] | None
         return None
     numbers = {name: max(value[name] or 0.0, 0.0) for name in ("damping", "stiffness", "actuator_lag_s")}
     mode = {name: part["value"] for name, part in loop["mode"].items()} if loop["mode"] else None
+    if mode:
+        mode["sensor"] = "load" if mode.pop("sensor_at_load") else "motor"
     return numbers | {
         "mass": value["mass"],
         "sampling_period_s": wall["sampling_period_s"],
@@ -323,8 +326,9 @@ def device_text(document: dict[str, Any], name: str) -> str:
             f"friction = {{ coulomb = {friction['value']!r} }}  # {friction['low']:.6g} to {friction['high']:.6g}"
         )
     if loop["mode"]:
-        numbers = ", ".join(f"{key} = {part['value']!r}" for key, part in loop["mode"].items())
-        ranges = ", ".join(f"{key} {part['low']:.4g} to {part['high']:.4g}" for key, part in loop["mode"].items())
+        numbers = ", ".join(f"{key} = {value!r}" for key, value in known["mode"].items())
+        told = [(key, part) for key, part in loop["mode"].items() if key in known["mode"]]
+        ranges = ", ".join(f"{key} {part['low']:.4g} to {part['high']:.4g}" for key, part in told)
         parts.append(f"mode = {{ {numbers} }}  # {ranges}")
     return "\n".join([*lines, *(["", "[loop]", *parts] if parts else []), ""])
 

@@ -30,14 +30,8 @@ NAMES = {
 }
 """Numbers of a fitted device by those of the model."""
 
-PARTS = {
-    "friction": "friction",
-    "stiffness": "spring",
-    "saturation": "saturation",
-    "lag": "lag",
-    "mode": "mode at the motor",
-}
-"""Parts of a fitted device by those of the model."""
+PARTS = {"stiffness": "spring", "mode": "mode at the motor"}
+"""Parts of a fitted device by those of the model, where these have other names."""
 
 TOLD = 0.5
 """Share of the trials that a device must explain for its parts to be named as causes."""
@@ -50,7 +44,7 @@ class FittedDevice:
     Parameters
     ----------
     parts : tuple of str
-        What it has beside mass, damper and delay: values of `PARTS`.
+        What it has beside mass, damper and delay.
     explained, trials : int, tuple of str
         Number of trials that it explains with its noise; ids of those it was fitted to, in the order of the folds.
     values : dict of str to float

@@ -37,6 +37,10 @@ LIMITS = {
     "ratio": (1e-4, 0.5),
     "share": (1e-4, 0.97),
 }
+BEFORE = {"share": (0.25, 25.0)}
+"""Mean of a number without logs, and information of it: what vibrates far from the motor is a lesser part of all, which
+a sensor at the load hardly tells."""
+
 LARGEST_STEP = {
     "limit": 0.05,
     "delta": 0.2,
@@ -124,16 +128,18 @@ WORTH = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """Numbers of a device by name, and the noise beside it; ``effects`` (T, p) are what trials differ by."""
+    """Numbers of a device by name, and the noise beside it; ``effects`` (T, p) are what trials differ by, ``at_load``
+    whether its mode's far mass is the one that is read."""
 
     numbers: dict[str, float]
     noise: Noise = WHITE
     effects: Floats | None = field(default=None, repr=False)
+    at_load: bool = False
 
     @property
     def shape(self) -> Physics:
         """Its numbers that shape a motion."""
-        return Physics(**{name: self.numbers[name] for name in SHAPE if name in self.numbers})
+        return Physics(**{name: self.numbers[name] for name in SHAPE if name in self.numbers}, at_load=self.at_load)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -223,7 +229,9 @@ def moments_of(held: Stretches, device: Device, trials: int) -> Moments:
             cut = left * inside[..., None]
             total[some * portions + portion] = cut.transpose(0, 2, 1) @ cut
             rows[some * portions + portion] = behind - first - starts / portions
-    return Moments(total, rows, float(np.median(held.least)), spreads, np.concatenate(known))
+    before = np.array([BEFORE.get(name, (0.0, 0.0)) for name in device.names]).T
+    before = np.stack([before[1], before[1] * (before[0] - list(device.numbers.values()))])
+    return Moments(total, rows, float(np.median(held.least)), spreads, np.concatenate(known), before)
 
 
 def errors_of(

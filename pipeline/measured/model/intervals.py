@@ -50,9 +50,7 @@ def physical(scales: Scales) -> dict[str, Quantity]:
         "stiffness": lambda n: n["gamma"] / scales.period**2 * mass(n),
         "delay": lambda n: n["delay"] * scales.period,
         "friction": lambda n: n["coulomb"] / n["gain"] * command,
-        "constant_force": lambda n: (
-            (n["force"] - n.get("gamma", 0.0) * scales.origin / scales.position) / n["gain"] * command
-        ),
+        "constant_force": lambda n: n["force"] / n["gain"] * command,
         "actuator_lag": lambda n: n["lag"] * scales.period,
         "mode_frequency": lambda n: n["turn"] / (2 * np.pi * scales.period),
         "mode_damping_ratio": lambda n: n["ratio"],
@@ -76,7 +74,7 @@ NEEDED = {
 }
 """Number of a device that each quantity stands for: it is told where the device has it."""
 
-BOUNDED = ("damping", "stiffness", "friction", "actuator_lag", "mode_damping_ratio", "delay")
+BOUNDED = ("damping", "stiffness", "friction", "actuator_lag", "mode_damping_ratio", "mode_mass", "delay")
 """Quantities that are not negative."""
 
 
@@ -104,7 +102,7 @@ class Errors:
         without = (total if fit.few else total - own for own in information)
         steps = np.stack([-(inverse(rest) @ each) for rest, each in zip(without, score, strict=True)])
         # equal readings count as one
-        return cls(fit.device.numbers, fit.alike * solved.covariance, steps, max(float(told.sum() - 1), 1.0), fit.open)
+        return cls(fit.device.numbers, fit.alike * inverse(total), steps, max(float(told.sum() - 1), 1.0), fit.open)
 
     def interval(self, quantity: Quantity, bounded: bool = False, unit: float = 0.0) -> Interval:
         """Return a quantity's value and interval; one that is not negative by its profile likelihood at 0.

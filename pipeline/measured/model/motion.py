@@ -26,6 +26,7 @@ class Physics:
     """What decides the shape of a device's motion: damping and stiffness per mass, delay, lag and mode, in samples.
 
     ``turn`` [rad a sample], ``ratio`` and ``share`` (of the far mass) are those of a mode; none where ``share`` is 0.
+    ``at_load``: the far mass is the one whose position is read.
     """
 
     delta: float = 0.0
@@ -35,6 +36,7 @@ class Physics:
     turn: float = 0.0
     ratio: float = 0.0
     share: float = 0.0
+    at_load: bool = False
 
     def moved(self, name: str, by: float) -> Physics:
         """Return the device with one number changed."""
@@ -45,17 +47,18 @@ class Physics:
         """Matrix (n, n), the command's column, a force's column on the motor's side, and the row of the sensor."""
         mode = None
         if self.share > 0:
-            reduced = self.share * (1 - self.share)
-            mode = Vibration(self.share, reduced * self.turn**2, 2 * max(self.ratio, 0.0) * self.turn * reduced, False)
+            reduced, turn = self.share * (1 - self.share), self.turn
+            mode = Vibration(self.share, reduced * turn**2, 2 * max(self.ratio, 0.0) * turn * reduced, self.at_load)
         # the parts of `loop`, whose own numbers may not be negative; those of a search may
         shape = Loop(0.0, 0.0, 0.0, max(self.lag, SHORTEST_LAG) if self.lag else 0.0, mode)
         matrix, push, sensor = (part.copy() for part in shape.device)
-        matrix[1] -= self.gamma * sensor + self.delta * np.roll(sensor, 1)
-        blow = np.zeros(len(push))
+        blow, motor = np.zeros(len(push)), sensor.copy()
         blow[1] = 1.0
         if mode is not None:
             blow[3] = -1.0
-            matrix[3] += self.gamma * sensor + self.delta * np.roll(sensor, 1)
+            motor[2] = -self.share / (1 - self.share)
+        held = self.gamma * motor + self.delta * np.roll(motor, 1)
+        matrix -= blow[:, None] * held
         return matrix, push, blow, sensor
 
 

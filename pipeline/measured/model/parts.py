@@ -21,6 +21,7 @@ NUMBERS = {
     "saturation": ("limit",),
     "lag": ("lag",),
     "mode": ("turn", "ratio", "share"),
+    "mode at the load": ("turn", "ratio", "share"),
 }
 """Numbers of each part."""
 
@@ -119,9 +120,6 @@ def chosen(recordings: list[Recording]) -> Choice:
     some = [recordings[i] for i in places]
     rows = int(np.median([len(each.time) for each in some]))
     base, assumed = _base(some)
-    if "force" not in base:
-        # a spring is then taken as relaxed where the logs begin
-        scales = replace(scales, origin=float(np.median([each.position[0] for each in some])))
     begin = _begin(some, scales, base, int(np.clip(rows // 8, 2, LONGEST_DELAY)))
     lead, trials = int(np.ceil(begin.numbers.get("delay", 0.0))) + 3, len(some)
     fit, held, parts, bounds = _first(some, scales, lead, begin)
@@ -223,7 +221,7 @@ def _pruned(
                 continue
             held = stretches(recordings, scales, lead, False)
         left = {key: value for key, value in fit.device.numbers.items() if key != number}
-        fit = refined(held, Device(left, fit.device.noise), len(recordings), far=False)
+        fit = refined(held, replace(fit.device, numbers=left, effects=None), len(recordings), far=False)
         parts = {key: value for key, value in parts.items() if key != name}
     return held, fit, parts
 
@@ -236,12 +234,15 @@ def _loss(fit: Fit, name: str) -> float:
 
 def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) -> tuple[Fit, dict[str, float]]:
     """Return the fit with largest force, lag and mode: the likeliest first, as each may stand for another."""
-    some, left = held.chosen(spread(held, LOOKED_AT)), {"saturation": "", "lag": "lag", "mode": "share"}
+    some = held.chosen(spread(held, LOOKED_AT))
+    left = {"saturation": "", "lag": "lag", "mode": "share", "mode at the load": ""}
     # what leaves the noise of readings alone needs no other part
     while left and "delay" in fit.device.numbers and fit.device.noise != WHITE:
         alone, tried = replace(fit.device, effects=None), {}
         plain = refined(some, alone, trials, far=False)
         for name, size in left.items():
+            if set(NUMBERS[name]) <= set(alone.names):
+                continue
             other = refined(some, _having(some, alone, trials, name), trials, SOME_STEPS)
             if not (size and _loss(other, size) < WORTH) and other.likelihood - plain.likelihood >= WORTH:
                 tried[name] = other
@@ -255,7 +256,7 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
         if gain > WORTH * len(NUMBERS[name]) and _is_inside(other.device, name) and _takes_away(fit, other):
             fit, parts = other, parts | {name: gain}
         del left[name]
-    if fit.device.noise.jitter and set(parts) & {"saturation", "lag", "mode"}:
+    if fit.device.noise.jitter and set(parts) - {"friction", "stiffness"}:
         # a jitter may have stood for what was left before the part was found to the end
         fit = refined(held, replace(fit.device, effects=None), trials, far=False)
     return fit, parts
@@ -290,10 +291,9 @@ def _having(held: Stretches, device: Device, trials: int, part: str) -> Device:
     if part == "lag":
         return _best(held, device, trials, part, [{"lag": lag, "delay": max(delay - lag, 0.0)} for lag in LAGS])
     modes = [{"turn": turn, "ratio": 0.04, "share": share} for turn in TURNS for share in SHARES]
-    near = _best(held, device, trials, part, modes).numbers
-    turns = [near["turn"] * factor for factor in (0.86, 0.93, 1.0, 1.07, 1.15)]
-    modes = [{"turn": turn, "ratio": 0.04, "share": near["share"]} for turn in turns]
-    return _best(held, device, trials, part, modes)
+    found = _best(held, replace(device, at_load=part == "mode at the load"), trials, part, modes)
+    modes = [{"turn": found.numbers["turn"] * factor} for factor in (0.86, 0.93, 1.0, 1.07, 1.15)]
+    return _best(held, found, trials, part, modes)
 
 
 def _best(held: Stretches, device: Device, trials: int, part: str, some: list[dict[str, float]]) -> Device:
@@ -302,7 +302,8 @@ def _best(held: Stretches, device: Device, trials: int, part: str, some: list[di
     def promise(found: Device) -> float:
         moments = moments_of(held, found, trials)
         others = [i for i, name in enumerate(found.names) if name not in NUMBERS[part]] + [len(found.names)]
-        left = replace(moments, products=moments.products[:, others][:, :, others])
+        products, before = moments.products[:, others][:, :, others], moments.before[:, others[:-1]]
+        left = replace(moments, products=products, before=before)
         return solve(left, np.empty(0, dtype=np.int64)).likelihood
 
     return max((replace(device, numbers=device.numbers | each) for each in some), key=promise)

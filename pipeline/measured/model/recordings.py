@@ -65,7 +65,10 @@ class Recording:
 
 @dataclass(frozen=True)
 class Scales:
-    """Units of a computation: sampling period [s], position from its origin [m, rad] and command [N, Nm]."""
+    """Units of a computation: sampling period [s], position from its origin [m, rad] and command [N, Nm].
+
+    The origin is where most logs begin: there a spring is relaxed, and what holds the device else a constant force.
+    """
 
     period: float
     position: float
@@ -78,7 +81,7 @@ class Scales:
         spread = max((float(np.ptp(each.position)) for each in recordings), default=0.0)
         force = max((float(np.abs(each.command).max()) for each in recordings), default=0.0)
         period = float(np.median([each.period for each in recordings]))
-        origin = float(np.median([float(np.median(each.position)) for each in recordings]))
+        origin = float(np.median([each.position[0] for each in recordings]))
         return cls(period, spread or 1.0, force or 1.0, origin)
 
 

@@ -37,6 +37,7 @@ class Moments:
 
     ``least`` is the variance of an error that rounding of the readings alone leaves, ``log_spread`` the sum of the
     logarithms of the filter's spreads over all rows, ``told`` what readings of noise 1 tell of each unknown of a start.
+    ``before`` (2, p) is what is known of each number without logs: information, and the slope of its likelihood.
     """
 
     products: Floats
@@ -44,6 +45,7 @@ class Moments:
     least: float = 0.0
     log_spread: float = 0.0
     told: Floats = field(default_factory=lambda: np.empty(0))
+    before: Floats = field(default_factory=lambda: np.zeros((2, 1)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +55,8 @@ class Solved:
     ``step`` (p,); ``information`` (T, p, p) and ``score`` (T, p) of each trial at the solution; ``scatter`` (p,) the
     variances between trials; ``effects`` (T, p) each trial's deviations; ``noise`` the variance of a whitened error,
     ``weight`` (T,) of each trial; ``likelihood`` its restricted logarithm, without constants, as the columns foretell
-    it behind the step, and ``here`` before it, for the likeliest starts.
+    it behind the step, and ``here`` before it, for the likeliest starts; ``total`` (p, p) is the information of all
+    trials and of what is known without them.
     """
 
     step: Floats
@@ -65,16 +68,7 @@ class Solved:
     weight: Floats
     likelihood: float
     here: float
-
-    @property
-    def total(self) -> Floats:
-        """Information of all trials, (p, p)."""
-        return np.asarray(self.information.sum(axis=0))
-
-    @property
-    def covariance(self) -> Floats:
-        """Covariance of the common numbers by information, (p, p)."""
-        return inverse(self.total)
+    total: Floats
 
 
 def inverse(information: Floats) -> Floats:
@@ -96,6 +90,7 @@ def solve(moments: Moments, random: Integers) -> Solved:
     factors = np.append(scale, 1.0)
     products = moments.products * factors[:, None] * factors[None, :]
     rows = np.maximum(moments.rows, 1.0)
+    prior, slope = moments.before * np.stack([scale**2, scale])
     # at first by what each unit leaves at its own best numbers
     rest = _Mixed(products).rest
     # numbers are rounded by as much, and of readings that never change nothing is left
@@ -106,29 +101,31 @@ def solve(moments: Moments, random: Integers) -> Solved:
         mixed = _Mixed(products * (weight / noise)[:, None, None])
         if len(random):
             variances = _variances(mixed, random, variances if count else None)
-        found = mixed.solution(variances)
+        found = mixed.solution(variances, prior, slope)
         before = found.before * noise / weight
         squares = found.squares * noise / weight
         noise, weight = _weighed(squares, rows, noise, least)
 
-    def likelihood(squares: Floats, noise: float) -> float:
+    def likelihood(squares: Floats, noise: float, slope: Floats) -> float:
         free, spread = rows + OWN_ROWS, np.log1p(squares / (OWN_ROWS * noise))
         of_rows = gammaln(0.5 * free) - 0.5 * (rows * np.log(0.5 * OWN_ROWS * noise) + free * spread)
-        return float(found.determinants.sum() + of_rows.sum()) - moments.log_spread
+        apart = 0.5 * float((slope**2 / np.maximum(prior, 1e-300)).sum())
+        return float(found.determinants.sum() + of_rows.sum()) - moments.log_spread - apart
 
     # a start is anywhere within the range of the readings: what these do not tell of it makes no device likelier
     starts = 0.5 * float(np.log(moments.told + noise).sum())
-    back = scale[:, None] * scale[None, :]
+    information = found.information / (scale[:, None] * scale[None, :])
     return Solved(
         found.step * scale,
-        found.information / back,
+        information,
         found.score / scale,
         variances * scale**2,
         found.effects * scale,
         noise,
         weight,
-        likelihood(squares, noise) - starts,
-        likelihood(before, _weighed(before, rows, noise, least)[0]),
+        likelihood(squares, noise, slope - prior * found.step) - starts,
+        likelihood(before, _weighed(before, rows, noise, least)[0], slope),
+        information.sum(axis=0) + moments.before[0] * np.eye(p),
     )
 
 
@@ -176,15 +173,15 @@ class _Mixed:
         self.errors = np.where(size > 0, turned / np.where(size > 0, size, 1.0), 0.0)
         self.rest = np.maximum(products[:, p, p] - (self.errors**2).sum(axis=1), 1e-300)
 
-    def solution(self, variances: Floats) -> _Solution:
+    def solution(self, variances: Floats, prior: Floats | float = 0.0, slope: Floats | float = 0.0) -> _Solution:
         p = len(variances)
         covariance = np.eye(p) + (self.columns * variances) @ self.columns.transpose(0, 2, 1)
         known = np.linalg.inv(covariance)
         weighted = known @ self.columns
         information = self.columns.transpose(0, 2, 1) @ weighted
         information = (information + information.transpose(0, 2, 1)) / 2
-        total = np.einsum("tij,ti->j", weighted, self.errors)
-        step = inverse(information.sum(axis=0)) @ total
+        total = np.einsum("tij,ti->j", weighted, self.errors) + slope
+        step = inverse(information.sum(axis=0) + prior * np.eye(p)) @ total
         left = self.errors - self.columns @ step
         score = np.einsum("tij,ti->tj", weighted, left)
         squares, before = (self.rest + np.einsum("ti,tij,tj->t", each, known, each) for each in (left, self.errors))

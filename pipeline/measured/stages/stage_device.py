@@ -77,7 +77,7 @@ def found_device(of: Experiment) -> tuple[Identified | None, str]:
 def device(of: Experiment) -> Columns:
     """Return the one row of the stage `device`."""
     found, reason = of.once(found_device)
-    numbers = _nothing() if found is None else _numbers(found, of)
+    numbers = {"names": []} if found is None else _numbers(found, of)
     return {"numbers": [json.dumps(numbers)], "reason": [reason or None]}
 
 
@@ -99,10 +99,6 @@ def model(of: Experiment) -> Columns:
         for trial in ids
     ]
     return columns
-
-
-def _nothing() -> dict[str, Any]:
-    return {"names": [], "values": [], "covariance": [], "parts": []}
 
 
 def _numbers(found: Identified, of: Experiment) -> dict[str, Any]:
@@ -127,7 +123,7 @@ def _numbers(found: Identified, of: Experiment) -> dict[str, Any]:
     noise = found.choice.fit.device.noise
     fits = found.replay.fit[np.isfinite(found.replay.fit)]
     return {
-        "parts": [PARTS[name] for name, gain in found.parts.items() if gain > 0],
+        "parts": [PARTS.get(name, name) for name, gain in found.parts.items() if gain > 0],
         "names": [*values, *late],
         "values": [*values.values(), *(0.0 for _ in late)],
         "covariance": np.pad(covariance, (0, len(late))).tolist(),

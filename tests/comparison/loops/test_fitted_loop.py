@@ -58,7 +58,7 @@ def soft_course(parts: dict, folder, scatter=0.0, **experiment) -> tuple[Experim
     setup = setup_of(device, one)
     # as far as softer walls are stable at all
     every = np.linspace(0.5, 40.0, 80)
-    highest = every[true_limits(setup, every) > 1.0].max()
+    highest = every[spectral_radius(setup.plant, setup, np.ones(80), every) < 1].max()
     damping = np.linspace(0.05, 0.8, 5) * highest
     limit = true_limits(setup, damping)
     K, B = np.outer(SHARES, limit).ravel(), np.tile(damping, len(SHARES))

@@ -21,10 +21,11 @@ def mean_of(values, known):
         total=np.array([[float(len(values))]]),
         information=np.ones((len(values), 1, 1)),
         score=deviation[:, None],
-        covariance=np.array([[known**2]]),
     )
     device = SimpleNamespace(numbers={"mean": float(values.mean())})
-    return Errors.of(SimpleNamespace(device=device, solved=solved, few=False, alike=1.0, open=np.zeros(1)))
+    return Errors.of(
+        SimpleNamespace(device=device, solved=solved, few=False, alike=len(values) * known**2, open=np.zeros(1))
+    )
 
 
 def half_width(values, known=1e-6):

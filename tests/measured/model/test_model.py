@@ -168,7 +168,7 @@ def test_scatter_between_trials_is_that_of_the_dense_likelihood():
         inverse = np.linalg.inv(found.noise / weight * np.eye(rows) + (x * found.scatter) @ x.T)
         total, right = total + x.T @ inverse @ x, right + x.T @ inverse @ e
     np.testing.assert_allclose(found.step, np.linalg.solve(total, right), rtol=2e-3)
-    np.testing.assert_allclose(found.covariance, np.linalg.inv(total), rtol=2e-2, atol=1e-7)
+    np.testing.assert_allclose(np.linalg.inv(found.total), np.linalg.inv(total), rtol=2e-2, atol=1e-7)
 
 
 @pytest.mark.sampled
