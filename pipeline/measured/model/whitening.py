@@ -275,8 +275,9 @@ def _by_rows(passage: Passage, found: Filter, columns: Sequence[Column]) -> list
     groups = max(passage.transition.shape[1], found.gain.shape[1])
     turned = np.zeros((rows, groups, size, size))
     turned[..., :n, :n] = passage.transition.swapaxes(-1, -2)
-    turned[..., n:, :n] = found.forces[..., None] * passage.disturbed[..., None, :]
-    turned[..., n:, n:] = found.ageing
+    if size > n:
+        turned[..., n:, :n] = found.forces[..., None] * passage.disturbed[..., None, :]
+        turned[..., n:, n:] = found.ageing
     if found.gain.any():
         corrected = found.gain[..., None, :] @ turned
         states[1:] += readings[..., None] * corrected
