@@ -30,10 +30,10 @@ COMBINATIONS = {
 
 
 def demo() -> None:
-    """Simulate, ingest and compare small courses of two devices.
+    """Simulate, ingest and compare small courses of three devices.
 
-    Writes raw/demo/, processed/demo/, reports/falcon.html and reports/lwr.html below the current folder, and
-    replaces files of these names.
+    Writes raw/demo/, processed/demo/ and the reports falcon-real, falcon and lwr (reports/*.html) below the current
+    folder, and replaces files of these names.
 
     Example: pipeline demo
     """
