@@ -53,7 +53,7 @@ def physical(scales: Scales) -> dict[str, Quantity]:
         "constant_force": lambda n: n["force"] / n["gain"] * command,
         "actuator_lag": lambda n: n["lag"] * scales.period,
         "mode_frequency": lambda n: n["turn"] / (2 * np.pi * scales.period),
-        "mode_damping_ratio": lambda n: n["ratio"],
+        "mode_damping_ratio": lambda n: n["ratio"] - n["delta"] * n["share"] / (1 - n["share"]) / (2 * n["turn"]),
         "mode_mass": lambda n: n["share"] * mass(n),
         "force_limit": lambda n: n["limit"] * command,
     }

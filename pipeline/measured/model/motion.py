@@ -26,6 +26,7 @@ class Physics:
     """What decides the shape of a device's motion: damping and stiffness per mass, delay, lag and mode, in samples.
 
     ``turn`` [rad a sample], ``ratio`` and ``share`` (of the far mass) are those of a mode; none where ``share`` is 0.
+    ``ratio`` is of all that its vibration loses, also to the motor's damping, which is told better than each alone.
     ``at_load``: the far mass is the one whose position is read.
     """
 
@@ -47,8 +48,9 @@ class Physics:
         """Matrix (n, n), the command's column, a force's column on the motor's side, and the row of the sensor."""
         mode = None
         if self.share > 0:
-            reduced, turn = self.share * (1 - self.share), self.turn
-            mode = Vibration(self.share, reduced * turn**2, 2 * max(self.ratio, 0.0) * turn * reduced, self.at_load)
+            near = 1 - self.share
+            spring, damper = near * self.turn**2, 2 * self.ratio * self.turn * near - self.delta * self.share
+            mode = Vibration(self.share, self.share * spring, self.share * damper, self.at_load)
         # the parts of `loop`, whose own numbers may not be negative; those of a search may
         shape = Loop(0.0, 0.0, 0.0, max(self.lag, SHORTEST_LAG) if self.lag else 0.0, mode)
         matrix, push, sensor = (part.copy() for part in shape.device)
