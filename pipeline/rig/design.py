@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import combinations, count
+from itertools import combinations, count, product
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,9 @@ _WORTH = 0.95
 
 _PAIRED = 4
 """Quantities that are paired: those that help most."""
+
+_UPHILL = 40
+"""Rigs tried uphill from the best of a grid of pairs of changes."""
 
 _DIFFERENCE = 1e-4
 """Relative step of a sensitivity; limits are known to 1e-9, so it is right to some 1e-7."""
@@ -67,8 +70,8 @@ class Design:
         Single changes and pairs that reach it, smallest first. The size is the root of the sum of squares of ln of the
         factors.
     out_of_reach : dict
-        Quantities that alone do not reach it, with how far they were changed. Pairs are looked for along lines: of
-        seven wishes that no single change fulfils, one that a pair does was missed.
+        Quantities that alone do not reach it, with how far they were changed. Pairs are looked for along lines and,
+        where nothing is found, uphill from the best of a coarse grid: one that reaches it may be missed.
     sensitivities : pandas.DataFrame
         ``quantity``, ``value``, ``unit``, ``stiffness_max`` and its change ``stiffness_max_per_unit``; in percent per
         percent of the quantity ``stiffness_max_percent`` and, of the nearest wall, ``settling_percent``.
@@ -222,7 +225,7 @@ def _room_of(
 def _changes(loop: Loop, wish: Wish, quantities: Sequence[Quantity], best: Best) -> tuple[list[Change], dict[str, str]]:
     """Return what reaches the wish: one quantity, and pairs of those that help; and what alone does not.
 
-    Where nothing does, pairs are looked for far from the rig: from the best place of one along the other.
+    Where nothing does, pairs are looked for far from the rig.
     """
     found: list[Change] = []
     out_of_reach, helps = {}, {}
@@ -250,10 +253,9 @@ def _changes(loop: Loop, wish: Wish, quantities: Sequence[Quantity], best: Best)
         if size is not None and size < _WORTH * min(alone, default=math.inf):
             found.append(_change(loop, wish, pair, (size * way).tolist()))
     if not found:
-        rooms_of = {q: {x: _room_of(loop, wish, [q], [x]) for x in _looks(q)} for q in quantities}
-        best_first = sorted(quantities, key=lambda q: -max(rooms_of[q].values()))
+        best_first = sorted(quantities, key=lambda quantity: -abs(helps.get(quantity, 0.0)))
         for pair in combinations(best_first, 2):
-            x = _together(loop, wish, pair, max(rooms_of[pair[0]], key=lambda x: rooms_of[pair[0]][x]))
+            x = _together(loop, wish, pair, 2 * min((change.size for change in found), default=math.inf))
             if x is not None:
                 whole = math.hypot(*x)
                 size = _smallest(loop, wish, best.room, pair, [part / whole for part in x], whole) or whole
@@ -261,21 +263,28 @@ def _changes(loop: Loop, wish: Wish, quantities: Sequence[Quantity], best: Best)
     return found, out_of_reach
 
 
-def _together(loop: Loop, wish: Wish, pair: Sequence[Quantity], first: float) -> list[float] | None:
-    """Return changes in ln of a pair that reach the wish; None if none is met along one, from where the other is best.
+def _together(loop: Loop, wish: Wish, pair: Sequence[Quantity], largest: float) -> list[float] | None:
+    """Return changes in ln of a pair, of at most a size, that reach the wish.
 
-    Along the second from a change of the first, then along the first again.
+    None if none is met uphill from the best of a grid on.
     """
-    x = [first, 0.0]
-    for turn in (1, 0):
-        rooms = {}
-        for look in sorted(_looks(pair[turn]), key=abs):
-            x[turn] = look
-            rooms[look] = _room_of(loop, wish, pair, x, enough=True)
-            if rooms[look] >= 0:
-                return x
-        x[turn] = max(rooms, key=lambda look: rooms[look])
-    return None
+    from scipy.optimize import minimize
+
+    def short(x: Sequence[float]) -> float:
+        return -_room_of(loop, wish, pair, x, enough=True)
+
+    def stop(intermediate_result: Any) -> None:
+        if intermediate_result.fun <= 0:
+            raise StopIteration
+
+    grid = [x for x in product(*(_looks(quantity)[1::2] for quantity in pair)) if math.hypot(*x) < largest]
+    if not grid:
+        return None
+    best = min(grid, key=short)
+    bounds = [[math.log(factor) for factor in quantity.factors] for quantity in pair]
+    options = {"maxfev": _UPHILL}
+    found = minimize(short, best, method="Nelder-Mead", bounds=bounds, callback=stop, options=options)
+    return list(found.x) if found.fun <= 0 and math.hypot(*found.x) < largest else None
 
 
 def _looks(quantity: Quantity) -> list[float]:

@@ -138,7 +138,7 @@ def outline(loop: Loop, points: int = 400, floor: float = 0.0) -> Outline:
     """
     turning = turning_dampings(loop)
     # evenly where dampings are of the usual size: far beyond, an island beside the end of a gap would not be met
-    usual = float(np.median(np.abs(turning))) or 1.0
+    usual = float(np.median(np.abs(np.append(turning, 1.0)))) or 1.0
     evenly = np.arcsinh(turning / usual)
     nodes = usual * np.sinh(evenly[:-1, None] + np.diff(evenly)[:, None] * _NODES)
     marks = nodes[:, [0, -1]].ravel()

@@ -219,6 +219,7 @@ def test_other_criteria_run_only_what_is_missing(lwr, tmp_path, plain_page):
     assert run_again == {"theory: boundaries and maps", "report"}
 
 
+@pytest.mark.slow
 def test_criteria_of_the_same_stage_still_change_the_report(own):
     assert run(own, criteria=["energy_step_w0"]).result.criteria == ("energy_step_w0",)
     other = run(own, criteria=["energy_step_w1"])
@@ -239,6 +240,7 @@ def test_a_report_is_renewed_where_another_one_already_computed_the_stages(own):
     assert sum(e.trials for e in after.result.experiments) == 1 + sum(e.trials for e in first.result.experiments)
 
 
+@pytest.mark.slow
 def test_a_lost_stage_file_is_made_again_though_the_report_stands(own):
     run(own)
     path = stage_file(own / "processed", "lwr", "delay-2", "energy")
@@ -300,6 +302,7 @@ def test_a_damaged_stage_file_is_made_anew(own):
     assert run(own).result == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tree", ["trials", pytest.param("stages", marks=pytest.mark.slow)])
 def test_a_damaged_experiment_keeps_no_other_from_being_compared(own, tree):
     expected = run(own, experiments=["delay-4"]).result

@@ -93,6 +93,7 @@ def test_a_response_that_does_not_rise_in_time_has_none():
         assert np.isfinite(found[name][1])
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("loop", LOOPS)
 def test_optimum_is_a_limit_that_no_stable_point_beats(loop, name):

@@ -48,6 +48,7 @@ def test_a_right_loop_finds_the_best_wall_at_once():
     assert least < most
 
 
+@pytest.mark.slow
 def test_a_wrong_loop_is_corrected_by_costs():
     found, walls, costs = search(exact, replace(BY, delay_samples=3.5), holds=False)
     best = [np.array([x]) for x in walls[found.best]]

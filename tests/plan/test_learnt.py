@@ -28,7 +28,9 @@ def truth(device):
     return stated_device(device, device.experiments[0]).point.limit(DAMPINGS)
 
 
-@pytest.mark.parametrize("kind", ["ideal", "actuator lag", pytest.param("butterworth filter", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "kind", ["ideal", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("actuator lag", "butterworth filter"))]
+)
 def test_limits_of_devices_that_three_logs_show(kind):
     device, batch = logs(kind)
     found = learn(batch, 3, None, chosen)

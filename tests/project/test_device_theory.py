@@ -22,6 +22,7 @@ def arm(tmp_path):
     return tmp_path / "arm.toml"
 
 
+@pytest.mark.slow
 def test_boundary_of_the_page(call, arm):  # noqa: F811
     found = document(call("theory", "boundary", "--device", arm, "--json"))
     assert found["left_out"] == ["friction"]

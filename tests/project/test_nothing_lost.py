@@ -93,6 +93,7 @@ class TestRefusedIsNotKnown:
         assert {document["quarantined"][0]["path"] for document in documents} == {"bad.csv"}
         assert len(list_quarantine(server.settings.processed)) == 1
 
+    @pytest.mark.slow
     def test_push_ends_alike_each_time(self, push, tmp_path):
         folder = tmp_path / "logs"
         folder.mkdir()
@@ -103,6 +104,7 @@ class TestRefusedIsNotKnown:
         assert (second[0], counts(second[1])) == (3, (2, 0, 1, 1))
         assert first[1]["quarantined"] == second[1]["quarantined"]
 
+    @pytest.mark.slow
     def test_push_of_a_renamed_log_takes_it(self, push, tmp_path):
         folder = tmp_path / "logs"
         folder.mkdir()
@@ -113,6 +115,7 @@ class TestRefusedIsNotKnown:
         status, document = push(folder)
         assert (status, counts(document)) == (0, (1, 1, 0, 0))
 
+    @pytest.mark.slow
     def test_the_other_file_of_a_pair_is_not_left_out_for_being_like_that_of_another(self, server):
         times = np.arange(2.0, 3.0, 0.005)
         desired = pd.DataFrame({"time": times, "torque": 0.9})
@@ -155,6 +158,7 @@ class TestTwoThatClaimOneLog:
     def devices(self, folder):
         return read_trials(folder / "processed").column("device").to_pylist()
 
+    @pytest.mark.slow
     def test_a_log_of_another_device_is_refused_and_keeps_its_trials(self, rigs):
         for _ in range(2):
             status, document = ingest(rigs / "logs", "--profile", rigs / "new.toml", processed=rigs / "processed")

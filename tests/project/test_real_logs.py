@@ -193,7 +193,7 @@ def test_mass_of_the_heater_is_not_known_and_no_stop_holds_it(stored):
     assert "travel_limit" not in experiment.outcomes
 
 
-@pytest.mark.parametrize("device", ["bam_servo", "ohara_haptics"])
+@pytest.mark.parametrize("device", [pytest.param("bam_servo", marks=pytest.mark.slow), "ohara_haptics"])
 def test_a_log_without_a_step_is_compared_with_reasons_only(stored, device, tmp_path):
     outcome = compare(device, stored, report=tmp_path / "page.html")
     (experiment,) = outcome.result.experiments

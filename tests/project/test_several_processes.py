@@ -153,6 +153,7 @@ def test_sixty_kills_of_an_ingest_of_2000_logs(tmp_path):
     kill_often(tmp_path, count=2000, kills=60, pending=2_000_000, rows=400)
 
 
+@pytest.mark.slow
 def test_two_ingests_at_once_both_end_well(tmp_path):
     logs = write_logs(tmp_path / "logs", 300)
     processed = tmp_path / "processed"

@@ -78,6 +78,7 @@ def test_commands_lead_from_simulation_to_the_report(call, tmp_path):
             assert f"{row['stiffness']:.0f}" in shown.replace(" ", "").replace(",", "")
 
 
+@pytest.mark.slow
 def test_noisy_course_gives_estimates_with_their_spread(noisy, falcon_outcome):
     result = noisy.compare(criteria=QUICK).result
     (experiment,) = result.experiments

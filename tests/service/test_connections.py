@@ -102,6 +102,7 @@ def test_a_body_without_logs_is_there_in_time(patient):
     assert b" 408 " in answer.splitlines()[0]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("bash") is None or sys.platform == "win32", reason="sets a limit by a shell")
 def test_260_half_headers_do_not_stop_a_server_of_256_files(tmp_path):
     serve = f"{sys.executable} -m pipeline serve --port 0 --read-only --processed p --reports r"

@@ -52,6 +52,7 @@ def test_what_is_there_is_skipped(empty, logs, tmp_path):
     assert stored_rows(tmp_path / "processed").total() == 4
 
 
+@pytest.mark.slow
 def test_the_command_line_works_beside(empty, logs, tmp_path):
     """Two writers: what the command line stored meanwhile is listed, and not stored again."""
     folder = tmp_path / "raw"
@@ -67,6 +68,7 @@ def test_the_command_line_works_beside(empty, logs, tmp_path):
     assert empty.get("trials").content["total"] == len(logs)
 
 
+@pytest.mark.slow
 def test_a_damaged_file_stays_with_its_experiment(empty, logs, tmp_path):
     empty.upload(logs)
     empty.all_done()

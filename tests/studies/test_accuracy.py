@@ -138,6 +138,7 @@ def test_lyapunov_energies_are_the_sums_of_a_long_recurrence() -> None:
 # the measurement
 
 
+@pytest.mark.slow
 def test_every_quantity_is_measured_by_this_package_and_others(report: AccuracyReport) -> None:
     for quantity in QUANTITIES:
         methods = {r.method for r in report.rungs if r.quantity == quantity}

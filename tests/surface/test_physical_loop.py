@@ -43,6 +43,7 @@ def test_a_device_with_a_spring():
     assert loop.boundary()["stiffness"].min() == pytest.approx(-500.0, abs=1.0)
 
 
+@pytest.mark.slow
 def test_optimum_scales_with_mass_and_period():
     m, T = 2.0, 0.002
     loop = pipeline.Loop(m, 3.0, T, 3)

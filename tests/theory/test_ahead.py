@@ -71,6 +71,7 @@ def test_a_wall_next_to_its_limit_settles_when_its_slowest_pole_says():
     assert found["settle_2pct"] - found["settle_5pct"] == pytest.approx(time, abs=40)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [8, *(pytest.param(n, marks=pytest.mark.slow) for n in (9, 10))])
 def test_walls_next_to_the_limit_end(seed):
     """The envelope may lie so far above the slow motion that the window before its end is too long to follow."""

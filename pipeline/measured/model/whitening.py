@@ -261,31 +261,29 @@ def _polynomial(matrix: Floats) -> Floats:
 
 def _by_rows(passage: Passage, found: Filter, columns: Sequence[Column]) -> list[Floats]:
     """Return the errors of a filter whose gain, or whose rows, change."""
-    (rows, count), n = passage.held.position.shape, passage.states
-    state, pushed = np.zeros((count, len(columns), n)), np.zeros((rows, count, len(columns), n))
+    (rows, count), n, size = passage.held.position.shape, passage.states, found.gain.shape[2]
+    # what each row starts with, and, before it is reached, what enters it
+    states = np.zeros((rows + 1, count, len(columns), size))
     readings = np.zeros((rows, count, len(columns)))
     for place, column in enumerate(columns):
         if column.readings is not None:
             readings[:, :, place] = column.readings
         if column.start is not None:
-            state[:, place] = column.start
+            states[0, :, place, :n] = column.start
         for piece, of, force in passage.forces(column):
-            pushed[:, :, place] += force[..., None] * passage.gains[piece, :, :, :, of]
-    turned = np.broadcast_to(passage.transition.swapaxes(-1, -2), (rows, passage.transition.shape[1], n, n))
-    gain = np.broadcast_to(found.gain, (rows, *found.gain.shape[1:]))
-    disturbed = np.broadcast_to(passage.disturbed, (rows, *passage.disturbed.shape[1:]))
-    filters = bool(found.gain.any())
-    age = np.zeros((count, len(columns), found.gain.shape[2] - n))
+            states[1:, :, place, :n] += force[..., None] * passage.gains[piece, :, :, :, of]
+    groups = max(passage.transition.shape[1], found.gain.shape[1])
+    turned = np.zeros((rows, groups, size, size))
+    turned[..., :n, :n] = passage.transition.swapaxes(-1, -2)
+    if size > n:
+        turned[..., n:, :n] = found.forces[..., None] * passage.disturbed[..., None, :]
+        turned[..., n:, n:] = found.ageing
+    if found.gain.any():
+        corrected = found.gain[..., None, :] @ turned
+        states[1:] += readings[..., None] * corrected
+        turned[..., :n, :] -= passage.sensor[:, None] * corrected
+    joined = states.reshape(rows + 1, groups, -1, size)
     for k in range(rows):
-        error = readings[k] - state @ passage.sensor
-        readings[k] = error
-        if filters:
-            state = state + error[..., None] * gain[k][:, None, :n]
-        state = (
-            state @ turned[k] if len(turned[k]) > 1 else (state.reshape(-1, n) @ turned[k][0]).reshape(state.shape)
-        ) + pushed[k]
-        if found.ageing.size:
-            age += error[..., None] * gain[k][:, None, n:]
-            state += (age @ found.forces[k][..., None]) * disturbed[k][:, None, :]
-            age = age @ found.ageing
+        joined[k + 1] += joined[k] @ turned[k]
+    readings -= states[:-1, ..., :n] @ passage.sensor
     return [np.ascontiguousarray(readings[:, :, place]) for place in range(len(columns))]

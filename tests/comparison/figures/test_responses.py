@@ -86,6 +86,7 @@ def trial_of(stages, verdict):
     return stages.texts("response", "trial_id")[stages.verdicts.verdict.tolist().index(verdict)]
 
 
+@pytest.mark.slow
 def test_theory_and_fits_lie_on_a_simulated_log(first):
     """The shared course is simulated with the numbers of the device file, noise and quantum beside."""
     stages, result = first

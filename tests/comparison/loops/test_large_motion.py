@@ -78,6 +78,7 @@ def test_a_course_with_friction_tells_both_limits(sticky_outcome):
     assert np.mean(held) > 0.9
 
 
+@pytest.mark.slow
 def test_a_coarse_sensor_alone_moves_no_limit_and_undecided_walls_leave_it_open():
     values = {"mass": MASS, "damping": DAMPING, "delay_samples": DELAY, "stiffness": 0.0}
     plain = FittedDevice((), values, np.zeros((4, 4)))

@@ -70,6 +70,7 @@ def test_the_named_wall_is_never_above_a_measured_limit():
     assert limit * 0.999 < wall.stiffness <= limit
 
 
+@pytest.mark.slow
 def test_a_replay_that_is_off_by_more_than_the_limit_leaves_no_wall():
     free, _ = passive_wall(loop(FALCON, 4.0, 1e-3), measured())
     (limit,) = loop(FALCON, 4.0, 1e-3).point.limit(np.array([free.damping]))

@@ -71,6 +71,7 @@ def test_requests_that_do_not_fit_say_what_there_is(falcon, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_plan_goes_from_run_to_reuse_and_follows_changes(falcon, noisy, tmp_path):
     import shutil
 

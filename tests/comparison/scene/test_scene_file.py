@@ -127,6 +127,7 @@ def settling(falcon, tmp_path_factory):
     return outcome, path.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_settling_scene_has_its_figures_and_tables_and_no_empty_section(settling):
     outcome, page = settling
     tables = {name.split("/")[0] for name in take_apart(page).cells}

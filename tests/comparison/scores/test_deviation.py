@@ -84,7 +84,7 @@ def test_trials_on_one_line_have_no_slope_across_it() -> None:
     assert found.model == pytest.approx(20.0, abs=1e-6)
 
 
-@pytest.mark.parametrize("criterion", ["settle_2pct", "energy_step_w1"])
+@pytest.mark.parametrize("criterion", [pytest.param("settle_2pct", marks=pytest.mark.slow), "energy_step_w1"])
 def test_least_cost_in_a_range_that_ends_before_the_optimum(criterion: str) -> None:
     loop = Loop(0.0, 0.0069, 4.0)
     best = optimal_point(loop, f"{criterion}_discrete")

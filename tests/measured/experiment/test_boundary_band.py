@@ -72,6 +72,7 @@ def test_interval_covers_the_true_limit(sensor):
     assert np.median(deviations) > 0.03 * np.median(widths)
 
 
+@pytest.mark.slow
 def test_intervals_of_courses_of_twenty_trials_hold_the_limits():
     dampings, inside, wide = np.array([10.0, 25.0, 45.0, 70.0, 100.0]), [], []
     for seed in range(901, 951):

@@ -53,7 +53,7 @@ def test_a_spring_is_told_by_where_the_device_rests(held):
     ("stage", "column", "exact"),
     [
         ("overshoot", "overshoot", "overshoot"),
-        ("settling", "settle_2pct", "settle_2pct_discrete"),
+        pytest.param("settling", "settle_2pct", "settle_2pct_discrete", marks=pytest.mark.slow),
         ("energy", "energy_w0", "energy_step_w0_discrete"),
     ],
 )

@@ -361,6 +361,7 @@ def test_a_mode_is_found_behind_walls():
     assert {name: found.parameters[name].value for name in truth} == pytest.approx(truth, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_mode_near_the_nyquist_frequency_is_no_lag():
     far, near, frequency = 0.06, 0.13, 2 * np.pi * 300
     reduced = far * near / (far + near)

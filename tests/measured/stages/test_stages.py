@@ -121,6 +121,7 @@ def test_ideal_logs_obey_the_wall_law(ideal):
     assert set(ideal.column("wall_law", "law_rows")) == {0}
 
 
+@pytest.mark.slow
 def test_settling_and_overshoot_of_logs_are_those_of_theory(lasting, decayed):
     loop, alpha, beta = normalised(batch_of(lasting).stiffness[decayed], batch_of(lasting).damping[decayed])
     theory = transient_costs(loop, alpha, beta, continuous=False)
@@ -240,6 +241,7 @@ def test_stored_stages_are_read_and_not_computed(falcon, copy, monkeypatch):
         assert of.table(stage).equals(read_table(stage_file(falcon.processed, "falcon", "1", stage)))
 
 
+@pytest.mark.slow
 def test_every_flipped_byte_is_noticed(falcon, copy):
     """A stage file that was damaged on the disk is computed anew or refused, and never gives another number."""
     path = stage_file(copy, "falcon", "1", "overshoot")

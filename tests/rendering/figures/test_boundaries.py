@@ -51,6 +51,7 @@ def test_outline_of_the_passive_region_needs_all_of_the_device_damping(delay: fl
     assert need.max(axis=1) == pytest.approx(4.0, rel=1e-3)  # a pixel of the drawing is 0.3 %
 
 
+@pytest.mark.slow
 def test_walls_stable_with_any_spring_hold_the_passive_ones_and_are_drawn_where_asked_for() -> None:
     found = {s.kind: s for s in conditions(theory())}
     inner = found["passive"].x > 0.05 * found["passive"].x.max()
