@@ -29,11 +29,11 @@ LEASE_S = 10.0
 ATTEMPTS = 3
 """Times that a job is begun; a worker that dies with it each time was killed by it."""
 
-URGENT = ("upload", "stages")
-"""Kinds of jobs that have a worker of their own: logs and their verdicts."""
+WORKS = ("upload", "stages", "experiment plan comparison drawing")
+"""Kinds of jobs of each worker, as they are taken: logs with their verdicts, costs, and what is looked at.
 
-ORDER = "upload stages experiment plan comparison drawing"
-"""Kinds of jobs as they are taken: figures last, but for reports that are made anew."""
+Figures come last, but for reports that are made anew.
+"""
 
 MOST_DRAWINGS = 100
 """Drawings that wait at most: whoever asked for older ones has left their page."""
@@ -167,17 +167,16 @@ class Database:
         if not late:  # somebody waits for what was to come last
             self.run("UPDATE jobs SET late = 0 WHERE kind = ? AND key = ? AND state = 'queued'", kind, key)
         rows = self.run("SELECT id FROM jobs WHERE kind = ? AND key = ? ORDER BY number DESC LIMIT 1", kind, key)
-        found: str = rows[0]["id"]
-        return found
+        return str(rows[0]["id"])
 
-    def claim(self, owner: str, urgent: bool | None = None) -> dict[str, Any] | None:
-        """Take a job that waits, or whose worker was not heard of: an urgent one, another, or any; None without one."""
+    def claim(self, owner: str, kinds: str = " ".join(WORKS)) -> dict[str, Any] | None:
+        """Take a job of these kinds that waits, or whose worker was not heard of; None without one."""
         now = time.time()
         rows = self.run(
             "UPDATE jobs SET state = 'running', owner = ?, lease = ?, changed = ? WHERE "
             "number = (SELECT number FROM jobs WHERE (state = 'queued' OR (state = 'running' AND lease < ?)) "
-            "AND (? IS NULL OR (kind IN (?, ?)) = ?) ORDER BY late, instr(?, kind), number LIMIT 1) RETURNING *",
-            *(owner, now + LEASE_S, now, now, urgent, *URGENT, urgent, ORDER),
+            "AND instr(?, kind) ORDER BY late, instr(?, kind), number LIMIT 1) RETURNING *",
+            *(owner, now + LEASE_S, now, now, kinds, kinds),
         )
         return dict(rows[0]) if rows else None
 

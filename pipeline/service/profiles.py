@@ -60,21 +60,20 @@ def text_of(settings: Settings, name: str) -> str:
 
 
 def keep(settings: Settings, name: str, text: str) -> None:
-    """Keep a profile of the lab, in place of an earlier one of its name."""
+    """Keep a profile of the lab under a name, which becomes its own, in place of an earlier one of that name."""
     if name in {profile.name for profile in shipped_profiles()}:
         raise Problem(409, "A shipped profile has this name. Choose another one.", where="name", found=name)
     folder = settings.data / "profiles"
     make_folder(folder)
     trial = folder / f".{name}.tmp"
+    text = re.sub(r"(?m)^name *=.*$", f'name = "{name}"', text, count=1)
     write_text(trial, text)
     try:
-        found = read_profile(trial)
+        read_profile(trial)
     except ProfileError as error:
         raise Problem(422, str(error).replace(str(trial), f"{name}.toml"), where="profile") from error
     finally:
         trial.unlink(missing_ok=True)
-    if found.name != name:
-        raise Problem(422, "The profile has another name.", where="name", expected=name, found=found.name)
     write_text(folder / f"{name}.toml", text)
 
 

@@ -105,8 +105,7 @@ class _Server:
         while True:
             found = self._ask("GET", f"/api/v1/jobs/{quote(job)}")
             if found["state"] == "done":
-                result: dict[str, Any] = found["result"]
-                return result
+                return dict(found["result"])
             if found["state"] in ("failed", "cancelled"):
                 why = found["problem"]["detail"] if found["problem"] else "it was cancelled"
                 raise UsageError(f"{self.address}: the logs were taken, but not stored: {why}")

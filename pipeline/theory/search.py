@@ -75,6 +75,9 @@ _NARROWER = 0.25
 _REACH = 8
 """Cells of the first look along a line over which floors wander from one line to the next."""
 
+_NEAR_BEST = 1.1
+"""Cost of a place, beside that of the best, up to which it is looked at to the end, which gains less."""
+
 _DEAR = 2.0
 """Cost, beside the least known, from which on the floor of a line need not be known."""
 
@@ -176,7 +179,8 @@ def search(loop: Loop, cost: Cost, grids: Grids = JUMPING, bounds: tuple[Floats,
 
     second, one = np.linspace(low[1], high[1], grids.coarse), np.ones(grids.coarse)
     found = floors(second, low[0] * one, high[0] * one, grids.coarse)
-    left, begun = np.isfinite(found.cost), []
+    beside = np.pad(found.cost, 1, constant_values=np.inf)
+    left, begun = np.isfinite(found.cost) & (found.cost <= np.minimum(beside[:-2], beside[2:])), []
     for _ in range(grids.starts):
         if left.any():
             index = int(np.flatnonzero(left)[np.argmin(found.cost[left])])
@@ -208,7 +212,7 @@ def search(loop: Loop, cost: Cost, grids: Grids = JUMPING, bounds: tuple[Floats,
                 grids.fine,
                 LEVELS_IN_PLANE - int(np.log(half[i, 0] / cell[0]) / np.log(SHRINK)),
             )
-            for i in each
+            for i in each[value <= _NEAR_BEST * value.min()]
         ),
         key=lambda point: point.cost,
     )

@@ -64,7 +64,7 @@ _SETTLED = 0.1
 _FADED = 0.25
 """The same for the largest deviation from a sample on."""
 
-_STEPS, _FINE = 55, 1e-15
+_STEPS, _FINE = 55, 1e-13
 """Newton's steps or halvings at most, which find a passing after the turn of its piece to below this share of it."""
 
 
@@ -228,7 +228,7 @@ class _Passing:
             with np.errstate(divide="ignore", invalid="ignore"):
                 new = share - miss / at_share(speed, share)
             # from the turn, beyond which the motion comes back, there is no tangent
-            inside = (new > low) & (new < high) & (step > 0)
+            inside = (new >= low) & (new <= high) & (step > 0)
             before, share = share, np.where(inside, new, 0.5 * (low + high))
             if np.abs(share - before).max(initial=0.0) <= _FINE:
                 break

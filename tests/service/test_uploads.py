@@ -12,10 +12,11 @@ from served import Client, form, serving
 from stored import stored_rows
 
 from pipeline.intake.ingest import ingest
-from pipeline.service.database import Database
+from pipeline.service.database import WORKS, Database
 from pipeline.service.jobs import results
 from pipeline.service.jobs.worker import work
 from pipeline.service.settings import Settings
+from pipeline.store.storage import stage_file
 
 
 def test_an_upload_is_what_an_ingest_is(empty, logs, tmp_path):
@@ -235,12 +236,26 @@ def test_logs_and_verdicts_come_before_what_is_looked_at(tmp_path):
     kinds = ("comparison", "drawing", "experiment", "stages", "upload")
     for kind in kinds:
         database.add_job(kind, {}, kind)
-    assert database.claim("other", urgent=False)["kind"] == "experiment"
+    assert database.claim("other", WORKS[-1])["kind"] == "experiment"
     taken = [database.claim("one")["kind"] for _ in range(8)]
     assert taken == ["upload", "stages", "comparison", *["drawing"] * 4, "comparison"]
     for number in range(150):
         database.add_job("drawing", {}, f"left {number}")
     assert database.job_counts()["queued"] == 100, "who asked for older ones has left their page"
+
+
+def test_an_upload_has_its_verdicts_while_costs_of_others_are_computed(tmp_path, logs):
+    settings = Settings(tmp_path / "processed", tmp_path / "reports")
+    database = Database(settings.data)
+    (settings.data / "logs" / "a").mkdir(parents=True)
+    (settings.data / "logs" / "a" / logs[0][0]).write_bytes(logs[0][1])
+    database.add_job("stages", {}, "stages")
+    database.claim("busy", "stages")
+    database.add_job("upload", {"folder": "a", "profile": "", "skipped": 0}, job="a")
+    assert work(settings, database, "one", WORKS[0])
+    assert database.job("a")["result"]["ingested"] == 1
+    assert stage_file(settings.processed, "falcon", "1", "outcome") is not None
+    assert database.job_counts("kind = 'stages'") == {"queued": 1, "running": 1}
 
 
 def test_verdicts_are_asked_for_once_and_come_after_logs(tmp_path):

@@ -308,7 +308,14 @@ def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats, Fl
 
 
 def refined(
-    held: Stretches, device: Device, trials: int, steps: int = STEPS, *, far: bool = True, noisy: bool = True
+    held: Stretches,
+    device: Device,
+    trials: int,
+    steps: int = STEPS,
+    *,
+    far: bool = True,
+    noisy: bool = True,
+    jitters: bool = True,
 ) -> Fit:
     """Return the likeliest device near one, with the noise that makes its errors independent.
 
@@ -324,22 +331,24 @@ def refined(
         Whether it starts far from the solution, where scatter between trials would explain everything.
     noisy : bool
         Whether the noise is looked for, too; else it stays as it is.
+    jitters : bool
+        Whether a jitter of the delay may be part of it.
     """
     scattered = SCATTERED if trials >= FEWEST else ()
     places = np.array([i for i, name in enumerate(device.names) if name in scattered], dtype=np.int64)
     if far:
-        for jitters in (False, True):
+        for late in (False, jitters):
             device = _climbed(_fit(held, device, trials, places[:0]), held, trials, FIXED_STEPS).device
-            device = replace(device, noise=noise_of(held, device, jitters=jitters)) if noisy else device
+            device = replace(device, noise=noise_of(held, device, jitters=late)) if noisy else device
     elif noisy:
-        device = replace(device, noise=noise_of(held, device, jitters=True))
+        device = replace(device, noise=noise_of(held, device, jitters=jitters))
     start = _fit(held, device, trials, places)
     found = _climbed(start, held, trials, steps)
     for _ in range(NOISE_ROUNDS if noisy else 0):
         if found.likelihood - start.likelihood < WORTH:
             break
         # what was noise where the search began may be motion where it ends
-        device = replace(found.device, noise=noise_of(held, found.device, jitters=True))
+        device = replace(found.device, noise=noise_of(held, found.device, jitters=jitters))
         start = _fit(held, device, trials, places)
         again = _climbed(start, held, trials, steps)
         if again.likelihood <= found.likelihood:

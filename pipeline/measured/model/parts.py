@@ -240,10 +240,14 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
     while left and "delay" in fit.device.numbers and fit.device.noise != WHITE:
         alone, tried = replace(fit.device, effects=None), {}
         plain = refined(some, alone, trials, far=False)
+        if plain.device.noise == WHITE:
+            break
+        # a part leaves no jitter where there was none without it
+        jitters = plain.device.noise.jitter > 0
         for name, size in left.items():
             if set(NUMBERS[name]) <= set(alone.names):
                 continue
-            other = refined(some, _having(some, alone, trials, name), trials, SOME_STEPS)
+            other = refined(some, _having(some, alone, trials, name), trials, SOME_STEPS, jitters=jitters)
             if not (size and _loss(other, size) < WORTH) and other.likelihood - plain.likelihood >= WORTH:
                 tried[name] = other
         if not tried:

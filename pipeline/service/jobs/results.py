@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -39,14 +40,15 @@ from pipeline.service.database import Database
 from pipeline.service.jobs.documents import document_file, key_of, read_document
 from pipeline.service.profiles import profile_path
 from pipeline.service.settings import Settings
-from pipeline.store.storage import list_devices, list_experiments
+from pipeline.store.storage import list_devices, list_experiments, trials_files
 from pipeline.theory.predictions import Theory
 
 Progress = Callable[[object], None]
 
 
 def run_upload(settings: Settings, database: Database, request: dict[str, Any], progress: Progress) -> Any:
-    """Ingest uploaded logs; the result is what ``ingest --json`` prints, with the names as uploaded."""
+    """Ingest uploaded logs, and give their verdicts; the result is what ``ingest --json`` prints, in uploaded names."""
+    begun = time.time() - 1.0  # clocks of files are coarse
     skipped, result = request["skipped"], {"found": 0, "ingested": 0, "skipped": 0, "quarantined": []}
     folder = settings.data / "logs" / (request["folder"] or "none")
     places = [path for path in (folder, *map(path_of_text, request.get("again", ()))) if os.path.exists(path)]
@@ -62,6 +64,8 @@ def run_upload(settings: Settings, database: Database, request: dict[str, Any], 
         result = _named(report.model_dump(mode="json", exclude={"plan"}), folder.parent, database)
     result["found"] += skipped
     result["skipped"] += skipped
+    for place in _newest_first(settings.processed, begun):
+        _computed(settings.processed, place, {}, verdicts=True)
     database.add_job("stages", {}, "stages")
     return result
 
@@ -78,41 +82,42 @@ def _named(value: Any, folder: Path, database: Database) -> Any:
     return value
 
 
-def run_stages(settings: Settings, _database: Database, _request: dict[str, Any], progress: Progress) -> Any:
+def run_stages(settings: Settings, database: Database, _request: dict[str, Any], progress: Progress) -> Any:
     """Compute verdicts and costs of all experiments that lack them; one that cannot be computed is named."""
-    failed: dict[str, str] = {}
-    waiting = _without_stages(settings, failed)
-    computed = 0
-    for stages, needed in waiting:
-        try:
-            progress({"device": stages.device, "experiment": stages.experiment})
-            compute_stages([stages], needed)
-            for stage in needed:
-                stages.table(stage)
-            computed += 1
-        except DeviceError:  # its trials were removed a moment ago
-            continue
-        except PipelineError as error:
-            failed[f"{stages.device}, experiment {stages.experiment}"] = str(error)
+    failed, computed = dict[str, str](), 0
+    for place in _newest_first(settings.processed):
+        progress(dict(zip(("device", "experiment"), place, strict=True)))
+        computed += _computed(settings.processed, place, failed)
+        if database.job_counts("kind = 'stages'").get("queued"):  # logs came: it begins with theirs, and does the rest
+            break
     return {"computed": computed, "failed": failed}
 
 
-def _without_stages(settings: Settings, failed: dict[str, str]) -> list[tuple[ExperimentStages, tuple[str, ...]]]:
-    """Return the experiments that lack stages, and all that each needs; those that cannot be read go into `failed`."""
-    found = []
-    for device in list_devices(settings.processed):
-        for experiment in list_experiments(settings.processed, device):
-            try:
-                data = open_scene(device, settings.processed, [experiment], None)
-                needed = tuple(sorted(needed_stages(data), key=list(STAGES).index))
-                (stages,) = data.experiments
-                if not all(stages.is_stored(stage) for stage in needed):
-                    found.append((stages, needed))
-            except DeviceError:  # all of its trials are excluded, or were removed a moment ago
-                continue
-            except PipelineError as error:
-                failed[f"{device}, experiment {experiment}"] = str(error)
-    return found
+def _newest_first(processed: Path, since: float = 0.0) -> list[tuple[str, str]]:
+    """Return the experiments to which trials came since a time, those of the newest first."""
+    places = [(device, name) for device in list_devices(processed) for name in list_experiments(processed, device)]
+    times = {of: [file.stat().st_mtime for file in trials_files(processed, *of)] for of in places}
+    last = {of: max(each, default=since) for of, each in times.items()}
+    return sorted((of for of in places if last[of] >= since), key=lambda of: -last[of])
+
+
+def _computed(processed: Path, place: tuple[str, str], failed: dict[str, str], verdicts: bool = False) -> bool:
+    """Compute the stages that an experiment lacks, or verdicts alone; return whether there were any."""
+    try:
+        data = open_scene(place[0], processed, [place[1]], None)
+        (stages,) = data.experiments
+        needed = ("response", "outcome") if verdicts else sorted(needed_stages(data), key=list(STAGES).index)
+        if all(stages.is_stored(stage) for stage in needed):
+            return False
+        compute_stages([stages], needed)
+        for stage in needed:
+            stages.table(stage)
+    except DeviceError:  # all of its trials are excluded, or were removed a moment ago
+        return False
+    except PipelineError as error:
+        failed[", experiment ".join(place)] = str(error)
+        return False
+    return True
 
 
 def run_experiment(settings: Settings, _database: Database, request: dict[str, Any], progress: Progress) -> Any:

@@ -1,9 +1,9 @@
 """A process that works at jobs, one after the other, while its server lives.
 
-Run as ``python -m pipeline.service.jobs.worker PROCESSED REPORTS KIND``, of which the last is ``urgent`` or
-``other``. A byte on standard input says that a job waits, its end that the server ended: then this process ends, too,
-and another one takes the job when its lease has run out. What the functions of jobs write is whole at any moment, and
-they can be run again.
+Run as ``python -m pipeline.service.jobs.worker PROCESSED REPORTS KINDS``, of which the last is one of
+`database.WORKS`. A byte on standard input says that a job waits, its end that the server ended: then this process
+ends, too, and another one takes the job when its lease has run out. What the functions of jobs write is whole at any
+moment, and they can be run again.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 
 from pipeline.base.errors import EXIT_ERROR, PipelineError
 from pipeline.base.process import begin_alone
-from pipeline.service.database import Database
+from pipeline.service.database import WORKS, Database
 from pipeline.service.settings import Settings
 
 BEAT_S = 1.0
@@ -53,9 +53,9 @@ class _Beats:
         self.progress = progress
 
 
-def work(settings: Settings, database: Database, owner: str, urgent: bool | None = None) -> bool:
+def work(settings: Settings, database: Database, owner: str, kinds: str = " ".join(WORKS)) -> bool:
     """Do the next job; return whether there was one."""
-    job = database.claim(owner, urgent)
+    job = database.claim(owner, kinds)
     if job is None:
         return False
     from pipeline.service.jobs.results import KINDS
@@ -95,7 +95,7 @@ def main() -> None:
     database, owner = Database(settings.data), f"{os.getpid()}-{secrets.token_hex(4)}"
     print(owner, flush=True)
     while True:
-        while work(settings, database, owner, sys.argv[3] == "urgent"):
+        while work(settings, database, owner, sys.argv[3]):
             pass
         waiting.wait(BEAT_S)
         waiting.clear()

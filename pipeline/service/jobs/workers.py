@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 
 from pipeline.base.errors import PipelineError
-from pipeline.service.database import KEPT_S, Database
+from pipeline.service.database import KEPT_S, WORKS, Database
 from pipeline.service.settings import Settings
 
 LOOK_S, TIDY_S = 1.0, 3600.0
@@ -29,9 +29,9 @@ class Workers:
         self._ended = threading.Event()
 
     def start(self) -> None:
-        """Begin both: one for logs and their verdicts, one for what is looked at."""
-        for kind in ("urgent", "other"):
-            threading.Thread(target=self._keep, args=(kind,), daemon=True).start()
+        """Begin all."""
+        for kinds in WORKS:
+            threading.Thread(target=self._keep, args=(kinds,), daemon=True).start()
 
     def stop(self) -> None:
         """End all; what they work at is another's when its lease has run out."""
@@ -48,8 +48,8 @@ class Workers:
             except OSError:  # it has just ended, and its follower looks by itself
                 pass
 
-    def _keep(self, kind: str) -> None:
-        given = [str(self.settings.processed), str(self.settings.reports), kind]
+    def _keep(self, kinds: str) -> None:
+        given = [str(self.settings.processed), str(self.settings.reports), kinds]
         command = [sys.executable, "-m", "pipeline.service.jobs.worker", *given]
         while not self._ended.is_set():
             # a session of its own: Ctrl-C ends the server, and the server its workers

@@ -15,7 +15,7 @@ from fastapi.responses import HTMLResponse
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from pipeline.rendering.labels import cost_text, criterion_label, criterion_name, significant
+from pipeline.rendering.labels import UNITS, cost_text, criterion_label, criterion_name, significant
 from pipeline.rendering.report.page_template import FILTERS, TEMPLATES
 from pipeline.rendering.report.report_against import value_name
 from pipeline.service.database import ENDED
@@ -41,7 +41,7 @@ def _environment() -> Environment:
     own |= {"etag": tag_of, "rest": _rest, "page": _page}
     labels = {"name": criterion_name, "value_name": value_name, "cost_of": cost_text, "label": criterion_label}
     found.filters |= FILTERS | own | labels
-    found.globals |= {each.__name__: each for each in (experiment_url, device_url, run_of)}
+    found.globals |= {each.__name__: each for each in (experiment_url, device_url, run_of)} | {"unit_of": UNITS}
     return found
 
 
@@ -146,13 +146,10 @@ def kept(service: Service, ask: Callable[[], Any]) -> tuple[dict[str, Any] | Non
         if error.status == 404:
             raise
         return None, None, str(error)
-    return document, job, _problem_of(service.database.job(job)) if job else None
+    found = service.database.job(job) if job else None
+    return document, job, found["problem"]["detail"] if found and found["problem"] else None
 
 
 def busy(job: Mapping[str, Any] | None) -> bool:
     """Return whether a job has not ended."""
     return job is not None and job["state"] not in ENDED
-
-
-def _problem_of(job: Mapping[str, Any] | None) -> str | None:
-    return job["problem"]["detail"] if job and job["problem"] else None

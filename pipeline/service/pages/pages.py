@@ -26,7 +26,7 @@ from pipeline.records.models import Motion
 from pipeline.records.results import Answer
 from pipeline.rendering.labels import UNITS
 from pipeline.service import profiles
-from pipeline.service.catalogue import WORDS, Selection
+from pipeline.service.catalogue import SORTED, WORDS, Selection
 from pipeline.service.database import NEWEST
 from pipeline.service.pages.frame import HERE, Fields, busy, check, kept, page_of, part_of, segment, style_sheet
 from pipeline.service.problems import Problem
@@ -151,6 +151,7 @@ class TrialForm(api.TrialQuery):
 
     model_config = ConfigDict(extra="forbid")
 
+    sort: Literal[SORTED] = "-recorded"  # type: ignore[valid-type]
     format: Literal["", "csv"] = ""
 
     @field_validator(*api.RANGES, "cursor", mode="before")

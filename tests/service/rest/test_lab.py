@@ -22,7 +22,9 @@ def test_a_profile_is_kept_by_name_and_sent_by_push(empty, logs, tmp_path):
     assert empty.ask("PUT", "profiles/own", document={"profile": PROFILE}).status == 200
     assert empty.get("profiles").content[0] == "own"
     assert empty.get("profiles/own").content == {"profile": PROFILE}
-    for name, text in (("other", PROFILE), ("native", PROFILE), ("own", PROFILE + "nonsense = 1\n"), ("own", "= ")):
+    assert empty.ask("PUT", "profiles/other", document={"profile": PROFILE}).status == 200
+    assert empty.get("profiles/other").content == {"profile": PROFILE.replace('"own"', '"other"')}
+    for name, text in (("native", PROFILE), ("own", PROFILE + "nonsense = 1\n"), ("own", "= ")):
         answer = empty.ask("PUT", f"profiles/{name}", document={"profile": text})
         assert answer.status in (409, 422), answer.content
         assert str(tmp_path) not in json.dumps(answer.content)
