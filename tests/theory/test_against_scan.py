@@ -163,7 +163,9 @@ def check_boundary(plain: Plain, loop: pipeline.Loop, rng: np.random.Generator) 
     """Hold the boundary against eigenvalues all over a box around it; return stable walls well inside."""
     border = loop.boundary(600)
     stiffest, damped = border.attrs["stiffness_max"], border.attrs["damping_max"]
-    lowest = border["damping"].min()
+    # islands may lie far off
+    levels = border["damping"].dropna().to_numpy()
+    lowest = levels[loop.limits(levels)["stiffness"].notna()].min()
     width = damped - lowest
     K = rng.uniform(0, 1.25 * stiffest, WALLS)
     B = rng.uniform(lowest - 0.2 * width, damped + 0.25 * width, WALLS)
