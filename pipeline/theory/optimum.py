@@ -8,6 +8,7 @@ search finds the global optimum stands in `search` and `curves`.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache, partial
 
 import numpy as np
@@ -16,7 +17,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.criteria import CRITERIA, DISCRETE, OVERSHOOT, SETTLING_BANDS, criterion_of, with_discrete
-from pipeline.theory.boundary import boundary, stiffness_limit
+from pipeline.theory.boundary import boundary, is_well_inside, stiffness_limit
 from pipeline.theory.costs import point_costs_by_name
 from pipeline.theory.energy import energy_costs
 from pipeline.theory.poles import REAL, damping_ratio, pole_settling_time, poles, spectral_radius, threefold_pole
@@ -38,6 +39,10 @@ from pipeline.theory.settling_overshoot import NO_OVERSHOOT, late_deviation, tra
 
 UNDAMPED_LOSS = 1e-9
 """Distance of a damping ratio from 1 that is rounding: a threefold pole is split by 1e-5, which costs 2e-10."""
+
+_CLEAR = 1e-8
+"""Share of alpha + gamma to the edge of what is stable below which an optimum lies on it; a search stays clear by a
+tenth of it."""
 
 _ENDLESS = 60
 """Samples, times d + 1, after which a response counts as not settled in a search; optima settle in about 5 (d + 1)."""
@@ -77,8 +82,9 @@ def optimal_point(loop: Loop, criterion: str) -> OptimalPoint:
         Cost as the tables print it: pole modulus; damping ratio (largest, not its negative of 5.3); settling time
         [samples]; overshoot; energy. Where points tie: for the discrete settling time the centre of the bounding box
         of all of them; for overshoot, and for a damping ratio of 1, the stiffest. ``attained`` is False where
-        the optimum is a limit: E_0 of an impulse for alpha -> -gamma; with delay and gamma = 0 the damping
-        ratio, which tends to 1 for alpha, beta -> 0 (the extra poles tend to 0 and the plant's own are real).
+        the optimum is a limit: at the edge of what is stable; E_0 of an impulse for alpha -> -gamma; with delay and
+        gamma = 0 the damping ratio, which tends to 1 for alpha, beta -> 0 (the extra poles tend to 0 and the plant's
+        own are real).
 
     Raises
     ------
@@ -92,7 +98,10 @@ def optimal_point(loop: Loop, criterion: str) -> OptimalPoint:
             f"criterion {criterion!r} is unknown; expected one of {[*CRITERIA]}, those of a response also with "
             "_discrete appended."
         )
-    return SEARCHES.get(criterion_of(criterion).family.name, _least)(loop, criterion)
+    found = SEARCHES.get(criterion_of(criterion).family.name, _least)(loop, criterion)
+    # a vibration inside the band may cost nothing up to where it no longer fades
+    inside = is_well_inside(loop, np.array([found.alpha]), np.array([found.beta]), _CLEAR)
+    return found if inside[0] else replace(found, attained=False)
 
 
 def _least(loop: Loop, criterion: str) -> OptimalPoint:
