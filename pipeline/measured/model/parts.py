@@ -289,7 +289,7 @@ def _takes_away(fit: Fit, other: Fit) -> bool:
 def _having(held: Stretches, device: Device, trials: int, part: str) -> Device:
     """Return a device with one part more, from which a search starts: the one that leaves least as noise.
 
-    A jitter, or all of a random force, would take the part's place; without any the slowest of what is left counts most.
+    A jitter, or all of a random force, would take its place; without any the slowest of what is left counts most.
     """
     device = replace(device, noise=Noise(WEIGHED * device.noise.force))
     delay = device.numbers["delay"]
