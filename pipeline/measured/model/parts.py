@@ -270,9 +270,12 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
 
 
 def _is_inside(device: Device, part: str) -> bool:
-    """Return whether no number of a part stands where its search ends, as of a largest force that nothing exceeds."""
+    """Return whether no number of a part stands where its search ends, as of a largest force that nothing exceeds.
+
+    Readings at the load hardly tell the share of the far mass, which may be small.
+    """
     return all(
-        value < LIMITS[name][1] and (value > LIMITS[name][0] or value == 0)
+        value < LIMITS[name][1] and (value > LIMITS[name][0] or value == 0 or (name == "share" and device.at_load))
         for name, value in device.numbers.items()
         if name in NUMBERS[part] and name in LIMITS
     )
