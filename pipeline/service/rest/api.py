@@ -339,7 +339,8 @@ async def awaited(service: Service, ask: Callable[[], Kept]) -> dict[str, Any]:
                 raise Later(job)
             await asyncio.sleep(0.1)
         if shown["problem"]:
-            raise Problem(503, shown["problem"]["detail"], where=", ".join(shown["request"]["request"]["experiments"]))
+            status = shown["problem"]["status"]  # that of a defect is its own job's, and not to be had here
+            raise Problem(503 if status == 500 else status, shown["problem"]["detail"], where="job", found=job)
 
 
 def cancel_job(service: Service, job: str, role: str, who: str) -> None:

@@ -4,7 +4,7 @@ import html
 import re
 import shutil
 from pathlib import Path
-from urllib.parse import urlencode
+from urllib.parse import parse_qs, urlencode, urlsplit
 
 import pytest
 from served import HTML, Browser, form, page, serving
@@ -196,12 +196,14 @@ AWAY = ("//evil.example", "https://evil.example/", "/\\evil.example", "/\t/evil.
 def test_a_login_leads_to_the_page_that_was_asked_for(tmp_path):
     settings = Settings(tmp_path / "processed", tmp_path / "reports", host="0.0.0.0")
     token = Database(settings.data).create_token("viewer", "")
-    wanted = "/trials?q=a%2Fb&sort=-stiffness"
+    named, wanted = "/devices/new%20rig/experiments/%C3%BC%252F1", "/trials?q=a%2Fb&sort=-stiffness"
     with serving(settings) as client:
         browser = Browser(client)
-        answer = browser.ask("GET", wanted)
-        assert answer.status == 303
-        door = answer.headers["location"]
+        for path in (named, wanted):
+            answer = browser.ask("GET", path)
+            assert answer.status == 303
+            door = answer.headers["location"]
+            assert parse_qs(urlsplit(door).query)["next"] == [path]
         assert door.startswith("/login?")
         assert browser.send(door, door, secret="hp_wrong").status == 401
         assert browser.send(door, door, secret=token).headers["location"] == wanted
