@@ -122,6 +122,17 @@ class Browser:
         raise AssertionError(f"{at} has no form for {method} {path}")
 
 
+def drop(page, field, path):
+    """Drop a file or folder on a field, as the file manager does: the browser reads it itself."""
+    page.locator(field).scroll_into_view_if_needed()
+    box = page.locator(field).bounding_box()
+    given = {"items": [], "files": [str(path)], "dragOperationsMask": 1}
+    at = {"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2, "data": given}
+    session = page.context.new_cdp_session(page)
+    for kind in ("dragEnter", "dragOver", "drop"):
+        session.send("Input.dispatchDragEvent", {"type": kind, **at})
+
+
 @contextmanager
 def serving(settings):
     """Serve while the block runs; yields a client."""

@@ -42,7 +42,7 @@ from pipeline.service.database import Database
 from pipeline.service.jobs.documents import document_file, key_of, read_document
 from pipeline.service.profiles import profile_path
 from pipeline.service.settings import Settings
-from pipeline.service.theory import document as theory_document
+from pipeline.service.theory import Theory as TheoryProcess
 from pipeline.store.names import folder_name
 from pipeline.store.storage import list_devices, list_experiments, trials_files
 from pipeline.theory.predictions import Theory
@@ -51,6 +51,9 @@ Progress = Callable[[object], None]
 
 LONGEST_S = 3600.0
 """Longest wait for another process that writes, or computes the same [s]."""
+
+OPTIMUM_S = 300.0
+"""Longest time of an optimum [s]; a delay of 64 samples takes 20 s of a processor."""
 
 
 def run_upload(settings: Settings, database: Database, request: dict[str, Any], progress: Progress) -> Any:
@@ -151,8 +154,12 @@ def run_plan(settings: Settings, _database: Database, request: dict[str, Any], _
 
 
 def run_optimum(settings: Settings, _database: Database, request: dict[str, Any], _progress: Progress) -> Any:
-    """Find the point of least cost by theory."""
-    write_text(document_file(settings, request["key"]), json.dumps(theory_document(*request["request"]["theory"])))
+    """Find the point of least cost by theory; it is given up where a hostile loop takes too long."""
+    process = TheoryProcess(OPTIMUM_S)
+    try:
+        write_text(document_file(settings, request["key"]), json.dumps(process.compute(*request["request"]["theory"])))
+    finally:
+        process.stop()
     return {"key": request["key"]}
 
 
@@ -220,11 +227,12 @@ def figures_of(processed: Path, result: ComparisonResult) -> dict[str, Drawn]:
     figures = {f"response{n or ''}": figure for n, figure in enumerate(response_figures(data, result.motion))}
     if found.boundary:
         figures["limits"] = answer_figure(found, theory, result.motion, 0, trials_of(data.experiments[0]))
-    return {name: _drawn(replace(figure, simulated=result.simulated)) for name, figure in figures.items()}
+    return {name: _drawn(figure, [result]) for name, figure in figures.items()}
 
 
-def _drawn(figure: Figure) -> Drawn:
-    drawn = draw(figure)
+def _drawn(figure: Figure, results: Sequence[ComparisonResult]) -> Drawn:
+    """Return a figure drawn; it says so where logs of some result are simulated."""
+    drawn = draw(replace(figure, simulated=any(each.simulated for each in results)))
     words = f"{figure.title}. {figure.caption}".strip()
     return {"panels": list(drawn.panels), "shown": list(drawn.shown), "caption": words}
 
@@ -235,11 +243,12 @@ def limits(_processed: Path, asked: dict[str, Any], results: Sequence[Comparison
     theories = [Theory(found.theory) if found.theory else None for _, found in runs]
     if asked["plane"] == "normalised":
         known = [(*run, t, n) for n, (run, t) in enumerate(zip(runs, theories, strict=True)) if t is not None]
-        return _drawn(plane_figure(known))
+        return _drawn(plane_figure(known), results)
     series = [s for n, (label, found) in enumerate(runs) for s in measured(found, label, n)]
     series += [by_theory(t, "_theory", n) for n, t in enumerate(theories) if t is not None]
     text = "The largest stable stiffness at each damping; dashed, in the same colour: theory."
-    return _drawn(limits_figure("Stability limits", text, [limits_panel("", series, results[0].motion)], "limits"))
+    panel = limits_panel("", series, results[0].motion)
+    return _drawn(limits_figure("Stability limits", text, [panel], "limits"), results)
 
 
 def trials(processed: Path, asked: dict[str, Any], results: Sequence[ComparisonResult]) -> Drawn:
@@ -257,8 +266,8 @@ def trials(processed: Path, asked: dict[str, Any], results: Sequence[ComparisonR
         walls = f"K {significant(row['stiffness'], 4)}, B {significant(row['damping'], 3)}" if row else ""
         labels.append(f"{walls} ({device}, {experiment})")
     if len(figures) == 1:
-        return _drawn(figures[0]) | {"caption": figures[0].caption}
-    return _drawn(overlaid_figure(figures, labels)) | {"caption": ""}
+        return _drawn(figures[0], results) | {"caption": figures[0].caption}
+    return _drawn(overlaid_figure(figures, labels), results) | {"caption": ""}
 
 
 DRAWINGS: dict[str, Callable[[Path, dict[str, Any], Sequence[ComparisonResult]], Drawn]] = {

@@ -105,16 +105,13 @@ def one_experiment(service: Shared, request: Request, device: Segment, experimen
     found = document["experiments"][0] if document else None
     drawn = document["figures"].get("limits") if document else None
     motion: Motion = trials[0]["motion"] if trials else "translation"
-    next_, planning = None, job
-    if found:
-        next_, planning, _ = kept(service, lambda: service.plan(device, experiment, "boundary"))
     of, told = ["experiment", device, experiment], (document or {}).get("told")
     return page_of(
         service, request, "experiment.html.j2", device=device, experiment=experiment, trials=trials[:LISTED],
         total=total, facets=facets, motion=motion, units=UNITS[motion],
         period=told["sampling_period_s"] if told else None,
         plot=clickable(drawn, trials) if drawn else None, caption=drawn["caption"] if drawn else "",
-        found=found, answer=answer_of(document), job=job or planning, problem=problem, plan=next_,
+        found=found, answer=answer_of(document), job=job, problem=problem,
         causes=document["causes"][experiment] if document else [],
         excluded=service.excluded(of), words=words_of(service, of), of=of,
         remarks=[note for note in service.notes(device, experiment) if note.trial_id],

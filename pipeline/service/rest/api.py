@@ -47,7 +47,10 @@ REPORT_POLICY = (
     "script-src 'unsafe-inline'"
 )
 
-BACK = '<p class="layout"><a href="/reports">All reports</a> · <a href="/">Experiments</a></p>'
+BACK = (
+    '<p style="margin: 0; padding: .75rem 1.25rem 0"><a href="/reports">All reports</a> · '
+    '<a href="/">Experiments</a></p>'
+)
 """The way back from a report, which knows of no server."""
 
 Limit = Annotated[int, Query(ge=1, le=MOST, description="Items of a page.")]
