@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 from pipeline.base.disk import if_writable, read_kept, write_kept
 from pipeline.base.provenance import code_digest, digest
 from pipeline.comparison.loops.departures import SHORT as OTHER_WALL
-from pipeline.comparison.loops.departures import law_departures, other_gains
+from pipeline.comparison.loops.departures import law_departures, other_gains, untimed
 from pipeline.comparison.loops.findings import loop_findings
 from pipeline.comparison.loops.replay import with_large_motion
 from pipeline.comparison.loops.told_loop import adequate_theory
@@ -130,10 +130,10 @@ _OF_A_LOOP = ("delay_samples", "mass", "damping", "device_stiffness")
 
 def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResult, units: Units) -> ExperimentResult:
     """Add the loop and what follows from it, and leave out or doubt what needs a better one."""
-    if any(each.code == "command_shifted" for each in law_departures(stages)):
-        reason = "the command is logged in another row than its position, and the delay is off by as many samples"
-        others = {**result.estimates, "delay_samples": _without("samples", reason)}
-        result = result.model_copy(update={"estimates": others})
+    if reason := untimed(law_departures(stages)):
+        kept = {"boundary_area": result.estimates["boundary_area"]}
+        others = {name: _without(each.unit, reason) for name, each in result.estimates.items()}
+        result = result.model_copy(update={"estimates": others | kept})
     findings = _findings(data, stages, result, units)
     found = dict(result.estimates)
     if not findings.loop.adequate:

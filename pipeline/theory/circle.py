@@ -180,10 +180,6 @@ class Ends:
     bend: tuple[float, float]
     unstable: int
 
-    def outward(self, beta: object) -> np.ndarray:
-        """Return unstable poles that alpha gains, 1 or -1, by rising through the line of z = -1 at beta."""
-        return np.where(self.bend[0] + np.asarray(beta) * self.bend[1] > 0, 1, -1)
-
 
 @lru_cache(maxsize=512)
 def ends(loop: Loop) -> Ends:
@@ -353,15 +349,17 @@ def first_branch(loop: Loop) -> FirstBranch | None:
     return FirstBranch(loop, Cells(edges[:-1], edges[1:], b[:-1], b[1:]), int(np.argmax(falls)))
 
 
-def sampled_cells(loop: Loop, breaks: Floats) -> tuple[Cells, Integers]:
+def sampled_cells(loop: Loop, breaks: Floats, free: dict[float, float]) -> tuple[Cells, Integers]:
     """Return the cells of all branches, and unstable poles that alpha gains or loses by rising through each.
 
-    ``breaks`` are the places, in order, at which beta is infinite.
+    ``breaks`` are the places, in order, at which beta is infinite; ``free`` those that are met at each beta, with the
+    beta of the branch that passes there.
     """
     place = _places(loop)
-    inner = np.sort(np.append(_zeros(loop, place, breaks, lambda p: p.beta_slope), breaks))
-    edges = np.concatenate([[LOWEST], inner, [-LOWEST]])
+    inner = np.concatenate([_zeros(loop, place, breaks, lambda p: p.beta_slope), breaks, list(free)])
+    edges = np.concatenate([[LOWEST], np.sort(inner), [-LOWEST]])
     beta, start = circle_points(loop, edges).beta, ends(loop).start
+    beta = np.array([free.get(float(edge), value) for edge, value in zip(edges, beta, strict=True)])
     beta[0] = beta[0] if np.isnan(start) else start
     middle = 0.5 * (np.maximum(edges[:-1], place[0]) + np.minimum(edges[1:], place[-1]))
     rises, rate = circle_points(loop, middle).beta_slope > 0, inverse_and_rate(loop, middle)[0, 1].imag
@@ -423,4 +421,5 @@ def _unstable_poles(loop: Loop, p: CirclePoints, index: int) -> int:
     point = p.alpha[index] - 1e-3 * (p.alpha[index] + loop.gamma)
     gained = 2 * int((np.sign(beta[at + 1] - beta[at]) * (crossing > point)).sum())
     line = known.last - level * known.slope
-    return known.unstable - gained - (int(known.outward(level)) if point < line < np.inf else 0)
+    outward = 1 if known.bend[0] + level * known.bend[1] > 0 else -1
+    return known.unstable - gained - (outward if point < line < np.inf else 0)

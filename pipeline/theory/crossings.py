@@ -14,7 +14,7 @@ from functools import lru_cache
 from itertools import accumulate, pairwise
 
 import numpy as np
-from numpy.polynomial.polynomial import polyder, polyval
+from numpy.polynomial.polynomial import polyder, polydiv, polyval
 
 from pipeline.loop.loop import Loop
 from pipeline.loop.many_digits import (
@@ -142,6 +142,9 @@ def _between(low: Decimal, high: Decimal) -> Decimal:
 _END = Decimal("1e-36")
 """Smallest s and reciprocal of the largest: angles of 2e-18."""
 
+_SHARPENINGS = 5
+"""Newton's steps from the digits of a double to many: each doubles them."""
+
 _POLISHINGS = 2
 
 _FARTHEST = Decimal("1e-4")
@@ -160,13 +163,29 @@ class Branches:
 
 
 @dataclass(frozen=True, eq=False)
+class Lines:
+    """Walls alpha - beta slope with poles at one place of the circle, shape (n,): nan for z = -1.
+
+    There alpha gains ``turn`` unstable poles by rising where bend[0] + beta bend[1] > 0, and loses as many elsewhere.
+    """
+
+    alpha: Floats
+    slope: Floats
+    bend: Floats
+    turn: Integers
+    place: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class OnCircle:
     """alpha + beta N = -1/G on the unit circle, over s; polynomials in s, as Decimal.
 
     beta = -twist/((1 + s)^delay turn), turn = rate size, alpha = -stretch/((1 + s)^delay size) - beta level/filter,
-    which is rise/((1 + s)^delay turn).
+    which is rise/((1 + s)^delay turn). ``free`` are the s at which N and -1/G both are real, so that each beta has a
+    crossing there; the polynomials are without these roots.
     """
 
+    free: list[Decimal]
     delay: int
     twist: Digits
     rate: Digits
@@ -188,20 +207,37 @@ def on_circle(loop: Loop) -> OnCircle:
         top, bottom = product(two_w, g.velocity), product(one_more, g.filter)
         rate = product(top, _mirrored(bottom))
         size, square = _even(product(g.force, _mirrored(g.force))), _even(product(bottom, _mirrored(bottom)))
-        twist, turn, stretch, level = (
-            product(_odd(inverse), square),
-            product(_odd(rate), size),
-            _even(inverse),
-            _even(rate),
-        )
-        rise = total(product(_odd(inverse), level), -product(stretch, _odd(rate)))
-        return OnCircle(g.delay, twist, _odd(rate), turn, rise, stretch, size, level, square)
+        stretch, level = _even(inverse), _even(rate)
+        free, inverse, rate = _without_shared(_odd(inverse), _odd(rate), loop.digits)
+        rise = total(product(inverse, level), -product(stretch, rate))
+        twist, turn = product(inverse, square), product(rate, size)
+        return OnCircle(free, g.delay, twist, rate, turn, rise, stretch, size, level, square)
+
+
+def _without_shared(first: Digits, second: Digits, digits: int) -> tuple[list[Decimal], Digits, Digits]:
+    """Return the simple positive roots that two polynomials share, and both without them."""
+    shared = []
+    for root in positive_roots(second, digits):
+        for _ in range(_SHARPENINGS):
+            root -= polyval(root, second) / polyval(root, polyder(second))
+        if abs(polyval(root, first)) <= polyval(root, np.abs(first)) * Decimal(10) ** (-digits // 2):
+            shared.append(root)
+            first, second = (polydiv(part, as_exact([-root, 1]))[0] for part in (first, second))
+    return shared, first, second
 
 
 @lru_cache(maxsize=64)
 def branches(loop: Loop) -> Branches:
     """Return what is known of a loop's crossings once."""
-    return Branches(*sampled_cells(loop, _breaks(loop))) if is_sampled(loop) else exact_branches(loop)
+    return sampled_branches(loop) if is_sampled(loop) else exact_branches(loop)
+
+
+def sampled_branches(loop: Loop) -> Branches:
+    """Return them by samples, of a loop whose polynomials are long."""
+    c = on_circle(loop)
+    with many_digits(loop.digits):
+        free = {float(root.ln()): float(_beta(c, root)) for root in c.free}
+    return Branches(*sampled_cells(loop, _breaks(loop), free))
 
 
 def _breaks(loop: Loop) -> Floats:
@@ -210,12 +246,31 @@ def _breaks(loop: Loop) -> Floats:
         return np.array([float(root.ln()) for root in positive_roots(on_circle(loop).rate, loop.digits)])
 
 
+@lru_cache(maxsize=64)
+def _lines(loop: Loop) -> Lines:
+    """Return the lines of a loop: at z = -1, and where N and -1/G are both real."""
+    known, c = ends(loop), on_circle(loop)
+    with many_digits(loop.digits):
+        place = np.array([float(root.ln()) for root in c.free])
+        none = [float(_exact_alpha(c, root, Decimal(0))) for root in c.free]
+        slope = [float(polyval(root, c.level) / polyval(root, c.filter)) for root in c.free]
+    inverse, rate = inverse_and_rate(loop, place)[1].imag
+    return Lines(
+        alpha=np.append(known.last, none),
+        slope=np.append(known.slope, slope),
+        bend=np.column_stack([known.bend, [inverse, -rate]]),
+        turn=np.append(1, np.full(len(place), 2)),
+        place=np.append(np.nan, place),
+    )
+
+
 def exact_branches(loop: Loop) -> Branches:
     """Return them by real roots, of any loop."""
     c = on_circle(loop)
     with many_digits(loop.digits):
         turning = positive_roots(_bend(c, c.twist), loop.digits)
-        inner = {root: _beta(c, root) for root in turning} | dict.fromkeys(positive_roots(c.rate, loop.digits))
+        inner: dict[Decimal, Decimal | None] = {root: _beta(c, root) for root in [*turning, *c.free]}
+        inner |= dict.fromkeys(positive_roots(c.rate, loop.digits))
         edges = [_END, *sorted(root for root in inner if _END < root < 1 / _END), 1 / _END]
         values = [inner[s] if s in inner else _beta(c, s) for s in edges]
         low, high, turns = [], [], []
@@ -225,7 +280,8 @@ def exact_branches(loop: Loop) -> Branches:
             # beta is infinite where it has no value: at its poles
             low.append(start if start is not None else Decimal("-Infinity" if rises else "Infinity"))
             high.append(end if end is not None else Decimal("Infinity" if rises else "-Infinity"))
-            turns.append(2 if rises == (polyval(middle, c.rate) > 0) else -2)
+            positive = (polyval(middle, c.rate) > 0) ^ (sum(root > middle for root in c.free) % 2)
+            turns.append(2 if rises == positive else -2)
         logs, at_low, at_high = (np.array([float(v) for v in row]) for row in ([s.ln() for s in edges], low, high))
         return Branches(Cells(logs[:-1], logs[1:], at_low, at_high), np.array(turns))
 
@@ -238,10 +294,11 @@ def turning_dampings(loop: Loop) -> Floats:
     or all not: along the branches alpha or beta turns there, or alpha passes 0 or -gamma. What is left are corners,
     where two branches cross.
     """
-    cells, known, levels = branches(loop).cells, ends(loop), sorted({0.0, -loop.gamma})
+    cells, lines, levels = branches(loop).cells, _lines(loop), sorted({0.0, -loop.gamma})
     dampings = sampled_turns(loop, levels, _breaks(loop)) if is_sampled(loop) else _exact_turns(loop, levels)
-    line = [(known.last - level) / known.slope for level in levels] if known.slope else []
-    found = np.concatenate([dampings, cells.beta_low, cells.beta_high, line])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        passing = [(lines.alpha - level) / lines.slope for level in levels]
+    found = np.concatenate([dampings, cells.beta_low, cells.beta_high, *passing])
     return np.unique(found[np.isfinite(found)])
 
 
@@ -289,35 +346,38 @@ def stretches(loop: Loop, beta: Floats) -> Stretches:
 
 def counted_stretches(loop: Loop, b: Branches, beta: Floats) -> Stretches:
     """Return the same by counting the unstable poles over all crossings, downwards from an endlessly stiff wall."""
-    known, everyone = ends(loop), np.arange(len(beta))
+    lines, everyone = _lines(loop), np.arange(len(beta))
     below_low, below_high = (side[None, :] < beta[:, None] for side in (b.cells.beta_low, b.cells.beta_high))
     which, cell = np.nonzero(below_low != below_high)
     place = solved(loop, b.cells, cell, beta[which])
-    alpha, none = _alpha(loop, place, beta[which]), np.zeros(len(beta), np.intp)
-    i = np.concatenate([which, everyone, everyone])
-    a = np.concatenate([alpha, known.last - beta * known.slope, np.full(len(beta), -loop.gamma)])
-    jump = np.concatenate([b.turn[cell], known.outward(beta), none])
-    at = np.concatenate([place, np.full(2 * len(beta), np.nan)])
-    source = np.concatenate([cell + 2, none + 1, none])
+    on, line = (grid.ravel() for grid in np.meshgrid(everyone, np.arange(len(lines.alpha)), indexing="ij"))
+    outward = np.where(lines.bend[0, line] + beta[on] * lines.bend[1, line] > 0, 1, -1)
+    none = np.zeros(len(beta), np.intp)
+    i = np.concatenate([which, on, everyone])
+    level = lines.alpha[line] - beta[on] * lines.slope[line]
+    a = np.concatenate([_alpha(loop, place, beta[which]), level, np.full(len(beta), -loop.gamma)])
+    jump = np.concatenate([b.turn[cell], lines.turn[line] * outward, none])
+    at = np.concatenate([place, lines.place[line], np.full(len(beta), np.nan)])
+    source = np.concatenate([cell + 1 + len(lines.alpha), line + 1, none])
     kept = np.isfinite(a) & (a >= -loop.gamma)
     order = np.flatnonzero(kept)[np.lexsort((a[kept], i[kept]))]
     a, i, jump, at, source = a[order], i[order], jump[order], at[order], source[order]
     total_jump = np.cumsum(jump)
     last = np.searchsorted(i, everyone, side="right") - 1
-    above = known.unstable - (total_jump[last][i] - total_jump)
+    above = ends(loop).unstable - (total_jump[last][i] - total_jump)
     stable = np.flatnonzero((above[:-1] == 0) & (i[1:] == i[:-1]) & (a[1:] > a[:-1]))
-    outline = source[stable] * (len(b.turn) + 2) + source[stable + 1]
+    outline = source[stable] * (len(b.turn) + 1 + len(lines.alpha)) + source[stable + 1]
     return Stretches(i[stable], a[stable], a[stable + 1], at[stable], at[stable + 1], outline)
 
 
 def polished(loop: Loop, beta: Floats, place: Floats) -> Floats:
     """Return alpha of crossings at ln s near ``place``, shape (n,), to the last digit or two of a double."""
-    c, result = on_circle(loop), []
+    c, result, lines = on_circle(loop), [], set(_lines(loop).place)
     with many_digits(loop.digits):
         twist, turn = polyder(c.twist), polyder(c.turn)
         for b, start in zip(as_exact(beta), place, strict=True):
             first = s = Decimal(float(np.exp(start)))
-            for _ in range(_POLISHINGS):
+            for _ in range(0 if start in lines else _POLISHINGS):
                 # of twist + beta (1 + s)^delay turn
                 pull, lever = b * (1 + s) ** c.delay, polyval(s, c.turn)
                 slope = polyval(s, twist) + pull * (polyval(s, turn) + c.delay * lever / (1 + s))

@@ -13,8 +13,8 @@ from pipeline.loop.loop import Loop, loop_of, wall_units
 from pipeline.loop.many_digits import as_exact, many_digits, product
 from pipeline.records.loop_parts import Coefficients, Difference, LoopParts
 from pipeline.theory.boundary import boundary, is_inside, limits, outline, stiffness_limit
-from pipeline.theory.circle import right_half, sampled_cells
-from pipeline.theory.crossings import Branches, _breaks, counted_stretches, exact_branches, positive_roots
+from pipeline.theory.circle import right_half
+from pipeline.theory.crossings import counted_stretches, exact_branches, positive_roots, sampled_branches
 from pipeline.theory.poles import spectral_radius
 
 
@@ -146,11 +146,27 @@ def test_branches_by_samples_are_those_by_roots(seed):
     """Samples stand for the roots of long polynomials; where both are quick they count the same stretches."""
     loop = replace(loop_of(*random_device(np.random.default_rng(seed), "").arguments), delay=7.3)
     beta = np.unique(np.concatenate([np.linspace(-0.3, 0.9, 61), np.linspace(-1e-2, 1e-2, 21)]))
-    sampled = Branches(*sampled_cells(loop, _breaks(loop)))
-    exact, found = (counted_stretches(loop, known, beta) for known in (exact_branches(loop), sampled))
+    exact, found = (counted_stretches(loop, known(loop), beta) for known in (exact_branches, sampled_branches))
     np.testing.assert_array_equal(found.index, exact.index)
     for name in ("low", "high"):
         np.testing.assert_allclose(getattr(found, name), getattr(exact, name), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("samples", "delay", "gamma"), [(5, 2.0, 2e-4), (4, 1.5, 0.0), (9, 4.0, 2e-4), (3, 19.0, 0.0)])
+def test_a_filter_may_hide_a_motion_that_the_delay_turns_by_half_a_circle(samples, delay, gamma):
+    """Each damping then has a crossing at one angle: a device without damping, delay + 1/2 such angles half turns."""
+    loop = Loop(gamma=gamma, delta=0.0, delay=delay, velocity=Difference(kind="difference", samples=samples))
+    found = outline(loop, 24)
+    beta = np.linspace(0.02, 1.3, 24) * found.ends[1]
+    level = limits(loop, beta).alpha
+    known = np.isfinite(level)
+    assert known.any()
+    assert not known[-1]
+    for factor, stable in ((0.01, True), (1 - 1e-6, True), (1 + 1e-6, False)):
+        poles = np.linalg.eigvals(loop.matrix(level[known] * factor, beta[known]))
+        assert ((np.abs(poles).max(axis=1) < 1) == stable).all(), factor
+    soft = loop.matrix(np.full(24, 1e-3 * found.alpha_max), beta)[~known]
+    assert (np.abs(np.linalg.eigvals(soft)).max(axis=1) > 1).all()
 
 
 @pytest.mark.slow

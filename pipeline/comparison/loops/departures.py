@@ -51,7 +51,7 @@ SENTENCES = {
     "adaptive_velocity": "The velocity of the wall law is taken over a window that adapts to the motion.",
     "command_shifted": "The logged command is that of another row than its position.",
     "rate_limit": "The rate of the command is limited.",
-    "sampling_period": "The sampling period is another one than the header states.",
+    "sampling_period": "The time stamps are those of another sampling period than the header states.",
     "scattered_stamps": "The time stamps scatter, but no row is missing.",
     "step_not_a_step": "The external force is not the step that the header states.",
     "several_steps": "The external force has several steps.",
@@ -61,6 +61,19 @@ SENTENCES = {
 }
 """What a log can be found to be beside the wall law. ``other_wall``: other K, B or sign than the header's;
 ``other_unit``: K and B a power of ten off."""
+
+UNTIMED = {
+    "command_shifted": (
+        "the command is logged in another row than its position, and the delay is off by as many samples; what would "
+        "help: command and position of the same sample in a row"
+    ),
+    "sampling_period": (
+        "time stamps and header state other sampling periods, and which one is right the logs do not tell: mass, "
+        "damping and delay depend on it; what would help: the header's sampling_period_s or the unit of the stamps, "
+        "corrected in the profile"
+    ),
+}
+"""Departures of most logs by which the time from command to motion is not known, and what that means."""
 
 IMITATED = {
     "several_steps": {"missing_rows": 1.0, "repeated_rows": 1.0, "velocity_filter": 1.0, "saturation": 1.0},
@@ -111,6 +124,11 @@ def law_departures(stages: ExperimentStages) -> list[LawDeparture]:
     logs_of = {each.code: each.logs for each in found}
     found = [e for e in found if all(e.logs > n * logs_of.get(o, 0) for o, n in IMITATED.get(e.code, {}).items())]
     return sorted(found, key=lambda each: -each.logs)
+
+
+def untimed(departures: Sequence[LawDeparture]) -> str:
+    """Return why nothing is told of the device, since most logs leave the time from command to motion open."""
+    return next((UNTIMED[each.code] for each in departures if each.most and each.code in UNTIMED), "")
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.base.wording import listed
 from pipeline.comparison.loops.causes import Shown, causes_of
-from pipeline.comparison.loops.departures import CourseFilter, course_filter, law_departures, other_gains
+from pipeline.comparison.loops.departures import CourseFilter, course_filter, law_departures, other_gains, untimed
 from pipeline.comparison.loops.passive_wall import passive_wall
 from pipeline.comparison.loops.replay import (
     limits_off,
@@ -31,10 +31,6 @@ from pipeline.rendering.labels import Units, significant
 
 OTHER_WALL = (
     "the unit of the position, or of K, B and the step, corrected in the profile (see `pipeline profile check`)"
-)
-SHIFTED = (
-    "the command is logged in another row than its position, and the delay is off by as many samples; what would help: "
-    "command and position of the same sample in a row"
 )
 NOTHING = "no device was found in the logs, since mass, damping or delay are not known"
 HELD = (
@@ -71,10 +67,11 @@ def loop_findings(
     misled = gains is not None and gains.most
     departures = [] if misled else law_departures(stages)
     velocity = None if misled else stages.once(course_filter)
-    shifted = any(each.code == "command_shifted" for each in departures)
-    found = None if misled or shifted else found_device(result, stages)
+    untold = f"{gains.cause.sentence.rstrip('.')}; what would help: {OTHER_WALL}" if misled and gains else ""
+    untold = untold or untimed(departures)
+    found = None if untold else found_device(result, stages)
     of = next((each for each in device.experiments if each.name == stages.experiment), None) if device else None
-    told = None if misled or shifted else told_loop(found, device, of)
+    told = None if untold else told_loop(found, device, of)
     trial = usual_trial(result, stages)
     limits, replay, refused = [], None, ""
     if told is not None:
@@ -91,8 +88,7 @@ def loop_findings(
     parts = device.loop_of(of) if device is not None and of is not None else None
     causes = causes_of(shown)
     adequate = told is not None and replay is not None and replay.is_right
-    why = f"{gains.cause.sentence.rstrip('.')}; what would help: {OTHER_WALL}" if misled and gains else SHIFTED
-    reason = why if misled or shifted else NOTHING if told is None else _reason(told, replay, refused, parts)
+    reason = untold or (NOTHING if told is None else _reason(told, replay, refused, parts))
     record = _record(result, told, velocity, parts, adequate=adequate, reason=reason)
     findings = LoopFindings(loop=record, replay=replay, causes=causes)
     if told is None:

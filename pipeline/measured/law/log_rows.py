@@ -90,7 +90,8 @@ def _printed(size: Floats) -> Printed:
         # single precision has its own digits; fewer are those of print
         half = np.maximum(half * (digits < SINGLE_DIGITS[0]), 0.5 * _SINGLE * size)
         return Printed(digits, decimal, True, np.maximum(half, full))
-    rounded = SINGLE_DIGITS[0] <= digits <= SINGLE_DIGITS[1] and bool((np.abs(single - size) <= half).all())
+    near = np.abs(single - size) <= half + ROUNDED * _EPS * size  # some lie half way between two of their digits
+    rounded = SINGLE_DIGITS[0] <= digits <= SINGLE_DIGITS[1] and bool(near.all())
     return Printed(digits, decimal, rounded, np.maximum(half + 0.5 * _SINGLE * size * rounded, full))
 
 
@@ -99,11 +100,14 @@ def full_resolution(values: Floats) -> Floats:
     return _half(np.where(np.isfinite(values), np.abs(values), 0.0), FULL_DIGITS)
 
 
-def stated_resolution(value: float) -> float:
-    """Return half a unit in the last digit of a number of a header, 0 where it has few digits."""
-    size = np.abs(np.array([value]))
+def stated_resolution(values: Floats) -> Floats:
+    """Return half a unit in the last digit of the numbers of a header, 0 where all have few digits.
+
+    They are printed alike: one that ends in zeros has fewer digits than the others.
+    """
+    size = np.abs(values)
     digits = _digits(size)
-    return float(_half(size, digits)[0]) if digits >= STATED_DIGITS else 0.0
+    return _half(size, digits) if digits >= STATED_DIGITS else np.zeros(len(size))
 
 
 def _digits(size: Floats) -> int:
@@ -167,7 +171,7 @@ class LogRows:
     position: Floats
     of_command: Floats
     of_position: Floats
-    left_open: tuple[float, float]
+    left_open: Floats
     arithmetic: float
     kept: Booleans
     coarser: Floats | None = None
@@ -187,7 +191,7 @@ class LogRows:
             *(K, B, float(batch.step[i]), T, int(response.edge_row[i])),
             *(float(response.floor[i]), float(response.sensor_quantum[i])),
             *(batch.time[i, rows], command, position, of_command.half, exact if read else of_position.half),
-            (stated_resolution(K), stated_resolution(B)),
+            stated_resolution(np.array([K, B])),
             ROUNDINGS * _EPS if not of_command.single else SINGLE_ROUNDINGS * _SINGLE,
             np.ones(len(position), dtype=np.bool_),
             of_position.half if read and not of_command.in_full else None,
@@ -328,7 +332,10 @@ def repeated_rows(log: LogRows, *, by_law: bool = True) -> Integers:
 
     ``by_law`` counts those, too, that only the plain wall law tells from a device that is slow.
     """
-    least = STILL_FLOORS * log.floor + EQUAL * np.ptp(log.position) + STILL_DIGITS * log.of_position
+    digits = STILL_DIGITS * log.of_position
+    # a quantum that print hides is at most the least change
+    hidden = np.abs(log.change)[np.abs(log.change) > digits].min(initial=np.inf) if not log.quantum else 0.0
+    least = STILL_FLOORS * max(log.floor, hidden) + EQUAL * np.ptp(log.position) + digits
     still = stands_still(log.change, log.after, least)
     # the row itself is off the law where the device moved before, the row behind where it moves on
     off = np.abs(log.residual) > log.rounding

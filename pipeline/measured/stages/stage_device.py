@@ -34,8 +34,9 @@ IMITATED = 0.75
 LEAST = 1e-300
 """Variance of a number that is known exactly."""
 
-WITHOUT = {"command_shifted"}
-"""Departures from the wall law by which a logged command is not the one that drives the device at that time."""
+WITHOUT = {"command_shifted", "sampling_period"}
+"""Departures from the wall law by which a logged command is not the one that drives the device at that time, or the
+time is not known."""
 
 NOT_TOLD = "the logs do not tell the mass from the force on the device; record {}, or walls"
 

@@ -477,7 +477,8 @@ def _boundary(rows: Sequence[Row], units: Any, trials: TrialPage) -> Table | Non
     shown = [row | {"limit": row["stiffness"] or row["low"] or row["high"] or None} for row in map(dict, rows)]
 
     def name(row: Row) -> str:
-        return f"{row['experiment']}/{damping_text(row['damping'])}"
+        # dampings that are chosen by chance may be equal as they are printed
+        return f"{row['experiment']}/{row['damping']:.15g}"
 
     return table_of("boundary", caption, columns, shown, name, _of_experiment)
 

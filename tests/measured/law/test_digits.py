@@ -38,5 +38,5 @@ def test_a_column_of_two_numbers_shows_no_digits():
 
 
 def test_a_chosen_number_of_a_header_is_exact_and_one_that_was_cut_off_is_not():
-    assert [stated_resolution(K) for K in (0.0, 2000.0, 3200.0, 30.5)] == [0.0] * 4
-    assert stated_resolution(3685.67) == pytest.approx(0.005)
+    assert stated_resolution(np.array([0.0, 2000.0, 3200.0, 30.5])).tolist() == [0.0] * 4
+    assert stated_resolution(np.array([3685.67, 18.0])) == pytest.approx([0.005, 0.00005])

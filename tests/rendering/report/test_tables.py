@@ -122,3 +122,12 @@ def test_every_caption_drawing_and_the_print_head_say_that_logs_are_simulated() 
     assert "(simulated)" not in plain
     assert "@top-right" not in plain
     assert ">simulated</text>" not in plain
+
+
+def test_dampings_that_are_printed_alike_have_rows_of_their_own(result: ComparisonResult) -> None:
+    first = result.experiments[0]
+    pair = [first.boundary[0].model_copy(update={"damping": damping}) for damping in (82.7201, 82.7199)]
+    changed = first.model_copy(update={"boundary": tuple(pair)})
+    (table,) = tables_of(result.model_copy(update={"experiments": (changed,)}))["boundary"]
+    names = [name for _, rows in table.blocks for name, _ in rows]
+    assert len(set(names)) == len(names) == 2
