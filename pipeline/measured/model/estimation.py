@@ -354,6 +354,9 @@ def refined(
         if again.likelihood <= found.likelihood:
             break
         found = again
+    if noisy and found.device.noise != WHITE:
+        plain = _climbed(_fit(held, replace(found.device, noise=WHITE), trials, places), held, trials, steps)
+        found = plain if plain.likelihood > found.likelihood else found
     return found
 
 

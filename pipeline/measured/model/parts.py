@@ -6,7 +6,18 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pipeline.measured.model.estimation import LIMITS, WORTH, Device, Fit, begun, moments_of, refined, spread, told
+from pipeline.measured.model.estimation import (
+    BEFORE,
+    LIMITS,
+    WORTH,
+    Device,
+    Fit,
+    begun,
+    moments_of,
+    refined,
+    spread,
+    told,
+)
 from pipeline.measured.model.intervals import Errors, physical
 from pipeline.measured.model.recordings import Recording, Scales, Stretches, stretches
 from pipeline.measured.model.scatter import inverse, solve
@@ -257,7 +268,10 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
             break
         name = max(tried, key=lambda each: tried[each].likelihood)
         # far from the solution noise may stand for what is left: it is looked for anew
-        other = refined(held, replace(tried[name].device, effects=None), trials, far=False)
+        starts = [replace(tried[name].device, effects=None)]
+        if starts[0].at_load:  # two shares may be about as likely, with other delays
+            starts += [replace(starts[0], numbers=starts[0].numbers | {"share": BEFORE["share"][0]})]
+        other = max((refined(held, start, trials, far=False) for start in starts), key=lambda each: each.likelihood)
         fit = refined(held, alone, trials, far=False)
         gain = held_out(other) - held_out(fit)
         if gain > WORTH * len(NUMBERS[name]) and _is_inside(other.device, name) and _takes_away(fit, other):
