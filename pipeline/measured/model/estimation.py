@@ -102,8 +102,8 @@ ASIDE = 0.2
 MOST_COSTS = 40
 """Most likelihoods in the search for a jitter beside the noise of readings, and a random force."""
 
-JITTERY_ROW = 0.01
-"""Gain of log-likelihood by a random force, a row, up to which it is rounding and no jitter is looked for."""
+ROUNDED_ROW = 0.01
+"""Gain of log-likelihood, a row, up to which a random force is rounding: no jitter is looked for, nor another part."""
 
 OTHER_AGES = 0.08
 """Error of a jitter by the shape of its distribution, relative, for each sample from half of one on: of delays drawn
@@ -430,7 +430,7 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
     none, (force, by_force) = cost(0.0), _likeliest(cost, MEMORIES)
     # what rounding leaves may look like a little of either
     still, least = (Noise(force), by_force) if by_force < none - WORTH else (WHITE, none)
-    if not jitters or none - by_force <= WORTH + JITTERY_ROW * float(some.rows.sum()):
+    if not jitters or none - by_force <= WORTH + ROUNDED_ROW * float(some.rows.sum()):
         return still
     near = device.noise.jitter or _likeliest(lambda jitter: cost(0.0, jitter), JITTERS)[0]
     numbers, lost = _minimum(lambda *numbers: cost(0.0, *numbers), (near, 1.0), (JITTERS, READINGS))

@@ -9,6 +9,7 @@ import numpy as np
 from pipeline.measured.model.estimation import (
     BEFORE,
     LIMITS,
+    ROUNDED_ROW,
     WORTH,
     Device,
     Fit,
@@ -250,18 +251,20 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
     """Return the fit with largest force, lag and mode: the likeliest first, as each may stand for another."""
     some = held.chosen(spread(held, LOOKED_AT))
     left = {"saturation": "", "lag": "lag", "mode": "share", "mode at the load": ""}
-    # what leaves the noise of readings alone needs no other part
-    while left and "delay" in fit.device.numbers and fit.device.noise != WHITE:
+    while left and "delay" in fit.device.numbers:
         alone, tried = replace(fit.device, effects=None), {}
         plain = refined(some, alone, trials, far=False)
-        if plain.device.noise == WHITE:
-            break
+        # where the noise of readings alone is left, most parts are seen to be none from where a search starts
+        least = ROUNDED_ROW * float(some.rows.sum()) if plain.device.noise == WHITE else -np.inf
         # a part leaves no jitter where there was none without it
         jitters = plain.device.noise.jitter > 0
         for name, size in left.items():
             if set(NUMBERS[name]) <= set(alone.names):
                 continue
-            other = refined(some, _having(some, alone, trials, name), trials, SOME_STEPS, jitters=jitters)
+            start = _having(some, alone, trials, name)
+            if _promise(some, start, trials, name) - _promise(some, plain.device, trials, name) < least:
+                continue
+            other = refined(some, start, trials, SOME_STEPS, jitters=jitters)
             if not (size and _loss(other, size) < WORTH) and other.likelihood - plain.likelihood >= WORTH:
                 tried[name] = other
         if not tried:
@@ -324,12 +327,13 @@ def _having(held: Stretches, device: Device, trials: int, part: str) -> Device:
 
 def _best(held: Stretches, device: Device, trials: int, part: str, some: list[dict[str, float]]) -> Device:
     """Return the likeliest of some devices with a part as it stands, each with the best of its other numbers."""
+    devices = (replace(device, numbers=device.numbers | each) for each in some)
+    return max(devices, key=lambda each: _promise(held, each, trials, part))
 
-    def promise(found: Device) -> float:
-        moments = moments_of(held, found, trials)
-        others = [i for i, name in enumerate(found.names) if name not in NUMBERS[part]] + [len(found.names)]
-        products, before = moments.products[:, others][:, :, others], moments.before[:, others[:-1]]
-        left = replace(moments, products=products, before=before)
-        return solve(left, np.empty(0, dtype=np.int64)).likelihood
 
-    return max((replace(device, numbers=device.numbers | each) for each in some), key=promise)
+def _promise(held: Stretches, device: Device, trials: int, part: str) -> float:
+    """Return the likelihood of a device with the best of the numbers that are not a part's."""
+    moments = moments_of(held, device, trials)
+    others = [i for i, name in enumerate(device.names) if name not in NUMBERS[part]] + [len(device.names)]
+    products, before = moments.products[:, others][:, :, others], moments.before[:, others[:-1]]
+    return solve(replace(moments, products=products, before=before), np.empty(0, dtype=np.int64)).likelihood
