@@ -47,6 +47,7 @@ class Kind:
     warming: float = 0.0
     lag: float = 0.0
     mode: bool = False
+    far_sensor: bool = False
     jitter: tuple[int, ...] = ()
     velocity: str = ""
     clipped: float = np.inf
@@ -63,6 +64,7 @@ KINDS = {
     "friction, scatter 5 %": Kind(friction=0.06, scatter=0.05),
     "lag": Kind(lag=2.0),
     "mode": Kind(mode=True),
+    "mode, read at the load": Kind(mode=True, far_sensor=True),
     "jitter": Kind(jitter=(3, 4, 5)),
     "filtered velocity": Kind(velocity="filter"),
     "adaptive window (FOAW)": Kind(velocity="window"),
@@ -93,7 +95,7 @@ def course(kind: Kind, seed: int) -> Course:
     B = random.uniform(0.1, 0.35, TRIALS) * mass / (T * reach)
     K = np.minimum(0.65 * B / (T * reach), random.uniform(500, 20_000, TRIALS))
     if kind.mode:
-        K, B = 0.3 * K, 0.4 * B
+        K, B = (0.1 * K, 0.1 * B) if kind.far_sensor else (0.3 * K, 0.4 * B)
     friction = kind.friction * STEP * (1 + kind.scatter * random.standard_normal(TRIALS))
     friction *= 1 - kind.warming * np.linspace(0.0, 1.0, TRIALS)
     own_delay = delay + np.round(kind.drift * np.linspace(-0.5, 0.5, TRIALS), 1)
@@ -130,7 +132,8 @@ def _simulated(
     newest = np.full(n, -1)
     for k in range(ROWS):
         # play: the sensor follows behind a gap
-        held = np.clip(held, x - 0.5 * kind.play * quantum, x + 0.5 * kind.play * quantum) if kind.play else x
+        place = far_x if kind.far_sensor else x
+        held = np.clip(held, x - 0.5 * kind.play * quantum, x + 0.5 * kind.play * quantum) if kind.play else place
         seen[k] = np.round((held + 0.2 * quantum * random.standard_normal(n)) / quantum) * quantum
         rate = (seen[k] - seen[max(k - 1, 0)]) / T
         filtered = filtered + 0.25 * (rate - filtered)

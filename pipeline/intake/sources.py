@@ -221,7 +221,7 @@ def _source(file: Path, profiles: tuple[Profile, ...]) -> Source:
     bag, problem = files_of_bag(file), None
     profile, path = _claimed(bag[0] if bag else file, profiles)
     if profile is None:
-        accepted = "; ".join(f"{p.name}: {', '.join(p.files)}" for p in profiles)
+        accepted = re.sub(r"(\[0-9\])+", "#", "; ".join(f"{p.name}: {', '.join(p.files)}" for p in profiles))
         problem = refusal("no-profile", "", f"no profile claims a file of this name; accepted are {accepted}")
     partner = profile.partner_of(path) if profile and not bag else None
     files = bag or tuple(filter(None, (path, partner)))

@@ -13,7 +13,7 @@ import pandas as pd
 
 from pipeline.base.errors import ParameterError
 from pipeline.rig.quantities import Quantity, present
-from pipeline.rig.wish import Best, Wish, best_wall
+from pipeline.rig.wish import Best, Wish, best_wall, decay
 from pipeline.surface.physical_loop import Loop
 
 _LOOKS = 8
@@ -21,6 +21,9 @@ _LOOKS = 8
 
 _EDGE = 5
 """Looks towards a change with which there is no rig, as of a cut-off above half the sampling rate."""
+
+_CLIMBS = 8
+"""Looks for the top between three looks of which the middle one comes nearest to the wish."""
 
 _HALVINGS = 9
 """Of what lies between two looks ends are narrowed to one part in 2 to so many: ln of a change to 1e-3."""
@@ -33,6 +36,9 @@ _WORTH = 0.95
 
 _PAIRED = 4
 """Quantities that are paired: those that help most."""
+
+_CLIMBED = 3
+"""Pairs that are followed uphill from the best of a coarse grid: those with most room."""
 
 _UPHILL = 40
 """Rigs tried uphill from the best of a grid of pairs of changes."""
@@ -176,16 +182,16 @@ def _stiffness_reached(loop: Loop, wish: Wish, best: Best) -> float | None:
 
 def _turn(room: Callable[[float], float], at_0: float, looks: Sequence[float]) -> tuple[float, float] | None:
     """Return the narrowed ends, before and behind, of where a room below zero at 0 is left; None where it is at no
-    look.
-
-    Ends are moved by the false position (Illinois), and every third time half way, since rooms may jump.
+    look and no top between.
     """
-    before, short = 0.0, at_0
+    from scipy.optimize import minimize_scalar
+
+    trail = [(0.0, at_0)]
     for behind in looks:
         over, edge = room(behind), behind
-        for _ in range(_EDGE if over == -math.inf < short else 0):
+        for _ in range(_EDGE if over == -math.inf < trail[-1][1] else 0):
             # the wish may be reached shortly before there is no such rig any more
-            middle = 0.5 * (before + edge)
+            middle = 0.5 * (trail[-1][0] + edge)
             found = room(middle)
             if found >= 0:
                 behind, over = middle, found
@@ -193,31 +199,53 @@ def _turn(room: Callable[[float], float], at_0: float, looks: Sequence[float]) -
             if found == -math.inf:
                 edge = middle
             else:
-                before, short = middle, found
+                trail.append((middle, found))
+        if over < 0 and len(trail) > 1 and trail[-1][1] > max(trail[-2][1], over):
+            # rooms jump: between looks the wish may be reached, and left again
+            ends = sorted((trail[-2][0], behind))
+            top = minimize_scalar(lambda x: -room(x), bounds=ends, method="bounded", options={"maxiter": _CLIMBS})
+            if top.fun <= 0:
+                trail.pop()
+                behind, over = float(top.x), -float(top.fun)
         if over >= 0:
-            narrow = abs(behind - before) / 2**_HALVINGS
-            for number in count(1):  # ends: every third round halves
-                if abs(behind - before) <= narrow:
-                    return before, behind
-                share = short / (short - over) if number % 3 and math.isfinite(short) else 0.5
-                middle = before + min(max(share, 0.05), 0.95) * (behind - before)
-                found = room(middle)
-                if found < 0:
-                    before, short, over = middle, found, 0.5 * over
-                else:
-                    behind, over, short = middle, found, 0.5 * short
-        before, short = behind, over
+            return _narrowed(room, trail[-1], (behind, over))
+        trail.append((behind, over))
     return None
 
 
+def _narrowed(
+    room: Callable[[float], float], outside: tuple[float, float], inside: tuple[float, float]
+) -> tuple[float, float]:
+    """Return ends around where a room, below zero at the first of two places, comes to zero.
+
+    They are moved by the false position (Illinois), and every third time half way, since rooms may jump.
+    """
+    (before, short), (behind, over) = outside, inside
+    narrow = abs(behind - before) / 2**_HALVINGS
+    for number in count(1):  # ends: every third round halves
+        if abs(behind - before) <= narrow:
+            break
+        share = short / (short - over) if number % 3 and math.isfinite(short) else 0.5
+        middle = before + min(max(share, 0.05), 0.95) * (behind - before)
+        found = room(middle)
+        if found < 0:
+            before, short, over = middle, found, 0.5 * over
+        else:
+            behind, over, short = middle, found, 0.5 * short
+    return before, behind
+
+
 def _room_of(
-    loop: Loop, wish: Wish, quantities: Sequence[Quantity], x: Sequence[float], *, enough: bool = False
+    loop: Loop, wish: Wish, quantities: Sequence[Quantity], x: Sequence[float], *, roughly: bool = False
 ) -> float:
-    """Return the room of the rig with quantities changed by x in ln; -inf where there is no such rig."""
+    """Return the room, of any wall that fulfils the wish, of the rig with quantities changed by x in ln.
+
+    -inf where there is no such rig. ``roughly`` for its `decay`, where places far off are compared.
+    """
     try:
         for quantity, change in zip(quantities, x, strict=True):
             loop = quantity.changed(loop, change)
-        return best_wall(loop, wish, enough=enough).room
+        return decay(loop, wish) if roughly else best_wall(loop, wish, enough=True).room
     except ParameterError:
         return -math.inf
 
@@ -253,9 +281,9 @@ def _changes(loop: Loop, wish: Wish, quantities: Sequence[Quantity], best: Best)
         if size is not None and size < _WORTH * min(alone, default=math.inf):
             found.append(_change(loop, wish, pair, (size * way).tolist()))
     if not found:
-        best_first = sorted(quantities, key=lambda quantity: -abs(helps.get(quantity, 0.0)))
-        for pair in combinations(best_first, 2):
-            x = _together(loop, wish, pair, 2 * min((change.size for change in found), default=math.inf))
+        starts = [(*_best_of_grid(loop, wish, pair), pair) for pair in combinations(quantities, 2)]
+        for _, start, pair in sorted(starts, key=lambda place: -place[0])[:_CLIMBED]:
+            x = _uphill(loop, wish, pair, start)
             if x is not None:
                 whole = math.hypot(*x)
                 size = _smallest(loop, wish, best.room, pair, [part / whole for part in x], whole) or whole
@@ -263,34 +291,29 @@ def _changes(loop: Loop, wish: Wish, quantities: Sequence[Quantity], best: Best)
     return found, out_of_reach
 
 
-def _together(loop: Loop, wish: Wish, pair: Sequence[Quantity], largest: float) -> list[float] | None:
-    """Return changes in ln of a pair, of at most a size, that reach the wish.
+def _best_of_grid(loop: Loop, wish: Wish, pair: Sequence[Quantity]) -> tuple[float, list[float]]:
+    """Return the room of the best of a coarse grid of changes of a pair, which is the one of the fastest decay."""
+    share = (np.arange(2, _LOOKS + 1, 2) / _LOOKS) ** 2
+    axes = ([float(x) for factor in quantity.factors for x in math.log(factor) * share] for quantity in pair)
+    best = max(product(*axes), key=lambda x: _room_of(loop, wish, pair, x, roughly=True))
+    return _room_of(loop, wish, pair, best), list(best)
 
-    None if none is met uphill from the best of a grid on.
-    """
+
+def _uphill(loop: Loop, wish: Wish, pair: Sequence[Quantity], start: list[float]) -> list[float] | None:
+    """Return changes in ln of a pair that reach the wish; None if none is met uphill from a place."""
     from scipy.optimize import minimize
 
     def short(x: Sequence[float]) -> float:
-        return -_room_of(loop, wish, pair, x, enough=True)
+        return -_room_of(loop, wish, pair, x)
 
     def stop(intermediate_result: Any) -> None:
         if intermediate_result.fun <= 0:
             raise StopIteration
 
-    grid = [x for x in product(*(_looks(quantity)[1::2] for quantity in pair)) if math.hypot(*x) < largest]
-    if not grid:
-        return None
-    best = min(grid, key=short)
     bounds = [[math.log(factor) for factor in quantity.factors] for quantity in pair]
     options = {"maxfev": _UPHILL}
-    found = minimize(short, best, method="Nelder-Mead", bounds=bounds, callback=stop, options=options)
-    return list(found.x) if found.fun <= 0 and math.hypot(*found.x) < largest else None
-
-
-def _looks(quantity: Quantity) -> list[float]:
-    """Return changes in ln of a quantity, both ways to its ends."""
-    share = (np.arange(1, _LOOKS + 1) / _LOOKS) ** 2
-    return [float(x) for factor in quantity.factors for x in math.log(factor) * share]
+    found = minimize(short, start, method="Nelder-Mead", bounds=bounds, callback=stop, options=options)
+    return list(found.x) if found.fun <= 0 else None
 
 
 def _smallest(
@@ -300,7 +323,7 @@ def _smallest(
     looks = reach * (np.arange(1, _LOOKS + 1) / _LOOKS) ** 2
 
     def room_at(size: float) -> float:
-        return _room_of(loop, wish, quantities, [size * part for part in way], enough=True)
+        return _room_of(loop, wish, quantities, [size * part for part in way])
 
     turn = _turn(room_at, room, looks.tolist())
     return None if turn is None else turn[1]

@@ -18,7 +18,7 @@ from pipeline.theory.settling_overshoot import transient_costs
 OVERSHOOT_SEEN = 1e-3
 """Overshoot that counts as none: no best wall has exactly none in a sampled loop."""
 
-_FAINT = 0.01
+_FAINT = 0.1
 """Share of it down to which motion is followed."""
 
 _DAMPINGS, _STIFFNESSES = 32, 20
@@ -89,24 +89,41 @@ def best_wall(loop: Loop, wish: Wish, *, enough: bool = False) -> Best:
     is allowed over its own, and the overshoot that is allowed less its own.
     """
     rigs = _corners(loop, wish.tolerance)
-    longest = loop.delay_samples + loop.actuator_lag_s / loop.sampling_period_s
-    unit = loop.mass / loop.sampling_period_s
-    largest = 2.5 * unit / (0.5 + longest)
-    B = np.append(0.0, np.geomspace(1e-3 * largest, largest, _DAMPINGS))
-    if wish.stiffness is None:
-        stiffest = loop.boundary(16).attrs["stiffness_max"]
-        K = np.geomspace(1e-2 * stiffest, stiffest, _STIFFNESSES)
-    else:
-        K = np.array([wish.stiffness])
+    K, B = _first_look(loop, wish)
+    found = Best(math.nan, math.nan, -math.inf)
     for _ in range(1 + _NARROWER):
         walls = np.array(list(product(K, B)))
-        room = _room(rigs, wish, walls)
+        room = _room(rigs, wish, walls, found.room)
         at = int(np.argmax(room))
-        found = Best(float(walls[at, 0]), float(walls[at, 1]), float(room[at]))
+        if room[at] > found.room:
+            found = Best(float(walls[at, 0]), float(walls[at, 1]), float(room[at]))
         if enough and found.room >= 0:
             break
         K, B = (_between(axis, value) for axis, value in ((K, found.stiffness), (B, found.damping)))
     return found
+
+
+def decay(loop: Loop, wish: Wish) -> float:
+    """Return how fast the slowest mode decays [1/s] behind the wall of a first look at which it is fastest.
+
+    It is quicker to tell than the room, and where it is large walls settle early and overshoot little.
+    """
+    unit = loop._scale
+    K, B = np.array(list(product(*_first_look(loop, wish)))).T
+    with np.errstate(divide="ignore"):
+        rates = -np.log(spectral_radius(loop._normalised, K / unit.stiffness, B / unit.damping))
+    return float(rates.max()) / loop.sampling_period_s
+
+
+def _first_look(loop: Loop, wish: Wish) -> tuple[Floats, Floats]:
+    """Return stiffness and damping of the walls that are looked at first."""
+    longest = loop.delay_samples + loop.actuator_lag_s / loop.sampling_period_s
+    largest = 2.5 * loop.mass / loop.sampling_period_s / (0.5 + longest)
+    B = np.append(0.0, np.geomspace(1e-3 * largest, largest, _DAMPINGS))
+    if wish.stiffness is not None:
+        return np.array([wish.stiffness]), B
+    stiffest = loop.boundary(16).attrs["stiffness_max"]
+    return np.geomspace(1e-2 * stiffest, stiffest, _STIFFNESSES), B
 
 
 def _between(axis: Floats, value: float) -> Floats:
@@ -126,8 +143,8 @@ def _corners(loop: Loop, tolerance: float) -> list[Loop]:
     ]
 
 
-def _room(rigs: Sequence[Loop], wish: Wish, walls: Floats) -> Floats:
-    """Return the room of each wall, shape (n,), in the worst of rigs."""
+def _room(rigs: Sequence[Loop], wish: Wish, walls: Floats, above: float) -> Floats:
+    """Return the room of each wall, shape (n,), in the worst of rigs; not exact where it is below ``above``."""
     room = np.full(len(walls), np.inf)
     for rig in rigs:
         loop, unit = rig._normalised, rig._scale
@@ -137,15 +154,18 @@ def _room(rigs: Sequence[Loop], wish: Wish, walls: Floats) -> Floats:
         if wish.settling_s is not None or wish.overshoot is not None:
             stable = left > 0
             left = np.where(stable, -_NOTHING, left + 2 * _NOTHING)  # whatever is stable comes before what is not
-            left[stable] = np.minimum(left[stable], _spare(rig, wish, alpha[stable], beta[stable]))
+            left[stable] = np.minimum(left[stable], _spare(rig, wish, alpha[stable], beta[stable], above))
         room = np.minimum(room, left)
     return room
 
 
-def _spare(rig: Loop, wish: Wish, alpha: Floats, beta: Floats) -> Floats:
+def _spare(rig: Loop, wish: Wish, alpha: Floats, beta: Floats, above: float) -> Floats:
     """Return what stable walls leave of the settling time and the overshoot that are allowed."""
     bands, swings = (0.02,) * (wish.settling_s is not None), wish.overshoot is not None
-    found = transient_costs(rig._normalised, alpha, beta, bands, overshoot=swings, quiet=_FAINT * OVERSHOOT_SEEN)
+    longest = (wish.settling_s or math.inf) / rig.sampling_period_s * math.exp(-max(above, _NOTHING))
+    found = transient_costs(
+        rig._normalised, alpha, beta, bands, overshoot=swings, quiet=_FAINT * OVERSHOOT_SEEN, cutoff=1.01 * longest
+    )
     spare = np.full(len(alpha), np.inf)
     if wish.settling_s is not None:
         spare = np.asarray(math.log(wish.settling_s) - np.log(found["settle_2pct"] * rig.sampling_period_s))

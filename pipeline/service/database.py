@@ -29,7 +29,7 @@ LEASE_S = 10.0
 ATTEMPTS = 3
 """Times that a job is begun; a worker that dies with it each time was killed by it."""
 
-WORKS = ("upload", "stages", "experiment plan comparison drawing")
+WORKS = ("upload", "stages", "experiment plan comparison optimum drawing")
 """Kinds of jobs of each worker, as they are taken: logs with their verdicts, costs, and what is looked at.
 
 Figures come last, but for reports that are made anew.
@@ -155,8 +155,8 @@ class Database:
             f"WHERE ? = '' OR NOT EXISTS (SELECT 1 FROM jobs WHERE {same})",
             *(name, kind, key, json.dumps(request), now, now, author, late, key, kind, key),
         )
-        if kind == "drawing":
-            waiting = "FROM jobs WHERE state = 'queued' AND kind = 'drawing'"
+        if kind in ("optimum", "drawing"):  # that readers ask for
+            waiting = "FROM jobs WHERE state = 'queued' AND kind IN ('optimum', 'drawing')"
             self.run(
                 f"UPDATE jobs SET state = 'cancelled', changed = ? WHERE number IN (SELECT number {waiting} "
                 "ORDER BY number DESC LIMIT -1 OFFSET ?)",

@@ -60,9 +60,9 @@ class Later(Exception):  # noqa: N818 (nothing is wrong)
         self.job = job
 
 
-def problem_of(error: PipelineError) -> Problem:
+def problem_of(error: PipelineError | OSError) -> Problem:
     """Return a named error as the answer to a request."""
-    status = 404 if isinstance(error, DeviceError) else 503 if isinstance(error, StoreError) else 422
+    status = 404 if isinstance(error, DeviceError) else 503 if isinstance(error, StoreError | OSError) else 422
     return Problem(status, str(error))
 
 

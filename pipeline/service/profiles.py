@@ -107,7 +107,7 @@ def questions(text: str) -> list[dict[str, Any]]:
         {
             "line": q.line,
             "key": ".".join(map(str, q.place)),
-            "question": q.text,
+            "question": q.text.partition("open question: ")[2].removesuffix(" Set the key below it."),
             "proposal": lines[q.line].partition("=")[2].strip() if lines[q.line].startswith("# ") else "",
         }
         for q in find_questions(text)

@@ -15,7 +15,7 @@ import secrets
 import threading
 import time
 from collections.abc import Callable, Mapping
-from urllib.parse import urlencode, urlsplit
+from urllib.parse import quote, urlencode, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import HTTPConnection
@@ -239,7 +239,7 @@ async def _refuse(problem: Problem, scope: Scope, receive: Receive, send: Send) 
     page = scope["method"] == "GET" and not scope["path"].startswith("/api/")
     if problem.status == 401 and page and "text/html" in accept:
         response.status_code = 303
-        asked = f"{scope['path']}?{scope['query_string'].decode('latin-1')}".rstrip("?")
+        asked = f"{quote(scope['path'])}?{scope['query_string'].decode('latin-1')}".rstrip("?")
         response.headers["location"] = "/login" if asked == "/" else f"/login?{urlencode({'next': asked})}"
     await send({"type": "http.response.start", "status": response.status_code, "headers": response.raw_headers})
     await send({"type": "http.response.body", "body": response.body, "more_body": True})

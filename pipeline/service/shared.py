@@ -23,7 +23,7 @@ from pipeline.service.jobs import documents
 from pipeline.service.jobs.workers import Workers
 from pipeline.service.problems import Problem
 from pipeline.service.settings import Settings
-from pipeline.service.theory import Theory
+from pipeline.service.theory import Theory, case_of_loop
 from pipeline.store.corrections import read_exclusions, split_trials
 from pipeline.store.names import folder_name
 from pipeline.store.samples import load_batch, load_trial
@@ -225,6 +225,12 @@ class Service:
         for device, experiment, *_ in places:
             self.used(device, [experiment])
         return self._kept("drawing", {"what": what, "places": [list(place) for place in places], **more})
+
+    def optimum(self, of: Sequence[Any], *asked: Any) -> Kept:
+        """Return the point of least cost by theory, of what `theory.document` takes."""
+        case_of_loop(of)
+        device = {"device": of[0], "experiments": []} if len(of) == 2 else {}
+        return self._kept("optimum", {**device, "theory": ["optimum", of, *asked]})
 
     def peek(self, device: str, experiment: str) -> dict[str, Any] | None:
         """Return the document of an experiment where it is kept."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import threading
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
@@ -62,22 +63,26 @@ class Theory:
             self._pool = None
 
 
-def document(what: str, of: tuple[str, str | None] | tuple[float, float, float], *values: Any) -> Any:
+def case_of_loop(of: Sequence[Any]) -> Case:
+    """Return the loop of a device and experiment (None: its first), or of gamma, delta and delay."""
+    if len(of) == 3:
+        return Case(Loop(*of))
+    device = load_device(of[0])
+    return case_of(device, find_experiment(device, of[1]) if of[1] else device.experiments[0])
+
+
+def document(what: str, of: Sequence[Any], *values: Any) -> Any:
     """Return the document of ``theory boundary``, ``optimum`` or ``points``.
 
     Parameters
     ----------
     what : str
-    of : tuple
-        Device and experiment (None: its first), or gamma, delta and delay of a normalised loop.
+    of : sequence
+        As `case_of_loop` takes it.
     values
         Criterion and signal of an optimum; walls as pairs, in SI or normalised.
     """
-    if len(of) == 3:
-        case = Case(Loop(*of))
-    else:
-        device = load_device(of[0])
-        case = case_of(device, find_experiment(device, of[1]) if of[1] else device.experiments[0])
+    case = case_of_loop(of)
     if what != "points":
         return boundary_document(case) if what == "boundary" else optimum_document(case, *values)
     walls = np.array(values[0], dtype=np.float64)

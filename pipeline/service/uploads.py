@@ -22,7 +22,7 @@ from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
 from pipeline.base.disk import make_folder, sync_folder
-from pipeline.base.paths import path_text
+from pipeline.base.paths import path_of_text, path_text
 from pipeline.intake.quarantine import list_quarantine
 from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
@@ -155,6 +155,8 @@ class Upload:
             listed.append({"name": part.name, "size": part.size, "sha256": part.sha256, "state": state})
         self._sync([part.path for part in new])
         with database.transaction():
+            for path in refused:  # it is this profile's now
+                database.run("UPDATE uploads SET profile = ? WHERE path = ?", profile, path)
             for part in new:
                 place = (self.name, str(part.path), part.name)
                 database.run("INSERT INTO uploads VALUES (?, ?, ?, ?, ?)", part.sha256, profile, *place)
@@ -173,11 +175,12 @@ class Upload:
         again: dict[Path, str] = {}
         parts = {part.path: part for part in self.files}
         refused = {record.path for record in list_quarantine(self.settings.processed, {})}
+        held = {Path(path).parent for path in map(path_of_text, refused)}
         seen = set[tuple[tuple[str, str], ...]]()
         for source in find_sources([self.folder], shipped_profiles() if own is None else (load_profile(own),)):
             files = [file for file in source.files if file in parts]
             names = tuple((file.name, parts[file].sha256) for file in files)
-            places = [self._places(database, sha256, profile, name) for name, sha256 in names]
+            places = [self._places(database, sha256, profile, name, held) for name, sha256 in names]
             before = sorted(set.intersection(*places)) if places else []
             if names in seen or before:
                 known.update(files)
@@ -187,15 +190,16 @@ class Upload:
                     again |= dict.fromkeys(files, log)
         return known, again
 
-    def _places(self, database: Database, sha256: str, profile: str, name: str) -> set[Path]:
-        """Return the folders in which a content lies under a name, uploaded before for the same profile."""
+    def _places(self, database: Database, sha256: str, profile: str, name: str, held: set[Path]) -> set[Path]:
+        """Return the folders with a content under a name, uploaded for the same profile, or those of refused logs."""
         rows = database.run(
-            "SELECT path, job FROM uploads JOIN jobs ON jobs.id = uploads.job WHERE sha256 = ? AND profile = ? "
+            "SELECT path, job, profile FROM uploads JOIN jobs ON jobs.id = uploads.job WHERE sha256 = ? "
             "AND state NOT IN ('cancelled', 'failed')",
-            *(sha256, profile),
+            sha256,
         )
-        places = [self._path(row["job"], row["path"]) for row in rows]
-        return {place.parent for place in places if place.name == name and place.is_file()}
+        same = {self._path(row["job"], row["path"]): row["profile"] == profile for row in rows}
+        usable = [path for path, own in same.items() if own or path.absolute().parent in held]
+        return {path.parent for path in usable if path.name == name and path.is_file()}
 
     def _path(self, job: str, path: str) -> Path:
         """Return where an upload lies; its path is that of before, where folders were moved."""

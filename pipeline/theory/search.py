@@ -120,9 +120,9 @@ def region(inset: float = _INSET) -> tuple[Floats, Floats]:
 def chart(loop: Loop) -> Chart:
     """Return the coordinates of a loop's searches.
 
-    The root of the share of alpha + gamma in its limit, which is even in the frequency that the wall swings at, since a
-    mode's limit may be many times the stiffness that settles soonest; and the way along the outline as a share of its
-    length, with the region's height and width as units.
+    The root of the share of alpha's stable interval, from alpha = -gamma on where it begins there, which is even in the
+    frequency that the wall swings at, since a mode's limit may be many times the stiffness that settles soonest; and
+    the way along the outline as a share of its length, with the region's height and width as units.
     """
     beta = np.sort(boundary(loop).beta)
     beta = beta[np.isfinite(beta)]
@@ -135,8 +135,8 @@ def chart(loop: Loop) -> Chart:
     def place(root: Floats, way: Floats) -> tuple[Floats, Floats]:
         rows, of = np.unique(way, return_inverse=True)
         at = np.interp(rows, along, beta)
-        limit = limits(loop, at, exact=False).alpha
-        return np.square(root) * (limit[of] + loop.gamma) - loop.gamma, at[of]
+        found = limits(loop, at, exact=False)
+        return found.low[of] + np.square(root) * (found.alpha - found.low)[of], at[of]
 
     return place
 

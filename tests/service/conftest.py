@@ -18,6 +18,19 @@ def served(falcon, tmp_path_factory):
 
 
 @pytest.fixture
+def chromium():
+    """The browser of the system."""
+    sync = pytest.importorskip("playwright.sync_api")
+    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if program is None:
+        pytest.skip("no Chromium: apt-get install chromium")
+    with sync.sync_playwright() as driver:
+        started = driver.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield started
+        started.close()
+
+
+@pytest.fixture
 def empty(tmp_path):
     with serving(Settings(tmp_path / "processed", tmp_path / "reports")) as client:
         yield client

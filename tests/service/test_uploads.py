@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from served import Client, form, serving
@@ -256,6 +257,17 @@ def test_an_upload_has_its_verdicts_while_costs_of_others_are_computed(tmp_path,
     assert database.job("a")["result"]["ingested"] == 1
     assert stage_file(settings.processed, "falcon", "1", "outcome") is not None
     assert database.job_counts("kind = 'stages'") == {"queued": 1, "running": 1}
+
+
+@pytest.mark.slow
+def test_costs_that_two_jobs_need_are_computed_once(tmp_path, logs):
+    settings = Settings(tmp_path / "processed", tmp_path / "reports")
+    for name, data in logs[:3]:
+        (tmp_path / name).write_bytes(data)
+    ingest([tmp_path], settings.processed)
+    with ThreadPoolExecutor(2) as pool:
+        computed = pool.map(lambda _: results._computed(settings, ("falcon", "1"), {}), range(2))
+        assert sorted(computed) == [False, True]
 
 
 def test_verdicts_are_asked_for_once_and_come_after_logs(tmp_path):

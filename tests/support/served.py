@@ -6,7 +6,7 @@ import re
 import socket
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from http.client import HTTPConnection
 from http.cookies import SimpleCookie
 from types import SimpleNamespace
@@ -40,14 +40,14 @@ class Client:
 
     def ask(self, method, path, body=None, headers=None, document=None):
         """Status, headers, and content: parsed where it is JSON."""
-        connection = HTTPConnection(self.host, self.port, timeout=60)
         sent = dict(headers or {})
         if document is not None:
             body, sent["Content-Type"] = json.dumps(document), "application/json"
-        connection.request(method, path if path.startswith("/") else f"/api/v1/{path}", body, sent)
-        response = connection.getresponse()
-        content = response.read()
-        connection.close()
+        # longer than the longest `wait_s` of a server here: a busy computer is no failure
+        with closing(HTTPConnection(self.host, self.port, timeout=300)) as connection:
+            connection.request(method, path if path.startswith("/") else f"/api/v1/{path}", body, sent)
+            response = connection.getresponse()
+            content = response.read()
         if "json" in response.headers.get("content-type", ""):
             content = json.loads(content)
         return SimpleNamespace(status=response.status, headers=response.headers, content=content)
@@ -120,6 +120,17 @@ class Browser:
                 body = urlencode({**given, **fields}, doseq=True)
                 return self.ask("POST", "/do", body, {"Content-Type": "application/x-www-form-urlencoded"})
         raise AssertionError(f"{at} has no form for {method} {path}")
+
+
+def drop(page, field, path):
+    """Drop a file or folder on a field, as the file manager does: the browser reads it itself."""
+    page.locator(field).scroll_into_view_if_needed()
+    box = page.locator(field).bounding_box()
+    given = {"items": [], "files": [str(path)], "dragOperationsMask": 1}
+    at = {"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2, "data": given}
+    session = page.context.new_cdp_session(page)
+    for kind in ("dragEnter", "dragOver", "drop"):
+        session.send("Input.dispatchDragEvent", {"type": kind, **at})
 
 
 @contextmanager

@@ -305,14 +305,13 @@ def hidden_rows(log: LogRows) -> Integers:
     off = (np.abs(log.residual) > log.rounding) & log.after
     if not off.any() or log.damping == 0 or off.mean() > MOST_SPIKES:
         return none
-    # over a row that is missing the position changed by more than since the row before: the residual is a part of
-    # the damping force that the logged rows would give
-    moving = off & (log.change != 0)
-    if not moving.any():
-        return none
-    part = log.residual[moving] * log.period / (log.damping * log.change[moving])
-    single = off & ~np.roll(off, 1)
-    if np.median(part) > 0 and np.mean((part > -1) & (part < 2)) > 0.9 and single.sum() > 0.7 * off.sum():
+    # over a row that is missing the position changed by more than since the row before: the residual is the damping
+    # force of the change that is lost, which is like those beside it
+    lost = log.residual * log.period / log.damping
+    beside = np.max(np.abs([np.roll(log.change, 1), log.change, np.roll(log.change, -1)]), axis=0)
+    onward, like = np.median((lost * log.change)[off]) > 0, np.mean((np.abs(lost) < 2 * beside)[off]) > 0.9
+    single, repeated = off & ~np.roll(off, 1), (log.change == 0) & (np.diff(log.command, prepend=np.nan) == 0)
+    if onward and like and repeated[off].mean() < 0.4 and single.sum() >= 0.7 * off.sum() - 1:
         return np.flatnonzero(off) if _on_sensor_grid(log, off) else none
     return none
 
@@ -330,7 +329,7 @@ def _on_sensor_grid(log: LogRows, off: Booleans) -> bool:
 def repeated_rows(log: LogRows, *, by_law: bool = True) -> Integers:
     """Return the rows that stand still while the device moves before and after them; one alone may be chance.
 
-    ``by_law`` counts those, too, that only the plain wall law tells from a device that is slow.
+    ``by_law`` counts those, too, that only the plain wall law tells from a device that is slow, and one alone.
     """
     digits = STILL_DIGITS * log.of_position
     # a quantum that print hides is at most the least change
@@ -342,7 +341,7 @@ def repeated_rows(log: LogRows, *, by_law: bool = True) -> Integers:
     same = np.diff(log.command, prepend=np.nan) == 0
     still |= by_law & log.after & (log.change == 0) & ((same & off) | ((same | off) & np.append(off[1:], False)))
     rows = np.flatnonzero(still)
-    return rows if len(rows) >= PLATEAU else rows[:0]
+    return rows if by_law or len(rows) >= PLATEAU else rows[:0]
 
 
 def is_equal(values: Floats, limit: float) -> Booleans:

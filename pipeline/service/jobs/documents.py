@@ -26,9 +26,9 @@ def state_of(processed: Path, device: str, experiments: Sequence[str]) -> str:
 
 def key_of(settings: Settings, request: dict[str, Any]) -> str:
     """Return the key of a document: a hash of request, logs, device files and code."""
-    sides = [(place[0], [place[1]]) for place in request.get("places", ())] or [
-        (request["device"], request["experiments"])
-    ]
+    sides = [(place[0], [place[1]]) for place in request.get("places", ())]
+    if "device" in request:
+        sides.append((request["device"], request["experiments"]))
     if request.get("against"):
         sides.append((request["against"]["device"], [request["against"]["experiment"]]))
     known = known_devices()

@@ -6,12 +6,14 @@ import json
 import os
 import time
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from pipeline.base.disk import write_text
 from pipeline.base.errors import DeviceError, PipelineError
+from pipeline.base.lock import writing
 from pipeline.base.paths import path_of_text
 from pipeline.comparison.against import against_experiments
 from pipeline.comparison.compare import compare
@@ -40,10 +42,18 @@ from pipeline.service.database import Database
 from pipeline.service.jobs.documents import document_file, key_of, read_document
 from pipeline.service.profiles import profile_path
 from pipeline.service.settings import Settings
+from pipeline.service.theory import Theory as TheoryProcess
+from pipeline.store.names import folder_name
 from pipeline.store.storage import list_devices, list_experiments, trials_files
 from pipeline.theory.predictions import Theory
 
 Progress = Callable[[object], None]
+
+LONGEST_S = 3600.0
+"""Longest wait for another process that writes, or computes the same [s]."""
+
+OPTIMUM_S = 300.0
+"""Longest time of an optimum [s]; a delay of 64 samples takes 20 s of a processor."""
 
 
 def run_upload(settings: Settings, database: Database, request: dict[str, Any], progress: Progress) -> Any:
@@ -59,13 +69,13 @@ def run_upload(settings: Settings, database: Database, request: dict[str, Any], 
             profile_path(settings, request["profile"]),
             rehash=bool(request.get("again")),
             progress=lambda done, found: progress({"done": done, "found": found}),
-            wait_s=3600.0,
+            wait_s=LONGEST_S,
         )
         result = _named(report.model_dump(mode="json", exclude={"plan"}), folder.parent, database)
     result["found"] += skipped
     result["skipped"] += skipped
     for place in _newest_first(settings.processed, begun):
-        _computed(settings.processed, place, {}, verdicts=True)
+        _computed(settings, place, {}, verdicts=True)
     database.add_job("stages", {}, "stages")
     return result
 
@@ -87,7 +97,7 @@ def run_stages(settings: Settings, database: Database, _request: dict[str, Any],
     failed, computed = dict[str, str](), 0
     for place in _newest_first(settings.processed):
         progress(dict(zip(("device", "experiment"), place, strict=True)))
-        computed += _computed(settings.processed, place, failed)
+        computed += _computed(settings, place, failed)
         if database.job_counts("kind = 'stages'").get("queued"):  # logs came: it begins with theirs, and does the rest
             break
     return {"computed": computed, "failed": failed}
@@ -101,17 +111,22 @@ def _newest_first(processed: Path, since: float = 0.0) -> list[tuple[str, str]]:
     return sorted((of for of in places if last[of] >= since), key=lambda of: -last[of])
 
 
-def _computed(processed: Path, place: tuple[str, str], failed: dict[str, str], verdicts: bool = False) -> bool:
-    """Compute the stages that an experiment lacks, or verdicts alone; return whether there were any."""
+def _computed(settings: Settings, place: tuple[str, str], failed: dict[str, str], verdicts: bool = False) -> bool:
+    """Compute the stages that an experiment lacks, or verdicts alone; return whether there were any.
+
+    Two jobs may need them at a time: one waits for the other. Verdicts wait for nothing.
+    """
+    own = settings.data / "computing" / folder_name("/".join(place))
     try:
-        data = open_scene(place[0], processed, [place[1]], None)
-        (stages,) = data.experiments
-        needed = ("response", "outcome") if verdicts else sorted(needed_stages(data), key=list(STAGES).index)
-        if all(stages.is_stored(stage) for stage in needed):
-            return False
-        compute_stages([stages], needed)
-        for stage in needed:
-            stages.table(stage)
+        with nullcontext() if verdicts else writing(own, LONGEST_S):
+            data = open_scene(place[0], settings.processed, [place[1]], None)
+            (stages,) = data.experiments
+            needed = ("response", "outcome") if verdicts else sorted(needed_stages(data), key=list(STAGES).index)
+            if all(stages.is_stored(stage) for stage in needed):
+                return False
+            compute_stages([stages], needed)
+            for stage in needed:
+                stages.table(stage)
     except DeviceError:  # all of its trials are excluded, or were removed a moment ago
         return False
     except PipelineError as error:
@@ -135,6 +150,16 @@ def run_plan(settings: Settings, _database: Database, request: dict[str, Any], _
     asked = request["request"]
     found = plan(asked["device"], settings.processed, asked["experiments"][0], Wish(goal=asked["goal"]))
     write_text(document_file(settings, request["key"]), found.model_dump_json())
+    return {"key": request["key"]}
+
+
+def run_optimum(settings: Settings, _database: Database, request: dict[str, Any], _progress: Progress) -> Any:
+    """Find the point of least cost by theory; it is given up where a hostile loop takes too long."""
+    process = TheoryProcess(OPTIMUM_S)
+    try:
+        write_text(document_file(settings, request["key"]), json.dumps(process.compute(*request["request"]["theory"])))
+    finally:
+        process.stop()
     return {"key": request["key"]}
 
 
@@ -175,6 +200,8 @@ def _notes(asked: dict[str, Any]) -> list[Note]:
 
 def _compared(settings: Settings, request: dict[str, Any], report: Path | None, progress: Progress) -> ComparisonResult:
     asked = request["request"]
+    for name in asked["experiments"]:
+        _computed(settings, (asked["device"], name), {})
     result = compare(
         asked["device"],
         settings.processed,
@@ -200,11 +227,12 @@ def figures_of(processed: Path, result: ComparisonResult) -> dict[str, Drawn]:
     figures = {f"response{n or ''}": figure for n, figure in enumerate(response_figures(data, result.motion))}
     if found.boundary:
         figures["limits"] = answer_figure(found, theory, result.motion, 0, trials_of(data.experiments[0]))
-    return {name: _drawn(replace(figure, simulated=result.simulated)) for name, figure in figures.items()}
+    return {name: _drawn(figure, [result]) for name, figure in figures.items()}
 
 
-def _drawn(figure: Figure) -> Drawn:
-    drawn = draw(figure)
+def _drawn(figure: Figure, results: Sequence[ComparisonResult]) -> Drawn:
+    """Return a figure drawn; it says so where logs of some result are simulated."""
+    drawn = draw(replace(figure, simulated=any(each.simulated for each in results)))
     words = f"{figure.title}. {figure.caption}".strip()
     return {"panels": list(drawn.panels), "shown": list(drawn.shown), "caption": words}
 
@@ -215,11 +243,12 @@ def limits(_processed: Path, asked: dict[str, Any], results: Sequence[Comparison
     theories = [Theory(found.theory) if found.theory else None for _, found in runs]
     if asked["plane"] == "normalised":
         known = [(*run, t, n) for n, (run, t) in enumerate(zip(runs, theories, strict=True)) if t is not None]
-        return _drawn(plane_figure(known))
+        return _drawn(plane_figure(known), results)
     series = [s for n, (label, found) in enumerate(runs) for s in measured(found, label, n)]
     series += [by_theory(t, "_theory", n) for n, t in enumerate(theories) if t is not None]
     text = "The largest stable stiffness at each damping; dashed, in the same colour: theory."
-    return _drawn(limits_figure("Stability limits", text, [limits_panel("", series, results[0].motion)], "limits"))
+    panel = limits_panel("", series, results[0].motion)
+    return _drawn(limits_figure("Stability limits", text, [panel], "limits"), results)
 
 
 def trials(processed: Path, asked: dict[str, Any], results: Sequence[ComparisonResult]) -> Drawn:
@@ -237,8 +266,8 @@ def trials(processed: Path, asked: dict[str, Any], results: Sequence[ComparisonR
         walls = f"K {significant(row['stiffness'], 4)}, B {significant(row['damping'], 3)}" if row else ""
         labels.append(f"{walls} ({device}, {experiment})")
     if len(figures) == 1:
-        return _drawn(figures[0]) | {"caption": figures[0].caption}
-    return _drawn(overlaid_figure(figures, labels)) | {"caption": ""}
+        return _drawn(figures[0], results) | {"caption": figures[0].caption}
+    return _drawn(overlaid_figure(figures, labels), results) | {"caption": ""}
 
 
 DRAWINGS: dict[str, Callable[[Path, dict[str, Any], Sequence[ComparisonResult]], Drawn]] = {
@@ -253,6 +282,7 @@ KINDS = {
     "stages": run_stages,
     "experiment": run_experiment,
     "plan": run_plan,
+    "optimum": run_optimum,
     "drawing": run_drawing,
     "comparison": run_comparison,
 }

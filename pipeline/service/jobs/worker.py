@@ -59,6 +59,7 @@ def work(settings: Settings, database: Database, owner: str, kinds: str = " ".jo
     if job is None:
         return False
     from pipeline.service.jobs.results import KINDS
+    from pipeline.service.problems import Problem, problem_of
 
     shown = database.job(job["id"])
     assert shown is not None, "jobs are never removed"
@@ -66,8 +67,8 @@ def work(settings: Settings, database: Database, owner: str, kinds: str = " ".jo
     with _Beats(database, job["id"], owner) as beats:
         try:
             result = KINDS[job["kind"]](settings, database, shown["request"], beats.say)
-        except (PipelineError, OSError) as error:
-            problem = {"title": "The job could not be done", "status": 422, "detail": str(error)}
+        except (PipelineError, OSError, Problem) as error:
+            problem = (error if isinstance(error, Problem) else problem_of(error)).document
         except Exception:
             # a defect ends this process with its traceback, in the server's log; another one does what waits
             detail = f"A defect of the program; the server's log has the details of job {job['id']}."

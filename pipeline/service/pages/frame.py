@@ -67,13 +67,18 @@ def _ago(since: float) -> str:
     return f"{passed / 60:.0f} min" if passed < 6000 else f"{passed / 3600:.0f} h"
 
 
+_WORDS = {
+    "upload": "Ingest of logs", "stages": "Verdicts and costs", "experiment": "Comparison with theory",
+    "plan": "Next wall", "comparison": "Report", "optimum": "Optimum by theory", "drawing": "Figure",
+}  # fmt: skip
+
+
 def _about(job: Mapping[str, Any]) -> str:
     """Return in words what a job does."""
     asked = job["request"].get("request", {})
     places = asked.get("places") or [[asked.get("device", ""), *asked.get("experiments", ())]]
     where = "; ".join(", ".join(place) for place in places if place[0])
-    words = {"upload": "ingest of logs", "stages": "verdicts and costs", "comparison": "report", "plan": "next wall"}
-    return f"{words.get(job['kind'], job['kind'])}{' of ' if where else ''}{where}"
+    return f"{_WORDS[job['kind']]}{' of ' if where else ''}{where}"
 
 
 def _sorting(state: Mapping[str, str], name: str) -> str:

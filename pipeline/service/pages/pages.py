@@ -16,7 +16,7 @@ from urllib.parse import quote, unquote, urlencode
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 from markupsafe import Markup
-from pydantic import ConfigDict, field_validator
+from pydantic import field_validator, model_validator
 from starlette.types import Message
 
 from pipeline.intake.correct import in_bin
@@ -31,6 +31,7 @@ from pipeline.service.database import NEWEST
 from pipeline.service.pages.frame import HERE, Fields, busy, check, kept, page_of, part_of, segment, style_sheet
 from pipeline.service.problems import Problem
 from pipeline.service.rest import api, lab
+from pipeline.service.rest.answers import refuse_unknown
 from pipeline.service.rest.api import Segment
 from pipeline.service.security import SESSION, cookie
 from pipeline.service.shared import Service, Shared, Who
@@ -47,14 +48,17 @@ PLOTTED = 3000
 """Trials of a plane that lead to their pages: more are no longer told apart."""
 
 
+_STATIC = {"service.js": "text/javascript", "icon.svg": "image/svg+xml"}
+
+
 @pages.get("/static/{name}")
 def static(name: str) -> Response:
-    """Return the style sheet or the script."""
+    """Return the style sheet, the script or the icon."""
     if name == "service.css":
         return Response(style_sheet(), media_type="text/css")
-    if name != "service.js":
+    if name not in _STATIC:
         raise Problem(404, "There is no such file.", found=name)
-    return FileResponse(HERE / "static" / name, media_type="text/javascript")
+    return FileResponse(HERE / "static" / name, media_type=_STATIC[name])
 
 
 @pages.get("/")
@@ -75,7 +79,8 @@ def home(service: Shared, request: Request) -> Response:
 
     done = service.database.job_counts("kind = 'experiment'").get("done")
     return page_of(service, request, "home.html.j2", body=all_.once(f"home {done}", cards),
-                   devices=len(all_.devices), trials=all_.rows, damaged=all_.damaged)  # fmt: skip
+                   devices=len(all_.devices), trials=all_.rows, damaged=all_.damaged,
+                   folder=service.settings.processed)  # fmt: skip
 
 
 @pages.get("/devices/{device}")
@@ -100,16 +105,13 @@ def one_experiment(service: Shared, request: Request, device: Segment, experimen
     found = document["experiments"][0] if document else None
     drawn = document["figures"].get("limits") if document else None
     motion: Motion = trials[0]["motion"] if trials else "translation"
-    next_, planning = None, job
-    if found:
-        next_, planning, _ = kept(service, lambda: service.plan(device, experiment, "boundary"))
     of, told = ["experiment", device, experiment], (document or {}).get("told")
     return page_of(
         service, request, "experiment.html.j2", device=device, experiment=experiment, trials=trials[:LISTED],
         total=total, facets=facets, motion=motion, units=UNITS[motion],
         period=told["sampling_period_s"] if told else None,
         plot=clickable(drawn, trials) if drawn else None, caption=drawn["caption"] if drawn else "",
-        found=found, answer=answer_of(document), job=job or planning, problem=problem, plan=next_,
+        found=found, answer=answer_of(document), job=job, problem=problem,
         causes=document["causes"][experiment] if document else [],
         excluded=service.excluded(of), words=words_of(service, of), of=of,
         remarks=[note for note in service.notes(device, experiment) if note.trial_id],
@@ -149,10 +151,14 @@ def clickable(drawn: Mapping[str, Any], trials: Sequence[Mapping[str, Any]]) -> 
 class TrialForm(api.TrialQuery):
     """The same as a form sends it: an empty field asks for nothing, and one that is not here is refused."""
 
-    model_config = ConfigDict(extra="forbid")
-
     sort: Literal[SORTED] = "-recorded"  # type: ignore[valid-type]
     format: Literal["", "csv"] = ""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known(cls, values: Any) -> Any:
+        refuse_unknown(values, cls.model_fields)
+        return values
 
     @field_validator(*api.RANGES, "cursor", mode="before")
     @classmethod
@@ -203,11 +209,10 @@ def one_trial(service: Shared, request: Request, trial: str) -> Response:
 
 
 @pages.get("/upload")
-def upload(service: Shared, request: Request) -> Response:
-    """Show the form for logs."""
-    return page_of(
-        service, request, "upload.html.j2", profiles=profiles.names(service.settings), settings=service.settings
-    )
+def upload(service: Shared, request: Request, profile: str = "") -> Response:
+    """Show the form for logs, with a profile chosen."""
+    known = profiles.names(service.settings)
+    return page_of(service, request, "upload.html.j2", profiles=known, profile=profile, settings=service.settings)
 
 
 @pages.post("/upload")
@@ -235,7 +240,7 @@ def profile(service: Shared, request: Request, who: Who, fields: Fields) -> Resp
     try:
         if given["act"] == "keep":
             lab.keep_profile(service, lab.NamedProfile(name=name).name, text, who)
-            return RedirectResponse("/upload", 303)
+            return RedirectResponse(f"/upload?profile={name}", 303)
         checked = lab.preview(service, asked)
     except Problem as error:
         problem = str(error)

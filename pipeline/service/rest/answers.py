@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
 from typing import Any, Generic, Literal, TypeVar
 
 from fastapi import FastAPI, Request
@@ -263,10 +264,14 @@ LATER: dict[int | str, dict[str, Any]] = {202: {"description": "It takes longer.
 def only_known(request: Request) -> None:
     """Refuse a parameter in an address that its route does not have: a filter with a slip would ask for all."""
     operation = request.app.openapi()["paths"][request.scope["route"].path][request.method.lower()]
-    known = sorted(each["name"] for each in operation.get("parameters", ()) if each["in"] == "query")
-    for name in request.query_params:
+    refuse_unknown(request.query_params, [p["name"] for p in operation.get("parameters", ()) if p["in"] == "query"])
+
+
+def refuse_unknown(given: Iterable[str], known: Collection[str]) -> None:
+    """Refuse the first name of parameters that is not known."""
+    for name in given:
         if name not in known:
-            raise Problem(422, "There is no such parameter.", where=name, expected=known or "none", found=name)
+            raise Problem(422, "There is no such parameter.", where=name, expected=sorted(known) or "none", found=name)
 
 
 def describe(app: FastAPI) -> dict[str, Any]:

@@ -47,7 +47,10 @@ REPORT_POLICY = (
     "script-src 'unsafe-inline'"
 )
 
-BACK = '<p class="layout"><a href="/reports">All reports</a> · <a href="/">Experiments</a></p>'
+BACK = (
+    '<p style="margin: 0; padding: .75rem 1.25rem 0"><a href="/reports">All reports</a> · '
+    '<a href="/">Experiments</a></p>'
+)
 """The way back from a report, which knows of no server."""
 
 Limit = Annotated[int, Query(ge=1, le=MOST, description="Items of a page.")]
@@ -339,7 +342,8 @@ async def awaited(service: Service, ask: Callable[[], Kept]) -> dict[str, Any]:
                 raise Later(job)
             await asyncio.sleep(0.1)
         if shown["problem"]:
-            raise Problem(503, shown["problem"]["detail"], where=", ".join(shown["request"]["request"]["experiments"]))
+            status = shown["problem"]["status"]  # that of a defect is its own job's, and not to be had here
+            raise Problem(503 if status == 500 else status, shown["problem"]["detail"], where="job", found=job)
 
 
 def cancel_job(service: Service, job: str, role: str, who: str) -> None:

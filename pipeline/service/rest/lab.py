@@ -130,44 +130,39 @@ def quarantine(service: Shared) -> list[dict[str, Any]]:
     return refused(service)
 
 
-def _path_of(service: Service, which: str) -> str:
-    for record in list_quarantine(service.settings.processed, {}):
-        if record_id(record) == which:
-            return record.path
-    raise Problem(404, "There is no such log in quarantine.", where="id", found=which)
-
-
-def retry_log(service: Service, which: str, profile: str, who: str) -> str:
-    """Queue another ingest of a refused log, and return the job."""
-    path = _path_of(service, which)
-    if not path_of_text(path).exists():
-        raise Problem(409, "The log is not where it was. Send it again.", where="id", found=path_of_text(path).name)
-    profiles.profile_path(service.settings, profile)
-    service.database.note(who, "tried again", {"log": service.database.uploaded_name(path), "profile": profile})
-    return service.job("upload", {"folder": "", "profile": profile, "skipped": 0, "again": [path]}, author=who)
-
-
-def dismiss_log(service: Service, which: str, who: str) -> None:
-    """Remove a refused log from quarantine, and from the uploads where it came by these."""
-    path = _path_of(service, which)
-    name, log = service.database.uploaded_name(path), path_of_text(path)
-    if (service.settings.data / "logs").absolute() in log.absolute().parents:
-        service.database.run("DELETE FROM uploads WHERE path = ?", path)
-        shutil.rmtree(log) if log.is_dir() else log.unlink(missing_ok=True)
-    release(service.settings.processed, path)
-    service.database.note(who, "dismissed", {"log": name})
+def _paths_of(service: Service, which: str) -> dict[str, str]:
+    """Return the paths of refused logs, by ids with commas between, and the names under which they were uploaded."""
+    known = {record_id(record): record.path for record in list_quarantine(service.settings.processed, {})}
+    for one in which.split(","):
+        if one not in known:
+            raise Problem(404, "There is no such log in quarantine.", where="id", found=one)
+    return {known[one]: service.database.uploaded_name(known[one]) for one in which.split(",")}
 
 
 @lab.post("/quarantine/{which}/retry", status_code=202, response_model=answers.Queued, responses=answers.NAMED)
 def retry(service: Shared, who: Who, which: str, asked: Retry) -> dict[str, str]:
-    """Read a refused log again, by another profile where one is given."""
-    return {"job": retry_log(service, which, asked.profile, who)}
+    """Read refused logs (ids with commas between) again, by another profile where one is given."""
+    paths = _paths_of(service, which)
+    for path in paths:
+        if not path_of_text(path).exists():
+            raise Problem(409, "The log is not where it was. Send it again.", where="id", found=path_of_text(path).name)
+    profiles.profile_path(service.settings, asked.profile)
+    service.database.note(who, "tried again", {"logs": list(paths.values()), "profile": asked.profile})
+    request = {"folder": "", "profile": asked.profile, "skipped": 0, "again": list(paths)}
+    return {"job": service.job("upload", request, author=who)}
 
 
 @lab.delete("/quarantine/{which}", status_code=204, response_class=Response, responses=answers.NAMED)
 def dismiss(service: Shared, who: Who, which: str) -> Response:
-    """Dismiss a refused log."""
-    dismiss_log(service, which, who)
+    """Remove refused logs (ids with commas between) from quarantine, and from the uploads where they came by these."""
+    paths = _paths_of(service, which)
+    for path in paths:
+        log = path_of_text(path)
+        if (service.settings.data / "logs").absolute() in log.absolute().parents:
+            service.database.run("DELETE FROM uploads WHERE path = ?", path)
+            shutil.rmtree(log) if log.is_dir() else log.unlink(missing_ok=True)
+        release(service.settings.processed, path)
+    service.database.note(who, "dismissed", {"logs": list(paths.values())})
     return Response(status_code=204)
 
 
@@ -232,15 +227,15 @@ def boundary(service: Shared, of: Of) -> Any:
     return service.theory.compute("boundary", of)
 
 
-@lab.get("/theory/optimum", response_model=dict[str, Any], responses=SLOW)
-def optimum(
+@lab.get("/theory/optimum", response_model=dict[str, Any], responses=answers.LATER)
+async def optimum(
     service: Shared,
     of: Of,
     criterion: Literal[OPTIMA],  # type: ignore[valid-type]
     signal: Literal["continuous", "discrete"] | None = None,
 ) -> Any:
-    """Return the point of least cost by a criterion, as `pipeline theory optimum --json`."""
-    return service.theory.compute("optimum", of, criterion, signal)
+    """Return the point of least cost by a criterion, as `pipeline theory optimum --json`; 202 where it takes longer."""
+    return JSONResponse(await awaited(service, lambda: service.optimum(of, criterion, signal)))
 
 
 @lab.get("/theory/points", response_model=list[dict[str, Any]], responses=SLOW)

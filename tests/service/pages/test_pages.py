@@ -2,9 +2,8 @@
 
 import html
 import re
-import shutil
 from pathlib import Path
-from urllib.parse import urlencode
+from urllib.parse import parse_qs, urlencode, urlsplit
 
 import pytest
 from served import HTML, Browser, form, page, serving
@@ -196,12 +195,14 @@ AWAY = ("//evil.example", "https://evil.example/", "/\\evil.example", "/\t/evil.
 def test_a_login_leads_to_the_page_that_was_asked_for(tmp_path):
     settings = Settings(tmp_path / "processed", tmp_path / "reports", host="0.0.0.0")
     token = Database(settings.data).create_token("viewer", "")
-    wanted = "/trials?q=a%2Fb&sort=-stiffness"
+    named, wanted = "/devices/new%20rig/experiments/%C3%BC%252F1", "/trials?q=a%2Fb&sort=-stiffness"
     with serving(settings) as client:
         browser = Browser(client)
-        answer = browser.ask("GET", wanted)
-        assert answer.status == 303
-        door = answer.headers["location"]
+        for path in (named, wanted):
+            answer = browser.ask("GET", path)
+            assert answer.status == 303
+            door = answer.headers["location"]
+            assert parse_qs(urlsplit(door).query)["next"] == [path]
         assert door.startswith("/login?")
         assert browser.send(door, door, secret="hp_wrong").status == 401
         assert browser.send(door, door, secret=token).headers["location"] == wanted
@@ -213,91 +214,41 @@ def test_a_login_leads_to_the_page_that_was_asked_for(tmp_path):
 
 
 @pytest.mark.browser
-def test_figures_of_a_served_report_are_saved(served, compared):
-    sync = pytest.importorskip("playwright.sync_api")
-    chromium = shutil.which("chromium")
-    if chromium is None:
-        pytest.skip("no chromium")
-    with sync.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        tab = browser.new_page()
-        tab.goto(f"http://127.0.0.1:{served.port}/api/v1/comparisons/{compared[2]}/report")
-        for name, begins in (("CSV", b""), ("SVG", b"<svg")):
-            with tab.expect_download(timeout=20_000) as saving:
-                tab.get_by_role("button", name=re.compile(rf"as {name}$")).first.click()
-            content = Path(saving.value.path()).read_bytes()
-            assert saving.value.suggested_filename.endswith(f".{name.lower()}")
-            assert content.startswith(begins)
-            assert len(content) > 100
-        browser.close()
+def test_figures_of_a_served_report_are_saved(chromium, served, compared):
+    tab = chromium.new_page()
+    tab.goto(f"http://127.0.0.1:{served.port}/api/v1/comparisons/{compared[2]}/report")
+    for name, begins in (("CSV", b""), ("SVG", b"<svg")):
+        with tab.expect_download(timeout=60_000) as saving:
+            tab.get_by_role("button", name=re.compile(rf"as {name}$")).first.click()
+        content = Path(saving.value.path()).read_bytes()
+        assert saving.value.suggested_filename.endswith(f".{name.lower()}")
+        assert content.startswith(begins)
+        assert len(content) > 100
 
 
 @pytest.mark.browser
-def test_pages_in_a_browser(served, tmp_path):
+def test_pages_in_a_browser(chromium, served):
     """No error, nothing wider than the window, nothing that axe finds, light and dark, desk and phone."""
-    sync = pytest.importorskip("playwright.sync_api")
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
-    chromium = shutil.which("chromium")
-    if chromium is None:
-        pytest.skip("no chromium")
     served.get("experiments/falcon/1/estimates")
     trial = served.get("trials?limit=1&verdict=stable").content["items"][0]["id"]
-    for path in (*PAGES[:-1], f"/trials/{trial}"):
+    paths = (*PAGES[:-1], f"/trials/{trial}")
+    for path in paths:
         page(served, path)
         served.all_done()  # a page that waits for figures loads itself again
-        page(served, path)
-        served.all_done()  # and for the next wall
     problems = []
-    with sync.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        for width, scheme in ((1500, "light"), (390, "dark")):
-            context = browser.new_context(viewport={"width": width, "height": 800}, color_scheme=scheme)
-            tab = context.new_page()
-            tab.on("pageerror", lambda error: problems.append(str(error)))
-            for path in (*PAGES[:-1], f"/trials/{trial}"):
-                tab.goto(f"http://127.0.0.1:{served.port}{path}")
-                assert tab.evaluate("document.documentElement.scrollWidth") <= width, path
-                left = (
-                    "name => { const one = document.querySelector(name);"
-                    "return one.getBoundingClientRect().left + parseFloat(getComputedStyle(one).paddingLeft); }"
-                )
-                texts = [tab.evaluate(left, name) for name in ("h1", "main")]
-                assert texts[0] == texts[1] >= 10, path
-                found = axe.run(tab).response["violations"]
-                assert [(path, rule["id"], rule["nodes"][0]["html"]) for rule in found] == []
-        browser.close()
+    for width, scheme in ((1500, "light"), (390, "dark")):
+        tab = chromium.new_context(viewport={"width": width, "height": 800}, color_scheme=scheme).new_page()
+        tab.on("pageerror", lambda error: problems.append(str(error)))
+        for path in paths:
+            tab.goto(f"http://127.0.0.1:{served.port}{path}")
+            assert tab.evaluate("document.documentElement.scrollWidth") <= width, path
+            left = (
+                "name => { const one = document.querySelector(name);"
+                "return one.getBoundingClientRect().left + parseFloat(getComputedStyle(one).paddingLeft); }"
+            )
+            texts = [tab.evaluate(left, name) for name in ("h1", "main")]
+            assert texts[0] == texts[1] >= 10, path
+            found = axe.run(tab).response["violations"]
+            assert [(path, rule["id"], rule["nodes"][0]["html"]) for rule in found] == []
     assert problems == []
-
-
-@pytest.mark.browser
-def test_a_folder_that_is_dropped_comes_in_with_all_below_it(empty, logs, tmp_path):
-    """As the file manager drops it: the browser reads the folder itself."""
-    sync = pytest.importorskip("playwright.sync_api")
-
-    chromium = shutil.which("chromium")
-    if chromium is None:
-        pytest.skip("no chromium")
-    for place, (name, data) in zip(("monday", "monday/late"), logs[:2], strict=True):
-        (tmp_path / "course" / place).mkdir(parents=True)
-        (tmp_path / "course" / place / name).write_bytes(data)
-    (tmp_path / "course" / ".hidden").write_text("no log")
-    with sync.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        page = browser.new_page()
-        page.goto(f"http://127.0.0.1:{empty.port}/upload")
-        box = page.locator("#upload .drop").bounding_box()
-        drop = {"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2}
-        drop["data"] = {"items": [], "files": [str(tmp_path / "course")], "dragOperationsMask": 1}
-        session = page.context.new_cdp_session(page)
-        for kind in ("dragEnter", "dragOver", "drop"):
-            session.send("Input.dispatchDragEvent", {"type": kind, **drop})
-        page.get_by_text("2 files are ready.").wait_for()
-        page.locator("#upload button").first.click()
-        page.wait_for_url("**/jobs/*")
-        job = empty.done(page.url.rpartition("/")[2])
-        browser.close()
-    assert (job["state"], job["result"]["ingested"], job["result"]["quarantined"]) == ("done", 2, [])
-    names = [file.relative_to(tmp_path).as_posix() for file in (tmp_path / "processed-service" / "logs").rglob("*.csv")]
-    assert sorted(name.partition("/course/")[2] for name in names) == sorted(
-        f"{place}/{name}" for place, (name, _) in zip(("monday", "monday/late"), logs[:2], strict=True)
-    )

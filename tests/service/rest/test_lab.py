@@ -47,10 +47,13 @@ def test_a_refused_log_is_read_by_another_profile_or_dismissed(empty, logs):
     assert set(refused) == {"a.own", "b.own"}
     assert {one["author"] for one in refused.values()} == {"this computer"}
     empty.ask("PUT", "profiles/own", document={"profile": PROFILE})
-    which = refused["a.own"]["id"]
-    assert empty.ask("POST", f"quarantine/{which}/retry", document={"profile": "none"}).status == 422
-    job = empty.ask("POST", f"quarantine/{which}/retry", document={"profile": "own"}).content["job"]
-    assert empty.done(job)["result"]["ingested"] == 1
+    both = ",".join(one["id"] for one in refused.values())
+    assert empty.ask("POST", f"quarantine/{both}/retry", document={"profile": "none"}).status == 422
+    assert empty.ask("POST", f"quarantine/{both},x/retry", document={"profile": "own"}).status == 404
+    result = empty.done(empty.ask("POST", f"quarantine/{both}/retry", document={"profile": "own"}).content["job"])[
+        "result"
+    ]
+    assert (result["ingested"], [one["path"] for one in result["quarantined"]]) == (1, ["b.own"])
     which = refused["b.own"]["id"]
     assert empty.ask("DELETE", f"quarantine/{which}").status == 204
     assert empty.get("quarantine").content == []
@@ -108,6 +111,10 @@ def test_next_walls_figures_and_theory_in_si(three):
     for wrong in ("boundary", "boundary?device=falcon&delay=2", "points?device=falcon&stiffness=1", "points?delay=2"):
         assert three.get(f"theory/{wrong}").status == 422
     assert three.get("theory/boundary?device=nobody").status == 404
+    best = three.get("theory/optimum?device=falcon&experiment=1&criterion=overshoot").content
+    assert (best["device"], best["stiffness"] < boundary["stiffness_max"]) == ("falcon", True)
+    assert three.get("theory/optimum?device=nobody&criterion=overshoot").status == 404
+    assert three.get("theory/optimum?delay=1&delta=-9&criterion=overshoot").status == 422
 
 
 def test_a_draft_asks_and_a_preview_shows(empty, logs):

@@ -1,9 +1,9 @@
 "use strict";
-/* Upload with progress and by drag and drop; without this script the form sends itself. */
-const form = document.getElementById("upload");
-if (form) {
+/* Upload with progress and by drag and drop; without this script the forms send themselves. */
+for (const form of document.querySelectorAll("form[enctype]")) {
   const input = form.querySelector("input[type=file]"), drop = form.querySelector(".drop");
-  const bar = form.querySelector("progress"), told = document.getElementById("told");
+  const bar = form.querySelector("progress"), told = form.querySelector("[role=status]");
+  let paths = null;
   for (const kind of ["dragover", "dragleave", "drop"])
     drop.addEventListener(kind, (event) => {
       event.preventDefault();
@@ -23,20 +23,19 @@ if (form) {
       for (const one of some) await walk(one, path + entry.name + "/", found);
     }
   };
-  let dropped = null;
   const take = async (given) => {
     const entries = [...given.items].map((item) => item.webkitGetAsEntry && item.webkitGetAsEntry()).filter(Boolean);
-    const found = [];
+    const found = [], held = new DataTransfer();
     for (const entry of entries) await walk(entry, "", found);
-    dropped = found.length ? found : null;
-    input.required = !dropped;
+    for (const [, file] of found) held.items.add(file);
+    input.files = held.files;
+    paths = found.map(([path]) => path);
     told.textContent = `${found.length} files are ready.`;
   };
-  input.addEventListener("change", () => { dropped = null; });
-  form.addEventListener("submit", (event) => {
+  input.addEventListener("change", () => { paths = null; });
+  if (bar) form.addEventListener("submit", (event) => {
     event.preventDefault();
-    const named = dropped || [...input.files].map((file) => [file.name, file]);
-    const files = named.map(([, file]) => file), most = form.dataset;
+    const files = [...input.files], most = form.dataset;
     const large = files.find((file) => file.size > most.maxFile);
     const whole = files.reduce((sum, file) => sum + file.size, 0);
     if (large) { told.textContent = `${large.name} is too large.`; return; }
@@ -53,7 +52,7 @@ if (form) {
     };
     const data = new FormData();
     data.append("profile", form.elements.profile.value);
-    for (const [name, file] of named) data.append("files", file, name);
+    files.forEach((file, at) => data.append("files", file, paths ? paths[at] : file.name));
     request.send(data);
   });
 }
