@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pipeline.base.disk import make_folder
+from pipeline.base.disk import make_folder, readable_in
 from pipeline.base.errors import StoreError
 
 LOCK_FILE = ".lock"
@@ -59,7 +59,7 @@ def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] 
     file = -1
     try:
         make_folder(processed)
-        file = os.open(processed / LOCK_FILE, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o666)
+        file = os.open(processed / LOCK_FILE, os.O_RDWR | os.O_CREAT | _NO_LINK, readable_in(processed, 0o666))
         if not _taken(file, _GRACE_S):
             if say is not None:
                 say(f"{processed}: {_noted(file)} writes there; waiting up to {wait_s:g} s")

@@ -256,6 +256,8 @@ def _rows(plan: Sequence[PlannedStage]) -> tuple[tuple[str, str, str], ...]:
 
 
 def _plan_theory(data: SceneData, theories: dict[str, Theory], predictions: Predictions) -> list[PlannedStage]:
+    if data.device is None and not data.overlay:
+        return [PlannedStage("theory", LEAVE_OUT, "the device is not known, and no estimate of it is asked for")]
     if data.device is None:
         return [PlannedStage("theory", RUN, "the device is not known: its parameters are estimated first")]
     wanted = TableBuilder(data, theories).requests()

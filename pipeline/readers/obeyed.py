@@ -184,22 +184,40 @@ def _fit(terms: Floats, command: Floats) -> tuple[Floats, Floats, float]:
 def other_gains(profile: Profile, log: Log) -> str | None:
     """Return which other gains the command of a log obeys, and the line that cures it; None where it does not."""
     found = obeyed(log)
-    return None if found is None else f"{found.sentence}. To cure it: {_cure(profile, found)}"
+    if found is None:
+        return None
+    cure = _native_cure(found, log) if profile.format == "native" else _cure(profile, found)
+    return f"{found.sentence}. To cure it: {cure}"
+
+
+def _native_cure(found: Obeyed, log: Log) -> str:
+    """Return by what a column that is not in SI has to be multiplied, or the lines of the header that agree with it."""
+    header = "; ".join(f"# {name}: {value:.4g}" for name, value in found.found.items())
+    pace = float(np.median(np.diff(log.time))) / log.header.sampling_period_s
+    column, factor = _column(found)
+    if [*found.found] == ["damping"] and abs(found.factors["damping"] / pace - 1) <= TOLERANCE:
+        column, factor = "time_s", 1 / pace
+    return f"{column} times {factor:.4g}, or {header}" if column else header
+
+
+def _column(found: Obeyed) -> tuple[str, float]:
+    """Return the column whose unit alone explains the gains, and its unit in the stated one; empty where none does."""
+    factors = found.factors
+    first = next(iter(factors.values()))
+    if not first or not all(abs(factor - first) <= TOLERANCE * abs(first) for factor in factors.values()):
+        return "", 1.0
+    if "step" in factors and len(factors) > 1:
+        return "command", 1 / first
+    position = {name for name, value in found.stated.items() if value} <= factors.keys() | {"step"}
+    return ("position", first) if position and np.isfinite(first) else ("", 1.0)
 
 
 def _cure(profile: Profile, found: Obeyed) -> str:
-    """Return the lines of a profile, or of a native header, by which header and command would agree."""
-    if profile.format == "native":
-        return "; ".join(f"# {name}: {value:.4g}" for name, value in found.found.items())
-    factors, columns, lines = found.factors, profile.column_sources(), list[str]()
-    first = next(iter(factors.values()))
-    alike = all(abs(factor - first) <= TOLERANCE * abs(first) for factor in factors.values()) and np.isfinite(first)
-    if alike and first and "step" in factors and len(factors) > 1:
-        lines = _lines("command", columns["command"], 1 / first)
-    elif alike and {name for name, value in found.stated.items() if value} <= factors.keys() | {"step"}:
-        lines = _lines("position", columns["position"], first)
-    units = [f'{name} = "{unit}"' for name, factor in factors.items() if (unit := _unit(profile, name, factor))]
-    if len(units) == len(factors):
+    """Return the lines of a profile by which header and command would agree."""
+    column, factor = _column(found)
+    lines = _lines(column, profile.column_sources()[column], factor) if column else []
+    units = [f'{name} = "{unit}"' for name, times in found.factors.items() if (unit := _unit(profile, name, times))]
+    if len(units) == len(found.factors):
         lines.append(f"[units] {', '.join(units)}")
     values = ", ".join(f"{name} {value:.4g}" for name, value in found.found.items())
     return " or ".join(lines) or f"give {values} [SI], or correct units and signs of the profile"

@@ -1,14 +1,16 @@
 """Header against command: other gains are named with factor and cure, and never where the log leaves them open."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from pipeline.intake.ingest import ingest
+from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.readers.log import Log
-from pipeline.readers.obeyed import obeyed
+from pipeline.readers.obeyed import obeyed, other_gains
 from pipeline.records.native import NativeHeader
 from pipeline.shell.cli import application
 from pipeline.store.storage import read_trials
@@ -69,6 +71,23 @@ def test_a_unit_that_was_forgotten_is_found_through_a_filter():
     found = obeyed(log((1.2, 0.008, STEP), *motion(1200.0, 8.0, seed=5, mean=4, quantum=1e-5)))
     assert found is not None
     assert found.factors["stiffness"] == pytest.approx(1000, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("columns", "cure"),
+    [
+        ((1, 1, 1000), "position times 0.001, or # stiffness: 3.2; # damping: 0.018"),
+        ((1, 50, 1), "command times 0.02, or # stiffness: 1.6e+05; # damping: 900; # step: 400"),
+        ((1e6, 1, 1), "time_s times 1e-06, or # damping: 1.8e+07"),
+    ],
+)
+def test_a_column_that_is_not_in_si_is_named_before_the_header(columns, cure):
+    time, command, position = columns
+    sent, seen = motion(3200.0, 18.0, seed=5)
+    found = log((3200.0, 18.0, STEP), command * sent, position * seen)
+    native = next(each for each in shipped_profiles() if each.format == "native")
+    warning = other_gains(native, replace(found, time=time * found.time))
+    assert warning.endswith(f"To cure it: {cure}")
 
 
 PROFILE = """

@@ -57,6 +57,13 @@ def test_lines_stand_in_the_order_of_the_questions(result):
     assert f"stability limit at least {point.margin:.2g} × K" in result.summary[0]
 
 
+def test_without_a_device_nothing_deviates_as_far_as_is_known(result):
+    assert answer_lines(result)[3] == "What deviates: nothing found."
+    unknown = result.answer.model_copy(update={"estimates": result.answer.estimates[4:]})
+    without = result.model_copy(update={"answer": unknown})
+    assert answer_lines(without)[3] == "What deviates: not told, since no device was identified."
+
+
 @pytest.mark.parametrize(("overlap", "code"), [(0.95, "yes"), (0.75, "no")])
 def test_the_code_follows_the_overlap(data, result, overlap, code):
     region = result.experiments[0].scores[0].region.model_copy(update={"overlap": overlap})
