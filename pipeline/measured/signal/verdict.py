@@ -120,7 +120,9 @@ def _judge(batch: TrialBatch, response: Response) -> Verdicts:
     rest = np.where(floor > 0, floor, np.maximum(1e-9 * peak, rounding))
     moving = size > np.where(wall, rest, 2 * rest)[:, None]
     lasted = np.where(moving.any(axis=1), signal.shape[1] - np.argmax(moving[:, ::-1], axis=1), 0)
-    begin, end = (_half_range(batch, start, count, part) for part in (0.0, END))
+    begin = _half_range(batch, start, count, 0.0)
+    # at a turn a swing looks like rest: its end is no shorter than from one turn to the next
+    end = _half_range(batch, start, count, np.minimum(END, 1 - _last_swing(signal, moving) / np.maximum(count, 1)))
     # what is left may be a limit cycle of the sensor, if it came down from far above
     left = np.where(floor > 0, end <= REST_FLOORS * floor, lasted < END * count) & wall
     above = (begin >= LEAST_FALL * np.where(left, end, np.minimum(end, floor))) | ~wall
@@ -287,7 +289,18 @@ def _bent(batch: TrialBatch, start: Integers, count: Integers) -> Booleans:
     return bent
 
 
-def _half_range(batch: TrialBatch, start: Integers, count: Integers, since: float) -> Floats:
+def _last_swing(signal: Floats, moving: Booleans) -> Floats:
+    """Return the rows between the last two changes of direction of each motion, 0 where there are fewer, shape (n,)."""
+    rows = np.arange(signal.shape[1])
+    seen = np.maximum.accumulate(np.where(moving, rows, -1), axis=1)
+    ahead = np.take_along_axis(signal, np.maximum(seen, 0), axis=1) > 0
+    turns = (ahead[:, 1:] != ahead[:, :-1]) & (seen[:, :-1] >= 0)
+    last = np.where(turns, rows[1:], 0).max(axis=1, initial=0)
+    before = np.where(turns & (rows[1:] < last[:, None]), rows[1:], 0).max(axis=1, initial=0)
+    return np.where(before > 0, last - before, 0).astype(np.float64)
+
+
+def _half_range(batch: TrialBatch, start: Integers, count: Integers, since: float | Floats) -> Floats:
     """Return half the range of the position from a part of the motion on, shape (n,)."""
     inside = batch.valid & (np.arange(batch.position.shape[1])[None, :] >= (start + since * count)[:, None])
     high = np.max(np.where(inside, batch.position, -np.inf), axis=1, initial=-np.inf)
