@@ -303,15 +303,20 @@ def hidden_rows(log: LogRows) -> Integers:
     """Return the rows before which rows are missing by the wall law, while the stamps may not show it."""
     none = np.empty(0, dtype=np.int64)
     off = (np.abs(log.residual) > log.rounding) & log.after
-    if not off.any() or log.damping == 0 or off.mean() > MOST_SPIKES:
+    moving = off & (log.change != 0)
+    if not moving.any() or log.damping == 0 or off.mean() > MOST_SPIKES:
         return none
     # over a row that is missing the position changed by more than since the row before: the residual is the damping
     # force of the change that is lost, which is like those beside it
     lost = log.residual * log.period / log.damping
     beside = np.max(np.abs([np.roll(log.change, 1), log.change, np.roll(log.change, -1)]), axis=0)
-    onward, like = np.median((lost * log.change)[off]) > 0, np.mean((np.abs(lost) < 2 * beside)[off]) > 0.9
-    single, repeated = off & ~np.roll(off, 1), (log.change == 0) & (np.diff(log.command, prepend=np.nan) == 0)
-    if onward and like and repeated[off].mean() < 0.4 and single.sum() >= 0.7 * off.sum() - 1:
+    like = np.mean((np.abs(lost) < 2 * (beside + log.floor))[off]) > 0.9
+    onward = np.median((lost * log.change)[moving]) > 0
+    # a row that stands still amid a motion is repeated
+    same = (log.change == 0) & (np.diff(log.command, prepend=np.nan) == 0)
+    repeated = same & (beside > STILL_FLOORS * log.floor)
+    single = off & ~np.roll(off, 1)
+    if like and onward and repeated[off].mean() < 0.4 and single.sum() >= 0.7 * off.sum() - 1:
         return np.flatnonzero(off) if _on_sensor_grid(log, off) else none
     return none
 
