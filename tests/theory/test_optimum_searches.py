@@ -156,3 +156,17 @@ def test_a_soft_wall_that_settles_before_all_others_is_found():
     loop = pipeline.Loop(5.6958792, 0.88984534, 0.0022202337, 0.72036481, mode=mode)
     wall = loop.points(2.22545, 4.68034, ("settle_2pct",))["settle_2pct"][0]
     assert loop.optimum("settle_2pct").cost < wall < 2700
+
+
+def test_an_optimum_of_a_region_that_begins_above_the_softest_wall_is_found():
+    """Read at the load, a mode leaves a slanting strip of walls: at most dampings soft walls are unstable."""
+    mode = {"frequency_hz": 8.92685, "damping_ratio": 0.0048145, "mass": 1.720414, "sensor": "load"}
+    loop = pipeline.Loop(9.713672, 0.0, 0.000660113, 4.0, 66722.746, mode=mode)
+    best = loop.optimum("energy_step_w1_discrete")
+    random = np.random.default_rng(3)
+    B = random.uniform(-7, 90, 400)
+    limits = loop.limits(B)["stiffness"]
+    known = loop.points(limits.fillna(0.0) - random.uniform(0, 4000, 400), B, ("energy_step_w1_discrete",))
+    costs = known.loc[known["stable"], "energy_step_w1_discrete"]
+    assert len(costs) > 20
+    assert best.cost <= costs.min() * (1 + 1e-7)
