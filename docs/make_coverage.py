@@ -244,12 +244,12 @@ ABOUT = """# How often intervals hold
 
 Made by `python docs/make_coverage.py`: {courses} courses of {trials} trials of {rows} rows behind walls, simulated by
 fine steps that share nothing with the package; mass 0.3 to 0.9 kg, damping 2 to 8 Ns/m, delay 2 to 4.5 samples,
-quantum 2 to 20 um. *Told*: with a value; *right*: within 5 % of the truth; *wrong*: off by more than 5 % **and** by
+quantum 2 to 20 um. *Told*: with a value, of so many courses; *right*: within 5 % of the truth; *wrong*: off by more than 5 % **and** by
 more than three half widths; *held*: 95 % intervals with the truth in them; *width*: median half width relative to
 the truth.
 
-| kind | quantity | courses | told | right | wrong | held | width |
-|---|---|---|---|---|---|---|---|
+| kind | quantity | told | right | wrong | held | width |
+|---|---|---|---|---|---|---|
 """
 AFTER = """
 In italics are kinds that the model does not contain: their truth is that of the device's own number. `jitter` is
@@ -274,9 +274,9 @@ def page(kept: Sequence[dict[str, Any]]) -> str:
                 width = count.add(*values)
                 widths += [] if width is None else [width]
         for place, (name, (count, widths)) in enumerate(counts.items()):
-            width = f"{100 * float(np.median(widths)):.2g} %" if widths else ""
+            width = f"{float(f'{100 * np.median(widths):.2g}'):g} %" if widths else ""
             held = f"{100 * count.held / count.told:.0f} %" if count.told else ""
-            shown = [count.courses, count.told, count.right, count.wrong, held, width]
+            shown = [f"{count.told}/{count.courses}", count.right, count.wrong, held, width]
             called = "" if place else kind if about.inside else f"*{kind}*"
             lines.append(f"| {called} | {name} | {' | '.join(map(str, shown))} |")
             total = totals[about.inside]
