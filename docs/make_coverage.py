@@ -244,9 +244,9 @@ ABOUT = """# How often intervals hold
 
 Made by `python docs/make_coverage.py`: {courses} courses of {trials} trials of {rows} rows behind walls, simulated by
 fine steps that share nothing with the package; mass 0.3 to 0.9 kg, damping 2 to 8 Ns/m, delay 2 to 4.5 samples,
-quantum 2 to 20 um. *Told*: with a value, of so many courses; *right*: within 5 % of the truth; *wrong*: off by more than 5 % **and** by
-more than three half widths; *held*: 95 % intervals with the truth in them; *width*: median half width relative to
-the truth.
+quantum 2 to 20 um. *Told*: with a value, of so many courses; *right*: within 5 % of the truth; *wrong*: off by more
+than 5 % **and** by more than three half widths; *held*: 95 % intervals with the truth in them; *width*: median half
+width relative to the truth.
 
 | kind | quantity | told | right | wrong | held | width |
 |---|---|---|---|---|---|---|
