@@ -219,8 +219,12 @@ def _without_shared(first: Digits, second: Digits, digits: int) -> tuple[list[De
     shared = []
     for root in positive_roots(second, digits):
         for _ in range(_SHARPENINGS):
-            root -= polyval(root, second) / polyval(root, polyder(second))
-        if abs(polyval(root, first)) <= polyval(root, np.abs(first)) * Decimal(10) ** (-digits // 2):
+            slope = polyval(root, polyder(second))
+            if slope == 0:
+                break  # a repeated root
+            root -= polyval(root, second) / slope
+        small = polyval(root, np.abs(first)) * Decimal(10) ** (-digits // 2)
+        if slope != 0 and abs(polyval(root, first)) <= small:
             shared.append(root)
             first, second = (polydiv(part, as_exact([-root, 1]))[0] for part in (first, second))
     return shared, first, second

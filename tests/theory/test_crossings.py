@@ -169,6 +169,20 @@ def test_a_filter_may_hide_a_motion_that_the_delay_turns_by_half_a_circle(sample
     assert (np.abs(np.linalg.eigvals(soft)).max(axis=1) > 1).all()
 
 
+@pytest.mark.parametrize("times", [2, 3])
+def test_a_filter_may_have_repeated_zeros_on_the_circle(times):
+    mean = np.array([1.0])
+    for _ in range(times):
+        mean = np.convolve(mean, np.full(4, 0.25))
+    filtered = Coefficients(kind="coefficients", b=tuple(mean), a=(1.0,))
+    loop = Loop(gamma=0.0, delta=5e-4, delay=1.5, velocity=filtered)
+    beta = np.linspace(0.05, 0.95, 12) * outline(loop, 24).ends[1]
+    level = limits(loop, beta).alpha
+    for factor, stable in ((0.01, True), (1 - 1e-6, True), (1 + 1e-6, False)):
+        poles = np.linalg.eigvals(loop.matrix(level * factor, beta))
+        assert ((np.abs(poles).max(axis=1) < 1) == stable).all(), factor
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("delay", [96.0, 255.4, 256.0])
 def test_limits_behind_long_delays_are_where_poles_leave_the_circle(delay):
