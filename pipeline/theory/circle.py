@@ -259,6 +259,9 @@ _BESIDE = 1e-12
 _LONG = 16
 """Delay from which on polynomials, whose degree is the delay's, take longer."""
 
+_CLOSE = 0.02
+"""Distance of zeros of a filter from one another, or from the circle, that may be rounding of a repeated one."""
+
 _APART = 0.05
 """Distance between the first branch and all others, relative to the width, from which on the first surely encloses."""
 
@@ -302,8 +305,18 @@ class FirstBranch:
 
 
 def is_sampled(loop: Loop) -> bool:
-    """Return whether the branches of a loop are better known by samples than by their polynomials' roots."""
-    return loop.oldest_force > _LONG
+    """Return whether the branches of a loop are better known by samples than by their polynomials' roots.
+
+    Beside a repeated zero of the filter on the circle, doubles know no branch.
+    """
+    return loop.oldest_force > _LONG and not _has_repeated_zeros(loop)
+
+
+@lru_cache(maxsize=512)
+def _has_repeated_zeros(loop: Loop) -> bool:
+    zeros = np.roots(loop.filter_in_z[0])
+    zeros = zeros[np.abs(np.abs(zeros) - 1) < _CLOSE]
+    return bool((np.abs(zeros[:, None] - zeros) < _CLOSE).sum() > len(zeros))
 
 
 def _is_smooth(loop: Loop) -> bool:
@@ -381,7 +394,7 @@ def _above(level: float, p: CirclePoints) -> Floats:
 
 
 def _zeros(loop: Loop, place: Floats, breaks: Floats, of: Callable[[CirclePoints], Floats]) -> Floats:
-    place = np.unique(np.concatenate([place, breaks * (1 - _BESIDE), breaks * (1 + _BESIDE)]))
+    place = np.unique(np.concatenate([place, breaks - _BESIDE, breaks + _BESIDE]))
     positive, part = of(circle_points(loop, place)) > 0, np.searchsorted(breaks, place)
     at = np.flatnonzero((positive[1:] != positive[:-1]) & (part[1:] == part[:-1]))
     low, high = bisect(lambda x: (of(circle_points(loop, x)) > 0) == positive[at], place[at], place[at + 1])

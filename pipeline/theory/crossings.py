@@ -37,8 +37,14 @@ from pipeline.theory.circle import (
     solved,
 )
 
-_DEEPEST = 200
-"""Halvings after which two roots count as one that is touched: they then differ by 1e-60."""
+_DEEPEST, _FINEST = 200, 60
+"""Halvings, and of them those below the leading digit, after which roots count as one: they then differ by 1e-18."""
+
+_MIDDLE = Decimal("0.98765432101")
+"""Root that divides small from large ones, and is halved: no angle that a filter has for its own reasons."""
+
+_TOGETHER = Decimal("1e-13")
+"""Relative distance within which two roots are one place."""
 
 _NOISE = 20
 """Digits of the coefficients, relative to the largest, that are rounding."""
@@ -49,12 +55,12 @@ _STEPS = 200
 _BESIDE = Decimal("1e-40")
 """Share of a bracket by which its sign is looked at beside its ends."""
 
-_FINE = Decimal("1e-15")
+_FINE = Decimal("1e-18")
 """Relative width of a bracket at which a root is known: below the rounding of a double."""
 
 
-def positive_roots(polynomial: Digits, digits: int) -> list[Decimal]:
-    """Return the positive real roots of odd multiplicity in order, to the precision of a double.
+def positive_roots(polynomial: Digits, digits: int) -> dict[Decimal, int]:
+    """Return the positive real roots in order, to the precision of a double, and their multiplicities.
 
     Parameters
     ----------
@@ -65,40 +71,48 @@ def positive_roots(polynomial: Digits, digits: int) -> list[Decimal]:
     """
     largest = max((abs(c) for c in polynomial), default=Decimal(0))
     if largest == 0:
-        return []
+        return {}
     scale = Decimal(10) ** (digits - largest.adjusted())
     rounding = 10**_NOISE
-    whole = [w if abs(w) > rounding else 0 for w in (int(c * scale) for c in polynomial)]
+    whole = [int(c * scale * _MIDDLE**k) for k, c in enumerate(polynomial)]
+    whole = [w if abs(w) > rounding else 0 for w in whole]
     while whole[-1] == 0:
         whole.pop()
     while whole[0] == 0:
         whole.pop(0)
     up, down = as_exact(whole), as_exact(whole[::-1])
-    roots = [_refined(up, *bracket) for bracket in _isolated(whole)]
-    roots += [1 / _refined(down, *bracket) for bracket in _isolated(whole[::-1])]
-    if sum(whole) == 0:
-        roots.append(Decimal(1))
-    return sorted(roots)
+    roots = [(_MIDDLE * _refined(up, *place), place[2]) for place in _isolated(whole)]
+    roots += [(_MIDDLE / _refined(down, *place), place[2]) for place in _isolated(whole[::-1])]
+    return _joined(sorted(roots))
 
 
-def _isolated(polynomial: list[int]) -> list[tuple[Decimal, Decimal]]:
-    """Return intervals in (0, 1) with one root each."""
+def _joined(roots: list[tuple[Decimal, int]]) -> dict[Decimal, int]:
+    """Return roots that doubles cannot tell apart as one of their multiplicities' sum."""
+    joined: list[tuple[Decimal, int]] = []
+    for root, multiplicity in roots:
+        if joined and root - joined[-1][0] <= _TOGETHER * root:
+            root, multiplicity = joined[-1][0], multiplicity + joined.pop()[1]
+        joined.append((root, multiplicity))
+    return dict(joined)
+
+
+def passed_roots(polynomial: Digits, digits: int) -> list[Decimal]:
+    """Return the positive real roots, in order, at which a polynomial changes its sign."""
+    return [root for root, multiplicity in positive_roots(polynomial, digits).items() if multiplicity % 2]
+
+
+def _isolated(polynomial: list[int]) -> list[tuple[Decimal, Decimal, int]]:
+    """Return intervals in (0, 1) with one root each, and its multiplicity."""
     found, degree = [], len(polynomial) - 1
     waiting = [(polynomial, 0, 0)]
     while waiting:  # ends: depth is bounded, and each halving keeps the number of changes or splits it
         p, depth, place = waiting.pop()
         changes = _changes(_shifted(p[::-1]))
-        if changes == 0:
-            continue
-        if changes == 1:
-            found.append((place / Decimal(2) ** depth, (place + 1) / Decimal(2) ** depth))
-        elif depth < _DEEPEST:
+        if changes == 1 or (changes and (depth == _DEEPEST or place.bit_length() > _FINEST)):
+            found.append((place / Decimal(2) ** depth, (place + 1) / Decimal(2) ** depth, changes))
+        elif changes:
             left = [c << (degree - k) for k, c in enumerate(p)]
-            right = _shifted(left)
-            waiting += [(left, depth + 1, 2 * place), (right, depth + 1, 2 * place + 1)]
-            if right[0] == 0:
-                middle = (2 * place + 1) / Decimal(2) ** (depth + 1)
-                found.append((middle, middle))
+            waiting += [(left, depth + 1, 2 * place), (_shifted(left), depth + 1, 2 * place + 1)]
     return found
 
 
@@ -116,10 +130,10 @@ def _changes(polynomial: list[int]) -> int:
     return sum(a != b for a, b in pairwise(signs))
 
 
-def _refined(polynomial: Digits, low: Decimal, high: Decimal) -> Decimal:
-    """Return the root between two places of different sign: false position, halved in turn."""
-    if low == high:
-        return low
+def _refined(polynomial: Digits, low: Decimal, high: Decimal, multiplicity: int) -> Decimal:
+    """Return the root between two places: false position, halved in turn, where they differ in sign."""
+    if multiplicity % 2 == 0:
+        return _between(low, high)
     # an end may be a root itself, which is another one
     beside = (high - low) * _BESIDE
     at_low, at_high = (polyval(end, polynomial) for end in (low + beside, high - beside))
@@ -166,7 +180,8 @@ class Branches:
 class Lines:
     """Walls alpha - beta slope with poles at one place of the circle, shape (n,): nan for z = -1.
 
-    There alpha gains ``turn`` unstable poles by rising where bend[0] + beta bend[1] > 0, and loses as many elsewhere.
+    There alpha gains ``turn`` unstable poles by rising where bend[0] + beta bend[1] > 0, and loses as many elsewhere;
+    none where the pole only touches the circle.
     """
 
     alpha: Floats
@@ -182,7 +197,7 @@ class OnCircle:
 
     beta = -twist/((1 + s)^delay turn), turn = rate size, alpha = -stretch/((1 + s)^delay size) - beta level/filter,
     which is rise/((1 + s)^delay turn). ``free`` are the s at which N and -1/G both are real, so that each beta has a
-    crossing there; the polynomials are without these roots.
+    crossing there, as often as both are; the polynomials are without these roots.
     """
 
     free: list[Decimal]
@@ -215,16 +230,17 @@ def on_circle(loop: Loop) -> OnCircle:
 
 
 def _without_shared(first: Digits, second: Digits, digits: int) -> tuple[list[Decimal], Digits, Digits]:
-    """Return the simple positive roots that two polynomials share, and both without them."""
+    """Return the positive roots that two polynomials share, as often as they do, and both without them."""
     shared = []
-    for root in positive_roots(second, digits):
+    for root, multiplicity in positive_roots(second, digits).items():
+        simple = second
+        for _ in range(multiplicity - 1):
+            simple = polyder(simple)
         for _ in range(_SHARPENINGS):
-            slope = polyval(root, polyder(second))
-            if slope == 0:
-                break  # a repeated root
-            root -= polyval(root, second) / slope
-        small = polyval(root, np.abs(first)) * Decimal(10) ** (-digits // 2)
-        if slope != 0 and abs(polyval(root, first)) <= small:
+            root -= polyval(root, simple) / polyval(root, polyder(simple))
+        for _ in range(multiplicity):
+            if abs(polyval(root, first)) > polyval(root, np.abs(first)) * Decimal(10) ** (-digits // 2):
+                break
             shared.append(root)
             first, second = (polydiv(part, as_exact([-root, 1]))[0] for part in (first, second))
     return shared, first, second
@@ -240,14 +256,25 @@ def sampled_branches(loop: Loop) -> Branches:
     """Return them by samples, of a loop whose polynomials are long."""
     c = on_circle(loop)
     with many_digits(loop.digits):
-        free = {float(root.ln()): float(_beta(c, root)) for root in c.free}
+        free = {float(root.ln()): float(_beta(c, root)) for root in _beside(c.free, _poles(loop))}
     return Branches(*sampled_cells(loop, _breaks(loop), free))
 
 
-def _breaks(loop: Loop) -> Floats:
-    """Return the places at which beta is infinite, in order."""
+@lru_cache(maxsize=64)
+def _poles(loop: Loop) -> dict[Decimal, int]:
+    """Return the places s at which beta is infinite, in order, and their multiplicities."""
     with many_digits(loop.digits):
-        return np.array([float(root.ln()) for root in positive_roots(on_circle(loop).rate, loop.digits)])
+        return positive_roots(on_circle(loop).rate, loop.digits)
+
+
+def _breaks(loop: Loop) -> Floats:
+    with many_digits(loop.digits):
+        return np.array([float(root.ln()) for root in _poles(loop)])
+
+
+def _beside(roots: list[Decimal], poles: dict[Decimal, int]) -> list[Decimal]:
+    """Return the roots that are no poles, each once."""
+    return [root for root in dict.fromkeys(roots) if all(abs(root - p) > _TOGETHER * p for p in poles)]
 
 
 @lru_cache(maxsize=64)
@@ -255,15 +282,16 @@ def _lines(loop: Loop) -> Lines:
     """Return the lines of a loop: at z = -1, and where N and -1/G are both real."""
     known, c = ends(loop), on_circle(loop)
     with many_digits(loop.digits):
-        place = np.array([float(root.ln()) for root in c.free])
-        none = [float(_exact_alpha(c, root, Decimal(0))) for root in c.free]
-        slope = [float(polyval(root, c.level) / polyval(root, c.filter)) for root in c.free]
-    inverse, rate = inverse_and_rate(loop, place)[1].imag
+        free = list(dict.fromkeys(c.free))
+        place = np.array([float(root.ln()) for root in free])
+        none = [float(_exact_alpha(c, root, Decimal(0))) for root in free]
+        slope = [float(polyval(root, c.level) / polyval(root, c.filter)) for root in free]
+        bend = [[float(side * part) for part in _pull(c, root)] for root in free for side in [_side(c, root)]]
     return Lines(
         alpha=np.append(known.last, none),
         slope=np.append(known.slope, slope),
-        bend=np.column_stack([known.bend, [inverse, -rate]]),
-        turn=np.append(1, np.full(len(place), 2)),
+        bend=np.array([known.bend, *bend]).T,
+        turn=np.append(1, [2 * (c.free.count(root) % 2) for root in free]).astype(np.intp),
         place=np.append(np.nan, place),
     )
 
@@ -272,9 +300,9 @@ def exact_branches(loop: Loop) -> Branches:
     """Return them by real roots, of any loop."""
     c = on_circle(loop)
     with many_digits(loop.digits):
-        turning = positive_roots(_bend(c, c.twist), loop.digits)
-        inner: dict[Decimal, Decimal | None] = {root: _beta(c, root) for root in [*turning, *c.free]}
-        inner |= dict.fromkeys(positive_roots(c.rate, loop.digits))
+        turning, poles = passed_roots(_bend(c, c.twist), loop.digits), _poles(loop)
+        inner: dict[Decimal, Decimal | None] = {s: _beta(c, s) for s in _beside([*turning, *c.free], poles)}
+        inner |= dict.fromkeys(poles)
         edges = [_END, *sorted(root for root in inner if _END < root < 1 / _END), 1 / _END]
         values = [inner[s] if s in inner else _beta(c, s) for s in edges]
         low, high, turns = [], [], []
@@ -284,8 +312,7 @@ def exact_branches(loop: Loop) -> Branches:
             # beta is infinite where it has no value: at its poles
             low.append(start if start is not None else Decimal("-Infinity" if rises else "Infinity"))
             high.append(end if end is not None else Decimal("Infinity" if rises else "-Infinity"))
-            positive = (polyval(middle, c.rate) > 0) ^ (sum(root > middle for root in c.free) % 2)
-            turns.append(2 if rises == positive else -2)
+            turns.append(2 if rises == (_side(c, middle) * polyval(middle, c.rate) > 0) else -2)
         logs, at_low, at_high = (np.array([float(v) for v in row]) for row in ([s.ln() for s in edges], low, high))
         return Branches(Cells(logs[:-1], logs[1:], at_low, at_high), np.array(turns))
 
@@ -311,8 +338,9 @@ def _exact_turns(loop: Loop, levels: list[float]) -> Floats:
     with many_digits(loop.digits):
         whole = product(power(as_exact([1, 1]), c.delay), c.turn)
         passing = [total(c.rise, -Decimal(level) * whole) for level in levels]
-        roots = [root for part in (_bend(c, c.rise), *passing) for root in positive_roots(part, loop.digits)]
-        return np.array([float(_beta(c, root)) for root in roots if polyval(root, c.turn) != 0])
+        roots = [root for part in (_bend(c, c.rise), *passing) for root in passed_roots(part, loop.digits)]
+        beside = _beside(roots, _poles(loop))
+        return np.array([float(_beta(c, root)) for root in beside if polyval(root, c.turn) != 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -404,6 +432,16 @@ def _bend(c: OnCircle, over: Digits) -> Digits:
 
 def _beta(c: OnCircle, s: Decimal) -> Decimal:
     return Decimal(-polyval(s, c.twist) / ((1 + s) ** c.delay * polyval(s, c.turn)))
+
+
+def _pull(c: OnCircle, s: Decimal) -> tuple[Decimal, Decimal]:
+    """Return the imaginary parts of -1/G and -N without their shared roots and a positive factor."""
+    return -polyval(s, c.twist) / (1 + s) ** c.delay, -polyval(s, c.turn)
+
+
+def _side(c: OnCircle, s: Decimal) -> int:
+    """Return the sign of the product of (s - root) over all shared roots but s."""
+    return -1 if sum(root > s for root in c.free) % 2 else 1
 
 
 def _exact_alpha(c: OnCircle, s: Decimal, beta: Decimal) -> Decimal:
