@@ -434,9 +434,9 @@ def _beta(c: OnCircle, s: Decimal) -> Decimal:
     return Decimal(-polyval(s, c.twist) / ((1 + s) ** c.delay * polyval(s, c.turn)))
 
 
-def _pull(c: OnCircle, s: Decimal) -> tuple[Decimal, Decimal]:
+def _pull(c: OnCircle, s: Decimal) -> Digits:
     """Return the imaginary parts of -1/G and -N without their shared roots and a positive factor."""
-    return Decimal(-polyval(s, c.twist) / (1 + s) ** c.delay), Decimal(-polyval(s, c.turn))
+    return np.array([-polyval(s, c.twist) / (1 + s) ** c.delay, -polyval(s, c.turn)])
 
 
 def _side(c: OnCircle, s: Decimal) -> int:
