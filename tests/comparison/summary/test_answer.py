@@ -101,7 +101,10 @@ def test_friction_that_explains_the_limits_is_a_code_of_its_own(data, result):
     )
     around = told(data, result, causes=(cause,), **changes)
     assert (around.predicts.code, around.predicts.percent_with_friction) == ("with_friction", None)
-    assert "friction within 5 %" in answer_lines(result.model_copy(update={"answer": around}))[2]
+    assert (
+        "limits scatter about those of the device with its friction"
+        in answer_lines(result.model_copy(update={"answer": around}))[2]
+    )
 
 
 def test_parameters_of_a_file_outside_what_the_logs_tell_are_a_cause(data, result):
