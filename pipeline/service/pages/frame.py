@@ -16,15 +16,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from pipeline.records.findings import Estimate
-from pipeline.rendering.labels import (
-    UNITS,
-    cost_text,
-    criterion_label,
-    criterion_name,
-    estimate_texts,
-    quantity_name,
-    significant,
-)
+from pipeline.rendering import labels
 from pipeline.rendering.report.page_template import FILTERS, TEMPLATES
 from pipeline.rendering.report.report_against import value_name
 from pipeline.service.database import ENDED
@@ -47,10 +39,10 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     own = {"short": _short, "when": _when, "ago": _ago, "about": _about, "sorting": _sorting}
-    own |= {"etag": tag_of, "rest": _rest, "page": _page, "told": _told, "cost_of": cost_text}
-    labels = {"name": criterion_name, "quantity": quantity_name, "value_name": value_name, "label": criterion_label}
-    found.filters |= FILTERS | own | labels
-    found.globals |= {each.__name__: each for each in (experiment_url, device_url, run_of)} | {"unit_of": UNITS}
+    own |= {"etag": tag_of, "rest": _rest, "page": _page, "told": _told, "value_name": value_name}
+    own |= {"cost_of": labels.cost_text, "quantity": labels.quantity_name, "label": labels.criterion_label}
+    found.filters |= FILTERS | own
+    found.globals |= {each.__name__: each for each in (experiment_url, device_url, run_of)} | {"unit_of": labels.UNITS}
     return found
 
 
@@ -61,12 +53,12 @@ def style_sheet() -> str:
 
 
 def _short(value: float | None) -> str:
-    return "–" if value is None else significant(value, 4)
+    return "–" if value is None else labels.significant(value, 4)
 
 
 def _told(estimate: Mapping[str, Any]) -> tuple[str, str, str]:
     """Return value and ends of an estimate of a document, with the digits that the interval asks for."""
-    return estimate_texts(Estimate.model_validate(estimate))
+    return labels.estimate_texts(Estimate.model_validate(estimate))
 
 
 def _when(seconds: float) -> str:
