@@ -223,6 +223,11 @@ class WallReplay(Record):
     limits_error_percent: float | None = None
 
     @property
+    def limits_open(self) -> bool:
+        """Whether the tested walls tell limits less well than the found device may predict them."""
+        return (self.limits_known_percent or 0.0) > max(self.limits_off_percent or 0.0, LIMITS_WITHIN)
+
+    @property
     def is_right(self) -> bool:
         """Whether limits are within 5 % of what is known of them, and 95 % of the verdicts are right."""
         limits = (self.limits_off_percent or 0.0) <= LIMITS_WITHIN + (self.limits_known_percent or 0.0)
@@ -353,7 +358,9 @@ class AnswerEstimate(Record):
     The value is null for friction that was not found: ``high`` is the most that the logs leave open.
     ``large_motion`` is the linear limit of a device with friction, from which on a harder push is unstable. Of the
     replay, the value is the share of verdicts that it has right behind walls that it was not fitted to, and
-    ``limits_off_percent`` the median error of its limits.
+    ``limits_off_percent`` the median error of its limits; where measured ones are known less well,
+    ``limits_known_percent`` is what they leave open to either side. ``at_last_damping`` where the largest limit is that
+    of the largest tested damping: there may be a larger one beyond.
     """
 
     name: Literal["delay_samples", "mass", "damping", "friction", "stiffness_max", "replay"]
@@ -363,6 +370,8 @@ class AnswerEstimate(Record):
     unit: str
     large_motion: float | None = None
     limits_off_percent: float | None = None
+    limits_known_percent: float | None = None
+    at_last_damping: bool = False
 
 
 class Prediction(Record):

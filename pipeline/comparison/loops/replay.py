@@ -20,7 +20,7 @@ from pipeline.measured.stages.stage_groups import Given, TrialGroup
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
-from pipeline.records.results import LIMITS_WITHIN, ExperimentResult, LoopLimit, WallReplay
+from pipeline.records.results import ExperimentResult, LoopLimit, WallReplay
 from pipeline.rendering.labels import share_text, significant
 
 MOST_WALLS = 150
@@ -156,7 +156,7 @@ def replay_words(replay: WallReplay) -> str:
     off, known = replay.limits_off_percent, replay.limits_known_percent
     if off is None:
         return text
-    if known is not None and known > max(off, LIMITS_WITHIN):
+    if known is not None and replay.limits_open:
         return f"{text}, its limits within what the tested walls tell, {significant(known, 2)} % to either side"
     return f"{text}, its limits within {significant(off, 2)} %"
 

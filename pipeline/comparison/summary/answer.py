@@ -129,12 +129,22 @@ def _estimates(result: ExperimentResult, units: Units, *, limit: bool) -> tuple[
                 high=point.high,
                 unit=units.stiffness,
                 large_motion=point.stiffness_large_motion,
+                at_last_damping=point.damping == max(each.damping for each in result.boundary),
             )
         )
-    if result.replay is not None and result.replay.verdicts_same is not None and limit:
-        right, off = 100 * result.replay.verdicts_same, result.replay.limits_off_percent
-        told = AnswerEstimate(name="replay", value=right, low=None, high=None, unit="%", limits_off_percent=off)
-        found.append(told)
+    replay = result.replay
+    if replay is not None and replay.verdicts_same is not None and limit:
+        found.append(
+            AnswerEstimate(
+                name="replay",
+                value=100 * replay.verdicts_same,
+                low=None,
+                high=None,
+                unit="%",
+                limits_off_percent=replay.limits_off_percent,
+                limits_known_percent=replay.limits_known_percent if replay.limits_open else None,
+            )
+        )
     return tuple(found)
 
 

@@ -64,6 +64,12 @@ def by_theory(theory: Theory, label: str, number: int | None = None) -> Series:
     return Series(label, "theory", border.alpha * units.stiffness, border.beta * units.damping, number=number)
 
 
+def _identified(result: ExperimentResult, label: str) -> Series:
+    """Return the limits that the loop found in the logs predicts at the tested dampings."""
+    limits = result.loop_boundary or ()
+    return Series(label, "identified", *np.array([(limit.stiffness, limit.damping) for limit in limits]).T)
+
+
 def limits_figure(title: str, caption: str, panels: Sequence[Panel], identifier: str) -> Figure:
     """Return a figure of limits on axes of equal range; a wide interval goes on beyond them."""
     series = [s for panel in panels for s in panel.series]
@@ -91,7 +97,7 @@ def limits_panel(title: str, series: Sequence[Series], motion: Motion, names: tu
 def answer_figure(
     result: ExperimentResult, theory: Theory | None, motion: Motion, number: int, trials: tuple[Floats, Floats, Floats]
 ) -> Figure:
-    """Return the picture beside the answer: measured limits with intervals, theory, walls to use, and all trials.
+    """Return the picture beside the answer: limits as measured, by theory and with friction, walls to use, all trials.
 
     Parameters
     ----------
@@ -105,7 +111,9 @@ def answer_figure(
     """
     K, B, verdict = trials
     series = list(measured(result, "measured limit", number, intervals=True))
-    series += [by_theory(theory, "limit by theory")] if theory is not None else []
+    rubs = result.loop_boundary and any(cause.code == "coulomb_friction" for cause in result.causes)
+    series += [by_theory(theory, "without friction" if rubs else "limit by theory")] if theory is not None else []
+    series += [_identified(result, "limit with friction")] if rubs else []
     if result.use is not None:
         u = result.use
         corners = [(u.stiffness_low, u.damping_low), (u.stiffness_high, u.damping_low)]
@@ -210,12 +218,11 @@ def _with_loop(result: ExperimentResult, theory: Theory | None, number: int, sho
     """Measured limits of one experiment with its theory, its identified loop, and conditions."""
     series = list(measured(result, "measured limit", number, intervals=True))
     if result.loop_boundary:
-        B, K, low, high = (
-            np.array([getattr(limit, name) for limit in result.loop_boundary])
-            for name in ("damping", "stiffness", "low", "high")
+        B, low, high = (
+            np.array([getattr(limit, name) for limit in result.loop_boundary]) for name in ("damping", "low", "high")
         )
         harder = np.array([limit.stiffness_large_motion for limit in result.loop_boundary], dtype=np.float64)
-        series.append(Series("identified loop", "identified", K, B))
+        series.append(_identified(result, "identified loop"))
         series.append(Series("loop, 95 % interval", "envelope", high, B, low, high))
         series += [Series("for a harder push", "friction", harder, B)] if np.isfinite(harder).any() else []
     if theory is not None:

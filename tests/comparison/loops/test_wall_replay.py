@@ -51,4 +51,6 @@ def test_right_is_95_percent_of_the_verdicts_and_limits_within_5_percent(verdict
     # where tested walls are far apart a limit between them agrees with all that is known
     coarse = replay.model_copy(update={"limits_off_percent": 30.0, "limits_known_percent": 31.0, "verdicts_same": 1.0})
     assert coarse.is_right
+    assert coarse.limits_open
+    assert not replay.limits_open
     assert not coarse.model_copy(update={"limits_off_percent": 37.0}).is_right

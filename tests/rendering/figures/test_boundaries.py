@@ -9,7 +9,7 @@ from report_data import experiment
 
 from pipeline.records.findings import BoundaryPoint
 from pipeline.records.models import Shown
-from pipeline.records.results import LoopLimit, TheoryParameters
+from pipeline.records.results import Cause, LoopLimit, TheoryParameters
 from pipeline.rendering.figures.boundaries import (
     answer_figure,
     boundary_figures,
@@ -109,6 +109,17 @@ def test_answer_shows_every_trial_behind_a_wall() -> None:
     found = {s.kind: s for s in figure.panels[0].series}
     assert (found["stable"].x.tolist(), found["unstable"].x.tolist()) == ([100], [200])
     assert figure.panels[0].names[0] == "stiffness K [Nm/rad]"
+
+
+def test_answer_shows_the_limits_with_friction_that_it_tells_of() -> None:
+    limits = tuple(LoopLimit(damping=b, stiffness=900, low=800, high=1000, stiffness_large_motion=700) for b in (0, 4))
+    rubs = Cause(code="coulomb_friction", sentence="", evidence="")
+    result = experiment("1").model_copy(update={"loop_boundary": limits, "causes": (rubs,)})
+    nothing = np.array([]), np.array([]), np.array([])
+    (panel,) = answer_figure(result, theory(), "translation", 0, nothing).panels
+    found = {s.label: s.x.tolist() for s in panel.series}
+    assert found["limit with friction"] == [900, 900]
+    assert "without friction" in found
 
 
 def test_normalised_plane_holds_several_devices_each_with_its_theory() -> None:
