@@ -83,6 +83,7 @@ def _about(job: Mapping[str, Any]) -> str:
     """Return in words what a job does."""
     asked = job["request"].get("request", {})
     places = asked.get("places") or [[asked.get("device", ""), *asked.get("experiments", ())]]
+    places += [list(asked["against"].values())] if asked.get("against") else []
     where = "; ".join(", ".join([", experiment ".join(place[:2]), *place[2:]]) for place in places if place[0])
     return f"{_WORDS[job['kind']]}{' of ' if where else ''}{where}"
 

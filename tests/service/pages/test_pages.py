@@ -84,6 +84,8 @@ def test_a_read_only_server_says_what_was_not_drawn(falcon, tmp_path):
         text = page(client, f"/trials/{trial}")
         assert "samples?format=csv" in text
         assert "cannot be drawn: This was not computed yet, and the server is read-only." in text
+        # theory needs no store
+        assert client.get("theory/optimum?delay=2&criterion=overshoot").content["cost"] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_what_is_not_there_is_a_page(served):
