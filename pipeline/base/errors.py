@@ -23,7 +23,7 @@ CURES: dict[str, str] = {
     "condition-missing": "Correct the profile, or the file.",
     "condition-wrong": "Correct the profile (name_pattern, attributes, condition_columns, [[file]]) or the file.",
     "profile-wrong": "Correct the profile.",
-    "no-profile": "Remove it, correct `files` of the profile, or give --profile.",
+    "no-profile": "Remove it, correct `files` of the profile, or name the profile to read it by.",
     "lengths-differ": "Choose signals that were recorded together, with the time that belongs to them.",
     "partner-missing": "Put all files of the log beside each other.",
     "too-large": "Split the recording into single responses, or export the columns that are needed.",

@@ -436,8 +436,8 @@ class _Run:
         if not self.replace:
             raise LogError(
                 f"is stored as a log of {before}; profile {profile!r} claims it now for device "
-                f"{', '.join(map(repr, now))}. Its trials stay as they are. Give --replace to read it as that now, or "
-                "--profile to name the right one.",
+                f"{', '.join(map(repr, now))}. Its trials stay as they are. To read it as that now, delete them or "
+                "give --replace; or name the right profile.",
                 code="profile-wrong",
             )
         count = len(rival.trials)

@@ -379,7 +379,7 @@ class Prediction(Record):
     """Whether theory predicts the device: distance of the measured limits from it, and of the costs on tested walls.
 
     ``percent`` is the median distance of ``limits`` limits, null where it is no headline (`scores.agreement`);
-    ``percent_with_friction`` that from the found device with its friction, which is right within 5 % where it is null.
+    ``percent_with_friction`` that from the device with its friction, null where they lie on both sides of it.
     ``safe`` where all walls that theory calls stable are. ``reason`` says why it is unknown.
     """
 

@@ -114,9 +114,10 @@ class Browser:
         """Send the form of a page that makes a request of REST, with the fields that a person fills in."""
         text = self.ask("GET", at).content.decode()
         for form in re.findall(r'<form method="post" action="/do".*?</form>', text, re.DOTALL):
-            hidden = dict(re.findall(r'<input type="hidden" name="([^"]+)" value="([^"]*)">', form))
-            given = {name: html.unescape(value) for name, value in hidden.items()}
-            if (given["method"], given["path"]) == (method, path):
+            given = {}
+            for name, value in re.findall(r'<input type="hidden" name="([^"]+)" value="([^"]*)">', form):
+                given.setdefault(name, []).append(html.unescape(value))
+            if (given["method"], given["path"]) == ([method], [path]):
                 body = urlencode({**given, **fields}, doseq=True)
                 return self.ask("POST", "/do", body, {"Content-Type": "application/x-www-form-urlencoded"})
         raise AssertionError(f"{at} has no form for {method} {path}")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.base.wording import counted
 from pipeline.measured.model.intervals import Errors, Interval, Numbers, Quantity
 from pipeline.measured.model.parts import Choice
 from pipeline.measured.model.recordings import Recording
@@ -61,7 +62,7 @@ class Recorded:
             return "steps of two sizes in one direction"
         if self.directions < 2 or self.signs < 2:
             return "the same steps in the other direction, or one that turns back in motion"
-        return f"more runs: sizes and directions differ already, but {self.trials} of them leave this open"
+        return f"more than {counted(self.trials, 'run')} of several sizes and directions"
 
 
 def _turns(position: Floats) -> bool:

@@ -421,10 +421,12 @@ def _tenths(number: re.Match[str]) -> str:
 
 
 def _without_plain_groups(body: str) -> str:
-    """Return elements without the groups that say nothing."""
+    """Return elements without the groups that say nothing, or hold nothing."""
     open_groups: list[bool] = []
 
     def kept(tag: re.Match[str]) -> str:
+        if tag[0].endswith("/>"):
+            return ""
         if tag[0] == "</g>":
             return "" if open_groups.pop() else tag[0]
         open_groups.append(tag[0] == "<g>")

@@ -36,7 +36,7 @@ from pipeline.rendering.figures.boundaries import (
     plane_figure,
 )
 from pipeline.rendering.figures.drawing import Figure, draw
-from pipeline.rendering.labels import significant
+from pipeline.rendering.labels import UNITS, significant
 from pipeline.rendering.report.report_against import write
 from pipeline.service.database import Database
 from pipeline.service.jobs.documents import document_file, key_of, read_document
@@ -216,7 +216,7 @@ def _compared(settings: Settings, request: dict[str, Any], report: Path | None, 
 
 
 Drawn = dict[str, Any]
-"""Panels as SVG, what they show in numbers, and the words below."""
+"""Panels as SVG, what they show in numbers, title and caption."""
 
 
 def figures_of(processed: Path, result: ComparisonResult) -> dict[str, Drawn]:
@@ -233,8 +233,8 @@ def figures_of(processed: Path, result: ComparisonResult) -> dict[str, Drawn]:
 def _drawn(figure: Figure, results: Sequence[ComparisonResult]) -> Drawn:
     """Return a figure drawn; it says so where logs of some result are simulated."""
     drawn = draw(replace(figure, simulated=any(each.simulated for each in results)))
-    words = f"{figure.title}. {figure.caption}".strip()
-    return {"panels": list(drawn.panels), "shown": list(drawn.shown), "caption": words}
+    words = {"title": figure.title, "caption": figure.caption}
+    return {"panels": list(drawn.panels), "shown": list(drawn.shown), **words}
 
 
 def limits(_processed: Path, asked: dict[str, Any], results: Sequence[ComparisonResult]) -> Drawn:
@@ -263,11 +263,10 @@ def trials(processed: Path, asked: dict[str, Any], results: Sequence[ComparisonR
         row = next((row for row in stages.trials.to_pylist() if row["trial_id"] == trial), None)
         if row is None and len(asked["places"]) > 1:
             raise DeviceError(f"trial {trial} is excluded by hand. Use it again, or leave it out.")
-        walls = f"K {significant(row['stiffness'], 4)}, B {significant(row['damping'], 3)}" if row else ""
-        labels.append(f"{walls} ({device}, {experiment})")
-    if len(figures) == 1:
-        return _drawn(figures[0], results) | {"caption": figures[0].caption}
-    return _drawn(overlaid_figure(figures, labels), results) | {"caption": ""}
+        k, b = (significant(row[name], 4) if row else "" for name in ("stiffness", "damping"))
+        units = UNITS[result.motion]
+        labels.append(f"K {k} {units.stiffness}, B {b} {units.damping} ({device}, {experiment})")
+    return _drawn(figures[0] if len(figures) == 1 else overlaid_figure(figures, labels), results)
 
 
 DRAWINGS: dict[str, Callable[[Path, dict[str, Any], Sequence[ComparisonResult]], Drawn]] = {

@@ -15,7 +15,8 @@ from fastapi.responses import HTMLResponse
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from pipeline.rendering.labels import UNITS, cost_text, criterion_label, criterion_name, significant
+from pipeline.records.findings import Estimate
+from pipeline.rendering import labels
 from pipeline.rendering.report.page_template import FILTERS, TEMPLATES
 from pipeline.rendering.report.report_against import value_name
 from pipeline.service.database import ENDED
@@ -38,10 +39,10 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     own = {"short": _short, "when": _when, "ago": _ago, "about": _about, "sorting": _sorting}
-    own |= {"etag": tag_of, "rest": _rest, "page": _page}
-    labels = {"name": criterion_name, "value_name": value_name, "cost_of": cost_text, "label": criterion_label}
-    found.filters |= FILTERS | own | labels
-    found.globals |= {each.__name__: each for each in (experiment_url, device_url, run_of)} | {"unit_of": UNITS}
+    own |= {"etag": tag_of, "rest": _rest, "page": _page, "told": _told, "value_name": value_name}
+    own |= {"cost_of": labels.cost_text, "quantity": labels.quantity_name, "label": labels.criterion_label}
+    found.filters |= FILTERS | own
+    found.globals |= {each.__name__: each for each in (experiment_url, device_url, run_of)} | {"unit_of": labels.UNITS}
     return found
 
 
@@ -52,7 +53,12 @@ def style_sheet() -> str:
 
 
 def _short(value: float | None) -> str:
-    return "–" if value is None else significant(value, 4)
+    return "–" if value is None else labels.significant(value, 4)
+
+
+def _told(estimate: Mapping[str, Any]) -> tuple[str, str, str]:
+    """Return value and ends of an estimate of a document, with the digits that the interval asks for."""
+    return labels.estimate_texts(Estimate.model_validate(estimate))
 
 
 def _when(seconds: float) -> str:
@@ -77,7 +83,8 @@ def _about(job: Mapping[str, Any]) -> str:
     """Return in words what a job does."""
     asked = job["request"].get("request", {})
     places = asked.get("places") or [[asked.get("device", ""), *asked.get("experiments", ())]]
-    where = "; ".join(", ".join(place) for place in places if place[0])
+    places += [list(asked["against"].values())] if asked.get("against") else []
+    where = "; ".join(", ".join([", experiment ".join(place[:2]), *place[2:]]) for place in places if place[0])
     return f"{_WORDS[job['kind']]}{' of ' if where else ''}{where}"
 
 

@@ -110,7 +110,7 @@ def one_experiment(service: Shared, request: Request, device: Segment, experimen
         service, request, "experiment.html.j2", device=device, experiment=experiment, trials=trials[:LISTED],
         total=total, facets=facets, motion=motion, units=UNITS[motion],
         period=told["sampling_period_s"] if told else None,
-        plot=clickable(drawn, trials) if drawn else None, caption=drawn["caption"] if drawn else "",
+        plot=clickable(drawn, trials) if drawn else None, drawn=drawn,
         found=found, answer=answer_of(document), job=job, problem=problem,
         causes=document["causes"][experiment] if document else [],
         excluded=service.excluded(of), words=words_of(service, of), of=of,
@@ -349,12 +349,17 @@ async def do(service: Shared, request: Request, fields: Fields) -> Response:
 
 
 def _document(fields: Mapping[str, list[str]]) -> dict[str, Any]:
-    """Return a form as a document: ``x[]`` has all values, ``x,`` a list of words, ``x?`` null where it is empty."""
+    """Return a form as a document.
+
+    ``x[]`` has all values, ``x{}`` them as name=text, ``x,`` a list of words, ``x?`` null where it is empty.
+    """
     found: dict[str, Any] = {}
     for name, values in fields.items():
         text = values[0].replace("\r\n", "\n")
         if name.endswith("[]"):
             found[name[:-2]] = values
+        elif name.endswith("{}"):
+            found[name[:-2]] = dict(value.partition("=")[::2] for value in values)
         elif name.endswith(","):
             found[name[:-1]] = [word.strip() for word in text.split(",") if word.strip()]
         elif name.endswith("?"):

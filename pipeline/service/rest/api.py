@@ -250,7 +250,11 @@ def one_job(service: Shared, job: str) -> dict[str, Any]:
 @api.delete("/jobs/{job}", response_model=answers.Job, responses=answers.NAMED)
 def cancel(service: Shared, request: Request, job: str) -> dict[str, Any]:
     """Cancel a job that has not ended; for who asked for it, and admins."""
-    cancel_job(service, job, request.state.role, request.state.who)
+    shown, who = one_job(service, job), request.state.who
+    if request.state.role != "admin" and shown["author"] != who:
+        raise Problem(403, "Only who asked for a job, or an admin, cancels it.", expected=shown["author"], found=who)
+    service.database.cancel(job)
+    service.database.note(who, "cancelled", {"job": job, "kind": shown["kind"]})
     return one_job(service, job)
 
 
@@ -344,15 +348,6 @@ async def awaited(service: Service, ask: Callable[[], Kept]) -> dict[str, Any]:
         if shown["problem"]:
             status = shown["problem"]["status"]  # that of a defect is its own job's, and not to be had here
             raise Problem(503 if status == 500 else status, shown["problem"]["detail"], where="job", found=job)
-
-
-def cancel_job(service: Service, job: str, role: str, who: str) -> None:
-    """Cancel a job; only who asked for it may, and an admin."""
-    shown = one_job(service, job)
-    if role != "admin" and shown["author"] != who:
-        raise Problem(403, "Only who asked for a job, or an admin, cancels it.", expected=shown["author"], found=who)
-    service.database.cancel(job)
-    service.database.note(who, "cancelled", {"job": job, "kind": shown["kind"]})
 
 
 async def receive(service: Service, request: Request, check: Any = lambda _: None) -> dict[str, Any]:

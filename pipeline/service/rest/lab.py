@@ -227,7 +227,7 @@ def boundary(service: Shared, of: Of) -> Any:
     return service.theory.compute("boundary", of)
 
 
-@lab.get("/theory/optimum", response_model=dict[str, Any], responses=answers.LATER)
+@lab.get("/theory/optimum", response_model=dict[str, Any], responses={**answers.LATER, **SLOW})
 async def optimum(
     service: Shared,
     of: Of,

@@ -118,11 +118,13 @@ def _add_words(path: str, of: Callable[..., list[str]], form: type[Notes | Tags]
 
     @remarks.get(path, response_model=answer, responses=answers.NAMED)
     def words(service: Shared, of: owned) -> Response:
+        """Return what was written, by whom and when; its ETag goes into If-Match of a change."""
         found = service.database.words(kind, of)
         shown = {name: found["value"], "author": found["author"], "changed": found["changed"]}
         return JSONResponse(shown, headers={"ETag": tag_of(found)})
 
     def put_words(service: Shared, who: Who, of: owned, asked: Any, match: IfMatch = None) -> Response:
+        """Replace what was written, unless it changed since the ETag of If-Match."""
         keep_words(service, kind, of, getattr(asked, name), who, match)
         return words(service, of)
 
@@ -138,10 +140,12 @@ def _add_remarks(owner: str, of: Callable[..., list[str]]) -> None:
 
     @remarks.get(f"{owner}/exclusion", response_model=dict[str, dict[str, str]], responses=answers.NAMED)
     def excluded(service: Shared, of: owned) -> dict[str, Any]:
+        """Return which trials are excluded by hand, and why."""
         return {"excluded": service.excluded(of)}
 
     @remarks.put(f"{owner}/exclusion", response_model=dict[str, dict[str, str]], responses=answers.NAMED)
     def put_exclusion(service: Shared, who: Who, of: owned, asked: Exclusion) -> dict[str, Any]:
+        """Exclude by hand with a reason, or use again (null)."""
         return {"excluded": service.exclude(of, asked.reason, who)}
 
 
@@ -150,6 +154,7 @@ def _add_places(owner: str, of: Callable[..., list[str]], form: type[DeviceChang
     owned = Annotated[list[str], Depends(of)]
 
     def move(service: Shared, who: Who, of: owned, asked: Any) -> dict[str, int]:
+        """Rename, or move to another place; notes and tags follow. Return how many trials."""
         return {"trials": move_to(service, of, asked, who)}
 
     move.__annotations__["asked"] = form
@@ -157,6 +162,7 @@ def _add_places(owner: str, of: Callable[..., list[str]], form: type[DeviceChang
 
     @remarks.delete(owner, response_model=dict[str, int], responses=answers.NAMED)
     def delete(service: Shared, who: Who, of: owned) -> dict[str, int]:
+        """Put into the bin, from which it can be restored. Return how many trials."""
         return {"trials": service.delete(of, who)}
 
 

@@ -101,7 +101,21 @@ def test_friction_that_explains_the_limits_is_a_code_of_its_own(data, result):
     )
     around = told(data, result, causes=(cause,), **changes)
     assert (around.predicts.code, around.predicts.percent_with_friction) == ("with_friction", None)
-    assert "friction within 5 %" in answer_lines(result.model_copy(update={"answer": around}))[2]
+    assert (
+        "limits scatter about those of the device with its friction"
+        in answer_lines(result.model_copy(update={"answer": around}))[2]
+    )
+
+
+def test_words_say_what_the_tested_walls_leave_open(result):
+    *others, largest, replay = result.answer.estimates
+    largest = largest.model_copy(update={"at_last_damping": True})
+    replay = replay.model_copy(update={"limits_known_percent": 12.0})
+    known = result.answer.model_copy(update={"estimates": (*others, largest, replay)})
+    line = answer_lines(result.model_copy(update={"answer": known}))[1]
+    assert "; at the largest tested B, perhaps more beyond" in line
+    assert "their limits within what tested walls tell, 12 % to either side" in line
+    assert "limits off by" not in line
 
 
 def test_parameters_of_a_file_outside_what_the_logs_tell_are_a_cause(data, result):

@@ -45,6 +45,13 @@ def test_each_panel_is_one_element_with_name_words_and_text_as_text(drawn) -> No
         assert "_hidden" not in words
 
 
+def test_a_series_without_a_point_leaves_the_element_whole() -> None:
+    unknown = Series("measured limit", "measured", np.array([np.nan]), np.array([1.0]))
+    panel = Panel("panel", NAMES, (unknown, Series("stable trial", "stable", X, X / 20)), "Words.")
+    (svg,) = draw(Figure("boundaries", "some-figure", "Title", "Caption.", (panel,))).panels
+    assert ElementTree.fromstring(standalone(svg)) is not None
+
+
 def test_same_figure_same_bytes_without_date_style_or_reference_outside(drawn) -> None:
     assert draw(figure()).panels == drawn.panels
     for svg in drawn.panels:

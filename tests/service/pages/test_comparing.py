@@ -4,7 +4,7 @@ import html
 import re
 
 import pytest
-from served import HTML, page
+from served import HTML, Browser, page
 
 from pipeline.service.jobs.results import limits
 from pipeline.service.pages.comparing import differences, planes
@@ -112,3 +112,9 @@ def test_the_page_keeps_its_plane_in_the_address(three):
     # eight logs each of the same content: nothing differs, and each estimate stands twice
     row = re.search(r'<th scope="row">mass \[kg\]</th>.*?</tr>', text)[0]
     assert '<td class="words">no</td>' in row
+    # a report of the two, by the form of the page
+    made = Browser(three).do(TWO, "POST", "comparisons")
+    job = three.get(f"jobs/{made.headers['location'].rpartition('/')[2]}").content
+    asked = job["request"]["asked"]
+    assert (asked["experiments"], asked["against"]) == (["1"], {"device": "falcon", "experiment": "2"})
+    assert "<h1>Report of falcon, experiment 1; falcon, experiment 2</h1>" in page(three, f"/jobs/{job['id']}")

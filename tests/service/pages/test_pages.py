@@ -27,7 +27,7 @@ def test_pages_need_no_script_and_no_other_server(served, path):
 def test_the_experiment_page_has_the_numbers_of_the_api(served, falcon):
     estimate = served.get("experiments/falcon/1/estimates").content["mass"]
     text = page(served, "/devices/falcon/experiments/1")
-    row = re.search(r"<th scope=\"row\">mass</th>.*?</tr>", text)[0]
+    row = re.search(r"<th scope=\"row\">mass m</th>.*?</tr>", text)[0]
     shown = [float(word) for word in re.findall(r"\d[\d.]*(?=[< ])", row)][:3]
     assert shown == pytest.approx([estimate["value"], estimate["low"], estimate["high"]], rel=1e-3)
     trials = falcon.stages("1").trials.num_rows
@@ -84,6 +84,8 @@ def test_a_read_only_server_says_what_was_not_drawn(falcon, tmp_path):
         text = page(client, f"/trials/{trial}")
         assert "samples?format=csv" in text
         assert "cannot be drawn: This was not computed yet, and the server is read-only." in text
+        # theory needs no store
+        assert client.get("theory/optimum?delay=2&criterion=overshoot").content["cost"] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_what_is_not_there_is_a_page(served):
