@@ -135,6 +135,7 @@ CauseCode = Literal[
     "coulomb_friction",
     "velocity_filter",
     "adaptive_velocity",
+    "decimated_rows",
     "actuator_lag",
     "vibration_mode",
     "operator",

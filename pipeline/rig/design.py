@@ -22,8 +22,11 @@ _LOOKS = 8
 _EDGE = 5
 """Looks towards a change with which there is no rig, as of a cut-off above half the sampling rate."""
 
-_CLIMBS = 8
+_TOP_LOOKS = 8
 """Looks for the top between three looks of which the middle one comes nearest to the wish."""
+
+_NO_RIG = -1e3
+"""Room for a search of a top where there is no rig: below any other, and finite."""
 
 _HALVINGS = 9
 """Of what lies between two looks ends are narrowed to one part in 2 to so many: ln of a change to 1e-3."""
@@ -203,7 +206,8 @@ def _turn(room: Callable[[float], float], at_0: float, looks: Sequence[float]) -
         if over < 0 and len(trail) > 1 and trail[-1][1] > max(trail[-2][1], over):
             # rooms jump: between looks the wish may be reached, and left again
             ends = sorted((trail[-2][0], behind))
-            top = minimize_scalar(lambda x: -room(x), bounds=ends, method="bounded", options={"maxiter": _CLIMBS})
+            options = {"maxiter": _TOP_LOOKS}
+            top = minimize_scalar(lambda x: -max(room(x), _NO_RIG), bounds=ends, method="bounded", options=options)
             if top.fun <= 0:
                 trail.pop()
                 behind, over = float(top.x), -float(top.fun)

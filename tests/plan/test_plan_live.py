@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from pipeline.device_data.devices import load_device
 from pipeline.loop.loop import Normalised
@@ -49,6 +50,7 @@ def true_limits() -> np.ndarray:
     return np.interp(DAMPINGS, curve.beta[:rising] * scale.damping, curve.alpha[:rising] * scale.stiffness)
 
 
+@pytest.mark.slow
 def test_watch_leads_a_rig_to_the_limits(tmp_path: Path) -> None:
     logs = tmp_path / "logs"
     logs.mkdir()

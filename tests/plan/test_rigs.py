@@ -68,6 +68,7 @@ def test_the_search_ends_with_what_was_measured(tmp_path, name):
 
 
 @pytest.mark.parametrize("experiment", [each.name for each in FALCON.experiments])
+@pytest.mark.sampled
 def test_without_logs_the_first_walls_are_well_inside_what_the_file_predicts(tmp_path, experiment):
     for wish in (Wish(count=3), Wish(goal="optimum"), Wish(count=3, gentle=True)):
         for wall in plan("falcon", tmp_path / "none", experiment, wish).next:

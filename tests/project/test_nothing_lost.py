@@ -245,6 +245,7 @@ class TestChanged:
 class TestReadingsThatAreNone:
     @pytest.mark.parametrize("value", ["3.4e38", "1e20", "9.97e36", "-1e308", "2e6"])
     @pytest.mark.parametrize("column", [1, 2])
+    @pytest.mark.sampled
     def test_one_such_cell_refuses_its_log_alone(self, tmp_path, value, column):
         rng = random.Random(value + str(column))
         logs = tmp_path / "logs"
@@ -294,7 +295,7 @@ class TestEnds:
         ingest(tmp_path / "logs", processed=tmp_path / "processed")
         return tmp_path / "processed"
 
-    @pytest.mark.sampled
+    @pytest.mark.slow
     @pytest.mark.parametrize("seed", range(3))
     def test_a_flipped_bit_in_what_can_be_computed_anew_is_computed_anew(self, store, seed):
         words = ("compare", "--device", "bench", "--processed", store, "--json")

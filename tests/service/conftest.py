@@ -1,6 +1,9 @@
 """A server with the trials of the shared Falcon course, computed once; tests that upload use one of their own."""
 
 import shutil
+from collections.abc import Callable
+from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 from served import serving
@@ -8,12 +11,34 @@ from served import serving
 from pipeline.service.settings import Settings
 
 
+def settings(folder: Path) -> Settings:
+    return Settings(folder / "processed", folder / "reports", wait_s=240.0, renew=False)
+
+
 @pytest.fixture(scope="session")
-def served(falcon, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("served")
-    shutil.copytree(falcon.processed, folder / "processed")
-    with serving(Settings(folder / "processed", folder / "reports", wait_s=240.0, renew=False)) as client:
-        client.all_done()
+def kept(made_once, tmp_path_factory):
+    """Call it with a name and what fills a folder: filled by one worker, copied and served by each."""
+
+    @contextmanager
+    def of(name: str, fill: Callable[[Path], None]):
+        folder = made_once(name, lambda folder: fill(folder) or folder)
+        copy = tmp_path_factory.mktemp(name) / "lab"
+        shutil.copytree(folder, copy)
+        with serving(settings(copy)) as client:
+            client.all_done()
+            yield client
+
+    return of
+
+
+@pytest.fixture(scope="session")
+def served(falcon, kept):
+    def fill(folder: Path) -> None:
+        shutil.copytree(falcon.processed, folder / "processed")
+        with serving(settings(folder)) as client:
+            client.all_done()
+
+    with kept("served", fill) as client:
         yield client
 
 
@@ -44,9 +69,8 @@ def logs(falcon):
 
 
 @pytest.fixture(scope="session")
-def three(logs, tmp_path_factory):
+def three(logs, kept):
     """A server with eight logs each of two experiments and of a device of its own; tests leave it as it was."""
-    folder = tmp_path_factory.mktemp("three")
     others = (("falcon", "2"), ("new rig", "1"))
     files = list(logs)
     for device, name in others:
@@ -59,12 +83,16 @@ def three(logs, tmp_path_factory):
                 assert data.count(old) == 1
                 data = data.replace(old, new)
             files.append((f"{device}-{name}-{file}", data))
-    with serving(Settings(folder / "processed", folder / "reports", wait_s=240.0, renew=False)) as client:
-        _, job = client.upload(files)
-        assert job["result"]["ingested"] == len(files)
-        client.all_done()
-        for path in ("falcon/1", "falcon/2"):
-            assert client.get(f"experiments/{path}/estimates").status == 200
+
+    def fill(folder: Path) -> None:
+        with serving(settings(folder)) as client:
+            _, job = client.upload(files)
+            assert job["result"]["ingested"] == len(files)
+            client.all_done()
+            for path in ("falcon/1", "falcon/2"):
+                assert client.get(f"experiments/{path}/estimates").status == 200
+
+    with kept("three", fill) as client:
         yield client
 
 

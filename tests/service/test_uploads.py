@@ -202,6 +202,7 @@ def running(client, database, job):
     return database.run("SELECT owner FROM jobs WHERE id = ?", job)[0]["owner"]
 
 
+@pytest.mark.slow
 def test_a_running_job_ends_when_it_is_cancelled(empty, logs, tmp_path):
     database = Database(Settings(tmp_path / "processed", tmp_path / "reports").data)
     empty.upload(logs)

@@ -38,6 +38,7 @@ def iterated(
 @pytest.mark.parametrize("far", [False, True])
 @pytest.mark.parametrize("blow", [False, True])
 @pytest.mark.parametrize("near", [1e-5, 0.3])
+@pytest.mark.sampled
 def test_energies_of_a_light_motor_side(near, blow, far):
     reduced = near * (1 - near)
     stiffness, damping = reduced * 0.3**2, 2 * 0.9 * 0.3 * reduced

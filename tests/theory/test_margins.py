@@ -48,6 +48,7 @@ def test_factors_lead_to_the_limit_and_no_smaller_one_does(name):
 
 
 @pytest.mark.parametrize("name", LOOPS)
+@pytest.mark.sampled
 def test_added_delay_leads_to_the_limit_and_no_smaller_one_does(name):
     loop = LOOPS[name]
     K, B = wall(loop)

@@ -49,6 +49,7 @@ SENTENCES = {
     "repeated_rows": "Rows or readings of the position are repeated.",
     "velocity_filter": "The velocity of the wall law is filtered.",
     "adaptive_velocity": "The velocity of the wall law is taken over a window that adapts to the motion.",
+    "decimated_rows": "The logs hold one of several samples of the control loop.",
     "command_shifted": "The logged command is that of another row than its position.",
     "rate_limit": "The rate of the command is limited.",
     "sampling_period": "The time stamps are those of another sampling period than the header states.",
@@ -63,6 +64,10 @@ SENTENCES = {
 ``other_unit``: K and B a power of ten off."""
 
 UNTIMED = {
+    "decimated_rows": (
+        "the controller runs faster than rows are logged, and what it commands between them is not seen: mass, damping "
+        "and delay depend on it; what would help: each sample of the control loop logged"
+    ),
     "command_shifted": (
         "the command is logged in another row than its position, and the delay is off by as many samples; what would "
         "help: command and position of the same sample in a row"

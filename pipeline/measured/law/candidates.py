@@ -22,8 +22,11 @@ LONGEST_WINDOW, ADAPTS = 32, 0.1
 """Samples of the longest adaptive window, and share of the rows of a motion from which on the velocity is not the last
 change: of the rows behind a lost one, a few percent, some window fits by chance."""
 
+GRID = 0.1
+"""Part of a sensor's quantum by which what lies on its grid may be off."""
+
 LEVEL_ROWS = 5
-"""Rows for which the external force must stay on a level to be a step of its own."""
+"""Rows for which the external force must stay on a level to be a step of its own; velocities that show a grid."""
 
 FEWEST_AT_LIMIT = 3
 """Rows whose command changes by the same that show a limit of that."""
@@ -265,6 +268,23 @@ def _adaptive(log: LogRows) -> tuple[Departure, ...] | None:
     return (Departure("adaptive_velocity", text, len(output)),)
 
 
+def _decimated(log: LogRows) -> tuple[Departure, ...] | None:
+    """A velocity since a reading between two rows: with that of the row it lies on the grid of the sensor."""
+    counts = np.rint(log.change / log.quantum) if log.quantum > 0 else np.zeros(1)
+    if log.damping == 0 or not counts.any():
+        return None
+    quantum = float(log.change @ counts / (counts @ counts))
+    output, tolerance = (part[log.kept] for part in _velocity(log))
+    steps = np.rint(output / quantum)
+    if (tolerance > GRID * quantum).any() or (np.abs(output - steps * quantum) > tolerance + GRID * quantum).any():
+        return None
+    every = int(np.gcd.reduce(steps.astype(np.int64)))
+    if every < 2 or len(np.unique(steps)) < LEVEL_ROWS:
+        return None
+    text = f"the velocity of the wall law is taken over 1/{every} of the {log.period:.4g} s from row to row"
+    return (Departure("decimated_rows", text, len(output)),)
+
+
 def _filtered_and_clipped(log: LogRows) -> tuple[Departure, ...] | None:
     """A filter of the velocity in the rows in which the command stands at no limit."""
     # a command that never passes the step is not clipped there
@@ -294,6 +314,7 @@ CANDIDATES: tuple[Law, ...] = (
     _other_step,
     _slow,
     _other_wall,
+    _decimated,
     _filtered,
     _adaptive,
     _filtered_and_clipped,

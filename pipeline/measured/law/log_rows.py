@@ -140,6 +140,36 @@ def _of_decimals(size: Floats) -> float:
     return 0.0 if decimals is None else 0.5 * 10.0**-decimals
 
 
+def converted(values: Floats, half: float, others: Floats) -> float:
+    """Return the step of a converter on whose grid all numbers are, to half a unit of their last digit, 0 for none.
+
+    Source: Euclid's algorithm. A grid that ``others`` are on as well is theirs: all forces of a wall on a coarse sensor
+    may be multiples of one.
+    """
+    levels = np.unique(values[np.isfinite(values)])
+    if len(levels) < FEWEST_LEVELS:
+        return 0.0
+    change = np.diff(levels)
+    some = np.sort(change)[:FEWEST_LEVELS].tolist()
+    common, left_open = some[0], max(ROUNDED * half, NOTHING_LEFT * some[0])
+    for rest in some[1:]:
+        while rest > left_open:  # ends: at most half is left of the smaller one
+            common, rest = rest, abs(common - rest * round(common / rest))
+    if common < left_open / GRID:
+        return 0.0
+    counts = np.rint(change / common)
+    step = float(change @ counts / (counts @ counts))
+    share = others / step
+    own = (np.abs(share - np.rint(share)) > GRID).any() or not others.any()
+    return step if own and (np.abs(change - counts * step) <= GRID * step).all() else 0.0
+
+
+NOTHING_LEFT = 1e-3
+"""Remainder, in the smallest change of a command, that is rounding."""
+
+FEWEST_LEVELS = 12
+"""Different commands that show the grid of a converter: by its smallest changes."""
+
 ROUNDINGS = 16.0
 """Units of rounding of the terms of the law up to which its residual is rounding: they are a dozen operations."""
 
@@ -183,14 +213,16 @@ class LogRows:
         command, position = batch.command[i, rows], batch.position[i, rows]
         K, B, T = float(batch.stiffness[i]), float(batch.damping[i]), float(batch.sampling_period_s[i])
         of_command, of_position = printed(command), printed(position)
-        exact = full_resolution(position)
+        exact, quantum = full_resolution(position), float(response.sensor_quantum[i])
+        step = converted(command, float(of_command.half.max()), quantum * np.array([K, B / T]))
         # of positions with fewer digits than a file has room for, the digits are those of the sensor
         finer = of_position.digits < of_command.digits and of_position.decimal > of_command.decimal
         read = of_command.in_full or of_position.in_full or (finer and not of_position.single)
         return cls(
             *(K, B, float(batch.step[i]), T, int(response.edge_row[i])),
-            *(float(response.floor[i]), float(response.sensor_quantum[i])),
-            *(batch.time[i, rows], command, position, of_command.half, exact if read else of_position.half),
+            *(float(response.floor[i]), quantum),
+            *(batch.time[i, rows], command, position),
+            *(np.maximum(of_command.half, 0.5 * step), exact if read else of_position.half),
             stated_resolution(np.array([K, B])),
             ROUNDINGS * _EPS if not of_command.single else SINGLE_ROUNDINGS * _SINGLE,
             np.ones(len(position), dtype=np.bool_),

@@ -174,6 +174,9 @@ def account(log: LogRows) -> Account:
 
 def _departures(of: Account, log: LogRows) -> Iterator[Departure]:
     """Yield what departs from the law: what the stamps show, then the rows and the law that explain the command."""
+    if of.departures and of.departures[0].code == "decimated_rows":
+        yield from of.departures  # stamps and header may both be right
+        return
     yield from (told := [*_by_stamps(of.stamps, log)])
     codes = {each.code for each in told}
     if of.departures is not None:

@@ -360,7 +360,7 @@ def refined(
     return found
 
 
-def told(held: Stretches, device: Device, trials: int) -> Fit:
+def ended(held: Stretches, device: Device, trials: int) -> Fit:
     """Return the likeliest fit from a device on that is near it, with what its jitter leaves open."""
     fit = refined(held, device, trials, LAST_STEPS, far=False, noisy=False)
     noise = fit.device.noise

@@ -14,10 +14,10 @@ from pipeline.measured.model.estimation import (
     Device,
     Fit,
     begun,
+    ended,
     moments_of,
     refined,
     spread,
-    told,
 )
 from pipeline.measured.model.intervals import Errors, physical
 from pipeline.measured.model.recordings import Recording, Scales, Stretches, stretches
@@ -143,7 +143,7 @@ def chosen(recordings: list[Recording]) -> Choice:
         held, fit, parts = _pruned((some, scales, lead), held, fit, parts)
     if len(places) < len(recordings):
         held = stretches(recordings, scales, lead, "friction" in parts)
-    fit = told(held, replace(fit.device, effects=None), len(recordings))
+    fit = ended(held, replace(fit.device, effects=None), len(recordings))
     return Choice(fit, held, scales, parts, assumed, {name: end for name, end in bounds.items() if name not in parts})
 
 
@@ -151,7 +151,7 @@ def again(choice: Choice, recordings: list[Recording]) -> Choice:
     """Return the fit of other recordings with the parts of an earlier choice, from its numbers on."""
     found, scales = choice.fit, choice.scales
     held = stretches(recordings, scales, choice.held.lead, choice.moving)
-    fit = told(held, replace(found.device, effects=None), len(recordings))
+    fit = ended(held, replace(found.device, effects=None), len(recordings))
     return Choice(fit, held, scales, choice.parts, choice.assumed)
 
 

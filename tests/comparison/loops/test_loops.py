@@ -180,6 +180,7 @@ def test_lag_and_friction_are_no_jitter(compared, name, seed):
     assert (jitter.low or 0.0) <= 0
 
 
+@pytest.mark.slow
 def test_an_ideal_loop_has_no_causes(compared):
     _, result = compared("ideal")
     assert result.experiments[0].causes == ()

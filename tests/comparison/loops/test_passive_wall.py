@@ -49,6 +49,7 @@ def needed_damping(stiffness, damping, delay):
 
 @pytest.mark.parametrize(("device", "delay"), [(MOTOR, 2.0), (MOTOR, 1.4), (FALCON, 4.0), (FALCON, 2.37)])
 @pytest.mark.parametrize("share", [1e-3, 0.02])
+@pytest.mark.sampled
 def test_the_named_wall_is_passive_and_stable_for_all_that_the_intervals_leave_open(device, delay, share):
     found = loop(device, delay, share)
     wall, reason = passive_wall(found, measured())

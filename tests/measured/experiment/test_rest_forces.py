@@ -54,7 +54,7 @@ def test_a_spring_is_told_by_where_the_device_rests(held):
     [
         ("overshoot", "overshoot", "overshoot"),
         pytest.param("settling", "settle_2pct", "settle_2pct_discrete", marks=pytest.mark.slow),
-        ("energy", "energy_w0", "energy_step_w0_discrete"),
+        pytest.param("energy", "energy_w0", "energy_step_w0_discrete", marks=pytest.mark.slow),
     ],
 )
 def test_costs_of_a_held_device_are_those_about_its_own_rest(held, stage, column, exact):

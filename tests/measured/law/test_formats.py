@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from logged import FORMATS, RIGS, lab, repeated, scattered, thinned, written
 from scipy import signal
@@ -99,6 +100,26 @@ def test_what_a_logger_does_is_named(rig, what):
     found = named(change(lab(RIGS[rig], 25, seed=504)))
     assert found[code] >= 18, found
     assert {other: logs for other, logs in found.items() if other != code and logs >= FEW} == {}
+
+
+@pytest.mark.parametrize("rig", RIGS)
+def test_a_command_in_counts_of_a_converter_is_no_departure(rig):
+    batch, step = lab(RIGS[rig], 25, seed=508), RIGS[rig].step / 700
+    counted = replace(batch, command=step * np.rint(batch.command / step))
+    assert named(counted) == {}
+    assert named(thinned(counted, 0.02, 5))["missing_rows"] >= 18
+
+
+@pytest.mark.parametrize("every", [2, 5])
+@pytest.mark.parametrize("header", ["of rows", "of the loop"])
+@pytest.mark.parametrize("rig", ["falcon", *(pytest.param(r, marks=pytest.mark.slow) for r in ("motor", "robot"))])
+def test_a_logger_that_is_slower_than_the_loop_is_named(rig, header, every):
+    batch = lab(RIGS[rig], 25, seed=507)
+    period = batch.sampling_period_s * (every if header == "of rows" else 1)
+    columns = {name: getattr(batch, name)[:, ::every] for name in ("time", "command", "position")}
+    found = named(replace(batch, rows=-(-batch.rows // every), sampling_period_s=period, **columns))
+    assert found["decimated_rows"] >= 18
+    assert set(found) <= {"decimated_rows", "sampling_period", "unknown"}
 
 
 @pytest.mark.parametrize("rig", ["falcon", *(pytest.param(r, marks=pytest.mark.slow) for r in ("motor", "robot"))])

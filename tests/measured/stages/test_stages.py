@@ -133,6 +133,7 @@ def test_settling_and_overshoot_of_logs_are_those_of_theory(lasting, decayed):
     assert (overshoot < 1e-9).any()
 
 
+@pytest.mark.slow
 def test_energy_of_logs_is_that_of_theory(lasting, decayed):
     loop, alpha, beta = normalised(batch_of(lasting).stiffness[decayed], batch_of(lasting).damping[decayed])
     theory = energy_costs(loop, alpha, beta)

@@ -100,6 +100,7 @@ def test_what_is_not_there_is_a_page(served):
 SCRIPT = "<script>alert('x')</script>"
 
 
+@pytest.mark.slow
 def test_hostile_names_are_escaped_everywhere(tmp_path, logs):
     with serving(Settings(tmp_path / "processed", tmp_path / "reports", wait_s=200.0)) as client:
         _, data = logs[0]
@@ -229,6 +230,7 @@ def test_figures_of_a_served_report_are_saved(chromium, served, compared):
 
 
 @pytest.mark.browser
+@pytest.mark.slow
 def test_pages_in_a_browser(chromium, served):
     """No error, nothing wider than the window, nothing that axe finds, light and dark, desk and phone."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
