@@ -410,6 +410,7 @@ def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
     constant, command = Column(direct=np.ones(len(some))), device.numbers["gain"] ** 2
     white = max(_white(some), float(np.median(some.least)))
 
+    @np.errstate(over="ignore", invalid="ignore")  # numbers far off overflow: they cost NaN, and a search leaves them
     def cost(force: float, jitter: float = 0.0, reading: float = 1.0) -> float:
         noise = Noise(force, command / (reading * white) if jitter else 0.0, jitter)
         passage = Passage(some, device.shape, jitter)
