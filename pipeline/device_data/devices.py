@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +96,8 @@ def load_device(name: str) -> Device:
     devices = known_devices()
     if name in devices:
         return devices[name]
-    unknown = f"device {name!r} is not known; known are {', '.join(devices)}."
+    meant = "".join(f" Did you mean {near}?" for near in get_close_matches(name.lower(), devices, 1))
+    unknown = f"device {name!r} is not known; known are {', '.join(devices)}.{meant}"
     own = user_device_folder()
     if own is not None and (file := own / f"{name}.toml").is_file():
         # a copied file still bears the name of the device that it was copied from

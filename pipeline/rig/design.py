@@ -13,7 +13,7 @@ import pandas as pd
 
 from pipeline.base.errors import ParameterError
 from pipeline.rig.quantities import Quantity, present
-from pipeline.rig.wish import Best, Wish, best_wall, decay
+from pipeline.rig.wish import Best, Wish, best_wall, decay, quickest
 from pipeline.surface.physical_loop import Loop
 
 _LOOKS = 8
@@ -71,8 +71,9 @@ class Design:
     reached : bool
         Whether the rig as it is renders the wall.
     wall : dict
-        The wall of the rig that comes nearest: ``stiffness``, ``damping``, ``stiffness_limit`` at this damping,
-        ``settling_s``, ``settling_samples``, ``overshoot``; None where it is not stable.
+        The wall of the rig that comes nearest, the quickest where overshoot alone is limited: ``stiffness``,
+        ``damping``, ``stiffness_limit`` at this damping, ``settling_s``, ``settling_samples``, ``overshoot``; None
+        where it is not stable.
     stiffness_reached : float or None
         Largest K [N/m, Nm/rad] for which all else that is wished for holds; with a settling time, the one next to K.
     changes : tuple of Change
@@ -143,6 +144,8 @@ def design(
     reached = _stiffness_reached(loop, wish, best)
     if best.room < 0 and reached is not None:
         best = best_wall(loop, replace(wish, stiffness=reached))
+    elif best.room >= 0 and settling_s is None and overshoot is not None:
+        best = quickest(loop, wish, best)
     return Design(
         wish=wish,
         reached=reached is not None and (stiffness is None or reached >= stiffness),

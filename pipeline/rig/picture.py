@@ -57,9 +57,13 @@ def picture(loop: Loop, answer: Design, over: Sequence[str], path: Path) -> None
             if np.nanmin(stiffest) < wanted < np.nanmax(stiffest):
                 axes.contour(x, y, stiffest, levels=[wanted], colors="tab:red", linewidths=2.5)
             axes.plot([], [], color="tab:red", linewidth=2.5, label=f"{wanted:g} {unit} stable, ringing or not")
-        # where a wish asks for more, the limits behind the changes that reach it are nearly the same
-        if answer.changes and wanted is not None:
-            beyond = float(np.median([change.wall["stiffness_limit"] or np.nan for change in answer.changes]))
+        # where a wish asks for more, the limits behind the rigs that reach it are nearly the same
+        if (answer.changes or answer.reached) and wanted is not None:
+            limits = [change.wall["stiffness_limit"] or np.nan for change in answer.changes]
+            if answer.reached and answer.stiffness_reached:
+                share = answer.stiffness_reached * answer.wish.margin / loop.boundary(16).attrs["stiffness_max"]
+                limits = [wanted / share]
+            beyond = float(np.median(limits))
             if np.nanmin(stiffest) < beyond < np.nanmax(stiffest) and beyond > 1.02 * wanted:
                 axes.contour(x, y, stiffest, levels=[beyond], colors="tab:red", linewidths=1.5, linestyles="dashed")
                 axes.plot([], [], color="tab:red", linewidth=1.5, linestyle="dashed", label="about the whole wish")

@@ -25,6 +25,9 @@ _DAMPINGS, _STIFFNESSES = 32, 20
 _NARROWER = 2
 """Walls of the first look over three decades of damping (and two of stiffness), and looks between neighbours after."""
 
+_ASIDE, _BESIDE = 2.0, 97
+"""Factor of damping to either side within which the quickest wall is looked for, and walls that are tried."""
+
 _NOTHING = -10.0
 """Room of a stable wall that settles too late to be told; its negative is that of one without a bound."""
 
@@ -65,8 +68,8 @@ class Wish:
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > low):
                 raise ParameterError(f"{name} = {value}: expected a positive number.")
-        if self.overshoot is not None and not 0 <= self.overshoot < math.inf:
-            raise ParameterError(f"overshoot = {self.overshoot}: expected a fraction that is not negative, as 0.05.")
+        if self.overshoot is not None and not 0 <= self.overshoot <= 1:
+            raise ParameterError(f"overshoot = {self.overshoot}: expected a fraction from 0 to 1, as 0.05 for 5 %.")
         if not 1 <= self.margin < math.inf:
             raise ParameterError(f"margin = {self.margin}: expected 1 or more.")
         if not 0 <= self.tolerance <= 0.9:
@@ -101,6 +104,17 @@ def best_wall(loop: Loop, wish: Wish, *, enough: bool = False) -> Best:
             break
         K, B = (_between(axis, value) for axis, value in ((K, found.stiffness), (B, found.damping)))
     return found
+
+
+def quickest(loop: Loop, wish: Wish, best: Best) -> Best:
+    """Return the wall of the same stiffness that settles first, of those about the best one that fulfil the wish."""
+    B = best.damping * np.geomspace(1 / _ASIDE, _ASIDE, _BESIDE)
+    walls = np.column_stack([np.full(len(B), best.stiffness), B])
+    room = _room(_corners(loop, wish.tolerance), wish, walls, -math.inf)
+    settling = loop.points(walls[:, 0], B, ("settle_2pct",))["settle_2pct"].to_numpy(float)
+    settling = np.where((room >= 0) & np.isfinite(settling), settling, np.inf)
+    at = int(np.argmin(settling))
+    return Best(best.stiffness, float(B[at]), float(room[at])) if settling[at] < np.inf else best
 
 
 def decay(loop: Loop, wish: Wish) -> float:

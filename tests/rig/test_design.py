@@ -205,3 +205,12 @@ def test_a_window_of_a_change_between_two_looks_is_found() -> None:
     path = simulated(other, 16439.0, change.wall["damping"], 400)
     assert settles(other, path) <= 0.00685
     assert path.max() <= 1.0011
+
+
+def test_of_walls_without_overshoot_the_quickest_is_told():
+    wall = design(FALCON, 5000.0, overshoot=0.0).wall
+    B = np.linspace(40.0, 160.0, 601)
+    walls = FALCON.points(np.full(len(B), 5000.0), B, ("settle_2pct", "overshoot"))
+    fine = walls["stable"] & (walls["overshoot"] < 1e-3)
+    assert wall["overshoot"] < 1e-3
+    assert wall["settling_samples"] == pytest.approx(walls["settle_2pct"][fine].min(), rel=0.02)

@@ -95,12 +95,11 @@ def _split(data: bytes) -> tuple[NativeHeader, int, int]:
             raise refusal("encoding", "", f"line is no UTF-8 text ({error.reason})", row=row) from error
         start += len(line)
         if text and not text.startswith("#"):
-            header = parse_header(lines)
             if [cell.strip() for cell in text.split(",")] != _NAMES:
                 found = f"columns must be exactly {COLUMN_LINE!r}, found {text[:200]!r}"
                 cure = "Correct the column line, or describe the file by a profile."
                 raise refusal("column-missing", "", found, cure=cure, row=row)
-            return header, start, row + 1
+            return parse_header(lines), start, row + 1
         lines.append(text)
     parse_header(lines)
     found = f"column line {COLUMN_LINE!r} is missing below the header"

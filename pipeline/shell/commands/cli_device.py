@@ -233,7 +233,7 @@ def _design_lines(document: dict[str, Any], loop: Loop) -> Iterator[str]:
     if wanted is not None:
         yield f"Wanted: K = {wanted:.5g} {k}."
     yield f"Reached: {'yes' if reached else 'no'}." + (f" Largest K for this wish: {most:.5g} {k}." if limit else "")
-    yield f"Nearest wall: {_wall(document['wall'], k, b)}"
+    yield f"{'Wall' if reached else 'Nearest wall'}: {_wall(document['wall'], k, b)}"
     changes = document["changes"]
     if changes:
         yield from ("", "Changes that reach it, smallest first:")
