@@ -41,6 +41,7 @@ def test_an_excluded_trial_is_used_for_nothing_until_it_is_used_again(three):
     assert verdicts(three) == before
 
 
+@pytest.mark.slow
 def test_all_of_an_experiment(three):
     before = verdicts(three)
     browser, at = Browser(three), "/devices/new%20rig/experiments/1"

@@ -162,9 +162,8 @@ def started(folder, port):
     raise AssertionError("the server did not answer")
 
 
-@pytest.mark.parametrize(
-    "after_s", [0.0, *(pytest.param(after_s, marks=pytest.mark.slow) for after_s in (0.1, 0.8, 1.6))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("after_s", [0.0, 0.1, 0.8, 1.6])
 def test_kill_loses_nothing_and_doubles_nothing(tmp_path, logs, after_s):
     """Killed during uploads and their jobs; the next server finishes what was acknowledged."""
     with socket.socket() as free:
