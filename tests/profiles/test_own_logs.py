@@ -139,7 +139,7 @@ def test_equal_reasons_are_told_once_with_what_helps(call):
     status, out = call("ingest", "logs")
     lines = out.splitlines()
     assert (status, len(lines), lines[-1]) == (3, 4, hint.format(""))
-    assert lines[2].startswith("3 logs, first logs/wall_K200_B5.csv, row 1: header has none of device, ")
+    assert lines[2].startswith("3 logs, first logs/wall_K200_B5.csv, row 1: columns must be exactly ")
     _, out = call("quarantine")
     assert len(out.splitlines()) == 3
     assert "3 logs, first " in out

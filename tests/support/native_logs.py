@@ -48,5 +48,5 @@ FAULTS = {
     "header only": ("\n".join(GOOD.split("\n")[:10]) + "\n", 11, "0 samples; expected at least 2"),
     "one sample": ("\n".join(GOOD.split("\n")[:11]) + "\n", 11, "1 samples; expected at least 2"),
     "empty file": ("", 1, "file is empty"),
-    "other file": ("a,b\n1,2\n", 1, "none of device"),
+    "other file": ("a,b\n1,2\n", 1, "columns must be exactly .*a,b"),
 }
