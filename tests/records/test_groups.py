@@ -233,12 +233,12 @@ def test_one_long_log_costs_as_much_as_itself(lab, tmp_path, monkeypatch):
         tracemalloc.stop()
     own = 3 * 8 * rows
     assert peaks[1] <= 1.2 * peaks[0] + 12 * own
-    long, short = (lab.stages("1", tmp_path / name).table("model").to_pylist() for name in ("processed", "copy"))
+    long, short = (lab.stages("1", tmp_path / name).table("settling").to_pylist() for name in ("processed", "copy"))
     by_trial = {row["trial_id"]: row for row in long}
     assert all(by_trial[row["trial_id"]] == row for row in short), "what is said of the others stays the same"
     (added,) = (row for row in long if row["trial_id"] not in {row["trial_id"] for row in short})
     (like,) = (row for row in short if row["trial_id"] == trial)
-    assert added["model_mass"] == pytest.approx(like["model_mass"], rel=0.02)
+    assert added["settle_2pct"] == pytest.approx(like["settle_2pct"], rel=0.02)
 
 
 class ReadOnly(FailingOs):
