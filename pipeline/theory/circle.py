@@ -315,7 +315,8 @@ def is_sampled(loop: Loop) -> bool:
 @lru_cache(maxsize=512)
 def _has_repeated_zeros(loop: Loop) -> bool:
     zeros = np.roots(loop.filter_in_z[0])
-    zeros = zeros[np.abs(np.abs(zeros) - 1) < _CLOSE]
+    # at both ends of the circle, where those of Butterworth filters lie, there is no branch beside them
+    zeros = zeros[(np.abs(np.abs(zeros) - 1) < _CLOSE) & (np.abs(zeros.imag) > _CLOSE)]
     return bool((np.abs(zeros[:, None] - zeros) < _CLOSE).sum() > len(zeros))
 
 
