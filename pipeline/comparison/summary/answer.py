@@ -154,6 +154,9 @@ def _doubt(result: ExperimentResult) -> str:
     drifting = [quantity_name(name) for name, text in warned.items() if DRIFTS in text]
     if len(drifting) >= DRIFTING:
         return f"No interval where one model does not hold for all trials: {listed(drifting)} drift with the wall."
+    if all(result.estimates[name].value is None for name in NEEDED):
+        why = result.estimates["mass"].reason or "no usable trial"
+        return f"{why[0].upper()}{why[1:]}."
     loop, fitted = result.loop, "model" in result.estimates["delay_samples"].by_method
     if loop is None or loop.adequate or fitted:
         return ""
