@@ -41,7 +41,7 @@ _DEEPEST, _FINEST = 200, 60
 """Halvings, and of them those below the leading digit, after which roots count as one: they then differ by 1e-18."""
 
 _MIDDLE = Decimal("0.98765432101")
-"""Root that divides small from large ones, and is halved: no angle that a filter has for its own reasons."""
+"""Place that parts small roots from large ones: at it and its binary fractions lie none that filters have by design."""
 
 _TOGETHER = Decimal("1e-13")
 """Relative distance within which two roots are one place."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.measured.law.log_rows import EQUAL, PLATEAU, LogRows, hidden_rows, is_equal
+from pipeline.measured.law.log_rows import EQUAL, GRID, PLATEAU, LogRows, hidden_rows, is_equal
 from pipeline.measured.law.velocity_filter import VelocityFilterFound, find_filter
 from pipeline.records.batch import Booleans, Floats
 
@@ -21,9 +21,6 @@ LONGEST_RAMP = 0.25
 LONGEST_WINDOW, ADAPTS = 32, 0.1
 """Samples of the longest adaptive window, and share of the rows of a motion from which on the velocity is not the last
 change: of the rows behind a lost one, a few percent, some window fits by chance."""
-
-GRID = 0.1
-"""Part of a sensor's quantum by which what lies on its grid may be off."""
 
 LEVEL_ROWS = 5
 """Rows for which the external force must stay on a level to be a step of its own; velocities that show a grid."""
@@ -276,7 +273,8 @@ def _decimated(log: LogRows) -> tuple[Departure, ...] | None:
     quantum = float(log.change @ counts / (counts @ counts))
     output, tolerance = (part[log.kept] for part in _velocity(log))
     steps = np.rint(output / quantum)
-    if (tolerance > GRID * quantum).any() or (np.abs(output - steps * quantum) > tolerance + GRID * quantum).any():
+    near = 2 * GRID * quantum  # of a difference of two readings
+    if (tolerance > near).any() or (np.abs(output - steps * quantum) > tolerance + near).any():
         return None
     every = int(np.gcd.reduce(steps.astype(np.int64)))
     if every < 2 or len(np.unique(steps)) < LEVEL_ROWS:

@@ -141,7 +141,9 @@ def _of_decimals(size: Floats) -> float:
 
 
 def converted(values: Floats, half: float, others: Floats) -> float:
-    """Return the step of a converter on whose grid all numbers are, to half a unit of their last digit, 0 for none.
+    """Return the step [N, Nm] of a converter on whose grid all commands (N,) are; 0 for none.
+
+    ``half`` is half a unit in their last digit, and ``others`` forces of the wall by one quantum of the sensor.
 
     Source: Euclid's algorithm. A grid that ``others`` are on as well is theirs: all forces of a wall on a coarse sensor
     may be multiples of one.
