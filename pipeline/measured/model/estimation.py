@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.measured.model.motion import SHORTEST_LAG, Physics
 from pipeline.measured.model.recordings import Stretches
-from pipeline.measured.model.scatter import FEWEST, Moments, Solved, solve
+from pipeline.measured.model.scatter import FEWEST, Moments, Solved, inverse, solve
 from pipeline.measured.model.whitening import WHITE, Column, Filter, Noise, Passage, passed
 from pipeline.records.batch import Floats, Integers
 
@@ -72,6 +72,9 @@ DONE = 1e-3
 
 PORTIONS = 16
 """Portions of few logs, whose own numbers show what is not independent within a log; Student's t is then 2.13."""
+
+PHASES = 4
+"""Phases of the motion, between which what the model leaves out differs: damping by direction, a hand by the way."""
 
 ROBUST_ROUNDS = 4
 """Rounds of least squares and weights for a start."""
@@ -179,7 +182,8 @@ class Fit:
 
     ``solved`` at the device, with its ``moments`` and the ``places`` of numbers that scatter; units are portions of
     ``few`` logs, else trials. ``alike`` is the mean number of equal readings in a row, which count as one, ``open``
-    (p,) how far the numbers move with a jitter that is larger by its error.
+    (p,) how far the numbers move with a jitter that is larger by its error, ``phases`` (4, p) what each phase of the
+    motion adds to them: nothing but noise where the model holds all. None of a fit that has not `ended`.
     """
 
     device: Device
@@ -189,6 +193,7 @@ class Fit:
     few: bool
     alike: float
     open: Floats
+    phases: Floats
 
     @property
     def likelihood(self) -> float:
@@ -363,6 +368,7 @@ def refined(
 def ended(held: Stretches, device: Device, trials: int) -> Fit:
     """Return the likeliest fit from a device on that is near it, with what its jitter leaves open."""
     fit = refined(held, device, trials, LAST_STEPS, far=False, noisy=False)
+    fit = replace(fit, phases=phases_of(held, fit, trials))
     noise = fit.device.noise
     if not noise.jitter:
         return fit
@@ -378,7 +384,35 @@ def _fit(held: Stretches, device: Device, trials: int, places: Integers) -> Fit:
     solved = solve(moments, places)
     alike = float(held.rows.sum() / max(held.distinct.sum(), 1.0)) if device.noise == WHITE else 1.0
     device = replace(device, effects=solved.effects if len(places) else None)
-    return Fit(device, solved, moments, places, trials < FEWEST, alike, np.zeros(len(device.names)))
+    p = len(device.names)
+    return Fit(device, solved, moments, places, trials < FEWEST, alike, np.zeros(p), np.zeros((PHASES, p)))
+
+
+def phases_of(held: Stretches, fit: Fit, trials: int) -> Floats:
+    """Return the step of the numbers that the errors in each phase of the motion ask for, shape (4, p); together none.
+
+    Phases are both directions on both sides of the middle of all readings.
+    """
+    solved, p, portions = fit.solved, len(fit.device.names), portions_of(held, trials)
+    middle = np.median(held.position[held.valid])
+    total, score = np.diag(fit.moments.before[0]), np.zeros((PHASES, p))
+    for some in chunks(held, p + 8):
+        part = held.chosen(some)
+        left = _columns(part, fit.device)[0]
+        unit = part.trial[:, None]
+        if portions:
+            ends = (np.arange(left.shape[1]) + 1) * portions - 1
+            unit = some[:, None] * portions + np.minimum(ends // part.rows[:, None], portions - 1)
+        columns = left[..., :p]
+        error = left[..., p] - (columns * solved.effects[unit]).sum(axis=-1)
+        weighted = columns * (solved.weight[unit] / solved.noise)[..., None]
+        total += np.einsum("snp,snq->pq", weighted, columns)
+        x = part.position
+        ahead = np.pad(x, ((2, 2), (0, 0)), mode="edge")
+        phase = 2 * (x > middle) + (ahead[4:] > ahead[:-4])
+        for which in range(PHASES):
+            score[which] += np.einsum("snp,sn->p", weighted, error * (phase == which).T)
+    return np.asarray(score @ inverse(total))
 
 
 def _climbed(fit: Fit, held: Stretches, trials: int, steps: int) -> Fit:

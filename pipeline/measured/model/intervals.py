@@ -80,14 +80,15 @@ BOUNDED = ("damping", "stiffness", "friction", "actuator_lag", "mode_damping_rat
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """What intervals rest on: numbers and their covariance, those without each unit, degrees of freedom, and
-    the change of the numbers by an error of the noise."""
+    """What intervals rest on: numbers and their covariance, those without each unit, degrees of freedom, the change of
+    the numbers by an error of the noise, and what each phase of the motion adds to them."""
 
     numbers: Numbers
     covariance_of_numbers: Floats
     without: Floats
     freedom: float
     open: Floats
+    phases: Floats
 
     @classmethod
     def of(cls, fit: Fit) -> Errors:
@@ -101,8 +102,9 @@ class Errors:
         information, score = solved.information[told], solved.score[told]
         without = (total if fit.few else total - own for own in information)
         steps = np.stack([-(inverse(rest) @ each) for rest, each in zip(without, score, strict=True)])
+        freedom = max(float(told.sum() - 1), 1.0)
         # equal readings count as one
-        return cls(fit.device.numbers, fit.alike * inverse(total), steps, max(float(told.sum() - 1), 1.0), fit.open)
+        return cls(fit.device.numbers, fit.alike * inverse(total), steps, freedom, fit.open, fit.phases)
 
     def interval(self, quantity: Quantity, bounded: bool = False, unit: float = 0.0) -> Interval:
         """Return a quantity's value and interval; one that is not negative by its profile likelihood at 0.
@@ -144,14 +146,17 @@ class Errors:
     def _spread(self, slopes: Floats) -> Floats:
         """Return the variance along slopes (Q, p): of the information, or of a jackknife where that is larger.
 
-        What the model leaves out moves units of alike walls alike, which follow each other: these are left out
-        together, too.
+        What the model leaves out moves units of alike walls alike, which follow each other, and acts in each phase of
+        the motion otherwise: these are left out together, too.
         """
         variance = np.einsum("qi,ij,qj->q", slopes, self.covariance_of_numbers, slopes)
         count, spread = len(self.without), (self.without - self.without.mean(axis=0)) @ slopes.T
         variance = np.maximum(variance, (count - 1) / count * (spread**2).sum(axis=0))
+        together = [self.phases @ slopes.T]
         if count >= 2 * GROUPS:
-            groups = np.array([each.sum(axis=0) for each in np.array_split(spread, GROUPS)])
-            wider = float(student_95(GROUPS - 1.0) / student_95(self.freedom))
-            variance = np.maximum(variance, wider**2 * GROUPS / (GROUPS - 1) * (groups**2).sum(axis=0))
+            together.append(np.array([each.sum(axis=0) for each in np.array_split(spread, GROUPS)]))
+        for groups in together:
+            freedom = len(groups) - 1.0
+            wider = float(student_95(freedom) / student_95(self.freedom))
+            variance = np.maximum(variance, wider**2 * (1 + 1 / freedom) * (groups**2).sum(axis=0))
         return np.asarray(variance + (slopes @ self.open) ** 2)

@@ -247,6 +247,14 @@ def test_oscillations_that_last_or_grow_have_no_settling_time() -> None:
         assert outcomes(batch).outcome.tolist() == [outcome], outcomes(batch).evidence
 
 
+@pytest.mark.parametrize(("rate", "outcome"), [(0.0, "limit_cycle"), (-2e-3, "moving"), (-4e-3, "settled")])
+def test_fading_oscillation_of_few_quanta_is_no_limit_cycle(rate: float, outcome: str) -> None:
+    """Its last swings are so few quanta that no growth rate is told: their ratio to the earlier ones is."""
+    t = np.maximum(np.arange(800) - 5, 0)
+    batch = shaped(np.round((1.0 - np.exp(rate * t) * np.cos(0.15 * t)) / 0.1) * 0.1)
+    assert outcomes(batch).outcome.tolist() == [outcome], outcomes(batch).evidence
+
+
 def test_disturbance_of_the_simulator_moves_the_rest_by_its_share() -> None:
     setup = replace(IDEAL, rows=1500)
     quiet = run(setup, [3000.0], [60.0])
