@@ -58,6 +58,9 @@ LAGS = (0.5, 1.0, 2.0, 4.0, 8.0)
 CLIPPED = (0.1, 0.15, 0.22, 0.33, 0.45, 0.6, 0.75, 0.9)
 """Largest forces, relative to the largest command, from which one is looked for."""
 
+NEARBY = (0.86, 0.93, 1.0, 1.07, 1.15)
+"""Factors of the best of these by which it is looked for closer: what is clipped is often a row or two of each log."""
+
 WEIGHED = 0.1
 """Share of the random force without a part that is left to errors where a start with it is looked for."""
 
@@ -315,12 +318,14 @@ def _having(held: Stretches, device: Device, trials: int, part: str) -> Device:
     delay = device.numbers["delay"]
     if part == "saturation":
         found = _best(held, device, trials, part, [{"limit": limit} for limit in CLIPPED])
+        limits = [found.numbers["limit"] * factor for factor in NEARBY]
+        found = _best(held, found, trials, part, [{"limit": limit} for limit in limits if limit < 1])
     elif part == "lag":
         found = _best(held, device, trials, part, [{"lag": lag, "delay": max(delay - lag, 0.0)} for lag in LAGS])
     else:
         modes = [{"turn": turn, "ratio": 0.04, "share": share} for turn in TURNS for share in SHARES]
         found = _best(held, replace(device, at_load=part == "mode at the load"), trials, part, modes)
-        modes = [{"turn": found.numbers["turn"] * factor} for factor in (0.86, 0.93, 1.0, 1.07, 1.15)]
+        modes = [{"turn": found.numbers["turn"] * factor} for factor in NEARBY]
         found = _best(held, found, trials, part, modes)
     return replace(found, noise=WHITE)
 
