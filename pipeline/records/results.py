@@ -134,6 +134,7 @@ CauseCode = Literal[
     "other_gains",
     "coulomb_friction",
     "velocity_filter",
+    "position_filter",
     "adaptive_velocity",
     "decimated_rows",
     "actuator_lag",

@@ -46,9 +46,14 @@ def walls(rig, n, seed):
 
 
 class Plain:
-    """The wall law, with the velocity as a mean over samples, through a filter b/a, or by an adaptive window."""
+    """The wall law, with the velocity as a mean over samples, through a filter b/a, or by an adaptive window.
 
-    def __init__(self, rig, K, B, *, samples=1, ba=None, window=0, band=0.0):
+    ``seen`` is a filter b/a of the position that all of the wall acts on.
+    """
+
+    def __init__(self, rig, K, B, *, samples=1, ba=None, window=0, band=0.0, seen=None):
+        self.seen, self.before = seen, np.zeros(len(K))
+        self.inside = None if seen is None else np.zeros((max(map(len, seen)) - 1, len(K)))
         self.rig, self.K, self.B, self.samples, self.ba, self.window, self.band = rig, K, B, samples, ba, window, band
         self.state = None if ba is None else np.zeros((max(len(ba[0]), len(ba[1])) - 1, len(K)))
 
@@ -74,6 +79,10 @@ class Plain:
         return found
 
     def __call__(self, force, x, k):
+        if self.seen is not None:
+            out, self.inside = signal.lfilter(*self.seen, (x[k] - x[0])[None], axis=0, zi=self.inside)
+            change, self.before = out[0] - self.before, out[0]
+            return force - self.K * out[0] - self.B * change / self.rig.T
         return force - self.K * (x[k] - x[0]) - self.B * self.velocity(x, k)
 
 

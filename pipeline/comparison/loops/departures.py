@@ -48,6 +48,7 @@ SENTENCES = {
     "missing_rows": "Rows are missing in the logs.",
     "repeated_rows": "Rows or readings of the position are repeated.",
     "velocity_filter": "The velocity of the wall law is filtered.",
+    "position_filter": "The position that the wall acts on is filtered.",
     "adaptive_velocity": "The velocity of the wall law is taken over a window that adapts to the motion.",
     "decimated_rows": "The logs hold one of several samples of the control loop.",
     "command_shifted": "The logged command is that of another row than its position.",
@@ -85,6 +86,8 @@ IMITATED = {
     "step_not_a_step": {"rate_limit": 1.0},
     "missing_rows": {"saturation": 1.0, "repeated_rows": 0.25},
     "repeated_rows": {"missing_rows": 0.25},
+    "velocity_filter": {"position_filter": 1.0},
+    "position_filter": {"velocity_filter": 1.0},
 }
 """Departures, and others by which single logs look like them: of how many logs of another one more must show it."""
 

@@ -249,6 +249,31 @@ def _filtered(log: LogRows, clipped: Booleans | None = None) -> tuple[Departure,
     return (Departure("velocity_filter", f"the velocity of the wall law {how}", len(output), filter=found),)
 
 
+def _position_filter(log: LogRows) -> VelocityFilterFound | None:
+    """Return the filter of the position that all of the wall acts on, by where it must have seen it in each row."""
+    from scipy.signal import lfilter
+
+    # behind a lost row where the wall saw it is not known
+    if log.stiffness <= 0 or log.damping < 0 or not log.kept.all():
+        return None
+    whole = log.stiffness + log.damping / log.period
+    own = [1.0, log.stiffness / whole - 1]
+    seen = lfilter([1 / whole], own, log.step * log.after - log.command)
+    tolerance = lfilter([1 / whole], own, log.rounding) + EXPLAINED * float(np.abs(seen - log.displacement).max())
+    return find_filter(log.displacement, seen, log.kept, tolerance, log.period)
+
+
+def _either_filtered(log: LogRows) -> tuple[Departure, ...] | None:
+    """A filter of velocity or position: each is one of the other of a higher order, and what has less free counts."""
+    velocity = _filtered(log)
+    free = np.inf if velocity is None or velocity[0].filter is None else velocity[0].filter.free
+    position = _position_filter(log) if free > 1 else None
+    if position is None or position.free >= free:
+        return velocity
+    text = f"the position that the wall acts on {position.words()}"
+    return (Departure("position_filter", text, len(log.command)),)
+
+
 def _adaptive(log: LogRows) -> tuple[Departure, ...] | None:
     """A velocity over a window that another length has from row to row (Janabi-Sharifi, Hayward and Chen 2000)."""
     if log.damping == 0:
@@ -313,7 +338,7 @@ CANDIDATES: tuple[Law, ...] = (
     _slow,
     _other_wall,
     _decimated,
-    _filtered,
+    _either_filtered,
     _adaptive,
     _filtered_and_clipped,
     _late(_filtered, 1),

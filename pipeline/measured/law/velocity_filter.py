@@ -42,6 +42,11 @@ class VelocityFilterFound:
     cutoff_hz: float | None = None
 
     @property
+    def free(self) -> int:
+        """Numbers that are free in it: none of a mean over samples, the cut-off of a Butterworth filter."""
+        return 0 if self.difference else 1 if self.cutoff_hz else len(self.a) + len(self.b) - 2
+
+    @property
     def declared(self) -> VelocityFilter:
         """As a device file would declare it."""
         if self.difference:
