@@ -58,6 +58,10 @@ BY_HALF = ("gain", "ratio")
 SMALL = 1e-5
 """Change of a number for a slope: rounding of 1e-16 then leaves eleven digits of it."""
 
+GROWS = {"delta": 1, "gamma": 2, "turn": 1, "ratio": 1}
+"""Power of the rows of a stretch by which the effect of a number grows: its change for a slope is less by as much, from
+ten rows on. A spring that is weaker than any other moves a free device by all of its way in a thousand rows."""
+
 STEPS = 18
 """Newton's steps at most; seven are usual, a mode may take all."""
 
@@ -304,8 +308,9 @@ def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats, Fl
     whole = replace(whole, start=start)
     (at,) = passed(passage, found, [whole])
     for name in (each for each in SHAPE if each in device.numbers):
-        (moved,) = passed(device.passage(held, name, SMALL), found, [whole])
-        columns[name] = (at - moved) / SMALL
+        small = SMALL * (10 / max(held.position.shape[0], 10)) ** GROWS.get(name, 0)
+        (moved,) = passed(device.passage(held, name, small), found, [whole])
+        columns[name] = (at - moved) / small
     stacked = np.stack([*(columns[name] for name in device.names), common], axis=-1).transpose(1, 0, 2)
     reduced = stacked - q @ (q.transpose(0, 2, 1) @ stacked)
     unknowns = np.full(len(held), q.shape[2]) - held.rests * (q.shape[2] - 1)

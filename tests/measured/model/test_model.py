@@ -12,6 +12,7 @@ from scipy.stats import multivariate_normal
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.motion import Mechanism
+from pipeline.measured.model.estimation import Device, moments_of
 from pipeline.measured.model.identified import identified
 from pipeline.measured.model.motion import Physics, pieces
 from pipeline.measured.model.recordings import Recording, Scales, motion_of, stretches
@@ -286,6 +287,26 @@ def test_no_motion_and_no_command_are_named():
         identified([Recording("a", time, np.zeros(100), time, T)])
 
 
+@pytest.mark.parametrize("name", ["gain", "force", "delta", "gamma"])
+def test_slopes_are_those_of_the_errors_however_long_a_log_and_weak_a_spring(name):
+    """Of a free device: a spring of 1e-8 moves it by a thousandth of its way in 800 rows."""
+    rng = np.random.default_rng(21)
+    log = moved(rng, steps([0.05], rows=800), friction=0.0)
+    held = stretches(log, scales := Scales.of(log), 6, False)
+    true = {"gain": scales.command / 1.1e-4 * scales.period**2 / scales.position, "force": 0.0}
+    true |= {"delta": 1e-3, "gamma": 1e-9, "delay": 2.2, "lag": 0.4}
+
+    def squares(by=0.0):
+        return moments_of(held, Device(true | {name: true[name] + by}), 8).products[0]
+
+    size = 1e-9 if name == "gamma" else 1e-6
+    whole, place = squares(), list(true).index(name)
+    change = (squares(size)[-1, -1] - squares(-size)[-1, -1]) / (2 * size)
+    # as a part of the largest that errors and slopes of these sizes may have
+    largest = 2 * np.sqrt(whole[place, place] * whole[-1, -1])
+    assert -2 * whole[place, -1] == pytest.approx(change, abs=1e-3 * largest)
+
+
 def test_direction_of_motion_is_not_seen_at_rest():
     rng = np.random.default_rng(15)
     (log,) = moved(rng, steps([0.1]))
@@ -347,6 +368,22 @@ def test_a_lag_is_found_behind_walls():
     found = identified(logs)
     assert set(found.parts) == {"lag"}
     assert holds(found.parameters, {"mass": 0.6, "damping": 4.0, "actuator_lag": 0.003, "delay": 2.4e-3}) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_lag_is_found_in_long_free_motion_with_a_coarse_sensor(seed):
+    rng, rows, quantum = np.random.default_rng(seed), 800, 2 * np.pi / 4096
+    sent = steps(np.outer([0.02, 0.04, 0.06, 0.1, 0.15, 0.08], [1, -1]).ravel(), rows)
+    mechanism = Mechanism(mass=3e-4, damping=1e-3, lag_s=3e-3)
+    state, seen = mechanism.rest(np.zeros(12)), np.zeros((rows, 12))
+    for row in range(rows):
+        reading = state[mechanism.sensed] + 1e-4 * rng.standard_normal(12)
+        seen[row] = quantum * np.rint(reading / quantum)
+        state = mechanism.advance(state, sent[max(row - 2, 0)], 0.0, T)
+    found = identified([Recording(str(i), T * np.arange(rows), sent[:, i], seen[:, i], T) for i in range(12)])
+    assert set(found.parts) == {"lag"}
+    assert holds(found.parameters, {"mass": 3e-4, "damping": 1e-3, "actuator_lag": 3e-3, "delay": 2e-3}) == []
 
 
 @pytest.mark.slow
