@@ -361,8 +361,8 @@ class AnswerEstimate(Record):
     ``large_motion`` is the linear limit of a device with friction, from which on a harder push is unstable. Of the
     replay, the value is the share of verdicts that it has right behind walls that it was not fitted to, and
     ``limits_off_percent`` the median error of its limits; where measured ones are known less well,
-    ``limits_known_percent`` is what they leave open to either side. ``at_last_damping`` where the largest limit is that
-    of the largest tested damping: there may be a larger one beyond.
+    ``limits_known_percent`` is what they leave open to either side. ``damping`` is that of the largest limit,
+    ``at_last_damping`` where it is the largest tested one: there may be a larger limit beyond.
     """
 
     name: Literal["delay_samples", "mass", "damping", "friction", "stiffness_max", "replay"]
@@ -373,6 +373,7 @@ class AnswerEstimate(Record):
     large_motion: float | None = None
     limits_off_percent: float | None = None
     limits_known_percent: float | None = None
+    damping: float | None = None
     at_last_damping: bool = False
 
 

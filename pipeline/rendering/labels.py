@@ -144,6 +144,12 @@ def significant(value: float, digits: int) -> str:
     return decimal(round(value, digits - 1 - size), max(digits - 1 - size, 0))
 
 
+def at_least(value: float) -> str:
+    """Return two digits of a positive number that is a lower bound: they are never above it."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return significant(math.floor(value / unit * (1 + 1e-12)) * unit, 2)
+
+
 def stiffness_text(value: float) -> str:
     """Return a stiffness as printed in Tables D.1 to D.5: whole from 100 on, else four digits."""
     return decimal(value, 0) if abs(value) >= 100 else significant(value, 4)

@@ -155,6 +155,6 @@ def test_stable_with_friction_is_said_of_the_step_with_the_limit_of_large_motion
     (told,) = [each for each in result.answer.estimates if each.name == "stiffness_max"]
     assert told.large_motion == best.stiffness_large_motion
     assert found.use is None or found.use.point.margin_large_motion >= 1.25
-    assert f"for a harder push {float(format(best.stiffness_large_motion, '.3g')):.0f}" in page.read_text(
+    assert f"for a much harder push {float(format(best.stiffness_large_motion, '.3g')):.0f}" in page.read_text(
         encoding="utf-8"
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pipeline.records.findings import Estimate
-from pipeline.rendering.labels import damping_text, estimate_texts, percent_text, stiffness_text
+from pipeline.rendering.labels import at_least, damping_text, estimate_texts, percent_text, stiffness_text
 
 
 @pytest.mark.parametrize(
@@ -13,6 +13,11 @@ from pipeline.rendering.labels import damping_text, estimate_texts, percent_text
 )
 def test_a_small_stiffness_keeps_its_digits(value, text):
     assert stiffness_text(value) == text
+
+
+@pytest.mark.parametrize(("value", "text"), [(1.6563, "1.6"), (2.1, "2.1"), (3.0, "3"), (12.99, "12"), (0.999, "0.99")])
+def test_a_lower_bound_is_never_rounded_up(value, text):
+    assert at_least(value) == text
 
 
 @pytest.mark.parametrize(("value", "text"), [(7e-5, "7.00e−05"), (6.98e-4, "0.000698"), (18.256, "18.26")])

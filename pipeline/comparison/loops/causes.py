@@ -170,7 +170,7 @@ def _beside(point: LoopPoint, other: LoopPoint, shown: Shown) -> tuple[float, st
         return 0.0, ""
     place = int(np.argmax(apart))
     K, B = shown.units.stiffness, shown.units.damping
-    text = f"limit at B = {significant(where[place], 3)} {B}: K = {significant(own[place], 3)} {K} with it, "
+    text = f"limit at B = {significant(where[place], 3)} {B}, for example: K = {significant(own[place], 3)} {K} with it, "
     return float(apart[place]), text + f"{significant(others[place], 3)} without"
 
 
@@ -208,7 +208,7 @@ def _jitter(shown: Shown, point: LoopPoint) -> Iterator[Candidate]:
         yield Candidate(
             "delay_jitter",
             _beside(point, replace(point, delay_samples=point.delay_samples + (jitter.low or 0.0)), shown)[0],
-            f"The delay jitters, by {significant(jitter.value or 0.0, 2)} samples within a trial.",
+            f"The delay jitters within a trial: standard deviation {significant(jitter.value or 0.0, 2)} samples.",
             f"95 %: {span(lambda value: significant(value, 2), jitter.low, jitter.high)} samples",
         )
 

@@ -129,6 +129,7 @@ def _estimates(result: ExperimentResult, units: Units, *, limit: bool) -> tuple[
                 high=point.high,
                 unit=units.stiffness,
                 large_motion=point.stiffness_large_motion,
+                damping=point.damping,
                 at_last_damping=point.damping == max(each.damping for each in result.boundary),
             )
         )

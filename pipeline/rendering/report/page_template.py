@@ -26,6 +26,7 @@ FILTERS = {
     "stiffness": labels.stiffness_text,
     "damping": labels.damping_text,
     "digits": labels.significant,
+    "at_least": labels.at_least,
     "capitalised": lambda text: text[:1].upper() + text[1:],
     "size": labels.size_text,
     "cost": lambda cost, criterion: labels.cost_range_text(criterion, cost, cost),
