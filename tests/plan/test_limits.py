@@ -42,6 +42,12 @@ def course(limit, aim, by=None, most=120):
         rows.append((wall, column.damping, "unstable" if wall > limit(column.damping) else "stable", np.nan))
 
 
+def test_of_an_unknown_limit_the_middle_of_its_bracket_is_expected():
+    rows = Tried(np.array([4000.0, 8000.0]), np.full(2, 60.0), np.array(["stable", "unstable"]), np.full(2, np.nan))
+    (column,) = state(rows, Aim((60.0,)), None).columns
+    assert (column.bracket.bottom, column.estimate, column.bracket.top) == (4000.0, 6000.0, 8000.0)
+
+
 @pytest.mark.parametrize("limit", [parabola, cut_off, upside_down])
 @pytest.mark.parametrize("off", [None, 0.0, 0.15])
 def test_limits_of_any_shape_are_found(limit, off):

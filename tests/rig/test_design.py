@@ -96,6 +96,9 @@ def test_what_is_reached_is_said_with_how_far() -> None:
     assert design(FALCON, 1.01 * largest).stiffness_reached == pytest.approx(largest, rel=2e-3)
     assert not design(FALCON, 0.99 * largest, margin=1.1).reached
     assert not design(FALCON, 0.99 * largest, tolerance=0.05).reached
+    # the limit grows with the mass and falls with the delay: of a lighter and later rig it is 0.87 of this one's
+    assert not design(FALCON, 0.92 * largest, tolerance=0.05).reached
+    assert design(FALCON, 0.85 * largest, tolerance=0.05).reached
 
 
 def test_without_overshoot_a_wall_settles_in_time() -> None:

@@ -7,6 +7,9 @@ import pytest
 
 import pipeline
 from pipeline.base.errors import ParameterError
+from pipeline.loop.loop import Loop, Vibration
+from pipeline.theory.margins import margins
+from pipeline.theory.poles import spectral_radius
 
 T = 1e-3
 LOOPS = {
@@ -81,6 +84,17 @@ def test_phase_margin_of_the_textbook():
     angle = 10.0 * T  # rad/sample at which B/(m omega) is 1
     # hold half a sample, velocity by difference half a sample, delay 3
     assert found.phase == pytest.approx(np.pi / 2 - angle * (3 + 0.5 + 0.5), rel=1e-3)
+
+
+def test_of_several_softer_limits_the_nearest_counts():
+    """Of a device on a spring, pushed by its wall, that ends at 0.104 and at 0.460 of it."""
+    load = Vibration(0.805316082113893, 2.864042531515844, 0.0007722338164229767, True)
+    loop, alpha, beta = Loop(2.0, 1e-4, 0.0, 0.0, load), -1.4551131007612188, 0.03388790148624756
+    down = margins(loop, alpha, beta).gain_down
+    assert down == pytest.approx(0.4604, abs=1e-3)
+    inside = np.linspace(down, 1, 30)[1:]
+    assert (spectral_radius(loop, alpha * inside, beta * inside) < 1).all()
+    assert spectral_radius(loop, alpha * 0.99 * down, beta * 0.99 * down)[0] > 1
 
 
 def test_unstable_walls_have_no_margins():
