@@ -170,7 +170,9 @@ def _beside(point: LoopPoint, other: LoopPoint, shown: Shown) -> tuple[float, st
         return 0.0, ""
     place = int(np.argmax(apart))
     K, B = shown.units.stiffness, shown.units.damping
-    text = f"limit at B = {significant(where[place], 3)} {B}, for example: K = {significant(own[place], 3)} {K} with it, "
+    text = (
+        f"limit at B = {significant(where[place], 3)} {B}, for example: K = {significant(own[place], 3)} {K} with it, "
+    )
     return float(apart[place]), text + f"{significant(others[place], 3)} without"
 
 
