@@ -170,10 +170,8 @@ def _beside(point: LoopPoint, other: LoopPoint, shown: Shown) -> tuple[float, st
         return 0.0, ""
     place = int(np.argmax(apart))
     K, B = shown.units.stiffness, shown.units.damping
-    text = (
-        f"limit at B = {significant(where[place], 3)} {B}, for example: K = {significant(own[place], 3)} {K} with it, "
-    )
-    return float(apart[place]), text + f"{significant(others[place], 3)} without"
+    text = f"limit at B = {significant(where[place], 3)} {B}, for example: K = {significant(own[place], 3)} {K} "
+    return float(apart[place]), f"{text}with it, {significant(others[place], 3)} without"
 
 
 def _shared(shown: Shown, found: FoundDevice) -> Iterator[Candidate]:

@@ -119,8 +119,7 @@ def answer_figure(
         corners = [(u.stiffness_low, u.damping_low), (u.stiffness_high, u.damping_low)]
         corners += [(u.stiffness_high, u.damping_high), (u.stiffness_low, u.damping_high), corners[0]]
         series.append(Series("walls to use", "use", *np.array(corners).T))
-        chosen = (np.array([value]) for value in (u.point.stiffness, u.point.damping))
-        series.append(Series("recommended wall", "mark", *chosen))
+        series.append(Series("recommended wall", "mark", np.array([u.point.stiffness]), np.array([u.point.damping])))
     for kind in ("stable", "unstable"):
         at = (K > 0) & (verdict == kind)
         series += [Series(f"{kind} trial", kind, K[at], B[at])] if at.any() else []
