@@ -33,8 +33,8 @@ class Change(NamedTuple):
 
 
 VERDICT, OUTCOME = "measured/signal/verdict.py", "measured/signal/outcome.py"
-SETTLING, OPTIMUM, THESIS = "measured/cost/costs.py", "measured/experiment/optimum.py", "measured/thesis.py"
-INTERVALS, ESTIMATION = "measured/model/intervals.py", "measured/model/estimation.py"
+SETTLING, OPTIMUM, THESIS = "measured/cost/costs.py", "measured/experiment/best_trial.py", "measured/thesis.py"
+INTERVALS, LIKELIHOOD = "measured/model/intervals.py", "measured/model/likelihood.py"
 BAND, DATABASE, SECURITY = "measured/experiment/boundary_band.py", "service/database.py", "service/security.py"
 AGAINST, AGREEMENT = "comparison/against.py", "comparison/scores/agreement.py"
 
@@ -63,14 +63,14 @@ CHANGES = (
     Change(THESIS, "(np.cumsum(acting, axis=1) - 0.5 * acting)", "np.cumsum(acting, axis=1)"),
     Change(THESIS, "first - edge - 1, NO_DELAY", "first - edge, NO_DELAY"),
     Change(THESIS, "found = seen & ~against &", "found = seen &"),
-    Change("measured/intervals.py", "CONFIDENCE = 0.95", "CONFIDENCE = 0.8", "tests/measured/model"),
+    Change("measured/student.py", "CONFIDENCE = 0.95", "CONFIDENCE = 0.8", "tests/measured/model"),
     Change(INTERVALS, "float(told.sum() - 1)", "1e9"),
     Change(INTERVALS, "(count - 1) / count * (spread**2).sum(axis=0)", "0 * (spread**2).sum(axis=0)"),
     Change(INTERVALS, "if bounded and value - reach < 0:", "if False:"),
-    Change(ESTIMATION, "WORTH = 5.0", "WORTH = 500.0"),
+    Change(LIKELIHOOD, "WORTH = 5.0", "WORTH = 500.0"),
     Change(BAND, "single = NORMAL_95 * scatter", "single = 0.5 * NORMAL_95 * scatter"),
     Change(BAND, "student_95(found.freedom) * found.error", "found.error"),
-    Change("measured/intervals.py", "NORMAL_95 = 1.959963984540054", "NORMAL_95 = 1.645"),
+    Change("measured/student.py", "NORMAL_95 = 1.959963984540054", "NORMAL_95 = 1.645"),
     Change("measured/experiment/boundary_area.py", "(high - low) ** 2 / 12", "(high - low) ** 2 / 3"),
     Change("comparison/loops/findings.py", "if not adequate:", "if False:"),
     Change("comparison/loops/departures.py", "FEWEST_LOGS = 3", "FEWEST_LOGS = 1"),
@@ -98,7 +98,7 @@ CHANGES = (
     Change("theory/passivity.py", "(4 * near - twice) / 3", "near"),
     Change("records/criteria.py", "none=1e-12", "none=1e-3", "tests/theory"),
     Change("rig/wish.py", "(1 - tolerance, 1 + tolerance)", "(1 + tolerance, 1 + tolerance)"),
-    Change("plan/limits.py", "0.5 * (of.bottom + far)", "0.9 * (of.bottom + far)"),
+    Change("plan/next_wall.py", "0.5 * (of.bottom + far)", "0.9 * (of.bottom + far)"),
 )  # fmt: skip
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from pipeline.comparison.figures.maps import CostMap, map_figure
 from pipeline.device_data.devices import load_device
 from pipeline.measured.cost.energy import WEIGHTS, energy_terms
+from pipeline.measured.experiment.best_trial import choose_optimum
 from pipeline.measured.experiment.boundary import measured_boundary
-from pipeline.measured.experiment.optimum import choose_optimum
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.thesis import estimate_delay, first_change

@@ -19,7 +19,7 @@ from pipeline.comparison.figures.responses import trials_of
 from pipeline.comparison.scene.origin import excluded_trials
 from pipeline.comparison.scene.scene import SceneData, open_scene
 from pipeline.comparison.scores.scores import add_scores
-from pipeline.measured.intervals import NORMAL_95
+from pipeline.measured.student import NORMAL_95
 from pipeline.records.against_records import (
     AgainstResult,
     BoundaryDifference,

@@ -11,8 +11,8 @@ from pipeline.base.provenance import code_digest, digest
 from pipeline.comparison.loops.departures import SHORT as OTHER_WALL
 from pipeline.comparison.loops.departures import law_departures, other_gains, untimed
 from pipeline.comparison.loops.findings import loop_findings
-from pipeline.comparison.loops.replay import with_large_motion
 from pipeline.comparison.loops.told_loop import adequate_theory
+from pipeline.comparison.loops.wall_replay import with_large_motion
 from pipeline.comparison.scene.origin import header_lines
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.comparison.summary.advice import region_to_use

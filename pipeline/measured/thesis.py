@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.wording import counted, percent
-from pipeline.measured.intervals import CONFIDENCE
 from pipeline.measured.signal.response import Response
+from pipeline.measured.student import CONFIDENCE
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.findings import Estimate
 

@@ -14,7 +14,6 @@ from pipeline.base.errors import DeviceError, UsageError
 from pipeline.device_data.devices import declared_spring, find_experiment, known_devices, read_device
 from pipeline.measured.experiment.boundary import spread_over_plane
 from pipeline.measured.experiment.fitted_device import NAMES, PARTS, FittedDevice
-from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.law.wall_law import wall_law
 from pipeline.measured.model.intervals import BOUNDED, NEEDED, Errors, physical
 from pipeline.measured.model.parts import Choice, again
@@ -23,8 +22,9 @@ from pipeline.measured.model.recordings import Recording
 from pipeline.measured.model.told import is_told
 from pipeline.measured.signal.response import Response, find_response
 from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.student import NORMAL_95
 from pipeline.plan.found_device import FoundDevice, Trial, stated_device
-from pipeline.plan.limits import Forecast, Tried
+from pipeline.plan.next_wall import Forecast, Tried
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.loop_parts import VelocityFilter
 from pipeline.records.models import Device, Experiment

@@ -11,8 +11,8 @@ import numpy as np
 from pipeline.loop.loop import LARGEST_DELAY, Loop, Normalised, loop_of, wall_units
 from pipeline.loop.motion import Mechanism
 from pipeline.measured.experiment.fitted_device import FittedDevice
-from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.signal.verdict import judge
+from pipeline.measured.student import NORMAL_95
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.loop_parts import Friction, LoopParts, Mode, VelocityFilter
 from pipeline.records.models import Device, Experiment

@@ -10,10 +10,10 @@ from typing import Literal
 import numpy as np
 
 from pipeline.base.errors import UsageError
+from pipeline.plan.cost_search import Search, Target, look_for
 from pipeline.plan.course import Course, Wish, foretold, open_course, snapped, wanted_dampings
 from pipeline.plan.found_device import stated_device
-from pipeline.plan.limits import Aim, Column, State, order, state
-from pipeline.plan.optimum import Search, Target, look_for
+from pipeline.plan.next_wall import Aim, Column, State, order, state
 from pipeline.records.findings import Record
 
 NOTES = {

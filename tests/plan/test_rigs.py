@@ -14,7 +14,7 @@ from labs import make_lab
 from pipeline.device_data.devices import load_device
 from pipeline.plan.course import Wish, open_course
 from pipeline.plan.found_device import stated_device
-from pipeline.plan.limits import Tried
+from pipeline.plan.next_wall import Tried
 from pipeline.plan.planner import Limit, Plan, plan, plan_of
 from pipeline.shell.commands.cli_plan import lines_of
 

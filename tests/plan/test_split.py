@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pipeline.plan.limits import best_split
+from pipeline.plan.next_wall import best_split
 
 
 def exhaustive(edges, chance, width, price):

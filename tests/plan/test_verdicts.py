@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import ParameterError
-from pipeline.plan.limits import Tried, bracket
+from pipeline.plan.next_wall import Tried, bracket
 
 
 def of(*trials: tuple[float, str]):

@@ -15,7 +15,7 @@ from pipeline.measured.model.parts import chosen
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.plan.course import Course, Learnt, Wish, learn, wanted_dampings
-from pipeline.plan.limits import Tried, bracket
+from pipeline.plan.next_wall import Tried, bracket
 from pipeline.plan.planner import plan_of
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.simulation.setup import setup_of

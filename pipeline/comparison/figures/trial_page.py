@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.comparison.loops.replay import usual_trial
 from pipeline.comparison.loops.told_loop import found_device
+from pipeline.comparison.loops.wall_replay import usual_trial
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.measured.signal.outcome import OUTCOMES
 from pipeline.measured.stages.stage_groups import TrialGroup

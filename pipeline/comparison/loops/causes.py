@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.base.wording import counted
 from pipeline.comparison.loops.departures import MATTERS, SENTENCES, CourseFilter, LawDeparture, OtherGains
-from pipeline.comparison.loops.replay import LOW, coarse
+from pipeline.comparison.loops.wall_replay import LOW, coarse
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
 from pipeline.records.findings import Parameter

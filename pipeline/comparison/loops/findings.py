@@ -10,7 +10,8 @@ from pipeline.base.wording import listed
 from pipeline.comparison.loops.causes import Shown, causes_of
 from pipeline.comparison.loops.departures import CourseFilter, course_filter, law_departures, other_gains, untimed
 from pipeline.comparison.loops.passive_wall import passive_wall
-from pipeline.comparison.loops.replay import (
+from pipeline.comparison.loops.told_loop import ToldLoop, found_device, loop_numbers, told_loop
+from pipeline.comparison.loops.wall_replay import (
     limits_off,
     median,
     replay_error,
@@ -20,7 +21,6 @@ from pipeline.comparison.loops.replay import (
     usual_trial,
     wall_replay,
 )
-from pipeline.comparison.loops.told_loop import ToldLoop, found_device, loop_numbers, told_loop
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Parameter

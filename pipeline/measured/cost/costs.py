@@ -16,10 +16,10 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.measured.cost.reading_error import ReadingError
-from pipeline.measured.intervals import CONFIDENCE, NORMAL_95
 from pipeline.measured.signal.motion_end import SETTLED_SAMPLES, reach
 from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.verdict import Verdicts
+from pipeline.measured.student import CONFIDENCE, NORMAL_95
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.criteria import OVERSHOOT, RISE_LEVELS, SETTLING_BANDS
 

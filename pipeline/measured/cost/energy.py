@@ -10,9 +10,9 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.measured.cost.costs import cost_start, delay_bounds
 from pipeline.measured.cost.reading_error import ReadingError
-from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.verdict import Verdicts
+from pipeline.measured.student import NORMAL_95
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.criteria import ENERGY, members
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pipeline.base.wording import counted
-from pipeline.measured.intervals import NORMAL_95
+from pipeline.measured.student import NORMAL_95
 from pipeline.records.findings import BoundaryPoint, Estimate
 
 LARGEST_UNLOCATED = 0.1

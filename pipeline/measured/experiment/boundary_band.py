@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.base.errors import ParameterError
 from pipeline.measured.experiment.boundary import measured_boundary
-from pipeline.measured.intervals import NORMAL_95, SMALLEST, student_95
+from pipeline.measured.student import NORMAL_95, SMALLEST, student_95
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.findings import BoundaryPoint
 

@@ -12,8 +12,8 @@ from pipeline.measured import thesis
 from pipeline.measured.experiment.fitted_device import METHOD, fitted_device
 from pipeline.measured.experiment.stored import Stored
 from pipeline.measured.experiment.trend import DRIFT, drift_warning, find_trends
-from pipeline.measured.intervals import NORMAL_95, NORMAL_QUARTILE
 from pipeline.measured.signal.response import NO_ROW
+from pipeline.measured.student import NORMAL_95, NORMAL_QUARTILE
 from pipeline.records.findings import Estimate, ModelCheck
 
 LARGEST_OFFSET = 0.05

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pipeline.measured.experiment.stored import Stored
-from pipeline.measured.intervals import NORMAL_95
+from pipeline.measured.student import NORMAL_95
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Estimate, Parameter
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.intervals import SMALLEST
-from pipeline.measured.signal.response import sensor_floor
+from pipeline.measured.signal.sensor import sensor_floor
 from pipeline.measured.stages.stage_given import Experiment
+from pipeline.measured.student import SMALLEST
 from pipeline.records.batch import Booleans, Floats
 
 RESTS = 3.0

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from pipeline.base.wording import true_minus
-from pipeline.measured.intervals import NORMAL_QUARTILE, ROUNDING, SMALLEST, student_95
+from pipeline.measured.student import NORMAL_QUARTILE, ROUNDING, SMALLEST, student_95
 from pipeline.records.batch import Floats
 from pipeline.records.findings import DRIFTS, Trend
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.model.estimation import Device, Fit, refined
 from pipeline.measured.model.intervals import BOUNDED, NEEDED, Errors, Interval, physical
+from pipeline.measured.model.likelihood import Device, Fit, refined
 from pipeline.measured.model.parts import Choice, chosen
 from pipeline.measured.model.recordings import SHORTEST, Recording, Scales, stretches
 from pipeline.measured.model.replay import Replay, replayed

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.intervals import NORMAL_95, student_95
-from pipeline.measured.model.estimation import Fit
+from pipeline.measured.model.likelihood import Fit
 from pipeline.measured.model.recordings import Scales
 from pipeline.measured.model.scatter import inverse
+from pipeline.measured.student import NORMAL_95, student_95
 from pipeline.records.batch import Floats
 
 COMPUTED = 1e-9

@@ -6,20 +6,20 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pipeline.measured.model.estimation import (
+from pipeline.measured.model.intervals import Errors, physical
+from pipeline.measured.model.likelihood import (
     BEFORE,
     LIMITS,
     ROUNDED_ROW,
     WORTH,
     Device,
     Fit,
-    begun,
     ended,
+    first_guess,
     moments_of,
     refined,
     spread,
 )
-from pipeline.measured.model.intervals import Errors, physical
 from pipeline.measured.model.recordings import Recording, Scales, Stretches, stretches
 from pipeline.measured.model.scatter import inverse, solve
 from pipeline.measured.model.whitening import WHITE, Noise
@@ -216,7 +216,7 @@ def _begin(recordings: list[Recording], scales: Scales, base: tuple[str, ...], l
     held, names = stretches(recordings, scales, lead, True), (*base, "gamma", "coulomb")
     if not len(held):
         names, held = (*base, "gamma"), stretches(recordings, scales, lead, False)
-    return begun(held, names, lead)
+    return first_guess(held, names, lead)
 
 
 def _pruned(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.model.estimation import Device, errors_of, force_of
+from pipeline.measured.model.likelihood import Device, errors_of, force_of
 from pipeline.measured.model.motion import at_times
 from pipeline.measured.model.recordings import Stretches
 from pipeline.measured.model.whitening import WHITE, Filter, Passage

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.signal.disturbance import Device, Disturbance, device_of, find_disturbance
 from pipeline.measured.signal.events import (
     UNMOVED_SAMPLES,
@@ -23,9 +22,11 @@ from pipeline.measured.signal.events import (
 )
 from pipeline.measured.signal.modes import FEWEST_SAMPLES
 from pipeline.measured.signal.motion_end import SETTLED_SAMPLES, reach
-from pipeline.measured.signal.response import NO_ROW, NOISE_FACTOR, Response
+from pipeline.measured.signal.response import NO_ROW, Response
+from pipeline.measured.signal.sensor import NOISE_FACTOR
 from pipeline.measured.signal.verdict import REST_FLOORS as SENSOR_FLOORS
 from pipeline.measured.signal.verdict import Verdicts
+from pipeline.measured.student import NORMAL_95
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
 BAND = 0.02

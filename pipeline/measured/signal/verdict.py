@@ -13,7 +13,8 @@ import numpy as np
 
 from pipeline.measured.signal.edge import external_force, first_step_alone
 from pipeline.measured.signal.modes import FEWEST_SAMPLES, NARROW, WIDE, fastest_growth
-from pipeline.measured.signal.response import NOISE_FACTOR, Response, find_response
+from pipeline.measured.signal.response import Response, find_response
+from pipeline.measured.signal.sensor import NOISE_FACTOR
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
 SIGMAS = 3.0

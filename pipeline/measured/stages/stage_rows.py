@@ -29,7 +29,8 @@ from pipeline.measured.experiment.rest_forces import rest_spring
 from pipeline.measured.signal import outcome, verdict
 from pipeline.measured.signal.disturbance import Device, learn_device
 from pipeline.measured.signal.events import usual_length
-from pipeline.measured.signal.response import NO_ROW, sensor_floor
+from pipeline.measured.signal.response import NO_ROW
+from pipeline.measured.signal.sensor import sensor_floor
 from pipeline.measured.stages.stage_given import Experiment
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 from pipeline.records.batch import Floats

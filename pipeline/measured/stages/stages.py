@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.base.wording import commonest
 from pipeline.measured.cost.costs import BY_FAMILY, Measure
 from pipeline.measured.cost.energy import energy
-from pipeline.measured.experiment import estimates, optimum
+from pipeline.measured.experiment import best_trial, estimates
 from pipeline.measured.stages import stage_device
 from pipeline.measured.stages import stage_rows as rows
 from pipeline.measured.stages.stage_tables import SAMPLED, Stage, StageTables
@@ -97,7 +97,7 @@ class ExperimentStages(StageTables):
     def sure_cost(self, criterion: str) -> Floats:
         """Return the cost of each trial as `cost`, zero where it counts as none."""
         cost, floor = self.column(*cost_column(criterion)), self.floor(criterion)
-        return cost if floor is None else np.where(optimum.without_overshoot(cost, floor), 0.0, cost)
+        return cost if floor is None else np.where(best_trial.without_overshoot(cost, floor), 0.0, cost)
 
     def cost_interval(self, criterion: str) -> tuple[Floats, Floats]:
         """Return lower and upper end of the 95 % interval of each trial's cost, NaN where there is none."""
@@ -110,7 +110,7 @@ class ExperimentStages(StageTables):
         trials, floor = self.texts("response", "trial_id"), self.floor(criterion)
         # what obeys another wall than stated was not tested there
         stated = np.flatnonzero(np.isnan(self.column("wall_law", "obeyed_stiffness")))
-        best = optimum.choose_optimum(
+        best = best_trial.choose_optimum(
             cost[stated],
             self.column("response", "stiffness")[stated],
             self.column("response", "damping")[stated],

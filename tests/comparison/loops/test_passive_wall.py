@@ -12,7 +12,7 @@ from pipeline.comparison.loops.passive_wall import passive_wall
 from pipeline.comparison.loops.told_loop import ToldLoop
 from pipeline.loop.motion import Mechanism
 from pipeline.measured.experiment.fitted_device import FittedDevice
-from pipeline.measured.intervals import NORMAL_95
+from pipeline.measured.student import NORMAL_95
 from pipeline.plan.found_device import FoundDevice
 from pipeline.records.findings import BoundaryPoint
 from pipeline.simulation.radius import spectral_radius

@@ -11,7 +11,7 @@ from pipeline.comparison.scores.agreement import is_steady
 from pipeline.comparison.summary.answer import COARSE, answer
 from pipeline.records.models import ComparisonRow, Deviation
 from pipeline.records.results import Cause, LoopLimit
-from pipeline.rendering.labels import UNITS
+from pipeline.rendering.labels import UNITS, at_least
 from pipeline.rendering.report.report import answer_lines
 
 FALCON = UNITS["translation"]
@@ -54,7 +54,7 @@ def test_lines_stand_in_the_order_of_the_questions(result):
     assert f"K = {point.stiffness:g} N/m, B = {point.damping:g} Ns/m (experiment 1)" in result.summary[0]
     samples = point.costs["settle_2pct"]
     assert f"settling time (2 %) {samples:g} samples = {samples:g} ms" in result.summary[0]
-    assert f"stability limit at least {point.margin:.2g} × K" in result.summary[0]
+    assert f"stability limit at least {at_least(point.margin)} × K" in result.summary[0]
 
 
 def test_without_a_device_nothing_deviates_as_far_as_is_known(result):
@@ -102,7 +102,7 @@ def test_friction_that_explains_the_limits_is_a_code_of_its_own(data, result):
     around = told(data, result, causes=(cause,), **changes)
     assert (around.predicts.code, around.predicts.percent_with_friction) == ("with_friction", None)
     assert (
-        "limits scatter about those of the device with its friction"
+        "limits scatter about theory with the friction found"
         in answer_lines(result.model_copy(update={"answer": around}))[2]
     )
 
@@ -113,8 +113,8 @@ def test_words_say_what_the_tested_walls_leave_open(result):
     replay = replay.model_copy(update={"limits_known_percent": 12.0})
     known = result.answer.model_copy(update={"estimates": (*others, largest, replay)})
     line = answer_lines(result.model_copy(update={"answer": known}))[1]
-    assert "; at the largest tested B, perhaps more beyond" in line
-    assert "their limits within what tested walls tell, 12 % to either side" in line
+    assert ", the largest tested, perhaps more beyond" in line
+    assert "limits as measured, ±12 % (median)" in line
     assert "limits off by" not in line
 
 
@@ -167,7 +167,7 @@ def test_a_coarse_grid_is_said_as_such(data, result):
     found = told(data, result, [row(0.0, grid=2 * COARSE)])
     K = np.unique(data.experiments[0].column("response", "stiffness"))
     assert found.spacing_percent == pytest.approx(100 * (K[found.wall.stiffness < K][0] / found.wall.stiffness - 1))
-    assert "Tested walls are" in answer_lines(result.model_copy(update={"answer": found}))[0]
+    assert "Tested walls: " in answer_lines(result.model_copy(update={"answer": found}))[0]
 
 
 def test_intervals_are_left_out_where_the_loop_does_not_hold(data, result):

@@ -15,7 +15,7 @@ from pipeline.device_data.devices import load_device
 from pipeline.measured.cost.costs import overshoot, overshoot_floor, settling
 from pipeline.measured.cost.energy import energy_interval, energy_terms
 from pipeline.measured.cost.reading_error import reading_error
-from pipeline.measured.experiment.optimum import choose_optimum
+from pipeline.measured.experiment.best_trial import choose_optimum
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.criteria import SETTLING_BANDS

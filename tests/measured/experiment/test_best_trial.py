@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.measured.experiment.optimum import choose_optimum
+from pipeline.measured.experiment.best_trial import choose_optimum
 
 NONE = np.full(2, np.nan)
 

@@ -12,8 +12,8 @@ from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.device_data.devices import load_device
 from pipeline.measured.experiment.boundary_area import boundary_area
 from pipeline.measured.experiment.boundary_band import boundary_band
-from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.signal.verdict import judge
+from pipeline.measured.student import NORMAL_95
 from pipeline.records.findings import BoundaryPoint
 from pipeline.simulation.course import run_course
 from pipeline.simulation.radius import spectral_radius

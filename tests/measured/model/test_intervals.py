@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm, t
 
-from pipeline.measured.intervals import NORMAL_95, student_95
 from pipeline.measured.model.intervals import GROUPS, Errors
+from pipeline.measured.student import NORMAL_95, student_95
 
 SAMPLE = np.random.default_rng(8).normal(5.0, 2.0, 8)
 

@@ -12,8 +12,8 @@ from scipy.stats import multivariate_normal
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.motion import Mechanism
-from pipeline.measured.model.estimation import Device, moments_of
 from pipeline.measured.model.identified import identified
+from pipeline.measured.model.likelihood import Device, moments_of
 from pipeline.measured.model.motion import Physics, pieces
 from pipeline.measured.model.recordings import Recording, Scales, motion_of, stretches
 from pipeline.measured.model.scatter import Moments, solve

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.plan.limits import Aim, Bracket, Forecast, Tried, chances, corrected, doubtful_ends, order, state
+from pipeline.plan.next_wall import Aim, Bracket, Forecast, Tried, chances, corrected, doubtful_ends, order, state
 
 DAMPINGS = tuple(np.linspace(0, 180, 7))
 NOTHING = Tried(*[np.empty(0)] * 4)

@@ -523,7 +523,7 @@ def spread(held: Stretches, most: int) -> np.ndarray:
     return np.unique(np.linspace(0, len(held) - 1, min(most, len(held))).round().astype(int))
 
 
-def begun(held: Stretches, names: tuple[str, ...], most_delay: float) -> Device:
+def first_guess(held: Stretches, names: tuple[str, ...], most_delay: float) -> Device:
     """Return a device from which a search starts: the best integer delay for the twice integrated balance of forces.
 
     With y the position, y = start + gain u'' - delta y' - gamma y'' - coulomb s'' + force t^2/2, where ' is an integral

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.plan.cost_search import Target, costs_of, look_for
 from pipeline.plan.found_device import LoopPoint
-from pipeline.plan.limits import Tried
-from pipeline.plan.optimum import Target, costs_of, look_for
+from pipeline.plan.next_wall import Tried
 from pipeline.theory.optimum import optimal_point
 
 BY = LoopPoint(0.5, 3.5, 4.0, 0.0, 1e-3)

@@ -13,7 +13,7 @@ from scipy.special import ndtr
 
 from pipeline.plan.course import SAME
 from pipeline.plan.found_device import LoopPoint
-from pipeline.plan.limits import VOTES, Tried
+from pipeline.plan.next_wall import VOTES, Tried
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.theory.boundary import stiffness_limit
