@@ -284,7 +284,7 @@ def state(tried: Tried, aim: Aim, by: Forecast | None = None, trial_s: float = i
     for i, own in enumerate(rows):
         of = bracket(own.stiffness, own.verdict, width)
         task = Task(aim, largest, trial_s, float(ahead.limit[i]), float(ahead.error[i]))
-        column = _column(aim.dampings[i], of, own, task, holds=ahead.misfit <= aim.accuracy)
+        column = _wall_to_try(aim.dampings[i], of, own, task, holds=ahead.misfit <= aim.accuracy)
         if len(tried) and not len(own) and task.limit <= 0 and task.error <= width:
             # a verdict there changes no map: it is known closely enough that nothing is stable
             column = Column(aim.dampings[i], of, 0.0, note="no stable wall")
@@ -349,7 +349,7 @@ class Task:
         return CLOSE * self.half
 
 
-def _column(damping: float, of: Bracket, own: Tried, task: Task, *, holds: bool) -> Column:
+def _wall_to_try(damping: float, of: Bracket, own: Tried, task: Task, *, holds: bool) -> Column:
     aim, half, width = task.aim, task.half, task.width
     top = min(of.top, aim.highest, own.stiffness[own.force > aim.force].min(initial=inf))
     far = top if np.isfinite(top) else max(2 * of.bottom, HIGHER * task.largest, width)

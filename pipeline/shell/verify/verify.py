@@ -19,7 +19,14 @@ from pipeline.device_data.devices import digest_of, known_devices
 from pipeline.records.findings import Note, Record
 from pipeline.records.models import Scene
 from pipeline.records.results import ComparisonResult, Truth
-from pipeline.rendering.report.report_parts import Parts, digests_of, is_free_cell, page_digest, take_apart
+from pipeline.rendering.report.report_parts import (
+    Parts,
+    digests_of,
+    is_free_cell,
+    is_free_text,
+    page_digest,
+    take_apart,
+)
 from pipeline.shell.verify.fresh_logs import LogProblem, ReportedLogs, read_anew
 from pipeline.store.corrections import Exclusion
 from pipeline.store.objects import is_url, opened
@@ -47,7 +54,7 @@ class Difference(Record):
     """A part of the report that differs: ``expected`` was computed anew, ``found`` stands in the report."""
 
     name: str
-    kind: Literal["cell", "value", "page"]
+    kind: Literal["cell", "sentence", "value", "page"]
     expected: str
     found: str
 
@@ -151,12 +158,17 @@ def verify(
     # what was changed by hand, or rests on other logs, must agree to the last digit
     as_made = untouched and not problems
     differences = [*_cell_differences(expected, found, as_made)]
-    checked = {"cells": len(found.cells)}
+    said, anew = ({n: t for n, t in parts.texts.items() if not is_free_text(n)} for parts in (found, expected))
+    differences += _differences("sentence", anew, said, same_text if as_made else _equal)
+    checked = {"cells": len(found.cells), "sentences": len(said)}
     if document and result:
         new, old = (dict(leaves(one.numbers(), "json")) for one in (result, document))
         same = as_made and request.document == digest(document.numbers())
         differences += _differences("value", new, old, same_value if same else _equal)
         checked["values"] = len(old)
+    elif not document and request.document and report.with_suffix(".json").exists() and request.code == report_code():
+        text = notes[0].partition("; only")[0]
+        differences.append(Difference(name="document", kind="value", expected=request.document, found=text))
     if not differences and not untouched:
         text = "the page was changed outside its cells: in a sentence, a drawing, a script or its frame"
         hashes = found.digests.page if found.digests else "hashes of the parts in the head"
@@ -184,7 +196,7 @@ def _cell_differences(expected: Parts, found: Parts, rounding: bool) -> Iterator
 
 
 def _differences(
-    kind: Literal["cell", "value"],
+    kind: Literal["cell", "sentence", "value"],
     new: Mapping[str, Any],
     old: Mapping[str, Any],
     same: Callable[[str, Any, Any], bool],

@@ -213,6 +213,24 @@ def test_changes_outside_the_cells_are_told(desk, quick):
 
 
 @pytest.mark.slow
+def test_a_number_of_the_first_screen_is_held_against_the_logs_whatever_the_page_says_of_itself(desk, quick):
+    page = desk.page()
+    line = re.search(r"stability limit at least [\d.]+", page)[0]
+    own, forged = report_parts.page_digest(page), page.replace(line, another_digit(line, 0))
+    desk.report.write_text(forged.replace(own, report_parts.page_digest(forged)), encoding="utf-8")
+    (difference,) = verify.verify(desk.report, desk.processed).differences
+    assert difference.kind == "sentence"
+    assert line in difference.expected
+
+
+def test_a_broken_document_beside_the_page_is_named(desk, quick):
+    path = desk.report.with_suffix(".json")
+    path.write_text(path.read_text(encoding="utf-8")[:-2], encoding="utf-8")
+    (difference,) = verify.verify(desk.report, desk.processed).differences
+    assert (difference.name, difference.kind) == ("document", "value")
+    assert str(path) in difference.found
+
+
 def test_a_changed_value_of_the_json_document_is_named(desk):
     path = desk.report.with_suffix(".json")
     document = json.loads(path.read_text(encoding="utf-8"))
