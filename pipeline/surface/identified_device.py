@@ -337,5 +337,8 @@ def _remedies(document: dict[str, Any]) -> list[str]:
     """Return what to record, as sentences."""
     told = [f"Record {each['record']}." for each in document["not_told_apart"]]
     if document["loop"]["delay_samples"] is None:
-        told.append("For the delay, record a change of the command within a log, or give --delay.")
+        wanted = "a change of the command within a log"
+        if "delay" not in document["assumed_none"]:  # there are some
+            wanted = "larger steps, or with a finer sensor: noise, quantum or friction hide when a motion begins"
+        told.append(f"For the delay, record {wanted}; or give --delay.")
     return list(dict.fromkeys(told))

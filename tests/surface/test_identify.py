@@ -126,6 +126,17 @@ def test_a_constant_command_gives_no_device_file(tmp_path):
     assert not (tmp_path / "no.toml").exists()
 
 
+def test_steps_that_noise_hides_are_asked_for_larger_and_not_for_again(tmp_path):
+    logs = [
+        written(tmp_path / f"{i}.csv", np.append(np.zeros(30), np.full(270, size)), noise=0.01, seed=i)
+        for i, size in enumerate((2.0, -2.0, 4.0, -4.0))
+    ]
+    found = pipeline.identify(logs)
+    assert "delay" not in found.document["assumed_none"]
+    with pytest.raises(ParameterError, match="For the delay, record larger steps"):
+        found.write(tmp_path / "no.toml")
+
+
 def test_a_refused_log_is_named(tmp_path):
     log = tmp_path / "bad.csv"
     log.write_text(
