@@ -35,7 +35,7 @@ class Change(NamedTuple):
 VERDICT, OUTCOME = "measured/signal/verdict.py", "measured/signal/outcome.py"
 SETTLING, OPTIMUM, THESIS = "measured/cost/costs.py", "measured/experiment/best_trial.py", "measured/thesis.py"
 INTERVALS, LIKELIHOOD = "measured/model/intervals.py", "measured/model/likelihood.py"
-BAND, DATABASE, SECURITY = "measured/experiment/boundary_band.py", "service/database.py", "service/security.py"
+BAND, SESSIONS, SECURITY = "measured/experiment/boundary_band.py", "service/sessions.py", "service/security.py"
 AGAINST, AGREEMENT = "comparison/against.py", "comparison/scores/agreement.py"
 
 CHANGES = (
@@ -84,9 +84,9 @@ CHANGES = (
     Change("base/provenance.py", "return sha256(text.encode())[:16]", "return sha256(text.encode())[:4]"),
     Change("intake/trialstore.py", "else sha256[:16]", "else sha256[:4]"),
     Change("records/batch.py", "joined.hexdigest()[:16]", "joined.hexdigest()[:4]"),
-    Change(DATABASE, "SESSION_S = 12 * 3600.0", "SESSION_S = 12e9 * 3600.0"),
-    Change(DATABASE, "sessions.expires > {time.time()} AND", "1 AND"),
-    Change(DATABASE, "(tokens.expires IS NULL OR tokens.expires > ?)", "(tokens.expires IS NULL OR ? > 0)"),
+    Change(SESSIONS, "SESSION_S = 12 * 3600.0", "SESSION_S = 12e9 * 3600.0"),
+    Change(SESSIONS, "sessions.expires > {time.time()} AND", "1 AND"),
+    Change(SESSIONS, "(tokens.expires IS NULL OR tokens.expires > ?)", "(tokens.expires IS NULL OR ? > 0)"),
     Change(SECURITY, "and _name(host) not in LOCAL:", "and False:"),
     Change(SECURITY, "urlsplit(origin).netloc != host:", "False:"),
     Change(SECURITY, "ROLES.index(role) < ROLES.index(needed)", "ROLES.index(role) > ROLES.index(needed)"),
