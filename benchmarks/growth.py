@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 from logs import BARE, write_logs
-from timing import PIPELINE, Spent, run
+from timing import COURSE, PIPELINE, Spent, run
 
 
 @dataclass(frozen=True)
@@ -201,8 +201,7 @@ def simulated(folder: Path, trials: int) -> list[Path]:
     """Return so many logs, of as many runs of the course as it takes."""
     while len(logs := sorted((folder / "all").rglob("*.csv"))) < trials:
         seed = 1 + sum(1 for _ in folder.glob("all/*"))
-        words = ("--experiment", "1", "--duration", "0.4", "--seed", str(seed), "--out", f"all/{seed}")
-        run([*PIPELINE, "simulate", "falcon", *words], folder)
+        run([*COURSE, "0.4", str(seed), f"all/{seed}"], folder)
     return logs[:trials]
 
 

@@ -14,7 +14,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from timing import PIPELINE, run
+from timing import COURSE, PIPELINE, run
 
 ROWS = (400, 1000)
 PERIOD_S = 1e-3
@@ -76,7 +76,7 @@ def spine(folder: Path, rows: int) -> tuple[list[Measurement], dict[str, float]]
     ingest = [*PIPELINE, "ingest", "raw", "--json"]
     compare = [*PIPELINE, "compare", "--device", "falcon", "--json"]
     duration = f"{rows * PERIOD_S:g}"
-    simulate = [*PIPELINE, "simulate", "falcon", "--experiment", "1", "--duration", duration, "--json"]
+    simulate = [*COURSE, duration, "0", "raw"]
     copy = folder / "copy"
     commands = {
         "simulate": simulate,

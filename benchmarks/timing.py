@@ -13,6 +13,20 @@ from pathlib import Path
 
 REPEATS = 5
 PIPELINE = [sys.executable, "-c", "from pipeline.shell.cli import run; run()"]
+
+COURSE = [
+    sys.executable,
+    "-c",
+    """
+import sys
+from pathlib import Path
+from pipeline.device_data.devices import load_device
+from pipeline.simulation.course import run_course, write_course
+duration, seed, folder = sys.argv[1:]
+write_course(run_course(load_device("falcon"), "1", seed=int(seed), duration_s=float(duration)), Path(folder))
+""",
+]
+"""Writes the logs of Falcon 1: followed by their duration [s], a seed and a folder."""
 MIB = 1 << 20
 
 
