@@ -326,7 +326,7 @@ def _interval(
     reason = [a or b for a, b in zip(terms.reason, sums.error.reason, strict=True)]
     for i in (i for i, text in enumerate(reason) if not text):
         open_ = [
-            f"w = {w}: {low[i, w]:.3g} to {high[i, w]:.3g}" if np.isfinite(high[i, w]) else f"w = {w}: no upper end"
+            f"w = {w}: {low[i, w]:.3g} to {high[i, w]:.3g}" if np.isfinite(high[i, w]) else f"w = {w} without an end"
             for w in WEIGHTS
             if not there[i, w]
         ]
@@ -336,10 +336,10 @@ def _interval(
             )
         elif open_:
             beside = (
-                "; it rests beside its final position" if rest[i].any() else ": record longer" if horizon[i] else ""
+                "; it rests beside its final position" if rest[i].any() else "; record longer" if horizon[i] else ""
             )
             reason[i] = (
-                f"of {horizon[i]} samples noise, mass, delay and what follows leave {', '.join(open_)} open{beside}"
+                f"noise, mass, delay and what follows {horizon[i]} samples leave open {', '.join(open_)}{beside}"
             )
     value, low, high, bias, beyond = (np.where(there, part, np.nan) for part in (value, low, high, bias, tail[0]))
     return EnergyInterval(value, low, high, bias, beyond, horizon, tuple(reason))
