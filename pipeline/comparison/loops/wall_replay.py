@@ -187,7 +187,7 @@ def with_large_motion(result: ExperimentResult, stages: ExperimentStages) -> Exp
     rubs = any(cause.code == "coulomb_friction" for cause in result.causes)
     if not rubs or found is None or not result.boundary:
         return result
-    B = [point.damping for point in result.boundary] + ([] if result.use is None else [result.use.point.damping])
+    B = [point.damping for point in result.boundary]
     linear = dict(zip(B, found.point.limit(np.array(B)).tolist(), strict=True))
     linear |= {each.damping: each.stiffness_large_motion for each in result.loop_boundary or ()}
     points = tuple(
@@ -196,7 +196,8 @@ def with_large_motion(result: ExperimentResult, stages: ExperimentStages) -> Exp
     result = result.model_copy(update={"boundary": points})
     if (use := result.use) is None:
         return result
-    limit = linear[use.point.damping]
+    told = linear.get(use.point.damping)
+    limit = float(found.point.limit(np.array([use.point.damping]))[0]) if told is None else told
     margin = limit / use.point.stiffness
     if margin >= NARROW:
         point = use.point.model_copy(update={"margin_large_motion": margin})
