@@ -187,7 +187,8 @@ class FoundDevice:
 
     @cached_property
     def ends(self) -> tuple[tuple[LoopPoint, LoopPoint], ...]:
-        """Devices at both ends of each principal axis of the 95 % range of its numbers; none where these are exact."""
+        """Devices at both ends of each principal axis of the 95 % range of its numbers, and that with the longest lag
+        that its delay may hold; none where these are exact."""
         if not self.fitted.covariance.any():
             return ()
         now, scale = np.array(list(self.fitted.values.values())), np.sqrt(np.diag(self.fitted.covariance))
@@ -200,6 +201,9 @@ class FoundDevice:
             both = [np.where(positive, np.maximum(now + end, SMALLEST * now), now + end) for end in (-step, step)]
             low, high = (self.at(dict(zip(self.fitted.values, end.tolist(), strict=True))) for end in both)
             found.append((low, high))
+        if lag := self.fitted.bounds.get("actuator_lag_s", 0.0):
+            late = self.fitted.values["delay_samples"] - lag / self.sampling_period_s
+            found.append((self.point, self.at(self.fitted.values | {"delay_samples": late, "actuator_lag_s": lag})))
         return tuple(found)
 
     def limits(

@@ -142,6 +142,7 @@ def _document(
         ],
         "parts": [{"name": name, "found": gain > 0, "gain": float(gain)} for name, gain in found.parts.items()],
         "assumed_none": list(found.assumed),
+        "unseen_lag_s": found.choice.bounds.get("actuator_lag", 0.0),
         "not_told_apart": [
             {
                 "combination": each.code,
@@ -271,6 +272,10 @@ def _boundary(document: dict[str, Any]) -> dict[str, Any] | None:
         if part is None or (name == "delay_samples" and document["wall"]["delay_samples"] is not None):
             continue
         ends = [wall_loop(document, **{name: part[end]}) for end in ("low", "high")]
+        if name == "delay_samples" and (lag := document["unseen_lag_s"]):
+            # what is a lag is no delay
+            late = part["value"] - lag / document["sampling_period_s"]
+            ends = [wall_loop(document, delay_samples=late, actuator_lag_s=lag), ends[1]]
         limits = [_border(each, 40)["stiffness_max"] for each in ends if each is not None]
         reach += max((abs(limit - stiffest) for limit in limits), default=0.0) ** 2
     return border | {

@@ -60,7 +60,8 @@ class FittedDevice:
     folds : tuple of dict of str to float
         Its values by the trials but every fifth from the first, the second ... on; empty where they are not known.
     bounds : dict of str to float
-        Upper ends of numbers that it does not have, and of a delay that a lag of less than a sample may be a part of.
+        Upper ends of numbers that it does not have, and the other end of a delay that may be part of a lag of less than
+        a sample, or have one as a part.
     jitter : tuple of float
         Standard deviation of the delay within a trial [samples], and the error of it.
     fit_percent : float or None
@@ -93,7 +94,8 @@ class FittedDevice:
         """Return one of the numbers that it has with its 95 % interval."""
         value = self.values[name]
         reach = NORMAL_95 * float(np.sqrt(self.covariance[(place := list(self.values).index(name)), place]))
-        return Parameter(value=value, low=value - reach, high=max(value, self.bounds.get(name, value)) + reach)
+        end = self.bounds.get(name, value)
+        return Parameter(value=value, low=min(value, end) - reach, high=max(value, end) + reach)
 
     def estimate(self, name: str, unit: str) -> Estimate:
         """Return one of its numbers as an estimate; of one that it does not have at most a bound."""

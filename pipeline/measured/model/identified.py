@@ -80,6 +80,9 @@ def identified(recordings: list[Recording]) -> Identified:
     units = {"damping": mass / period, "stiffness": mass / period**2, "delay": period}
     units |= dict.fromkeys(("friction", "constant_force"), choice.scales.command)
     parameters = {name: errors.interval(quantities[name], name in BOUNDED, units.get(name, 0.0)) for name in names}
+    if choice.late:
+        delay = parameters["delay"]
+        parameters["delay"] = replace(delay, low=max(delay.low - choice.bounds["actuator_lag"], 0.0))
     if "constant_force" in choice.assumed and "friction" in parameters:
         parameters = _held_before(parameters, choice.scales.command)
     untold = {name for name in ("mass",) if not is_told(parameters[name])}
@@ -89,10 +92,8 @@ def identified(recordings: list[Recording]) -> Identified:
     # a force that is known to no better than the largest command is not known
     forces = {"friction", "constant_force"} & set(names)
     untold |= {name for name in forces if parameters[name].high - parameters[name].low > 2 * choice.scales.command}
-    delay = parameters.get("delay")
-    if delay is not None and delay.high - delay.low > choice.scales.period * max(
-        2.0, delay.value / choice.scales.period
-    ):
+    delay = parameters.get("delay", Interval(0.0, 0.0, 0.0, 0.0))
+    if delay.high - delay.low > max(2.0 * period, delay.value):
         untold.add("delay")
     recorded = Recorded.of(recordings)
     command = choice.scales.command

@@ -108,11 +108,11 @@ def combinations(choice: Choice, errors: Errors, recorded: Recorded, untold: set
             return float((n["coulomb"] - np.sign(level) * n["force"]) / n["gain"] * scales.command)
 
         add("friction_less_force", ("friction", "constant_force"), against, "force", recorded.remedy())
-    if "delay" in untold and "lag" in numbers:
+    if choice.late or ("delay" in untold and "lag" in numbers):
         add(
             "delay_and_lag",
             ("delay", "actuator_lag"),
-            lambda n: (n["delay"] + n["lag"]) * scales.period,
+            lambda n: (n["delay"] + n.get("lag", 0.0)) * scales.period,
             "s",
             "steps of the command at a higher sampling rate, or with a finer sensor",
         )

@@ -119,6 +119,8 @@ def _numbers(found: Identified, of: Experiment) -> dict[str, Any]:
     own = (units * np.array([each.error for each in parameters.values()])) ** 2
     np.fill_diagonal(covariance, np.maximum(covariance.diagonal(), own))
     bounds = {NAMES[name]: value for name, value in found.bounds.items()}
+    if found.choice.late:
+        bounds["delay_samples"] = values["delay_samples"] - bounds["actuator_lag_s"] / period
     if 0 < values.get("actuator_lag_s", 0.0) < IMITATED * period:
         bounds["delay_samples"] = values["delay_samples"] + values["actuator_lag_s"] / period
     noise = found.choice.fit.device.noise
