@@ -177,12 +177,13 @@ def _unseen_lag(held: Stretches, fit: Fit, trials: int) -> tuple[float, bool]:
     some, alone = held.chosen(spread(held, LOOKED_AT)), replace(fit.device, effects=None)
     none = most = _promise(some, alone, trials, "lag")
     end = 0.0
-    for end in (lag for lag in UNSEEN if lag <= numbers["delay"]):
-        late = replace(alone, numbers=numbers | {"delay": numbers["delay"] - end, "lag": end})
+    for lag in (lag for lag in UNSEEN if lag <= numbers["delay"]):
+        late = replace(alone, numbers=numbers | {"delay": numbers["delay"] - lag, "lag": lag})
         likely = _promise(some, late, trials, "lag")
         if likely < most - BESIDE:
+            end = lag if end else 0.0
             break
-        most = max(most, likely)
+        end, most = lag, max(most, likely)
     return end, most - none > WORTH
 
 
