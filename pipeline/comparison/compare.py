@@ -27,7 +27,7 @@ from pipeline.comparison.scene.scene import (
     open_scene,
     plan_measured,
 )
-from pipeline.comparison.scene.scene_parts import plan_parts
+from pipeline.comparison.scene.scene_file import plan_parts
 from pipeline.comparison.scores.scores import add_scores
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.comparison.summary.answer import answer

@@ -8,7 +8,7 @@ import shutil
 
 import pytest
 
-from pipeline.comparison import shared_groups, stage_pool
+from pipeline.comparison import stage_pool
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.measured.stages import stages
 from pipeline.records import groups
@@ -53,16 +53,16 @@ def test_the_groups_of_a_large_experiment_are_shared(lwr, tmp_path, monkeypatch)
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
     monkeypatch.setattr(stage_pool, "LARGE", 50)
     monkeypatch.setattr(groups, "READINGS", 10_000)
-    monkeypatch.setattr(shared_groups, "FEWEST", 10)
+    monkeypatch.setattr(stage_pool, "FEWEST", 10)
     cut = []
-    original = shared_groups.SharedGroups._cut
+    original = stage_pool.SharedGroups._cut
 
     def noted(self, batch):
         parts = original(self, batch)
         cut.extend(number for _, _, number in parts)
         return parts
 
-    monkeypatch.setattr(shared_groups.SharedGroups, "_cut", noted)
+    monkeypatch.setattr(stage_pool.SharedGroups, "_cut", noted)
     shutil.copytree(lwr.processed / "trials", tmp_path / "trials")
     own = lwr.stages("delay-2", tmp_path)
     assert len(own.samples.parts) > 2
@@ -87,14 +87,14 @@ def test_what_is_not_new_is_not_computed_by_several_processes_either(lwr, tmp_pa
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
     monkeypatch.setattr(stage_pool, "LARGE", 20)
     computed = []
-    original = shared_groups.SharedGroups.map
+    original = stage_pool.SharedGroups.map
 
     def counted(self, function, groups, *masks):
         results = list(original(self, function, groups, *masks))
         computed.append(sum(result.num_rows for result in results))
         return results
 
-    monkeypatch.setattr(shared_groups.SharedGroups, "map", counted)
+    monkeypatch.setattr(stage_pool.SharedGroups, "map", counted)
     compute_stages([whole], NEEDED)
     monkeypatch.undo()
     assert computed == [30, 30, 30], "response, wall law and delay"

@@ -15,8 +15,7 @@ from pipeline.base.wording import counted, first_clause, listed
 from pipeline.comparison.loops.departures import MATTERS, other_gains
 from pipeline.comparison.loops.told_loop import found_device
 from pipeline.comparison.scene.scene import SceneData
-from pipeline.comparison.scores.agreement import FEWEST_COMPARISONS, boundary_distance
-from pipeline.comparison.scores.overlap import measured_limits
+from pipeline.comparison.scores.agreement import FEWEST_COMPARISONS, boundary_distance, measured_limits
 from pipeline.comparison.summary.summary_warnings import NEEDED
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.course import Wish, course_of

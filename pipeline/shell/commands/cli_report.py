@@ -193,9 +193,9 @@ def verify(
 
     Example: pipeline verify reports/falcon.html
     """
-    from pipeline.shell.verify.bundle import ENDING, verify_bundle
-    from pipeline.shell.verify.verify import lines_of
-    from pipeline.shell.verify.verify import verify as verify_report
+    from pipeline.shell.bundle import ENDING, verify_bundle
+    from pipeline.shell.verify import lines_of
+    from pipeline.shell.verify import verify as verify_report
 
     if report.suffix.lower() == ENDING:
         if processed or profile:
@@ -214,7 +214,7 @@ def bundle(report: Annotated[Path, argument("Report (HTML) by `pipeline compare`
 
     Example: pipeline bundle reports/falcon.html
     """
-    from pipeline.shell.verify.bundle import bundle as write
+    from pipeline.shell.bundle import bundle as write
 
     written = write(report)
     console.tell(written.model_dump(mode="json"), [f"bundle: {written.bundle}, {written.trials} trials"])

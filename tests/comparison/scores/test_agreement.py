@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.comparison.scores.agreement import boundary_distance, verdict_agreement
-from pipeline.comparison.scores.overlap import MeasuredLimits
+from pipeline.comparison.scores.agreement import MeasuredLimits, boundary_distance, verdict_agreement
 
 NONE = np.zeros(4, dtype=bool)
 

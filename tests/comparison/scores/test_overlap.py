@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.base.errors import ParameterError
-from pipeline.comparison.scores.overlap import Stretches, measured_limits, overlap
+from pipeline.comparison.scores.agreement import Stretches, measured_limits, overlap
 from pipeline.records.findings import BoundaryPoint
 
 EXACT = 1e-12  # areas of order one or relative: a few sums in doubles

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.comparison.scores.overlap import measured_limits
-from pipeline.comparison.summary.advice import CALM, FAR, recommended, region_to_use
-from pipeline.comparison.summary.rectangles import FEWEST, room_at
+from pipeline.comparison.scores.agreement import measured_limits
+from pipeline.comparison.summary.advice import CALM, FAR, FEWEST, recommended, region_to_use, room_at
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.findings import Optimum
 from pipeline.records.results import STIFFEST

@@ -5,9 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.comparison.scores.overlap import MeasuredLimits
-from pipeline.comparison.summary.advice import NARROW
-from pipeline.comparison.summary.rectangles import FEWEST, GOOD, NEIGHBOURS, WallTrials, best_rectangle, levels, room_at
+from pipeline.comparison.scores.agreement import MeasuredLimits
+from pipeline.comparison.summary.advice import (
+    FEWEST,
+    GOOD,
+    NARROW,
+    NEIGHBOURS,
+    WallTrials,
+    best_rectangle,
+    levels,
+    room_at,
+)
 
 
 def limits(damping, limit, low=None, censored=False):

@@ -19,9 +19,9 @@ from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import device_file
 from pipeline.intake.correct import delete
 from pipeline.intake.ingest import ingest
+from pipeline.shell.bundle import bundle, verify_bundle
 from pipeline.shell.cli import app
-from pipeline.shell.verify.bundle import bundle, verify_bundle
-from pipeline.shell.verify.verify import lines_of, verify
+from pipeline.shell.verify import lines_of, verify
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_process")]
 
@@ -157,7 +157,7 @@ def test_what_a_bundle_needs_and_is_not_there_is_named(bench, tmp_path, monkeypa
         bundle(lone)
     shutil.copy(bench.report.with_suffix(".json"), tmp_path / "lone.json")
     shutil.copytree(bench.folder / "processed", tmp_path / "processed")
-    monkeypatch.setattr("pipeline.shell.verify.bundle.stored_place", lambda *_: tmp_path / "processed")
+    monkeypatch.setattr("pipeline.shell.bundle.stored_place", lambda *_: tmp_path / "processed")
     log = sorted(bench.logs.glob("*.csv"))[5]
     delete(tmp_path / "processed", str(log))
     with pytest.raises(StoreError, match=r"is not stored as it was when the report was made. Ingest its log again"):
