@@ -55,7 +55,7 @@ class Outcome:
     """What a comparison did: its result (None for a dry run), its stages, and the report file."""
 
     result: ComparisonResult | None
-    stages: tuple[tuple[str, str, str], ...]
+    stages: tuple[PlannedStage, ...]
     report: Path | None
 
 
@@ -127,14 +127,16 @@ def compare(
     if stored is not None and figures is None and all(p.action != RUN for p in plan):
         unchanged = "the report and all that it rests on are unchanged"
         plan += [PlannedStage(name, REUSE, unchanged) for name in ("theory", "report")]
-        return Outcome(None if dry_run else stored, _rows(plan), report)
+        return Outcome(None if dry_run else stored, tuple(plan), report)
     early = nominal_theories(data)
     plan += _plan_theory(data, early, predictions)
-    if report is not None:
+    if report is None:
+        plan.append(PlannedStage("report", LEAVE_OUT, "no report file is asked for"))
+    else:
         plan += plan_parts(data)
-    plan.append(_plan_report(report))
+        plan.append(PlannedStage("report", RUN, "there is none, or something that it shows changed"))
     if dry_run:
-        return Outcome(None, _rows(plan), None)
+        return Outcome(None, tuple(plan), None)
 
     say = progress or (lambda _: None)
     lost = gone(processed, device)
@@ -150,7 +152,7 @@ def compare(
         page = ReportData(
             result,
             figures=drawn,
-            stages=_rows(plan),
+            stages=tuple(plan),
             accuracy=accuracy,
             trials=trial_page(data, found.results, found.theories, full=full) if asked.has_figure("trials") else None,
             tables=asked.tables,
@@ -161,7 +163,7 @@ def compare(
         write_text(report.with_suffix(".json"), result.model_dump_json(indent=1) + "\n")
         if figures is not None:
             write_figures(drawn, figures)
-    return Outcome(result, _rows(plan), report)
+    return Outcome(result, tuple(plan), report)
 
 
 def _figures(data: SceneData, result: ComparisonResult, found: _Found, predictions: Predictions) -> Iterator[Figure]:
@@ -251,10 +253,6 @@ def _result(
     return result.model_copy(update={"summary": answer_lines(result)})
 
 
-def _rows(plan: Sequence[PlannedStage]) -> tuple[tuple[str, str, str], ...]:
-    return tuple(p.as_row() for p in plan)
-
-
 def _plan_theory(data: SceneData, theories: dict[str, Theory], predictions: Predictions) -> list[PlannedStage]:
     if data.device is None and not data.overlay:
         return [PlannedStage("theory", LEAVE_OUT, "the device is not known, and no estimate of it is asked for")]
@@ -272,12 +270,6 @@ def _plan_theory(data: SceneData, theories: dict[str, Theory], predictions: Pred
     if not data.scene.delay_sweep:
         plan.append(PlannedStage("delay table", LEAVE_OUT, "no experiment has added delay"))
     return plan
-
-
-def _plan_report(path: Path | None) -> PlannedStage:
-    if path is None:
-        return PlannedStage("report", LEAVE_OUT, "no report file is asked for")
-    return PlannedStage("report", RUN, "there is none, or something that it shows changed")
 
 
 def report_code() -> str:

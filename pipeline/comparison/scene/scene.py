@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
+from typing import NamedTuple
 
 from pipeline.base.errors import DeviceError, StoreError, UsageError
 from pipeline.device_data.devices import declared_spring, known_devices
@@ -19,17 +20,12 @@ from pipeline.store.storage import list_devices, list_experiments
 RUN, REUSE, LEAVE_OUT = "run", "reuse", "leave out"
 
 
-@dataclass(frozen=True)
-class PlannedStage:
+class PlannedStage(NamedTuple):
     """One line of the plan: stage, what is done with it (run, reuse, leave out), and why."""
 
     stage: str
     action: str
     reason: str
-
-    def as_row(self) -> tuple[str, str, str]:
-        """Return the line as (stage, action, reason)."""
-        return self.stage, self.action, self.reason
 
 
 @dataclass(frozen=True)

@@ -138,19 +138,16 @@ def answer_lines(result: ComparisonResult) -> tuple[str, ...]:
     return tuple(" ".join(line.split()) for line in text.splitlines() if line.strip())
 
 
-def printed_tables(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> list[Table]:
-    """Return all tables of a comparison as they are printed, those of simulated logs marked so."""
+def printed_tables(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[str, list[Table]]:
+    """Return all tables of a comparison as printed, by the names of `tables_of`; those of simulated logs marked so."""
     found = tables_of(result, trials)
-    return [marked(table, simulated=result.simulated) for tables in found.values() for table in tables]
+    return {name: [marked(table, simulated=result.simulated) for table in found[name]] for name in found}
 
 
 def _tables(data: ReportData) -> dict[str, Any]:
     """Return what the templates get: a table or None, or a list for a name that stands for several."""
     result = data.result
-    found = {
-        name: [marked(table, simulated=result.simulated) for table in tables]
-        for name, tables in tables_of(result, data.trials or NO_TRIALS).items()
-    }
+    found = printed_tables(result, data.trials or NO_TRIALS)
     rest = {
         "accuracy": _accuracy_table(data.accuracy),
         "stages": word_table("stages", "Plan of stages", ("stage", "what", "why"), data.stages),

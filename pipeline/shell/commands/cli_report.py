@@ -111,7 +111,7 @@ def _tell(outcome: Outcome, export: Path | None) -> None:
     from pipeline.rendering.table_export import export_tables
 
     if outcome.result is None:
-        stages = [dict(zip(("stage", "action", "reason"), row, strict=True)) for row in outcome.stages]
+        stages = [row._asdict() for row in outcome.stages]
         console.tell(stages, console.table(stages, ("stage", "action", "reason")))
         return
     lines = [*outcome.result.summary, *(f"Warning: {text}" for text in outcome.result.warnings)]
