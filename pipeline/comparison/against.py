@@ -14,7 +14,7 @@ import numpy as np
 from pipeline import __version__
 from pipeline.base.errors import UsageError
 from pipeline.base.provenance import code_digest
-from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, motion_of, nominal_theories
+from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, nominal_theories
 from pipeline.comparison.figures.responses import trials_of
 from pipeline.comparison.scene.origin import excluded_trials
 from pipeline.comparison.scene.scene import SceneData, open_scene
@@ -283,12 +283,12 @@ def against_experiments(
             progress(f"device {device}, experiment {experiment}: estimates and costs")
         found.append(_gathered(open_scene(device, processed, [experiment], criteria), said))
     one, other = found
-    labels, results, motion = (one.side.label, other.side.label), (one.result, other.result), motion_of(one.data)
+    labels, results, motion = (one.side.label, other.side.label), (one.result, other.result), one.data.motion
     scales = None if first[0] == second[0] else (one.scale, other.scale)
     documents = one.result.model_dump(mode="json"), other.result.model_dump(mode="json")
     pair = compare_pair((one.side, other.side), documents, motion, scales, (one.trials, other.trials))
     if scales is None or one.theory is None or other.theory is None:
-        figure = _overlay(labels, results, motion)
+        figure = _overlay(labels, [result.boundary for result in results], motion)
     else:
         figure = plane_figure([(labels[0], results[0], one.theory, 0), (labels[1], results[1], other.theory, 1)])
     return AgainstPage(AgainstResult(title=" against ".join(labels), pairs=(pair,)), (figure,), motion)
@@ -304,8 +304,8 @@ def against_document(new: ComparisonResult, old: Document) -> AgainstPage:
     for name in common:
         sides, documents = (_side(old, before[name]), _side(now, after[name])), (before[name], after[name])
         pairs.append(compare_pair(sides, documents, new.motion))
-        results = [ExperimentResult.model_construct(boundary=tuple(map(_point, e["boundary"]))) for e in documents]
-        figures.append(_overlay([f"{name}, before", f"{name}, now"], results, new.motion, f"-{len(figures)}"))
+        limits = [[_point(p) for p in each["boundary"]] for each in documents]
+        figures.append(_overlay([f"{name}, before", f"{name}, now"], limits, new.motion, f"-{len(figures)}"))
     versions = [f"version {of['provenance'].get('version', '?')} ({_code(of)})" for of in (old, now)]
     result = AgainstResult(
         title=f"{new.device}: {versions[0]} against {versions[1]}",
@@ -414,8 +414,10 @@ def _side(of: Document, experiment: Document) -> Side:
     )
 
 
-def _overlay(labels: Sequence[str], results: Sequence[ExperimentResult], motion: Motion, suffix: str = "") -> Figure:
-    both = enumerate(zip(results, labels, strict=True))
-    series = [s for number, (result, label) in both for s in measured(result, label, number)]
+def _overlay(
+    labels: Sequence[str], limits: Sequence[Sequence[BoundaryPoint]], motion: Motion, suffix: str = ""
+) -> Figure:
+    both = enumerate(zip(limits, labels, strict=True))
+    series = [s for number, (points, label) in both for s in measured(points, label, number)]
     title, caption = f"Boundaries of {labels[0]} and {labels[1]}", "Last stable stiffness at each damping."
     return limits_figure(title, caption, [limits_panel("", series, motion)], f"boundaries-against{suffix}")

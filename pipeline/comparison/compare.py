@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from pipeline.base.disk import write_text
 from pipeline.base.provenance import code_digest, digest, sha256
-from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, motion_of, nominal_theories
+from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, nominal_theories
 from pipeline.comparison.executors import Executor
 from pipeline.comparison.figures.maps import departure_figures, map_figures
 from pipeline.comparison.figures.responses import response_figures, trials_of
@@ -42,7 +42,6 @@ from pipeline.records.results import ComparisonResult, ExperimentResult, Truth
 from pipeline.rendering.figures.boundaries import answer_figure, boundary_figures
 from pipeline.rendering.figures.drawing import Figure, write_figures
 from pipeline.rendering.figures.overview import delay_figure, trend_figure
-from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report.report import ReportData, answer_lines
 from pipeline.rendering.report.report import write as write_report
 from pipeline.store.objects import origin
@@ -175,15 +174,15 @@ def _figures(data: SceneData, result: ComparisonResult, found: _Found, predictio
         yield answer_figure(told, theory, motion, number, trials_of(data.experiments[number]))
     yield from boundary_figures(result.experiments, found.theories, motion, shown, sweep=data.scene.delay_sweep)
     if shown.has_figure("maps"):
-        yield from map_figures(data, result.experiments, found.theories, predictions, motion)
+        yield from map_figures(data, result.experiments, found.theories, predictions)
     if shown.has_figure("delay"):
         yield from delay_figure(found.rows)
     if shown.has_figure("response"):
-        yield from response_figures(data, motion)
+        yield from response_figures(data)
     if shown.has_figure("trend"):
         yield from trend_figure(result)
     if shown.has_figure("residuals"):
-        yield from departure_figures(data, found.theories, predictions, motion)
+        yield from departure_figures(data, found.theories, predictions)
 
 
 @dataclass(frozen=True)
@@ -230,13 +229,12 @@ def _compute(
 def _result(
     data: SceneData, found: _Found, report: Path | None, origin: Callable[..., dict[str, str]]
 ) -> ComparisonResult:
-    units = UNITS[motion_of(data)]
-    told = answer(data, found.results, found.rows, units)
+    told = answer(data, found.results, found.rows)
     logs = tuple(log_list(stages) for stages in data.experiments)
     result = ComparisonResult(
         device=data.scene.device,
         title=data.device.title if data.device else data.scene.device,
-        motion=motion_of(data),
+        motion=data.motion,
         known_device=data.device is not None,
         simulated=data.simulated,
         criteria=data.scene.criteria,
