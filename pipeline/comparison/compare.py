@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -141,9 +141,10 @@ def compare(
     lost = gone(processed, device)
     found = _compute(data, early, predictions, say, executor)
     output = [*(["--scene", str(scene_file)] if scene_file else []), *(["--full"] if full else [])]
-    made = partial(provenance, processed=origin(processed), key=key, output=output)
-    result = _result(data, found, report, made)
-    result = result.model_copy(update={"notes": tuple(notes), "warnings": (*lost, *result.warnings)})
+    logs = tuple(log_list(stages) for stages in data.experiments)
+    entries = provenance(data, logs, origin(processed), key=key, code=report_code(), output=output)
+    more = {"report": str(report) if report else None, "provenance": entries, "logs": logs, "notes": tuple(notes)}
+    result = _result(data, found, lost, more)
     if report is not None:
         say("report: figures and page")
         asked = data.scene.shown
@@ -226,11 +227,9 @@ def _compute(
     return _Found(known, theories, rows)
 
 
-def _result(
-    data: SceneData, found: _Found, report: Path | None, origin: Callable[..., dict[str, str]]
-) -> ComparisonResult:
+def _result(data: SceneData, found: _Found, lost: Sequence[str], more: dict[str, Any]) -> ComparisonResult:
+    """Return the document; ``more`` is what it has beside the numbers, ``lost`` what is damaged in the store."""
     told = answer(data, found.results, found.rows)
-    logs = tuple(log_list(stages) for stages in data.experiments)
     result = ComparisonResult(
         device=data.scene.device,
         title=data.device.title if data.device else data.scene.device,
@@ -242,11 +241,9 @@ def _result(
         tables=found.rows,
         answer=told,
         summary=(),
-        warnings=warnings_of(data, found.results),
+        warnings=(*lost, *warnings_of(data, found.results)),
         excluded=excluded_trials(data),
-        report=str(report) if report else None,
-        provenance=origin(data, logs, code=report_code()),
-        logs=logs,
+        **more,
     )
     return result.model_copy(update={"summary": answer_lines(result)})
 

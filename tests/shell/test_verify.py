@@ -9,6 +9,7 @@ import shutil
 from dataclasses import dataclass
 from html import unescape
 from pathlib import Path
+from types import SimpleNamespace
 
 import pyarrow as pa
 import pytest
@@ -89,21 +90,19 @@ def recomputed(verified) -> str:
 def quick(recomputed, monkeypatch):
     """Verification that takes the recomputed page from memory: the comparison of the pages is what is tested."""
 
+    monkeypatch.setattr(verify, "compare", page_again(recomputed))
+    fresh = SimpleNamespace(problems=(), notes=(), read=1, kept=0)
+    monkeypatch.setattr(verify, "read_anew", lambda *_: fresh)
+
+
+def page_again(page: str):
+    """A comparison that writes this page and has no document."""
+
     def compare_again(device, processed, *, report, **_):
-        report.write_text(recomputed, encoding="utf-8")
-        return compare_outcome
+        report.write_text(page, encoding="utf-8")
+        return SimpleNamespace(result=None)
 
-    class compare_outcome:  # noqa: N801 (stands for an instance)
-        result = None
-
-    monkeypatch.setattr(verify, "compare", compare_again)
-    monkeypatch.setattr(verify, "read_anew", lambda *_: FRESH)
-
-
-class FRESH:
-    problems: tuple[()] = ()
-    notes: tuple[()] = ()
-    read, kept = 1, 0
+    return compare_again
 
 
 def another_digit(text: str, number: int) -> str:
@@ -184,12 +183,7 @@ def test_rounding_is_allowed_only_in_a_page_that_is_as_it_was_written(desk, reco
 
     def elsewhere(text):
         """The page as computed anew has another number in that cell."""
-
-        def compare_again(device, processed, *, report, **_):
-            report.write_text(change_text(recomputed, name, text), encoding="utf-8")
-            return type("Outcome", (), {"result": None})
-
-        monkeypatch.setattr(verify, "compare", compare_again)
+        monkeypatch.setattr(verify, "compare", page_again(change_text(recomputed, name, text)))
         return verify.verify(desk.report, desk.processed)
 
     assert elsewhere(last).equal

@@ -59,8 +59,12 @@ def compare(
     from pipeline.store.objects import opened
 
     earlier = Path(against) if against is not None and against.endswith(".json") else None
-    if against is not None:
-        _refuse({"--export": export} if earlier else {"--export": export, "--dry-run": dry_run, "--full": full})
+    without = {"--export": export} if earlier else {"--export": export, "--dry-run": dry_run, "--full": full}
+    if against is not None and (other := next((name for name, given in without.items() if given), None)):
+        raise UsageError(
+            f"--against and {other} do not go together: the page of two experiments knows no such choice. Leave one of "
+            "them out."
+        )
     asked = None if scene is None else read_scene(scene)
     name = device or (asked.device if asked else None)
     if name is None:
@@ -120,16 +124,6 @@ def _tell(outcome: Outcome, export: Path | None) -> None:
         export_tables(outcome.result, export / "tables")
         lines.append(f"tables and figures: {export}")
     console.tell(outcome.result.model_dump(mode="json"), lines)
-
-
-def _refuse(others: dict[str, Any]) -> None:
-    """Refuse options that --against would leave without effect."""
-    for other, given in others.items():
-        if given:
-            raise UsageError(
-                f"--against and {other} do not go together: the page of two experiments knows no such choice. Leave "
-                "one of them out."
-            )
 
 
 def _compare_against(
