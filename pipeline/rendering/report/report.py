@@ -15,6 +15,7 @@ from typing import Any, get_args
 
 from pipeline.base.disk import write_text
 from pipeline.base.errors import PipelineError
+from pipeline.base.provenance import digest
 from pipeline.base.wording import duration, error_text, unbroken
 from pipeline.records.accuracy import AccuracyReport, own_rungs
 from pipeline.records.criteria import criterion_of
@@ -109,7 +110,7 @@ def render(data: ReportData) -> str:
             "for each table, criterion and condition. Give each experiment and criterion once."
         )
     # The slot stands in the head, before anything a log could have written.
-    page = page.replace(_DIGEST_SLOT, report_parts.cells_digest(found), 1)
+    page = page.replace(_DIGEST_SLOT, digest(found.cells), 1)
     digests = report_parts.digests_of(page, found).model_dump_json()
     return page.replace(_PARTS_SLOT, str(escape(digests)), 1)
 
