@@ -15,6 +15,7 @@ import pyarrow as pa
 import pytest
 from labs import make_lab
 from stored import replace_table
+from typer.testing import CliRunner
 
 from pipeline.base.errors import StoreError, UsageError
 from pipeline.comparison.compare import compare
@@ -314,8 +315,6 @@ def test_a_store_of_another_device_is_refused_with_what_to_do(original, desk, tm
 
 
 def test_command_exits_with_status_1_and_names_the_cell(desk, quick):
-    from typer.testing import CliRunner
-
     runner = CliRunner()
     arguments = ["verify", str(desk.report), "--processed", str(desk.processed)]
     assert runner.invoke(app, arguments).exit_code == 0
