@@ -24,8 +24,8 @@ from pipeline.intake.ingest import ingest
 from pipeline.records.table_files import read_table
 from pipeline.rendering.report import report_parts
 from pipeline.rendering.report.report_parts import take_apart
+from pipeline.shell import verify
 from pipeline.shell.cli import app
-from pipeline.shell.verify import verify
 
 pytestmark = pytest.mark.usefixtures("one_process")
 

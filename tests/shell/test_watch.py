@@ -215,7 +215,7 @@ def places(folder: Path, **more: object) -> Watched:
 
 @pytest.fixture
 def compared(monkeypatch):
-    """Reports by device, not written; an answer that is an exception is raised."""
+    """Reports by device, which hold nothing but its name; an answer that is an exception is raised."""
     asked: dict[str, Path] = {}
     answers: dict[str, object] = {}
 
@@ -223,6 +223,8 @@ def compared(monkeypatch):
         asked[device] = report
         if device in answers:
             raise answers[device]
+        report.parent.mkdir(exist_ok=True)
+        report.write_text(device)
         return SimpleNamespace(result=None, stages=(("report", "run", ""),))
 
     monkeypatch.setattr("pipeline.comparison.compare.compare", fake)
@@ -257,7 +259,7 @@ def test_every_device_has_a_report_of_its_own_beside_our_pages(tmp_path, compare
     for device in devices:
         write_logs(tmp_path / "raw", 1, device=device)
     assert status_of(list(run_pass(places(tmp_path)))) == 0
-    assert set(reports) == set(devices)
+    assert {device: path.read_text() for device, path in reports.items()} == {device: device for device in devices}
     names = [path.name.casefold() for path in reports.values()]
     assert len(set(names)) == len(devices)
     assert not {"index.html", "accuracy.html", "theory.html", "arm-1-against-2.html"} & set(names)
