@@ -11,7 +11,10 @@ from pipeline.rendering.labels import at_least, damping_text, estimate_texts, pe
 @pytest.mark.parametrize(
     ("show", "texts"),
     [
-        (stiffness_text, {7.5: "7.500", 0.0431: "0.04310", 99.96: "99.96", 6800.4: "6800", -7.5: "−7.500"}),
+        (
+            stiffness_text,
+            {7.5: "7.500", 0.0431: "0.04310", 99.96: "99.96", 6800.4: "6800", 250.4: "250", -7.5: "−7.500"},
+        ),
         (damping_text, {7e-5: "7.00e−05", 6.98e-4: "0.000698", 18.256: "18.26"}),
         # a lower bound is never rounded up
         (at_least, {1.6563: "1.6", 2.1: "2.1", 3.0: "3", 12.99: "12", 0.999: "0.99"}),
