@@ -32,8 +32,7 @@ from clusters import S3, Cluster, dask, moto
 
 from pipeline.comparison.executors import Executor, executor_of
 from pipeline.comparison.scene.scene import needed_stages, open_scene
-from pipeline.comparison.stage_job import do, job_of
-from pipeline.comparison.stage_pool import compute_stages
+from pipeline.comparison.stage_pool import compute_stages, do, job_of
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.simulation.course import run_course, write_course

@@ -20,6 +20,7 @@ from pipeline.records.findings import Optimum
 from pipeline.records.results import TheoryParameters
 from pipeline.rendering.figures.boundaries import by_theory
 from pipeline.rendering.figures.drawing import Series, draw
+from pipeline.rendering.labels import UNITS
 from pipeline.simulation.course import Course, run_course
 from pipeline.theory.costs import cost_maps
 from pipeline.theory.optimum import optimal_point
@@ -117,7 +118,7 @@ def main() -> None:
     course = run_course(load_device(DEVICE), EXPERIMENT, seed=SEED, jitter=())
     title = f"Energy cost (w = {WEIGHT}) over stiffness and damping: theory and a simulated experiment"
     maps = theory_map(course), measured_map(course)
-    figure = map_figure("readme", CRITERION, maps, course.device.motion)
+    figure = map_figure("readme", CRITERION, maps, UNITS[course.device.motion])
     FILE.parent.mkdir(parents=True, exist_ok=True)
     FILE.write_text(side_by_side(draw(figure).panels, title), encoding="utf-8")
 

@@ -14,7 +14,7 @@ import numpy as np
 from pipeline import __version__
 from pipeline.base.errors import UsageError
 from pipeline.base.provenance import code_digest
-from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, motion_of, nominal_theories
+from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, nominal_theories
 from pipeline.comparison.figures.responses import trials_of
 from pipeline.comparison.scene.origin import excluded_trials
 from pipeline.comparison.scene.scene import SceneData, open_scene
@@ -80,18 +80,19 @@ def compare_pair(
     wall = ("1", "1") if scales else (units.stiffness, units.damping)
     one, other = ([_point(p) for p in each["boundary"]] for each in documents)
     boundary, reason = compare_boundaries(one, other, *(scales or ((1.0, 1.0), (1.0, 1.0))))
-    own, others = scales or (None, None)
-    joined = compare_values(list(_values(documents[0], wall, own)), list(_values(documents[1], wall, others)))
+    values = [list(_values(*each)) for each in zip(documents, (wall, wall), scales or (None, None), strict=True)]
+    joined = compare_values(*values)
     if scales:
         doubt = {"difference": None, "low": None, "high": None, "significant": None, "reason": "devices differ"}
         joined = [v.model_copy(update=doubt) if v.part == "estimates" else v for v in joined]
+    parts: dict[str, Any] = {
+        part: tuple(v for v in joined if v.part == part) for part in ("estimates", "optima", "scores")
+    }
     pair = PairDifference(
         first=sides[0],
         second=sides[1],
         plane="normalised" if scales else "physical",
-        estimates=tuple(v for v in joined if v.part == "estimates"),
-        optima=tuple(v for v in joined if v.part == "optima"),
-        scores=tuple(v for v in joined if v.part == "scores"),
+        **parts,
         boundary=boundary,
         boundary_reason=reason,
         costs=() if trials is None or scales else compare_costs(*trials),
@@ -107,40 +108,26 @@ def _point(values: Mapping[str, Any]) -> BoundaryPoint:
 def _values(of: Document, wall: tuple[str, str], scale: Scale | None) -> Iterator[dict[str, Any]]:
     """Yield the values of a document that can be compared: part, name, unit, value, interval, why there is none."""
     for name, e in of["estimates"].items():
-        each = [(name, e)]
-        if name == "delay_samples" and "model" in e.get("by_method", {}):
-            each.append(("delay_by_model", e["by_method"]["model"]))
-        for called, found in each:
-            row = {key: found.get(key) for key in ("unit", "value", "low", "high", "reason")}
-            if called == "delay_samples":  # the range of the trials, not the error of their mean: it judges nothing
-                row |= {"low": None, "high": None, "reason": "its interval is the range of the trials"}
-            yield {"part": "estimates", "name": called, **row}
+        model = e.get("by_method", {}).get("model") if name == "delay_samples" else None
+        for called, found in ((name, e), ("delay_by_model", model)):
+            if found is not None:
+                row = {key: found.get(key) for key in ("unit", "value", "low", "high", "reason")}
+                if called == "delay_samples":  # the range of the trials, not the error of their mean: it judges nothing
+                    row |= {"low": None, "high": None, "reason": "its interval is the range of the trials"}
+                yield {"part": "estimates", "name": called, **row}
     for criterion, best in of["optimum"].items():
         for name, unit, by in zip(("stiffness", "damping"), wall, scale or (1.0, 1.0), strict=True):
-            why = "the place of an optimum has no interval"
-            yield {
-                "part": "optima",
-                "name": f"{criterion}/{name}",
-                "unit": unit,
-                "value": best[name] / by,
-                "reason": why,
-            }
-        ends = {"low": best.get("cost_low"), "high": best.get("cost_high")}
-        yield {"part": "optima", "name": f"{criterion}/cost", "unit": "", "value": best["cost"], **ends}
+            row = {"unit": unit, "value": best[name] / by, "reason": "the place of an optimum has no interval"}
+            yield {"part": "optima", "name": f"{criterion}/{name}", **row}
+        row = {"unit": "", "value": best["cost"], "low": best.get("cost_low"), "high": best.get("cost_high")}
+        yield {"part": "optima", "name": f"{criterion}/cost", **row}
     for scores in of.get("scores", ())[:1]:
+        about = {"part": "scores", "unit": "", "basis": f"against theory by the {scores['basis']}"}
         for part, names in _SCORES.items():
             found = scores.get(part)
             for name in names if found else ():
-                ends = {"low": found.get(f"{name}_low"), "high": found.get(f"{name}_high")}
-                basis = f"against theory by the {scores['basis']}"
-                yield {
-                    "part": "scores",
-                    "name": f"{part}/{name}",
-                    "unit": "",
-                    "value": found[name],
-                    "basis": basis,
-                    **ends,
-                }
+                ends = {end: found.get(f"{name}_{end}") for end in ("low", "high")}
+                yield {**about, "name": f"{part}/{name}", "value": found[name], **ends}
 
 
 def compare_values(first: Sequence[Mapping[str, Any]], second: Sequence[Mapping[str, Any]]) -> list[ValueDifference]:
@@ -155,9 +142,8 @@ def _difference(a: Mapping[str, Any], b: Mapping[str, Any]) -> ValueDifference:
     if a["value"] is None or b["value"] is None:
         return ValueDifference(**about, reason=a.get("reason") if a["value"] is None else b.get("reason"))
     if a["unit"] != b["unit"] or a.get("basis") != b.get("basis"):
-        return ValueDifference(
-            **about, reason=f"one is {a.get('basis') or a['unit']}, the other {b.get('basis') or b['unit']}"
-        )
+        kinds = [row.get("basis") or row["unit"] for row in (a, b)]
+        return ValueDifference(**about, reason=f"one is {kinds[0]}, the other {kinds[1]}")
     about["difference"] = b["value"] - a["value"]
     one, other = ([row[key] for key in ("value", "low", "high") if row.get(key) is not None] for row in (a, b))
     if len(one) + len(other) < 6:
@@ -192,11 +178,8 @@ def compare_boundaries(
         return None, "they cover no common damping"
     x, x_low, x_high = a[:, 1:].T
     y, y_low, y_high = (np.interp(a[:, 0], b[:, 0], b[:, k]) for k in (1, 2, 3))
-    percent, low, high = (
-        100 * (y - x) / x,
-        y - x - np.hypot(y - y_low, x_high - x),
-        y - x + np.hypot(y_high - y, x - x_low),
-    )
+    percent = 100 * (y - x) / x
+    low, high = y - x - np.hypot(y - y_low, x_high - x), y - x + np.hypot(y_high - y, x - x_low)
     known = np.isfinite(low) & np.isfinite(high)
     differs = known & ((low > 0) | (high < 0))
     worst = int(np.argmax(np.abs(percent)))
@@ -250,11 +233,8 @@ def _cost_difference(
     both = pd.concat([a, b], axis=1, join="inner", keys=["x", "y"])
     both = both if differs else both[both["x"] > 0]
     values = np.sort((both["y"] - both["x"] if differs else both["y"] / both["x"]).to_numpy())
-    about: dict[str, Any] = {
-        "criterion": criterion,
-        "kind": "difference" if differs else "ratio",
-        "points": len(values),
-    }
+    kind = "difference" if differs else "ratio"
+    about: dict[str, Any] = {"criterion": criterion, "kind": kind, "points": len(values)}
     if not len(values):
         return CostDifference(**about, reason="no trial of both has this cost at the same stiffness and damping")
     about["median"] = float(np.median(values))
@@ -303,12 +283,12 @@ def against_experiments(
             progress(f"device {device}, experiment {experiment}: estimates and costs")
         found.append(_gathered(open_scene(device, processed, [experiment], criteria), said))
     one, other = found
-    labels, results, motion = (one.side.label, other.side.label), (one.result, other.result), motion_of(one.data)
+    labels, results, motion = (one.side.label, other.side.label), (one.result, other.result), one.data.motion
     scales = None if first[0] == second[0] else (one.scale, other.scale)
     documents = one.result.model_dump(mode="json"), other.result.model_dump(mode="json")
     pair = compare_pair((one.side, other.side), documents, motion, scales, (one.trials, other.trials))
     if scales is None or one.theory is None or other.theory is None:
-        figure = _overlay(labels, results, motion)
+        figure = _overlay(labels, [result.boundary for result in results], motion)
     else:
         figure = plane_figure([(labels[0], results[0], one.theory, 0), (labels[1], results[1], other.theory, 1)])
     return AgainstPage(AgainstResult(title=" against ".join(labels), pairs=(pair,)), (figure,), motion)
@@ -324,8 +304,8 @@ def against_document(new: ComparisonResult, old: Document) -> AgainstPage:
     for name in common:
         sides, documents = (_side(old, before[name]), _side(now, after[name])), (before[name], after[name])
         pairs.append(compare_pair(sides, documents, new.motion))
-        results = [_limits_of(each) for each in documents]
-        figures.append(_overlay([f"{name}, before", f"{name}, now"], results, new.motion, f"-{len(figures)}"))
+        limits = [[_point(p) for p in each["boundary"]] for each in documents]
+        figures.append(_overlay([f"{name}, before", f"{name}, now"], limits, new.motion, f"-{len(figures)}"))
     versions = [f"version {of['provenance'].get('version', '?')} ({_code(of)})" for of in (old, now)]
     result = AgainstResult(
         title=f"{new.device}: {versions[0]} against {versions[1]}",
@@ -417,21 +397,6 @@ def _gathered(data: SceneData, notes: Sequence[Note]) -> _Gathered:
     return _Gathered(side, data, add_scores(data, [result], theories)[0], theories.get(name))
 
 
-def _limits_of(of: Document) -> ExperimentResult:
-    points = tuple(map(_point, of["boundary"]))
-    nothing: dict[str, Any] = {
-        "configuration": "",
-        "grip": "none",
-        "trials": 0,
-        "verdicts": {},
-        "estimates": {},
-        "optimum": {},
-    }
-    return ExperimentResult(
-        experiment=of["experiment"], simulated=of.get("simulated", False), boundary=points, **nothing
-    )
-
-
 def _code(of: Document) -> str:
     return str(of["provenance"].get("code", of["provenance"].get("key", "?")))
 
@@ -449,8 +414,10 @@ def _side(of: Document, experiment: Document) -> Side:
     )
 
 
-def _overlay(labels: Sequence[str], results: Sequence[ExperimentResult], motion: Motion, suffix: str = "") -> Figure:
-    both = enumerate(zip(results, labels, strict=True))
-    series = [s for number, (result, label) in both for s in measured(result, label, number)]
+def _overlay(
+    labels: Sequence[str], limits: Sequence[Sequence[BoundaryPoint]], motion: Motion, suffix: str = ""
+) -> Figure:
+    both = enumerate(zip(limits, labels, strict=True))
+    series = [s for number, (points, label) in both for s in measured(points, label, number)]
     title, caption = f"Boundaries of {labels[0]} and {labels[1]}", "Last stable stiffness at each damping."
     return limits_figure(title, caption, [limits_panel("", series, motion)], f"boundaries-against{suffix}")

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
 from pipeline.base.disk import write_text
 from pipeline.base.provenance import code_digest, digest, sha256
-from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, motion_of, nominal_theories
+from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, nominal_theories
 from pipeline.comparison.executors import Executor
 from pipeline.comparison.figures.maps import departure_figures, map_figures
 from pipeline.comparison.figures.responses import response_figures, trials_of
@@ -27,7 +27,7 @@ from pipeline.comparison.scene.scene import (
     open_scene,
     plan_measured,
 )
-from pipeline.comparison.scene.scene_parts import plan_parts
+from pipeline.comparison.scene.scene_file import plan_parts
 from pipeline.comparison.scores.scores import add_scores
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.comparison.summary.answer import answer
@@ -42,7 +42,6 @@ from pipeline.records.results import ComparisonResult, ExperimentResult, Truth
 from pipeline.rendering.figures.boundaries import answer_figure, boundary_figures
 from pipeline.rendering.figures.drawing import Figure, write_figures
 from pipeline.rendering.figures.overview import delay_figure, trend_figure
-from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report.report import ReportData, answer_lines
 from pipeline.rendering.report.report import write as write_report
 from pipeline.store.objects import origin
@@ -55,7 +54,7 @@ class Outcome:
     """What a comparison did: its result (None for a dry run), its stages, and the report file."""
 
     result: ComparisonResult | None
-    stages: tuple[tuple[str, str, str], ...]
+    stages: tuple[PlannedStage, ...]
     report: Path | None
 
 
@@ -127,22 +126,25 @@ def compare(
     if stored is not None and figures is None and all(p.action != RUN for p in plan):
         unchanged = "the report and all that it rests on are unchanged"
         plan += [PlannedStage(name, REUSE, unchanged) for name in ("theory", "report")]
-        return Outcome(None if dry_run else stored, _rows(plan), report)
+        return Outcome(None if dry_run else stored, tuple(plan), report)
     early = nominal_theories(data)
     plan += _plan_theory(data, early, predictions)
-    if report is not None:
+    if report is None:
+        plan.append(PlannedStage("report", LEAVE_OUT, "no report file is asked for"))
+    else:
         plan += plan_parts(data)
-    plan.append(_plan_report(report))
+        plan.append(PlannedStage("report", RUN, "there is none, or something that it shows changed"))
     if dry_run:
-        return Outcome(None, _rows(plan), None)
+        return Outcome(None, tuple(plan), None)
 
     say = progress or (lambda _: None)
     lost = gone(processed, device)
     found = _compute(data, early, predictions, say, executor)
     output = [*(["--scene", str(scene_file)] if scene_file else []), *(["--full"] if full else [])]
-    made = partial(provenance, processed=origin(processed), key=key, output=output)
-    result = _result(data, found, report, made)
-    result = result.model_copy(update={"notes": tuple(notes), "warnings": (*lost, *result.warnings)})
+    logs = tuple(log_list(stages) for stages in data.experiments)
+    entries = provenance(data, logs, origin(processed), key=key, code=report_code(), output=output)
+    more = {"report": str(report) if report else None, "provenance": entries, "logs": logs, "notes": tuple(notes)}
+    result = _result(data, found, lost, more)
     if report is not None:
         say("report: figures and page")
         asked = data.scene.shown
@@ -150,7 +152,7 @@ def compare(
         page = ReportData(
             result,
             figures=drawn,
-            stages=_rows(plan),
+            stages=tuple(plan),
             accuracy=accuracy,
             trials=trial_page(data, found.results, found.theories, full=full) if asked.has_figure("trials") else None,
             tables=asked.tables,
@@ -161,7 +163,7 @@ def compare(
         write_text(report.with_suffix(".json"), result.model_dump_json(indent=1) + "\n")
         if figures is not None:
             write_figures(drawn, figures)
-    return Outcome(result, _rows(plan), report)
+    return Outcome(result, tuple(plan), report)
 
 
 def _figures(data: SceneData, result: ComparisonResult, found: _Found, predictions: Predictions) -> Iterator[Figure]:
@@ -173,15 +175,15 @@ def _figures(data: SceneData, result: ComparisonResult, found: _Found, predictio
         yield answer_figure(told, theory, motion, number, trials_of(data.experiments[number]))
     yield from boundary_figures(result.experiments, found.theories, motion, shown, sweep=data.scene.delay_sweep)
     if shown.has_figure("maps"):
-        yield from map_figures(data, result.experiments, found.theories, predictions, motion)
+        yield from map_figures(data, result.experiments, found.theories, predictions)
     if shown.has_figure("delay"):
         yield from delay_figure(found.rows)
     if shown.has_figure("response"):
-        yield from response_figures(data, motion)
+        yield from response_figures(data)
     if shown.has_figure("trend"):
         yield from trend_figure(result)
     if shown.has_figure("residuals"):
-        yield from departure_figures(data, found.theories, predictions, motion)
+        yield from departure_figures(data, found.theories, predictions)
 
 
 @dataclass(frozen=True)
@@ -225,16 +227,13 @@ def _compute(
     return _Found(known, theories, rows)
 
 
-def _result(
-    data: SceneData, found: _Found, report: Path | None, origin: Callable[..., dict[str, str]]
-) -> ComparisonResult:
-    units = UNITS[motion_of(data)]
-    told = answer(data, found.results, found.rows, units)
-    logs = tuple(log_list(stages) for stages in data.experiments)
+def _result(data: SceneData, found: _Found, lost: Sequence[str], more: dict[str, Any]) -> ComparisonResult:
+    """Return the document; ``more`` is what it has beside the numbers, ``lost`` what is damaged in the store."""
+    told = answer(data, found.results, found.rows)
     result = ComparisonResult(
         device=data.scene.device,
         title=data.device.title if data.device else data.scene.device,
-        motion=motion_of(data),
+        motion=data.motion,
         known_device=data.device is not None,
         simulated=data.simulated,
         criteria=data.scene.criteria,
@@ -242,17 +241,11 @@ def _result(
         tables=found.rows,
         answer=told,
         summary=(),
-        warnings=warnings_of(data, found.results),
+        warnings=(*lost, *warnings_of(data, found.results)),
         excluded=excluded_trials(data),
-        report=str(report) if report else None,
-        provenance=origin(data, logs, code=report_code()),
-        logs=logs,
+        **more,
     )
     return result.model_copy(update={"summary": answer_lines(result)})
-
-
-def _rows(plan: Sequence[PlannedStage]) -> tuple[tuple[str, str, str], ...]:
-    return tuple(p.as_row() for p in plan)
 
 
 def _plan_theory(data: SceneData, theories: dict[str, Theory], predictions: Predictions) -> list[PlannedStage]:
@@ -272,12 +265,6 @@ def _plan_theory(data: SceneData, theories: dict[str, Theory], predictions: Pred
     if not data.scene.delay_sweep:
         plan.append(PlannedStage("delay table", LEAVE_OUT, "no experiment has added delay"))
     return plan
-
-
-def _plan_report(path: Path | None) -> PlannedStage:
-    if path is None:
-        return PlannedStage("report", LEAVE_OUT, "no report file is asked for")
-    return PlannedStage("report", RUN, "there is none, or something that it shows changed")
 
 
 def report_code() -> str:

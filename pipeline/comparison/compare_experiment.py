@@ -21,21 +21,16 @@ from pipeline.measured.experiment.boundary_area import boundary_area
 from pipeline.measured.experiment.estimates import by_model
 from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
-from pipeline.records.findings import Estimate, Optimum
+from pipeline.records.findings import Estimate
 from pipeline.records.loop_parts import LoopParts
-from pipeline.records.models import Experiment, Motion
+from pipeline.records.models import Experiment
 from pipeline.records.results import ExperimentResult, LoopFindings, TheoryParameters
-from pipeline.rendering.labels import UNITS, Units
+from pipeline.rendering.labels import Units
 from pipeline.store.storage import stage_folder
 from pipeline.theory.predictions import Theory
 
 FINDINGS = "loop"
 """Begin of the name of the file with the findings on a loop, beside the stages that they rest on."""
-
-
-def motion_of(data: SceneData) -> Motion:
-    """Return the kind of motion, which is one for a whole scene."""
-    return "rotation" if data.experiments[0].rotation else "translation"
 
 
 def nominal_theories(data: SceneData) -> dict[str, Theory]:
@@ -82,17 +77,12 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
     needed = needed_stages(data)
     for stage in sorted(needed, key=list(STAGES).index):
         stages.table(stage)
-    units = UNITS[motion_of(data)]
+    units = data.units
     named: dict[str, Experiment] = {e.name: e for e in data.device.experiments} if data.device else {}
     entry = named.get(stages.experiment)
-    optimum: dict[str, Optimum] = {}
-    missing: dict[str, str] = {}
-    for criterion in data.scene.criteria:
-        best = stages.optimum(criterion)
-        if best is not None:
-            optimum[criterion] = best
-        else:
-            missing[criterion] = stages.cost(criterion)[1] or "no stable trial has this cost"
+    best = {criterion: stages.optimum(criterion) for criterion in data.scene.criteria}
+    optimum = {criterion: found for criterion, found in best.items() if found is not None}
+    missing = {c: stages.cost(c)[1] or "no stable trial has this cost" for c in best if c not in optimum}
     periods = set(stages.trials.column("sampling_period_s").to_pylist())
     grips = sorted(set(stages.trials.column("grip").to_pylist()))
     result = ExperimentResult(

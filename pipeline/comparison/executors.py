@@ -6,16 +6,15 @@ The package for the latter is the extra ``cluster``; it is imported with the fir
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterator, Mapping, Sized
+from collections.abc import Callable, Collection, Iterator, Mapping, Sized
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
-from dataclasses import dataclass
+from functools import partial
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from pipeline.base.errors import PipelineError, UsageError
-from pipeline.comparison.stage_job import do, job_of, take
-from pipeline.comparison.stage_pool import compute_stages
+from pipeline.comparison.stage_pool import compute_stages, do, job_of, take, unstored
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.store.objects import check_installed
 
@@ -34,11 +33,8 @@ _LOOK_S = 1.0
 """Time between two looks whether there is a worker [s]."""
 
 
-class Executor(Protocol):
-    """Computes and stores the stages that will be asked for, as far as it pays, and lets the experiments take them."""
-
-    def __call__(self, experiments: Collection[ExperimentStages], needed: Collection[str]) -> None:
-        """Compute some stages of experiments; each of these has all of its trials."""
+Executor = Callable[[Collection[ExperimentStages], Collection[str]], None]
+"""Computes and stores some stages of experiments, as far as it pays; each experiment has all of its trials."""
 
 
 class ClusterError(PipelineError):
@@ -59,47 +55,40 @@ def executor_of(text: str) -> Executor:
     if not text.startswith(SCHEME) or not (host and colon and port.isdecimal()):
         raise UsageError(f"executor {text!r} is not known; expected {LOCAL}, or {SCHEME}HOST:PORT of a Dask scheduler.")
     check_installed("distributed", f"executor {text}")
-    return DaskCluster(f"tcp://{host}:{port}")
+    return partial(compute_on_cluster, f"tcp://{host}:{port}")
 
 
-@dataclass(frozen=True)
-class DaskCluster:
-    """The workers of a Dask scheduler, each of which computes whole experiments.
+def compute_on_cluster(address: str, experiments: Collection[ExperimentStages], needed: Collection[str]) -> None:
+    """Compute what is not stored yet by the workers of a Dask scheduler, each of which computes whole experiments.
 
     Parameters
     ----------
     address : str
         ``tcp://host:port`` of the scheduler.
+    experiments, needed : collection
+        As for `compute_stages`.
+
+    Raises
+    ------
+    ClusterError
+        If scheduler or workers are gone; what was computed until then is stored, and the message says what to do.
+    StoreError
+        If a worker cannot read what is stored, or runs other code.
     """
+    waiting = unstored(experiments, needed)
+    if not waiting:
+        return
+    from distributed import Client
 
-    address: str
-
-    def __call__(self, experiments: Collection[ExperimentStages], needed: Collection[str]) -> None:
-        """Compute what is not stored yet.
-
-        Raises
-        ------
-        ClusterError
-            If scheduler or workers are gone; what was computed until then is stored, and the message says what to do.
-        StoreError
-            If a worker cannot read what is stored, or runs other code.
-        """
-        waiting = [e for e in experiments if not all(e.is_stored(stage) for stage in needed)]
-        if not waiting:
-            return
-        # the longest first, so that no worker ends up waiting for the last
-        waiting.sort(key=lambda e: -e.trials.num_rows)
-        done: list[str] = []
-        with _told(self.address, done, len(waiting)), self._client() as client:
-            jobs = {client.submit(do, job_of(e, needed), stored_suffices=True, pure=False): e for e in waiting}
-            for job in _finished(client, jobs):
-                take(jobs[job], job.result())
-                done.append(jobs[job].experiment)
-
-    def _client(self) -> Client:
-        from distributed import Client
-
-        return Client(self.address, timeout=CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
+    done: list[str] = []
+    with (
+        _told(address, done, len(waiting)),
+        Client(address, timeout=CONNECT_S, set_as_default=False) as client,  # type: ignore[no-untyped-call]
+    ):
+        jobs = {client.submit(do, job_of(e, needed), stored_suffices=True, pure=False): e for e in waiting}
+        for job in _finished(client, jobs):
+            take(jobs[job], job.result())
+            done.append(jobs[job].experiment)
 
 
 def _finished(client: Client, jobs: Mapping[Future[Any], ExperimentStages]) -> Iterator[Future[Any]]:

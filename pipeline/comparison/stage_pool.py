@@ -1,18 +1,41 @@
-"""Stages computed by several processes: small experiments each in one, the groups of trials of large ones by all."""
+"""Stages computed by several processes: small experiments each in one, the groups of trials of large ones by all.
+
+A `StageJob` is an experiment as it is sent to another process. A process keeps the groups of trials that it was given
+once: sent with each job they would take longer than the jobs.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Iterator, Sequence
+from concurrent.futures import Executor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
 
-from pipeline.comparison.shared_groups import shared_groups
-from pipeline.comparison.stage_job import do, job_of, take
+import pyarrow as pa
+
+from pipeline import __version__
+from pipeline.base.disk import if_writable
+from pipeline.base.errors import StoreError
+from pipeline.base.process import process_pool
+from pipeline.base.provenance import code_digest, digest
+from pipeline.measured.signal.verdict import Verdicts
+from pipeline.measured.stages.stage_groups import TrialGroup
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
+from pipeline.records.batch import Booleans, TrialBatch
+from pipeline.store.objects import is_url, opened, origin, publish, renewed
+
+Result = TypeVar("Result")
 
 LARGE = 1000
 """New trials from which on an experiment is shared among processes: some 3 s of work, against 1 s to start them."""
+
+FEWEST = 500
+"""Trials of a job, at least: the rounds of a fit over fewer cost a fifth more, over 250 three quarters."""
 
 
 def compute_stages(experiments: Collection[ExperimentStages], needed: Collection[str]) -> None:
@@ -27,8 +50,7 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
     needed : collection of str
         Stages that will be asked for.
     """
-    processors = os.cpu_count() or 1
-    waiting = [e for e in experiments if not all(e.is_stored(stage) for stage in needed)]
+    processors, waiting = os.cpu_count() or 1, unstored(experiments, needed)
     if processors < 2:
         return
     # what is less than the share of a processor need not be cut, and waits for no other process after each stage
@@ -37,8 +59,6 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
     small = [e for e in waiting if all(e is not other for other in large)]
     if not large and len(small) < 2:
         return
-    # the longest first, so that no processor ends up waiting for the last
-    small.sort(key=lambda e: -e.trials.num_rows)
     wanted = sorted(needed, key=list(STAGES).index)
     with shared_groups(processors if large else min(len(small), processors)) as shared:
         try:
@@ -51,3 +71,161 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
             # a process was killed, or could not import the caller's main program (typed in, or without a guard): the
             # stages are computed here when they are asked for
             return
+
+
+def unstored(experiments: Collection[ExperimentStages], needed: Collection[str]) -> list[ExperimentStages]:
+    """Return the experiments that lack a stage, the longest first, so that no process ends up waiting for the last."""
+    waiting = [e for e in experiments if not all(e.is_stored(stage) for stage in needed)]
+    return sorted(waiting, key=lambda e: -e.trials.num_rows)
+
+
+@dataclass(frozen=True)
+class StageJob:
+    """An experiment whose stages are to be computed, as it is sent to another process.
+
+    Parameters
+    ----------
+    place : str
+        Folder or URL of its trials.
+    device, experiment : str
+    spring : float
+        As for `ExperimentStages`.
+    wanted : tuple of str
+        Stages, in the order in which they are computed.
+    code : str
+        Hash of the code that is to compute them.
+    """
+
+    place: str
+    device: str
+    experiment: str
+    spring: float
+    wanted: tuple[str, ...]
+    code: str
+
+
+def job_of(experiment: ExperimentStages, needed: Collection[str]) -> StageJob:
+    """Return the job of computing some stages of an experiment."""
+    place = origin(experiment.processed)
+    place = place if is_url(place) else str(Path(place).absolute())
+    wanted = tuple(sorted(needed, key=list(STAGES).index))
+    return StageJob(place, experiment.device, experiment.experiment, experiment.spring, wanted, _code())
+
+
+def do(job: StageJob, stored_suffices: bool) -> dict[str, pa.Table]:
+    """Compute the stages of a job and store them; return their tables.
+
+    Parameters
+    ----------
+    job : StageJob
+    stored_suffices : bool
+        Whether only tables are handed back that could not be stored.
+
+    Raises
+    ------
+    StoreError
+        If the trials are not to be seen from here, or the code here is another one.
+    """
+    if job.code != _code():
+        raise StoreError(
+            f"a worker runs other code (version {__version__}) than the command that sends it work, and its results "
+            "would not be those of the command. Install the same version for the workers and start them again."
+        )
+    if not is_url(job.place) and not Path(job.place).is_dir():
+        raise StoreError(
+            f"{job.place}: a worker sees no such folder. Workers need the same folder under the same path, or an "
+            "object store (--processed s3://BUCKET/PREFIX)."
+        )
+    with opened(job.place, job.device, job.experiment) as processed:
+        stages = ExperimentStages.stored(processed, job.device, job.experiment, job.spring)
+        tables = {stage: stages.table(stage) for stage in job.wanted}
+        with if_writable():
+            publish(processed)
+            if stored_suffices:
+                tables = {stage: table for stage, table in tables.items() if not stages.is_stored(stage)}
+        return tables
+
+
+def take(experiment: ExperimentStages, tables: dict[str, pa.Table]) -> None:
+    """Take what a job came to."""
+    renewed(experiment.processed, "stages")
+    experiment.take_over(tables)
+
+
+def _code() -> str:
+    return digest([__version__, code_digest("stages")])
+
+
+@dataclass
+class SharedGroups:
+    """Maps functions over groups of trials in processes, each of which is a pool of its own.
+
+    Parameters
+    ----------
+    pools : sequence of Executor
+        A group is cut into as many jobs, so that all of them have as much to do.
+    """
+
+    pools: Sequence[Executor]
+    _parts: dict[int, tuple[TrialBatch, list[tuple[slice, TrialBatch, int]]]] = field(default_factory=dict)
+    _sent: set[int] = field(default_factory=set)
+
+    def map(
+        self, function: Callable[..., Result], groups: Sequence[TrialGroup], *masks: Sequence[Booleans]
+    ) -> list[Result]:
+        """Return the results of a function of parts of the groups, in order.
+
+        Parameters
+        ----------
+        function : callable
+            Takes a group, and a mask of its trials where masks are given.
+        groups : sequence of TrialGroup
+        *masks : sequence of bool, shape (n,)
+            A mask for each group; parts of which it picks no trial are left out.
+        """
+        jobs = []
+        for group, *of in zip(groups, *masks, strict=True):
+            for some, part, number in self._cut(group.batch):
+                if all(mask[some].any() for mask in of):
+                    given = None if number in self._sent else part
+                    self._sent.add(number)
+                    what = (function, number, given, group.verdicts.select(some), *(mask[some] for mask in of))
+                    jobs.append(self.pools[number % len(self.pools)].submit(_apply, *what))
+        return [job.result() for job in jobs]
+
+    def _cut(self, batch: TrialBatch) -> list[tuple[slice, TrialBatch, int]]:
+        # the batch is kept with its parts, so that no other one gets its id
+        if id(batch) not in self._parts:
+            number = sum(len(parts) for _, parts in self._parts.values())
+            jobs = max(min(len(self.pools), len(batch) // FEWEST), 1)
+            cut = enumerate(batch.portions(-(-len(batch) // jobs)), number)
+            self._parts[id(batch)] = batch, [(some, part, number) for number, (some, part) in cut]
+        return self._parts[id(batch)][1]
+
+    def each(self, function: Callable[..., Result], jobs: Sequence[Any]) -> list[Result]:
+        """Return the results of a function of some jobs, the longest of which come first."""
+        # in turns there and back, so that the second longest has no shorter ones behind it than the longest
+        order = [*range(len(self.pools)), *reversed(range(len(self.pools)))]
+        running = [self.pools[order[n % len(order)]].submit(function, job) for n, job in enumerate(jobs)]
+        return [job.result() for job in running]
+
+
+@contextmanager
+def shared_groups(workers: int) -> Iterator[SharedGroups]:
+    """Yield processes that share groups of trials; they end as `process_pool` says."""
+    with ExitStack() as stack:
+        yield SharedGroups([stack.enter_context(process_pool(1)) for _ in range(workers)])
+
+
+_kept: dict[int, TrialGroup] = {}
+"""What this process was given."""
+
+
+def _apply(
+    function: Callable[..., Result], number: int, part: TrialBatch | None, verdicts: Verdicts, *masks: Booleans
+) -> Result:
+    if part is not None:
+        _kept[number] = TrialGroup(part)
+    group = _kept[number]
+    group.verdicts = verdicts
+    return function(group, *masks)

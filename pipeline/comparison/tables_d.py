@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from typing import Any
 
 from pipeline.comparison.scene.scene import SceneData
-from pipeline.comparison.scores.deviation import Deviations
+from pipeline.comparison.scores.deviation import deviation_of
 from pipeline.device_data.published import find
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.criteria import CRITERIA, DISCRETE, REPORTED, criterion_of
@@ -98,7 +99,13 @@ class TableBuilder:
     def rows(self, predictions: Predictions, results: Sequence[ExperimentResult]) -> tuple[ComparisonRow, ...]:
         """Return all rows, table after table: of each criterion those of theory, then the experiments."""
         measured = {r.experiment: r for r in results}
-        parts = Deviations(self.data.experiments, {r.experiment: r.optimum for r in results}, predictions)
+        stages = {e.experiment: e for e in self.data.experiments}
+
+        @cache  # an experiment may stand in several tables
+        def made_of(experiment: str, leader: str, criterion: str) -> Deviation | None:
+            theory, best = self.theories.get(leader), measured[experiment].optimum.get(criterion)
+            return deviation_of(stages[experiment], best, theory, criterion, predictions) if theory else None
+
         rows: list[ComparisonRow] = []
         for table in layouts(self.data):
             over_delay = table.kind == "delay"
@@ -116,8 +123,8 @@ class TableBuilder:
                     result = measured[experiment]
                     # without both there is nothing to show; the reason stands with the experiment
                     if over_delay or discrete is not None or criterion in result.optimum:
-                        made_of = parts.of(experiment, theory, criterion) if theory else None
-                        rows.append(self._measured_row(table, criterion, result, theory, discrete, made_of))
+                        parts = made_of(experiment, leader, criterion)
+                        rows.append(self._measured_row(table, criterion, result, theory, discrete, parts))
         return tuple(rows)
 
     def _theory_row(

@@ -56,18 +56,14 @@ def frames(result: ComparisonResult) -> dict[str, pd.DataFrame]:
         "loop_boundary": _records(e, "loop_boundary", stiffness),
         **{name: _records(e, field, {}) for name, field in _PLAIN.items()},
         "use": _records(e, "use", {name: unit for name, unit in stiffness.items() if name in ("stiffness", "damping")}),
-        "header": frame_of(["experiment", "key", "text", "trials"], _header(e), {}),
-        "counts": frame_of(["experiment", "kind", "what", "trials"], _counts(e), {}),
-        "missing": frame_of(["experiment", "what", "reason"], _missing(e), {}),
-        "excluded": _frame_of_records(result.excluded),
+        "header": frame_of("experiment key text trials", _header(e), {}),
+        "counts": frame_of("experiment kind what trials", _counts(e), {}),
+        "missing": frame_of("experiment what reason", _missing(e), {}),
+        "excluded": _frame_of_rows([flat(one) for one in result.excluded], {}),
         "notes": frame_of(
-            ["experiment", "trial_id", "tags", "text"],
-            ({**dict(n), "tags": ", ".join(n.tags)} for n in result.notes),
-            {},
+            "experiment trial_id tags text", ({**dict(n), "tags": ", ".join(n.tags)} for n in result.notes), {}
         ),
-        "trend": frame_of(
-            ["experiment", "line", "quantity", "unit", "value", "low", "high", "bound"], _trend(e, motion), {}
-        ),
+        "trend": frame_of("experiment line quantity unit value low high bound", _trend(e, motion), {}),
     }
 
 
@@ -166,15 +162,13 @@ def _records(results: Sequence[ExperimentResult], field: str, units: Mapping[str
     rows = []
     for e in results:
         found = getattr(e, field) or ()
-        rows += [
-            {"experiment": e.experiment, **flat(each)} for each in (found if isinstance(found, tuple) else (found,))
-        ]
+        for each in found if isinstance(found, tuple) else (found,):
+            rows.append({"experiment": e.experiment, **flat(each)})
+    return _frame_of_rows(rows, units)
+
+
+def _frame_of_rows(rows: Sequence[Row], units: Mapping[str, str]) -> pd.DataFrame:
     return frame_of(list(dict.fromkeys(name for row in rows for name in row)), rows, units)
-
-
-def _frame_of_records(records: Sequence[Record]) -> pd.DataFrame:
-    rows = [flat(record) for record in records]
-    return frame_of(list(rows[0]) if rows else [], rows, {})
 
 
 def _of_row(row: ComparisonRow, periods: Mapping[str, float | None]) -> Row:
@@ -224,12 +218,8 @@ def _trend(results: Sequence[ExperimentResult], motion: Motion) -> Iterator[Row]
         point = e.stiffest
         if point is not None:
             limit = {"value": limit_of(point), "low": point.low, "high": point.high, "bound": point.censored}
-            yield {
-                **about,
-                "quantity": "stiffest limit",
-                "unit": units_of(("stiffness",), {motion})["stiffness"],
-                **limit,
-            }
+            unit = units_of(("stiffness",), {motion})["stiffness"]
+            yield {**about, "quantity": "stiffest limit", "unit": unit, **limit}
         for name in ("delay_samples", "mass", "damping"):
             found = e.estimates.get(name)
             if found is not None and found.value is not None:

@@ -173,14 +173,9 @@ def cost_range_text(criterion: str, low: float, high: float) -> str:
     '0 to 2.12 %'
     """
     unit = criterion_of(criterion).family.printed_unit
-    text = range_text(
-        lambda cost: significant(cost * printed_scale(criterion), 3), *map(_without_rounding, (low, high))
-    )
+    ends = (0.0 if abs(cost) < ALL_BUT_ROUNDING else cost for cost in (low, high))
+    text = range_text(lambda cost: significant(cost * printed_scale(criterion), 3), *ends)
     return f"{text} {unit}" if unit else text
-
-
-def _without_rounding(cost: float) -> float:
-    return 0.0 if abs(cost) < ALL_BUT_ROUNDING else cost
 
 
 def published_text(value: float) -> str:

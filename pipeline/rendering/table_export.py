@@ -50,7 +50,7 @@ def export_tables(result: ComparisonResult, folder: Path) -> tuple[Path, ...]:
 
     One ``.csv`` and one ``.tex`` a table, ``tables.json``, ``tables.md``. Returns the files written.
     """
-    values, printed = named_frames(result), printed_tables(result)
+    values, printed = named_frames(result), [table for of in printed_tables(result).values() for table in of]
     document = {name: as_document(frame) for name, frame in values.items()}
     files = {f"{_file_name(name)}.csv": csv_text(frame) for name, frame in values.items()}
     files |= {f"{_file_name(t.name)}.tex": latex_text(t, f"{result.device}-{t.name}") for t in printed}

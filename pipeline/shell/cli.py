@@ -19,15 +19,18 @@ from pipeline.shell import console
 
 COMMANDS = {
     name: module
-    for module, names in {
-        "cli_device": ("demo", "simulate", "identify", "design"),
-        "cli_storage": ("ingest", "status", "check", "exclude", "move", "delete"),
-        "cli_report": ("compare", "verify", "bundle", "watch"),
-        "cli_plan": ("plan",),
-        "cli_logs": ("look", "profile", "quarantine"),
-        "cli_serve": ("serve", "token", "push"),
-        "cli_theory": ("accuracy", *(f"theory {name}" for name in ("points", "boundary", "optimum", "map", "tables"))),
-    }.items()
+    for module, names in (
+        ("cli_device", ("demo", "simulate", "identify", "design")),
+        ("cli_storage", ("ingest", "status", "check", "exclude", "move", "delete")),
+        ("cli_report", ("compare", "verify", "bundle", "watch")),
+        ("cli_device", ("plan",)),
+        ("cli_storage", ("look", "profile", "quarantine")),
+        ("cli_serve", ("serve", "token", "push")),
+        (
+            "cli_theory",
+            ("accuracy", *(f"theory {name}" for name in ("points", "boundary", "optimum", "map", "tables"))),
+        ),
+    )
     for name in names
 }
 """Module of each command, in the order of the help; its function bears the last word of the name."""

@@ -1,24 +1,66 @@
-"""From logs to the device that made them: `import pipeline; pipeline.identify(paths)`."""
+"""From logs to the device that made them: reads logs, names parameters with intervals, finds walls, writes a file.
+
+`import pipeline; pipeline.identify(paths)`, and the document that `pipeline identify` prints.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
+import numpy as np
 
 from pipeline.base.disk import write_text
+from pipeline.base.errors import LogError, ParameterError, UsageError
+from pipeline.device_data.devices import known_devices
+from pipeline.intake.sources import Source, find_sources, load_source, motion_of
+from pipeline.loop.loop import loop_of, wall_units
+from pipeline.measured.model.identified import Identified as Model
+from pipeline.measured.model.identified import identified
+from pipeline.measured.model.intervals import Interval
+from pipeline.measured.model.recordings import Recording
+from pipeline.profiles.profile_files import load_profile, shipped_profiles
+from pipeline.readers import Log, RawLog, reader_of
+from pipeline.records.loop_parts import LoopParts, Mode
+from pipeline.records.models import Motion
 from pipeline.rendering.frames import frame_of
-from pipeline.surface.identified_device import device_text, identified_device, wall_loop
-from pipeline.surface.physical_loop import Loop
+from pipeline.theory.boundary import outline
 
-Place = str | os.PathLike[str]
+if TYPE_CHECKING:
+    import pandas as pd
 
-COLUMNS = ("name", "value", "low", "high", "unit", "told")
+    from pipeline.surface.logs import Place
+    from pipeline.surface.physical_loop import Loop
+
+UNITS: dict[str, tuple[str, str]] = {
+    "mass": ("kg", "kg m^2"),
+    "damping": ("Ns/m", "Nms/rad"),
+    "stiffness": ("N/m", "Nm/rad"),
+    "delay": ("s", "s"),
+    "friction": ("N", "Nm"),
+    "constant_force": ("N", "Nm"),
+    "force_limit": ("N", "Nm"),
+    "actuator_lag": ("s", "s"),
+    "mode_frequency": ("Hz", "Hz"),
+    "mode_damping_ratio": ("", ""),
+    "mode_mass": ("kg", "kg m^2"),
+    "acceleration": ("m/s^2", "rad/s^2"),
+    "force": ("N", "Nm"),
+}
+"""Units of parameters and combinations, for translation and rotation."""
+
+FOLLOWS = 50.0
+"""Fit of free runs [%] below which a model does not predict its device: half of the motion is left."""
+
+DRIFT = "behind walls a free run drifts, as nothing corrects it: `pipeline compare` replays the walls"
+"""Why the replay of wall trials says little."""
+
+WITHOUT_WALL = {"device": "device", "experiment": "1", "stiffness": "0", "damping": "0", "step": "0"}
+"""What a native log of no wall need not state."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,16 +78,18 @@ class Identified:
     def estimates(self) -> pd.DataFrame:
         """Parameters with their 95 % intervals."""
         rows = self.document["parameters"]
-        return frame_of(COLUMNS, rows, {row["name"]: row["unit"] for row in rows})
+        return frame_of("name value low high unit told", rows, {row["name"]: row["unit"] for row in rows})
 
     @property
     def replay(self) -> pd.DataFrame:
         """Fit of free runs to held-out logs."""
-        return frame_of(("log", "fit_percent"), self.document["replay"]["logs"], {})
+        return frame_of("log fit_percent", self.document["replay"]["logs"], {})
 
     @cached_property
     def loop(self) -> Loop | None:
         """The linear loop of the device, without friction."""
+        from pipeline.surface.physical_loop import Loop
+
         numbers = wall_loop(self.document)
         return None if numbers is None else Loop(**numbers, motion=self.document["motion"])
 
@@ -92,3 +136,302 @@ def identify(
     places = [paths] if isinstance(paths, (str, os.PathLike)) else list(paths)
     given = profile if profile is None or isinstance(profile, str) else Path(profile)
     return Identified(identified_device([Path(path) for path in places], given, period, delay))
+
+
+def identified_device(
+    paths: Sequence[Path], profile: str | Path | None = None, period: float | None = None, delay: float | None = None
+) -> dict[str, Any]:
+    """Return the document that `pipeline identify --json` prints; parameters and errors as of `identify`."""
+    given = None if profile is None else load_profile(profile)
+    sources = find_sources(paths, shipped_profiles() if given is None else (given,))
+    read = [(source, log) for source in sources for log in _logs(source)]
+    if not read:
+        raise UsageError(f"{', '.join(map(str, paths))}: no log found. Give logs, or folders with logs.")
+    # neighbours are left out together, so that what the model lacks behind alike walls widens intervals
+    read.sort(key=lambda pair: (pair[1].header.damping, pair[1].header.stiffness))
+    motions = {motion_of(log, {name: device.motion for name, device in known_devices().items()}) for _, log in read}
+    if len(motions) > 1:
+        raise ParameterError("some logs are of a translation, some of a rotation. Give the logs of one device.")
+    recordings = [
+        Recording(
+            source.shown if log.label is None else f"{source.shown}: {log.label}",
+            log.time,
+            log.command,
+            log.position,
+            log.header.sampling_period_s,
+            int(log.header.extra["step_row"]) if "step_row" in log.header.extra else None,
+        )
+        for source, log in read
+    ]
+    found, walls = identified(recordings), any(log.header.stiffness > 0 for _, log in read)
+    return _document(found, recordings, motions.pop(), walls, period, delay)
+
+
+def _logs(source: Source) -> tuple[Log, ...]:
+    """Return the logs of a source; a native one need not state a wall."""
+    raw, _, _ = load_source(source)
+    assert source.profile is not None, "a source that no profile claims is refused by load_source"
+    whole = _completed(raw) if source.profile.format == "native" else raw
+    (outcome,) = reader_of(source.profile)(source.profile, [whole])
+    if isinstance(outcome, LogError):
+        added = whole.data[0].count(b"\n") - raw.data[0].count(b"\n")
+        row = "" if outcome.row is None else f", row {max(outcome.row - added, 1)}"
+        raise outcome.reworded(f"{source.shown}{row}: {outcome.reason}")
+    return outcome
+
+
+def _completed(raw: RawLog) -> RawLog:
+    """Return a native log with the conditions that a log without a wall leaves out."""
+    text = raw.data[0]
+    head = [
+        line for line in text[:20_000].decode("utf-8", "replace").splitlines() if line.lstrip("\ufeff").startswith("#")
+    ]
+    named = {line.lstrip("\ufeff# ").split(":")[0].strip() for line in head}
+    more = {key: value for key, value in WITHOUT_WALL.items() if key not in named}
+    if "sampling_period_s" not in named and (period := _period(text)) is not None:
+        more["sampling_period_s"] = repr(period)
+    # behind the header: rows of messages stay those of the file as far as its header
+    lines = "".join(f"# {key}: {value}\n" for key, value in more.items()).encode()
+    start = text.find(b"time_s")
+    return replace(raw, data=(text[:start] + lines + text[start:],)) if more and start >= 0 else raw
+
+
+def _period(text: bytes) -> float | None:
+    """Return the median time between the first rows [s], None where they are no numbers."""
+    rows = [
+        line.split(b",")[0] for line in text[:200_000].splitlines()[:-1] if line[:1].isdigit() or line[:1] in b"-+."
+    ]
+    try:
+        steps = np.diff([float(cell) for cell in rows[:2000]])
+    except ValueError:
+        return None
+    return float(f"{np.median(steps):.9g}") if len(steps) else None
+
+
+def _document(
+    found: Model, recordings: list[Recording], motion: Motion, walls: bool, period: float | None, delay: float | None
+) -> dict[str, Any]:
+    turning = motion == "rotation"
+    own = found.scales.period
+    document: dict[str, Any] = {
+        "motion": motion,
+        "trials": found.trials,
+        "rows": int(sum(len(each.time) for each in recordings)),
+        "sampling_period_s": own,
+        "source": sorted({each.name for each in recordings}),
+        "parameters": [
+            {
+                "name": "inertia" if name == "mass" and turning else name,
+                **_numbers(interval, name not in found.untold),
+                "unit": UNITS[name][turning],
+                "told": name not in found.untold,
+            }
+            for name, interval in found.parameters.items()
+        ],
+        "parts": [{"name": name, "found": gain > 0, "gain": float(gain)} for name, gain in found.parts.items()],
+        "assumed_none": list(found.assumed),
+        "unseen_lag_s": found.choice.bounds.get("actuator_lag", 0.0),
+        "not_told_apart": [
+            {
+                "combination": each.code,
+                "members": list(each.members),
+                **_numbers(each.interval, True),
+                "unit": UNITS.get(each.unit, (each.unit, each.unit))[turning],
+                "record": each.record,
+            }
+            for each in found.combinations
+        ],
+        "scatter": {name: {"value": value, "unit": UNITS[name][turning]} for name, value in found.scatter.items()},
+        "scatter_in_interval": bool(found.scatter),
+        "noise": found.noise,
+        "disturbance": found.disturbance,
+        "replay": _replay_document(found) | {"behind_walls": walls},
+        "loop": _loop_document(found, DRIFT if walls else ""),
+    }
+    document["wall"] = {"sampling_period_s": own if period is None else period, "delay_samples": delay}
+    document["boundary"] = _boundary(document)
+    return document
+
+
+def _numbers(interval: Interval, told: bool) -> dict[str, float | None]:
+    values = {"value": interval.value if told else None, "low": interval.low, "high": interval.high}
+    return {
+        name: value if told and value is not None and np.isfinite(value) else None for name, value in values.items()
+    }
+
+
+def _replay_document(found: Model) -> dict[str, Any]:
+    fits = found.replay.fit
+    seen = fits[np.isfinite(fits)]
+    logs = [
+        {"log": name, "fit_percent": float(fit) if np.isfinite(fit) else None}
+        for name, fit in zip(found.replay_names, fits.tolist(), strict=True)
+    ]
+    return {"fit_percent": float(np.median(seen)) if len(seen) else None, "logs": logs}
+
+
+def _loop_document(found: Model, drift: str) -> dict[str, Any]:
+    """Return the loop as `compare --json` has it, and why free runs may drift."""
+
+    def parameter(name: str, factor: float = 1.0) -> dict[str, float] | None:
+        if name not in found.parameters or name in found.untold:
+            return None
+        each = found.parameters[name]
+        return {"value": each.value * factor, "low": each.low * factor, "high": each.high * factor}
+
+    fits = found.replay.fit[np.isfinite(found.replay.fit)]
+    told = {"mass", "delay"} & set(found.parameters) - found.untold == {"mass", "delay"}
+    mode = {name: parameter(f"mode_{name}") for name in ("frequency", "damping_ratio", "mass")}
+    at_load = dict.fromkeys(("value", "low", "high"), float("mode at the load" in found.parts))
+    return {
+        "source": "estimated",
+        "adequate": bool(told) and len(fits) > 0 and float(np.median(fits)) >= FOLLOWS,
+        "reason": (
+            f"free runs fit held-out logs to {np.median(fits):.1f} %" if len(fits) else "no log could be replayed"
+        )
+        + ("" if told else "; mass or delay is not told by these logs")
+        + (f"; {drift}" if drift else ""),
+        "explained": None,
+        "mass": parameter("mass"),
+        "damping": parameter("damping"),
+        "stiffness": parameter("stiffness"),
+        "delay_samples": parameter("delay", 1 / found.scales.period),
+        "actuator_lag_s": parameter("actuator_lag"),
+        "velocity": None,
+        "mode": {"frequency_hz": mode.pop("frequency"), **mode, "sensor_at_load": at_load}
+        if all(mode.values())
+        else None,
+        "operator": None,
+        "friction": parameter("friction"),
+    }
+
+
+def wall_loop(document: dict[str, Any], **other: float) -> dict[str, Any] | None:
+    """Return the linear loop of a document as numbers of `Loop`, some replaced; None without mass or delay."""
+    loop, wall = document["loop"], document["wall"]
+    value = {name: part["value"] if part else None for name, part in loop.items() if name in _LINEAR} | other
+    samples, late = wall["delay_samples"], value["delay_samples"]
+    if samples is None and late is not None:
+        samples = late * document["sampling_period_s"] / wall["sampling_period_s"]
+    if value["mass"] is None or value["mass"] <= 0 or samples is None:
+        return None
+    numbers = {name: max(value[name] or 0.0, 0.0) for name in ("damping", "stiffness", "actuator_lag_s")}
+    mode = {name: part["value"] for name, part in loop["mode"].items()} if loop["mode"] else None
+    if mode:
+        mode["sensor"] = "load" if mode.pop("sensor_at_load") else "motor"
+    return numbers | {
+        "mass": value["mass"],
+        "sampling_period_s": wall["sampling_period_s"],
+        "delay_samples": max(samples, 0.0),
+        "mode": mode,
+    }
+
+
+_LINEAR = ("mass", "damping", "stiffness", "delay_samples", "actuator_lag_s")
+
+
+def _border(numbers: dict[str, Any], points: int) -> dict[str, Any]:
+    """Return the limit of stable walls of a linear loop, in SI."""
+    parts = LoopParts(
+        actuator_lag_s=numbers["actuator_lag_s"], mode=Mode(**numbers["mode"]) if numbers["mode"] else None
+    )
+    mass, period = numbers["mass"], numbers["sampling_period_s"]
+    loop = loop_of(mass, numbers["damping"], numbers["stiffness"], numbers["delay_samples"], period, parts)
+    found, units = outline(loop, points), wall_units(mass, period, parts)
+    if not len(found.beta):
+        return {"stiffness_max": 0.0, "damping_at_stiffness_max": 0.0, "stiffness": [], "damping": []}
+    return {
+        "stiffness_max": float(found.alpha_max * units.stiffness),
+        "damping_at_stiffness_max": float(found.beta_at_alpha_max * units.damping),
+        "stiffness": (found.alpha * units.stiffness).tolist(),
+        "damping": (found.beta * units.damping).tolist(),
+    }
+
+
+def _boundary(document: dict[str, Any]) -> dict[str, Any] | None:
+    """Return the limit of the walls that the device would render, its stiffest with the range of the device."""
+    numbers = wall_loop(document)
+    if numbers is None:
+        return None
+    border = _border(numbers, 100)
+    stiffest, reach = border["stiffness_max"], 0.0
+    for name in _LINEAR:
+        part = document["loop"][name]
+        if part is None or (name == "delay_samples" and document["wall"]["delay_samples"] is not None):
+            continue
+        ends = [wall_loop(document, **{name: part[end]}) for end in ("low", "high")]
+        if name == "delay_samples" and (lag := document["unseen_lag_s"]):
+            # what is a lag is no delay
+            late = part["value"] - lag / document["sampling_period_s"]
+            ends = [wall_loop(document, delay_samples=late, actuator_lag_s=lag), ends[1]]
+        limits = [_border(each, 40)["stiffness_max"] for each in ends if each is not None]
+        reach += max((abs(limit - stiffest) for limit in limits), default=0.0) ** 2
+    return border | {
+        "sampling_period_s": numbers["sampling_period_s"],
+        "delay_samples": numbers["delay_samples"],
+        "stiffness_max": {"value": stiffest, "low": max(stiffest - reach**0.5, 0.0), "high": stiffest + reach**0.5},
+    }
+
+
+def device_text(document: dict[str, Any], name: str) -> str:
+    """Return the device file of a document: TOML, intervals as comments.
+
+    Raises
+    ------
+    ParameterError
+        If mass or delay are not told.
+    """
+    loop = document["loop"]
+    known = wall_loop(document)
+    if known is None:
+        untold = "mass" if loop["mass"] is None else "delay"
+        raise ParameterError(" ".join([f"no device file: these logs do not tell the {untold}.", *_remedies(document)]))
+    units = {row["name"]: row["unit"] for row in document["parameters"]}
+    mass = units.get("mass") or units.get("inertia", "")
+
+    def line(key: str, part: dict[str, float] | None, unit: str, default: float = 0.0) -> str:
+        if part is None:
+            return f"{key} = {default!r}  # not told by the logs"
+        return f"{key} = {part['value']!r}  # {part['low']:.6g} to {part['high']:.6g} {unit} (95 %)"
+
+    lines = [
+        f"# Identified from {document['trials']} logs, {document['rows']} rows. Free runs: {loop['reason']}.",
+        *(f"# {path}" for path in document["source"][:20]),
+        f'name = "{name}"',
+        f'source = "identified from {document["trials"]} logs"',
+        f'motion = "{document["motion"]}"',
+        line("mass", loop["mass"], mass),
+        line("damping", loop["damping"], units.get("damping", "")),
+        *([line("stiffness", loop["stiffness"], units["stiffness"])] if loop["stiffness"] else []),
+        f"sampling_period_s = {known['sampling_period_s']!r}",
+        f"delay_samples = {known['delay_samples']!r}  # given, or not told by the logs"
+        if loop["delay_samples"] is None or document["wall"]["delay_samples"] is not None
+        else f"delay_samples = {known['delay_samples']!r}  # at T = {document['sampling_period_s']:g} s: "
+        f"{loop['delay_samples']['low']:.6g} to {loop['delay_samples']['high']:.6g} (95 %)",
+    ]
+    lines.append(f"sensor = {{ noise = {document['noise']!r} }}")
+    parts = []
+    if loop["actuator_lag_s"]:
+        parts.append(line("actuator_lag_s", loop["actuator_lag_s"], "s"))
+    if loop["friction"] and loop["friction"]["value"] > 0:
+        friction = loop["friction"]
+        parts.append(
+            f"friction = {{ coulomb = {friction['value']!r} }}  # {friction['low']:.6g} to {friction['high']:.6g}"
+        )
+    if loop["mode"]:
+        numbers = ", ".join(f"{key} = {value!r}" for key, value in known["mode"].items())
+        told = [(key, part) for key, part in loop["mode"].items() if key in known["mode"]]
+        ranges = ", ".join(f"{key} {part['low']:.4g} to {part['high']:.4g}" for key, part in told)
+        parts.append(f"mode = {{ {numbers} }}  # {ranges}")
+    return "\n".join([*lines, *(["", "[loop]", *parts] if parts else []), ""])
+
+
+def _remedies(document: dict[str, Any]) -> list[str]:
+    """Return what to record, as sentences."""
+    told = [f"Record {each['record']}." for each in document["not_told_apart"]]
+    if document["loop"]["delay_samples"] is None:
+        wanted = "a change of the command within a log"
+        if "delay" not in document["assumed_none"]:  # there are some
+            wanted = "larger steps, or with a finer sensor: noise, quantum or friction hide when a motion begins"
+        told.append(f"For the delay, record {wanted}; or give --delay.")
+    return list(dict.fromkeys(told))

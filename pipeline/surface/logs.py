@@ -105,9 +105,7 @@ def read_log(path: Place, profile: Place | None = None, label: str | None = None
         motion = motion_of(log, {name: device.motion for name, device in known_devices().items()})
     except LogError as error:
         row = "" if error.row is None else f", row {error.row}"
-        raise LogError(
-            f"{path}{row}: {error.reason}", error.row, code=error.code, profile_line=error.profile_line
-        ) from error
+        raise error.reworded(f"{path}{row}: {error.reason}") from error
     names = {"time_s": "time", **{name: name for name in SAMPLES[1:]}}
     conditions = {name: value for name, value in vars(log.header).items() if name not in ("motion", "extra")}
     return response_frame(

@@ -11,7 +11,7 @@ import pandas as pd
 import pyarrow as pa
 
 from pipeline.base.errors import DeviceError, StoreError, UsageError
-from pipeline.comparison.compare_experiment import experiment_result, motion_of
+from pipeline.comparison.compare_experiment import experiment_result
 from pipeline.comparison.scene.scene import SceneData, needed_stages, open_scene
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.device_data import human_arm
@@ -195,7 +195,7 @@ def boundary(processed: Place, device: str, experiment: str | None = None) -> pd
         As those of `estimates`.
     """
     data = _open(processed, device, experiment)
-    return boundary_frame(_results(data), motion_of(data))
+    return boundary_frame(_results(data), data.motion)
 
 
 def optima(processed: Place, device: str, experiment: str | None = None) -> pd.DataFrame:
@@ -215,7 +215,7 @@ def optima(processed: Place, device: str, experiment: str | None = None) -> pd.D
         As those of `estimates`.
     """
     data = _open(processed, device, experiment)
-    return optima_frame(_results(data), motion_of(data))
+    return optima_frame(_results(data), data.motion)
 
 
 def costs(processed: Place, device: str, experiment: str | None = None) -> pd.DataFrame:
@@ -235,7 +235,7 @@ def costs(processed: Place, device: str, experiment: str | None = None) -> pd.Da
     """
     data = _computed(_open(processed, device, experiment))
     rows = [row for stages in data.experiments for row in _cost_rows(stages)]
-    units = units_of(("stiffness", "damping"), {motion_of(data)})
+    units = units_of(("stiffness", "damping"), {data.motion})
     return frame_of(_COSTS, rows, units)
 
 

@@ -57,14 +57,22 @@ def run(own, **options):
     )
 
 
+def add_a_log(own):
+    log = sorted((own / "raw/lwr/delay-4").glob("B008*.csv"))[0]
+    text = re.sub(r"# stiffness: \S+", "# stiffness: 123", log.read_text(encoding="utf-8"))
+    (own / "extra.csv").write_text(text, encoding="utf-8")
+    assert ingest([own / "extra.csv"], own / "processed").ingested == 1
+
+
+def refuse(*_, **__):
+    raise AssertionError("was computed again")
+
+
 @pytest.fixture
 def nothing_is_computed(monkeypatch):
     """Call it: from then on reading a log, computing a stage or an optimum, and drawing fail."""
 
     def forbid():
-        def refuse(*_, **__):
-            raise AssertionError("was computed again")
-
         monkeypatch.setattr(stage_tables.StageTables, "_computed", refuse)
         monkeypatch.setattr(stage_tables, "load_groups", refuse)
         monkeypatch.setattr(predictions, "optimal_point", refuse)
@@ -81,19 +89,35 @@ def nothing_is_computed(monkeypatch):
 @pytest.mark.parametrize("name", ["falcon_outcome", "lwr_outcome", "unknown_outcome"])
 def test_document_holds_what_the_design_lists(name, request):
     outcome = request.getfixturevalue(name)
-    document = json.loads(outcome.report.with_suffix(".json").read_text(encoding="utf-8"))
+    page = take_apart(outcome.report.read_text(encoding="utf-8"))
+    assert page.metas.get(CELLS_META) is not None
+    assert len(page.cells) > 50
+    text = outcome.report.with_suffix(".json").read_text(encoding="utf-8")
+    assert "NaN" not in text
+    assert ComparisonResult.model_validate_json(text) == outcome.result
+    assert outcome.result.report == str(outcome.report)
+    document = json.loads(text)
     assert {"device", "experiments", "tables"} <= set(document)
     for experiment in document["experiments"]:
         assert {"experiment", "trials", "verdicts", "estimates", "boundary", "optimum"} <= set(experiment)
-        assert {"delay_samples", "mass", "damping"} <= set(experiment["estimates"])
-        assert sum(experiment["verdicts"].values()) == experiment["trials"]
-        for estimate in experiment["estimates"].values():
-            assert {"value", "low", "high", "method", "reason", "by_method"} <= set(estimate)
-            if estimate["value"] is not None:
-                assert estimate["low"] <= estimate["value"] <= estimate["high"]
+        assert {"delay_samples", "mass", "damping", "boundary_area"} <= set(experiment["estimates"])
+        counts = (sum(experiment[name].values()) for name in ("verdicts", "outcomes"))
+        assert {*counts, experiment["model_check"]["trials"]} == {experiment["trials"]}
+        for best in experiment["estimates"].values():
+            for estimate in (best, *best["by_method"].values()):
+                assert {"value", "low", "high", "method", "reason", "by_method"} <= set(estimate)
+                assert estimate["method"]
+                assert estimate["unit"]
+                if None in (estimate["value"], estimate["low"], estimate["high"]):
+                    assert estimate["reason"]
+                else:
+                    assert estimate["low"] <= estimate["value"] <= estimate["high"]
+            assert best["value"] is None or None not in (best["low"], best["high"])
         for point in experiment["boundary"]:
             assert {"damping", "stable", "unstable", "censored"} <= set(point)
             assert (point["unstable"] is None) == point["censored"]
+            assert point["trials"] > 0
+            assert point["estimate"] is None or point["low"] <= point["estimate"] <= point["high"]
         for optimum in experiment["optimum"].values():
             assert {"stiffness", "damping", "cost"} <= set(optimum)
     for row in document["tables"]:
@@ -103,23 +127,6 @@ def test_document_holds_what_the_design_lists(name, request):
         } <= set(row)
         if row["condition"].startswith("theory"):
             assert row["deviation_percent"] is None
-
-
-@pytest.mark.sampled
-@pytest.mark.parametrize("name", ["falcon_outcome", "lwr_outcome", "unknown_outcome"])
-def test_document_survives_the_round_trip(name, request):
-    outcome = request.getfixturevalue(name)
-    text = outcome.report.with_suffix(".json").read_text(encoding="utf-8")
-    assert "NaN" not in text
-    assert ComparisonResult.model_validate_json(text) == outcome.result
-    assert outcome.result.report == str(outcome.report)
-
-
-def test_report_stands_with_its_digest(falcon_outcome, lwr_outcome):
-    for outcome in (falcon_outcome, lwr_outcome):
-        page = outcome.report.read_text(encoding="utf-8")
-        assert take_apart(page).metas.get(CELLS_META) is not None
-        assert len(take_apart(page).cells) > 50
 
 
 def test_origin_names_the_command_that_repeats_the_comparison(own):
@@ -146,11 +153,12 @@ def test_second_run_reuses_everything_and_touches_nothing(own, nothing_is_comput
     first = run(own)
     before = files(own)
     nothing_is_computed()
-    second = run(own)
-    assert set(actions(second).values()) <= {REUSE, LEAVE_OUT}
-    assert actions(second)["report"] == REUSE
-    assert second.result == first.result
-    assert files(own) == before
+    for dry_run in (False, True):
+        second = run(own, dry_run=dry_run)
+        assert set(actions(second).values()) <= {REUSE, LEAVE_OUT}
+        assert actions(second)["report"] == REUSE
+        assert second.result == (None if dry_run else first.result)
+        assert files(own) == before
 
 
 def test_dry_run_writes_nothing_and_tells_the_plan(lwr, tmp_path, nothing_is_computed):
@@ -166,22 +174,10 @@ def test_dry_run_writes_nothing_and_tells_the_plan(lwr, tmp_path, nothing_is_com
     assert all(reason for _, _, reason in outcome.stages)
 
 
-def test_dry_run_after_a_run_reuses_all(own, nothing_is_computed):
-    run(own)
-    nothing_is_computed()
-    outcome = run(own, dry_run=True)
-    assert outcome.result is None
-    assert set(actions(outcome).values()) <= {REUSE, LEAVE_OUT}
-
-
 @pytest.mark.slow
 def test_one_more_log_runs_only_its_experiment(own):
     before = run(own)
-    log = sorted((own / "raw/lwr/delay-4").glob("B008*.csv"))[0]
-    text = re.sub(r"# stiffness: \S+", "# stiffness: 123", log.read_text(encoding="utf-8"))
-    extra = own / "extra.csv"
-    extra.write_text(text, encoding="utf-8")
-    assert ingest([extra], own / "processed").ingested == 1
+    add_a_log(own)
     kept = files(own / "processed/stages/lwr/delay-2")
     after = run(own)
     plan = actions(after)
@@ -197,8 +193,7 @@ def test_one_more_log_runs_only_its_experiment(own):
 
 @pytest.mark.slow
 def test_other_criteria_run_only_what_is_missing(lwr, tmp_path, plain_page):
-    for part in ("trials",):
-        shutil.copytree(lwr.processed / part, tmp_path / "processed" / part)
+    shutil.copytree(lwr.processed / "trials", tmp_path / "processed" / "trials")
 
     def plan(criteria):
         page = tmp_path / "x.html"
@@ -230,9 +225,7 @@ def test_criteria_of_the_same_stage_still_change_the_report(own):
 @pytest.mark.slow
 def test_a_report_is_renewed_where_another_one_already_computed_the_stages(own):
     first = run(own)
-    log = sorted((own / "raw/lwr/delay-4").glob("B008*.csv"))[0]
-    (own / "extra.csv").write_text(re.sub(r"# stiffness: \S+", "# stiffness: 123", log.read_text(encoding="utf-8")))
-    ingest([own / "extra.csv"], own / "processed")
+    add_a_log(own)
     compare("lwr", own / "processed", criteria=QUICK)  # without a report
     after = run(own)
     assert {action for stage, action in actions(after).items() if stage.startswith("delay")} <= {REUSE, LEAVE_OUT}
@@ -276,10 +269,6 @@ def test_a_damaged_document_beside_the_report_is_written_anew(own, change):
 def test_a_missing_report_is_written_again_without_computing_stages(own, monkeypatch):
     outcome = run(own)
     outcome.report.unlink()
-
-    def refuse(*_):
-        raise AssertionError("something was computed again")
-
     monkeypatch.setattr(stage_tables.StageTables, "_computed", refuse)
     monkeypatch.setattr(predictions, "optimal_point", refuse)
     assert actions(run(own))["report"] == RUN
@@ -360,25 +349,3 @@ def test_no_temporary_files_are_left(own):
     hidden = [p for p in own.rglob("*") if p.name.startswith(".") and p.name not in known]
     assert not hidden + list(own.rglob("*.tmp"))
     assert np.all([os.access(p, os.R_OK) for p in own.rglob("*.parquet")])
-
-
-def test_every_estimate_has_value_interval_and_method_or_a_reason(falcon_outcome):
-    """Done when 7 of the estimation issue: nothing in the document stands without its interval, method or reason."""
-    seen = 0
-    for experiment in falcon_outcome.result.experiments:
-        assert {"delay_samples", "mass", "damping", "boundary_area"} <= set(experiment.estimates)
-        for best in experiment.estimates.values():
-            for estimate in (best, *best.by_method.values()):
-                seen += 1
-                assert estimate.method
-                assert estimate.unit
-                if estimate.value is None or estimate.low is None or estimate.high is None:
-                    assert estimate.reason
-                else:
-                    assert estimate.low <= estimate.value <= estimate.high
-        assert sum(experiment.outcomes.values()) == experiment.trials
-        assert experiment.model_check.trials == experiment.trials
-        for point in experiment.boundary:
-            assert point.trials > 0
-            assert point.estimate is None or point.low <= point.estimate <= point.high
-    assert seen >= 14

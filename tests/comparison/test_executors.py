@@ -15,8 +15,8 @@ from distributed import KilledWorker
 from labs import copied_experiments
 
 from pipeline.base.errors import StoreError, UsageError
-from pipeline.comparison import executors, stage_job
-from pipeline.comparison.executors import ClusterError, DaskCluster, executor_of
+from pipeline.comparison import executors, stage_pool
+from pipeline.comparison.executors import ClusterError, compute_on_cluster, executor_of
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
@@ -121,9 +121,9 @@ def test_what_a_worker_may_not_store_is_handed_back(trials, local, monkeypatch):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
     (own, *_), (expected, *_) = experiments(trials), experiments(local / "whole")
-    assert stage_job.do(stage_job.job_of(expected, NEEDED), stored_suffices=True) == {}
+    assert stage_pool.do(stage_pool.job_of(expected, NEEDED), stored_suffices=True) == {}
     monkeypatch.setattr(stage_tables, "write_kept", refuse)
-    done = stage_job.do(stage_job.job_of(own, NEEDED), stored_suffices=True)
+    done = stage_pool.do(stage_pool.job_of(own, NEEDED), stored_suffices=True)
     assert {name: table.equals(expected.table(name)) for name, table in done.items()} == dict.fromkeys(NEEDED, True)
 
 
@@ -139,13 +139,13 @@ def _unknown_to_others(job, stored_suffices):
 
 
 def test_workers_of_another_version_are_refused(cluster, trials, monkeypatch):
-    monkeypatch.setattr(stage_job, "__version__", "0.0.0")
+    monkeypatch.setattr(stage_pool, "__version__", "0.0.0")
     with pytest.raises(StoreError, match=r"a worker runs other code.*Install the same version"):
         executor_of(cluster.address)(experiments(trials), NEEDED)
 
 
 def test_a_folder_that_workers_do_not_see_is_told(cluster, trials, monkeypatch, tmp_path):
-    monkeypatch.setattr(stage_job, "origin", lambda *_: str(tmp_path / "elsewhere"))
+    monkeypatch.setattr(stage_pool, "origin", lambda *_: str(tmp_path / "elsewhere"))
     with pytest.raises(StoreError, match=r"elsewhere: a worker sees no such folder.*s3://BUCKET/PREFIX"):
         executor_of(cluster.address)(experiments(trials), NEEDED)
 
@@ -158,7 +158,8 @@ def test_other_executors_are_refused(text):
 
 def test_executors_by_name(monkeypatch):
     assert executor_of("local") is compute_stages
-    assert executor_of("dask://[::1]:8786") == DaskCluster("tcp://[::1]:8786")
+    made = executor_of("dask://[::1]:8786")
+    assert (made.func, made.args) == (compute_on_cluster, ("tcp://[::1]:8786",))
     monkeypatch.setattr(objects, "find_spec", lambda name: None)
     with pytest.raises(UsageError, match=r"executor dask://h:1 needs distributed.*pip install '.\[cluster\]'"):
         executor_of("dask://h:1")

@@ -8,7 +8,7 @@ import shutil
 
 import pytest
 
-from pipeline.comparison import shared_groups, stage_pool
+from pipeline.comparison import stage_pool
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.measured.stages import stages
 from pipeline.records import groups
@@ -17,10 +17,15 @@ from pipeline.records.table_files import read_table
 NEEDED = {"response", "boundary", "delay"}
 
 
-def test_processes_store_what_one_process_computes(lwr, tmp_path, monkeypatch):
+@pytest.fixture
+def copy(lwr, tmp_path, monkeypatch):
+    """The trials of the sweep without any stage, and two processors."""
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
-    copy = tmp_path / "processed"
-    shutil.copytree(lwr.processed / "trials", copy / "trials")
+    shutil.copytree(lwr.processed / "trials", tmp_path / "trials")
+    return tmp_path
+
+
+def test_processes_store_what_one_process_computes(lwr, copy):
     experiments = [lwr.stages(name, copy) for name in lwr.courses]
     compute_stages(experiments, NEEDED)
     for own in experiments:
@@ -33,14 +38,11 @@ def test_processes_store_what_one_process_computes(lwr, tmp_path, monkeypatch):
     assert not own.is_stored("mass"), "only what is needed is computed"
 
 
-def test_one_experiment_or_one_processor_is_left_for_later(lwr, tmp_path, monkeypatch):
-    copy = tmp_path / "processed"
-    shutil.copytree(lwr.processed / "trials", copy / "trials")
+def test_one_experiment_or_one_processor_is_left_for_later(lwr, copy, monkeypatch):
     experiments = [lwr.stages(name, copy) for name in lwr.courses]
+    compute_stages(experiments[:1], NEEDED)
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
     compute_stages(experiments, NEEDED)
-    monkeypatch.setattr(os, "cpu_count", lambda: 2)
-    compute_stages(experiments[:1], NEEDED)
     assert not (copy / "stages").exists()
 
 
@@ -49,22 +51,20 @@ def no_file(*_, **__):
 
 
 @pytest.mark.slow
-def test_the_groups_of_a_large_experiment_are_shared(lwr, tmp_path, monkeypatch):
-    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+def test_the_groups_of_a_large_experiment_are_shared(lwr, copy, monkeypatch):
     monkeypatch.setattr(stage_pool, "LARGE", 50)
     monkeypatch.setattr(groups, "READINGS", 10_000)
-    monkeypatch.setattr(shared_groups, "FEWEST", 10)
+    monkeypatch.setattr(stage_pool, "FEWEST", 10)
     cut = []
-    original = shared_groups.SharedGroups._cut
+    original = stage_pool.SharedGroups._cut
 
     def noted(self, batch):
         parts = original(self, batch)
         cut.extend(number for _, _, number in parts)
         return parts
 
-    monkeypatch.setattr(shared_groups.SharedGroups, "_cut", noted)
-    shutil.copytree(lwr.processed / "trials", tmp_path / "trials")
-    own = lwr.stages("delay-2", tmp_path)
+    monkeypatch.setattr(stage_pool.SharedGroups, "_cut", noted)
+    own = lwr.stages("delay-2", copy)
     assert len(own.samples.parts) > 2
     assert own.count_new_trials() == own.trials.num_rows
     needed = {*NEEDED, "model", "damping", "mass", "outcome", "overshoot", "settling", "energy"}
@@ -78,23 +78,21 @@ def test_the_groups_of_a_large_experiment_are_shared(lwr, tmp_path, monkeypatch)
     assert own.count_new_trials() == 0
 
 
-def test_what_is_not_new_is_not_computed_by_several_processes_either(lwr, tmp_path, monkeypatch):
-    shutil.copytree(lwr.processed / "trials", tmp_path / "trials")
-    whole = lwr.stages("delay-2", tmp_path)
-    some = stages.ExperimentStages(tmp_path, "lwr", "delay-2", whole.trials.slice(30))
+def test_what_is_not_new_is_not_computed_by_several_processes_either(lwr, copy, monkeypatch):
+    whole = lwr.stages("delay-2", copy)
+    some = stages.ExperimentStages(copy, "lwr", "delay-2", whole.trials.slice(30))
     some.table("wall_law")
     some.table("delay")
-    monkeypatch.setattr(os, "cpu_count", lambda: 2)
     monkeypatch.setattr(stage_pool, "LARGE", 20)
     computed = []
-    original = shared_groups.SharedGroups.map
+    original = stage_pool.SharedGroups.map
 
     def counted(self, function, groups, *masks):
         results = list(original(self, function, groups, *masks))
         computed.append(sum(result.num_rows for result in results))
         return results
 
-    monkeypatch.setattr(shared_groups.SharedGroups, "map", counted)
+    monkeypatch.setattr(stage_pool.SharedGroups, "map", counted)
     compute_stages([whole], NEEDED)
     monkeypatch.undo()
     assert computed == [30, 30, 30], "response, wall law and delay"
@@ -102,12 +100,10 @@ def test_what_is_not_new_is_not_computed_by_several_processes_either(lwr, tmp_pa
         assert whole.table(stage).equals(lwr.stages("delay-2").table(stage)), stage
 
 
-def test_large_experiments_that_fill_all_processors_are_not_cut(lwr, tmp_path, monkeypatch):
+def test_large_experiments_that_fill_all_processors_are_not_cut(lwr, copy, monkeypatch):
     """Each in a process of its own they need not wait for each other after every stage."""
-    monkeypatch.setattr(os, "cpu_count", lambda: 2)
     monkeypatch.setattr(stage_pool, "LARGE", 20)
     monkeypatch.setattr(stages.ExperimentStages, "compute", no_file)
-    shutil.copytree(lwr.processed / "trials", tmp_path / "trials")
-    experiments = [lwr.stages(name, tmp_path) for name in lwr.courses]
+    experiments = [lwr.stages(name, copy) for name in lwr.courses]
     compute_stages(2 * experiments, NEEDED)
     assert all(own.is_stored("delay") for own in experiments)

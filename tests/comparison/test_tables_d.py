@@ -4,11 +4,13 @@ import csv
 import dataclasses
 
 import pytest
+from labs import make_lab
 
 from pipeline.base.provenance import schema_folder
 from pipeline.comparison.compare_experiment import nominal_theories
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.comparison.tables_d import TableBuilder, condition_of, layouts
+from pipeline.device_data.devices import load_device
 from pipeline.records.findings import Optimum
 from pipeline.records.models import ComparisonRow
 from pipeline.theory.predictions import Predictions
@@ -41,11 +43,8 @@ def check_theory_row(row: ComparisonRow) -> None:
     assert row.deviation_percent is None
     assert row.published_cost == float(cells["cost"])
     region = row.criterion.startswith("settle") and row.condition == "theory_discrete"
-    if cells["erratum"]:
-        assert cells["erratum"] in row.note
-        agrees = "centre agrees" in cells["erratum"]
-    else:
-        agrees = True
+    agrees = not cells["erratum"] or "centre agrees" in cells["erratum"]
+    assert cells["erratum"] in (row.note or "")
     # w = 2 was printed with truncation errors; they are far below what another definition of the cost would give
     tolerance = 5e-5 * row.cost if row.criterion == "energy_step_w2" else 0.0
     assert row.cost == pytest.approx(float(cells["cost"]), abs=max(unit(cells["cost"]), tolerance))
@@ -88,11 +87,7 @@ def test_theory_of_d4_to_d6_is_the_published_one(lwr_outcome):
 
 @pytest.mark.slow
 def test_theory_of_d3_and_of_all_delays_is_the_published_one(sweep, tmp_path_factory, one_process):
-    import labs
-
-    from pipeline.device_data.devices import load_device
-
-    firm = labs.make_lab(tmp_path_factory.mktemp("firm"), load_device("falcon"), ("6",), ideal=True, coarsen=6)
+    firm = make_lab(tmp_path_factory.mktemp("firm"), load_device("falcon"), ("6",), ideal=True, coarsen=6)
     rows = theory_rows(firm.compare())
     assert {(r.table, r.criterion) for r in rows} == {
         ("D.3", "settle_2pct"), ("D.3", "overshoot"), ("D.3", "energy_step_w2"),
@@ -141,17 +136,11 @@ def test_optima_of_the_lwr_are_censored(lwr_outcome):
 
 
 def test_conditions_are_named_as_published():
-    table = layouts_of_device("falcon")[0]
+    table = load_device("falcon").tables[0]
     assert condition_of(table, "1", 2) == "experiment_1"
     assert condition_of(table, "1", 1) == "experiment"
-    delay = next(t for t in layouts_of_device("lwr") if t.kind == "delay")
+    delay = next(t for t in load_device("lwr").tables if t.kind == "delay")
     assert condition_of(delay, "delay-2", 7) == "experiment"
-
-
-def layouts_of_device(name):
-    from pipeline.device_data.devices import load_device
-
-    return load_device(name).tables
 
 
 def test_layouts_hold_what_is_stored_and_asked_for(falcon, lwr, unknown):

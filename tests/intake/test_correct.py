@@ -25,7 +25,7 @@ from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.rendering.report.report_against import render
 from pipeline.rendering.report.report_parts import take_apart
 from pipeline.shell.cli import application
-from pipeline.shell.verify.verify import verify
+from pipeline.shell.verify import verify
 from pipeline.store.corrections import read_exclusions
 from pipeline.store.storage import read_trials
 

@@ -9,25 +9,20 @@ from pipeline.rendering.labels import at_least, damping_text, estimate_texts, pe
 
 
 @pytest.mark.parametrize(
-    ("value", "text"), [(7.5, "7.500"), (0.0431, "0.04310"), (99.96, "99.96"), (6800.4, "6800"), (-7.5, "−7.500")]
+    ("show", "texts"),
+    [
+        (
+            stiffness_text,
+            {7.5: "7.500", 0.0431: "0.04310", 99.96: "99.96", 6800.4: "6800", 250.4: "250", -7.5: "−7.500"},
+        ),
+        (damping_text, {7e-5: "7.00e−05", 6.98e-4: "0.000698", 18.256: "18.26"}),
+        # a lower bound is never rounded up
+        (at_least, {1.6563: "1.6", 2.1: "2.1", 3.0: "3", 12.99: "12", 0.999: "0.99"}),
+        (percent_text, {537261.9: "over +1000", -2.26: "−2.3", 0.04: "0.0"}),
+    ],
 )
-def test_a_small_stiffness_keeps_its_digits(value, text):
-    assert stiffness_text(value) == text
-
-
-@pytest.mark.parametrize(("value", "text"), [(1.6563, "1.6"), (2.1, "2.1"), (3.0, "3"), (12.99, "12"), (0.999, "0.99")])
-def test_a_lower_bound_is_never_rounded_up(value, text):
-    assert at_least(value) == text
-
-
-@pytest.mark.parametrize(("value", "text"), [(7e-5, "7.00e−05"), (6.98e-4, "0.000698"), (18.256, "18.26")])
-def test_a_small_damping_keeps_its_digits(value, text):
-    assert damping_text(value) == text
-
-
-@pytest.mark.parametrize(("value", "text"), [(537261.9, "over +1000"), (-2.26, "−2.3"), (0.04, "0.0")])
-def test_a_deviation_beyond_all_comparison_is_told_in_words(value, text):
-    assert percent_text(value) == text
+def test_numbers_have_the_digits_that_they_are_known_to(show, texts):
+    assert {value: show(value) for value in texts} == texts
 
 
 @pytest.mark.parametrize(

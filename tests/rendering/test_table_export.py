@@ -109,7 +109,8 @@ def unescaped(line: str, character: str) -> int:
 
 @pytest.mark.parametrize("hostile", [False, True])
 def test_rows_of_markdown_and_latex_have_as_many_cells_as_heads(hostile):
-    for table in printed_tables(report_data(full=False, hostile=hostile).result):
+    printed = printed_tables(report_data(full=False, hostile=hostile).result)
+    for table in (table for of in printed.values() for table in of):
         lines = [line for line in markdown_text(table).splitlines() if line.startswith("|")]
         assert len(lines) == 2 + sum(len(rows) + bool(name) for name, rows in table.blocks)
         assert {unescaped(line, "|") for line in lines} == {len(table.columns) + 1}

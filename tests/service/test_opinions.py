@@ -7,7 +7,7 @@ from served import Browser, page
 
 from pipeline.base.lock import writing
 from pipeline.service import shared
-from pipeline.shell.verify.verify import verify
+from pipeline.shell.verify import verify
 
 WHY = "gripper slipped"
 TWO = {"device": "falcon", "experiments": ["2"], "criteria": ["overshoot"]}

@@ -7,11 +7,11 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
+from html_pages import Outline
 from report_data import report_data
 
 from pipeline.rendering.report.report import write
@@ -40,43 +40,8 @@ def put(folder: Path, name: str, data, **changes) -> dict:
     return document
 
 
-class Page(HTMLParser):
-    """Links, rows of cells and text of a page; every element is closed in order."""
-
-    VOID = frozenset({"meta", "br"})
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.links: list[str] = []
-        self.rows: list[list[str]] = []
-        self.tags: list[str] = []
-        self.text = ""
-        self.feed(text)
-        assert self.tags == []
-
-    def handle_starttag(self, tag, attrs):
-        if tag == "a":
-            self.links.append(dict(attrs)["href"])
-        if tag == "tr":
-            self.rows.append([])
-        if tag in ("td", "th"):
-            self.rows[-1].append("")
-        if tag not in self.VOID:
-            self.tags.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.tags.pop() == tag
-
-    def handle_data(self, data):
-        if {"style", "script"} & set(self.tags):
-            return
-        self.text += data
-        if {"td", "th"} & set(self.tags):
-            self.rows[-1][-1] = " ".join(f"{self.rows[-1][-1]} {data}".split())
-
-
-def page_of(folder: Path) -> Page:
-    return Page((folder / INDEX_FILE).read_text(encoding="utf-8"))
+def page_of(folder: Path) -> Outline:
+    return Outline((folder / INDEX_FILE).read_text(encoding="utf-8"))
 
 
 def test_a_row_holds_what_the_document_says(tmp_path):
@@ -189,7 +154,7 @@ def test_names_and_texts_of_logs_are_data(tmp_path):
     write_index(tmp_path)
     text = (tmp_path / INDEX_FILE).read_text(encoding="utf-8")
     assert text.count("<script") == 1  # our own, which the policy names
-    page = Page(text)
+    page = Outline(text)
     assert any(hostile in row[0] for row in page.rows)
     links = [link for link in page.links if link != "#main"]
     assert all(link.startswith("./") for link in links)

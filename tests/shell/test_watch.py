@@ -215,19 +215,17 @@ def places(folder: Path, **more: object) -> Watched:
 
 @pytest.fixture
 def compared(monkeypatch):
-    """Comparisons by device, not done; a value that is an exception is raised."""
-    asked: list[str] = []
+    """Reports by device, which hold nothing but its name; an answer that is an exception is raised."""
+    asked: dict[str, Path] = {}
     answers: dict[str, object] = {}
 
-    class Found:
-        result = None
-        stages = (("report", "run", ""),)
-
-    def fake(device, *arguments, **options):
-        asked.append(device)
+    def fake(device, processed, report, **options):
+        asked[device] = report
         if device in answers:
             raise answers[device]
-        return Found
+        report.parent.mkdir(exist_ok=True)
+        report.write_text(device)
+        return SimpleNamespace(result=None, stages=(("report", "run", ""),))
 
     monkeypatch.setattr("pipeline.comparison.compare.compare", fake)
     return asked, answers
@@ -245,7 +243,7 @@ def test_a_report_that_fails_stops_no_other(tmp_path, compared, capsys):
         write_logs(tmp_path / "raw", device=device)
     answers |= {"alpha": DeviceError("too few logs"), "bench": ZeroDivisionError("a defect")}
     events = list(run_pass(places(tmp_path)))
-    assert asked == ["alpha", "bench", "gamma"]
+    assert list(asked) == ["alpha", "bench", "gamma"]
     assert kinds(events) == ["ingest", "failed", "failed", "report", "index"]
     assert [e["reason"] for e in events[1:3]] == [
         "too few logs",
@@ -255,20 +253,8 @@ def test_a_report_that_fails_stops_no_other(tmp_path, compared, capsys):
     assert status_of(events) == 1
 
 
-def test_every_device_has_a_report_of_its_own_beside_our_pages(tmp_path, monkeypatch):
-    reports = {}
-
-    def fake(device, processed, report, **options):
-        report.parent.mkdir(exist_ok=True)
-        report.write_text(device)
-        reports[device] = report
-
-        class Found:
-            result, stages = None, (("report", "run", ""),)
-
-        return Found
-
-    monkeypatch.setattr("pipeline.comparison.compare.compare", fake)
+def test_every_device_has_a_report_of_its_own_beside_our_pages(tmp_path, compared):
+    reports, _ = compared
     devices = ["index", "Index", "accuracy", "theory", "arm", "ARM", "arm-1-against-2", "con"]
     for device in devices:
         write_logs(tmp_path / "raw", 1, device=device)

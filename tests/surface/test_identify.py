@@ -13,7 +13,7 @@ from pipeline.base.errors import LogError, ParameterError
 from pipeline.device_data.devices import read_device
 from pipeline.measured.model.intervals import NEEDED
 from pipeline.shell.cli import application
-from pipeline.surface.identified_device import UNITS
+from pipeline.surface.identify import UNITS
 
 MASS, DAMPING, DELAY, T = 0.5, 3.0, 2, 1e-3
 

@@ -139,13 +139,7 @@ def test_walls_that_are_none():
         FALCON.optimum("speed")
 
 
-GENERAL = {
-    "velocity": {"kind": "butterworth", "order": 2, "cutoff_hz": 80.0},
-    "actuator_lag_s": 0.001,
-    "mode": {"frequency_hz": 60.0, "damping_ratio": 0.05, "mass": 0.1, "sensor": "motor"},
-    "operator": {"mass": 0.15, "damping": 5.0, "stiffness": 300.0},
-    "force_gain": 0.8,
-}
+GENERAL = PARTS | {"mode": PARTS["mode"] | {"sensor": "motor"}}
 
 
 @pytest.mark.parametrize("delay", [0, 1, 2.5, 3.2])

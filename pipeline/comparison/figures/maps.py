@@ -20,12 +20,11 @@ from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.criteria import OVERSHOOT, criterion_of
 from pipeline.records.findings import Optimum
-from pipeline.records.models import Motion
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.figures.boundaries import by_theory, measured
 from pipeline.rendering.figures.drawing import BLUE, GREEN, INK, PAPER, VERMILLION, Figure, Panel, Series, dots, reach
 from pipeline.rendering.labels import (
-    UNITS,
+    Units,
     cost_text,
     criterion_label,
     criterion_name,
@@ -105,11 +104,7 @@ class CostMap:
 
 
 def map_figures(
-    data: SceneData,
-    results: Sequence[ExperimentResult],
-    theories: Mapping[str, Theory],
-    predictions: Predictions,
-    motion: Motion,
+    data: SceneData, results: Sequence[ExperimentResult], theories: Mapping[str, Theory], predictions: Predictions
 ) -> list[Figure]:
     """Return one cost figure for each criterion of each table of optima: theory, then each experiment."""
     stages = {e.experiment: e for e in data.experiments}
@@ -122,7 +117,7 @@ def map_figures(
             own = [maps[criterion]] if theory else []
             own += [_measured_map(r, stages[r.experiment], criterion) for r in shown if criterion in r.optimum]
             if own:
-                figure = map_figure(table.name, criterion, own, motion)
+                figure = map_figure(table.name, criterion, own, data.units)
                 # experiments "a b" and "a-b" would share an identifier
                 taken = f"-{len(found)}" if figure.identifier in found else ""
                 found[figure.identifier + taken] = replace(figure, identifier=figure.identifier + taken)
@@ -157,7 +152,7 @@ def _measured_map(result: ExperimentResult, stages: ExperimentStages, criterion:
     known = stable & np.isfinite(cost)
     drawn = known if known.sum() >= max(FEWEST_DRAWN, LEAST_SHARE * stable.sum()) else np.zeros_like(known)
     name = f"experiment {result.experiment}" + (f", {result.configuration}" if result.configuration else "")
-    edge = tuple(replace(s, kind="edge", label="_boundary", number=None) for s in measured(result, "", None))
+    edge = tuple(replace(s, kind="edge", label="_boundary", number=None) for s in measured(result.boundary, "", None))
     smooth = _smoothed(K[drawn], B[drawn], cost[drawn], criterion)
     trials = np.stack([K[shown], B[shown], cost[shown]])
     return CostMap(name, K[drawn], B[drawn], smooth, edge, result.optimum.get(criterion), trials)
@@ -173,7 +168,7 @@ def _smoothed(K: Floats, B: Floats, cost: Floats, criterion: str) -> Floats:
     return np.asarray(np.exp(smooth_of(K, B, values, FEW_NEIGHBOURS).of(values)))
 
 
-def map_figure(table: str, criterion: str, maps: Sequence[CostMap], motion: Motion) -> Figure:
+def map_figure(table: str, criterion: str, maps: Sequence[CostMap], units: Units) -> Figure:
     """Return maps of one criterion side by side, with the table that their optima stand in."""
     family, label = criterion_of(criterion).family, table_label(table)
     edges = [s for each in maps for s in each.boundary]
@@ -193,15 +188,15 @@ def map_figure(table: str, criterion: str, maps: Sequence[CostMap], motion: Moti
         f"{', of experiments the best single trial' if tried else ''}. Below: least cost for each stiffness"
         f"{' and all trials' if tried else ''}."
     )
-    panels = tuple(_map_panel(each, criterion, limits, top, motion) for each in maps)
+    panels = tuple(_map_panel(each, criterion, limits, top, units) for each in maps)
     size = (350.0, 430.0) if len(maps) > 2 else (440.0, 500.0)
     identifier = re.sub(r"[^A-Za-z0-9_-]", "-", f"{table}-{criterion}")
     title = f"Cost maps, {criterion_label(criterion)}"
     return Figure("maps", identifier, title, caption, panels, criterion_name(criterion), f"costs, {label}", size)
 
 
-def _map_panel(shown: CostMap, criterion: str, limits: Any, top: float, motion: Motion) -> Panel:
-    units, factor, family = UNITS[motion], printed_scale(criterion), criterion_of(criterion).family
+def _map_panel(shown: CostMap, criterion: str, limits: Any, top: float, units: Units) -> Panel:
+    factor, family = printed_scale(criterion), criterion_of(criterion).family
     K, B, cost = shown.trials
     inside, best, least = cost <= top, shown.optimum, shown.least
     third = {"value": B[inside], "value_name": f"damping B [{units.damping}]"}
@@ -301,21 +296,16 @@ def _triangles(K: Floats, B: Floats) -> Any:
     return Triangulation(K, B, triangles.triangles, mask=longest > LONGEST_EDGE)
 
 
-def departure_figures(
-    data: SceneData, theories: Mapping[str, Theory], predictions: Predictions, motion: Motion
-) -> list[Figure]:
+def departure_figures(data: SceneData, theories: Mapping[str, Theory], predictions: Predictions) -> list[Figure]:
     """Return one figure a criterion of the tables: where measured costs depart from theory at the trials' own walls."""
     asked = {c for table in layouts(data) for c in table.criteria}
     criteria = tuple(c for c in data.scene.criteria if c in asked)
     shown = [e for e in data.experiments if e.experiment in theories]
     points = {e.experiment: (e.column("response", "stiffness"), e.column("response", "damping")) for e in shown}
     edges = {name: replace(by_theory(theories[name], "_boundary"), kind="edge") for name in points}
-    every = [np.concatenate([edges[name].x, points[name][0]]) for name in points]
-    highest = [np.concatenate([edges[name].y, points[name][1]]) for name in points]
-    cell = (
-        float(max(map(np.max, every), default=1.0)) / CELLS[0],
-        float(max(map(np.max, highest), default=1.0)) / CELLS[1],
-    )
+    x = [float(np.append(edges[name].x, K).max()) for name, (K, _) in points.items()]
+    y = [float(np.append(edges[name].y, B).max()) for name, (_, B) in points.items()]
+    cell = max(x, default=1.0) / CELLS[0], max(y, default=1.0) / CELLS[1]
     limits = ((0.0, reach(*(e.x for e in edges.values()))[1]), reach(*(e.y for e in edges.values())))
     expected = {name: predictions.costs_at(theories[name], *points[name], criteria) for name in points if criteria}
     figures = []
@@ -326,7 +316,7 @@ def departure_figures(
             found = departures(stages.sure_cost(criterion), expected[name][criterion], criterion)
             found[stages.verdicts.verdict != "stable"] = np.nan
             if np.isfinite(found).any():
-                panel = _departure_panel(name, (*points[name], found), criterion, cell, motion)
+                panel = _departure_panel(name, (*points[name], found), criterion, cell, data.units)
                 panels.append(replace(panel, series=(edges[name], *panel.series), limits=limits))
         if panels:
             name = criterion_name(criterion)
@@ -352,12 +342,12 @@ def departures(measured_: Floats, expected: Floats, criterion: str) -> Floats:
 
 
 def _departure_panel(
-    name: str, trials: tuple[Floats, Floats, Floats], criterion: str, cell: tuple[float, float], motion: Motion
+    name: str, trials: tuple[Floats, Floats, Floats], criterion: str, cell: tuple[float, float], units: Units
 ) -> Panel:
     """Return marks of an experiment; ``trials`` are stiffness, damping and departure, ``cell`` width and height."""
     import pandas as pd
 
-    differs, units = bool(criterion_of(criterion).family.levels), UNITS[motion]
+    differs = bool(criterion_of(criterion).family.levels)
     K, B, departure = trials
     frame = pd.DataFrame({"K": np.floor(K / cell[0]), "B": np.floor(B / cell[1]), "off": departure}).dropna()
     cells = frame.groupby(["B", "K"], as_index=False).median()

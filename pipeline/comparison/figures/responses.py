@@ -63,7 +63,7 @@ def trials_of(stages: ExperimentStages) -> tuple[Floats, Floats, np.ndarray]:
     return K, B, stages.verdicts.verdict
 
 
-def response_figures(data: SceneData, motion: Motion) -> list[Figure]:
+def response_figures(data: SceneData) -> list[Figure]:
     """Return the first response of the first experiment that has one, with its beginning; none without a step.
 
     The lowest stiffness whose log shows two maxima is taken, at its lowest stable damping; where no log does, the
@@ -73,7 +73,7 @@ def response_figures(data: SceneData, motion: Motion) -> list[Figure]:
     for stages in sorted(data.experiments, key=lambda stages: grips[stages.experiment] != {"none"}):
         found = list(_candidates(stages))
         for batch, edge, change, period in [*(each for each in found if each[3] is not None), *found][:1]:
-            return [_response_figure(stages, batch, edge, change, period, motion)]
+            return [_response_figure(stages, batch, edge, change, period, data.motion)]
     return []
 
 

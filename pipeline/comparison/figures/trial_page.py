@@ -22,9 +22,9 @@ from pipeline.measured.stages.stage_groups import TrialGroup
 from pipeline.measured.stages.stages import ExperimentStages, cost_column
 from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.records.criteria import CRITERIA, criterion_of
-from pipeline.records.models import Motion
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.figures.boundaries import by_theory, measured
+from pipeline.rendering.figures.drawing import few_digits
 from pipeline.rendering.labels import UNITS, cost_text, criterion_label, printed_scale, significant
 from pipeline.rendering.report.report import pack
 from pipeline.rendering.report.tables import TrialPage
@@ -71,12 +71,11 @@ def trial_page(
         _Experiment(number, stages, result, theories.get(stages.experiment), criteria, modelled)
         for number, (stages, result) in enumerate(zip(data.experiments, results, strict=True))
     ]
-    motion: Motion = "rotation" if data.experiments[0].rotation else "translation"
     first = next((c for c in criteria if CRITERIA[c].tabled), criteria[0])
     experiments = [e.content(share) for e in gathered]
     content = {
-        "units": {"stiffness": UNITS[motion].stiffness, "damping": UNITS[motion].damping},
-        "position": "rad" if motion == "rotation" else "m",
+        "units": {"stiffness": data.units.stiffness, "damping": data.units.damping},
+        "position": "rad" if data.motion == "rotation" else "m",
         "verdicts": VERDICTS,
         "outcomes": [name.replace("_", " ") for name in OUTCOMES],
         "criteria": [
@@ -126,7 +125,7 @@ class _Experiment:
 
     def content(self, share: int | None) -> dict[str, Any]:
         """What the page holds of the experiment, with responses of so many samples."""
-        limits = {s.kind: s for s in measured(self.result, "", None)}
+        limits = {s.kind: s for s in measured(self.result.boundary, "", None)}
         line, bound = limits["measured"], limits.get("bound")
         known = np.isfinite(line.x).any()
         theory = by_theory(self.theory, "") if self.theory else None
@@ -206,10 +205,8 @@ class _Experiment:
             name: stages.column("model", f"model_{name}")[rows] if self.modelled else nothing
             for name in ("mass", "damping", "delay")
         }
-        device, run = (
-            found_device(self.result, stages) if self.modelled else None,
-            np.full(batch.position.shape, np.nan),
-        )
+        device = found_device(self.result, stages) if self.modelled else None
+        run = np.full(batch.position.shape, np.nan)
         if device is not None:
             usual = usual_trial(self.result, stages)
             alone = device.point.behind(batch.stiffness, batch.damping, replace(usual, quantum=0.0, jitter=0.0))
@@ -224,26 +221,25 @@ class _Experiment:
             {
                 "i": int(row),
                 **_signals(position[i], ghost[i], int(batch.rows[i]), max(int(found.edge_row[i]), 0), quantum),
-                **({} if np.isnan(final[i]) else {"f": _number(final[i], 6)}),
-                **{
-                    name: text
-                    for name, text in self._texts(int(row), {n: float(v[i]) for n, v in model.items()})
-                    if text
-                },
+                **({} if np.isnan(final[i]) else {"f": few_digits(final[i], 6)}),
+                **self._texts(int(row), {n: float(v[i]) for n, v in model.items()}),
             }
             for i, (row, quantum) in enumerate(zip(rows.tolist(), found.sensor_quantum.tolist(), strict=True))
         ]
 
-    def _texts(self, row: int, model: Mapping[str, float]) -> Iterator[tuple[str, Any]]:
+    def _texts(self, row: int, model: Mapping[str, float]) -> dict[str, Any]:
         """What is said of a trial: id, verdict, evidence, model, costs with intervals or the reason for none."""
         units = UNITS["rotation" if self.stages.rotation else "translation"]
         names = (("m", "mass", units.mass), ("b", "damping", units.damping), ("d", "delay", "samples"))
-        yield "id", self.ids[row]
-        yield "why", self.stages.texts("response", "reason")[row]
-        yield "evidence", self.stages.texts("outcome", "evidence")[row].replace("+-", "±")
-        if np.isfinite(model["mass"]):
-            yield "model", ", ".join(f"{symbol} = {significant(model[name], 3)} {unit}" for symbol, name, unit in names)
-        yield "costs", [self._cost_text(criterion, row) for criterion in self.criteria]
+        fitted = (f"{symbol} = {significant(model[name], 3)} {unit}" for symbol, name, unit in names)
+        told = {
+            "id": self.ids[row],
+            "why": self.stages.texts("response", "reason")[row],
+            "evidence": self.stages.texts("outcome", "evidence")[row].replace("+-", "±"),
+            "model": ", ".join(fitted) if np.isfinite(model["mass"]) else "",
+            "costs": [self._cost_text(criterion, row) for criterion in self.criteria],
+        }
+        return {name: text for name, text in told.items() if text}
 
     def _cost_text(self, criterion: str, row: int) -> str:
         cost = float(self.costs[criterion][row])
@@ -273,9 +269,9 @@ def _signals(position: Floats, ghost: Floats, rows: int, edge: int, quantum: flo
     shown = {} if kept is None else {"rows": np.diff(kept, prepend=0).tolist()}
     kept = np.arange(rows) if kept is None else kept
     step, model_step = step_size(position[kept], quantum), step_size(ghost[kept], 0.0)
-    result = {"edge": edge, **shown, "q": _number(step, 6), "x": code(position[kept], step)}
+    result = {"edge": edge, **shown, "q": few_digits(step, 6), "x": code(position[kept], step)}
     model = code(ghost[kept], model_step)
-    return {**result, "gq": _number(model_step, 6), "g": model} if model else result
+    return {**result, "gq": few_digits(model_step, 6), "g": model} if model else result
 
 
 def visible_rows(signals: tuple[Floats, ...], edge: int, rows: int) -> Integers | None:
@@ -377,10 +373,4 @@ def _each_once(rows: Integers) -> Integers:
 
 
 def _numbers(values: Floats, digits: int) -> list[float | int | None]:
-    return [_number(v, digits) for v in values.tolist()]
-
-
-def _number(value: float, digits: int) -> float | int | None:
-    """A number with few digits, as an integer where it is one; None where there is none."""
-    rounded = float(f"{value:.{digits}g}") if np.isfinite(value) else None
-    return int(rounded) if rounded is not None and rounded == int(rounded) else rounded
+    return [few_digits(v, digits) for v in values.tolist()]

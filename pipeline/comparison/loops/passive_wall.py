@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.comparison.loops.causes import FEW
 from pipeline.comparison.loops.told_loop import ToldLoop
-from pipeline.comparison.scores.overlap import measured_limits
+from pipeline.comparison.scores.agreement import measured_limits
 from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.plan.found_device import LoopPoint
 from pipeline.records.results import ExperimentResult, PassiveWall

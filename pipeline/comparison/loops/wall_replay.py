@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.base.wording import counted
 from pipeline.comparison.loops.departures import MATTERS
 from pipeline.comparison.loops.told_loop import ToldLoop, found_device
-from pipeline.comparison.scores.overlap import measured_limits
+from pipeline.comparison.scores.agreement import measured_limits
 from pipeline.comparison.summary.advice import NARROW
 from pipeline.measured.cost.costs import settling
 from pipeline.measured.experiment.boundary import spread_over_plane

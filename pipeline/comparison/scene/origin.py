@@ -119,7 +119,7 @@ def provenance(
         "logs": digest(sorted(e.inputs_digest for e in data.experiments)),
         "profiles": ", ".join(f"{name} ({sha[:16]})" for name, sha in sorted(pairs)),
         "command": _command(data, processed, output),
-        "parameters": _parameters(data),
+        "parameters": "; ".join(map(criterion_name, data.scene.criteria)),
         "libraries": ", ".join([f"Python {platform.python_version()}", *(f"{n} {version(n)}" for n in LIBRARIES)]),
         "log files written": f"{_time(min(times))} to {_time(max(times))}",
     }
@@ -146,10 +146,6 @@ def _command(data: SceneData, processed: str, output: Sequence[str]) -> str:
     words += [] if scene.criteria == REPORTED else ["--criteria", ",".join(scene.criteria)]
     # names come from logs and may hold anything
     return shlex.join([*words, "--processed", processed, *output])
-
-
-def _parameters(data: SceneData) -> str:
-    return "; ".join(map(criterion_name, data.scene.criteria))
 
 
 def _time(nanoseconds: int) -> str:

@@ -6,30 +6,27 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
+from typing import NamedTuple
 
 from pipeline.base.errors import DeviceError, StoreError, UsageError
 from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.measured.stages.stages import STAGES, ExperimentStages, required
 from pipeline.records.criteria import FAMILIES, MEASURED, REPORTED, criterion_of, members
-from pipeline.records.models import Device, Scene, Shown
+from pipeline.records.models import Device, Motion, Scene, Shown
 from pipeline.records.results import Truth
+from pipeline.rendering.labels import UNITS, Units
 from pipeline.store.corrections import Exclusion
 from pipeline.store.storage import list_devices, list_experiments
 
 RUN, REUSE, LEAVE_OUT = "run", "reuse", "leave out"
 
 
-@dataclass(frozen=True)
-class PlannedStage:
+class PlannedStage(NamedTuple):
     """One line of the plan: stage, what is done with it (run, reuse, leave out), and why."""
 
     stage: str
     action: str
     reason: str
-
-    def as_row(self) -> tuple[str, str, str]:
-        """Return the line as (stage, action, reason)."""
-        return self.stage, self.action, self.reason
 
 
 @dataclass(frozen=True)
@@ -46,6 +43,16 @@ class SceneData:
     """What was true of simulated experiments, as far as it is known."""
     excluded: tuple[Exclusion, ...] = ()
     """Trials of these experiments that are excluded by hand, and those of experiments of which no other is left."""
+
+    @property
+    def motion(self) -> Motion:
+        """Kind of motion, which is one for a whole scene."""
+        return "rotation" if self.experiments[0].rotation else "translation"
+
+    @property
+    def units(self) -> Units:
+        """Units of that motion."""
+        return UNITS[self.motion]
 
 
 def open_scene(

@@ -1,4 +1,4 @@
-"""Scene files (TOML): read with every mistake by line and key, and drafted from what is stored."""
+"""What a report shows: its parts, and scene files (TOML), read with every mistake by line and key, or drafted."""
 
 from __future__ import annotations
 
@@ -11,13 +11,24 @@ from typing import Any
 from pydantic import ValidationError
 
 from pipeline.base.errors import SceneError
-from pipeline.comparison.scene.scene import open_scene
-from pipeline.comparison.scene.scene_parts import FIGURE_NAMES
+from pipeline.comparison.scene.scene import LEAVE_OUT, RUN, PlannedStage, SceneData, open_scene
 from pipeline.comparison.tables_d import layouts
 from pipeline.profiles.profile_files import Mistake, Place, key_lines
 from pipeline.records.criteria import REPORTED, SETTLING_BANDS
-from pipeline.records.models import SceneFile
+from pipeline.records.models import FigureKind, SceneFile
+from pipeline.rendering.labels import criterion_name
 from pipeline.store.names import report_of
+
+FIGURE_NAMES: dict[FigureKind, str] = {
+    "response": "first response",
+    "boundaries": "stability boundaries",
+    "plane": "boundaries in the normalised plane",
+    "maps": "cost maps",
+    "residuals": "measured minus theory",
+    "delay": "costs over delay",
+    "trend": "limits and estimates over experiments",
+    "trials": "trials to look into",
+}
 
 REPORT_TABLES = {
     "scores": "measured against theory",
@@ -32,6 +43,26 @@ REPORT_TABLES = {
     "outcomes": "what the logs show",
 }
 """Tables that a report has beside those of optima, with what they hold."""
+
+
+def plan_parts(data: SceneData) -> list[PlannedStage]:
+    """Return for each figure and table of the report what is done with it, and why."""
+    shown = data.scene.shown
+    plan = []
+    for kind, name in FIGURE_NAMES.items():
+        if not shown.has_figure(kind):
+            plan.append(PlannedStage(f"figure: {name}", LEAVE_OUT, "the scene does not ask for it"))
+        elif kind == "delay" and not any(table.kind == "delay" for table in layouts(data)):
+            plan.append(PlannedStage(f"figure: {name}", LEAVE_OUT, "no experiment has added delay"))
+        elif (kind == "plane" and len(data.experiments) < 2) or (kind == "trend" and len(data.experiments) < 2):
+            plan.append(PlannedStage(f"figure: {name}", LEAVE_OUT, "there is one experiment only"))
+        else:
+            plan.append(PlannedStage(f"figure: {name}", RUN, "with the report, where there is data for it"))
+    for table in layouts(data):
+        asked = shown.has_table(table.name)
+        reason = "; ".join(map(criterion_name, table.criteria)) if asked else "the scene does not ask for it"
+        plan.append(PlannedStage(f"table: {table.name}", RUN if asked else LEAVE_OUT, reason))
+    return plan
 
 
 def read_scene(path: Path) -> SceneFile:

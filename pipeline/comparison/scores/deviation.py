@@ -9,7 +9,6 @@ freed from the noise of single trials, its best tested point p_s, and the best s
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,51 +105,37 @@ def _plane(design: Floats, weight: Floats) -> Floats:
     return result
 
 
-class Deviations:
-    """What the deviations of all experiments are made of, computed once an experiment and theory.
+def deviation_of(
+    stages: ExperimentStages, optimum: Optimum | None, theory: Theory, criterion: str, predictions: Predictions
+) -> Deviation | None:
+    """Return what the deviation of an experiment from a theory is made of.
+
+    None where a cost is zero or missing, or trials are few.
 
     Parameters
     ----------
-    experiments : iterable of ExperimentStages
-    optima : mapping of experiment to mapping of criterion to Optimum
-        The best trials.
+    stages : ExperimentStages
+    optimum : Optimum, optional
+        The best trial.
+    theory : Theory
+    criterion : str
     predictions : Predictions
-        Must hold theory's discrete optima of the criteria that are asked for.
+        Must hold theory's discrete optimum of the criterion.
     """
-
-    def __init__(
-        self,
-        experiments: Iterable[ExperimentStages],
-        optima: Mapping[str, Mapping[str, Optimum]],
-        predictions: Predictions,
-    ) -> None:
-        self._stages = {stages.experiment: stages for stages in experiments}
-        self._optima, self._predictions = optima, predictions
-        self._found: dict[tuple[str, Loop, str], Deviation | None] = {}
-
-    def of(self, experiment: str, theory: Theory, criterion: str) -> Deviation | None:
-        """Return the parts of the deviation from a theory; None where a cost is zero or missing, or trials are few."""
-        key = experiment, theory.loop, criterion
-        if key not in self._found:
-            self._found[key] = self._computed(experiment, theory, criterion)
-        return self._found[key]
-
-    def _computed(self, experiment: str, theory: Theory, criterion: str) -> Deviation | None:
-        best, optimum = self._predictions.get(theory, f"{criterion}{DISCRETE}"), self._optima[experiment].get(criterion)
-        if best is None or optimum is None or criterion_of(criterion).family.levels or not best.cost * optimum.cost > 0:
-            return None
-        stages = self._stages[experiment]
-        K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
-        expected = self._predictions.costs_at(theory, K, B, [criterion])[criterion]
-        measured = stages.sure_cost(criterion)
-        alpha, beta = K / theory.units.stiffness, B / theory.units.damping
-        use = (stages.verdicts.verdict == "stable") & (measured > 0) & (expected > 0)
-        if use.sum() < FEWEST:
-            return None
-        point = best.stiffness / theory.units.stiffness, best.damping / theory.units.damping
-        inside = all(axis.min() <= at <= axis.max() for axis, at in zip((alpha, beta), point, strict=True))
-        ranged = best.cost if inside else _least_in_range(theory.loop, alpha, beta, criterion)
-        return deviation(alpha, beta, expected, measured, use, (best.cost, ranged, optimum.cost))
+    best = predictions.get(theory, f"{criterion}{DISCRETE}")
+    if best is None or optimum is None or criterion_of(criterion).family.levels or not best.cost * optimum.cost > 0:
+        return None
+    K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
+    expected = predictions.costs_at(theory, K, B, [criterion])[criterion]
+    measured = stages.sure_cost(criterion)
+    alpha, beta = K / theory.units.stiffness, B / theory.units.damping
+    use = (stages.verdicts.verdict == "stable") & (measured > 0) & (expected > 0)
+    if use.sum() < FEWEST:
+        return None
+    point = best.stiffness / theory.units.stiffness, best.damping / theory.units.damping
+    inside = all(axis.min() <= at <= axis.max() for axis, at in zip((alpha, beta), point, strict=True))
+    ranged = best.cost if inside else _least_in_range(theory.loop, alpha, beta, criterion)
+    return deviation(alpha, beta, expected, measured, use, (best.cost, ranged, optimum.cost))
 
 
 def deviation(

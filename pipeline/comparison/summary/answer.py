@@ -15,8 +15,7 @@ from pipeline.base.wording import counted, first_clause, listed
 from pipeline.comparison.loops.departures import MATTERS, other_gains
 from pipeline.comparison.loops.told_loop import found_device
 from pipeline.comparison.scene.scene import SceneData
-from pipeline.comparison.scores.agreement import FEWEST_COMPARISONS, boundary_distance
-from pipeline.comparison.scores.overlap import measured_limits
+from pipeline.comparison.scores.agreement import FEWEST_COMPARISONS, boundary_distance, measured_limits
 from pipeline.comparison.summary.summary_warnings import NEEDED
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.course import Wish, course_of
@@ -52,7 +51,7 @@ CLOSE = 0.05
 """Median distance of limits from those of the found device with its friction up to which it predicts them."""
 
 
-def answer(data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[ComparisonRow], units: Units) -> Answer:
+def answer(data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[ComparisonRow]) -> Answer:
     """Return the answers of a comparison, about the first experiment that has most of them.
 
     Parameters
@@ -62,7 +61,6 @@ def answer(data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[
     results : sequence of ExperimentResult
         With their scores and walls to use.
     rows : sequence of ComparisonRow
-    units : Units
     """
     lead = max(range(len(results)), key=lambda i: (_worth(results[i]), -i))
     result, stages = results[lead], data.experiments[lead]
@@ -70,14 +68,14 @@ def answer(data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[
     of_file = next((each for each in known if each.name == result.experiment), None)
     gains = stages.once(other_gains)
     misled = gains is not None and gains.most
-    told = [*result.causes, *_other_parameters(result, of_file, units)]
+    told = [*result.causes, *_other_parameters(result, of_file, data.units)]
     wall = result.use.point if result.use else None
     return Answer(
         experiment=result.experiment,
         wall=wall,
         wall_reason=result.use_reason or "",
         spacing_percent=_spacing(result, rows, stages),
-        estimates=_estimates(result, units, limit=not misled),
+        estimates=_estimates(result, data.units, limit=not misled),
         estimates_reason=_doubt(result),
         predicts=_prediction(result, rows, misled),
         causes=tuple(told[:MOST_CAUSES]),

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.records.batch import Floats
+from pipeline.records.findings import BoundaryPoint
 from pipeline.records.models import FigureKind, Motion, Overlay, Shown
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.figures.drawing import Figure, Panel, Series, reach
@@ -40,14 +41,16 @@ MEASURED = (
 )
 
 
-def measured(result: ExperimentResult, label: str, number: int | None, *, intervals: bool = False) -> Iterator[Series]:
+def measured(
+    limits: Sequence[BoundaryPoint], label: str, number: int | None, *, intervals: bool = False
+) -> Iterator[Series]:
     """Yield the last stable stiffness at each damping, 0 where none was stable, and apart from it lower bounds.
 
     With ``intervals``: those of 95 % by the growth rates, else from the last stable to the first unstable trial.
     """
-    stable = [p.stable is not None for p in result.boundary]
+    stable = [p.stable is not None for p in limits]
     # dampings without a stable trial beside those with one close the curve; further ones tell nothing
-    points = [p for i, p in enumerate(result.boundary) if any(stable[max(i - 1, 0) : i + 2])]
+    points = [p for i, p in enumerate(limits) if any(stable[max(i - 1, 0) : i + 2])]
     ends = [(p.low, p.high) if None not in (p.low, p.high) else (p.stable, p.unstable) for p in points]
     low, high = (np.array([pair[side] for pair in ends], dtype=np.float64) for side in (0, 1))
     K, B = np.array([p.stable or 0.0 for p in points]), np.array([p.damping for p in points])
@@ -110,7 +113,7 @@ def answer_figure(
         Stiffness, damping and verdict.
     """
     K, B, verdict = trials
-    series = list(measured(result, "measured limit", number, intervals=True))
+    series = list(measured(result.boundary, "measured limit", number, intervals=True))
     rubs = result.loop_boundary and any(cause.code == "coulomb_friction" for cause in result.causes)
     series += [by_theory(theory, "without friction" if rubs else "limit by theory")] if theory is not None else []
     series += [_identified(result, "limit with friction")] if rubs else []
@@ -144,7 +147,10 @@ def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory, int]], *
     series = []
     for label, result, theory, number in entries:
         full = f"{label} (d = {theory.loop.delay:.3g}, δ = {theory.loop.delta:.2g})"
-        both = [*measured(result, full, number), *([by_theory(theory, "_theory", number)] if predicted else [])]
+        both = [
+            *measured(result.boundary, full, number),
+            *([by_theory(theory, "_theory", number)] if predicted else []),
+        ]
         k, b = theory.units.stiffness, theory.units.damping
         series += [replace(s, x=s.x / k, y=s.y / b) for s in both]
     panel = limits_panel("", series, "translation", ("α = K T²/m", "β = B T/m"))
@@ -203,7 +209,7 @@ def _over_each_other(
     series: list[Series] = []
     for number, result in group:
         grip = "" if result.grip == "none" else f", {result.grip} grip"
-        series += measured(result, f"experiment {result.experiment}{grip}", number)
+        series += measured(result.boundary, f"experiment {result.experiment}{grip}", number)
         theory = theories.get(result.experiment)
         if theory is not None and shown.has_overlay("theory") and not shown.delays:
             series.append(by_theory(theory, "_theory", number))
@@ -217,7 +223,7 @@ def _over_each_other(
 
 def _with_loop(result: ExperimentResult, theory: Theory | None, number: int, shown: Shown) -> list[Series]:
     """Measured limits of one experiment with its theory, its identified loop, and conditions."""
-    series = list(measured(result, "measured limit", number, intervals=True))
+    series = list(measured(result.boundary, "measured limit", number, intervals=True))
     if result.loop_boundary:
         B, low, high = (
             np.array([getattr(limit, name) for limit in result.loop_boundary]) for name in ("damping", "low", "high")

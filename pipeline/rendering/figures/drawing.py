@@ -456,7 +456,7 @@ def _numbers(panel: Panel, axes: Axes, height: float) -> dict[str, Any]:
         known = np.isfinite(s.x) & np.isfinite(s.y)
         columns = [s.x, s.y, *([s.value] if s.value is not None else [])]
         if known.any() and LOOKS[s.kind].get("fill") is None and "span" not in LOOKS[s.kind]:
-            found.append([s.label.lstrip("_"), *([_short(v) for v in column[known]] for column in columns)])
+            found.append([s.label.lstrip("_"), *([few_digits(v, 4) for v in column[known]] for column in columns)])
     return {
         "box": [round(float(end), 1) for end in (box.x0, height - box.y1, box.x1, height - box.y0)],
         "x": [float(f"{end:.6g}") for end in axes.get_xlim()],
@@ -466,6 +466,7 @@ def _numbers(panel: Panel, axes: Axes, height: float) -> dict[str, Any]:
     }
 
 
-def _short(value: float) -> float | int | None:
-    found = float(f"{value:.4g}") if np.isfinite(value) else None
+def few_digits(value: float, digits: int) -> float | int | None:
+    """Return a number with so many digits, as an integer where it is one; None where there is none."""
+    found = float(f"{value:.{digits}g}") if np.isfinite(value) else None
     return int(found) if found is not None and found == int(found) else found

@@ -15,6 +15,7 @@ from typing import Any, get_args
 
 from pipeline.base.disk import write_text
 from pipeline.base.errors import PipelineError
+from pipeline.base.provenance import digest
 from pipeline.base.wording import duration, error_text, unbroken
 from pipeline.records.accuracy import AccuracyReport, own_rungs
 from pipeline.records.criteria import criterion_of
@@ -109,7 +110,7 @@ def render(data: ReportData) -> str:
             "for each table, criterion and condition. Give each experiment and criterion once."
         )
     # The slot stands in the head, before anything a log could have written.
-    page = page.replace(_DIGEST_SLOT, report_parts.cells_digest(found), 1)
+    page = page.replace(_DIGEST_SLOT, digest(found.cells), 1)
     digests = report_parts.digests_of(page, found).model_dump_json()
     return page.replace(_PARTS_SLOT, str(escape(digests)), 1)
 
@@ -138,19 +139,16 @@ def answer_lines(result: ComparisonResult) -> tuple[str, ...]:
     return tuple(" ".join(line.split()) for line in text.splitlines() if line.strip())
 
 
-def printed_tables(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> list[Table]:
-    """Return all tables of a comparison as they are printed, those of simulated logs marked so."""
+def printed_tables(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[str, list[Table]]:
+    """Return all tables of a comparison as printed, by the names of `tables_of`; those of simulated logs marked so."""
     found = tables_of(result, trials)
-    return [marked(table, simulated=result.simulated) for tables in found.values() for table in tables]
+    return {name: [marked(table, simulated=result.simulated) for table in found[name]] for name in found}
 
 
 def _tables(data: ReportData) -> dict[str, Any]:
     """Return what the templates get: a table or None, or a list for a name that stands for several."""
     result = data.result
-    found = {
-        name: [marked(table, simulated=result.simulated) for table in tables]
-        for name, tables in tables_of(result, data.trials or NO_TRIALS).items()
-    }
+    found = printed_tables(result, data.trials or NO_TRIALS)
     rest = {
         "accuracy": _accuracy_table(data.accuracy),
         "stages": word_table("stages", "Plan of stages", ("stage", "what", "why"), data.stages),

@@ -15,7 +15,7 @@ from html.parser import HTMLParser
 
 from pydantic import BaseModel, ValidationError
 
-from pipeline.base.provenance import digest, sha256
+from pipeline.base.provenance import sha256
 
 CELLS_META = "pipeline-cells"
 DIGESTS_META = "pipeline-digests"
@@ -120,11 +120,6 @@ def digests_of(page: str, parts: Parts | None = None) -> Digests:
 def page_digest(page: str) -> str:
     """Return the SHA-256 of a page without the hashes in its head."""
     return sha256(_META.sub(r"\1\2", page).encode())
-
-
-def cells_digest(parts: Parts) -> str:
-    """Return the hash over all named cells."""
-    return digest(parts.cells)
 
 
 def short(text: str) -> str:

@@ -102,7 +102,7 @@ def digits(count: int) -> Callable[[Any, Row], str]:
 
 _text, _number, _percent = _by(str), _by("{:.0f}".format), _by(percent_text)
 _share, _stiffness, _damping = _by(share_text), _by(stiffness_text), _by(damping_text)
-_published = _by(published_text)
+_published, _of_share = _by(published_text), _by(lambda share: percent_text(100 * share))
 
 
 def _cost(value: float, row: Row) -> str:
@@ -266,14 +266,8 @@ def _scores(result: ComparisonResult, stiffness: str) -> Table | None:
             show=lambda value, row: ("≥ " if row["stiffness_lower_bound"] else "") + percent_text(value),
             aside=lambda row: _ratio(row, "stiffness_measured", "stiffness_theory"),
         ),
-        Column("distance_median", "distance of limits, median", "%", show=lambda value, _: percent_text(100 * value)),
-        Column(
-            "distance_largest",
-            "largest",
-            "%",
-            show=lambda value, _: percent_text(100 * value),
-            aside=at_largest,
-        ),
+        Column("distance_median", "distance of limits, median", "%", show=_of_share),
+        Column("distance_largest", "largest", "%", show=_of_share, aside=at_largest),
         Column("distance_rms", "rms", stiffness, show=digits(3)),
         Column(
             "verdicts_agreement",

@@ -224,7 +224,7 @@ def figures_of(processed: Path, result: ComparisonResult) -> dict[str, Drawn]:
     (found,) = result.experiments
     data = open_scene(result.device, processed, [found.experiment], None)
     theory = Theory(found.theory) if found.theory else None
-    figures = {f"response{n or ''}": figure for n, figure in enumerate(response_figures(data, result.motion))}
+    figures = {f"response{n or ''}": figure for n, figure in enumerate(response_figures(data))}
     if found.boundary:
         figures["limits"] = answer_figure(found, theory, result.motion, 0, trials_of(data.experiments[0]))
     return {name: _drawn(figure, [result]) for name, figure in figures.items()}
@@ -244,7 +244,7 @@ def limits(_processed: Path, asked: dict[str, Any], results: Sequence[Comparison
     if asked["plane"] == "normalised":
         known = [(*run, t, n) for n, (run, t) in enumerate(zip(runs, theories, strict=True)) if t is not None]
         return _drawn(plane_figure(known), results)
-    series = [s for n, (label, found) in enumerate(runs) for s in measured(found, label, n)]
+    series = [s for n, (label, found) in enumerate(runs) for s in measured(found.boundary, label, n)]
     series += [by_theory(t, "_theory", n) for n, t in enumerate(theories) if t is not None]
     text = "The largest stable stiffness at each damping; dashed, in the same colour: theory."
     panel = limits_panel("", series, results[0].motion)

@@ -59,8 +59,12 @@ def compare(
     from pipeline.store.objects import opened
 
     earlier = Path(against) if against is not None and against.endswith(".json") else None
-    if against is not None:
-        _refuse({"--export": export} if earlier else {"--export": export, "--dry-run": dry_run, "--full": full})
+    without = {"--export": export} if earlier else {"--export": export, "--dry-run": dry_run, "--full": full}
+    if against is not None and (other := next((name for name, given in without.items() if given), None)):
+        raise UsageError(
+            f"--against and {other} do not go together: the page of two experiments knows no such choice. Leave one of "
+            "them out."
+        )
     asked = None if scene is None else read_scene(scene)
     name = device or (asked.device if asked else None)
     if name is None:
@@ -111,7 +115,7 @@ def _tell(outcome: Outcome, export: Path | None) -> None:
     from pipeline.rendering.table_export import export_tables
 
     if outcome.result is None:
-        stages = [dict(zip(("stage", "action", "reason"), row, strict=True)) for row in outcome.stages]
+        stages = [row._asdict() for row in outcome.stages]
         console.tell(stages, console.table(stages, ("stage", "action", "reason")))
         return
     lines = [*outcome.result.summary, *(f"Warning: {text}" for text in outcome.result.warnings)]
@@ -120,16 +124,6 @@ def _tell(outcome: Outcome, export: Path | None) -> None:
         export_tables(outcome.result, export / "tables")
         lines.append(f"tables and figures: {export}")
     console.tell(outcome.result.model_dump(mode="json"), lines)
-
-
-def _refuse(others: dict[str, Any]) -> None:
-    """Refuse options that --against would leave without effect."""
-    for other, given in others.items():
-        if given:
-            raise UsageError(
-                f"--against and {other} do not go together: the page of two experiments knows no such choice. Leave "
-                "one of them out."
-            )
 
 
 def _compare_against(
@@ -193,9 +187,9 @@ def verify(
 
     Example: pipeline verify reports/falcon.html
     """
-    from pipeline.shell.verify.bundle import ENDING, verify_bundle
-    from pipeline.shell.verify.verify import lines_of
-    from pipeline.shell.verify.verify import verify as verify_report
+    from pipeline.shell.bundle import ENDING, verify_bundle
+    from pipeline.shell.verify import lines_of
+    from pipeline.shell.verify import verify as verify_report
 
     if report.suffix.lower() == ENDING:
         if processed or profile:
@@ -214,7 +208,7 @@ def bundle(report: Annotated[Path, argument("Report (HTML) by `pipeline compare`
 
     Example: pipeline bundle reports/falcon.html
     """
-    from pipeline.shell.verify.bundle import bundle as write
+    from pipeline.shell.bundle import bundle as write
 
     written = write(report)
     console.tell(written.model_dump(mode="json"), [f"bundle: {written.bundle}, {written.trials} trials"])

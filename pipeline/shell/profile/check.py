@@ -259,7 +259,7 @@ def look(log: Path, profile: Profile | None = None) -> Picture:
     except LogError as error:
         row = "" if error.row is None else f", row {error.row}"
         if profile is not None:
-            raise LogError(f"{log}{row}: {error.reason}", error.row, code=error.code) from error
+            raise error.reworded(f"{log}{row}: {error.reason}") from error
         notes = [f"Shown as it stands; `pipeline ingest` would refuse it{row}: {error.reason.split('. ')[0]}."]
         notes += [draft_hint(str(log))] if error.code in OTHER_COLUMNS else []
         return Picture(str(log), (_as_it_stands(log),), tuple(notes), "row")

@@ -25,7 +25,7 @@ def of_falcon(falcon, falcon_outcome):
 
 
 def test_each_criterion_of_each_table_has_a_figure_with_theory_first(of_falcon):
-    figures = map_figures(*of_falcon, "translation")
+    figures = map_figures(*of_falcon)
     assert [f.identifier for f in figures][:2] == ["D-1-settle_2pct", "D-1-overshoot"]
     assert all(f.panels[0].title.startswith("theory, d = 4") for f in figures)
     assert all(panel.title.startswith("experiment") for f in figures for panel in f.panels[1:])
@@ -34,7 +34,7 @@ def test_each_criterion_of_each_table_has_a_figure_with_theory_first(of_falcon):
 
 def test_front_view_holds_the_trials_and_the_optimum_of_the_document(of_falcon):
     data, results, *_ = of_falcon
-    figure = map_figures(*of_falcon, "translation")[0]
+    figure = map_figures(*of_falcon)[0]
     panel = figure.panels[1]
     front = {s.label: s for s in panel.below.series}
     best = results[0].optimum["settle_2pct"]
@@ -50,7 +50,7 @@ def test_front_view_holds_the_trials_and_the_optimum_of_the_document(of_falcon):
 
 def test_where_all_trials_cost_as_theory_says_no_departure_is_drawn(of_falcon):
     data, _, theories, predictions = of_falcon
-    figures = departure_figures(data, theories, predictions, "translation")
+    figures = departure_figures(data, theories, predictions)
     assert {f.identifier for f in figures} == {
         f"residual-{c}" for c in data.scene.criteria if "1pct" not in c and "5pct" not in c
     }

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import simulated
 
-from pipeline.comparison.compare_experiment import motion_of
 from pipeline.comparison.figures.responses import (
     oscillation_period,
     overlaid_figure,
@@ -60,7 +59,7 @@ def test_softest_stable_walls_each_at_its_least_damping() -> None:
 
 def test_first_response_of_a_device_shows_its_delay_and_its_period(falcon) -> None:
     data = open_scene("falcon", falcon.processed, None, None)
-    (figure,) = response_figures(data, motion_of(data))
+    (figure,) = response_figures(data)
     whole, begin = figure.panels
     series = {s.label: s for s in whole.series}
     (mark,) = (s for s in begin.series if s.label == "first change")
@@ -79,7 +78,7 @@ def test_no_first_response_without_a_stable_wall(falcon) -> None:
     data = open_scene("falcon", falcon.processed, None, None)
     stages = data.experiments[0]
     stages.__dict__["verdicts"] = replace(stages.verdicts, verdict=np.full_like(stages.verdicts.verdict, "unstable"))
-    assert response_figures(replace(data, experiments=(stages,)), "translation") == []
+    assert response_figures(replace(data, experiments=(stages,))) == []
 
 
 def trial_of(stages, verdict):

@@ -1,9 +1,13 @@
 from __future__ import annotations
 
+import shutil
+
 import pytest
+from native_logs import log_text
 
 from pipeline.base.errors import DeviceError, StoreError, UsageError
 from pipeline.comparison.scene.scene import LEAVE_OUT, REUSE, RUN, needed_stages, open_scene, plan_measured
+from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import STAGES
 from pipeline.store.storage import stage_file
 
@@ -73,8 +77,6 @@ def test_requests_that_do_not_fit_say_what_there_is(falcon, tmp_path):
 
 @pytest.mark.slow
 def test_plan_goes_from_run_to_reuse_and_follows_changes(falcon, noisy, tmp_path):
-    import shutil
-
     processed = tmp_path / "processed"
     shutil.copytree(falcon.processed / "trials", processed / "trials")
 
@@ -87,13 +89,7 @@ def test_plan_goes_from_run_to_reuse_and_follows_changes(falcon, noisy, tmp_path
     for stage in needed_stages(data):
         data.experiments[0].table(stage)
     _, plan = actions(("settle_2pct", "overshoot"))
-    assert {s for s, (action, _) in plan.items() if action == REUSE} == ALWAYS | {
-        "wall_law",
-        "delay",
-        "model",
-        "device",
-        "settling",
-    }
+    assert {s for s, (action, _) in plan.items() if action == REUSE} == NEEDED["settle_2pct",]
     assert {s for s, (action, _) in plan.items() if action == RUN} == {"overshoot"}
     # a stage of other logs under the same name
     stage_file(processed, "falcon", "1", "settling").unlink()
@@ -105,10 +101,6 @@ def test_plan_goes_from_run_to_reuse_and_follows_changes(falcon, noisy, tmp_path
 
 
 def test_grips_make_an_operator_and_mixed_motion_is_refused(falcon, tmp_path):
-    from native_logs import log_text
-
-    from pipeline.intake.ingest import ingest
-
     logs = tmp_path / "logs"
     logs.mkdir()
     (logs / "a.csv").write_text(log_text(device="bench", experiment="a", grip="firm"))

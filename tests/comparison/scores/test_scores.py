@@ -13,8 +13,10 @@ from pipeline.theory.boundary import stiffness_limit
 
 
 @pytest.fixture(scope="module")
-def device_scores(falcon_outcome):
-    return falcon_outcome.result.experiments[0].scores[0]
+def ideal(falcon, falcon_outcome):
+    """Result, stages and theory of the ideal course."""
+    theory = nominal_theories(open_scene("falcon", falcon.processed, None, None))["1"]
+    return falcon_outcome.result.experiments[0], falcon.stages("1"), theory
 
 
 @pytest.mark.slow
@@ -24,8 +26,8 @@ def test_device_without_a_file_is_scored_against_its_estimates(unknown_outcome):
     assert only.parameters.mass == unknown_outcome.result.experiments[0].estimates["mass"].value
 
 
-def test_ideal_course_agrees_with_the_theory_it_was_simulated_with(device_scores):
-    s = device_scores
+def test_ideal_course_agrees_with_the_theory_it_was_simulated_with(ideal):
+    s = ideal[0].scores[0]
     # the limits are known to a part of their brackets (800 N/m coarse, 160 fine, of 13,000)
     assert s.region.overlap > 0.98
     assert s.region.overlap_low < s.region.overlap < s.region.overlap_high <= 1
@@ -40,11 +42,9 @@ def test_ideal_course_agrees_with_the_theory_it_was_simulated_with(device_scores
     assert (s.basis, s.missing) == ("device file", {})
 
 
-def test_theory_against_itself_is_perfect(falcon, falcon_outcome):
+def test_theory_against_itself_is_perfect(ideal):
     """The boundary is replaced by the theoretical one, the verdicts by those of theory."""
-    theory = nominal_theories(open_scene("falcon", falcon.processed, None, None))["1"]
-    stages = falcon.stages("1")
-    result = falcon_outcome.result.experiments[0]
+    result, stages, theory = ideal
     B = np.array([p.damping for p in result.boundary])
     K = np.maximum(stiffness_limit(theory.loop, B / theory.units.damping), 0) * theory.units.stiffness
     points = tuple(
@@ -59,10 +59,9 @@ def test_theory_against_itself_is_perfect(falcon, falcon_outcome):
     assert found.stiffness.deviation_percent == pytest.approx(0.0, abs=1e-12)
 
 
-def test_censored_dampings_bound_the_window(falcon, falcon_outcome):
+def test_censored_dampings_bound_the_window(ideal):
     """Where the tested range ended first, theory above it does not count, and the measured maximum is a lower bound."""
-    stages, theory = falcon.stages("1"), nominal_theories(open_scene("falcon", falcon.processed, None, None))["1"]
-    result = falcon_outcome.result.experiments[0]
+    result, stages, theory = ideal
     points = tuple(
         p if p.stable is None else p.model_copy(update={"stable": 2000.0, "unstable": None, "censored": True})
         for p in result.boundary
@@ -70,14 +69,14 @@ def test_censored_dampings_bound_the_window(falcon, falcon_outcome):
     found = _scores(result.model_copy(update={"boundary": points}), stages, theory, "device file")
     assert found.region.censored == sum(p.censored for p in points) > 5
     assert found.region.overlap > 0.9
-    assert found.region.theory_area < 0.5 * falcon_outcome.result.experiments[0].scores[0].region.theory_area
+    assert found.region.theory_area < 0.5 * result.scores[0].region.theory_area
     assert found.stiffness.lower_bound
     assert found.distance is None or found.distance.open > 5
 
 
-def test_missing_scores_have_a_reason(falcon, falcon_outcome):
-    stages, theory = falcon.stages("1"), nominal_theories(open_scene("falcon", falcon.processed, None, None))["1"]
-    bare = falcon_outcome.result.experiments[0].model_copy(update={"boundary": ()})
+def test_missing_scores_have_a_reason(ideal):
+    result, stages, theory = ideal
+    bare = result.model_copy(update={"boundary": ()})
     found = _scores(bare, stages, theory, "device file")
     for name in ("region", "distance", "stiffness"):
         assert getattr(found, name) is None

@@ -11,16 +11,14 @@ from pipeline.comparison.scores.agreement import is_steady
 from pipeline.comparison.summary.answer import COARSE, answer
 from pipeline.records.models import ComparisonRow, Deviation
 from pipeline.records.results import Cause, LoopLimit
-from pipeline.rendering.labels import UNITS, at_least
+from pipeline.rendering.labels import at_least
 from pipeline.rendering.report.report import answer_lines
-
-FALCON = UNITS["translation"]
 
 
 def told(data, result, rows=None, **changes):
     """Answer where something of the only experiment is changed."""
     experiment = result.experiments[0].model_copy(update=changes)
-    return answer(data, [experiment], result.tables if rows is None else rows, FALCON)
+    return answer(data, [experiment], result.tables if rows is None else rows)
 
 
 def scored(result, **changes):

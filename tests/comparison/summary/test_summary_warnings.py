@@ -2,8 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from native_logs import ROWS, log_text
 
+from pipeline.comparison.compare import compare
 from pipeline.comparison.summary.summary_warnings import warnings_of
+from pipeline.intake.ingest import ingest
 from pipeline.records.findings import Estimate, Optimum
 
 
@@ -66,17 +69,11 @@ def test_unknown_device_is_named_in_a_warning(unknown_outcome):
 
 
 def test_logs_that_contradict_the_device_file_are_named(tmp_path):
-    from native_logs import ROWS, log_text
-
-    from pipeline.comparison.compare import compare
-    from pipeline.intake.ingest import ingest
-
     logs = tmp_path / "logs"
     logs.mkdir()
     slow = log_text(device="falcon", experiment="1").replace("sampling_period_s: 0.001", "sampling_period_s: 0.002")
-    times = {f"\n{k * 0.001:.17g},": f"\n{k * 0.002:.17g}!," for k in range(1, ROWS)}
-    for old, new in times.items():
-        slow = slow.replace(old, new)
+    for k in range(1, ROWS):
+        slow = slow.replace(f"\n{k * 0.001:.17g},", f"\n{k * 0.002:.17g}!,")
     (logs / "slow.csv").write_text(slow.replace("!", ""))
     (logs / "own.csv").write_text(log_text(device="falcon", experiment="my own", seed=2))
     report = ingest([logs], tmp_path / "processed")

@@ -68,8 +68,7 @@ def test_measured_limits_have_the_interval_of_their_estimate_or_their_trials() -
         BoundaryPoint(damping=4, stable=500, unstable=700, censored=False, estimate=590, low=560, high=640),
         BoundaryPoint(damping=8, stable=900, unstable=None, censored=True, low=850),
     )
-    result = experiment("1").model_copy(update={"boundary": points})
-    line, bound = measured(result, "limit", 3, intervals=True)
+    line, bound = measured(points, "limit", 3, intervals=True)
     assert line.low.tolist() == [100, 560, 900]
     assert line.high[:2].tolist() == [300, 640]
     assert np.isnan(line.high[2])
@@ -135,7 +134,7 @@ def test_normalised_plane_holds_several_devices_each_with_its_theory() -> None:
     ]
     predicted = [s for s in panel.series if s.kind == "theory"]
     assert predicted[0].x == pytest.approx(predicted[1].x)
-    physical = next(measured(experiment("1"), "", None))
+    physical = next(measured(experiment("1").boundary, "", None))
     # alpha = K T^2/m, beta = B T/m (Table 3.1)
     assert lines[2].x == pytest.approx(physical.x * 4e-6 / 0.2, nan_ok=True)
     assert lines[2].y == pytest.approx(physical.y * 2e-3 / 0.2)

@@ -9,11 +9,13 @@ import shutil
 from dataclasses import dataclass
 from html import unescape
 from pathlib import Path
+from types import SimpleNamespace
 
 import pyarrow as pa
 import pytest
 from labs import make_lab
 from stored import replace_table
+from typer.testing import CliRunner
 
 from pipeline.base.errors import StoreError, UsageError
 from pipeline.comparison.compare import compare
@@ -22,8 +24,8 @@ from pipeline.intake.ingest import ingest
 from pipeline.records.table_files import read_table
 from pipeline.rendering.report import report_parts
 from pipeline.rendering.report.report_parts import take_apart
+from pipeline.shell import verify
 from pipeline.shell.cli import app
-from pipeline.shell.verify import verify
 
 pytestmark = pytest.mark.usefixtures("one_process")
 
@@ -89,21 +91,19 @@ def recomputed(verified) -> str:
 def quick(recomputed, monkeypatch):
     """Verification that takes the recomputed page from memory: the comparison of the pages is what is tested."""
 
+    monkeypatch.setattr(verify, "compare", page_again(recomputed))
+    fresh = SimpleNamespace(problems=(), notes=(), read=1, kept=0)
+    monkeypatch.setattr(verify, "read_anew", lambda *_: fresh)
+
+
+def page_again(page: str):
+    """A comparison that writes this page and has no document."""
+
     def compare_again(device, processed, *, report, **_):
-        report.write_text(recomputed, encoding="utf-8")
-        return compare_outcome
+        report.write_text(page, encoding="utf-8")
+        return SimpleNamespace(result=None)
 
-    class compare_outcome:  # noqa: N801 (stands for an instance)
-        result = None
-
-    monkeypatch.setattr(verify, "compare", compare_again)
-    monkeypatch.setattr(verify, "read_anew", lambda *_: FRESH)
-
-
-class FRESH:
-    problems: tuple[()] = ()
-    notes: tuple[()] = ()
-    read, kept = 1, 0
+    return compare_again
 
 
 def another_digit(text: str, number: int) -> str:
@@ -184,12 +184,7 @@ def test_rounding_is_allowed_only_in_a_page_that_is_as_it_was_written(desk, reco
 
     def elsewhere(text):
         """The page as computed anew has another number in that cell."""
-
-        def compare_again(device, processed, *, report, **_):
-            report.write_text(change_text(recomputed, name, text), encoding="utf-8")
-            return type("Outcome", (), {"result": None})
-
-        monkeypatch.setattr(verify, "compare", compare_again)
+        monkeypatch.setattr(verify, "compare", page_again(change_text(recomputed, name, text)))
         return verify.verify(desk.report, desk.processed)
 
     assert elsewhere(last).equal
@@ -320,8 +315,6 @@ def test_a_store_of_another_device_is_refused_with_what_to_do(original, desk, tm
 
 
 def test_command_exits_with_status_1_and_names_the_cell(desk, quick):
-    from typer.testing import CliRunner
-
     runner = CliRunner()
     arguments = ["verify", str(desk.report), "--processed", str(desk.processed)]
     assert runner.invoke(app, arguments).exit_code == 0

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pipeline.shell.verify.verify import leaves, same_text, same_value
+from pipeline.shell.verify import leaves, same_text, same_value
 
 
 @pytest.mark.parametrize(

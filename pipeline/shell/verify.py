@@ -27,7 +27,7 @@ from pipeline.rendering.report.report_parts import (
     page_digest,
     take_apart,
 )
-from pipeline.shell.verify.fresh_logs import LogProblem, ReportedLogs, read_anew
+from pipeline.shell.fresh_logs import LogProblem, ReportedLogs, read_anew
 from pipeline.store.corrections import Exclusion
 from pipeline.store.objects import is_url, opened
 

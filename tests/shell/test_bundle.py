@@ -19,9 +19,9 @@ from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import device_file
 from pipeline.intake.correct import delete
 from pipeline.intake.ingest import ingest
+from pipeline.shell.bundle import bundle, verify_bundle
 from pipeline.shell.cli import app
-from pipeline.shell.verify.bundle import bundle, verify_bundle
-from pipeline.shell.verify.verify import lines_of, verify
+from pipeline.shell.verify import lines_of, verify
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_process")]
 
@@ -96,7 +96,6 @@ def test_it_holds_page_document_trials_and_device_and_has_the_same_bytes_again(b
     assert sum(name.startswith("processed/trials/bench/1/") for name in names) == 1
 
 
-@pytest.mark.slow
 def test_it_holds_where_no_file_of_the_lab_is_left(bench, away, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     kept = bench.folder.rename(bench.folder.with_name("moved"))
@@ -113,7 +112,6 @@ def test_it_holds_where_no_file_of_the_lab_is_left(bench, away, monkeypatch, tmp
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow
 def test_a_changed_sample_or_document_in_it_is_named(away, tmp_path):
     def another(content: bytes) -> bytes:
         table = pq.read_table(io.BytesIO(content))
@@ -141,7 +139,6 @@ def test_a_missing_device_file_is_one_sentence(bench, monkeypatch):
         bundle(bench.report)
 
 
-@pytest.mark.slow
 def test_another_device_file_is_named_before_what_differs_with_it(bench, tmp_path, monkeypatch):
     text = (bench.devices / "any.toml").read_text()
     (tmp_path / "other.toml").write_text(text.replace('title = "', 'title = "Other ', 1))
@@ -157,7 +154,7 @@ def test_what_a_bundle_needs_and_is_not_there_is_named(bench, tmp_path, monkeypa
         bundle(lone)
     shutil.copy(bench.report.with_suffix(".json"), tmp_path / "lone.json")
     shutil.copytree(bench.folder / "processed", tmp_path / "processed")
-    monkeypatch.setattr("pipeline.shell.verify.bundle.stored_place", lambda *_: tmp_path / "processed")
+    monkeypatch.setattr("pipeline.shell.bundle.stored_place", lambda *_: tmp_path / "processed")
     log = sorted(bench.logs.glob("*.csv"))[5]
     delete(tmp_path / "processed", str(log))
     with pytest.raises(StoreError, match=r"is not stored as it was when the report was made. Ingest its log again"):

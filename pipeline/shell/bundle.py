@@ -18,8 +18,8 @@ from pipeline.base.errors import DeviceError, StoreError, UsageError
 from pipeline.base.provenance import USER_FOLDER_VARIABLE
 from pipeline.device_data.devices import device_file
 from pipeline.records.findings import Record
-from pipeline.shell.verify.fresh_logs import read_anew
-from pipeline.shell.verify.verify import Request, Verification, read_document, read_report, stored_place, verify
+from pipeline.shell.fresh_logs import read_anew
+from pipeline.shell.verify import Request, Verification, read_document, read_report, stored_place, verify
 from pipeline.store.names import folder_name
 from pipeline.store.objects import opened
 

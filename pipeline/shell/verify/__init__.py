@@ -1,1 +1,0 @@
-"""Every number of a report computed anew."""
