@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 
 import h11
@@ -59,8 +59,7 @@ class Connection(H11Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget a connection."""
         super().connection_lost(exc)
-        if self.late is not None:
-            self.late.cancel()
+        self._cancel()
         own = self.held.get(self.address, {})
         own.pop(self, None)
         if not own:
@@ -114,16 +113,16 @@ def server_of(app: ASGIApp, settings: Settings) -> uvicorn.Server:
     )  # fmt: skip
 
 
-@contextmanager
-def listener_of(settings: Settings) -> Iterator[socket.socket]:
-    """Listen where a server is to be reached.
+def serve(app: ASGIApp, settings: Settings, say: Callable[[str], None]) -> None:
+    """Serve until a signal asks for an end; the address is said once it can be reached.
 
     Raises
     ------
     UsageError
-        If that is not to be had.
+        If it is not to be had.
     """
-    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    six = ":" in settings.host
+    family = socket.AF_INET6 if six else socket.AF_INET
     try:
         found = socket.create_server((settings.host, settings.port), family=family, backlog=BACKLOG)
     except OSError as error:
@@ -131,19 +130,7 @@ def listener_of(settings: Settings) -> Iterator[socket.socket]:
             f"--host {settings.host} --port {settings.port}: cannot be listened at ({error}). Choose another port, or "
             "end what listens there."
         ) from error
-    with found:
-        yield found
-
-
-def address_of(settings: Settings, found: socket.socket) -> str:
-    """Return where a server is reached, for people."""
-    host = f"[{settings.host}]" if ":" in settings.host else settings.host
-    return f"http://{host}:{found.getsockname()[1]}/"
-
-
-def serve(app: ASGIApp, settings: Settings, say: Callable[[str], None]) -> None:
-    """Serve until a signal asks for an end; the address is said once it can be reached."""
-    server = server_of(app, settings)
-    with listener_of(settings) as found, suppress(KeyboardInterrupt):
-        say(address_of(settings, found))
-        server.run(sockets=[found])
+    with found, suppress(KeyboardInterrupt):
+        host = f"[{settings.host}]" if six else settings.host
+        say(f"http://{host}:{found.getsockname()[1]}/")
+        server_of(app, settings).run(sockets=[found])

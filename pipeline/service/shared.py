@@ -17,13 +17,13 @@ from pipeline.intake.correct import delete, empty_bin, exclude, move, restore, u
 from pipeline.records.batch import TrialBatch
 from pipeline.records.criteria import REPORTED
 from pipeline.records.findings import Note
+from pipeline.service import documents
 from pipeline.service.catalogue import Catalogue
 from pipeline.service.database import Database
-from pipeline.service.jobs import documents
-from pipeline.service.jobs.workers import Workers
 from pipeline.service.problems import Problem
 from pipeline.service.settings import Settings
 from pipeline.service.theory import Theory, case_of_loop
+from pipeline.service.workers import Workers
 from pipeline.store.corrections import read_exclusions, split_trials
 from pipeline.store.names import folder_name
 from pipeline.store.samples import load_batch, load_trial
@@ -95,10 +95,8 @@ class Service:
         """Return experiments of a device of which some trial is in use; all that are named have to be."""
         names = self.experiments(device, asked)
         excluded = read_exclusions(self.settings.processed)
-        empty = []
-        for name in names if excluded else ():
-            if not split_trials(read_trials(self.settings.processed, device, name), excluded)[0].num_rows:
-                empty.append(name)
+        stored = ((name, read_trials(self.settings.processed, device, name)) for name in names if excluded)
+        empty = [name for name, trials in stored if not split_trials(trials, excluded)[0].num_rows]
         if empty and (asked or empty == names):
             raise Problem(
                 409, "All trials of this experiment are excluded by hand. Use one again.",
@@ -213,7 +211,7 @@ class Service:
     def experiment(self, device: str, experiment: str, late: int = 0) -> Kept:
         """Return the document of an experiment."""
         self.used(device, [experiment])
-        return self._kept("experiment", _whole(device, experiment), late)
+        return self._kept("experiment", documents.whole(device, experiment), late)
 
     def plan(self, device: str, experiment: str, goal: str) -> Kept:
         """Return what the planner says of an experiment."""
@@ -234,7 +232,8 @@ class Service:
 
     def peek(self, device: str, experiment: str) -> dict[str, Any] | None:
         """Return the document of an experiment where it is kept."""
-        return documents.read_document(self.settings, documents.key_of(self.settings, _whole(device, experiment)))
+        key = documents.key_of(self.settings, documents.whole(device, experiment))
+        return documents.read_document(self.settings, key)
 
     def _kept(self, kind: str, request: dict[str, Any], late: int = 0) -> Kept:
         """Return a document that is kept, or the job of a kind that makes it."""
@@ -281,10 +280,6 @@ class Service:
     def _place(self, trial: str) -> tuple[str, str] | None:
         found = self.catalogue.trial(trial)
         return (found["device"], found["experiment"]) if found else None
-
-
-def _whole(device: str, experiment: str) -> dict[str, Any]:
-    return {"device": device, "experiments": [experiment], "criteria": None}
 
 
 def run_of(*names: str) -> str:

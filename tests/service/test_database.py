@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from pipeline.service import sessions as module
+from pipeline.service import database as module
 from pipeline.service.database import Database
 from pipeline.service.problems import Problem
 from pipeline.service.security import _Body

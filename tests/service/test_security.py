@@ -159,7 +159,7 @@ def test_a_login_ends_after_half_a_day(guarded, monkeypatch):
     for hours, status in ((0.0, 200), (11.9, 200), (12.1, 401)):
         later = time.time() + 3600 * hours
         clock = SimpleNamespace(time=lambda later=later: later)
-        monkeypatch.setattr("pipeline.service.sessions.time", clock)
+        monkeypatch.setattr("pipeline.service.database.time", clock)
         assert guarded.ask("GET", "devices", headers=headers).status == status
     # and what has ended is forgotten with the next login
     guarded.database.login(guarded.tokens["viewer"])

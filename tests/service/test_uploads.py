@@ -13,10 +13,10 @@ from served import Client, form, serving
 from stored import stored_rows
 
 from pipeline.intake.ingest import ingest
+from pipeline.service import results
 from pipeline.service.database import WORKS, Database
-from pipeline.service.jobs import results
-from pipeline.service.jobs.worker import work
 from pipeline.service.settings import Settings
+from pipeline.service.workers import work
 from pipeline.store.storage import stage_file
 
 

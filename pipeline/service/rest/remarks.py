@@ -57,9 +57,6 @@ class Change(BaseModel):
     experiment: Name | None = None
 
 
-Place = DeviceChange | Change
-
-
 class InBin(BaseModel):
     """Which trials of the bin are meant: a device, of it an experiment, or a trial."""
 
@@ -67,12 +64,6 @@ class InBin(BaseModel):
     device: Name | None = None
     experiment: Name | None = None
     trial: Name | None = None
-
-    @property
-    def of(self) -> list[str]:
-        """The same as `Service.restore` takes it."""
-        names = [name for name in (self.device, self.experiment) if name]
-        return ["trial", self.trial] if self.trial else ["experiment", *names]
 
 
 def of_trial(service: Shared, trial: str) -> list[str]:
@@ -155,7 +146,12 @@ def _add_places(owner: str, of: Callable[..., list[str]], form: type[DeviceChang
 
     def move(service: Shared, who: Who, of: owned, asked: Any) -> dict[str, int]:
         """Rename, or move to another place; notes and tags follow. Return how many trials."""
-        return {"trials": move_to(service, of, asked, who)}
+        device, *experiment = of[1:]
+        if of[0] == "trial":
+            device, *experiment = (service.found(of[1])[name] for name in ("device", "experiment"))
+        name = getattr(asked, "experiment", None)
+        to = [asked.device or device, *([name] if name else experiment)]
+        return {"trials": service.move(of, to, who)}
 
     move.__annotations__["asked"] = form
     remarks.patch(owner, response_model=dict[str, int], responses=answers.NAMED)(move)
@@ -164,15 +160,6 @@ def _add_places(owner: str, of: Callable[..., list[str]], form: type[DeviceChang
     def delete(service: Shared, who: Who, of: owned) -> dict[str, int]:
         """Put into the bin, from which it can be restored. Return how many trials."""
         return {"trials": service.delete(of, who)}
-
-
-def move_to(service: Service, of: list[str], asked: Place, who: str) -> int:
-    """Let what is stored count as of the place that is asked for; a name that is not given stays."""
-    device, *experiment = of[1:]
-    if of[0] == "trial":
-        device, *experiment = (service.found(of[1])[name] for name in ("device", "experiment"))
-    name = getattr(asked, "experiment", None)
-    return service.move(of, [asked.device or device, *([name] if name else experiment)], who)
 
 
 TRIAL, EXPERIMENT, DEVICE = "/trials/{trial}", "/experiments/{device}/{experiment}", "/devices/{device}"
@@ -196,7 +183,9 @@ def bin_(service: Shared) -> list[dict[str, Any]]:
 @remarks.post("/bin/restore", response_model=dict[str, int])
 def restore(service: Shared, who: Who, asked: InBin) -> dict[str, int]:
     """Take trials out of the bin."""
-    return {"trials": service.restore(asked.of, who)}
+    names = [name for name in (asked.device, asked.experiment) if name]
+    of = ["trial", asked.trial] if asked.trial else ["experiment", *names]
+    return {"trials": service.restore(of, who)}
 
 
 @remarks.delete("/bin", response_model=dict[str, int])
