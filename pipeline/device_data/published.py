@@ -1,8 +1,8 @@
-"""Published values of Tables D.1 to D.6, as printed, with what is known of their errata.
+"""Published values of Tables D.1 to D.6, as printed, with what is known of their errata, and of the human arm.
 
-The file ``schemas/published/hulin-2017.csv`` ships with the package; nothing here is computed.
+The files in ``schemas/published`` ship with the package; nothing here is computed.
 
-Source: Hulin 2017, appendix D.
+Source: Hulin 2017, appendix D, Table 3.2.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pipeline.base.provenance import schema_folder
 from pipeline.records.findings import Record
 from pipeline.records.models import Name, Positive
 
-_FILE = "hulin-2017.csv"
+_FILE, _ARMS = "hulin-2017.csv", "hulin-2017-human-arm.csv"
 
 RowT = TypeVar("RowT", bound=Record)
 
@@ -126,9 +126,29 @@ def find(table: str, criterion: str, condition: str, delay_samples: float | None
     delay_samples : float, optional
         Total delay; needed for Table D.6, and not compared elsewhere, where the delay is that of the device.
     """
-    for row in published_rows():
-        if (row.table, row.criterion, row.condition) == (table, criterion, condition) and (
-            row.delay_samples is None or row.delay_samples == delay_samples
-        ):
-            return row
-    return None
+    rows = (r for r in published_rows() if (r.table, r.criterion, r.condition) == (table, criterion, condition))
+    return next((row for row in rows if row.delay_samples in (None, delay_samples)), None)
+
+
+class HumanArm(Record):
+    """One set of parameters: mass [kg], stiffness [N/m] and viscous damping [Ns/m].
+
+    Source: Hulin 2017, Table 3.2.
+    """
+
+    source: str
+    mass: Positive
+    stiffness: Positive
+    damping: Positive
+
+
+@cache
+def human_arms() -> tuple[HumanArm, ...]:
+    """Return all rows of Table 3.2.
+
+    Raises
+    ------
+    StoreError
+        If the file that ships with the package is missing or damaged.
+    """
+    return shipped_rows(_ARMS, HumanArm)
