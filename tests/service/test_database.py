@@ -22,14 +22,6 @@ def later(monkeypatch):
     return now
 
 
-def test_a_session_ends_after_twelve_hours(tmp_path, later):
-    known = Database(tmp_path)
-    session = known.login(known.create_token("viewer", "Ada"))
-    for hours, holder in ((0.0, ("viewer", "Ada")), (11.9, ("viewer", "Ada")), (12.1, None)):
-        later[0] = hours * HOUR
-        assert known.holder_of_session(session) == holder
-
-
 def test_a_token_ends_with_its_days_and_its_sessions_with_it(tmp_path, later):
     known = Database(tmp_path)
     token, lasting = known.create_token("contributor", "Ada", days=0.25), known.create_token("viewer", "Bob")

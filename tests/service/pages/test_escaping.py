@@ -14,18 +14,7 @@ from pipeline.store.storage import read_trials
 
 IN_HEADER = ("device", "experiment", "stiffness", "damping", "step", "sampling_period_s")
 ADDED = ("added_delay_samples", "grip", "motion")
-KEPT = (
-    "device",
-    "experiment",
-    "value",
-    "file",
-    "label",
-    "notes",
-    "tags",
-    "reason",
-    "trial notes",
-    "trial reason",
-)
+KEPT = ("device", "experiment", "value", "file", "label", "notes", "tags", "reason", "trial notes", "trial reason")
 """Fields whose marks stand in what is stored; those of the others are in refused logs alone."""
 
 PROFILE = """
@@ -135,17 +124,9 @@ def test_every_field_stays_text_on_every_page(attacked):
         done = client.done(answer.headers["location"].rpartition("/")[2])
         assert (done["state"], done["problem"]) == ("done", None), name
     run = quote(f"{quote(device, safe='')}/{quote(experiment, safe='')}")
+    plain = ("/", "/trials", "/jobs", "/quarantine", "/reports", "/upload")
     begin = (
-        "/",
-        "/trials",
-        f"/trials/{trial}",
-        f"/trials/{spare}",
-        f"/trials/{labelled}",
-        "/jobs",
-        "/quarantine",
-        "/reports",
-        "/upload",
-        f"/compare?runs={run}",
+        *(*plain, *(f"/trials/{one}" for one in (trial, spare, labelled)), f"/compare?runs={run}"),
         f"/trials?q={quote(mark('q'))}&device={quote(device)}",
         f"/compare?runs={quote(mark('runs'))}",
         f"/jobs/{quote(mark('job'), safe='')}",
