@@ -24,18 +24,11 @@ BACKLOG, AT_ONCE = 2048, 16
 
 
 class Connection(H11Protocol):
-    """A connection that is closed where its header is late, or too many others of its address wait for theirs.
+    """A connection that is closed where its header is late, or too many others of its address wait for theirs."""
 
-    Parameters
-    ----------
-    held : dict
-        The connections of each address that are open, in the order in which they came.
-    settings : Settings
-    """
-
-    def __init__(self, *given: object, held: dict[str, dict[Connection, None]], settings: Settings, **more: object):
+    def __init__(self, *given: object, settings: Settings, **more: object) -> None:
         super().__init__(*given, **more)  # type: ignore[arg-type]
-        self.held, self.settings = held, settings
+        self.settings, self.since = settings, self.loop.time()
         self.late: asyncio.TimerHandle | None = None
 
     @property
@@ -44,26 +37,22 @@ class Connection(H11Protocol):
         return self.conn.their_state is h11.IDLE and self.conn.our_state is h11.IDLE
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Count a connection; where its address has too many, one without a header makes room, or this one goes."""
+        """Take a connection; of an address with too many the oldest without a header makes room, or this one goes."""
         super().connection_made(transport)
-        own = self.held.setdefault(self.address, {})
-        if len(own) >= self.settings.connections:
-            goes = next((one for one in own if one.headless), self)
+        own = [one for one in self.connections if isinstance(one, Connection) and one.address == self.address]
+        if len(own) > self.settings.connections:
+            waiting = (one for one in own if one.headless and one is not self)
+            goes = min(waiting, key=lambda one: one.since, default=self)
             goes.transport.abort()
-            own.pop(goes, None)
+            self.connections.discard(goes)
             if goes is self:
                 return
-        own[self] = None
         self._wait()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget a connection."""
         super().connection_lost(exc)
         self._cancel()
-        own = self.held.get(self.address, {})
-        own.pop(self, None)
-        if not own:
-            self.held.pop(self.address, None)
 
     def data_received(self, data: bytes) -> None:
         """Take what comes; the time of a header goes on until it is whole."""
@@ -104,7 +93,7 @@ class _Server(uvicorn.Server):
 
 def server_of(app: ASGIApp, settings: Settings) -> uvicorn.Server:
     """Return the server of an application."""
-    protocol = partial(Connection, held={}, settings=settings)
+    protocol = partial(Connection, settings=settings)
     return _Server(
         uvicorn.Config(
             app, http=protocol, log_config=None, access_log=False, server_header=False, proxy_headers=False,  # type: ignore[arg-type]

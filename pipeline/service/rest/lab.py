@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Path, Query, Request
 from fastapi.responses import JSONResponse, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
 from pipeline.base.paths import path_of_text
@@ -17,7 +17,7 @@ from pipeline.service import profiles
 from pipeline.service.problems import Problem
 from pipeline.service.rest import answers
 from pipeline.service.rest.api import FiniteNumber, Name, Segment, awaited, files_of
-from pipeline.service.shared import Service, Shared, Who
+from pipeline.service.shared import Form, Service, Shared, Who
 from pipeline.service.uploads import Check, received
 from pipeline.theory.optimum import POINT_CRITERIA
 
@@ -27,10 +27,9 @@ ProfileName = Annotated[str, Path(pattern=profiles.NAME)]
 Toml = Annotated[str, Field(max_length=profiles.LONGEST)]
 
 
-class ProfileText(BaseModel):
+class ProfileText(Form):
     """A profile as TOML."""
 
-    model_config = ConfigDict(extra="forbid")
     profile: Toml
 
 
@@ -40,16 +39,15 @@ class Tried(ProfileText):
     sample: Annotated[str, Field(pattern="^[0-9a-f]{16}$")]
 
 
-class NamedProfile(BaseModel):
+class NamedProfile(Form):
     """The name of a profile of the lab."""
 
     name: Annotated[str, Field(pattern=profiles.NAME)]
 
 
-class Retry(BaseModel):
+class Retry(Form):
     """The profile by which a refused log is to be read, empty for that which claims it."""
 
-    model_config = ConfigDict(extra="forbid")
     profile: Annotated[str, Field(max_length=100)] = ""
 
 
