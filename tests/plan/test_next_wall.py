@@ -2,10 +2,25 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
-from pipeline.plan.next_wall import Aim, Bracket, Forecast, Tried, chances, corrected, doubtful_ends, order, state
+from pipeline.base.errors import ParameterError
+from pipeline.plan.next_wall import (
+    Aim,
+    Bracket,
+    Forecast,
+    Tried,
+    best_split,
+    bracket,
+    chances,
+    corrected,
+    doubtful_ends,
+    order,
+    state,
+)
 
 DAMPINGS = tuple(np.linspace(0, 180, 7))
 NOTHING = Tried(*[np.empty(0)] * 4)
@@ -207,3 +222,71 @@ def test_nothing_is_tried_where_the_device_of_the_logs_has_no_stable_wall():
     assert (column.estimate, column.wall, column.note) == (0.0, None, "no stable wall")
     # before any log a file may be wrong
     assert state(trials.select(np.zeros(2, dtype=bool)), Aim((60.0, 120.0)), by).columns[1].wall is not None
+
+
+@pytest.mark.parametrize(
+    ("trials", "width", "found"),
+    [
+        ([], 0.0, Bracket()),
+        ([(1e3, "stable"), (2e3, "undecided")], 0.0, Bracket(low=1e3, trials=2)),
+        # most trials of a wall decide
+        ([(1e3, "stable"), (2e3, "unstable"), (2e3, "stable"), (2e3, "stable"), (3e3, "unstable")], 0.0,
+         Bracket(2e3, 3e3, trials=5)),
+        # stable above unstable encloses both, and is asked again: the wall of fewest trials first
+        ([(1e3, "stable"), (2e3, "unstable"), (3e3, "stable"), (3e3, "stable"), (4e3, "unstable")], 0.0,
+         Bracket(1e3, 4e3, again=(2e3, 3e3), trials=5)),
+        # until it lasts: the lowest limit counts
+        ([(1e3, "stable"), *[(2e3, "unstable")] * 3, *[(3e3, "stable")] * 3, (4e3, "unstable")], 0.0,
+         Bracket(1e3, 2e3, lasting=True, trials=8)),
+        # within the width it is chance
+        ([(1e3, "stable"), (1.1e3, "unstable"), (1.2e3, "stable"), (1.3e3, "unstable")], 150.0,
+         Bracket(1e3, 1.3e3, trials=4)),
+    ],
+)  # fmt: skip
+def test_brackets_are_what_verdicts_say(trials, width, found):
+    walls, said = (np.array([trial[i] for trial in trials]) for i in range(2))
+    assert bracket(walls, said, width) == found
+
+
+def test_an_open_bracket_has_all_walls_in_it():
+    assert (Bracket().bottom, Bracket().top) == (0.0, np.inf)
+
+
+def test_columns_must_fit():
+    with pytest.raises(ParameterError, match="one value each"):
+        Tried(np.ones(2), np.ones(3), np.array(["stable"] * 2), np.ones(2))
+
+
+def exhaustive(edges, chance, width, price):
+    total = np.concatenate([[0.0], np.cumsum(chance)])
+
+    @cache
+    def cost(i, j):
+        if edges[j] - edges[i] <= width or j - i < 2:
+            return 0.0
+        return min(
+            cost(i, k) + cost(k, j) + total[j] - total[k] + price * (total[k] - total[i]) for k in range(i + 1, j)
+        )
+
+    n = len(chance)
+    return {k: cost(0, k) + cost(k, n) + total[n] - total[k] + price * (total[k] - total[0]) for k in range(1, n)}
+
+
+@pytest.mark.parametrize("price", [1.0, 4.0])
+@pytest.mark.parametrize("seed", range(5))
+def test_no_other_place_is_cheaper(seed, price):
+    random = np.random.default_rng(seed)
+    edges, chance = np.cumsum(random.uniform(0.2, 2, 10)), random.uniform(0.01, 1, 9)
+    costs = exhaustive(edges, chance, 1.5, price)
+    assert costs[best_split(edges, chance, 1.5, price).place] == pytest.approx(min(costs.values()), rel=1e-12)
+
+
+def test_dear_unstable_trials_are_approached_from_below():
+    edges, chance = np.linspace(0, 10, 41), np.ones(40)
+    plain, gentle = (best_split(edges, chance, 0.5, price) for price in (1.0, 6.0))
+    assert gentle.place < plain.place
+    assert gentle.unstable < plain.unstable
+
+
+def test_a_narrow_range_is_done():
+    assert best_split(np.array([0.0, 0.5, 1.0]), np.ones(2), 1.0) is None
