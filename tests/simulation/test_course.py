@@ -215,9 +215,16 @@ def test_truth_says_what_was_simulated(small: Course, tmp_path: Path) -> None:
     assert first["rows"] == small.batch.rows[0]
 
 
-def test_an_earlier_simulation_is_replaced_only_on_request(small: Course, tmp_path: Path) -> None:
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Where its logs go."""
+    found = tmp_path / "falcon" / "6"
+    found.mkdir(parents=True)
+    return found
+
+
+def test_an_earlier_simulation_is_replaced_only_on_request(small: Course, tmp_path: Path, folder: Path) -> None:
     write_course(small, tmp_path)
-    folder = tmp_path / "falcon" / "6"
     own = folder / "my_own.csv"
     own.write_text("recorded by hand")
     with pytest.raises(UsageError, match="overwrite=True"):
@@ -230,9 +237,7 @@ def test_an_earlier_simulation_is_replaced_only_on_request(small: Course, tmp_pa
     assert own.read_text() == "recorded by hand"
 
 
-def test_a_log_that_is_not_listed_is_never_replaced(small: Course, tmp_path: Path) -> None:
-    folder = tmp_path / "falcon" / "6"
-    folder.mkdir(parents=True)
+def test_a_log_that_is_not_listed_is_never_replaced(small: Course, tmp_path: Path, folder: Path) -> None:
     own = folder / f"{small.batch.trial_id[3]}.csv"
     own.write_text("recorded by hand")
     for overwrite in (False, True):
@@ -243,18 +248,14 @@ def test_a_log_that_is_not_listed_is_never_replaced(small: Course, tmp_path: Pat
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"logs": 3}', "{}"])
-def test_a_foreign_truth_file_stops_the_replacement(small: Course, tmp_path: Path, text: str) -> None:
-    folder = tmp_path / "falcon" / "6"
-    folder.mkdir(parents=True)
+def test_a_foreign_truth_file_stops_the_replacement(small: Course, tmp_path: Path, folder: Path, text: str) -> None:
     (folder / TRUTH_FILE).write_text(text)
     with pytest.raises(UsageError, match="is not a list of simulated logs"):
         write_course(small, tmp_path, overwrite=True)
     assert (folder / TRUTH_FILE).read_text() == text
 
 
-def test_a_listed_path_outside_the_folder_is_left_alone(small: Course, tmp_path: Path) -> None:
-    folder = tmp_path / "falcon" / "6"
-    folder.mkdir(parents=True)
+def test_a_listed_path_outside_the_folder_is_left_alone(small: Course, tmp_path: Path, folder: Path) -> None:
     outside = tmp_path / "keep.csv"
     outside.write_text("keep")
     notes = folder / "notes.txt"
@@ -266,9 +267,8 @@ def test_a_listed_path_outside_the_folder_is_left_alone(small: Course, tmp_path:
 
 
 def test_a_broken_run_leaves_complete_logs_that_the_next_run_replaces(
-    small: Course, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    small: Course, tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder = tmp_path / "falcon" / "6"
     real, written = Path.write_bytes, []
 
     def full_disk(path: Path, data: bytes) -> int:
