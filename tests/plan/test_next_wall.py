@@ -45,8 +45,8 @@ def told(limit, off=0.0):
     return Forecast((1 + off) * value, 0.002 * value)
 
 
-def course(limit, aim, by=None, most=120):
-    rows = []
+def course(limit, aim, by=None, first=(), most=120):
+    rows = list(first)
     while True:
         columns = [np.array(column) for column in zip(*rows, strict=True)] or [np.empty(0)] * 4
         found = state(Tried(*columns), aim, by)
@@ -68,9 +68,9 @@ def test_of_an_unknown_limit_the_middle_of_its_bracket_is_expected():
 def test_limits_of_any_shape_are_found(limit, off):
     aim = Aim(DAMPINGS)
     said = "stable" if limit(60.0) > 4000.0 else "unstable"
-    rows = Tried(np.array([4000.0]), np.array([60.0]), np.array([said]), np.array([np.nan]))
-    by = told(limit, off) if off is not None else None
-    found, tried = course(limit, aim, by) if by else course_from(limit, aim, rows)
+    # by verdicts alone a wall is needed to begin with
+    by, first = (None, [(4000.0, 60.0, said, np.nan)]) if off is None else (told(limit, off), [])
+    found, tried = course(limit, aim, by, first)
     assert found.done
     truth = np.array([limit(b) for b in DAMPINGS])
     estimate = np.array([column.estimate for column in found.columns])
@@ -81,28 +81,15 @@ def test_limits_of_any_shape_are_found(limit, off):
         assert len(tried) <= 2 * len(DAMPINGS) + 4
 
 
-def course_from(limit, aim, tried, most=120):
-    """A course by verdicts alone, which needs a wall to begin with."""
-    while True:
-        found = state(tried, aim)
-        if found.done or len(tried) == most:
-            return found, tried
-        column = found.columns[order(found.columns)[0]]
-        said = "unstable" if column.wall > limit(column.damping) else "stable"
-        row = {"stiffness": column.wall, "damping": column.damping, "verdict": said, "growth": np.nan}
-        tried = Tried(**{name: np.append(getattr(tried, name), value) for name, value in row.items()})
-
-
 def test_a_rig_is_spared_unstable_walls_where_the_device_holds():
     plain, gentle = (course(parabola, Aim(DAMPINGS, gentle=gentle), told(parabola)) for gentle in (False, True))
     share = [np.mean(tried.verdict == "unstable") for _, tried in (plain, gentle)]
     assert share[1] <= 0.15 < 0.35 < share[0]
-    estimate = np.array([column.estimate for column in gentle[0].columns])
-    assert np.abs(estimate - parabola(np.array(DAMPINGS))).max() < 0.02 * 12_500
     # a device that says twice the limit is found out by verdicts
-    wrong, _ = course(parabola, Aim(DAMPINGS, gentle=True), told(parabola, 1.0))
-    estimate = np.array([column.estimate for column in wrong.columns])
-    assert np.abs(estimate - parabola(np.array(DAMPINGS))).max() < 0.02 * 12_500
+    wrong = course(parabola, Aim(DAMPINGS, gentle=True), told(parabola, 1.0))
+    for found, _ in (gentle, wrong):
+        estimate = np.array([column.estimate for column in found.columns])
+        assert np.abs(estimate - parabola(np.array(DAMPINGS))).max() < 0.02 * 12_500
 
 
 @pytest.mark.parametrize(("gentle", "most"), [(False, 0.5), (True, 0.3)])
