@@ -1,6 +1,5 @@
 """Who may, and attacks: each is refused with a problem document, and nothing of it stays."""
 
-import asyncio
 import errno
 import io
 import socket
@@ -9,7 +8,6 @@ import time
 import zipfile
 from contextlib import contextmanager
 from http.client import HTTPConnection
-from types import SimpleNamespace
 
 import pytest
 from served import form, serving
@@ -17,8 +15,6 @@ from served import form, serving
 from pipeline.base.errors import UsageError
 from pipeline.service.app import create_app
 from pipeline.service.database import Database
-from pipeline.service.problems import Problem
-from pipeline.service.security import _Body
 from pipeline.service.settings import Settings
 
 LOG = [("a.csv", b"time_s,command,position\n")]
@@ -155,51 +151,6 @@ def test_a_revoked_token_ends_its_logins(guarded):
     assert guarded.ask("GET", "devices", headers=headers).status == 200
     guarded.database.run("DELETE FROM tokens WHERE role = 'viewer'")
     assert guarded.ask("GET", "devices", headers=headers).status == 401
-
-
-@pytest.fixture
-def later(monkeypatch):
-    """A clock that a test sets forward [h]."""
-    now, start = [0.0], time.time()
-    monkeypatch.setattr("pipeline.service.database.time", SimpleNamespace(time=lambda: start + 3600.0 * now[0]))
-    return now
-
-
-def test_a_login_ends_after_half_a_day(guarded, later):
-    headers = {"Cookie": f"pipeline-session={guarded.database.login(guarded.tokens['viewer'])}"}
-    for hours, status in ((0.0, 200), (11.9, 200), (12.1, 401)):
-        later[0] = hours
-        assert guarded.ask("GET", "devices", headers=headers).status == status
-    # and what has ended is forgotten with the next login
-    guarded.database.login(guarded.tokens["viewer"])
-    assert len(guarded.database.run("SELECT 1 FROM sessions")) == 1
-
-
-def test_a_token_ends_with_its_days_and_its_sessions_with_it(tmp_path, later):
-    known = Database(tmp_path)
-    token, lasting = known.create_token("contributor", "Ada", days=0.25), known.create_token("viewer", "Bob")
-    session = known.login(token)
-    later[0] = 5.9
-    assert known.holder_of(token) == known.holder_of_session(session) == ("contributor", "Ada")
-    later[0] = 6.1
-    assert known.holder_of(token) is known.holder_of_session(session) is known.login(token) is None
-    later[0] = 1e5
-    assert known.holder_of(lasting) == ("viewer", "Bob")
-
-
-def test_a_body_is_refused_as_soon_as_it_is_larger_than_allowed():
-    parts = iter([{"body": b"x" * 60, "more_body": True}, {"body": b"x" * 60, "more_body": False}])
-
-    async def receive():
-        return next(parts)
-
-    async def read():
-        body = _Body(receive, 100, 5.0, whole=True)
-        assert len((await body())["body"]) == 60
-        await body()
-
-    with pytest.raises(Problem, match="too large"):
-        asyncio.run(read())
 
 
 @pytest.mark.slow
