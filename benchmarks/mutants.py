@@ -35,7 +35,7 @@ class Change(NamedTuple):
 VERDICT, OUTCOME = "measured/signal/verdict.py", "measured/signal/outcome.py"
 SETTLING, OPTIMUM, THESIS = "measured/cost/costs.py", "measured/experiment/best_trial.py", "measured/thesis.py"
 INTERVALS, LIKELIHOOD = "measured/model/intervals.py", "measured/model/likelihood.py"
-BAND, SESSIONS, SECURITY = "measured/experiment/boundary_band.py", "service/sessions.py", "service/security.py"
+BAND, SESSIONS, SECURITY = "measured/experiment/boundary_band.py", "service/database.py", "service/security.py"
 AGAINST, AGREEMENT = "comparison/against.py", "comparison/scores/agreement.py"
 
 CHANGES = (

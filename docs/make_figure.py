@@ -115,7 +115,7 @@ def side_by_side(panels: tuple[str, ...], title: str) -> str:
 
 def main() -> None:
     """Simulate a course without jitter (theory knows constant delays only), evaluate it and draw it."""
-    course = run_course(load_device(DEVICE), EXPERIMENT, seed=SEED, jitter=())
+    course = run_course(load_device(DEVICE), EXPERIMENT, seed=SEED, jitter_samples=())
     title = f"Energy cost (w = {WEIGHT}) over stiffness and damping: theory and a simulated experiment"
     maps = theory_map(course), measured_map(course)
     figure = map_figure("readme", CRITERION, maps, UNITS[course.device.motion])

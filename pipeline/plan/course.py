@@ -26,7 +26,6 @@ from pipeline.measured.student import NORMAL_95
 from pipeline.plan.found_device import FoundDevice, Trial, stated_device
 from pipeline.plan.next_wall import Forecast, Tried
 from pipeline.records.batch import Floats, TrialBatch
-from pipeline.records.loop_parts import VelocityFilter
 from pipeline.records.models import Device, Experiment
 from pipeline.store.samples import load_groups
 from pipeline.store.storage import list_experiments, read_trials
@@ -304,7 +303,9 @@ def learn(batch: TrialBatch, count: int, known: Learnt | None, look: Look) -> Le
     # a filter shows most where there is most damping
     most = np.array([np.argmax(part.damping)], dtype=np.int64)
     velocity = known.device.velocity if known is not None and known.device is not None else None
-    velocity = velocity or filter_of(part.select(most), response.select(most))
+    if velocity is None:
+        departures = wall_law(part.select(most), response.select(most)).departures[0]
+        velocity = next((each.filter.declared for each in departures if each.filter is not None), None)
     return Learnt(choice, FoundDevice(fitted, float(np.median(batch.sampling_period_s)), velocity), looked)
 
 
@@ -317,13 +318,6 @@ def recordings_of(batch: TrialBatch, response: Response) -> list[Recording]:
         logged = (batch.time[i, rows], batch.command[i, rows], batch.position[i, rows])
         found.append(Recording(str(i), *logged, float(batch.sampling_period_s[i]), edge - rows.start))
     return found
-
-
-def filter_of(batch: TrialBatch, response: Response) -> VelocityFilter | None:
-    """Return the velocity filter that the wall law of the first trial shows."""
-    departures = wall_law(batch, response).departures[0]
-    found = next((each.filter for each in departures if each.filter is not None), None)
-    return None if found is None else found.declared
 
 
 def fitted_of(choice: Choice) -> FittedDevice | None:

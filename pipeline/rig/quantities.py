@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import expm1
+from typing import Any
 
 from pipeline.base.errors import ParameterError
 from pipeline.surface.physical_loop import Loop
@@ -15,23 +15,35 @@ _SMALL = 1e-2
 
 @dataclass(frozen=True)
 class Quantity:
-    """One quantity: its name in documents and words, its unit, the factors it is changed by at most, and how.
+    """One quantity: a field of `Loop`, its name in words, its units, and the factors it is changed by at most.
 
-    ``read`` returns its value, None where the rig has no such part. A change by x in ln leads from p to
-    p + s (e^x - 1), s = p but for what is zero.
+    A change by x in ln leads from p to p + s (e^x - 1), s = p but for what is zero. ``units`` are those of a device
+    that moves straight and of one that turns; ``zero`` is s of what is zero, in m/T, 0 where that is not changed.
     """
 
     name: str
     label: str
-    unit: Callable[[Loop], str]
-    read: Callable[[Loop], float | None]
-    write: Callable[[Loop, float], Loop]
+    units: tuple[str, str]
     factors: tuple[float, float] = (1 / 32, 32.0)
-    zero: Callable[[Loop], float] = lambda loop: 0.0
+    zero: float = 0.0
+
+    def unit(self, loop: Loop) -> str:
+        """Return the unit for a rig."""
+        return self.units[loop.motion != "translation"]
+
+    def read(self, loop: Loop) -> float | None:
+        """Return the value of a rig, None where it has no such part."""
+        value: float | None = getattr(loop, self.name)
+        return value
+
+    def write(self, loop: Loop, value: float) -> Loop:
+        """Return the rig with another value."""
+        changed: dict[str, Any] = {self.name: value}
+        return replace(loop, **changed)
 
     def scale(self, loop: Loop) -> float:
         """Return s; 0 where the rig has no such quantity to change."""
-        return (self.read(loop) or 0.0) or self.zero(loop)
+        return (self.read(loop) or 0.0) or self.zero * loop.mass / loop.sampling_period_s
 
     def changed(self, loop: Loop, x: float) -> Loop:
         """Return the rig with the quantity changed by x in ln.
@@ -44,61 +56,26 @@ class Quantity:
         return self.write(loop, (self.read(loop) or 0.0) + self.scale(loop) * expm1(x))
 
 
-def _cutoff(loop: Loop) -> float | None:
-    value = (loop.velocity or {}).get("cutoff_hz")
-    return float(value) if isinstance(value, (int, float)) else None
+class _Cutoff(Quantity):
+    """The cut-off of the velocity filter."""
 
+    def read(self, loop: Loop) -> float | None:
+        value = (loop.velocity or {}).get("cutoff_hz")
+        return float(value) if isinstance(value, (int, float)) else None
 
-def _with_cutoff(loop: Loop, value: float) -> Loop:
-    return replace(loop, velocity={**(loop.velocity or {}), "cutoff_hz": value})
-
-
-def _in(translation: str, rotation: str) -> Callable[[Loop], str]:
-    return lambda loop: translation if loop.motion == "translation" else rotation
+    def write(self, loop: Loop, value: float) -> Loop:
+        return replace(loop, velocity={**(loop.velocity or {}), "cutoff_hz": value})
 
 
 QUANTITIES = {
     quantity.name: quantity
     for quantity in (
-        Quantity(
-            "sampling_period_s",
-            "sampling period T",
-            _in("s", "s"),
-            lambda loop: loop.sampling_period_s,
-            lambda loop, value: replace(loop, sampling_period_s=value),
-        ),
-        Quantity(
-            "delay_samples",
-            "delay d",
-            _in("samples", "samples"),
-            lambda loop: loop.delay_samples,
-            lambda loop, value: replace(loop, delay_samples=value),
-            factors=(1 / 32, 4.0),
-        ),
-        Quantity(
-            "damping",
-            "damping b of the device",
-            _in("Ns/m", "Nms/rad"),
-            lambda loop: loop.damping,
-            lambda loop, value: replace(loop, damping=value),
-            zero=lambda loop: _SMALL * loop.mass / loop.sampling_period_s,
-        ),
-        Quantity(
-            "mass",
-            "mass m",
-            _in("kg", "kg m^2"),
-            lambda loop: loop.mass,
-            lambda loop, value: replace(loop, mass=value),
-        ),
-        Quantity("velocity_cutoff_hz", "cut-off of the velocity filter", _in("Hz", "Hz"), _cutoff, _with_cutoff),
-        Quantity(
-            "actuator_lag_s",
-            "lag of the actuator",
-            _in("s", "s"),
-            lambda loop: loop.actuator_lag_s,
-            lambda loop, value: replace(loop, actuator_lag_s=value),
-            factors=(1 / 32, 4.0),
-        ),
+        Quantity("sampling_period_s", "sampling period T", ("s", "s")),
+        Quantity("delay_samples", "delay d", ("samples", "samples"), (1 / 32, 4.0)),
+        Quantity("damping", "damping b of the device", ("Ns/m", "Nms/rad"), zero=_SMALL),
+        Quantity("mass", "mass m", ("kg", "kg m^2")),
+        _Cutoff("velocity_cutoff_hz", "cut-off of the velocity filter", ("Hz", "Hz")),
+        Quantity("actuator_lag_s", "lag of the actuator", ("s", "s"), (1 / 32, 4.0)),
     )
 }
 """By name. The delay is in samples: a change of T alone keeps d and shortens the delay in seconds."""

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -70,6 +71,14 @@ CREATE INDEX IF NOT EXISTS by_said ON trials (said);
 
 _SEARCHED = ("id", "device", "experiment", "source", "uploader")
 """What is searched of a trial, beside what people say of it."""
+
+_EXPERIMENTS = """
+SELECT device, experiment, max(motion) AS motion, sum(n) AS trials, json_group_object(verdict, n) AS verdicts,
+  max(last) AS last
+FROM (SELECT device, experiment, ifnull(verdict, 'none yet') AS verdict, count(*) AS n, max(recorded) AS last,
+    max(motion) AS motion FROM trials GROUP BY device, experiment, trials.verdict ORDER BY trials.verdict)
+GROUP BY device, experiment
+"""
 
 _DONE = "SELECT count(*), total(changed), (SELECT max(number) FROM audit) FROM jobs WHERE state = 'done'"
 
@@ -185,30 +194,18 @@ class Catalogue:
         """All experiments, with numbers of trials by verdict and the time of the last log, as people sort them."""
 
         def made() -> list[dict[str, Any]]:
-            found: dict[tuple[str, str], dict[str, Any]] = {}
-            for row in self._run(
-                "SELECT device, experiment, verdict, count(*) AS n, max(recorded) AS last, max(motion) AS motion FROM "
-                "trials GROUP BY device, experiment, verdict ORDER BY verdict"
-            ):
-                place = row["device"], row["experiment"]
-                new = {"device": place[0], "experiment": place[1], "motion": row["motion"], "trials": 0}
-                one = found.setdefault(place, {**new, "verdicts": {}, "last": 0.0})
-                one["trials"] += row["n"]
-                one["verdicts"][row["verdict"] or "none yet"] = row["n"]
-                one["last"] = max(one["last"], row["last"])
-            return [found[place] for place in sorted(found, key=lambda place: tuple(map(natural_key, place)))]
+            rows = [dict(row) for row in self._run(_EXPERIMENTS)]
+            found = [{**row, "verdicts": json.loads(row["verdicts"])} for row in rows]
+            return sorted(found, key=lambda e: (natural_key(e["device"]), natural_key(e["experiment"])))
 
         return self.once("experiments", made)
 
     @property
     def devices(self) -> list[dict[str, Any]]:
         """All devices, with numbers of experiments and trials."""
-        found: dict[str, dict[str, Any]] = {}
-        for e in self.experiments:
-            one = found.setdefault(e["device"], {"device": e["device"], "experiments": 0, "trials": 0})
-            one["experiments"] += 1
-            one["trials"] += e["trials"]
-        return list(found.values())
+        own = groupby(self.experiments, key=lambda e: e["device"])
+        found = ((device, list(each)) for device, each in own)
+        return [{"device": d, "experiments": len(e), "trials": sum(one["trials"] for one in e)} for d, e in found]
 
     def trial(self, trial: str) -> dict[str, Any] | None:
         """Return a trial as the API shows it; None where there is none."""

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 
 import h11
@@ -24,18 +24,11 @@ BACKLOG, AT_ONCE = 2048, 16
 
 
 class Connection(H11Protocol):
-    """A connection that is closed where its header is late, or too many others of its address wait for theirs.
+    """A connection that is closed where its header is late, or too many others of its address wait for theirs."""
 
-    Parameters
-    ----------
-    held : dict
-        The connections of each address that are open, in the order in which they came.
-    settings : Settings
-    """
-
-    def __init__(self, *given: object, held: dict[str, dict[Connection, None]], settings: Settings, **more: object):
+    def __init__(self, *given: object, settings: Settings, **more: object) -> None:
         super().__init__(*given, **more)  # type: ignore[arg-type]
-        self.held, self.settings = held, settings
+        self.settings, self.since = settings, self.loop.time()
         self.late: asyncio.TimerHandle | None = None
 
     @property
@@ -44,27 +37,22 @@ class Connection(H11Protocol):
         return self.conn.their_state is h11.IDLE and self.conn.our_state is h11.IDLE
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Count a connection; where its address has too many, one without a header makes room, or this one goes."""
+        """Take a connection; of an address with too many the oldest without a header makes room, or this one goes."""
         super().connection_made(transport)
-        own = self.held.setdefault(self.address, {})
-        if len(own) >= self.settings.connections:
-            goes = next((one for one in own if one.headless), self)
+        own = [one for one in self.connections if isinstance(one, Connection) and one.address == self.address]
+        if len(own) > self.settings.connections:
+            waiting = (one for one in own if one.headless and one is not self)
+            goes = min(waiting, key=lambda one: one.since, default=self)
             goes.transport.abort()
-            own.pop(goes, None)
+            self.connections.discard(goes)
             if goes is self:
                 return
-        own[self] = None
         self._wait()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget a connection."""
         super().connection_lost(exc)
-        if self.late is not None:
-            self.late.cancel()
-        own = self.held.get(self.address, {})
-        own.pop(self, None)
-        if not own:
-            self.held.pop(self.address, None)
+        self._cancel()
 
     def data_received(self, data: bytes) -> None:
         """Take what comes; the time of a header goes on until it is whole."""
@@ -105,7 +93,7 @@ class _Server(uvicorn.Server):
 
 def server_of(app: ASGIApp, settings: Settings) -> uvicorn.Server:
     """Return the server of an application."""
-    protocol = partial(Connection, held={}, settings=settings)
+    protocol = partial(Connection, settings=settings)
     return _Server(
         uvicorn.Config(
             app, http=protocol, log_config=None, access_log=False, server_header=False, proxy_headers=False,  # type: ignore[arg-type]
@@ -114,16 +102,16 @@ def server_of(app: ASGIApp, settings: Settings) -> uvicorn.Server:
     )  # fmt: skip
 
 
-@contextmanager
-def listener_of(settings: Settings) -> Iterator[socket.socket]:
-    """Listen where a server is to be reached.
+def serve(app: ASGIApp, settings: Settings, say: Callable[[str], None]) -> None:
+    """Serve until a signal asks for an end; the address is said once it can be reached.
 
     Raises
     ------
     UsageError
-        If that is not to be had.
+        If it is not to be had.
     """
-    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    six = ":" in settings.host
+    family = socket.AF_INET6 if six else socket.AF_INET
     try:
         found = socket.create_server((settings.host, settings.port), family=family, backlog=BACKLOG)
     except OSError as error:
@@ -131,19 +119,7 @@ def listener_of(settings: Settings) -> Iterator[socket.socket]:
             f"--host {settings.host} --port {settings.port}: cannot be listened at ({error}). Choose another port, or "
             "end what listens there."
         ) from error
-    with found:
-        yield found
-
-
-def address_of(settings: Settings, found: socket.socket) -> str:
-    """Return where a server is reached, for people."""
-    host = f"[{settings.host}]" if ":" in settings.host else settings.host
-    return f"http://{host}:{found.getsockname()[1]}/"
-
-
-def serve(app: ASGIApp, settings: Settings, say: Callable[[str], None]) -> None:
-    """Serve until a signal asks for an end; the address is said once it can be reached."""
-    server = server_of(app, settings)
-    with listener_of(settings) as found, suppress(KeyboardInterrupt):
-        say(address_of(settings, found))
-        server.run(sockets=[found])
+    with found, suppress(KeyboardInterrupt):
+        host = f"[{settings.host}]" if six else settings.host
+        say(f"http://{host}:{found.getsockname()[1]}/")
+        server_of(app, settings).run(sockets=[found])

@@ -5,6 +5,7 @@ Every statement is its own transaction, on the disk when it returns. Server, wor
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import secrets
@@ -14,11 +15,16 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pipeline.base.disk import make_folder
 from pipeline.base.paths import path_of_text
-from pipeline.service.sessions import Sessions
+
+Role = Literal["viewer", "contributor", "admin"]
+ROLES: tuple[Role, ...] = ("viewer", "contributor", "admin")
+
+SESSION_S = 12 * 3600.0
+"""Life of a login [s]."""
 
 LEASE_S = 10.0
 """Time after which a job is another worker's, if its own was not heard of [s]."""
@@ -67,6 +73,11 @@ CREATE TABLE IF NOT EXISTS secrets (name TEXT PRIMARY KEY, value TEXT NOT NULL);
 """
 
 
+def hashed(secret: str) -> str:
+    """Return what is stored of a secret; those made here are random, so that a fast hash keeps them."""
+    return hashlib.sha256(secret.encode()).hexdigest()
+
+
 _OWN = "WHERE id = ? AND owner = ? AND state = 'running'"
 
 
@@ -80,7 +91,7 @@ def connected(local: threading.local, file: Path, synchronous: str) -> sqlite3.C
     return found
 
 
-class Database(Sessions):
+class Database:
     """The service's own file, which nobody else may read; one connection a thread.
 
     Parameters
@@ -167,7 +178,7 @@ class Database(Sessions):
             "AND instr(?, kind) ORDER BY late, instr(?, kind), number LIMIT 1) RETURNING *",
             *(owner, now + LEASE_S, now, now, kinds, kinds),
         )
-        return dict(rows[0]) if rows else None
+        return _shown(rows[0]) if rows else None
 
     def heartbeat(self, job: str, owner: str, progress: object) -> bool:
         """Renew the lease of a job; return whether it still is this worker's."""
@@ -255,7 +266,59 @@ class Database(Sessions):
         )
         return {row["key"] for row in self.run("SELECT key FROM jobs WHERE key != ''")}
 
-    # who may, and who did
+    # who may, and who did: of tokens and logins hashes alone are held
+
+    def create_token(self, role: Role, name: str, days: float | None = None) -> str:
+        """Make a token and return it; only its hash is stored."""
+        token, now = f"hp_{secrets.token_urlsafe(32)}", time.time()
+        end = None if days is None else now + days * 86400.0
+        self.run("INSERT INTO tokens VALUES (?, ?, ?, ?, ?)", hashed(token), name, role, now, end)
+        return token
+
+    def tokens(self) -> list[dict[str, Any]]:
+        """Return who has tokens: id, role, name and day of expiry."""
+        columns = "substr(hash, 1, 12) AS id, role, name, date(expires, 'unixepoch') AS ends"
+        return [dict(row) for row in self.run(f"SELECT {columns} FROM tokens ORDER BY created")]
+
+    def revoke_token(self, identifier: str) -> bool:
+        """Remove a token by its id; return whether there was one."""
+        return bool(self.run("DELETE FROM tokens WHERE substr(hash, 1, 12) = ? RETURNING hash", identifier))
+
+    def has_tokens(self) -> bool:
+        """Return whether somebody may come from another computer."""
+        return bool(self.run("SELECT 1 FROM tokens LIMIT 1"))
+
+    def holder_of(self, token: str) -> tuple[Role, str] | None:
+        """Return role and name of a token; None where it is none, or has expired."""
+        return self._holder("tokens.hash = ?", hashed(token))
+
+    def _holder(self, which: str, secret: str) -> tuple[Role, str] | None:
+        known = f"{which} AND (tokens.expires IS NULL OR tokens.expires > ?)"
+        both = "tokens LEFT JOIN sessions ON tokens.hash = sessions.token"
+        rows = self.run(f"SELECT role, name, tokens.hash FROM {both} WHERE {known}", secret, time.time())
+        return (rows[0]["role"], rows[0]["name"] or f"token {rows[0]['hash'][:12]}") if rows else None
+
+    def login(self, token: str) -> str | None:
+        """Return the secret of a new session of a token; None where it is none."""
+        if self.holder_of(token) is None:
+            return None
+        session, now = secrets.token_urlsafe(32), time.time()
+        self.run("DELETE FROM sessions WHERE expires < ?", now)
+        self.run("INSERT INTO sessions VALUES (?, ?, ?)", hashed(session), hashed(token), now + SESSION_S)
+        return session
+
+    def holder_of_session(self, session: str) -> tuple[Role, str] | None:
+        """Return role and name of a session; None where there is none, or its token was revoked."""
+        return self._holder(f"sessions.expires > {time.time()} AND sessions.hash = ?", hashed(session))
+
+    def logout(self, session: str) -> None:
+        """End a session."""
+        self.run("DELETE FROM sessions WHERE hash = ?", hashed(session))
+
+    def form_secret(self) -> str:
+        """Return the secret that tokens of forms are made with."""
+        value: str = self.run("SELECT value FROM secrets WHERE name = 'forms'")[0]["value"]
+        return value
 
     def note(self, who: str, did: str, what: object) -> None:
         """Keep who did something by hand."""

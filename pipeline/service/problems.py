@@ -6,7 +6,10 @@ import errno
 import sqlite3
 from collections.abc import Mapping
 
+from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
+from pydantic import ValidationError
+from starlette.exceptions import HTTPException
 
 from pipeline.base.errors import DeviceError, PipelineError, StoreError
 
@@ -29,6 +32,9 @@ TITLES = {
     504: "Took too long",
     507: "The disk is full",
 }
+
+
+_FULL = "The server has no room left; nothing of this request was stored. Free some and send it again."
 
 
 class Problem(Exception):  # noqa: N818 (RFC 9457 calls it so)
@@ -60,18 +66,24 @@ class Later(Exception):  # noqa: N818 (nothing is wrong)
         self.job = job
 
 
-def problem_of(error: PipelineError | OSError) -> Problem:
-    """Return a named error as the answer to a request."""
-    status = 404 if isinstance(error, DeviceError) else 503 if isinstance(error, StoreError | OSError) else 422
-    return Problem(status, str(error))
-
-
-def full_disk(error: OSError | sqlite3.OperationalError) -> Problem | None:
-    """Return a failed write as the answer to a request, where there is no room left; None for other failures."""
-    room = getattr(error, "sqlite_errorcode", None) != sqlite3.SQLITE_FULL
-    if room and getattr(error, "errno", None) not in (errno.ENOSPC, errno.EDQUOT):
-        return None
-    return Problem(507, "The server has no room left; nothing of this request was stored. Free some and send it again.")
+def problem_of(error: Exception) -> Problem:
+    """Return what the answer to a request says of an error; one that nobody foresaw is raised again."""
+    match error:
+        case Problem():
+            return error
+        case PipelineError():
+            status = 404 if isinstance(error, DeviceError) else 503 if isinstance(error, StoreError) else 422
+            return Problem(status, str(error))
+        case ValidationError() | RequestValidationError():
+            errors = [{"where": ".".join(map(str, e["loc"])), "detail": e["msg"]} for e in error.errors()]
+            return Problem(422, errors[0]["detail"], where=errors[0]["where"], errors=errors)
+        case HTTPException():
+            return Problem(error.status_code, str(error.detail))
+        case OSError(errno=errno.ENOSPC | errno.EDQUOT):
+            return Problem(507, _FULL)
+        case sqlite3.OperationalError(sqlite_errorcode=sqlite3.SQLITE_FULL):
+            return Problem(507, _FULL)
+    raise error
 
 
 def answer(problem: Problem) -> JSONResponse:

@@ -52,11 +52,10 @@ def profile_path(settings: Settings, name: str) -> str | Path | None:
 
 def text_of(settings: Settings, name: str) -> str:
     """Return the TOML of a profile."""
-    found = profile_path(settings, name)
-    file = found if isinstance(found, Path) else schema_folder() / "profiles" / f"{name}.toml"
-    if found is None or not file.is_file():
-        raise Problem(404, "There is no such profile.", where="name", expected=names(settings), found=name)
-    return file.read_text("utf-8")
+    for folder in (settings.data, schema_folder()):
+        if (file := folder / "profiles" / f"{name}.toml").is_file():
+            return file.read_text("utf-8")
+    raise Problem(404, "There is no such profile.", where="name", found=name)
 
 
 def keep(settings: Settings, name: str, text: str) -> None:

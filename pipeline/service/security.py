@@ -22,9 +22,8 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from pipeline.service.database import LOCAL as LOCAL_NAME
-from pipeline.service.database import Database
+from pipeline.service.database import ROLES, Database, Role, hashed
 from pipeline.service.problems import Problem, answer
-from pipeline.service.sessions import ROLES, Role, hashed
 from pipeline.service.settings import Settings
 
 LOG = logging.getLogger("pipeline.service")

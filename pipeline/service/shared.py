@@ -13,17 +13,16 @@ from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.base.errors import PipelineError
-from pipeline.intake.correct import delete, empty_bin, exclude, move, restore, use_again
 from pipeline.records.batch import TrialBatch
 from pipeline.records.criteria import REPORTED
 from pipeline.records.findings import Note
+from pipeline.service import documents
 from pipeline.service.catalogue import Catalogue
 from pipeline.service.database import Database
-from pipeline.service.jobs import documents
-from pipeline.service.jobs.workers import Workers
 from pipeline.service.problems import Problem
 from pipeline.service.settings import Settings
 from pipeline.service.theory import Theory, case_of_loop
+from pipeline.service.workers import Workers
 from pipeline.store.corrections import read_exclusions, split_trials
 from pipeline.store.names import folder_name
 from pipeline.store.samples import load_batch, load_trial
@@ -31,9 +30,6 @@ from pipeline.store.storage import list_devices, list_experiments, read_trials
 
 RETRY_S = 60.0
 """Time after which what could not be computed is tried again by who looks at it [s]."""
-
-EXCLUDE_S = 5.0
-"""Longest wait for another writer before an exclusion is refused [s]."""
 
 MOST_REPORTS = 1000
 """Reports that are listed, and made anew."""
@@ -44,18 +40,22 @@ Kept = tuple[dict[str, Any] | None, str | None]
 SAMPLES = ("time_s", "command", "position", "force", "velocity")
 
 
-class Against(BaseModel):
-    """The other experiment."""
+class Form(BaseModel):
+    """Base of what a request brings; a field that is not named is refused."""
 
     model_config = ConfigDict(extra="forbid")
+
+
+class Against(Form):
+    """The other experiment."""
+
     device: Annotated[str, Field(max_length=500)]
     experiment: Annotated[str, Field(max_length=500)]
 
 
-class ComparisonRequest(BaseModel):
+class ComparisonRequest(Form):
     """What is to be compared."""
 
-    model_config = ConfigDict(extra="forbid")
     device: Annotated[str, Field(max_length=500)]
     experiments: Annotated[list[str], Field(max_length=500)] | None = None
     criteria: Annotated[list[Literal[REPORTED]], Field(min_length=1)] | None = None  # type: ignore[valid-type]
@@ -95,10 +95,8 @@ class Service:
         """Return experiments of a device of which some trial is in use; all that are named have to be."""
         names = self.experiments(device, asked)
         excluded = read_exclusions(self.settings.processed)
-        empty = []
-        for name in names if excluded else ():
-            if not split_trials(read_trials(self.settings.processed, device, name), excluded)[0].num_rows:
-                empty.append(name)
+        stored = ((name, read_trials(self.settings.processed, device, name)) for name in names if excluded)
+        empty = [name for name, trials in stored if not split_trials(trials, excluded)[0].num_rows]
         if empty and (asked or empty == names):
             raise Problem(
                 409, "All trials of this experiment are excluded by hand. Use one again.",
@@ -155,65 +153,16 @@ class Service:
         order = sorted(found, key=lambda trial: trial or "")
         return [Note(experiment=experiment, trial_id=trial, **found[trial]) for trial in order]
 
-    def exclude(self, of: Sequence[str], reason: str | None, who: str) -> dict[str, str]:
-        """Exclude a trial or an experiment by hand, or use it again without a reason; return what is out, and why."""
-        wanted, known = self.wanted(of), self.excluded(of)
-        if reason is not None:
-            exclude(self.settings.processed, wanted, reason, EXCLUDE_S)
-        elif known:
-            use_again(self.settings.processed, wanted, EXCLUDE_S)
-        found = self.excluded(of)
-        self._corrected(who, "used again" if reason is None else "excluded", of, len(found or known), reason=reason)
-        return found
-
     def excluded(self, of: Sequence[str]) -> dict[str, str]:
         """Return which trials of a trial or experiment are excluded by hand, and why."""
-        self.wanted(of)
         known = read_exclusions(self.settings.processed).values()
         own = [one for one in known if of[1:] in ([one.trial_id], [one.device, one.experiment])]
         return {one.trial_id: one.exclusion_reason for one in own}
 
-    def wanted(self, of: Sequence[str]) -> str:
-        """Return what is stored as `intake.correct` names it: of ``trial``, ``experiment`` or ``device`` and names."""
-        if of[0] == "trial":
-            self.found(of[1])
-            return of[1]
-        self.experiments(of[1], list(of[2:]))
-        return run_of(*of[1:])
-
-    def move(self, of: Sequence[str], to: Sequence[str], who: str) -> int:
-        """Let trials count as of another device or experiment; notes and tags follow. Return how many trials."""
-        wanted = self.wanted(of)
-        names = list(of[2:]) or list_experiments(self.settings.processed, of[1]) if of[0] != "trial" else []
-        count = move(self.settings.processed, wanted, run_of(*to), EXCLUDE_S)
-        for name in names:
-            self.database.move_words(["experiment", of[1], name], ["experiment", to[0], (*to, name)[1]])
-        return self._corrected(who, "moved", of, count, to=to)
-
-    def delete(self, of: Sequence[str], who: str) -> int:
-        """Put trials into the bin; return how many."""
-        count = delete(self.settings.processed, self.wanted(of), EXCLUDE_S)
-        return self._corrected(who, "deleted", of, count)
-
-    def restore(self, of: Sequence[str], who: str) -> int:
-        """Take trials out of the bin; return how many."""
-        count = restore(self.settings.processed, of[1] if of[0] == "trial" else run_of(*of[1:]), EXCLUDE_S)
-        return self._corrected(who, "restored", of, count)
-
-    def empty_bin(self, who: str) -> int:
-        """Remove what is in the bin; return how many trials."""
-        return self._corrected(who, "emptied the bin", (), empty_bin(self.settings.processed, EXCLUDE_S))
-
-    def _corrected(self, who: str, did: str, of: Sequence[str], trials: int, **more: Any) -> int:
-        """Keep who corrected what, have verdicts made anew, and return how many trials it was."""
-        self.database.note(who, did, {"of": of, "trials": trials, **more})
-        self.job("stages", {}, "stages")
-        return trials
-
     def experiment(self, device: str, experiment: str, late: int = 0) -> Kept:
         """Return the document of an experiment."""
         self.used(device, [experiment])
-        return self._kept("experiment", _whole(device, experiment), late)
+        return self._kept("experiment", documents.whole(device, experiment), late)
 
     def plan(self, device: str, experiment: str, goal: str) -> Kept:
         """Return what the planner says of an experiment."""
@@ -234,7 +183,8 @@ class Service:
 
     def peek(self, device: str, experiment: str) -> dict[str, Any] | None:
         """Return the document of an experiment where it is kept."""
-        return documents.read_document(self.settings, documents.key_of(self.settings, _whole(device, experiment)))
+        key = documents.key_of(self.settings, documents.whole(device, experiment))
+        return documents.read_document(self.settings, key)
 
     def _kept(self, kind: str, request: dict[str, Any], late: int = 0) -> Kept:
         """Return a document that is kept, or the job of a kind that makes it."""
@@ -281,10 +231,6 @@ class Service:
     def _place(self, trial: str) -> tuple[str, str] | None:
         found = self.catalogue.trial(trial)
         return (found["device"], found["experiment"]) if found else None
-
-
-def _whole(device: str, experiment: str) -> dict[str, Any]:
-    return {"device": device, "experiments": [experiment], "criteria": None}
 
 
 def run_of(*names: str) -> str:

@@ -10,8 +10,8 @@ import hashlib
 import os
 import secrets
 import shutil
-from collections.abc import AsyncGenerator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
-from pipeline.base.disk import make_folder, sync_folder
+from pipeline.base.disk import each, make_folder, sync_folder
 from pipeline.base.paths import path_of_text, path_text
 from pipeline.intake.quarantine import list_quarantine
 from pipeline.intake.sources import find_sources
@@ -45,6 +45,8 @@ MOST_FIELDS = 20
 
 END_BYTES = 256
 """Of a body that are looked at for its last boundary, which has 70 at most."""
+
+Check = Callable[[dict[str, str]], object]
 
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
 
@@ -133,16 +135,10 @@ class Upload:
         with path.open("rb") as stream:
             return _Part(name, path, path.stat().st_size, hashlib.file_digest(stream, "sha256").hexdigest())
 
-    def discard(self) -> None:
-        """Remove what was written."""
-        shutil.rmtree(self.folder, ignore_errors=True)
-
     def accept(self, database: Database, author: str) -> dict[str, Any]:
         """Sync all that is new and queue its job; what was uploaded before is left out."""
         profile = self.fields.get("profile", "")
         own = profile_path(self.settings, profile)
-        if not self.files:
-            raise Problem(422, "There is no file in the form.", where="files", expected="one or more")
         known, again = self._known(database, profile, own)
         listed, new, refused = [], [], set[str]()
         for part in self.files:
@@ -208,9 +204,28 @@ class Upload:
     def _sync(self, files: list[Path]) -> None:
         """Return when content and names of files are on the disk."""
         folders = {parent for file in files for parent in file.parents if self.folder in (parent, *parent.parents)}
-        with ThreadPoolExecutor(16) as pool:
-            list(pool.map(_sync_file, files))
-            list(pool.map(sync_folder, [*folders, self.folder.parent] if files else []))
+        each(_sync_file, files)
+        each(sync_folder, [*folders, self.folder.parent] if files else [])
+
+
+@asynccontextmanager
+async def received(
+    settings: Settings, request: Request, check: Check, folder: Path | None = None
+) -> AsyncGenerator[Upload, None]:
+    """Store the files of a request for a block; nothing is kept of them where it fails.
+
+    ``check`` looks at the fields of the form before.
+    """
+    upload = Upload(settings, folder)
+    try:
+        await upload.receive(request)
+        check(upload.fields)
+        if not upload.files:
+            raise Problem(422, "There is no file in the form.", where="files", expected="one or more")
+        yield upload
+    except BaseException:
+        shutil.rmtree(upload.folder, ignore_errors=True)
+        raise
 
 
 def _parts(name: str) -> list[str]:

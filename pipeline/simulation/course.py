@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import floor, inf
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -21,11 +21,11 @@ from pipeline import __version__
 from pipeline.base.disk import TEMPORARY_ENDING, write_text
 from pipeline.base.errors import ParameterError, PipelineError, UsageError
 from pipeline.device_data.devices import find_experiment
-from pipeline.measured.signal.verdict import judge as judge_log
+from pipeline.measured.signal.verdict import judge
 from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.records.models import Device, Experiment
 from pipeline.records.native import NativeHeader, format_header
-from pipeline.simulation.procedure import AT_ZERO_STIFFNESS, Climb, Strings
+from pipeline.simulation.procedure import Climb, Strings
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
 from pipeline.simulation.simulate import simulate
@@ -35,22 +35,11 @@ from pipeline.theory.cases import tested_grid
 LOWEST_DAMPING = 2.0
 """Largest -B tested at K = 0 in times the physical damping, where the tested B end before: the limit is at once."""
 
-COLUMNS_AHEAD = 6
-"""Dampings beyond the tested range that are simulated ahead where the range is extended."""
-
 LONGEST_TRIAL = 20_000
 """Samples of a trial, 20 s at 1 kHz: fifty times as long as those of the thesis. All trials of a course are simulated
 together, so that each array of 2,300 of them has 370 MB then."""
 
 TRUTH_FILE = "truth.json"
-
-
-class _Judged(Protocol):
-    @property
-    def verdict(self) -> Any: ...
-
-
-Judge = Callable[[TrialBatch], _Judged]
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,14 +75,10 @@ def run_course(
     *,
     seed: int = 0,
     ideal: bool = False,
-    quantum: float | None = None,
-    noise: float | None = None,
-    jitter: Sequence[int] | None = None,
     duration_s: float | None = None,
-    damping_range: Literal["tested", "full"] = "tested",
     coarsen: int = 1,
     progress: Callable[[int], None] | None = None,
-    judge: Judge = judge_log,
+    **changes: Any,
 ) -> Course:
     """Simulate the course of one experiment.
 
@@ -106,20 +91,14 @@ def run_course(
         Seed of noise and jitter; the same seed gives the same logs.
     ideal : bool
         Without noise, quantum and jitter, unless they are given here.
-    quantum, noise : float, optional
-        Sensor quantum and noise [m, rad] in place of the device's.
-    jitter : sequence of int, optional
-        Delays [samples] to draw from in place of the experiment's; empty for a constant delay.
     duration_s : float, optional
         Length of a trial [s] in place of the device's, at most `LONGEST_TRIAL` samples.
-    damping_range : {"tested", "full"}
-        ``full`` goes on beyond the experiment's last damping until no stable K > 0 is found.
     coarsen : int
         Every n-th damping and n times the stiffness step, for a small course. K = 0 is tested in full.
     progress : callable, optional
         Called with the number of trials kept so far.
-    judge : callable
-        Verdict of each trial from its log; an undecided trial counts as stable.
+    **changes
+        Numbers of the `Setup` in place of the device's, such as ``noise`` or ``jitter_samples``.
 
     Raises
     ------
@@ -130,21 +109,16 @@ def run_course(
 
     Notes
     -----
-    The fifth fine step would repeat the unstable coarse trial and is left out. Where B = 0 is unstable
-    already at K = 0, the fine steps fall from one damping step above it, so that the limit is still enclosed.
+    An undecided trial counts as stable. The fifth fine step would repeat the unstable coarse trial and is left out.
+    Where B = 0 is unstable already at K = 0, the fine steps fall from one damping step above it, so that the limit is
+    still enclosed.
 
     Source: Hulin 2017, sec. 6.1.1, 6.1.2, 6.2.1.
     """
     if coarsen < 1:
         raise ParameterError(f"coarsen = {coarsen}: expected 1 (every trial) or a larger whole number.")
     conditions = find_experiment(device, experiment)
-    setup = _setup(device, conditions, duration_s, ideal=ideal)
-    setup = replace(
-        setup,
-        quantum=setup.quantum if quantum is None else quantum,
-        noise=setup.noise if noise is None else noise,
-        jitter_samples=setup.jitter_samples if jitter is None else tuple(jitter),
-    )
+    setup = replace(_setup(device, conditions, duration_s, ideal=ideal), **changes)
     stream = f"{device.name}/{conditions.name}"
 
     def run(stiffness: Floats, damping: Floats) -> tuple[TrialBatch, Strings]:
@@ -157,17 +131,9 @@ def run_course(
     stride = coarsen * grid.damping_step
     tolerance = 1e-9  # of a step: 184/4 must not lose its last damping to rounding
     count = floor((grid.damping_last - grid.damping_first) / stride + tolerance) + 1
-    climb.columns([(j, grid.damping_first + j * stride) for j in range(count)])
-    last = count - 1
-    while damping_range == "full":
-        columns = range(last + 1, last + 1 + COLUMNS_AHEAD)
-        stable = climb.columns([(j, grid.damping_first + j * stride) for j in columns])
-        if not stable.all():
-            last += 1 + int(np.argmin(stable))
-            break
-        last = columns[-1]
-    climb.columns([(AT_ZERO_STIFFNESS, None)])
-    batch, passes, verdict = climb.result(last)
+    climb.columns([*(grid.damping_first + j * stride for j in range(count))])
+    climb.columns([None])
+    batch, passes, verdict = climb.result()
     names = tuple(map(_log_name, batch.stiffness, batch.damping, passes))
     return Course(device, conditions, setup, seed, replace(batch, trial_id=names), passes, verdict)
 

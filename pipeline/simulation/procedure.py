@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.errors import ParameterError
-from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+from pipeline.records.batch import Floats, Integers, TrialBatch
 
 Strings = NDArray[np.str_]
 
@@ -76,13 +76,8 @@ class Climb:
     verdicts: list[Strings] = field(default_factory=list)
     order: list[Integers] = field(default_factory=list)
 
-    def columns(self, columns: Sequence[tuple[int, float | None]]) -> Booleans:
-        """Run the coarse and the fine pass; return which columns had a stable trial.
-
-        Parameters
-        ----------
-        columns : sequence of (int, float or None)
-            Number of the column, which orders the result, and its damping B; None for the trials at K = 0.
+    def columns(self, dampings: Sequence[float | None]) -> None:
+        """Run the coarse and the fine pass of columns by their damping B, in order; None for the trials at K = 0.
 
         Raises
         ------
@@ -92,17 +87,17 @@ class Climb:
         last = ceil(self.lowest_damping / self.damping_step) + 1
         coarse = [
             # at K = 0 the first rung is B = 0, at a fixed damping it is K = one step
-            _Ladder(column, None, -FINE_STEPS, FINE_STEPS, last)
+            _Ladder(AT_ZERO_STIFFNESS, None, -FINE_STEPS, FINE_STEPS, last)
             if damping is None
             else _Ladder(column, damping, 0, FINE_STEPS, None)
-            for column, damping in columns
+            for column, damping in enumerate(dampings)
         ]
         reached = self._climb(coarse)
         fine = [
             replace(ladder, origin=ladder.origin + FINE_STEPS * int(rung), stride=1, last=FINE_STEPS - 1)
             for ladder, rung in zip(coarse, reached, strict=True)
         ]
-        return (reached > 0) | (self._climb(fine) > 0)
+        self._climb(fine)
 
     def _climb(self, ladders: Sequence[_Ladder]) -> Integers:
         """Return the number of stable trials before the first unstable one of each ladder."""
@@ -140,10 +135,8 @@ class Climb:
             return np.stack((np.zeros(len(rungs)), 0.0 - steps * self.damping_step / FINE_STEPS), axis=1)
         return np.stack((steps * self.stiffness_step / FINE_STEPS, np.full(len(rungs), ladder.damping)), axis=1)
 
-    def result(self, last_column: int) -> tuple[TrialBatch, Integers, Strings]:
-        """Return trials, pass and verdict in the order of testing, without columns behind the last one."""
+    def result(self) -> tuple[TrialBatch, Integers, Strings]:
+        """Return trials, pass and verdict in the order of testing."""
         place = np.concatenate(self.order)
         index = np.lexsort((place[:, 2], place[:, 1], place[:, 0]))
-        columns = place[index, 0]
-        index = index[(columns <= last_column) | (columns == AT_ZERO_STIFFNESS)]
         return TrialBatch.joined(self.kept).select(index), place[index, 1], np.concatenate(self.verdicts)[index]

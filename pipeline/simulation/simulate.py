@@ -19,8 +19,7 @@ from pipeline.loop.many_digits import as_floats, many_digits
 from pipeline.loop.velocity_filter import filter_in_z, per_sample
 from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.records.loop_parts import AdaptiveWindow, Difference, Levant, VelocityFilter
-from pipeline.simulation.chance import Chance, Streams, draw
-from pipeline.simulation.setup import Setup
+from pipeline.simulation.setup import Chance, Setup, Streams, draw
 
 DIGITS = 40
 """In which a filter is written in powers of 1/z: a low cut-off cancels many of them."""

@@ -17,8 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pipeline.device_data import published_theory
-from pipeline.device_data.published_theory import THEORY_TABLES, PrintedNumber, PublishedPoint, published_points
+from pipeline.device_data.published import QUANTITIES, THEORY_TABLES, PrintedNumber, PublishedPoint, published_points
 from pipeline.loop.loop import Loop
 from pipeline.records.criteria import ENERGY, criterion_of
 from pipeline.theory.costs import point_costs_by_name
@@ -68,7 +67,7 @@ class Entry:
     Parameters
     ----------
     name : str
-        One of `published_theory.QUANTITIES`.
+        One of `published.QUANTITIES`.
     printed : str
     computed : float
     mark : {"equal", "within", "erratum", "unexplained"}
@@ -217,11 +216,7 @@ def count_marks(rows: Sequence[TheoryRow]) -> dict[Mark, int]:
 
 def table_lines(name: str, rows: Sequence[TheoryRow], align: Callable[..., list[str]]) -> list[str]:
     """Return a table as aligned lines, then the reason of each number that needs one, then an empty line."""
-    names = [
-        quantity
-        for quantity in published_theory.QUANTITIES
-        if any(e.name == quantity for row in rows for e in row.entries)
-    ]
+    names = [quantity for quantity in QUANTITIES if any(e.name == quantity for row in rows for e in row.entries)]
     columns = ["criterion", "d", "gamma", "delta", *(c for n in names for c in (n, f"{n} printed"))]
     lines = [f"Table {name}: {_counts(rows)}", *align([_cells(row, names) for row in rows], columns)]
     for row in rows:

@@ -14,8 +14,9 @@ from pipeline.base.errors import DeviceError, StoreError, UsageError
 from pipeline.comparison.compare_experiment import experiment_result
 from pipeline.comparison.scene.scene import SceneData, needed_stages, open_scene
 from pipeline.comparison.stage_pool import compute_stages
-from pipeline.device_data import human_arm
 from pipeline.device_data.devices import known_devices
+from pipeline.device_data.published import HumanArm
+from pipeline.device_data.published import human_arms as all_arms
 from pipeline.measured.stages.stages import ExperimentStages, cost_column
 from pipeline.records.criteria import MEASURED
 from pipeline.records.results import ExperimentResult
@@ -306,6 +307,6 @@ def human_arms() -> pd.DataFrame:
 
     Source: Hulin 2017, Table 3.2.
     """
-    rows = [arm.model_dump() for arm in human_arm.human_arms()]
+    rows = [arm.model_dump() for arm in all_arms()]
     units = {"mass": "kg"} | units_of(("stiffness", "damping"), {"translation"})
-    return frame_of(list(human_arm.HumanArm.model_fields), rows, units)
+    return frame_of(list(HumanArm.model_fields), rows, units)

@@ -139,7 +139,7 @@ def test_a_criterion_without_an_optimum_in_theory_is_a_row_with_a_reason(tmp_pat
 def test_stable_with_friction_is_said_of_the_step_with_the_limit_of_large_motions_beside(tmp_path):
     device = load_device("falcon").model_copy(update={"name": "rubbing"})
     device = device.model_copy(update={"loop": LoopParts(friction=Friction(coulomb=0.7))})
-    page, folder = tmp_path / "page.html", ingested(tmp_path, device, seed=21, jitter=(), coarsen=8)
+    page, folder = tmp_path / "page.html", ingested(tmp_path, device, seed=21, jitter_samples=(), coarsen=8)
     result = compare("rubbing", folder, criteria=("settle_2pct", "energy_step_w1"), report=page).result
     (found,) = result.experiments
     assert "coulomb_friction" in {cause.code for cause in found.causes}

@@ -47,11 +47,8 @@ def test_parameters_are_those_of_table_6_2() -> None:
         names = [e.name for e in device.experiments] if row["experiments"] == "lwr" else row["experiments"].split(";")
         for name in names:
             experiment = find_experiment(device, name)
-            assert (experiment.mass, experiment.damping, experiment.grip) == (
-                float(row["mass"]),
-                float(row["damping"]),
-                row["grip"],
-            )
+            known = float(row["mass"]), float(row["damping"]), row["grip"]
+            assert (experiment.mass, experiment.damping, experiment.grip) == known
             checked += 1
     assert checked == 14
 
@@ -104,23 +101,14 @@ def test_two_files_of_one_name_are_refused(tmp_path: Path, monkeypatch: pytest.M
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        (
-            ("mass = 0.58", "mass = -1.0"),
-            r"experiment\[1\]\.mass \(experiment '1'\): found -1\.0; .*greater than 0",
-        ),
+        (("mass = 0.58", "mass = -1.0"), r"experiment\[1\]\.mass \(experiment '1'\): found -1\.0; .*greater than 0"),
         (("mass = 0.58", 'mass = "0.58"'), r"experiment\[1\]\.mass .*found '0\.58'; .*valid number"),
         (("step = 8.0", "step = true"), r"step: found True; .*valid number"),
         (("mass = 0.58\n", ""), r"experiment\[1\]\.mass .*found nothing; field required"),
-        (
-            ("travel = 0.05", "travle = 0.05"),
-            r"limits\.travle: found 0\.05; Extra",
-        ),
+        (("travel = 0.05", "travle = 0.05"), r"limits\.travle: found 0\.05; Extra"),
         (("step = 8.0", "step = nan"), r"step: found nan; .*finite number"),
         (('grip = "none"', 'grip = "soft"'), r"experiment\[1\]\.grip .*found 'soft'; .*'comfortable'"),
-        (
-            ("damping_last = 184.0", "damping_last = -4.0"),
-            r"experiment\[1\] .*damping_last \(-4\.0\) is below",
-        ),
+        (("damping_last = 184.0", "damping_last = -4.0"), r"experiment\[1\] .*damping_last \(-4\.0\) is below"),
         (("delay_samples = 4", "delay_samples = -4"), r"experiment\[1\]\.delay_samples .*found -4; "),
         (("jitter_samples = [3, 4, 5]", "jitter_samples = [3, 4.5]"), r"jitter_samples\[2\] .*found 4\.5; "),
         (('name = "2"', 'name = "1"'), r"file as a whole: experiment names must be unique.*'1'"),

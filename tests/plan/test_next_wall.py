@@ -2,10 +2,25 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
-from pipeline.plan.next_wall import Aim, Bracket, Forecast, Tried, chances, corrected, doubtful_ends, order, state
+from pipeline.base.errors import ParameterError
+from pipeline.plan.next_wall import (
+    Aim,
+    Bracket,
+    Forecast,
+    Tried,
+    best_split,
+    bracket,
+    chances,
+    corrected,
+    doubtful_ends,
+    order,
+    state,
+)
 
 DAMPINGS = tuple(np.linspace(0, 180, 7))
 NOTHING = Tried(*[np.empty(0)] * 4)
@@ -30,8 +45,8 @@ def told(limit, off=0.0):
     return Forecast((1 + off) * value, 0.002 * value)
 
 
-def course(limit, aim, by=None, most=120):
-    rows = []
+def course(limit, aim, by=None, first=(), most=120):
+    rows = list(first)
     while True:
         columns = [np.array(column) for column in zip(*rows, strict=True)] or [np.empty(0)] * 4
         found = state(Tried(*columns), aim, by)
@@ -53,9 +68,9 @@ def test_of_an_unknown_limit_the_middle_of_its_bracket_is_expected():
 def test_limits_of_any_shape_are_found(limit, off):
     aim = Aim(DAMPINGS)
     said = "stable" if limit(60.0) > 4000.0 else "unstable"
-    rows = Tried(np.array([4000.0]), np.array([60.0]), np.array([said]), np.array([np.nan]))
-    by = told(limit, off) if off is not None else None
-    found, tried = course(limit, aim, by) if by else course_from(limit, aim, rows)
+    # by verdicts alone a wall is needed to begin with
+    by, first = (None, [(4000.0, 60.0, said, np.nan)]) if off is None else (told(limit, off), [])
+    found, tried = course(limit, aim, by, first)
     assert found.done
     truth = np.array([limit(b) for b in DAMPINGS])
     estimate = np.array([column.estimate for column in found.columns])
@@ -66,28 +81,15 @@ def test_limits_of_any_shape_are_found(limit, off):
         assert len(tried) <= 2 * len(DAMPINGS) + 4
 
 
-def course_from(limit, aim, tried, most=120):
-    """A course by verdicts alone, which needs a wall to begin with."""
-    while True:
-        found = state(tried, aim)
-        if found.done or len(tried) == most:
-            return found, tried
-        column = found.columns[order(found.columns)[0]]
-        said = "unstable" if column.wall > limit(column.damping) else "stable"
-        row = {"stiffness": column.wall, "damping": column.damping, "verdict": said, "growth": np.nan}
-        tried = Tried(**{name: np.append(getattr(tried, name), value) for name, value in row.items()})
-
-
 def test_a_rig_is_spared_unstable_walls_where_the_device_holds():
     plain, gentle = (course(parabola, Aim(DAMPINGS, gentle=gentle), told(parabola)) for gentle in (False, True))
     share = [np.mean(tried.verdict == "unstable") for _, tried in (plain, gentle)]
     assert share[1] <= 0.15 < 0.35 < share[0]
-    estimate = np.array([column.estimate for column in gentle[0].columns])
-    assert np.abs(estimate - parabola(np.array(DAMPINGS))).max() < 0.02 * 12_500
     # a device that says twice the limit is found out by verdicts
-    wrong, _ = course(parabola, Aim(DAMPINGS, gentle=True), told(parabola, 1.0))
-    estimate = np.array([column.estimate for column in wrong.columns])
-    assert np.abs(estimate - parabola(np.array(DAMPINGS))).max() < 0.02 * 12_500
+    wrong = course(parabola, Aim(DAMPINGS, gentle=True), told(parabola, 1.0))
+    for found, _ in (gentle, wrong):
+        estimate = np.array([column.estimate for column in found.columns])
+        assert np.abs(estimate - parabola(np.array(DAMPINGS))).max() < 0.02 * 12_500
 
 
 @pytest.mark.parametrize(("gentle", "most"), [(False, 0.5), (True, 0.3)])
@@ -207,3 +209,71 @@ def test_nothing_is_tried_where_the_device_of_the_logs_has_no_stable_wall():
     assert (column.estimate, column.wall, column.note) == (0.0, None, "no stable wall")
     # before any log a file may be wrong
     assert state(trials.select(np.zeros(2, dtype=bool)), Aim((60.0, 120.0)), by).columns[1].wall is not None
+
+
+@pytest.mark.parametrize(
+    ("trials", "width", "found"),
+    [
+        ([], 0.0, Bracket()),
+        ([(1e3, "stable"), (2e3, "undecided")], 0.0, Bracket(low=1e3, trials=2)),
+        # most trials of a wall decide
+        ([(1e3, "stable"), (2e3, "unstable"), (2e3, "stable"), (2e3, "stable"), (3e3, "unstable")], 0.0,
+         Bracket(2e3, 3e3, trials=5)),
+        # stable above unstable encloses both, and is asked again: the wall of fewest trials first
+        ([(1e3, "stable"), (2e3, "unstable"), (3e3, "stable"), (3e3, "stable"), (4e3, "unstable")], 0.0,
+         Bracket(1e3, 4e3, again=(2e3, 3e3), trials=5)),
+        # until it lasts: the lowest limit counts
+        ([(1e3, "stable"), *[(2e3, "unstable")] * 3, *[(3e3, "stable")] * 3, (4e3, "unstable")], 0.0,
+         Bracket(1e3, 2e3, lasting=True, trials=8)),
+        # within the width it is chance
+        ([(1e3, "stable"), (1.1e3, "unstable"), (1.2e3, "stable"), (1.3e3, "unstable")], 150.0,
+         Bracket(1e3, 1.3e3, trials=4)),
+    ],
+)  # fmt: skip
+def test_brackets_are_what_verdicts_say(trials, width, found):
+    walls, said = (np.array([trial[i] for trial in trials]) for i in range(2))
+    assert bracket(walls, said, width) == found
+
+
+def test_an_open_bracket_has_all_walls_in_it():
+    assert (Bracket().bottom, Bracket().top) == (0.0, np.inf)
+
+
+def test_columns_must_fit():
+    with pytest.raises(ParameterError, match="one value each"):
+        Tried(np.ones(2), np.ones(3), np.array(["stable"] * 2), np.ones(2))
+
+
+def exhaustive(edges, chance, width, price):
+    total = np.concatenate([[0.0], np.cumsum(chance)])
+
+    @cache
+    def cost(i, j):
+        if edges[j] - edges[i] <= width or j - i < 2:
+            return 0.0
+        return min(
+            cost(i, k) + cost(k, j) + total[j] - total[k] + price * (total[k] - total[i]) for k in range(i + 1, j)
+        )
+
+    n = len(chance)
+    return {k: cost(0, k) + cost(k, n) + total[n] - total[k] + price * (total[k] - total[0]) for k in range(1, n)}
+
+
+@pytest.mark.parametrize("price", [1.0, 4.0])
+@pytest.mark.parametrize("seed", range(5))
+def test_no_other_place_is_cheaper(seed, price):
+    random = np.random.default_rng(seed)
+    edges, chance = np.cumsum(random.uniform(0.2, 2, 10)), random.uniform(0.01, 1, 9)
+    costs = exhaustive(edges, chance, 1.5, price)
+    assert costs[best_split(edges, chance, 1.5, price).place] == pytest.approx(min(costs.values()), rel=1e-12)
+
+
+def test_dear_unstable_trials_are_approached_from_below():
+    edges, chance = np.linspace(0, 10, 41), np.ones(40)
+    plain, gentle = (best_split(edges, chance, 0.5, price) for price in (1.0, 6.0))
+    assert gentle.place < plain.place
+    assert gentle.unstable < plain.unstable
+
+
+def test_a_narrow_range_is_done():
+    assert best_split(np.array([0.0, 0.5, 1.0]), np.ones(2), 1.0) is None

@@ -3,42 +3,44 @@
 from __future__ import annotations
 
 import asyncio
+import time
+from types import SimpleNamespace
 
 import pytest
 
-from pipeline.service import sessions as module
 from pipeline.service.database import Database
 from pipeline.service.problems import Problem
 from pipeline.service.security import _Body
 
-HOUR = 3600.0
-
 
 @pytest.fixture
 def later(monkeypatch):
-    """A clock that a test sets forward [s]."""
-    now, start = [0.0], module.time.time()
-    monkeypatch.setattr(module.time, "time", lambda: start + now[0])
+    """A clock that a test sets forward [h]."""
+    now, start = [0.0], time.time()
+    monkeypatch.setattr("pipeline.service.database.time", SimpleNamespace(time=lambda: start + 3600.0 * now[0]))
     return now
 
 
-def test_a_session_ends_after_twelve_hours(tmp_path, later):
+def test_a_session_ends_after_twelve_hours_and_is_forgotten_with_the_next(tmp_path, later):
     known = Database(tmp_path)
-    session = known.login(known.create_token("viewer", "Ada"))
+    token = known.create_token("viewer", "Ada")
+    session = known.login(token)
     for hours, holder in ((0.0, ("viewer", "Ada")), (11.9, ("viewer", "Ada")), (12.1, None)):
-        later[0] = hours * HOUR
+        later[0] = hours
         assert known.holder_of_session(session) == holder
+    known.login(token)
+    assert len(known.run("SELECT 1 FROM sessions")) == 1
 
 
 def test_a_token_ends_with_its_days_and_its_sessions_with_it(tmp_path, later):
     known = Database(tmp_path)
     token, lasting = known.create_token("contributor", "Ada", days=0.25), known.create_token("viewer", "Bob")
     session = known.login(token)
-    later[0] = 5.9 * HOUR
+    later[0] = 5.9
     assert known.holder_of(token) == known.holder_of_session(session) == ("contributor", "Ada")
-    later[0] = 6.1 * HOUR
+    later[0] = 6.1
     assert known.holder_of(token) is known.holder_of_session(session) is known.login(token) is None
-    later[0] = 1e5 * HOUR
+    later[0] = 1e5
     assert known.holder_of(lasting) == ("viewer", "Bob")
 
 

@@ -6,8 +6,8 @@ import pytest
 from served import Browser, page
 
 from pipeline.base.lock import writing
-from pipeline.service import shared
 from pipeline.shell.verify import verify
+from pipeline.service.rest import remarks
 
 WHY = "gripper slipped"
 TWO = {"device": "falcon", "experiments": ["2"], "criteria": ["overshoot"]}
@@ -74,7 +74,7 @@ def test_an_exclusion_has_a_reason(three, document):
 
 
 def test_while_others_write_an_exclusion_is_refused_and_said(three, monkeypatch):
-    monkeypatch.setattr(shared, "EXCLUDE_S", 0.0)
+    monkeypatch.setattr(remarks, "CORRECT_S", 0.0)
     trial = three.get("trials?limit=1").content["items"][0]["id"]
     with writing(three.settings.processed, 1.0, None):
         answer = three.ask("PUT", f"trials/{trial}/exclusion", document={"reason": WHY})

@@ -44,47 +44,46 @@ def test_senders_who_may_ask_freely_are_forgotten():
     assert "busy" in rates._left
 
 
-def settings_of(folder, **options):
-    return Settings(folder / "processed", folder / "reports", **options)
-
-
-def test_a_token_or_address_that_asks_too_often_is_told(tmp_path):
-    settings = settings_of(tmp_path, host="0.0.0.0", rate=30)
-    one, other = (Database(settings.data).create_token("viewer", name) for name in ("one", "other"))
+@pytest.fixture
+def limited(tmp_path):
+    """A server for all addresses that takes 30 requests a minute of each sender, and two tokens."""
+    settings = Settings(tmp_path / "processed", tmp_path / "reports", host="0.0.0.0", rate=30)
+    tokens = [Database(settings.data).create_token("viewer", name) for name in ("one", "other")]
     with serving(settings) as client:
-        answers = [client.get("devices", Authorization=f"Bearer {one}") for _ in range(8)]
-        assert [answer.status for answer in answers][:5] == [200] * 5
-        assert answers[-1].status == 429
-        assert answers[-1].content["title"] == "Too many requests"
-        assert 1 <= int(answers[-1].headers["retry-after"]) <= 2
-        assert client.get("devices", Authorization=f"Bearer {other}").status == 200
-        # each guess is another token, and of the same address
-        guesses = [client.get("devices", Authorization=f"Bearer hp_{i}").status for i in range(8)]
-        assert (guesses[0], guesses[-1]) == (401, 429)
+        yield client, *tokens
+
+
+def test_a_token_or_address_that_asks_too_often_is_told(limited):
+    client, one, other = limited
+    answers = [client.get("devices", Authorization=f"Bearer {one}") for _ in range(8)]
+    assert [answer.status for answer in answers][:5] == [200] * 5
+    assert answers[-1].status == 429
+    assert answers[-1].content["title"] == "Too many requests"
+    assert 1 <= int(answers[-1].headers["retry-after"]) <= 2
+    assert client.get("devices", Authorization=f"Bearer {other}").status == 200
+    # each guess is another token, and of the same address
+    guesses = [client.get("devices", Authorization=f"Bearer hp_{i}").status for i in range(8)]
+    assert (guesses[0], guesses[-1]) == (401, 429)
 
 
 @pytest.mark.parametrize(
     "words", [{"Cookie": "pipeline-session={}"}, {"Authorization": "Bearer {}"}, {"Authorization": "bearer {}"}]
 )
 @pytest.mark.parametrize("path", ["devices", "/login"])
-def test_invented_words_do_not_pass_the_rate(tmp_path, words, path):
-    settings = settings_of(tmp_path, host="0.0.0.0", rate=30)
-    Database(settings.data).create_token("viewer", "")
-    with serving(settings) as client:
-        answers = [client.get(path, **{name: word.format(i) for name, word in words.items()}) for i in range(8)]
-        assert answers[-1].status == 429
+def test_invented_words_do_not_pass_the_rate(limited, words, path):
+    client = limited[0]
+    answers = [client.get(path, **{name: word.format(i) for name, word in words.items()}) for i in range(8)]
+    assert answers[-1].status == 429
 
 
-def test_one_token_is_one_sender_however_it_is_written(tmp_path):
-    settings = settings_of(tmp_path, host="0.0.0.0", rate=30)
-    token = Database(settings.data).create_token("viewer", "")
-    with serving(settings) as client:
-        spelled = ("Bearer", "bearer", "BEARER", "BeAreR", "bEARER", "BEarer", "bearER", "bEaReR")
-        assert [client.get("devices", Authorization=f"{word} {token}").status for word in spelled][-1] == 429
+def test_one_token_is_one_sender_however_it_is_written(limited):
+    client, token, _ = limited
+    spelled = ("Bearer", "bearer", "BEARER", "BeAreR", "bEARER", "BEarer", "bearER", "bEaReR")
+    assert [client.get("devices", Authorization=f"{word} {token}").status for word in spelled][-1] == 429
 
 
 @pytest.mark.parametrize(
     ("options", "expected"), [({}, 0), ({"host": "0.0.0.0"}, 3000), ({"rate": 5}, 5), ({"host": "::", "rate": 0}, 0)]
 )
 def test_the_usual_rate(tmp_path, options, expected):
-    assert settings_of(tmp_path, **options).per_minute == expected
+    assert Settings(tmp_path / "processed", tmp_path / "reports", **options).per_minute == expected

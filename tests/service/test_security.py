@@ -8,7 +8,6 @@ import time
 import zipfile
 from contextlib import contextmanager
 from http.client import HTTPConnection
-from types import SimpleNamespace
 
 import pytest
 from served import form, serving
@@ -152,18 +151,6 @@ def test_a_revoked_token_ends_its_logins(guarded):
     assert guarded.ask("GET", "devices", headers=headers).status == 200
     guarded.database.run("DELETE FROM tokens WHERE role = 'viewer'")
     assert guarded.ask("GET", "devices", headers=headers).status == 401
-
-
-def test_a_login_ends_after_half_a_day(guarded, monkeypatch):
-    headers = {"Cookie": f"pipeline-session={guarded.database.login(guarded.tokens['viewer'])}"}
-    for hours, status in ((0.0, 200), (11.9, 200), (12.1, 401)):
-        later = time.time() + 3600 * hours
-        clock = SimpleNamespace(time=lambda later=later: later)
-        monkeypatch.setattr("pipeline.service.sessions.time", clock)
-        assert guarded.ask("GET", "devices", headers=headers).status == status
-    # and what has ended is forgotten with the next login
-    guarded.database.login(guarded.tokens["viewer"])
-    assert len(guarded.database.run("SELECT 1 FROM sessions")) == 1
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -61,6 +62,17 @@ def judge_by_theory(device: Device, experiment: str) -> Judge:
     return judge
 
 
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Course]:
+    """`run_course` with another judge of the logs."""
+
+    def course(judge: Judge, *given: Any, **options: Any) -> Course:
+        monkeypatch.setattr(course_module, "judge", judge)
+        return run_course(*given, **options)
+
+    return course
+
+
 def sequential(device: Device, experiment: str, judge: Judge, coarsen: int, seed: int) -> list[tuple[float, float]]:
     """Pairs (K, B) of a lab that tests one trial after the other, in plain loops."""
     e = find_experiment(device, experiment)
@@ -93,12 +105,12 @@ def sequential(device: Device, experiment: str, judge: Judge, coarsen: int, seed
 
 @pytest.mark.parametrize(("device", "experiment", "coarsen"), [(FALCON, "6", 9), (LWR, "delay-5", 10)])
 def test_course_equals_testing_one_after_the_other(
-    device: Device, experiment: str, coarsen: int, monkeypatch: pytest.MonkeyPatch
+    run: Callable[..., Course], device: Device, experiment: str, coarsen: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = sequential(device, experiment, judge_by_noise, coarsen, 5)
     for wave in (1, 3, 12):
         monkeypatch.setattr(procedure, "WAVE", wave)
-        course = run_course(device, experiment, seed=5, coarsen=coarsen, judge=judge_by_noise)
+        course = run(judge_by_noise, device, experiment, seed=5, coarsen=coarsen)
         batch = course.batch
         assert np.allclose(np.stack((batch.stiffness, batch.damping), axis=1), expected, rtol=1e-12, atol=1e-12)
     assert set(course.verdict) == {"stable", "unstable", "undecided"}
@@ -108,15 +120,15 @@ def test_course_equals_testing_one_after_the_other(
 @pytest.mark.parametrize(
     ("device", "experiment", "size"), [(FALCON, "1", 2320), (FALCON, "6", 1080), (LWR, "delay-2", 1420)]
 )
-def test_size_of_an_ideal_course(device: Device, experiment: str, size: int) -> None:
-    course = run_course(device, experiment, ideal=True, judge=judge_by_theory(device, experiment))
+def test_size_of_an_ideal_course(run: Callable[..., Course], device: Device, experiment: str, size: int) -> None:
+    course = run(judge_by_theory(device, experiment), device, experiment, ideal=True)
     # sizes from DEFINITIONS ("about"); one more fine or K = 0 trial for each of 40 dampings would be 3 %
     assert len(course.batch) == pytest.approx(size, rel=0.015)
     assert len(set(course.batch.trial_id)) == len(course.batch)
 
 
-def test_limits_are_bracketed_to_a_fifth_of_the_step() -> None:
-    course = run_course(FALCON, "2", ideal=True, coarsen=6, judge=judge_by_theory(FALCON, "2"))
+def test_limits_are_bracketed_to_a_fifth_of_the_step(run: Callable[..., Course]) -> None:
+    course = run(judge_by_theory(FALCON, "2"), FALCON, "2", ideal=True, coarsen=6)
     K, B, unstable = course.batch.stiffness, course.batch.damping, course.verdict == "unstable"
     for damping in np.unique(B[K > 0]):
         here = (damping == B) & (K > 0)
@@ -126,56 +138,33 @@ def test_limits_are_bracketed_to_a_fifth_of_the_step() -> None:
     assert B[free & ~unstable].min() == pytest.approx(-1.6)
 
 
-def test_full_range_goes_on_until_no_stiffness_is_stable(monkeypatch: pytest.MonkeyPatch) -> None:
-    judge = judge_by_theory(LWR, "delay-5")
-    tested = run_course(LWR, "delay-5", ideal=True, coarsen=8, judge=judge)
-    assert tested.batch.damping.max() == 40.0
-    sizes = []
-    for ahead in (1, 6):
-        monkeypatch.setattr(course_module, "COLUMNS_AHEAD", ahead)
-        full = run_course(LWR, "delay-5", ideal=True, coarsen=8, damping_range="full", judge=judge)
-        last = full.batch.damping == full.batch.damping.max()
-        assert (full.verdict[last] == "unstable").all()
-        below = (full.batch.damping == full.batch.damping.max() - 8) & (full.batch.stiffness > 0)
-        assert (full.verdict[below] == "stable").any()
-        sizes.append(len(full.batch))
-    assert full.batch.damping.max() > 40
-    assert sizes[0] == sizes[1]
-
-
-def test_where_no_damping_at_zero_stiffness_is_stable_the_limit_is_enclosed_from_above() -> None:
+def test_where_no_damping_at_zero_stiffness_is_stable_the_limit_is_enclosed(
+    run: Callable[..., Course],
+) -> None:
     def judge(batch: TrialBatch) -> Judged:
         return Judged(np.where((batch.stiffness > 0) | (batch.damping < 0.5), "unstable", "stable"))
 
-    course = run_course(LWR, "delay-2", coarsen=40, ideal=True, judge=judge)
+    course = run(judge, LWR, "delay-2", coarsen=40, ideal=True)
     free = course.batch.stiffness == 0
     assert course.batch.damping[free] == pytest.approx([0.0, 0.8, 0.6, 0.4])
     assert course.verdict[free].tolist() == ["unstable", "stable", "stable", "unstable"]
 
 
-def test_a_course_without_end_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_course_without_end_is_given_up(run: Callable[..., Course], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(procedure, "LONGEST_CLIMB", 24)
     with pytest.raises(ParameterError, match=r"no unstable trial after 24 steps \(K = 4800, B = 0\)"):
-        run_course(FALCON, "1", judge=lambda b: Judged(np.full(len(b), "stable")))
+        run(lambda b: Judged(np.full(len(b), "stable")), FALCON, "1")
 
 
-def test_options_replace_the_devices_values() -> None:
+def test_options_replace_the_devices_values(run: Callable[..., Course]) -> None:
     seen: list[int] = []
-    course = run_course(
-        *(FALCON, "6"),
-        quantum=1e-5,
-        noise=0.0,
-        jitter=(4,),
-        duration_s=0.3,
-        coarsen=9,
-        judge=judge_by_noise,
-        progress=seen.append,
-    )
+    options = {"quantum": 1e-5, "noise": 0.0, "jitter_samples": (4,), "duration_s": 0.3, "coarsen": 9}
+    course = run(judge_by_noise, FALCON, "6", progress=seen.append, **options)
     assert (course.setup.quantum, course.setup.noise, course.setup.jitter_samples) == (1e-5, 0.0, (4,))
     assert course.batch.rows.max() == 300
     assert seen == sorted(seen)
     assert seen[-1] == len(course.batch)
-    ideal = run_course(FALCON, "6", ideal=True, coarsen=9, judge=judge_by_theory(FALCON, "6"))
+    ideal = run(judge_by_theory(FALCON, "6"), FALCON, "6", ideal=True, coarsen=9)
     assert ideal.setup == idealise(setup_of(FALCON, find_experiment(FALCON, "6")))
 
 
@@ -190,7 +179,9 @@ def test_wrong_requests_are_refused() -> None:
 
 @pytest.fixture(scope="module")
 def small() -> Course:
-    return run_course(FALCON, "6", seed=2, coarsen=9, judge=judge_by_noise)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(course_module, "judge", judge_by_noise)
+        return run_course(FALCON, "6", seed=2, coarsen=9)
 
 
 def test_logs_hold_the_trials_to_the_last_bit(small: Course, tmp_path: Path) -> None:
@@ -224,9 +215,16 @@ def test_truth_says_what_was_simulated(small: Course, tmp_path: Path) -> None:
     assert first["rows"] == small.batch.rows[0]
 
 
-def test_an_earlier_simulation_is_replaced_only_on_request(small: Course, tmp_path: Path) -> None:
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Where its logs go."""
+    found = tmp_path / "falcon" / "6"
+    found.mkdir(parents=True)
+    return found
+
+
+def test_an_earlier_simulation_is_replaced_only_on_request(small: Course, tmp_path: Path, folder: Path) -> None:
     write_course(small, tmp_path)
-    folder = tmp_path / "falcon" / "6"
     own = folder / "my_own.csv"
     own.write_text("recorded by hand")
     with pytest.raises(UsageError, match="overwrite=True"):
@@ -239,9 +237,7 @@ def test_an_earlier_simulation_is_replaced_only_on_request(small: Course, tmp_pa
     assert own.read_text() == "recorded by hand"
 
 
-def test_a_log_that_is_not_listed_is_never_replaced(small: Course, tmp_path: Path) -> None:
-    folder = tmp_path / "falcon" / "6"
-    folder.mkdir(parents=True)
+def test_a_log_that_is_not_listed_is_never_replaced(small: Course, tmp_path: Path, folder: Path) -> None:
     own = folder / f"{small.batch.trial_id[3]}.csv"
     own.write_text("recorded by hand")
     for overwrite in (False, True):
@@ -252,18 +248,14 @@ def test_a_log_that_is_not_listed_is_never_replaced(small: Course, tmp_path: Pat
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"logs": 3}', "{}"])
-def test_a_foreign_truth_file_stops_the_replacement(small: Course, tmp_path: Path, text: str) -> None:
-    folder = tmp_path / "falcon" / "6"
-    folder.mkdir(parents=True)
+def test_a_foreign_truth_file_stops_the_replacement(small: Course, tmp_path: Path, folder: Path, text: str) -> None:
     (folder / TRUTH_FILE).write_text(text)
     with pytest.raises(UsageError, match="is not a list of simulated logs"):
         write_course(small, tmp_path, overwrite=True)
     assert (folder / TRUTH_FILE).read_text() == text
 
 
-def test_a_listed_path_outside_the_folder_is_left_alone(small: Course, tmp_path: Path) -> None:
-    folder = tmp_path / "falcon" / "6"
-    folder.mkdir(parents=True)
+def test_a_listed_path_outside_the_folder_is_left_alone(small: Course, tmp_path: Path, folder: Path) -> None:
     outside = tmp_path / "keep.csv"
     outside.write_text("keep")
     notes = folder / "notes.txt"
@@ -275,9 +267,8 @@ def test_a_listed_path_outside_the_folder_is_left_alone(small: Course, tmp_path:
 
 
 def test_a_broken_run_leaves_complete_logs_that_the_next_run_replaces(
-    small: Course, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    small: Course, tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder = tmp_path / "falcon" / "6"
     real, written = Path.write_bytes, []
 
     def full_disk(path: Path, data: bytes) -> int:

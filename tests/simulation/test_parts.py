@@ -81,20 +81,9 @@ def test_random_combinations_move_as_the_second_simulator_says(seed: int) -> Non
     stiffness, damping = random.uniform(500, 4000), random.uniform(0, 30)
     found = simulate(setup, np.array([stiffness]), np.array([damping]))
     b, a = velocity_filter("butterworth", T, order, cutoff)
-    x, u = run(
-        body_of(plant),
-        K=stiffness,
-        B=damping,
-        T=T,
-        external=external_force(setup),
-        delay=(5, 4),
-        b=b,
-        a=a,
-        gain=1.2 * 0.9,
-        limit=9.0,
-        one_sided=hidden.one_sided_wall,
-        true_period=T * 1.02,
-    )
+    loop = {"T": T, "external": external_force(setup), "delay": (5, 4), "b": b, "a": a, "true_period": T * 1.02}
+    force = {"gain": 1.2 * 0.9, "limit": 9.0, "one_sided": hidden.one_sided_wall}
+    x, u = run(body_of(plant), K=stiffness, B=damping, **loop, **force)
     assert np.abs(found.displacement[0] - x).max() < 1e-8 * np.abs(x).max()
     assert np.abs(found.command[0] - u).max() < 1e-7 * np.abs(u).max()
 

@@ -218,19 +218,5 @@ def test_setups_out_of_range_are_refused(change: dict[str, object]) -> None:
         replace(IDEAL, **change)  # type: ignore[arg-type]
 
 
-class HalfSteps:
-    """Another plant: the same mass and damper, moved in two halves, with a third state: its age."""
-
-    sensed = 0
-
-    def rest(self, command: Floats) -> Floats:
-        return np.zeros((3, len(command)))
-
-    def advance(self, state: Floats, command: Floats, push: Floats | float, time_s: float) -> Floats:
-        plant = Mechanism(0.58, 4.0)
-        half = plant.advance(state[:2], command, push, time_s / 2)
-        return np.vstack((plant.advance(half, command, push, time_s / 2), state[2:] + time_s))
-
-
 def test_no_trials_give_an_empty_batch() -> None:
     assert len(simulate(FALCON, np.empty(0), np.empty(0))) == 0

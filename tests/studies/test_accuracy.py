@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
@@ -212,29 +212,12 @@ def test_stored_measurement_is_used_while_code_and_machine_are_the_same(report: 
     assert accuracy.stored(tmp_path) is None
 
 
-class _Page(HTMLParser):
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.ids: list[str] = []
-        self.figures = 0
-        self.loads: list[str] = []
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        found = dict(attrs)
-        if found.get("id"):
-            self.ids.append(str(found["id"]))
-        self.figures += tag == "svg" and found.get("role") == "img"
-        if tag in ("script", "link", "img", "iframe"):
-            self.loads.append(tag)
-
-
 def test_page_is_complete_and_self_contained(report: AccuracyReport) -> None:
     text = page.render(report)
-    shown = _Page(text)
-    assert shown.loads == []
-    assert len(shown.ids) == len(set(shown.ids))
-    assert shown.figures == 1
+    assert re.findall("<(?:script|link|img|iframe)", text) == []
+    identifiers = re.findall(r'\bid="([^"]+)"', text)
+    assert len(identifiers) == len(set(identifiers)) > 0
+    assert len(re.findall('<svg[^>]* role="img"', text)) == 1
     for entry in report.left_out:
         assert entry.reason.split(",")[0] in text
     assert "Quick run" in text

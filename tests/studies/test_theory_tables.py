@@ -10,7 +10,7 @@ import pytest
 
 import pipeline.studies.thesis_tables as module
 from pipeline.base.errors import ParameterError
-from pipeline.device_data.published_theory import THEORY_TABLES, PublishedPoint, published_points
+from pipeline.device_data.published import THEORY_TABLES, PublishedPoint, published_points
 from pipeline.loop.loop import Loop
 from pipeline.shell.cli import run
 from pipeline.shell.console import table

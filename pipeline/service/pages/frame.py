@@ -150,16 +150,16 @@ async def fields_of(request: Request) -> dict[str, list[str]]:
 Fields = Annotated[dict[str, list[str]], Depends(fields_of)]
 
 
-def kept(service: Service, ask: Callable[[], Any]) -> tuple[dict[str, Any] | None, str | None, str | None]:
-    """Return a document that is kept, or the job that makes it, or why there is neither."""
+def kept(service: Service, ask: Callable[[], Any]) -> dict[str, Any]:
+    """Return a document that is kept (``drawn``), or the job that makes it, or the problem: why there is neither."""
     try:
         document, job = ask()
     except Problem as error:
         if error.status == 404:
             raise
-        return None, None, str(error)
-    found = service.database.job(job) if job else None
-    return document, job, found["problem"]["detail"] if found and found["problem"] else None
+        return {"drawn": None, "job": None, "problem": str(error)}
+    found = (service.database.job(job) if job else None) or {}
+    return {"drawn": document, "job": job, "problem": (found.get("problem") or {}).get("detail")}
 
 
 def busy(job: Mapping[str, Any] | None) -> bool:

@@ -90,28 +90,27 @@ def one_device(service: Shared, request: Request, device: Segment) -> Response:
     if not own:
         raise Problem(404, "There are no trials of this device.", found=device)
     places = [(device, e["experiment"]) for e in own[:OVERLAID]]
-    drawn, job, problem = kept(service, lambda: service.drawn("limits", places, plane="physical"))
-    return page_of(service, request, "device.html.j2", device=device, experiments=own, criteria=REPORTED,
-                   drawn=drawn, job=job, problem=problem)  # fmt: skip
+    shown = kept(service, lambda: service.drawn("limits", places, plane="physical"))
+    return page_of(service, request, "device.html.j2", device=device, experiments=own, criteria=REPORTED, **shown)
 
 
 @pages.get("/devices/{device}/experiments/{experiment}")
 def one_experiment(service: Shared, request: Request, device: Segment, experiment: Segment) -> Response:
     """Show the trials of an experiment in their plane beside theory, what was found, and the next wall."""
-    document, job, problem = kept(service, lambda: service.experiment(device, experiment))
+    shown = kept(service, lambda: service.experiment(device, experiment))
+    document = shown["drawn"]
     chosen = Selection({"device": device, "experiment": experiment}, {})
     total, facets = service.catalogue.selected(chosen)
     trials, _ = service.catalogue.page(chosen, "stiffness", PLOTTED, None)
     found = document["experiments"][0] if document else None
-    drawn = document["figures"].get("limits") if document else None
+    shown["drawn"] = drawn = document["figures"].get("limits") if document else None
     motion: Motion = trials[0]["motion"] if trials else "translation"
     of, told = ["experiment", device, experiment], (document or {}).get("told")
     return page_of(
         service, request, "experiment.html.j2", device=device, experiment=experiment, trials=trials[:LISTED],
         total=total, facets=facets, motion=motion, units=UNITS[motion],
         period=told["sampling_period_s"] if told else None,
-        plot=clickable(drawn, trials) if drawn else None, drawn=drawn,
-        found=found, answer=answer_of(document), job=job, problem=problem,
+        plot=clickable(drawn, trials) if drawn else None, found=found, answer=answer_of(document), **shown,
         causes=document["causes"][experiment] if document else [],
         excluded=service.excluded(of), words=words_of(service, of), of=of,
         remarks=[note for note in service.notes(device, experiment) if note.trial_id],
@@ -192,8 +191,9 @@ def overlay(service: Shared, request: Request, trial: Annotated[list[str], Query
         raise Problem(422, "Choose one to six trials by their boxes.", where="trial", found=len(chosen))
     found = [service.found(one) for one in chosen]
     places = [(one["device"], one["experiment"], one["id"]) for one in found]
-    drawn, job, problem = kept(service, lambda: service.drawn("trials", places))
-    return page_of(service, request, "overlay.html.j2", trials=found, drawn=drawn, job=job, problem=problem)
+    return page_of(
+        service, request, "overlay.html.j2", trials=found, **kept(service, lambda: service.drawn("trials", places))
+    )
 
 
 @pages.get("/trials/{trial}")
@@ -201,11 +201,9 @@ def one_trial(service: Shared, request: Request, trial: str) -> Response:
     """Show the response of a trial beside theory and fitted loop, and what is known of it."""
     about = service.found(trial)
     place = about["device"], about["experiment"], trial
-    drawn, job, problem = kept(service, lambda: service.drawn("trials", [place]))
-    return page_of(
-        service, request, "trial.html.j2", trial=about, units=UNITS[about["motion"]], drawn=drawn, job=job,
-        problem=problem, words=words_of(service, ["trial", trial]),
-    )  # fmt: skip
+    shown = kept(service, lambda: service.drawn("trials", [place]))
+    shown["words"] = words_of(service, ["trial", trial])
+    return page_of(service, request, "trial.html.j2", trial=about, units=UNITS[about["motion"]], **shown)
 
 
 @pages.get("/upload")
@@ -239,7 +237,7 @@ def profile(service: Shared, request: Request, who: Who, fields: Fields) -> Resp
     checked, problem, name = None, "", given["name"].strip()
     try:
         if given["act"] == "keep":
-            lab.keep_profile(service, lab.NamedProfile(name=name).name, text, who)
+            lab.put_profile(service, who, lab.NamedProfile(name=name).name, asked)
             return RedirectResponse(f"/upload?profile={name}", 303)
         checked = lab.preview(service, asked)
     except Problem as error:
@@ -268,7 +266,7 @@ def quarantine(service: Shared, request: Request) -> Response:
     """List what could not be ingested."""
     damaged: dict[Path, str] = {}
     list_quarantine(service.settings.processed, damaged)
-    return page_of(service, request, "quarantine.html.j2", records=lab.refused(service), damaged=damaged,
+    return page_of(service, request, "quarantine.html.j2", records=lab.quarantine(service), damaged=damaged,
                    profiles=profiles.names(service.settings))  # fmt: skip
 
 

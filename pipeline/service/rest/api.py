@@ -22,13 +22,13 @@ from pipeline.records.against_records import AgainstResult
 from pipeline.records.criteria import REPORTED
 from pipeline.records.results import ComparisonResult
 from pipeline.records.tables import COLUMNS
+from pipeline.service import documents
 from pipeline.service.catalogue import SORTED, WORDS, Catalogue, Selection
 from pipeline.service.database import ENDED, NEWEST
-from pipeline.service.jobs import documents
 from pipeline.service.problems import Later, Problem
 from pipeline.service.rest import answers
 from pipeline.service.shared import MOST_REPORTS, ComparisonRequest, Kept, Service, Shared, Who
-from pipeline.service.uploads import Upload
+from pipeline.service.uploads import Check, received
 from pipeline.store.names import name_of_folder
 from pipeline.store.storage import natural_key
 
@@ -350,16 +350,10 @@ async def awaited(service: Service, ask: Callable[[], Kept]) -> dict[str, Any]:
             raise Problem(503 if status == 500 else status, shown["problem"]["detail"], where="job", found=job)
 
 
-async def receive(service: Service, request: Request, check: Any = lambda _: None) -> dict[str, Any]:
-    """Store the logs of a request and queue their job; `check` looks at the fields of the form before."""
-    upload = Upload(service.settings)
-    try:
-        await upload.receive(request)
-        check(upload.fields)
+async def receive(service: Service, request: Request, check: Check = lambda _: None) -> dict[str, Any]:
+    """Store the logs of a request and queue their job."""
+    async with received(service.settings, request, check) as upload:
         accepted = await run_in_threadpool(upload.accept, service.database, request.state.who)
-    except BaseException:
-        upload.discard()
-        raise
     service.workers.wake()
     return accepted
 

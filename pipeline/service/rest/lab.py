@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Path, Query, Request
 from fastapi.responses import JSONResponse, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
 from pipeline.base.paths import path_of_text
@@ -17,8 +17,8 @@ from pipeline.service import profiles
 from pipeline.service.problems import Problem
 from pipeline.service.rest import answers
 from pipeline.service.rest.api import FiniteNumber, Name, Segment, awaited, files_of
-from pipeline.service.shared import Service, Shared, Who
-from pipeline.service.uploads import Upload
+from pipeline.service.shared import Form, Service, Shared, Who
+from pipeline.service.uploads import Check, received
 from pipeline.theory.optimum import POINT_CRITERIA
 
 lab = APIRouter(prefix="/api/v1", responses=answers.EVERYWHERE)
@@ -27,10 +27,9 @@ ProfileName = Annotated[str, Path(pattern=profiles.NAME)]
 Toml = Annotated[str, Field(max_length=profiles.LONGEST)]
 
 
-class ProfileText(BaseModel):
+class ProfileText(Form):
     """A profile as TOML."""
 
-    model_config = ConfigDict(extra="forbid")
     profile: Toml
 
 
@@ -40,16 +39,15 @@ class Tried(ProfileText):
     sample: Annotated[str, Field(pattern="^[0-9a-f]{16}$")]
 
 
-class NamedProfile(BaseModel):
+class NamedProfile(Form):
     """The name of a profile of the lab."""
 
     name: Annotated[str, Field(pattern=profiles.NAME)]
 
 
-class Retry(BaseModel):
+class Retry(Form):
     """The profile by which a refused log is to be read, empty for that which claims it."""
 
-    model_config = ConfigDict(extra="forbid")
     profile: Annotated[str, Field(max_length=100)] = ""
 
 
@@ -62,22 +60,15 @@ def profile_names(service: Shared) -> list[str]:
 @lab.get("/profiles/{name}", response_model=ProfileText, responses=answers.NAMED)
 def profile(service: Shared, name: ProfileName) -> dict[str, str]:
     """Return the TOML of a profile."""
-    if name not in profiles.names(service.settings):
-        raise Problem(404, "There is no such profile.", where="name", found=name)
     return {"profile": profiles.text_of(service.settings, name)}
 
 
 @lab.put("/profiles/{name}", response_model=ProfileText)
 def put_profile(service: Shared, who: Who, name: ProfileName, asked: ProfileText) -> dict[str, str]:
     """Keep a profile of the lab, in place of an earlier one of its name."""
-    keep_profile(service, name, asked.profile, who)
-    return asked.model_dump()
-
-
-def keep_profile(service: Service, name: str, text: str, who: str) -> None:
-    """Keep a profile of the lab, and who did."""
-    profiles.keep(service.settings, name, text)
+    profiles.keep(service.settings, name, asked.profile)
     service.database.note(who, "kept a profile", {"name": name})
+    return {"profile": asked.profile}
 
 
 @lab.post("/profiles/draft", response_model=answers.Draft, openapi_extra=files_of(),
@@ -87,19 +78,12 @@ async def draft(service: Shared, request: Request) -> dict[str, Any]:
     return await drafted(service, request)
 
 
-async def drafted(service: Service, request: Request, check: Any = lambda _: None) -> dict[str, Any]:
+async def drafted(service: Service, request: Request, check: Check = lambda _: None) -> dict[str, Any]:
     """Return the draft of a profile for the files of a request."""
     sample = secrets.token_hex(8)
-    upload = Upload(service.settings, profiles.samples_folder(service.settings, sample))
-    try:
-        await upload.receive(request)
-        check(upload.fields)
-        if not upload.files:
-            raise Problem(422, "There is no file in the form.", where="files", expected="one or more")
+    folder = profiles.samples_folder(service.settings, sample)
+    async with received(service.settings, request, check, folder) as upload:
         return {"sample": sample, **await run_in_threadpool(profiles.draft, upload.folder)}
-    except BaseException:
-        upload.discard()
-        raise
 
 
 @lab.post("/profiles/preview", response_model=list[Any], responses=answers.problems(404, 504))
@@ -111,23 +95,17 @@ def preview(service: Shared, asked: Tried) -> list[Any]:
     return profiles.preview(folder, asked.profile)
 
 
-def refused(service: Service) -> list[dict[str, Any]]:
-    """Return the refused logs, with names as uploaded, who sent them, and the lines around the row at fault."""
+@lab.get("/quarantine", response_model=list[answers.Refused])
+def quarantine(service: Shared) -> list[dict[str, Any]]:
+    """List the logs that were refused, with reason and date."""
     processed, sent = service.settings.processed, service.database.uploaded()
     found = []
     for record in list_quarantine(processed, {}):
         name, author = sent.get(record.path, (str(path_of_text(record.path)), None))
         since = os.stat(processed / "quarantine" / record_id(record)).st_mtime
         shown = record.model_dump(include={"row", "reason", "code", "profile", "profile_line"})
-        more = {"id": record_id(record), "since": since}
-        found.append({**shown, **more, "name": name, "author": author})
+        found.append({**shown, "id": record_id(record), "since": since, "name": name, "author": author})
     return found
-
-
-@lab.get("/quarantine", response_model=list[answers.Refused])
-def quarantine(service: Shared) -> list[dict[str, Any]]:
-    """List the logs that were refused, with reason and date."""
-    return refused(service)
 
 
 def _paths_of(service: Service, which: str) -> dict[str, str]:

@@ -1,78 +1,67 @@
 """REST for what people say of what is stored: notes, tags, exclusions, moves, deletions; who did what."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Header
 from fastapi.responses import JSONResponse, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from pipeline.base.provenance import digest
-from pipeline.intake.correct import in_bin
+from pipeline.intake import correct
 from pipeline.service.problems import Problem
 from pipeline.service.rest import answers
 from pipeline.service.rest.api import Cursor, Limit, Segment, latest
-from pipeline.service.shared import Service, Shared, Who
+from pipeline.service.shared import Form, Service, Shared, Who, run_of
+from pipeline.store.storage import list_experiments
 
 remarks = APIRouter(prefix="/api/v1", responses=answers.EVERYWHERE)
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
+CORRECT_S = 5.0
+"""Longest wait for another writer before a correction is refused [s]."""
+
 STALE = answers.problems(404, 412)
 IfMatch = Annotated[str | None, Header(alias="If-Match", max_length=100)]
 
 
-class Notes(BaseModel):
+class Notes(Form):
     """A text on a trial or experiment."""
 
-    model_config = ConfigDict(extra="forbid")
     text: Annotated[str, Field(max_length=100_000)]
 
 
-class Tags(BaseModel):
+class Tags(Form):
     """Short words on a trial or experiment."""
 
-    model_config = ConfigDict(extra="forbid")
     tags: Annotated[list[Annotated[str, Field(min_length=1, max_length=100)]], Field(max_length=100)]
 
 
-class Exclusion(BaseModel):
+class Exclusion(Form):
     """Why a trial, or all of an experiment, is to be used for no number; null: it is used again."""
 
-    model_config = ConfigDict(extra="forbid")
     reason: Annotated[str, Field(min_length=1, max_length=1000)] | None
 
 
-class DeviceChange(BaseModel):
+class DeviceChange(Form):
     """The name that a device gets."""
 
-    model_config = ConfigDict(extra="forbid")
     device: Name
 
 
-class Change(BaseModel):
+class Change(Form):
     """Where an experiment, or a trial, is to count; what is not given stays."""
 
-    model_config = ConfigDict(extra="forbid")
     device: Name | None = None
     experiment: Name | None = None
 
 
-Place = DeviceChange | Change
-
-
-class InBin(BaseModel):
+class InBin(Form):
     """Which trials of the bin are meant: a device, of it an experiment, or a trial."""
 
-    model_config = ConfigDict(extra="forbid")
     device: Name | None = None
     experiment: Name | None = None
     trial: Name | None = None
-
-    @property
-    def of(self) -> list[str]:
-        """The same as `Service.restore` takes it."""
-        names = [name for name in (self.device, self.experiment) if name]
-        return ["trial", self.trial] if self.trial else ["experiment", *names]
 
 
 def of_trial(service: Shared, trial: str) -> list[str]:
@@ -146,7 +135,15 @@ def _add_remarks(owner: str, of: Callable[..., list[str]]) -> None:
     @remarks.put(f"{owner}/exclusion", response_model=dict[str, dict[str, str]], responses=answers.NAMED)
     def put_exclusion(service: Shared, who: Who, of: owned, asked: Exclusion) -> dict[str, Any]:
         """Exclude by hand with a reason, or use again (null)."""
-        return {"excluded": service.exclude(of, asked.reason, who)}
+        known, words = service.excluded(of), (service.settings.processed, words_for(of))
+        if asked.reason is not None:
+            correct.exclude(*words, asked.reason, CORRECT_S)
+        elif known:
+            correct.use_again(*words, CORRECT_S)
+        found = service.excluded(of)
+        did = "used again" if asked.reason is None else "excluded"
+        _corrected(service, who, did, of, len(found or known), reason=asked.reason)
+        return {"excluded": found}
 
 
 def _add_places(owner: str, of: Callable[..., list[str]], form: type[DeviceChange | Change]) -> None:
@@ -155,7 +152,18 @@ def _add_places(owner: str, of: Callable[..., list[str]], form: type[DeviceChang
 
     def move(service: Shared, who: Who, of: owned, asked: Any) -> dict[str, int]:
         """Rename, or move to another place; notes and tags follow. Return how many trials."""
-        return {"trials": move_to(service, of, asked, who)}
+        processed, names = service.settings.processed, list[str]()
+        if of[0] == "trial":
+            device, *experiment = (service.found(of[1])[name] for name in ("device", "experiment"))
+        else:
+            device, *experiment = of[1:]
+            names = experiment or list_experiments(processed, device)
+        name = getattr(asked, "experiment", None)
+        to = [asked.device or device, *([name] if name else experiment)]
+        count = correct.move(processed, words_for(of), run_of(*to), CORRECT_S)
+        for old in names:
+            service.database.move_words(["experiment", device, old], ["experiment", to[0], (*to, old)[1]])
+        return _corrected(service, who, "moved", of, count, to=to)
 
     move.__annotations__["asked"] = form
     remarks.patch(owner, response_model=dict[str, int], responses=answers.NAMED)(move)
@@ -163,16 +171,20 @@ def _add_places(owner: str, of: Callable[..., list[str]], form: type[DeviceChang
     @remarks.delete(owner, response_model=dict[str, int], responses=answers.NAMED)
     def delete(service: Shared, who: Who, of: owned) -> dict[str, int]:
         """Put into the bin, from which it can be restored. Return how many trials."""
-        return {"trials": service.delete(of, who)}
+        count = correct.delete(service.settings.processed, words_for(of), CORRECT_S)
+        return _corrected(service, who, "deleted", of, count)
 
 
-def move_to(service: Service, of: list[str], asked: Place, who: str) -> int:
-    """Let what is stored count as of the place that is asked for; a name that is not given stays."""
-    device, *experiment = of[1:]
-    if of[0] == "trial":
-        device, *experiment = (service.found(of[1])[name] for name in ("device", "experiment"))
-    name = getattr(asked, "experiment", None)
-    return service.move(of, [asked.device or device, *([name] if name else experiment)], who)
+def words_for(of: Sequence[str]) -> str:
+    """Return what `intake.correct` calls a trial, an experiment or a device."""
+    return of[1] if of[0] == "trial" else run_of(*of[1:])
+
+
+def _corrected(service: Service, who: str, did: str, of: Sequence[str], trials: int, **more: object) -> dict[str, int]:
+    """Keep who corrected what, have verdicts made anew, and return how many trials it was."""
+    service.database.note(who, did, {"of": of, "trials": trials, **more})
+    service.job("stages", {}, "stages")
+    return {"trials": trials}
 
 
 TRIAL, EXPERIMENT, DEVICE = "/trials/{trial}", "/experiments/{device}/{experiment}", "/devices/{device}"
@@ -187,7 +199,7 @@ _add_places(DEVICE, of_device, DeviceChange)
 def bin_(service: Shared) -> list[dict[str, Any]]:
     """List the deleted trials that are stored still."""
     names = {"trial_id", "device", "experiment"}
-    found = in_bin(service.settings.processed)
+    found = correct.in_bin(service.settings.processed)
     return [
         {**one.model_dump(include=names), "source": service.database.uploaded_name(one.source_path)} for one in found
     ]
@@ -196,13 +208,17 @@ def bin_(service: Shared) -> list[dict[str, Any]]:
 @remarks.post("/bin/restore", response_model=dict[str, int])
 def restore(service: Shared, who: Who, asked: InBin) -> dict[str, int]:
     """Take trials out of the bin."""
-    return {"trials": service.restore(asked.of, who)}
+    names = [name for name in (asked.device, asked.experiment) if name]
+    of = ["trial", asked.trial] if asked.trial else ["experiment", *names]
+    count = correct.restore(service.settings.processed, words_for(of), CORRECT_S)
+    return _corrected(service, who, "restored", of, count)
 
 
 @remarks.delete("/bin", response_model=dict[str, int])
 def empty_bin(service: Shared, who: Who) -> dict[str, int]:
     """Remove what is in the bin from the store; logs are never touched."""
-    return {"trials": service.empty_bin(who)}
+    count = correct.empty_bin(service.settings.processed, CORRECT_S)
+    return _corrected(service, who, "emptied the bin", (), count)
 
 
 @remarks.get("/audit", response_model=answers.Page[answers.Deed])

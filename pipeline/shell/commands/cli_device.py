@@ -212,7 +212,7 @@ def _held(device: Device, conditions: Any, hand: str | None) -> Loop:
     """Return the loop of a device, held by an arm where one is named."""
     from dataclasses import replace
 
-    from pipeline.device_data.human_arm import human_arms
+    from pipeline.device_data.published import human_arms
     from pipeline.surface.physical_loop import loop_of_device
 
     loop = loop_of_device(device, conditions)

@@ -132,7 +132,7 @@ def tables(
 
     Example: pipeline theory tables C.1 C.2
     """
-    from pipeline.device_data.published_theory import THEORY_TABLES
+    from pipeline.device_data.published import THEORY_TABLES
     from pipeline.studies import thesis_tables as theory
 
     rows: list[theory.TheoryRow] = []

@@ -31,9 +31,6 @@ _GRID = 11
 BAND = 0.02
 """Settling band of the ladder; that of the reference values."""
 
-Plant = Callable[..., Floats]
-"""Motion of (x, v) over a sample with input u from gamma, delta and perhaps a setting, shape (2, 3)."""
-
 Points = Callable[[Floats, Floats], Floats]
 """A number of each point (alpha, beta)."""
 

@@ -27,7 +27,7 @@ COARSE = {"quantum": 1e-5, "noise": 1e-6}
 @cache
 def course(seed, coarsen, quantum, noise, experiment="1"):
     return run_course(
-        load_device("falcon"), experiment, seed=seed, jitter=(), coarsen=coarsen, quantum=quantum, noise=noise
+        load_device("falcon"), experiment, seed=seed, jitter_samples=(), coarsen=coarsen, quantum=quantum, noise=noise
     )
 
 

@@ -6,8 +6,8 @@ import re
 import pytest
 from served import HTML, Browser, page
 
-from pipeline.service.jobs.results import limits
 from pipeline.service.pages.comparing import differences, planes
+from pipeline.service.results import limits
 
 TWO = "/compare?runs=falcon/1&runs=falcon/2"
 

@@ -39,7 +39,7 @@ from pipeline.rendering.figures.drawing import Figure, draw
 from pipeline.rendering.labels import UNITS, significant
 from pipeline.rendering.report.report_against import write
 from pipeline.service.database import Database
-from pipeline.service.jobs.documents import document_file, key_of, read_document
+from pipeline.service.documents import document_file, key_of, read_document, whole
 from pipeline.service.profiles import profile_path
 from pipeline.service.settings import Settings
 from pipeline.service.theory import Theory as TheoryProcess
@@ -48,6 +48,12 @@ from pipeline.store.storage import list_devices, list_experiments, trials_files
 from pipeline.theory.predictions import Theory
 
 Progress = Callable[[object], None]
+
+Run = Callable[[Settings, Database, dict[str, Any], Progress], Any]
+"""A job by its request; what it returns is the job's result."""
+
+Drawn = dict[str, Any]
+"""Panels as SVG, what they show in numbers, title and caption."""
 
 LONGEST_S = 3600.0
 """Longest wait for another process that writes, or computes the same [s]."""
@@ -135,49 +141,54 @@ def _computed(settings: Settings, place: tuple[str, str], failed: dict[str, str]
     return True
 
 
-def run_experiment(settings: Settings, _database: Database, request: dict[str, Any], progress: Progress) -> Any:
+def experiment(settings: Settings, asked: dict[str, Any], progress: Progress) -> dict[str, Any]:
     """Compare one experiment with theory, for its numbers and the report's first figures."""
-    result = _compared(settings, request, None, progress)
+    result = _compared(settings, asked, None, progress)
     found = result.model_dump(mode="json")
     causes = {each["experiment"]: each["causes"] for each in found["experiments"]}
-    drawn = figures_of(settings.processed, result)
-    write_text(document_file(settings, request["key"]), json.dumps({**found, "causes": causes, "figures": drawn}))
-    return {"key": request["key"]}
+    return {**found, "causes": causes, "figures": figures_of(settings.processed, result)}
 
 
-def run_plan(settings: Settings, _database: Database, request: dict[str, Any], _progress: Progress) -> Any:
+def next_walls(settings: Settings, asked: dict[str, Any], _progress: Progress) -> dict[str, Any]:
     """Ask the planner which walls to try next."""
-    asked = request["request"]
     found = plan(asked["device"], settings.processed, asked["experiments"][0], Wish(goal=asked["goal"]))
-    write_text(document_file(settings, request["key"]), found.model_dump_json())
-    return {"key": request["key"]}
+    return found.model_dump(mode="json")
 
 
-def run_optimum(settings: Settings, _database: Database, request: dict[str, Any], _progress: Progress) -> Any:
+def optimum(_settings: Settings, asked: dict[str, Any], _progress: Progress) -> Any:
     """Find the point of least cost by theory; it is given up where a hostile loop takes too long."""
     process = TheoryProcess(OPTIMUM_S)
     try:
-        write_text(document_file(settings, request["key"]), json.dumps(process.compute(*request["request"]["theory"])))
+        return process.compute(*asked["theory"])
     finally:
         process.stop()
-    return {"key": request["key"]}
 
 
-def run_drawing(settings: Settings, database: Database, request: dict[str, Any], progress: Progress) -> Any:
+def drawing(settings: Settings, asked: dict[str, Any], progress: Progress) -> Drawn:
     """Draw trials or experiments; these are compared first where they were not."""
-    asked = request["request"]
-    found = []
-    for device, experiment, *_ in dict.fromkeys(map(tuple, (place[:2] for place in asked["places"]))):
-        whole = {"device": device, "experiments": [experiment], "criteria": None}
-        key = key_of(settings, whole)
-        if not document_file(settings, key).is_file():
-            run_experiment(settings, database, {"key": key, "request": whole}, progress)
-        document = read_document(settings, key) or {}
-        found.append({name: value for name, value in document.items() if name not in ("causes", "figures")})
-    results = [ComparisonResult.model_validate(each) for each in found]
-    drawn = DRAWINGS[asked["what"]](settings.processed, asked, results)
-    write_text(document_file(settings, request["key"]), json.dumps(drawn))
-    return {"key": request["key"]}
+    results = []
+    for device, name in dict.fromkeys((place[0], place[1]) for place in asked["places"]):
+        of = whole(device, name)
+        key = key_of(settings, of)
+        document = read_document(settings, key) or _keep(settings, key, experiment(settings, of, progress))
+        plain = {part: value for part, value in document.items() if part not in ("causes", "figures")}
+        results.append(ComparisonResult.model_validate(plain))
+    return DRAWINGS[asked["what"]](settings.processed, asked, results)
+
+
+def _keep(settings: Settings, key: str, document: dict[str, Any]) -> dict[str, Any]:
+    write_text(document_file(settings, key), json.dumps(document))
+    return document
+
+
+def kept(make: Callable[[Settings, dict[str, Any], Progress], dict[str, Any]]) -> Run:
+    """Return the function of a job that keeps a document under its key."""
+
+    def run(settings: Settings, _database: Database, request: dict[str, Any], progress: Progress) -> Any:
+        _keep(settings, request["key"], make(settings, request["request"], progress))
+        return {"key": request["key"]}
+
+    return run
 
 
 def run_comparison(settings: Settings, _database: Database, request: dict[str, Any], progress: Progress) -> Any:
@@ -190,7 +201,7 @@ def run_comparison(settings: Settings, _database: Database, request: dict[str, A
         said = _notes(asked), _notes(against)
         write(against_experiments(settings.processed, first, second, asked["criteria"], progress, said), report)
     else:
-        _compared(settings, request, report, progress)
+        _compared(settings, asked, report, progress)
     return {"key": key}
 
 
@@ -198,8 +209,7 @@ def _notes(asked: dict[str, Any]) -> list[Note]:
     return [Note.model_validate(one) for one in asked.get("notes", ())]
 
 
-def _compared(settings: Settings, request: dict[str, Any], report: Path | None, progress: Progress) -> ComparisonResult:
-    asked = request["request"]
+def _compared(settings: Settings, asked: dict[str, Any], report: Path | None, progress: Progress) -> ComparisonResult:
     for name in asked["experiments"]:
         _computed(settings, (asked["device"], name), {})
     result = compare(
@@ -213,10 +223,6 @@ def _compared(settings: Settings, request: dict[str, Any], report: Path | None, 
     ).result
     assert result is not None, "only a dry run has none"
     return result
-
-
-Drawn = dict[str, Any]
-"""Panels as SVG, what they show in numbers, title and caption."""
 
 
 def figures_of(processed: Path, result: ComparisonResult) -> dict[str, Drawn]:
@@ -276,13 +282,13 @@ DRAWINGS: dict[str, Callable[[Path, dict[str, Any], Sequence[ComparisonResult]],
 """Function of each kind of drawing."""
 
 
-KINDS = {
+KINDS: dict[str, Run] = {
     "upload": run_upload,
     "stages": run_stages,
-    "experiment": run_experiment,
-    "plan": run_plan,
-    "optimum": run_optimum,
-    "drawing": run_drawing,
+    "experiment": kept(experiment),
+    "plan": kept(next_walls),
+    "optimum": kept(optimum),
+    "drawing": kept(drawing),
     "comparison": run_comparison,
 }
 """Function of each kind of job."""

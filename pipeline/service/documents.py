@@ -38,6 +38,11 @@ def key_of(settings: Settings, request: dict[str, Any]) -> str:
     return digest([request, states, devices, code])
 
 
+def whole(device: str, experiment: str) -> dict[str, Any]:
+    """Return the request for all that is told of an experiment."""
+    return {"device": device, "experiments": [experiment], "criteria": None}
+
+
 def document_file(settings: Settings, key: str, report: bool = False) -> Path:
     """Return the file of a document, that of an experiment or of a report."""
     folder = settings.comparisons if report else settings.data / "documents"

@@ -7,8 +7,8 @@ import pytest
 from served import page, serving
 
 from pipeline.service.database import KEPT_S, Database
-from pipeline.service.jobs.workers import remove_old
 from pipeline.service.settings import Settings
+from pipeline.service.workers import remove_old
 
 
 def comparisons(client):

@@ -1,1 +1,0 @@
-"""Jobs: what they compute, and the processes that do."""

@@ -1,0 +1,186 @@
+"""Processes that work at jobs, one after the other, and the threads of their server that keep them.
+
+A process is run as ``python -m pipeline.service.workers PROCESSED REPORTS KINDS``, of which the last is one of
+`database.WORKS`. A byte on standard input says that a job waits, its end that the server ended: then the process
+ends, too, and another one takes the job when its lease has run out. What the functions of jobs write is whole at any
+moment, and they can be run again. One thread asks for reports anew once nothing else waits, and removes what is old.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import secrets
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from pipeline.base.errors import EXIT_ERROR, PipelineError
+from pipeline.base.process import begin_alone
+from pipeline.service.database import KEPT_S, WORKS, Database
+from pipeline.service.settings import Settings
+
+BEAT_S = 1.0
+"""Time between two heartbeats, and longest wait for a job [s]."""
+
+LOOK_S, TIDY_S = 1.0, 3600.0
+"""Time between two looks at the jobs, and between two removals [s]."""
+
+
+class Workers:
+    """The workers of a server; they end with it, in whatever way that ends."""
+
+    def __init__(self, settings: Settings, database: Database) -> None:
+        self.settings, self.database = settings, database
+        self._running: list[subprocess.Popen[bytes]] = []
+        self._ended = threading.Event()
+
+    def start(self, renew: Callable[[], None]) -> None:
+        """Begin all; ``renew`` asks for reports anew."""
+        for kinds in WORKS:
+            threading.Thread(target=self._keep, args=(kinds,), daemon=True).start()
+        threading.Thread(target=self._renew, args=(renew,), daemon=True).start()
+
+    def stop(self) -> None:
+        """End all; what they work at is another's when its lease has run out."""
+        self._ended.set()
+        for process in list(self._running):
+            process.kill()
+
+    def wake(self) -> None:
+        """Say that a job waits."""
+        for process in list(self._running):
+            try:
+                assert process.stdin is not None
+                process.stdin.write(b"\n")
+            except OSError:  # it has just ended, and its follower looks by itself
+                pass
+
+    def _keep(self, kinds: str) -> None:
+        given = [str(self.settings.processed), str(self.settings.reports), kinds]
+        command = [sys.executable, "-m", "pipeline.service.workers", *given]
+        while not self._ended.is_set():
+            # a session of its own: Ctrl-C ends the server, and the server its workers
+            with subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True
+            ) as process:
+                self._running.append(process)
+                assert process.stdout is not None
+                owner = process.stdout.readline().decode().strip()
+                if self._ended.is_set():
+                    process.kill()
+                process.wait()
+                self._running.remove(process)
+            self.database.free(owner, blamed=not self._ended.is_set())
+            self._ended.wait(0.2)
+        self.database.close()
+
+    def _renew(self, renew: Callable[[], None]) -> None:
+        database = self.database
+        done, tidied = _stages(database), 0.0
+        while not self._ended.wait(LOOK_S):
+            try:
+                if time.monotonic() - tidied > TIDY_S or not tidied:
+                    tidied = time.monotonic()
+                    remove_old(self.settings, database.forget_old())
+                counts, now = database.job_counts(), _stages(database)
+                if now == done or counts.get("queued") or counts.get("running"):
+                    continue
+                done = now
+                if self.settings.renew:
+                    renew()
+            except (PipelineError, OSError):
+                logging.getLogger("pipeline.service").exception("reports could not be renewed")
+        database.close()
+
+
+def _stages(database: Database) -> int:
+    """Return how often verdicts and costs of all that is stored were computed."""
+    return database.job_counts("kind = 'stages'").get("done", 0)
+
+
+def remove_old(settings: Settings, keys: set[str]) -> None:
+    """Remove old documents and reports that no job names any more; they can be made again."""
+    for folder in (settings.comparisons, settings.data / "documents"):
+        for file in folder.glob("*"):
+            if file.is_file() and file.stem not in keys and time.time() - file.stat().st_mtime > KEPT_S:
+                file.unlink(missing_ok=True)
+
+
+@contextmanager
+def _beating(database: Database, job: str, owner: str) -> Iterator[Callable[[object], None]]:
+    """Tell that a job is worked at, and the last progress; end the process if it is not this one's any more."""
+    progress, done = deque[object]([None], maxlen=1), threading.Event()
+
+    def beat() -> None:
+        while not done.wait(BEAT_S):
+            if not database.heartbeat(job, owner, progress[0]):
+                # cancelled: files that were not complete have names that readers leave out
+                os._exit(EXIT_ERROR)
+        database.close()
+
+    thread = threading.Thread(target=beat, daemon=True)
+    thread.start()
+    try:
+        yield progress.append
+    finally:
+        done.set()
+        thread.join()
+
+
+def work(settings: Settings, database: Database, owner: str, kinds: str = " ".join(WORKS)) -> bool:
+    """Do the next job; return whether there was one."""
+    job = database.claim(owner, kinds)
+    if job is None:
+        return False
+    from pipeline.service.problems import Problem, problem_of
+    from pipeline.service.results import KINDS
+
+    result, problem, begun = None, None, time.time()
+    with _beating(database, job["id"], owner) as say:
+        try:
+            result = KINDS[job["kind"]](settings, database, job["request"], say)
+        except (PipelineError, Problem) as error:
+            problem = problem_of(error).document
+        except OSError as error:
+            problem = Problem(503, str(error)).document
+        except Exception:
+            # a defect ends this process with its traceback, in the server's log; another one does what waits
+            detail = f"A defect of the program; the server's log has the details of job {job['id']}."
+            database.finish(job["id"], owner, problem={"title": "The job failed", "status": 500, "detail": detail})
+            raise
+    if job["kind"] != "stages" and database.job_counts(f"kind = 'stages' AND created > {begun}"):
+        # it may have stored stages of the trials of before over those of now
+        database.add_job("stages", {}, "stages")
+    database.finish(job["id"], owner, result, problem)
+    return True
+
+
+def main() -> None:
+    """Work until the server ends."""
+    begin_alone()
+    settings = Settings(Path(sys.argv[1]), Path(sys.argv[2]))
+    waiting = threading.Event()
+
+    def listen() -> None:
+        while os.read(0, 1):
+            waiting.set()
+        os._exit(EXIT_ERROR)
+
+    threading.Thread(target=listen, daemon=True).start()
+    database, owner = Database(settings.data), f"{os.getpid()}-{secrets.token_hex(4)}"
+    print(owner, flush=True)
+    while True:
+        while work(settings, database, owner, sys.argv[3]):
+            pass
+        waiting.wait(BEAT_S)
+        waiting.clear()
+
+
+if __name__ == "__main__":
+    main()
