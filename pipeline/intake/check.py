@@ -16,12 +16,21 @@ from typing import Literal
 
 import pyarrow as pa
 
-from pipeline.base.disk import READABLE, content_of, make_folder, remove_all, said_content, sync_folder, write_text
+from pipeline.base.disk import (
+    READABLE,
+    WAIT_S,
+    content_of,
+    make_folder,
+    remove_all,
+    said_content,
+    sync_folder,
+    write_text,
+    writing,
+)
 from pipeline.base.errors import ProfileError, StoreError
-from pipeline.base.lock import WAIT_S, writing
 from pipeline.base.paths import path_of_text
 from pipeline.intake.ingest import ingest
-from pipeline.intake.quarantine import RECORD, quarantine_folder
+from pipeline.intake.quarantine import FOLDER, RECORD
 from pipeline.profiles.profile_files import load_profile
 from pipeline.records.findings import Record
 from pipeline.records.table_files import open_table
@@ -99,7 +108,7 @@ def check(
     progress : callable, optional
         Called with (files done, files found).
     wait_s, say
-        As for `lock.writing`.
+        As for `disk.writing`.
 
     Raises
     ------
@@ -133,7 +142,7 @@ def _files(processed: Path) -> Iterator[Path]:
     """Yield every file that is named by its content, or should be."""
     for tree in ("trials", "stages", "theory", "corrections"):
         yield from sorted(f for f in (processed / tree).rglob("*") if f.is_file() and not f.name.startswith("."))
-    yield from sorted(quarantine_folder(processed).glob(f"*/{RECORD}-*"))
+    yield from sorted((processed / FOLDER).glob(f"*/{RECORD}-*"))
     yield from sorted(processed.glob("accuracy-*.json"))
 
 

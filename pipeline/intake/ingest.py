@@ -1,7 +1,7 @@
 """Logs to Parquet: find, recognise what is known, read in batches, validate, store, and refuse with a reason.
 
 A log is known by its content; a source whose size and modification time are unchanged is not even opened. One ingest
-writes at a time (`lock`); what it stores becomes visible batch by batch; the next one finishes an interrupted one.
+writes at a time; what it stores becomes visible batch by batch; the next one finishes an interrupted one.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
+from pipeline.base.disk import WAIT_S, writing
 from pipeline.base.errors import LogError, StoreError, UsageError
-from pipeline.base.lock import WAIT_S, writing
 from pipeline.base.paths import is_gone, path_of_text, path_text, storable
 from pipeline.base.provenance import digest
 from pipeline.base.wording import counted
@@ -28,9 +28,9 @@ from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
 from pipeline.records.findings import Motion, Record
 from pipeline.store.batch_files import Key, merge_small, remove_incomplete, tidy
-from pipeline.store.corrections import carry, read_corrections
+from pipeline.store.corrections import carry
 from pipeline.store.objects import publish, renewed
-from pipeline.store.storage import check_version
+from pipeline.store.storage import check_version, read_corrections
 
 Action = Literal["ingest", "skip", "refuse", "wait"]
 
@@ -201,8 +201,7 @@ class _Run:
     ) -> None:
         self.processed, self.profiles, self.damaged = processed, profiles, damaged
         self.dry_run, self.rehash, self.replace, self.progress = dry_run, rehash, replace, progress
-        self.digests = {profile: profile.digest() for profile in profiles}
-        self.claims = digest(sorted(self.digests.values()))
+        self.claims = digest(sorted(profile.digest for profile in profiles))
         self.stored = StoredSources(processed, self.claims, damaged)
         if not dry_run:
             remove_incomplete(processed)
@@ -218,7 +217,6 @@ class _Run:
         """Paths of stored sources that were not found, or not searched for."""
         self.places = dict[str, str]()
         """Path under which each trial is stored now."""
-        self.taken = dict[str, StoredSource]()
         self.renamed = dict[str, str]()
         """Id of each trial whose log was renamed, and the one that it has now."""
         self.pending, self.pending_bytes, self.dropped, self.outdated = list[Accepted](), 0, set[Key](), set[Key]()
@@ -252,11 +250,12 @@ class _Run:
 
     def look(self, folders: Sequence[Path], settle_s: float, growing: Collection[str]) -> None:
         """Find the sources; those that need no look are counted."""
-        known = {} if self.dry_run or self.rehash else self.stored.states
-        for path in (*self.refused, *growing):
-            known.pop(path, None)
-        if settle_s:
-            known = {path: state for path, state in known.items() if is_settled(state[1], settle_s)}
+        looked_at = {*self.refused, *growing}
+        known = {
+            path: state
+            for path, state in ({} if self.dry_run or self.rehash else self.stored.states).items()
+            if path not in looked_at and (not settle_s or is_settled(state[1], settle_s))
+        }
         left = dict(known)
 
         def noticed(folder: Path, text: str) -> None:
@@ -265,7 +264,7 @@ class _Run:
         found = find_sources(folders, self.profiles, self.processed, noticed, left)
         self.unread = len(known) - len(left)
         present = {source.key for source in found}
-        self.missing = (self.stored.last.keys() - known.keys() | left.keys()) - present
+        self.missing = (self.stored.paths - known.keys() | left.keys()) - present
         restless = frozenset(growing)
         for source in found:
             if source.key in known and source.key not in left:
@@ -283,7 +282,7 @@ class _Run:
             # a source that is looked at again enters after that
             self.places = self.stored.places({source.key for source in unsettled})
         # stored sources come first: a log that was copied and touched is recognised at its old place
-        unsettled.sort(key=lambda source: (source.key not in self.stored.last, source.key))
+        unsettled.sort(key=lambda source: (source.key not in self.stored.paths, source.key))
         for batch in reads_of(unsettled, self._is_known, jobs):
             refused = [record for done in batch if (record := self._settle(done)) is not None]
             if not self.dry_run:
@@ -339,7 +338,7 @@ class _Run:
     def _settled_unread(self, source: Source) -> bool:
         if self.rehash:
             return False
-        sign = (source.size, source.mtime_ns, self._digest(source))
+        sign = (source.size, source.mtime_ns, source.profile_sha256)
         stored, refused = self.stored.get(source.key), self.refused.get(source.key)
         # what could not be read may be readable now: permissions leave size and time alone
         readable = refused is not None and refused.sha256 is not None and not self.replace
@@ -351,28 +350,21 @@ class _Run:
             return False
         return True
 
-    def _digest(self, source: Source) -> str | None:
-        return self.digests[source.profile] if source.profile else None
-
     def _is_known(self, source: Source, sha256: str) -> bool:
         """Return whether a content was read by the same profile and is stored as a whole, here or elsewhere."""
         former = self.stored.get(source.key)
         if former is not None and former.whole and former.sha256 == sha256:
-            return former.profile_sha256 == self._digest(source)
+            return former.profile_sha256 == source.profile_sha256
         return self._read_alike(self._find(source, sha256), source)
 
     def _find(self, source: Source, sha256: str) -> str | None:
         """Return the path under which a log is stored that is this one: content, and what its name tells."""
         return self.places.get(id_of(source, sha256))
 
-    def _at(self, path: str) -> StoredSource | None:
-        """Return what is stored under a path, by this run or before."""
-        return self.taken.get(path) or self.stored.get(path)
-
     def _read_alike(self, path: str | None, source: Source) -> bool:
         """Return whether what is stored under a path was read by the profile that reads a source."""
-        stored = None if path is None else self._at(path)
-        return stored is not None and stored.profile_sha256 == self._digest(source)
+        stored = None if path is None else self.stored.get(path)
+        return stored is not None and stored.profile_sha256 == source.profile_sha256
 
     def _settle(self, read: Read) -> Refused | None:
         """Decide on a source that was read; return what is to be put into quarantine."""
@@ -383,7 +375,7 @@ class _Run:
             assert read.sha256 is not None, "what was read has a hash"
             self._accept(source, read.sha256, read.result)
         except LogError as error:
-            record, former = record_of(source, read.sha256, error, self._digest(source)), self.refused.get(source.key)
+            record, former = record_of(source, read.sha256, error), self.refused.get(source.key)
             self._tell_refused(source, record)
             if record != former and not record.knows_less(former):
                 return source, record
@@ -397,22 +389,18 @@ class _Run:
         LogError
             If it cannot be stored.
         """
-        profile = source.profile
-        assert profile is not None, "a source without a profile has a problem, which is a LogError"
         former, twin = self.stored.get(source.key), self._find(source, sha256)
         again = former is not None and former.sha256 == sha256
         accepted: list[Accepted] = []
         if logs is not None:
-            stamps = {"profile_sha256": self.digests[profile], "claims": self.claims}
-            accepted = accepted_logs(
-                source, sha256, [self.periods.apart(log) for log in logs], profile, self._motions, stamps
-            )
+            apart = [self.periods.apart(log) for log in logs]
+            accepted = accepted_logs(source, sha256, apart, self._motions, self.claims)
             paths = {self.places.get(one.trial) for one in accepted}
             twin = None if again else (paths.pop() if len(paths) == 1 else None) or twin
         if logs is None or self._read_alike(twin, source):
             self._known(source, former, again, twin)
             return
-        rival = former if again else None if twin is None else self._at(twin)
+        rival = former if again else None if twin is None else self.stored.get(twin)
         outcome = self._outcome(rival, accepted)
         if twin is not None and outcome is None:
             self._known(source, former, again, twin)  # another version of the profile read the other one
@@ -455,7 +443,7 @@ class _Run:
         row, ids = accepted[0].row, tuple(one.trial for one in accepted)
         devices = tuple(one.place.device for one in accepted)
         told = (row["source_sha256"], row["profile_sha256"], row["profile"])
-        self.taken[source.key] = StoredSource(*told, source.size, source.mtime_ns, devices, ids)
+        self.stored.taken[source.key] = StoredSource(*told, source.size, source.mtime_ns, devices, ids)
         self.places |= dict.fromkeys(ids, source.key)
         texts = dict.fromkeys(text for one in accepted for text in one.log.warnings)
         if not self._deleted.isdisjoint(ids):

@@ -62,9 +62,8 @@ class QuarantineRecord(Record):
         return other.profile != self.profile and self.code in OTHER_COLUMNS and other.code not in OTHER_COLUMNS
 
 
-def quarantine_folder(processed: Path) -> Path:
-    """Return the folder of all refused logs."""
-    return processed / "quarantine"
+FOLDER = "quarantine"
+"""Folder below `processed` of all refused logs."""
 
 
 def list_quarantine(processed: Path, damaged: dict[Path, str] | None = None) -> list[QuarantineRecord]:
@@ -85,11 +84,10 @@ def list_quarantine(processed: Path, damaged: dict[Path, str] | None = None) -> 
     """
     records = []
     try:
-        names = sorted(os.listdir(quarantine_folder(processed)))
+        folders = sorted((processed / FOLDER).iterdir())
     except FileNotFoundError:
         return []
-    for name in names:
-        folder = quarantine_folder(processed) / name
+    for folder in folders:
         if (data := read_kept(folder, RECORD, ".json")) is not None:
             records.append(QuarantineRecord.model_validate_json(data))
             continue
@@ -127,7 +125,7 @@ def find_record(processed: Path, wanted: str) -> QuarantineRecord:
     raise UsageError(f"{wanted}: is not in quarantine. `pipeline quarantine` shows ids and paths of what is.")
 
 
-def record_of(source: Source, sha256: str | None, error: LogError, profile_sha256: str | None) -> QuarantineRecord:
+def record_of(source: Source, sha256: str | None, error: LogError) -> QuarantineRecord:
     """Return the record of a refused source."""
     return QuarantineRecord(
         path=source.key,
@@ -137,7 +135,7 @@ def record_of(source: Source, sha256: str | None, error: LogError, profile_sha25
         row=error.row,
         reason=storable(error.reason),
         profile=source.profile.name if source.profile else None,
-        profile_sha256=profile_sha256,
+        profile_sha256=source.profile_sha256,
         code=error.code,
         profile_line=None if error.profile_line is None else storable(error.profile_line),
     )
@@ -167,4 +165,4 @@ def release(processed: Path, path: str) -> None:
 
 def folder_of(processed: Path, path: str) -> Path:
     """Return the folder with the record of a source, named by the id of the record."""
-    return quarantine_folder(processed) / digest(path)
+    return processed / FOLDER / digest(path)

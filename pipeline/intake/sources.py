@@ -37,9 +37,6 @@ BATCH_BYTES = 6 << 20
 LONGEST_FOLDER = 200
 """Longest folder name made of a device or experiment; file systems allow 255 bytes."""
 
-SHORT_NAME = LONGEST_FOLDER // 12
-"""Characters of a name that is not too long, whatever they are: each makes twelve at most."""
-
 METADATA = "metadata.yaml"
 ENDINGS = (".db3", ".mcap")
 
@@ -110,6 +107,11 @@ class Source:
     def shown(self) -> str:
         """The path as found, as text that can be stored."""
         return path_text(self.path)
+
+    @property
+    def profile_sha256(self) -> str | None:
+        """Hash of the profile."""
+        return self.profile.digest if self.profile else None
 
 
 def find_sources(
@@ -288,26 +290,24 @@ def read_and_check(sources: Sequence[Source], known: Callable[[Source, str], boo
     known : callable
         Whether a source with a content (its SHA-256) is stored already; such a source is not parsed.
     """
-    reads: dict[int, Read] = {}
-    raws: dict[int, RawLog] = {}
+    reads, raws = list[Read](), dict[int, RawLog]()
     for index, source in enumerate(sources):
         try:
             raw, sha256, seen = load_source(source)
+            reads.append(Read(seen, sha256, None))
+            if not known(source, sha256):
+                raws[index] = raw
         except LogError as error:
-            reads[index] = Read(source, None, error)
-            continue
-        reads[index] = Read(seen, sha256, None)
-        if not known(source, sha256):
-            raws[index] = raw
-    profile = sources[0].profile if sources else None
-    if raws and profile:
+            reads.append(Read(source, None, error))
+    if raws and (profile := sources[0].profile):
         outcomes = reader_of(profile)(profile, list(raws.values()))
         for index, outcome in zip(raws, outcomes, strict=True):
             reads[index] = replace(reads[index], result=outcome)
-    for read in reads.values():
-        if isinstance(read.result, LogError):
-            _forget_frames(read.result)
-    return list(reads.values())
+    for read in reads:
+        if isinstance(error := read.result, LogError):
+            # frames in which it was raised hold the bytes of logs until cycles are collected
+            error.__traceback__ = error.__cause__ = error.__context__ = None
+    return reads
 
 
 def logs_of(source: Source) -> tuple[Profile, RawLog, tuple[Log, ...]]:
@@ -324,11 +324,6 @@ def logs_of(source: Source) -> tuple[Profile, RawLog, tuple[Log, ...]]:
     if isinstance(outcome, LogError):
         raise outcome
     return source.profile, raw, outcome
-
-
-def _forget_frames(error: BaseException) -> None:
-    """Let go of the frames in which an error was raised: they hold the bytes of logs until cycles are collected."""
-    error.__traceback__ = error.__cause__ = error.__context__ = None
 
 
 def load_source(source: Source) -> tuple[RawLog, str, Source]:
@@ -382,7 +377,7 @@ def motion_of(log: Log, known: Mapping[str, Motion]) -> Motion:
     header = log.header
     for key in ("device", "experiment"):
         name = getattr(header, key)
-        if len(name) > SHORT_NAME and len(folder_name(name)) > LONGEST_FOLDER:
+        if len(folder_name(name)) > LONGEST_FOLDER:
             cure = "Shorten it, or use ASCII letters."
             raise refusal("condition-wrong", "", f"{key} {name!r} is too long for a folder name", cure=cure)
     device = known.get(header.device)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain, compress
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +19,6 @@ from pipeline.base.disk import each, make_folder, readers_of
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import sha256 as hash_of
 from pipeline.intake.sources import ENDINGS, Source, motion_of, told_by_name
-from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
 from pipeline.readers.log import step_flags
 from pipeline.readers.obeyed import other_gains
@@ -39,13 +38,13 @@ from pipeline.store.batch_files import (
     write_batch,
 )
 from pipeline.store.names import name_of_folder
-from pipeline.store.storage import read_rows, trials_files, trials_folder
+from pipeline.store.storage import alike, read_rows, trials_files, trials_folder
 
 SEEN = ("source_path", "source_size", "source_mtime_ns", "source_trials", "claims")
 """Columns that tell whether anything is new; with groups of 64 rows each column costs a tenth of the time."""
 
-MORE = ("source_sha256", "profile_sha256", "profile", "device", "trial_id")
-"""Columns that are read of a file when a log of it is asked for."""
+MORE = ("source_sha256", "profile_sha256", "profile", "source_size", "source_mtime_ns", "device", "trial_id")
+"""Columns that are read when a log that is stored is asked for."""
 
 
 class StoredSource(NamedTuple):
@@ -78,7 +77,7 @@ class StoredSource(NamedTuple):
 
 
 class StoredSources:
-    """What is stored of each source, by its path; a record is made when it is asked for, of 100,000 hardly any.
+    """What is stored of each source, by its path; more than whether it is new is read when it is asked for.
 
     Parameters
     ----------
@@ -90,71 +89,41 @@ class StoredSources:
     """
 
     def __init__(self, processed: Path, claims: str, damaged: dict[Path, str]) -> None:
-        self.processed, self.claims, self.damaged = processed, claims, damaged
+        self.processed, self.damaged = processed, damaged
         self.rows = read_rows(processed, SEEN, damaged)
-        self.paths: list[str] = self.rows.column("source_path")
-        self.size, self.time, self.held = (self.rows.table.column(name).to_numpy() for name in SEEN[1:4])
-        self.last = dict(zip(self.paths, range(len(self.paths)), strict=True))
-        self._several: dict[str, list[int]] = {}
-        if len(self.last) < len(self.paths) or (self.held > 1).any():
-            for row, path in enumerate(self.paths):
-                self._several.setdefault(path, []).append(row)
-        self._missing = {path: int(self.held[rows[-1]]) - len(rows) for path, rows in self._several.items()}
-        self._details: dict[int, list[tuple[str, str, str, str, str]]] = {}
-        self.doubled = min(self._missing.values(), default=0) < 0
+        path, size, mtime_ns, held, by = map(self.rows.column, SEEN)
+        trials = dict(zip(path, held, strict=True))
+        missing = {name: trials[name] - count for name, count in Counter(path).items() if count != trials[name]}
+        self.paths, self.partly = trials.keys(), missing.keys()
+        self.doubled = min(missing.values(), default=0) < 0
         """Whether a log stands there with two contents."""
-
-    @property
-    def states(self) -> dict[str, tuple[int, int]]:
+        states = zip(path, size, mtime_ns, by, strict=True)
+        self.states = {name: (of, at) for name, of, at, claimed in states if claimed == claims}
         """Size [byte] and time [ns] of each source that is one file, stored as a whole, of a profile that is sure."""
-        states = zip(self.size.tolist(), self.time.tolist(), strict=True)
-        sure = [claims == self.claims for claims in self.rows.column("claims")]
-        found = dict(zip(compress(self.paths, sure), compress(states, sure), strict=True))
-        unsure = [path for path, lost in self._missing.items() if lost]
-        for path in (*unsure, *(path for path in found if path.endswith(ENDINGS))):
-            found.pop(path, None)
+        for name in (*missing, *(name for name in self.states if name.endswith(ENDINGS))):
+            self.states.pop(name, None)
+        self.taken = dict[str, StoredSource]()
+        """What was stored since."""
+
+    @cached_property
+    def _former(self) -> dict[str, StoredSource]:
+        names, found = ("source_path", *MORE), dict[str, StoredSource]()
+        rows = read_rows(self.processed, names, self.damaged)
+        for path, *told, device, trial in zip(*map(rows.column, names), strict=True):
+            devices, trials = (found[path].devices, found[path].trials) if path in found else ((), ())
+            whole = path not in self.partly
+            found[path] = StoredSource(*told, (*devices, device), (*trials, trial), whole)
         return found
 
     def get(self, path: str) -> StoredSource | None:
         """Return what is stored under a path; of a file that is damaged nothing, so that its logs count as new."""
-        if path not in self.last:
-            return None
-        rows = self._several.get(path, [self.last[path]])
-        try:
-            details = [self._detail(row) for row in rows]
-        except (StoreError, FileNotFoundError) as error:
-            self.damaged[self.rows.files[int(self.rows.file[rows[-1]])]] = str(error)
-            return None
-        sha256, profile_sha256, profile, _, _ = details[-1]
-        told = sha256, profile_sha256, profile, int(self.size[rows[-1]]), int(self.time[rows[-1]])
-        devices, trials = tuple(row[3] for row in details), tuple(row[4] for row in details)
-        return StoredSource(*told, devices, trials, not self._missing.get(path))
-
-    def _detail(self, row: int) -> tuple[str, str, str, str, str]:
-        """Return the values of `MORE`."""
-        index = int(self.rows.file[row])
-        if index not in self._details:
-            with open_table(self.rows.files[index]) as stored:
-                columns = stored.read(list(MORE), use_threads=False)
-            self._details[index] = list(zip(*(columns.column(name).to_pylist() for name in MORE), strict=True))
-        return self._details[index][row - int(np.searchsorted(self.rows.file, index))]
+        return self.taken.get(path) or (self._former.get(path) if path in self.paths else None)
 
     def places(self, but: set[str]) -> dict[str, str]:
         """Return the path under which each trial is stored, but those of some sources and of such in part."""
         rows = read_rows(self.processed, ("trial_id", "source_path"), self.damaged)
         pairs = zip(rows.column("trial_id"), rows.column("source_path"), strict=True)
-        left_out = {path for path, lost in self._missing.items() if lost} | (but & self.last.keys())
-        return {trial: path for trial, path in pairs if path not in left_out} if left_out else dict(pairs)
-
-
-APART = 0.01
-"""Part by which sampling periods of one experiment may differ: a clock is off by 1e-4, and the limit of a stiff wall is
-proportional to 1/T."""
-
-
-def alike(one: float, other: float) -> bool:
-    """Return whether two sampling periods [s] may be of one experiment."""
-    return abs(one - other) <= APART * max(one, other)
+        return {trial: path for trial, path in pairs if path not in but and path not in self.partly}
 
 
 @dataclass
@@ -238,9 +207,8 @@ def accepted_logs(
     source: Source,
     sha256: str,
     logs: Sequence[Log],
-    profile: Profile,
     known: Mapping[str, Motion],
-    stamps: Mapping[str, str],
+    claims: str,
 ) -> list[Accepted]:
     """Return the trials of a source that was read; one whose command obeys other gains bears a mark and a warning.
 
@@ -249,34 +217,34 @@ def accepted_logs(
     source : Source
     sha256 : str
     logs : sequence of Log
-    profile : Profile
-        That read it.
     known : mapping of str to Motion
         Motion of each device that has a device file.
-    stamps : mapping of str to str
-        Columns that tell by which profiles it was read.
+    claims : str
+        Hash of all profiles that might have claimed it.
 
     Raises
     ------
     LogError
         If a log cannot be stored (`reading.motion_of`).
     """
-    told = told_by_name(profile, source.path)
+    assert source.profile is not None, "a source without a profile is refused before it is read"
+    told = told_by_name(source.profile, source.path)
     common = {
         "source_path": source.key,
         "source_size": source.size,
         "source_mtime_ns": source.mtime_ns,
         "source_sha256": sha256,
         "source_trials": len(logs),
-        "profile": profile.name,
+        "profile": source.profile.name,
+        "profile_sha256": source.profile_sha256,
+        "claims": claims,
         "package_version": __version__,
-        **stamps,
     }
     found = []
     for log in logs:
         motion = motion_of(log, known)
         own = {"trial_id": trial_id(sha256, log.label, told), "label": log.label, "motion": motion}
-        if (text := other_gains(profile, log)) is not None:
+        if (text := other_gains(source.profile, log)) is not None:
             header = replace(log.header, extra=log.header.extra | {OTHER_GAINS: text})
             log = replace(log, header=header, warnings=(*log.warnings, text))
         found.append(Accepted(source, log, motion, common | own))
@@ -341,7 +309,7 @@ def _table(members: Sequence[Accepted]) -> pa.Table:
     samples |= {key: [getattr(log, key) for log in logs] for key in ("command", "position", "force", "velocity")}
     # stamps of the file with a fraction, and whole ones
     samples |= {name: [_raw(log, kind) for log in logs] for name, kind in (("raw_time", "f"), ("raw_count", "i"))}
-    columns |= {name: _lists(values, COLUMNS[name].dtype) for name, values in samples.items()}
+    columns |= {name: pa.array(values, COLUMNS[name].dtype) for name, values in samples.items()}
     return to_arrow("trials", columns, rotation=members[0].motion == "rotation")
 
 
@@ -361,22 +329,6 @@ def _trial(accepted: Accepted, flags: Mapping[str, Any]) -> dict[str, Any]:
 def _raw(log: Log, kind: str) -> Floats | Integers | None:
     """Return the time stamps of the file where they are numbers of a kind."""
     return log.raw_time if log.raw_time is not None and log.raw_time.dtype.kind == kind else None
-
-
-def _lists(columns: Sequence[Floats | Integers | None], dtype: pa.DataType) -> pa.Array:
-    """Return samples as a column of lists; null for a log that has none."""
-    there = [values for values in columns if values is not None]
-    if not there:
-        return pa.nulls(len(columns), dtype)
-    edges = np.cumsum([0, *(0 if values is None else len(values) for values in columns)], dtype=np.int32)
-    missing = np.array([values is None for values in columns])
-    mask = pa.array(missing.tolist()) if missing.any() else None
-    # `pa.array` of arrays would load numpy's masked ones first
-    rows, values = (
-        pa.Array.from_buffers(kind, len(array), [None, pa.py_buffer(array)])
-        for kind, array in ((pa.int32(), edges), (dtype.value_type, np.concatenate(there)))
-    )
-    return pa.ListArray.from_arrays(rows, values, type=dtype, mask=mask)
 
 
 def id_of(source: Source, sha256: str) -> str:

@@ -13,7 +13,6 @@ from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.base.errors import PipelineError
-from pipeline.intake.correct import delete, empty_bin, exclude, move, restore, use_again
 from pipeline.records.batch import TrialBatch
 from pipeline.records.criteria import REPORTED
 from pipeline.records.findings import Note
@@ -24,10 +23,10 @@ from pipeline.service.jobs.workers import Workers
 from pipeline.service.problems import Problem
 from pipeline.service.settings import Settings
 from pipeline.service.theory import Theory, case_of_loop
-from pipeline.store.corrections import read_exclusions, split_trials
+from pipeline.store.corrections import delete, empty_bin, exclude, move, restore, use_again
 from pipeline.store.names import folder_name
 from pipeline.store.samples import load_batch, load_trial
-from pipeline.store.storage import list_devices, list_experiments, read_trials
+from pipeline.store.storage import list_devices, list_experiments, read_exclusions, read_trials, split_trials
 
 RETRY_S = 60.0
 """Time after which what could not be computed is tried again by who looks at it [s]."""
@@ -174,7 +173,7 @@ class Service:
         return {one.trial_id: one.exclusion_reason for one in own}
 
     def wanted(self, of: Sequence[str]) -> str:
-        """Return what is stored as `intake.correct` names it: of ``trial``, ``experiment`` or ``device`` and names."""
+        """Return what is stored as `store.corrections` names it: of trial, experiment or device and names."""
         if of[0] == "trial":
             self.found(of[1])
             return of[1]
@@ -288,7 +287,7 @@ def _whole(device: str, experiment: str) -> dict[str, Any]:
 
 
 def run_of(*names: str) -> str:
-    """Return a device, or an experiment of one, as one word of an address, as `intake.correct` takes it, too."""
+    """Return a device, or an experiment of one, as one word of an address, as `store.corrections` takes it, too."""
     return "/".join(map(folder_name, names))
 
 

@@ -23,7 +23,7 @@ from pipeline.records.batch import Booleans
 from pipeline.records.findings import Motion
 from pipeline.records.table_files import WRITING, damaged_file, metadata_of, open_table
 from pipeline.records.tables import arrow_schema
-from pipeline.store.storage import TABLE, VERSION_COLUMNS, Rows, read_rows, trials_folder
+from pipeline.store.storage import TABLE, VERSION_COLUMNS, Rows, read_rows, row_parts, trials_folder
 
 GROUP_TRIALS, GROUP_BYTES = 64, 8 << 20
 """Trials of a group of rows, and bytes of their samples, at most: one trial is read by reading its group."""
@@ -117,15 +117,7 @@ def _groups(parts: Iterable[pa.Table]) -> Iterator[pa.Table]:
 
 def trials_of(file: Path, kept: Booleans | None = None) -> Iterator[pa.Table]:
     """Yield trials of a file with their samples, by default all; group by group."""
-    first = 0
-    with open_table(file) as stored:
-        for number in range(stored.num_row_groups):
-            rows = stored.metadata.row_group(number).num_rows
-            some = np.ones(rows, dtype=np.bool_) if kept is None else kept[first : first + rows]
-            first += rows
-            if some.any():
-                group = stored.read_row_group(number, use_threads=False)
-                yield group if some.all() else group.filter(pa.array(some))
+    return (part for _, part in row_parts(file, None if kept is None else np.flatnonzero(kept)))
 
 
 def find_damaged(files: Iterable[Path]) -> dict[Path, str]:

@@ -16,9 +16,10 @@ import os
 import re
 import shlex
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -30,9 +31,9 @@ from pipeline.base.disk import content_of, kept_files, said_content
 from pipeline.base.errors import StoreError
 from pipeline.base.wording import counted
 from pipeline.records.batch import Booleans, Integers
-from pipeline.records.table_files import damaged_file, metadata_of, open_table
+from pipeline.records.findings import Record
+from pipeline.records.table_files import damaged_file, metadata_of, open_table, read_table
 from pipeline.records.tables import LOCATION, OF_TRIALS, TABLES, arrow_schema
-from pipeline.store.corrections import applied, moved_from, read_corrections
 from pipeline.store.names import name_of_folder, place_of
 
 Result = TypeVar("Result")
@@ -192,9 +193,8 @@ class Rows(NamedTuple):
     file : int64, shape (rows,)
         Index of the file of each row.
     files : list of Path
-        Damaged ones, and those in whose place another one stands, have no rows.
     replaced : list of Path
-        The latter.
+        Files that are left out since another one stands in their place.
     """
 
     table: pa.Table
@@ -253,12 +253,11 @@ def read_rows(
         broken.clear()
         files, names = trials_files(processed, device, experiment), set[str]()
         tables = {file: rows_of(file, names) for file in files if file not in (damaged or {})}
+        counting = [file for file in tables if file.stem not in names]
+        kept = [tables[file] for file in counting]
+        of = np.repeat(np.arange(len(kept)), [len(table) for table in kept])
         replaced = [file for file in files if file.stem in names]
-        counts = [0 if file in replaced or file not in tables else len(tables[file]) for file in files]
-        kept = [tables[file] for file, count in zip(files, counts, strict=True) if count]
-        return Rows(
-            pa.concat_tables([schema.empty_table(), *kept]), np.repeat(np.arange(len(files)), counts), files, replaced
-        )
+        return Rows(pa.concat_tables([schema.empty_table(), *kept]), of, counting, replaced)
 
     rows = steadily(trials_folder(processed, *(name for name in (device, experiment) if name is not None)), read)
     if broken and damaged is None:
@@ -271,6 +270,32 @@ def read_rows(
 def _schema(columns: tuple[str, ...]) -> pa.Schema:
     whole = arrow_schema("trials", also=LOCATION)
     return pa.schema([whole.field(name) for name in columns])
+
+
+APART = 0.01
+"""Part by which sampling periods of one experiment may differ: a clock is off by 1e-4, and the limit of a stiff wall is
+proportional to 1/T."""
+
+
+def alike(one: float, other: float) -> bool:
+    """Return whether two sampling periods [s] may be of one experiment."""
+    return abs(one - other) <= APART * max(one, other)
+
+
+def row_parts(
+    file: Path, rows: Integers | None = None, columns: list[str] | None = None
+) -> Iterator[tuple[Integers, pa.Table]]:
+    """Yield some rows of a file, by default all, group by group: beside what is made of them, one is in memory."""
+    with open_table(file) as stored:
+        ends = np.cumsum([0, *(stored.metadata.row_group(number).num_rows for number in range(stored.num_row_groups))])
+        rows = np.arange(ends[-1]) if rows is None else rows
+        order = np.argsort(rows)
+        cuts = np.searchsorted(rows[order], ends)
+        for number, (begin, end) in enumerate(pairwise(cuts.tolist())):
+            if end > begin:
+                which = order[begin:end]
+                group = stored.read_row_group(number, columns, use_threads=False)
+                yield which, group.take(rows[which] - ends[number]) if end - begin < len(group) else group
 
 
 def check_version(processed: Path) -> None:
@@ -295,6 +320,118 @@ def check_version(processed: Path) -> None:
             f"{shlex.quote(os.path.commonpath(folders))} --processed {shlex.quote(f'{processed}-new')}`; then remove "
             "the old one."
         )
+
+
+class Exclusion(Record):
+    """A trial that is excluded by hand: where it belongs, its log, why, and since when (UTC, ISO 8601).
+
+    It is known by its id, a hash of its log, of which trial of that it is, and of what the name tells.
+    """
+
+    trial_id: str
+    label: str | None
+    device: str
+    experiment: str
+    source_path: str
+    source_sha256: str
+    exclusion_reason: str
+    excluded_since: str
+
+
+class Correction(Exclusion):
+    """All that was corrected of a trial; device and experiment are those of its log."""
+
+    exclusion_reason: str = ""
+    excluded_since: str = ""
+    moved_device: str | None = None
+    moved_experiment: str | None = None
+    deleted: bool = False
+    corrected_ns: int = 0
+
+    @property
+    def changes_place(self) -> bool:
+        """Whether the trial counts where its log says no more."""
+        return self.deleted or self.place != (self.device, self.experiment)
+
+    @property
+    def place(self) -> tuple[str, str]:
+        """Device and experiment that the trial counts as one of."""
+        return self.moved_device or self.device, self.moved_experiment or self.experiment
+
+
+IDENTITY = tuple(name for name in Exclusion.model_fields if name in TABLES["trials"])
+"""What a correction takes from the row of its trial."""
+
+
+def corrections_files(processed: Path) -> list[Path]:
+    """Return the files of corrections: one, but where two were written at once."""
+    return sorted((processed / "corrections").glob("*.parquet"))
+
+
+def read_corrections(processed: Path) -> dict[str, Correction]:
+    """Return the corrections of a store in the order in which they were made, of trials no longer stored, too.
+
+    Of two of a trial, in files that stand there at once, the newer counts.
+
+    Raises
+    ------
+    StoreError
+        If a file is damaged: what is corrected is then not known, and nothing may be computed.
+    """
+    tables = steadily(processed / "corrections", lambda: [read_table(f) for f in corrections_files(processed)])
+    rows = [Correction(**row) for table in tables for row in table.to_pylist()]
+    return {one.trial_id: one for one in sorted(rows, key=lambda one: one.corrected_ns)}
+
+
+def read_exclusions(processed: Path) -> dict[str, Exclusion]:
+    """Return the exclusions of a store; order and errors as those of `read_corrections`."""
+    found = {}
+    for key, one in read_corrections(processed).items():
+        if one.exclusion_reason and not one.deleted:
+            values = one.model_dump(include=set(Exclusion.model_fields))
+            found[key] = Exclusion(**values | dict(zip(("device", "experiment"), one.place, strict=True)))
+    return found
+
+
+def split_trials(trials: pa.Table, exclusions: Mapping[str, Exclusion]) -> tuple[pa.Table, tuple[Exclusion, ...]]:
+    """Return the rows of a trials table that are in use, and the exclusions of the others, in order of trial ids."""
+    keys = trials.column("trial_id").to_pylist()
+    if exclusions.keys().isdisjoint(keys):
+        return trials, ()
+    out = pa.array([key in exclusions for key in keys], pa.bool_())
+    rows = trials.filter(out).select(IDENTITY).sort_by("trial_id").to_pylist()
+    found = tuple(exclusions[row["trial_id"]].model_copy(update=row) for row in rows)
+    return trials.filter(pa.array([key not in exclusions for key in keys], pa.bool_())), found
+
+
+def moved_from(
+    corrections: Iterable[Correction], device: str | None, experiment: str | None
+) -> dict[tuple[str, str], None]:
+    """Return where trials are stored that count as of a device, or of one of its experiments, by hand."""
+    if device is None:
+        return {}
+    wanted = (one for one in corrections if one.place[0] == device and experiment in (None, one.place[1]))
+    return {(one.device, one.experiment): None for one in wanted if experiment is not None or one.device != device}
+
+
+def applied(
+    trials: pa.Table, corrections: Mapping[str, Correction], device: str | None, experiment: str | None
+) -> pa.Table:
+    """Return trials with device and experiment as corrected, those of a device or experiment, without deleted ones."""
+    if not corrections:
+        return trials
+    found = [corrections.get(key) for key in trials.column("trial_id").to_pylist()]
+    for at, name in enumerate(("device", "experiment")):
+        values = trials.column(name).to_pylist()
+        moved = [value if one is None else one.place[at] for value, one in zip(values, found, strict=True)]
+        index = trials.schema.get_field_index(name)
+        trials = trials.set_column(index, trials.schema.field(index), pa.array(moved, pa.string()))
+    places = zip(*(trials.column(name).to_pylist() for name in ("device", "experiment")), strict=True)
+    keep = [
+        (one is None or not one.deleted) and device in (None, place[0]) and experiment in (None, place[1])
+        for place, one in zip(places, found, strict=True)
+    ]
+    return trials.filter(pa.array(keep, pa.bool_()))
 
 
 FIRST_STAGE = "response"

@@ -100,7 +100,7 @@ def test_a_pass_on_a_disk_that_takes_nothing_is_told(store, logs, monkeypatch):
     def no_folder(*_):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(store))
 
-    monkeypatch.setattr("pipeline.base.lock.make_folder", no_folder)
+    monkeypatch.setattr("pipeline.base.disk.make_folder", no_folder)
     events = []
     events += run_pass(Watched((logs,), store, store.parent / "reports"))
     assert status_of(events) == 1

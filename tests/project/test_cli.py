@@ -286,10 +286,10 @@ def test_long_lists_are_cut_in_text_alone(call, logs, tmp_path):
 
 
 def test_a_second_writer_is_refused_and_readers_are_not(call, logs, tmp_path, monkeypatch):
-    from pipeline.base import lock
-    from pipeline.base.lock import writing
+    from pipeline.base import disk
+    from pipeline.base.disk import writing
 
-    taken = lock._taken
+    taken = disk._taken
     monkeypatch.setattr(lock, "_taken", lambda file, wait_s: taken(file, 0.0))  # no minute for this test
     assert call("ingest", "logs")[0] == 0
     (logs / "new.csv").write_text(log_text(1.0))

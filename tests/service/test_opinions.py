@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from served import Browser, page
 
-from pipeline.base.lock import writing
+from pipeline.base.disk import writing
 from pipeline.service import shared
 from pipeline.shell.verify.verify import verify
 

@@ -13,13 +13,12 @@ from stored import merge_all
 
 from pipeline.base.errors import DeviceError, StoreError
 from pipeline.comparison.scene.scene import open_scene
-from pipeline.intake.correct import exclude
 from pipeline.intake.ingest import ingest
 from pipeline.store import batch_files
-from pipeline.store.corrections import read_exclusions
+from pipeline.store.corrections import exclude
 from pipeline.store.objects import Objects, opened, stored_by
 from pipeline.store.samples import load_batch
-from pipeline.store.storage import list_experiments, read_trials
+from pipeline.store.storage import list_experiments, read_exclusions, read_trials
 
 
 def write_logs(folder, stiffnesses, experiment="1"):

@@ -35,7 +35,7 @@ def test_a_store_that_may_only_be_read_is_like_a_folder_that_may(s3, monkeypatch
     def refuse(*_, **__):
         raise PermissionDeniedError("no")
 
-    monkeypatch.setattr("obstore.put", refuse)
+    monkeypatch.setattr("obstore.store.S3Store.put", refuse)
     with pytest.raises(PermissionError) as told:
         Objects(s3).put("a", tmp_path)
     assert told.value.filename == s3

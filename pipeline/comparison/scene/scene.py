@@ -13,8 +13,7 @@ from pipeline.measured.stages.stages import STAGES, ExperimentStages, required
 from pipeline.records.criteria import FAMILIES, MEASURED, REPORTED, criterion_of, members
 from pipeline.records.models import Device, Scene, Shown
 from pipeline.records.results import Truth
-from pipeline.store.corrections import Exclusion
-from pipeline.store.storage import list_devices, list_experiments
+from pipeline.store.storage import Exclusion, list_devices, list_experiments
 
 RUN, REUSE, LEAVE_OUT = "run", "reuse", "leave out"
 

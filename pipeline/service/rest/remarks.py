@@ -8,11 +8,11 @@ from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.base.provenance import digest
-from pipeline.intake.correct import in_bin
 from pipeline.service.problems import Problem
 from pipeline.service.rest import answers
 from pipeline.service.rest.api import Cursor, Limit, Segment, latest
 from pipeline.service.shared import Service, Shared, Who
+from pipeline.store.corrections import in_bin
 
 remarks = APIRouter(prefix="/api/v1", responses=answers.EVERYWHERE)
 

@@ -14,7 +14,7 @@ from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
     from pipeline.intake.check import CheckReport
-    from pipeline.store.corrections import Exclusion
+    from pipeline.store.storage import Exclusion
 
 Result = TypeVar("Result")
 
@@ -139,10 +139,9 @@ def status(processed: Processed = Path("processed")) -> int:
 
     Example: pipeline status --processed processed
     """
-    from pipeline.intake import correct
     from pipeline.intake.quarantine import list_quarantine
-    from pipeline.store.corrections import read_exclusions
-    from pipeline.store.storage import read_trials
+    from pipeline.store import corrections as correct
+    from pipeline.store.storage import read_exclusions, read_trials
 
     _must_exist(processed)
     damaged: dict[Path, str] = {}
@@ -190,7 +189,7 @@ def exclude(
 
     Example: pipeline exclude 3f9a --undo
     """
-    from pipeline.intake import correct
+    from pipeline.store import corrections as correct
 
     if undo == (reason is not None):
         raise UsageError(f'{trial}: expected either --reason "<words>" or --undo, found {"both" if undo else "none"}.')
@@ -219,7 +218,7 @@ def move(
 
     Example: pipeline move falcon/2 falcon/without-grip
     """
-    from pipeline.intake import correct
+    from pipeline.store import corrections as correct
 
     count = _changed(processed, lambda folder: correct.move(folder, trial, to, say=console.step))
     console.tell({"trials": count}, [f"trials now {to}: {count}"])
@@ -241,7 +240,7 @@ def delete(
 
     Example: pipeline delete --empty
     """
-    from pipeline.intake import correct
+    from pipeline.store import corrections as correct
 
     if (trial is None and undo) or (empty and trial is not None):
         raise UsageError("give what to delete, with --undo to take it out of the bin, or --empty alone.")
