@@ -22,7 +22,15 @@ from pipeline.base.provenance import digest
 from pipeline.base.wording import counted
 from pipeline.intake.quarantine import QuarantineRecord, Refused, keep, list_quarantine, record_of, release
 from pipeline.intake.sources import Read, Source, find_sources, is_settled, reads_of
-from pipeline.intake.trialstore import Accepted, Periods, StoredSource, StoredSources, accepted_logs, id_of, store_logs
+from pipeline.intake.trialstore import (
+    Accepted,
+    Periods,
+    StoredSource,
+    StoredSources,
+    accepted_logs,
+    store_logs,
+    trial_id,
+)
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
@@ -359,7 +367,7 @@ class _Run:
 
     def _find(self, source: Source, sha256: str) -> str | None:
         """Return the path under which a log is stored that is this one: content, and what its name tells."""
-        return self.places.get(id_of(source, sha256))
+        return self.places.get(trial_id(sha256, None, source.told))
 
     def _read_alike(self, path: str | None, source: Source) -> bool:
         """Return whether what is stored under a path was read by the profile that reads a source."""

@@ -17,6 +17,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 
@@ -113,6 +114,22 @@ class Source:
         """Hash of the profile."""
         return self.profile.digest if self.profile else None
 
+    @cached_property
+    def told(self) -> str | None:
+        """What the profile reads from the name of the log, as text; None where it reads names not.
+
+        Names that tell the same, as 2 and 2.0, give the same text.
+        """
+        profile, name = self.profile, storable(self.path.name)
+        if profile is None or not profile.reads_names:
+            return None
+        told = (find_groups(profile.name_pattern, name) if profile.name_pattern else None) or {}
+        for key in told.keys() & CONDITION_QUANTITIES:
+            with suppress(ValueError):
+                told[key] = str(float(told[key]))
+        entries = [entry.match for entry in profile.file if fnmatchcase(name.lower(), entry.match.lower())]
+        return json.dumps([told, entries], sort_keys=True)
+
 
 def find_sources(
     paths: Sequence[Path],
@@ -195,22 +212,6 @@ def _state(entry: os.DirEntry[str]) -> tuple[int, int] | None:
     except OSError:
         return None
     return status.st_size, status.st_mtime_ns
-
-
-def told_by_name(profile: Profile, path: Path) -> str | None:
-    """Return what a profile reads from the name of a log, as text; None where it reads names not.
-
-    Names that tell the same, as 2 and 2.0, give the same text.
-    """
-    if not profile.reads_names:
-        return None
-    name = storable(path.name)
-    told = (find_groups(profile.name_pattern, name) if profile.name_pattern else None) or {}
-    for key in told.keys() & CONDITION_QUANTITIES:
-        with suppress(ValueError):
-            told[key] = str(float(told[key]))
-    entries = [entry.match for entry in profile.file if fnmatchcase(name.lower(), entry.match.lower())]
-    return json.dumps([told, entries], sort_keys=True)
 
 
 def is_settled(mtime_ns: int, settle_s: float) -> bool:

@@ -18,11 +18,10 @@ from pipeline import __version__
 from pipeline.base.disk import each, make_folder, readers_of
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import sha256 as hash_of
-from pipeline.intake.sources import ENDINGS, Source, motion_of, told_by_name
+from pipeline.intake.sources import ENDINGS, Source, motion_of
 from pipeline.readers import Log
 from pipeline.readers.log import step_flags
 from pipeline.readers.obeyed import other_gains
-from pipeline.records.batch import Floats, Integers
 from pipeline.records.findings import Motion
 from pipeline.records.table_files import open_table
 from pipeline.records.tables import COLUMNS, to_arrow
@@ -177,13 +176,15 @@ LOG_BYTES = 2048
 """Memory of a log beside its samples [byte]."""
 
 
+_CONDITIONS = ("device", "experiment", "stiffness", "damping", "step", "sampling_period_s", "grip", "simulated")
+
+
 @dataclass(frozen=True, eq=False)
 class Accepted:
-    """A checked log with its motion, and the columns of its row that are those of its source."""
+    """A checked log, and its row in the trials table but for what is made of many logs at once."""
 
     source: Source
     log: Log
-    motion: Motion
     row: dict[str, Any]
 
     @property
@@ -199,8 +200,8 @@ class Accepted:
     @property
     def place(self) -> Place:
         """What it has in common with the trials of its file."""
-        header = self.log.header
-        return Place(header.device, header.experiment, self.motion, readers_of(self.source.mode))
+        device, experiment, motion = (self.row[name] for name in ("device", "experiment", "motion"))
+        return Place(device, experiment, motion, readers_of(self.source.mode))
 
 
 def accepted_logs(
@@ -228,7 +229,6 @@ def accepted_logs(
         If a log cannot be stored (`reading.motion_of`).
     """
     assert source.profile is not None, "a source without a profile is refused before it is read"
-    told = told_by_name(source.profile, source.path)
     common = {
         "source_path": source.key,
         "source_size": source.size,
@@ -242,12 +242,14 @@ def accepted_logs(
     }
     found = []
     for log in logs:
-        motion = motion_of(log, known)
-        own = {"trial_id": trial_id(sha256, log.label, told), "label": log.label, "motion": motion}
+        row = common | {"motion": motion_of(log, known), "label": log.label, "rows": len(log.time)}
         if (text := other_gains(source.profile, log)) is not None:
             header = replace(log.header, extra=log.header.extra | {OTHER_GAINS: text})
             log = replace(log, header=header, warnings=(*log.warnings, text))
-        found.append(Accepted(source, log, motion, common | own))
+        row |= {name: getattr(log.header, name) for name in (*_CONDITIONS, "added_delay_samples")}
+        row["extra"] = json.dumps(log.header.extra, sort_keys=True, ensure_ascii=False)
+        row["trial_id"] = trial_id(sha256, log.label, source.told)
+        found.append(Accepted(source, log, row))
     return found
 
 
@@ -300,41 +302,18 @@ def _tables(members: Sequence[Accepted]) -> Iterator[pa.Table]:
 def _table(members: Sequence[Accepted]) -> pa.Table:
     """Return the trials table of some logs."""
     logs = [member.log for member in members]
-    rows = np.array([len(log.time) for log in logs], dtype=np.int64)
     period = np.array([log.header.sampling_period_s for log in logs], dtype=np.float64)
+    rows = np.array([len(log.time) for log in logs], dtype=np.int64)
     flags = step_flags(np.concatenate([log.time for log in logs]), rows, period)
-    trials = [_trial(member, flag) for member, flag in zip(members, flags, strict=True)]
-    columns: dict[str, Any] = {name: [trial[name] for trial in trials] for name in trials[0]}
+    columns: dict[str, Any] = {name: [member.row[name] for member in members] for name in members[0].row}
+    columns["time_quality"] = [json.dumps({**flag, **log.counts}) for flag, log in zip(flags, logs, strict=True)]
     samples: dict[str, list[Any]] = {"time_s": [log.time for log in logs]}
-    samples |= {key: [getattr(log, key) for log in logs] for key in ("command", "position", "force", "velocity")}
-    # stamps of the file with a fraction, and whole ones
-    samples |= {name: [_raw(log, kind) for log in logs] for name, kind in (("raw_time", "f"), ("raw_count", "i"))}
+    samples |= {name: [getattr(log, name) for log in logs] for name in ("command", "position", "force", "velocity")}
+    for name, kind in (("raw_time", "f"), ("raw_count", "i")):  # stamps of the file with a fraction, and whole ones
+        stamps = [log.raw_time for log in logs]
+        samples[name] = [None if values is None or values.dtype.kind != kind else values for values in stamps]
     columns |= {name: pa.array(values, COLUMNS[name].dtype) for name, values in samples.items()}
-    return to_arrow("trials", columns, rotation=members[0].motion == "rotation")
-
-
-def _trial(accepted: Accepted, flags: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the row of a log in the trials table, but its samples."""
-    log, header = accepted.log, accepted.log.header
-    plain = ("device", "experiment", "stiffness", "damping", "step", "sampling_period_s")
-    return {
-        **{key: getattr(header, key) for key in (*plain, "added_delay_samples", "grip", "simulated")},
-        **accepted.row,
-        "rows": len(log.time),
-        "extra": json.dumps(header.extra, sort_keys=True, ensure_ascii=False) if header.extra else "{}",
-        "time_quality": json.dumps({**flags, **log.counts}),
-    }
-
-
-def _raw(log: Log, kind: str) -> Floats | Integers | None:
-    """Return the time stamps of the file where they are numbers of a kind."""
-    return log.raw_time if log.raw_time is not None and log.raw_time.dtype.kind == kind else None
-
-
-def id_of(source: Source, sha256: str) -> str:
-    """Return the id of the trial of a source that holds one."""
-    told = None if source.profile is None else told_by_name(source.profile, source.path)
-    return trial_id(sha256, None, told)
+    return to_arrow("trials", columns, rotation=members[0].row["motion"] == "rotation")
 
 
 def trial_id(sha256: str, label: str | None, told: str | None = None) -> str:

@@ -6,9 +6,9 @@ repaired, and a log with other content is another trial. Each change writes a ne
 those that it read; of two that were written at once both count.
 
 All functions take words that name trials: a device, ``device/experiment`` (names as `names.folder_name` has them), the
-id of a trial, the beginning of one, or the path of a log with one trial. ``wait_s`` and ``say`` are those of
-`disk.writing`. They raise `UsageError` where the words fit nothing, or several trials, and `StoreError` where the store
-is damaged, cannot be written, or others write there.
+id of a trial, the beginning of one, or the path of a log with one trial. ``say`` is that of `disk.writing`. They raise
+`UsageError` where the words fit nothing, or several trials, and `StoreError` where the store is damaged, cannot be
+written, or others write there.
 """
 
 from __future__ import annotations
@@ -19,14 +19,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pipeline.base.disk import WAIT_S, new_file, remove_all, writing
+import numpy as np
+
+from pipeline.base.disk import new_file, remove_all, writing
 from pipeline.base.errors import UsageError
 from pipeline.base.paths import path_of_text, path_text, storable
 from pipeline.base.provenance import stamp
 from pipeline.base.wording import counted
 from pipeline.records.table_files import parquet_bytes
 from pipeline.records.tables import TABLES, to_arrow
-from pipeline.store.batch_files import KEY_COLUMNS, Key, rewrite, without
+from pipeline.store.batch_files import kept_of, rewrite
 from pipeline.store.names import name_of_folder
 from pipeline.store.storage import (
     IDENTITY,
@@ -47,13 +49,13 @@ SHOWN = 5
 Say = Callable[[str], None] | None
 
 
-def exclude(processed: Path, wanted: str, reason: str, wait_s: float = WAIT_S, say: Say = None) -> list[Exclusion]:
+def exclude(processed: Path, wanted: str, reason: str, say: Say = None) -> list[Exclusion]:
     """Exclude trials; one that is excluded already gets the new reason, unless it is one of a whole experiment."""
     text = storable(" ".join(reason.split()))
     if not text:
         raise UsageError('reason is blank, but every report shows why a trial is excluded. Give --reason "<words>".')
-    with writing(processed, wait_s, say):
-        rows = _meant(processed, wanted, _stored(processed), "stored")
+    with writing(processed, say=say):
+        rows = _meant(processed, wanted)
         out = read_exclusions(processed)
         rows = [row for row in rows if len(rows) == 1 or row["trial_id"] not in out]
         new = {"exclusion_reason": text, "excluded_since": datetime.now(UTC).isoformat(timespec="seconds")}
@@ -61,16 +63,16 @@ def exclude(processed: Path, wanted: str, reason: str, wait_s: float = WAIT_S, s
     return [Exclusion(**row, **new) for row in rows]
 
 
-def use_again(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> list[Exclusion]:
+def use_again(processed: Path, wanted: str, say: Say = None) -> list[Exclusion]:
     """Undo the exclusion of trials and return it."""
-    with writing(processed, wait_s, say):
+    with writing(processed, say=say):
         known = read_exclusions(processed)
-        rows = _meant(processed, wanted, [one.model_dump() for one in known.values()], "excluded")
+        rows = _meant(processed, wanted, "excluded", known.values())
         _correct(processed, rows, {"exclusion_reason": "", "excluded_since": ""})
     return [known[row["trial_id"]] for row in rows]
 
 
-def move(processed: Path, wanted: str, to: str, wait_s: float = WAIT_S, say: Say = None) -> int:
+def move(processed: Path, wanted: str, to: str, say: Say = None) -> int:
     """Let trials count as of another place, ``device`` or ``device/experiment``, and return how many.
 
     Raises
@@ -81,10 +83,10 @@ def move(processed: Path, wanted: str, to: str, wait_s: float = WAIT_S, say: Say
     place = _place_of(to)
     if len(place) > 2 or not all(place):
         raise UsageError(f"{to}: is no place. Give DEVICE, or DEVICE/EXPERIMENT (a slash in a name as %2F).")
-    with writing(processed, wait_s, say):
+    with writing(processed, say=say):
         more = ("motion", "sampling_period_s")
         stored = read_trials(processed, columns=[*IDENTITY, *more]).to_pylist()
-        rows = _meant(processed, wanted, stored, "stored")
+        rows = _meant(processed, wanted)
         loops: dict[str, set[tuple[str, float]]] = {}
         moved = {row["trial_id"] for row in rows}
         for row in stored:
@@ -101,53 +103,41 @@ def move(processed: Path, wanted: str, to: str, wait_s: float = WAIT_S, say: Say
         return _correct(processed, rows, dict(zip(("moved_device", "moved_experiment"), place, strict=False)))
 
 
-def delete(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> int:
+def delete(processed: Path, wanted: str, say: Say = None) -> int:
     """Put trials into the bin and return how many: they are kept, and seen nowhere else, until `empty_bin`."""
-    with writing(processed, wait_s, say):
-        return _correct(processed, _meant(processed, wanted, _stored(processed), "stored"), {"deleted": True})
+    with writing(processed, say=say):
+        return _correct(processed, _meant(processed, wanted), {"deleted": True})
 
 
-def restore(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> int:
+def restore(processed: Path, wanted: str, say: Say = None) -> int:
     """Take trials out of the bin and return how many; those that are not stored any more come with their logs."""
-    with writing(processed, wait_s, say):
-        rows = [one.model_dump() for one in deleted(processed)]
-        return _correct(processed, _meant(processed, wanted, rows, "deleted"), {"deleted": False})
+    with writing(processed, say=say):
+        return _correct(processed, _meant(processed, wanted, "deleted", deleted(processed)), {"deleted": False})
 
 
 def deleted(processed: Path) -> list[Correction]:
     """Return all trials that are deleted, at the place that they had; whether they are stored still or not."""
     found = (one for one in read_corrections(processed).values() if one.deleted)
-    return [one.model_copy(update=dict(zip(("device", "experiment"), one.place, strict=True))) for one in found]
+    return [one.model_copy(update=one.placed) for one in found]
 
 
 def in_bin(processed: Path) -> list[Correction]:
     """Return the deleted trials that are still stored."""
-    stored = {trial for _, trial, _ in _keys(processed)}
+    stored = set(read_rows(processed, ["trial_id"], {}).column("trial_id"))
     return [one for one in deleted(processed) if one.trial_id in stored]
 
 
-def empty_bin(processed: Path, wait_s: float = WAIT_S, say: Say = None) -> int:
+def empty_bin(processed: Path, say: Say = None) -> int:
     """Remove the trials of the bin from the store and return how many.
 
     They stay deleted: where their logs are read again, they are in the bin.
     """
-    with writing(processed, wait_s, say):
-        gone = {one.trial_id for one in deleted(processed)}
-        keys = {key for key in _keys(processed) if key[1] in gone}
-        kept = without(processed, keys, {})
+    with writing(processed, say=say):
+        gone, rows = {one.trial_id for one in deleted(processed)}, read_rows(processed, ["trial_id"], {})
+        kept = kept_of(rows, np.array([trial not in gone for trial in rows.column("trial_id")], dtype=np.bool_))
         for file in kept:
             rewrite(processed, [file], kept)
-    return len({trial for _, trial, _ in keys})
-
-
-def _keys(processed: Path) -> list[Key]:
-    """Return all that is stored."""
-    return list(zip(*map(read_rows(processed, KEY_COLUMNS, {}).column, KEY_COLUMNS), strict=True))
-
-
-def _stored(processed: Path) -> list[dict[str, str]]:
-    rows: list[dict[str, str]] = read_trials(processed, columns=list(IDENTITY)).to_pylist()
-    return rows
+    return len(gone.intersection(rows.column("trial_id")))
 
 
 def _correct(processed: Path, rows: Sequence[Mapping[str, str]], change: Mapping[str, object]) -> int:
@@ -182,8 +172,13 @@ def _place_of(word: str) -> tuple[str, ...]:
     return tuple(map(name_of_folder, word.split("/")))
 
 
-def _meant(processed: Path, wanted: str, rows: Sequence[dict[str, str]], state: str) -> list[dict[str, str]]:
+def _meant(
+    processed: Path, wanted: str, state: str = "stored", among: Iterable[Exclusion] | None = None
+) -> list[dict[str, str]]:
     """Return the rows of a device or experiment, or the one that is meant by an id, the beginning of one, or a path."""
+    rows: list[dict[str, str]] = [one.model_dump() for one in among or ()]
+    if among is None:
+        rows = read_trials(processed, columns=list(IDENTITY)).to_pylist()
     place = _place_of(wanted)
     if own := [row for row in rows if (row["device"], row["experiment"])[: len(place)] == place]:
         return own
@@ -194,18 +189,15 @@ def _meant(processed: Path, wanted: str, rows: Sequence[dict[str, str]], state: 
         [row for row in rows if wanted and row["trial_id"].startswith(wanted)],
     ):
         if len(found) > 1:
-            raise UsageError(f"{wanted}: fits {len(found)} {state} trials: {_shown(found)}. Give one id.")
+            shown = (
+                f"{row['trial_id']} ({Path(row['source_path']).name}{', ' + row['label'] if row['label'] else ''})"
+                for row in found[:SHOWN]
+            )
+            more = ", ..." * (len(found) > SHOWN)
+            raise UsageError(f"{wanted}: fits {len(found)} {state} trials: {', '.join(shown)}{more}. Give one id.")
         if found:
             return found
     raise UsageError(
         f"{wanted}: is no {state} trial of {processed}, by id, beginning of an id, or path of its log, nor a device or "
         f"DEVICE/EXPERIMENT. {counted(len(rows), 'trial')} {'is' if len(rows) == 1 else 'are'} {state}."
     )
-
-
-def _shown(rows: Sequence[Mapping[str, str]]) -> str:
-    shown = [
-        f"{row['trial_id']} ({Path(row['source_path']).name}{', ' + row['label'] if row['label'] else ''})"
-        for row in rows[:SHOWN]
-    ]
-    return ", ".join(shown) + (", ..." if len(rows) > SHOWN else "")

@@ -139,7 +139,7 @@ def _located(processed: Path, trials: pa.Table) -> pa.Table:
     """Return trials with the present place of their samples, which a merge of batches may have moved."""
     keys = ("trial_id", "profile_sha256")
     present = read_trials(processed, columns=[*keys, *LOCATION])
-    places = {row[:2]: row[2:] for row in zip(*(column.to_pylist() for column in present.columns), strict=True)}
+    places = {key: at for at, key in enumerate(zip(*(present.column(key).to_pylist() for key in keys), strict=True))}
     wanted = list(zip(*(trials.column(key).to_pylist() for key in keys), strict=True))
     gone = [key for key in wanted if key not in places]
     if gone:
@@ -147,8 +147,7 @@ def _located(processed: Path, trials: pa.Table) -> pa.Table:
             f"{processed}: {len(gone)} trials were removed while they were read, the first {gone[0][0]}: "
             "their source changed. Run the command again."
         )
-    for at, name in enumerate(LOCATION):
-        index = trials.schema.get_field_index(name)
-        field = trials.schema.field(index)
-        trials = trials.set_column(index, field, pa.array([places[key][at] for key in wanted], field.type))
+    present = present.take([places[key] for key in wanted])
+    for name in LOCATION:
+        trials = trials.set_column(trials.schema.get_field_index(name), trials.schema.field(name), present.column(name))
     return trials

@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
+from glob import escape, glob
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -97,23 +98,12 @@ def natural_key(name: str) -> tuple[tuple[int, int | str], ...]:
 def trials_files(processed: Path, device: str | None = None, experiment: str | None = None) -> list[Path]:
     """Return the files of trials: all, of a device, or of one experiment; sorted."""
     names = [name for name in (device, experiment) if name is not None]
-    return [Path(path) for path in sorted(_listing(os.fspath(trials_folder(processed, *names))))]
+    return [Path(path) for path in _listing(trials_folder(processed, *names))]
 
 
-def _listing(folder: str) -> dict[str, tuple[int, int, int]]:
-    """Return inode, size [byte] and time [ns] of each Parquet file below a folder: another file has another."""
-    found: dict[str, tuple[int, int, int]] = {}
-    try:
-        with os.scandir(folder) as entries:
-            for entry in entries:
-                if entry.is_dir(follow_symlinks=False):
-                    found |= _listing(entry.path)
-                elif entry.name.endswith(TABLE):
-                    status = entry.stat()
-                    found[entry.path] = (status.st_ino, status.st_size, status.st_mtime_ns)
-    except FileNotFoundError:  # nothing stored yet, or removed since it was listed
-        pass
-    return found
+def _listing(folder: Path) -> list[str]:
+    """Return the Parquet files below a folder, sorted: a file that changed has another name."""
+    return sorted(glob(os.path.join(escape(os.fspath(folder)), "**", f"*{TABLE}"), recursive=True))
 
 
 def steadily(folder: Path, read: Callable[[], Result]) -> Result:
@@ -124,22 +114,21 @@ def steadily(folder: Path, read: Callable[[], Result]) -> Result:
     StoreError
         If it fails although nothing moved, or others write there all the time.
     """
-    root = os.fspath(folder)
     for _ in range(ATTEMPTS):
-        before = _listing(root)
+        before = _listing(folder)
         try:
             result = read()
         except (StoreError, FileNotFoundError) as error:
-            if _listing(root) == before:
+            if _listing(folder) == before:
                 if isinstance(error, StoreError):
                     raise
-                raise damaged_file(Path(error.filename or root), error.strerror) from error
+                raise damaged_file(Path(error.filename or folder), error.strerror) from error
         else:
             # a folder is not listed in one moment: what was merged meanwhile may be missing in both places
-            if _listing(root) == before:
+            if _listing(folder) == before:
                 return result
         time.sleep(_PAUSE_S)
-    raise StoreError(f"{root}: changed during each of {ATTEMPTS} attempts to read it. Wait for other commands.")
+    raise StoreError(f"{folder}: changed during each of {ATTEMPTS} attempts to read it. Wait for other commands.")
 
 
 def read_trials(
@@ -358,6 +347,11 @@ class Correction(Exclusion):
         """Device and experiment that the trial counts as one of."""
         return self.moved_device or self.device, self.moved_experiment or self.experiment
 
+    @property
+    def placed(self) -> dict[str, str]:
+        """The same by name."""
+        return dict(zip(("device", "experiment"), self.place, strict=True))
+
 
 IDENTITY = tuple(name for name in Exclusion.model_fields if name in TABLES["trials"])
 """What a correction takes from the row of its trial."""
@@ -388,8 +382,7 @@ def read_exclusions(processed: Path) -> dict[str, Exclusion]:
     found = {}
     for key, one in read_corrections(processed).items():
         if one.exclusion_reason and not one.deleted:
-            values = one.model_dump(include=set(Exclusion.model_fields))
-            found[key] = Exclusion(**values | dict(zip(("device", "experiment"), one.place, strict=True)))
+            found[key] = Exclusion(**one.model_dump(include=set(Exclusion.model_fields)) | one.placed)
     return found
 
 
