@@ -29,7 +29,7 @@ from pipeline.base.disk import (
 from pipeline.base.errors import ProfileError, StoreError
 from pipeline.base.paths import path_of_text
 from pipeline.intake.ingest import ingest
-from pipeline.intake.quarantine import FOLDER, RECORD
+from pipeline.intake.kept import FOLDER, RECORD
 from pipeline.records.findings import Record
 from pipeline.records.table_files import open_table
 from pipeline.store.batch_files import GROUP_TRIALS, Place, write_batch

@@ -20,17 +20,22 @@ from pipeline.base.errors import LogError, StoreError, UsageError
 from pipeline.base.paths import is_gone, path_of_text, path_text, storable
 from pipeline.base.provenance import digest
 from pipeline.base.wording import counted
-from pipeline.intake.quarantine import QuarantineRecord, Refused, keep, list_quarantine, record_of, release
-from pipeline.intake.sources import Read, Source, find_sources, is_settled, reads_of
-from pipeline.intake.trialstore import (
+from pipeline.intake.kept import (
     Accepted,
     Periods,
+    QuarantineRecord,
+    Refused,
     StoredSource,
     StoredSources,
     accepted_logs,
+    keep,
+    list_quarantine,
+    record_of,
+    release,
     store_logs,
     trial_id,
 )
+from pipeline.intake.sources import Read, Source, find_sources, is_settled, reads_of
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
@@ -230,10 +235,8 @@ class _Run:
         self.pending, self.pending_bytes, self.dropped, self.outdated = list[Accepted](), 0, set[Key](), set[Key]()
         """Trials that are not visible yet, and those that give way to them: of any, and of older content."""
         self.folders = set[Path]()
-        self.counts = Counter[Action]()
-        """Sources by what becomes of them."""
         self.refusals, self.warnings, self.changed = list[Refusal](), list[LogWarning](), list[ChangedSource]()
-        self.waiting, self.plan = list[str](), list[PlannedSource]()
+        self.waiting, self.plan = list[PlannedSource](), list[PlannedSource]()
 
     @cached_property
     def _motions(self) -> dict[str, Motion]:
@@ -258,18 +261,15 @@ class _Run:
 
     def look(self, folders: Sequence[Path], settle_s: float, growing: Collection[str]) -> None:
         """Find the sources; those that need no look are counted."""
-        looked_at = {*self.refused, *growing}
-        known = {
-            path: state
-            for path, state in ({} if self.dry_run or self.rehash else self.stored.states).items()
-            if path not in looked_at and (not settle_s or is_settled(state[1], settle_s))
-        }
+        known = {} if self.dry_run or self.rehash else self.stored.states
+        for path in (*self.refused, *growing):
+            known.pop(path, None)
+        if settle_s:
+            known = {path: state for path, state in known.items() if is_settled(state[1], settle_s)}
         left = dict(known)
-
-        def noticed(folder: Path, text: str) -> None:
-            self.warnings.append(LogWarning(path=path_text(folder), warning=text))
-
+        noticed = list[tuple[Path, str]]()
         found = find_sources(folders, self.profiles, self.processed, noticed, left)
+        self.warnings += [LogWarning(path_text(folder), text) for folder, text in noticed]
         self.unread = len(known) - len(left)
         present = {source.key for source in found}
         self.missing = (self.stored.paths - known.keys() | left.keys()) - present
@@ -280,8 +280,7 @@ class _Run:
             if is_settled(source.mtime_ns, settle_s) and restless.isdisjoint(map(os.path.abspath, source.files)):
                 self.sources.append(source)
             else:
-                self.waiting.append(source.shown)
-                self._note(source, "wait", f"modified less than {settle_s:g} s ago")
+                self.waiting.append(PlannedSource(source.shown, "wait", f"modified less than {settle_s:g} s ago"))
 
     def work(self, jobs: int) -> None:
         """Decide on every source and store what is new."""
@@ -314,30 +313,25 @@ class _Run:
         missing = [key for key in self.missing if key.startswith(roots)]
         # what may not be looked at is told as such; a folder in the place of a log is none
         removed = [key for key in missing if is_gone(path := path_of_text(key)) or path.is_dir()]
+        counts = Counter(one.action for one in self.plan)
         return IngestReport(
-            found=self._done + self.unread,
-            ingested=self.counts["ingest"],
-            skipped=self.counts["skip"] + self.unread,
+            found=len(self.plan) + self.unread,
+            ingested=counts["ingest"],
+            skipped=counts["skip"] + self.unread,
             quarantined=tuple(sorted(self.refusals, key=lambda refusal: refusal.path)),
             warnings=tuple(sorted(self.warnings, key=lambda warning: warning.path)),
             removed=tuple(sorted(removed)),
             changed=tuple(sorted(self.changed, key=lambda source: source.path)),
-            waiting=tuple(sorted(self.waiting)),
-            plan=tuple(sorted(self.plan, key=lambda source: source.path)) if self.dry_run else None,
+            waiting=tuple(sorted(one.path for one in self.waiting)),
+            plan=tuple(sorted(self.plan + self.waiting, key=lambda one: one.path)) if self.dry_run else None,
             damaged=tuple(sorted(set(self.damaged.values()))),
         )
 
-    @property
-    def _done(self) -> int:
-        return self.counts["ingest"] + self.counts["skip"] + self.counts["refuse"]
-
     def _note(self, source: Source, action: Action, reason: str) -> None:
-        """Count what becomes of a source."""
-        self.counts[action] += 1
-        if self.dry_run:
-            self.plan.append(PlannedSource(source.shown, action, reason))
-        if self.progress and action != "wait":
-            self.progress(self._done + self.unread, len(self.sources) + self.unread)
+        """Note what becomes of a source."""
+        self.plan.append(PlannedSource(source.shown, action, reason))
+        if self.progress:
+            self.progress(len(self.plan) + self.unread, len(self.sources) + self.unread)
 
     def _skip(self, source: Source, reason: str) -> None:
         self._release(source)

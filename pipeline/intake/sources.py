@@ -68,9 +68,6 @@ def files_of_bag(file: Path) -> tuple[Path, ...]:
 UNCOUNTED = frozenset({"truth.json", "readme", "readme.md", "readme.txt", "license", "license.md", "license.txt"})
 """Files that stand beside logs and are none (the first by the simulator), in small letters; not counted in folders."""
 
-Notice = Callable[[Path, str], None]
-"""Told of a folder that is not searched, and why."""
-
 
 @dataclass(frozen=True)
 class Source:
@@ -135,13 +132,13 @@ def find_sources(
     paths: Sequence[Path],
     profiles: tuple[Profile, ...],
     exclude: Path | None = None,
-    notice: Notice = lambda folder, reason: None,
+    notices: list[tuple[Path, str]] | None = None,
     unchanged: dict[str, tuple[int, int]] | None = None,
 ) -> list[Source]:
     """Return every log below the given folders and files, each once, in order of path.
 
     Links to files are followed. Links to folders inside a searched folder are not, since they may lead in a circle:
-    `notice` is told.
+    `notices` gets them.
 
     Parameters
     ----------
@@ -151,8 +148,8 @@ def find_sources(
         Profiles that may claim a file.
     exclude : Path, optional
         Folder that is left out (`processed/`, which may lie inside a searched folder).
-    notice : callable, optional
-        Called with each folder that is not searched, and why: it is a link, or may not be read.
+    notices : list of (Path, str), optional
+        Gets each folder that is not searched, and why: it is a link, or may not be read.
     unchanged : dict of str to (int, int), optional
         Size [byte] and time [ns] of files, by absolute path; it loses those that have them, which are left out.
 
@@ -171,44 +168,39 @@ def find_sources(
             raise UsageError(f"{path}: no such file or folder that may be looked at. Give folders with logs, or logs.")
         if excluded is not None and os.path.join(os.path.realpath(path), "").startswith(os.path.join(excluded, "")):
             raise UsageError(f"{path}: lies in {exclude}, where results are kept. Give folders with logs.")
-        look = _files(path, excluded, notice, {} if unchanged is None else unchanged)
+        look = _files(path, excluded, [] if notices is None else notices, {} if unchanged is None else unchanged)
         for file in look if path.is_dir() else [path]:
             source = _source(file, profiles)
             found.setdefault(source.key, source)
     return [found[key] for key in sorted(found)]
 
 
-def _files(folder: Path, excluded: str | None, notice: Notice, unchanged: dict[str, tuple[int, int]]) -> Iterator[Path]:
+def _files(
+    folder: Path, excluded: str | None, notices: list[tuple[Path, str]], unchanged: dict[str, tuple[int, int]]
+) -> Iterator[Path]:
     """Yield the files below a folder but hidden ones and `UNCOUNTED`; links to folders are not followed."""
-    waiting = [os.fspath(folder)]
-    while waiting:
-        here = waiting.pop()
+
+    def refused(error: OSError) -> None:
+        notices.append((Path(error.filename), f"folder cannot be read ({error.strerror}). Correct its permissions."))
+
+    for here, folders, names in os.walk(folder, onerror=refused):
+        shown = [Path(here, name) for name in folders if name[0] != "."]
+        text = "is a link to a folder, which is not followed. Give that folder if it has logs."
+        notices += [(path, text) for path in shown if path.is_symlink()]
+        folders[:] = [path.name for path in shown if os.path.realpath(path) != excluded]
         below = os.path.join(os.path.abspath(here), "")
-        try:
-            with os.scandir(here) as entries:
-                for entry in entries:
-                    path = below + entry.name
-                    known = unchanged.get(path)
-                    if known is not None and _state(entry) == known:
-                        del unchanged[path]
-                    elif entry.name[0] == ".":
-                        continue
-                    elif not os.path.isdir(path):
-                        if entry.name.lower() not in UNCOUNTED:
-                            yield Path(entry.path)
-                    elif entry.is_symlink():
-                        text = "is a link to a folder, which is not followed. Give that folder if it has logs."
-                        notice(Path(entry.path), text)
-                    elif os.path.realpath(entry.path) != excluded:
-                        waiting.append(entry.path)
-        except OSError as error:
-            notice(Path(here), f"folder cannot be read ({error.strerror}). Correct its permissions.")
+        for name in names:
+            path = below + name
+            if path in unchanged and _state(path) == unchanged[path]:
+                del unchanged[path]
+            elif name[0] != "." and name.lower() not in UNCOUNTED:
+                yield Path(here, name)
 
 
-def _state(entry: os.DirEntry[str]) -> tuple[int, int] | None:
+def _state(path: str) -> tuple[int, int] | None:
     """Return size and time of what has a name: of a link those of the link itself."""
     try:
-        status = entry.stat(follow_symlinks=False)
+        status = os.lstat(path)
     except OSError:
         return None
     return status.st_size, status.st_mtime_ns
@@ -305,9 +297,9 @@ def read_and_check(sources: Sequence[Source], known: Callable[[Source, str], boo
         for index, outcome in zip(raws, outcomes, strict=True):
             reads[index] = replace(reads[index], result=outcome)
     for read in reads:
-        if isinstance(error := read.result, LogError):
+        if isinstance(why := read.result, LogError):
             # frames in which it was raised hold the bytes of logs until cycles are collected
-            error.__traceback__ = error.__cause__ = error.__context__ = None
+            why.__traceback__ = why.__cause__ = why.__context__ = None
     return reads
 
 

@@ -6,9 +6,9 @@ repaired, and a log with other content is another trial. Each change writes a ne
 those that it read; of two that were written at once both count.
 
 All functions take words that name trials: a device, ``device/experiment`` (names as `names.folder_name` has them), the
-id of a trial, the beginning of one, or the path of a log with one trial. ``say`` is that of `disk.writing`. They raise
-`UsageError` where the words fit nothing, or several trials, and `StoreError` where the store is damaged, cannot be
-written, or others write there.
+id of a trial, the beginning of one, or the path of a log with one trial. ``wait_s`` and ``say`` are those of
+`disk.writing`. They raise `UsageError` where the words fit nothing, or several trials, and `StoreError` where the store
+is damaged, cannot be written, or others write there.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.disk import new_file, remove_all, writing
+from pipeline.base.disk import WAIT_S, new_file, remove_all, writing
 from pipeline.base.errors import UsageError
 from pipeline.base.paths import path_of_text, path_text, storable
 from pipeline.base.provenance import stamp
@@ -49,12 +49,12 @@ SHOWN = 5
 Say = Callable[[str], None] | None
 
 
-def exclude(processed: Path, wanted: str, reason: str, say: Say = None) -> list[Exclusion]:
+def exclude(processed: Path, wanted: str, reason: str, wait_s: float = WAIT_S, say: Say = None) -> list[Exclusion]:
     """Exclude trials; one that is excluded already gets the new reason, unless it is one of a whole experiment."""
     text = storable(" ".join(reason.split()))
     if not text:
         raise UsageError('reason is blank, but every report shows why a trial is excluded. Give --reason "<words>".')
-    with writing(processed, say=say):
+    with writing(processed, wait_s, say):
         rows = _meant(processed, wanted)
         out = read_exclusions(processed)
         rows = [row for row in rows if len(rows) == 1 or row["trial_id"] not in out]
@@ -63,16 +63,16 @@ def exclude(processed: Path, wanted: str, reason: str, say: Say = None) -> list[
     return [Exclusion(**row, **new) for row in rows]
 
 
-def use_again(processed: Path, wanted: str, say: Say = None) -> list[Exclusion]:
+def use_again(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> list[Exclusion]:
     """Undo the exclusion of trials and return it."""
-    with writing(processed, say=say):
+    with writing(processed, wait_s, say):
         known = read_exclusions(processed)
         rows = _meant(processed, wanted, "excluded", known.values())
         _correct(processed, rows, {"exclusion_reason": "", "excluded_since": ""})
     return [known[row["trial_id"]] for row in rows]
 
 
-def move(processed: Path, wanted: str, to: str, say: Say = None) -> int:
+def move(processed: Path, wanted: str, to: str, wait_s: float = WAIT_S, say: Say = None) -> int:
     """Let trials count as of another place, ``device`` or ``device/experiment``, and return how many.
 
     Raises
@@ -83,7 +83,7 @@ def move(processed: Path, wanted: str, to: str, say: Say = None) -> int:
     place = _place_of(to)
     if len(place) > 2 or not all(place):
         raise UsageError(f"{to}: is no place. Give DEVICE, or DEVICE/EXPERIMENT (a slash in a name as %2F).")
-    with writing(processed, say=say):
+    with writing(processed, wait_s, say):
         more = ("motion", "sampling_period_s")
         stored = read_trials(processed, columns=[*IDENTITY, *more]).to_pylist()
         rows = _meant(processed, wanted)
@@ -103,15 +103,15 @@ def move(processed: Path, wanted: str, to: str, say: Say = None) -> int:
         return _correct(processed, rows, dict(zip(("moved_device", "moved_experiment"), place, strict=False)))
 
 
-def delete(processed: Path, wanted: str, say: Say = None) -> int:
+def delete(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> int:
     """Put trials into the bin and return how many: they are kept, and seen nowhere else, until `empty_bin`."""
-    with writing(processed, say=say):
+    with writing(processed, wait_s, say):
         return _correct(processed, _meant(processed, wanted), {"deleted": True})
 
 
-def restore(processed: Path, wanted: str, say: Say = None) -> int:
+def restore(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> int:
     """Take trials out of the bin and return how many; those that are not stored any more come with their logs."""
-    with writing(processed, say=say):
+    with writing(processed, wait_s, say):
         return _correct(processed, _meant(processed, wanted, "deleted", deleted(processed)), {"deleted": False})
 
 
@@ -127,12 +127,12 @@ def in_bin(processed: Path) -> list[Correction]:
     return [one for one in deleted(processed) if one.trial_id in stored]
 
 
-def empty_bin(processed: Path, say: Say = None) -> int:
+def empty_bin(processed: Path, wait_s: float = WAIT_S, say: Say = None) -> int:
     """Remove the trials of the bin from the store and return how many.
 
     They stay deleted: where their logs are read again, they are in the bin.
     """
-    with writing(processed, say=say):
+    with writing(processed, wait_s, say):
         gone, rows = {one.trial_id for one in deleted(processed)}, read_rows(processed, ["trial_id"], {})
         kept = kept_of(rows, np.array([trial not in gone for trial in rows.column("trial_id")], dtype=np.bool_))
         for file in kept:

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-import time
-from itertools import count
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from labs import Lab, make_lab
@@ -167,10 +164,9 @@ constants = {device = "bench", experiment = "1", stiffness = 0.0, damping = 0.0,
 """
 
 
-def test_one_writer_at_a_time(store, monkeypatch):
-    monkeypatch.setattr(disk, "time", SimpleNamespace(monotonic=count(0, 100).__next__, sleep=time.sleep))
+def test_one_writer_at_a_time(store):
     with disk.writing(store), pytest.raises(StoreError, match="writes there"):
-        exclude(store, ids(store)["2.csv"], WHY)
+        exclude(store, ids(store)["2.csv"], WHY, wait_s=0)
     assert read_exclusions(store) == {}
 
 

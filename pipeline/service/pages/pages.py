@@ -19,7 +19,7 @@ from markupsafe import Markup
 from pydantic import field_validator, model_validator
 from starlette.types import Message
 
-from pipeline.intake.quarantine import list_quarantine
+from pipeline.intake.kept import list_quarantine
 from pipeline.records.criteria import REPORTED
 from pipeline.records.models import Motion
 from pipeline.records.results import Answer

@@ -104,7 +104,7 @@ def quarantine(
 
     Example: pipeline quarantine logs/run_01.csv
     """
-    from pipeline.intake.quarantine import find_record, list_quarantine, record_id
+    from pipeline.intake.kept import find_record, list_quarantine, record_id
 
     if not processed.is_dir():  # a mistyped one must not look like one without refusals
         raise UsageError(f"{processed}: no such folder. Give the folder of the stored tables (--processed).")

@@ -139,7 +139,7 @@ def status(processed: Processed = Path("processed")) -> int:
 
     Example: pipeline status --processed processed
     """
-    from pipeline.intake.quarantine import list_quarantine
+    from pipeline.intake.kept import list_quarantine
     from pipeline.store import corrections as correct
     from pipeline.store.storage import read_exclusions, read_trials
 
