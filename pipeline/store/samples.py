@@ -14,8 +14,7 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline.base.errors import StoreError
-from pipeline.records.batch import Floats, Integers, TrialBatch
-from pipeline.records.groups import TrialGroups, group_trials, padded_length
+from pipeline.records.batch import Floats, Integers, TrialBatch, TrialGroups, group_trials, padded_length
 from pipeline.records.table_files import damaged_file
 from pipeline.records.tables import LOCATION, OF_TRIALS
 from pipeline.store.storage import ATTEMPTS, read_trials, row_parts

@@ -32,8 +32,8 @@ from pipeline.measured.stages import stage_rows as rows_of
 from pipeline.measured.stages.stage_groups import TrialGroup
 from pipeline.measured.stages.stage_rows import stage_rows
 from pipeline.measured.stages.stages import STAGES
-from pipeline.records import groups
-from pipeline.records.groups import LENGTHS, TrialGroups, group_trials, padded_length
+from pipeline.records import batch as groups
+from pipeline.records.batch import LENGTHS, TrialGroups, group_trials, padded_length
 from pipeline.shell import console
 from pipeline.shell.cli import run as run_cli
 from pipeline.store.samples import load_batch, load_groups
