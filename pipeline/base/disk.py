@@ -121,6 +121,8 @@ def new_file(
 ) -> Iterator[NewFile]:
     """Open a file that nobody sees until the block has ended well; otherwise it is removed.
 
+    What writers that were killed left in its folder is removed, too.
+
     Parameters
     ----------
     folder : Path
@@ -133,6 +135,7 @@ def new_file(
         Who may read it, as far as the mask of new files (``umask``) allows; by default who may read the folder.
     """
     make_folder(folder)
+    remove_temporary(folder, _ABANDONED_S)
     label = os.fsdecode(os.fsencode(name or f"{stem}new")[-_LONGEST_NAME:])
     # threads may write one file at a time
     path = folder / f".{label}.{secrets.token_hex(8)}{TEMPORARY_ENDING}"
@@ -154,11 +157,7 @@ def new_file(
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Open a new file that becomes ``path`` when the block ends well, and is removed when it does not.
-
-    What writers that were killed left in its folder is removed, too.
-    """
-    remove_temporary(path.parent, _ABANDONED_S)
+    """Open a new file that becomes ``path`` when the block ends well, and is removed when it does not."""
     with new_file(path.parent, name=path.name) as new:
         yield new.stream
 
@@ -194,7 +193,6 @@ def said_content(name: str) -> str | None:
 
 def write_kept(folder: Path, stem: str, ending: str, data: bytes, mode: int | None = None) -> Path:
     """Keep a result as ``<stem>-<SHA-256><ending>`` in place of former ones of the same stem."""
-    remove_temporary(folder, _ABANDONED_S)
     with new_file(folder, f"{stem}-", ending, mode=mode) as new:
         new.stream.write(data)
     remove_all(file for file in kept_files(folder, stem, ending) if file != new.path)

@@ -28,11 +28,11 @@ from pipeline.intake.kept import (
     StoredSource,
     StoredSources,
     accepted_logs,
+    batches_of,
     keep,
     list_quarantine,
     record_of,
     release,
-    store_logs,
     trial_id,
 )
 from pipeline.intake.sources import Read, Source, find_sources, is_settled, reads_of
@@ -40,7 +40,7 @@ from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
 from pipeline.records.findings import Motion, Record
-from pipeline.store.batch_files import Key, merge_small, remove_incomplete, tidy
+from pipeline.store.batch_files import Key, merge_small, remove_incomplete, store, tidy
 from pipeline.store.corrections import carry
 from pipeline.store.objects import publish, renewed
 from pipeline.store.storage import check_version, read_corrections
@@ -187,42 +187,40 @@ def ingest(
     profiles = shipped_profiles() if profile is None else (load_profile(profile),)
     folders = [Path(path) for path in paths]
     with nullcontext() if dry_run else writing(processed, wait_s, say):
-        run = _Run(processed, profiles, dry_run, rehash, replace, progress, dict(damaged or {}))
+        run = _Run(processed, profiles, dict(damaged or {}), dry_run, rehash, replace, progress)
         run.look(folders, settle_s, growing)
         run.work(jobs or min(4, os.cpu_count() or 1))
         return run.report(folders)
 
 
+@dataclass
 class _Run:
     """One ingest: what is stored already, what was decided so far, and what waits to be stored.
 
     Parameters
     ----------
-    processed, profiles, dry_run, rehash, replace, progress, damaged
+    processed, profiles, damaged, dry_run, rehash, replace, progress
         As for `ingest`.
     """
 
-    def __init__(
-        self,
-        processed: Path,
-        profiles: tuple[Profile, ...],
-        dry_run: bool,
-        rehash: bool,
-        replace: bool,
-        progress: Callable[[int, int], None] | None,
-        damaged: dict[Path, str],
-    ) -> None:
-        self.processed, self.profiles, self.damaged = processed, profiles, damaged
-        self.dry_run, self.rehash, self.replace, self.progress = dry_run, rehash, replace, progress
-        self.claims = digest(sorted(profile.digest for profile in profiles))
-        self.stored = StoredSources(processed, self.claims, damaged)
-        if not dry_run:
-            remove_incomplete(processed)
+    processed: Path
+    profiles: tuple[Profile, ...]
+    damaged: dict[Path, str]
+    dry_run: bool
+    rehash: bool
+    replace: bool
+    progress: Callable[[int, int], None] | None
+
+    def __post_init__(self) -> None:
+        self.claims = digest(sorted(profile.digest for profile in self.profiles))
+        self.stored = StoredSources(self.processed, self.claims, self.damaged)
+        if not self.dry_run:
+            remove_incomplete(self.processed)
             if self.stored.rows.replaced or self.stored.doubled:
-                tidy(processed, damaged)
-                self.stored = StoredSources(processed, self.claims, damaged)
-        self.refused = {record.path: record for record in list_quarantine(processed, damaged)}
-        self.periods = Periods(processed)
+                tidy(self.processed, self.damaged)
+                self.stored = StoredSources(self.processed, self.claims, self.damaged)
+        self.refused = {record.path: record for record in list_quarantine(self.processed, self.damaged)}
+        self.periods = Periods(self.processed)
         self.sources = list[Source]()
         self.unread = 0
         """Sources that are known by size and time, which nobody looked at."""
@@ -409,7 +407,7 @@ class _Run:
             return
         if twin is not None and rival is not None:
             self._drop(source.shown, twin, rival, outcome)
-        self._take(source, accepted, former, again, outcome)
+        self._take(source, accepted, outcome)
 
     def _outcome(self, rival: StoredSource | None, accepted: Sequence[Accepted]) -> str | None:
         """Return what becomes of trials of the same content that another profile or device has; None where none has.
@@ -433,15 +431,9 @@ class _Run:
         count = len(rival.trials)
         return f"{counted(count, 'trial')} of {before} {'was' if count == 1 else 'were'} replaced"
 
-    def _take(
-        self,
-        source: Source,
-        accepted: Sequence[Accepted],
-        former: StoredSource | None,
-        again: bool,
-        outcome: str | None,
-    ) -> None:
+    def _take(self, source: Source, accepted: Sequence[Accepted], outcome: str | None) -> None:
         """Store a log in place of what was stored of it before."""
+        former = self.stored.get(source.key)
         row, ids = accepted[0].row, tuple(one.trial for one in accepted)
         devices = tuple(one.place.device for one in accepted)
         told = (row["source_sha256"], row["profile_sha256"], row["profile"])
@@ -460,7 +452,7 @@ class _Run:
                 self.renamed |= dict(zip(renamed.trials, ids, strict=False))
                 self._drop(path, path, renamed, f"is now {source.shown}; its trials were read anew")
                 reason = f"its name was {path}"
-        elif not again:
+        elif former.sha256 != row["source_sha256"]:
             reason = "content changed"
             keys = self.outdated if source.mtime_ns > former.mtime_ns else self.dropped
             keys |= former.keys(source.key)
@@ -507,7 +499,7 @@ class _Run:
         """Make all that is pending visible, and drop what it replaces; after an error all that is stored is valid."""
         if self.dry_run or not (self.pending or self.dropped):
             return
-        self.folders |= store_logs(self.processed, self.pending, self.dropped, self.outdated, self.damaged)
+        self.folders |= store(self.processed, batches_of(self.pending), self.dropped, self.outdated, self.damaged)
         publish(self.processed)
         for source in {one.source.key: one.source for one in self.pending}.values():
             self._release(source)

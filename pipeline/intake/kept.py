@@ -10,10 +10,9 @@ import json
 import os
 import shutil
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +20,7 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline import __version__
-from pipeline.base.disk import each, kept_files, make_folder, read_kept, readers_of, write_kept
+from pipeline.base.disk import each, kept_files, read_kept, readers_of, write_kept
 from pipeline.base.errors import OTHER_COLUMNS, REMEDY, LogError, StoreError, UsageError
 from pipeline.base.paths import path_of_text, path_text, storable
 from pipeline.base.provenance import digest
@@ -33,19 +32,9 @@ from pipeline.readers.obeyed import other_gains
 from pipeline.records.findings import Motion, Record
 from pipeline.records.table_files import open_table
 from pipeline.records.tables import COLUMNS, to_arrow
-from pipeline.store.batch_files import (
-    GROUP_BYTES,
-    GROUP_TRIALS,
-    Key,
-    Place,
-    place_of_file,
-    rewrite,
-    trials_of,
-    without,
-    write_batch,
-)
+from pipeline.store.batch_files import GROUP_BYTES, GROUP_TRIALS, Key, Place
 from pipeline.store.names import name_of_folder
-from pipeline.store.storage import alike, read_rows, trials_files, trials_folder
+from pipeline.store.storage import alike, read_rows, trials_files
 
 SEEN = ("source_path", "source_size", "source_mtime_ns", "source_trials", "claims")
 """Columns that tell whether anything is new; with groups of 64 rows each column costs a tenth of the time."""
@@ -177,9 +166,6 @@ class Periods:
 OTHER_GAINS = "other_gains"
 """Key in ``extra`` of a trial whose command obeys other gains than its header says: which, and what cures it."""
 
-OPEN_FILES = 8
-"""Files that are written at once: each recording may be an experiment of its own, and open files are few."""
-
 LOG_BYTES = 2048
 """Memory of a log beside its samples [byte]."""
 
@@ -213,11 +199,7 @@ class Accepted:
 
 
 def accepted_logs(
-    source: Source,
-    sha256: str,
-    logs: Sequence[Log],
-    known: Mapping[str, Motion],
-    claims: str,
+    source: Source, sha256: str, logs: Sequence[Log], known: Mapping[str, Motion], claims: str
 ) -> list[Accepted]:
     """Return the trials of a source that was read; one whose command obeys other gains bears a mark and a warning.
 
@@ -261,43 +243,12 @@ def accepted_logs(
     return found
 
 
-def store_logs(
-    processed: Path,
-    accepted: Sequence[Accepted],
-    dropped: Collection[Key],
-    outdated: Collection[Key],
-    damaged: dict[Path, str],
-) -> set[Path]:
-    """Store logs, a file for each place, and drop what they replace; return the folders that changed.
-
-    What they replace goes with the same file that brings the new trials, where it is of their place. Elsewhere it goes
-    before, since what is new can be read again from its log; but what is outdated goes afterwards: a reader who sees
-    two contents of a log takes the newer one, and misses none.
-    """
+def batches_of(accepted: Sequence[Accepted]) -> dict[Place, Iterator[pa.Table]]:
+    """Return the trials of logs for each place, a group of rows at a time."""
     places = defaultdict[Place, list[Accepted]](list)
     for one in accepted:
         places[one.place].append(one)
-    absorbed, later = defaultdict[Place, list[Path]](list), list[Path]()
-    first = without(processed, dropped, damaged) if dropped else {}
-    kept = without(processed, {*dropped, *outdated}, damaged) if outdated else first
-    for file in kept:
-        if (place := place_of_file(file)) in places:
-            absorbed[place].append(file)
-        elif file in first:
-            rewrite(processed, [file], kept)
-        else:
-            later.append(file)
-    for place in places:  # one after the other: the name of a folder depends on those that are there
-        make_folder(trials_folder(processed, place.device, place.experiment))
-
-    def write(place: Place) -> Path | None:
-        former = chain.from_iterable(trials_of(file, kept[file]) for file in absorbed[place])
-        return write_batch(processed, place, chain(_tables(places[place]), former), absorbed[place])
-
-    folders = {path.parent for path in each(write, list(places), OPEN_FILES) if path is not None}
-    for file in later:
-        rewrite(processed, [file], kept)
-    return folders
+    return {place: _tables(members) for place, members in places.items()}
 
 
 def _tables(members: Sequence[Accepted]) -> Iterator[pa.Table]:

@@ -80,12 +80,12 @@ def list_experiments(processed: Path, device: str) -> list[str]:
     return sorted({experiment for of, experiment in _places(processed, device) if of == device}, key=natural_key)
 
 
-def _places(processed: Path, device: str | None = None) -> set[tuple[str, str]]:
+def _places(processed: Path, *device: str) -> set[tuple[str, str]]:
     """Return device and experiment of all trials, or of those of a device, as corrections have them."""
     if any(one.changes_place for one in read_corrections(processed).values()):
-        table = read_trials(processed, device, columns=["device", "experiment"])
+        table = read_trials(processed, device[0] if device else None, columns=["device", "experiment"])
         return set(zip(*(table.column(name).to_pylist() for name in table.column_names), strict=True))
-    folders = {file.parent for file in trials_files(processed, device)}
+    folders = {file.parent for file in trials_files(processed, *device)}
     return {(name_of_folder(folder.parent.name), name_of_folder(folder.name)) for folder in folders}
 
 
@@ -95,9 +95,8 @@ def natural_key(name: str) -> tuple[tuple[int, int | str], ...]:
     return tuple((0, int(part)) if part.isdecimal() and part.isascii() else (1, part) for part in parts)
 
 
-def trials_files(processed: Path, device: str | None = None, experiment: str | None = None) -> list[Path]:
-    """Return the files of trials: all, of a device, or of one experiment; sorted."""
-    names = [name for name in (device, experiment) if name is not None]
+def trials_files(processed: Path, *names: str) -> list[Path]:
+    """Return the files of trials: all, of a device, or of one of its experiments; sorted."""
     return [Path(path) for path in _listing(trials_folder(processed, *names))]
 
 
@@ -167,10 +166,11 @@ def read_trials(
         damaged[processed / "corrections"] = str(error)
     needed = list(dict.fromkeys([*wanted, *VERSION_COLUMNS, *(("device", "experiment") if corrections else ())]))
     tables = []
-    for of, one in [(device, experiment), *moved_from(corrections.values(), device, experiment)]:
-        rows = read_rows(processed, needed, damaged, of, one)
+    place = tuple(name for name in (device, experiment) if name is not None)
+    for names in [place, *moved_from(corrections.values(), place)]:
+        rows = read_rows(processed, needed, damaged, *names)
         tables.append(rows.table.filter(pa.array(rows.current)))
-    return applied(pa.concat_tables(tables), corrections, device, experiment).select(wanted)
+    return applied(pa.concat_tables(tables), corrections, place).select(wanted)
 
 
 class Rows(NamedTuple):
@@ -212,14 +212,8 @@ class Rows(NamedTuple):
         return mask
 
 
-def read_rows(
-    processed: Path,
-    columns: Sequence[str],
-    damaged: dict[Path, str] | None = None,
-    device: str | None = None,
-    experiment: str | None = None,
-) -> Rows:
-    """Return columns of all rows of the files of trials; parameters and errors as those of `read_trials`."""
+def read_rows(processed: Path, columns: Sequence[str], damaged: dict[Path, str] | None = None, *names: str) -> Rows:
+    """Return columns of all rows of the files of trials, as `trials_files` names them; else as `read_trials`."""
     schema, own = _schema(tuple(columns)), [name for name in columns if name not in LOCATION]
     broken: dict[Path, str] = {}
 
@@ -240,15 +234,15 @@ def read_rows(
 
     def read() -> Rows:
         broken.clear()
-        files, names = trials_files(processed, device, experiment), set[str]()
-        tables = {file: rows_of(file, names) for file in files if file not in (damaged or {})}
-        counting = [file for file in tables if file.stem not in names]
+        files, replaces = trials_files(processed, *names), set[str]()
+        tables = {file: rows_of(file, replaces) for file in files if file not in (damaged or {})}
+        counting = [file for file in tables if file.stem not in replaces]
         kept = [tables[file] for file in counting]
         of = np.repeat(np.arange(len(kept)), [len(table) for table in kept])
-        replaced = [file for file in files if file.stem in names]
+        replaced = [file for file in files if file.stem in replaces]
         return Rows(pa.concat_tables([schema.empty_table(), *kept]), of, counting, replaced)
 
-    rows = steadily(trials_folder(processed, *(name for name in (device, experiment) if name is not None)), read)
+    rows = steadily(trials_folder(processed, *names), read)
     if broken and damaged is None:
         raise StoreError(next(iter(broken.values())))
     (damaged if damaged is not None else {}).update(broken)
@@ -397,19 +391,14 @@ def split_trials(trials: pa.Table, exclusions: Mapping[str, Exclusion]) -> tuple
     return trials.filter(pa.array([key not in exclusions for key in keys], pa.bool_())), found
 
 
-def moved_from(
-    corrections: Iterable[Correction], device: str | None, experiment: str | None
-) -> dict[tuple[str, str], None]:
-    """Return where trials are stored that count as of a device, or of one of its experiments, by hand."""
-    if device is None:
-        return {}
-    wanted = (one for one in corrections if one.place[0] == device and experiment in (None, one.place[1]))
-    return {(one.device, one.experiment): None for one in wanted if experiment is not None or one.device != device}
+def moved_from(corrections: Iterable[Correction], place: tuple[str, ...]) -> set[tuple[str, str]]:
+    """Return where else trials are stored that count as of a device, or of one of its experiments, by hand."""
+    own = len(place)
+    moved = ((one.device, one.experiment) for one in corrections if own and one.place[:own] == place)
+    return {stored for stored in moved if stored[:own] != place}
 
 
-def applied(
-    trials: pa.Table, corrections: Mapping[str, Correction], device: str | None, experiment: str | None
-) -> pa.Table:
+def applied(trials: pa.Table, corrections: Mapping[str, Correction], place: tuple[str, ...]) -> pa.Table:
     """Return trials with device and experiment as corrected, those of a device or experiment, without deleted ones."""
     if not corrections:
         return trials
@@ -421,8 +410,8 @@ def applied(
         trials = trials.set_column(index, trials.schema.field(index), pa.array(moved, pa.string()))
     places = zip(*(trials.column(name).to_pylist() for name in ("device", "experiment")), strict=True)
     keep = [
-        (one is None or not one.deleted) and device in (None, place[0]) and experiment in (None, place[1])
-        for place, one in zip(places, found, strict=True)
+        (one is None or not one.deleted) and names[: len(place)] == place
+        for names, one in zip(places, found, strict=True)
     ]
     return trials.filter(pa.array(keep, pa.bool_()))
 

@@ -164,6 +164,16 @@ constants = {device = "bench", experiment = "1", stiffness = 0.0, damping = 0.0,
 """
 
 
+def test_what_is_deleted_doubles_no_other_trial(store):
+    trials = read_trials(store)
+    device, experiment, trial = (trials.column(name)[0].as_py() for name in ("device", "experiment", "trial_id"))
+    before = set(read_trials(store, device, experiment).column("trial_id").to_pylist())
+    delete(store, trial)
+    for place in ((device, experiment), (device,), ()):
+        found = read_trials(store, *place).column("trial_id").to_pylist()
+        assert (len(found), before - set(found)) == (len(set(found)), {trial})
+
+
 def test_one_writer_at_a_time(store):
     with disk.writing(store), pytest.raises(StoreError, match="writes there"):
         exclude(store, ids(store)["2.csv"], WHY, wait_s=0)
