@@ -11,6 +11,7 @@ import os
 import shutil
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -138,11 +139,9 @@ class Periods:
         for file in trials_files(self.processed):
             place = name_of_folder(file.parent.parent.name), name_of_folder(file.parent.name)
             if place not in found:
-                try:
-                    with open_table(file) as stored:
-                        found[place] = stored.read_row_group(0, ["sampling_period_s"]).column(0)[0].as_py()
-                except (StoreError, FileNotFoundError):  # named by who reads more of it
-                    continue
+                # what is damaged is named by who reads more of it
+                with suppress(StoreError, FileNotFoundError), open_table(file) as stored:
+                    found[place] = stored.read_row_group(0, ["sampling_period_s"]).column(0)[0].as_py()
         return found
 
     def apart(self, log: Log) -> Log:
@@ -427,16 +426,11 @@ def keep(processed: Path, refused: Sequence[Refused]) -> None:
     def write(one: Refused) -> None:
         source, record = one
         text = record.model_dump_json() + "\n"
-        write_kept(folder_of(processed, record.path), RECORD, ".json", text.encode(), source.mode)
+        write_kept(processed / FOLDER / record_id(record), RECORD, ".json", text.encode(), source.mode)
 
     each(write, refused)
 
 
 def release(processed: Path, path: str) -> None:
     """Remove the record of a source, if there is one: it was repaired and is now stored."""
-    shutil.rmtree(folder_of(processed, path), ignore_errors=True)
-
-
-def folder_of(processed: Path, path: str) -> Path:
-    """Return the folder with the record of a source, named by the id of the record."""
-    return processed / FOLDER / digest(path)
+    shutil.rmtree(processed / FOLDER / digest(path), ignore_errors=True)

@@ -199,11 +199,10 @@ def _files(
 
 def _state(path: str) -> tuple[int, int] | None:
     """Return size and time of what has a name: of a link those of the link itself."""
-    try:
+    with suppress(OSError):
         status = os.lstat(path)
-    except OSError:
-        return None
-    return status.st_size, status.st_mtime_ns
+        return status.st_size, status.st_mtime_ns
+    return None
 
 
 def is_settled(mtime_ns: int, settle_s: float) -> bool:

@@ -24,28 +24,10 @@ delimiter = ","
 decimal = "."
 name_pattern = "^K(?P<stiffness>[0-9.]+)_"
 step_at = "command edge"
-
-[columns.time]
-name = "t"
-unit = "s"
-
-[columns.command]
-name = "f"
-unit = "N"
-sign = 1
-
-[columns.position]
-name = "x"
-unit = "m"
-sign = 1
-
-[constants]
-device = "bench"
-experiment = "1"
-motion = "translation"
-damping = 2
-step = 8
-sampling_period_s = 0.001
+columns.time = {name = "t", unit = "s"}
+columns.command = {name = "f", unit = "N", sign = 1}
+columns.position = {name = "x", unit = "m", sign = 1}
+constants = {device = "bench", experiment = "1", damping = 2, step = 8, sampling_period_s = 0.001}
 """
 
 
