@@ -76,10 +76,8 @@ def is_gone(path: Path) -> bool:
     """Return whether nothing bears a path any more; what may not be looked at is not gone, as far as one can tell."""
     try:
         os.lstat(path)
-    except (FileNotFoundError, NotADirectoryError):
-        return True
-    except OSError:
-        return False
+    except OSError as error:
+        return isinstance(error, FileNotFoundError | NotADirectoryError)
     return False
 
 

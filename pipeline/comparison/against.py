@@ -20,20 +20,21 @@ from pipeline.comparison.scene.origin import excluded_trials
 from pipeline.comparison.scene.scene import SceneData, open_scene
 from pipeline.comparison.scores.scores import add_scores
 from pipeline.measured.student import NORMAL_95
-from pipeline.records.against_records import (
+from pipeline.records.batch import Floats
+from pipeline.records.criteria import criterion_of
+from pipeline.records.findings import BoundaryPoint, ExcludedTrial, Note
+from pipeline.records.models import Motion
+from pipeline.records.results import (
     AgainstResult,
     BoundaryDifference,
+    ComparisonResult,
     CostDifference,
+    ExperimentResult,
     LimitDifference,
     PairDifference,
     Side,
     ValueDifference,
 )
-from pipeline.records.batch import Floats
-from pipeline.records.criteria import criterion_of
-from pipeline.records.findings import BoundaryPoint, ExcludedTrial, Note
-from pipeline.records.models import Motion
-from pipeline.records.results import ComparisonResult, ExperimentResult
 from pipeline.rendering.figures.boundaries import limits_figure, limits_panel, measured, plane_figure
 from pipeline.rendering.figures.drawing import Figure
 from pipeline.rendering.labels import UNITS

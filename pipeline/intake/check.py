@@ -16,13 +16,20 @@ from typing import Literal
 
 import pyarrow as pa
 
-from pipeline.base.disk import READABLE, content_of, make_folder, remove_all, said_content, sync_folder, write_text
+from pipeline.base.disk import (
+    READABLE,
+    content_of,
+    make_folder,
+    remove_all,
+    said_content,
+    sync_folder,
+    write_text,
+    writing,
+)
 from pipeline.base.errors import ProfileError, StoreError
-from pipeline.base.lock import WAIT_S, writing
 from pipeline.base.paths import path_of_text
 from pipeline.intake.ingest import ingest
-from pipeline.intake.quarantine import RECORD, quarantine_folder
-from pipeline.profiles.profile_files import load_profile
+from pipeline.intake.kept import FOLDER, RECORD
 from pipeline.records.findings import Record
 from pipeline.records.table_files import open_table
 from pipeline.store.batch_files import GROUP_TRIALS, Place, write_batch
@@ -81,9 +88,7 @@ class CheckReport(Record):
 def check(
     processed: Path,
     repair: bool = False,
-    profile: str | None = None,
     progress: Callable[[int, int], None] | None = None,
-    wait_s: float = WAIT_S,
     say: Callable[[str], None] | None = None,
 ) -> CheckReport:
     """Hold every stored file against its hash; with `repair` save what can be saved.
@@ -94,12 +99,10 @@ def check(
     ----------
     processed : Path
     repair : bool
-    profile : str, optional
-        Profile beside the shipped ones that logs are read again by.
     progress : callable, optional
         Called with (files done, files found).
-    wait_s, say
-        As for `lock.writing`.
+    say
+        As for `disk.writing`.
 
     Raises
     ------
@@ -121,8 +124,8 @@ def check(
             progress(done, len(files))
     trials = {file: _rows_of(file) for file in faults if file.relative_to(processed).parts[0] == "trials"}
     if repair and trials:
-        _read_again(processed, trials, faults, profile, wait_s, say)
-    with writing(processed, wait_s, say) if repair and faults else nullcontext():
+        _read_again(processed, [row for rows in trials.values() for row in rows if _is_there(row)], faults, say)
+    with writing(processed, say=say) if repair and faults else nullcontext():
         damage = [_of_trials(processed, file, rows, faults, repair) for file, rows in trials.items()]
         damage += [_of_others(processed, file, faults, repair) for file in faults.keys() - trials.keys()]
     damage.sort(key=lambda one: one.file)
@@ -133,7 +136,7 @@ def _files(processed: Path) -> Iterator[Path]:
     """Yield every file that is named by its content, or should be."""
     for tree in ("trials", "stages", "theory", "corrections"):
         yield from sorted(f for f in (processed / tree).rglob("*") if f.is_file() and not f.name.startswith("."))
-    yield from sorted(quarantine_folder(processed).glob(f"*/{RECORD}-*"))
+    yield from sorted((processed / FOLDER).glob(f"*/{RECORD}-*"))
     yield from sorted(processed.glob("accuracy-*.json"))
 
 
@@ -179,22 +182,13 @@ def _rows_of(file: Path) -> list[dict[str, str]]:
 
 
 def _read_again(
-    processed: Path,
-    trials: dict[Path, list[dict[str, str]]],
-    faults: dict[Path, str],
-    profile: str | None,
-    wait_s: float,
-    say: Callable[[str], None] | None,
+    processed: Path, rows: list[dict[str, str]], faults: dict[Path, str], say: Callable[[str], None] | None
 ) -> None:
     """Ingest the logs of damaged files where they are, by the profiles that read them."""
-    logs = defaultdict[str, set[Path]](set)
-    for row in (row for rows in trials.values() for row in rows if _is_there(row)):
-        logs[row["profile"]].add(path_of_text(row["source_path"]))
-    own = None if profile is None else load_profile(profile).name
-    for name, paths in logs.items():
-        by = profile if name == own else name or None
-        with suppress(ProfileError):  # that of a lab, which was not given
-            ingest(sorted(paths), processed, by, wait_s=wait_s, say=say, damaged=faults)
+    for profile in sorted({row["profile"] for row in rows}):
+        logs = {path_of_text(row["source_path"]) for row in rows if row["profile"] == profile}
+        with suppress(ProfileError):  # that of a lab
+            ingest(sorted(logs), processed, profile or None, say=say, damaged=faults)
 
 
 def _is_there(row: dict[str, str]) -> bool:

@@ -1,7 +1,7 @@
 """Logs to Parquet: find, recognise what is known, read in batches, validate, store, and refuse with a reason.
 
 A log is known by its content; a source whose size and modification time are unchanged is not even opened. One ingest
-writes at a time (`lock`); what it stores becomes visible batch by batch; the next one finishes an interrupted one.
+writes at a time; what it stores becomes visible batch by batch; the next one finishes an interrupted one.
 """
 
 from __future__ import annotations
@@ -15,22 +15,35 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
+from pipeline.base.disk import WAIT_S, writing
 from pipeline.base.errors import LogError, StoreError, UsageError
-from pipeline.base.lock import WAIT_S, writing
 from pipeline.base.paths import is_gone, path_of_text, path_text, storable
 from pipeline.base.provenance import digest
 from pipeline.base.wording import counted
-from pipeline.intake.quarantine import QuarantineRecord, Refused, keep, list_quarantine, record_of, release
+from pipeline.intake.kept import (
+    Accepted,
+    Periods,
+    QuarantineRecord,
+    Refused,
+    StoredSource,
+    StoredSources,
+    accepted_logs,
+    batches_of,
+    keep,
+    list_quarantine,
+    record_of,
+    release,
+    trial_id,
+)
 from pipeline.intake.sources import Read, Source, find_sources, is_settled, reads_of
-from pipeline.intake.trialstore import Accepted, Periods, StoredSource, StoredSources, accepted_logs, id_of, store_logs
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
 from pipeline.records.findings import Motion, Record
-from pipeline.store.batch_files import Key, merge_small, remove_incomplete, tidy
-from pipeline.store.corrections import carry, read_corrections
+from pipeline.store.batch_files import Key, merge_small, remove_incomplete, store, tidy
+from pipeline.store.corrections import carry
 from pipeline.store.objects import publish, renewed
-from pipeline.store.storage import check_version
+from pipeline.store.storage import check_version, read_corrections
 
 Action = Literal["ingest", "skip", "refuse", "wait"]
 
@@ -174,43 +187,40 @@ def ingest(
     profiles = shipped_profiles() if profile is None else (load_profile(profile),)
     folders = [Path(path) for path in paths]
     with nullcontext() if dry_run else writing(processed, wait_s, say):
-        run = _Run(processed, profiles, dry_run, rehash, replace, progress, dict(damaged or {}))
+        run = _Run(processed, profiles, dict(damaged or {}), dry_run, rehash, replace, progress)
         run.look(folders, settle_s, growing)
         run.work(jobs or min(4, os.cpu_count() or 1))
         return run.report(folders)
 
 
+@dataclass
 class _Run:
     """One ingest: what is stored already, what was decided so far, and what waits to be stored.
 
     Parameters
     ----------
-    processed, profiles, dry_run, rehash, replace, progress, damaged
+    processed, profiles, damaged, dry_run, rehash, replace, progress
         As for `ingest`.
     """
 
-    def __init__(
-        self,
-        processed: Path,
-        profiles: tuple[Profile, ...],
-        dry_run: bool,
-        rehash: bool,
-        replace: bool,
-        progress: Callable[[int, int], None] | None,
-        damaged: dict[Path, str],
-    ) -> None:
-        self.processed, self.profiles, self.damaged = processed, profiles, damaged
-        self.dry_run, self.rehash, self.replace, self.progress = dry_run, rehash, replace, progress
-        self.digests = {profile: profile.digest() for profile in profiles}
-        self.claims = digest(sorted(self.digests.values()))
-        self.stored = StoredSources(processed, self.claims, damaged)
-        if not dry_run:
-            remove_incomplete(processed)
+    processed: Path
+    profiles: tuple[Profile, ...]
+    damaged: dict[Path, str]
+    dry_run: bool
+    rehash: bool
+    replace: bool
+    progress: Callable[[int, int], None] | None
+
+    def __post_init__(self) -> None:
+        self.claims = digest(sorted(profile.digest for profile in self.profiles))
+        self.stored = StoredSources(self.processed, self.claims, self.damaged)
+        if not self.dry_run:
+            remove_incomplete(self.processed)
             if self.stored.rows.replaced or self.stored.doubled:
-                tidy(processed, damaged)
-                self.stored = StoredSources(processed, self.claims, damaged)
-        self.refused = {record.path: record for record in list_quarantine(processed, damaged)}
-        self.periods = Periods(processed)
+                tidy(self.processed, self.damaged)
+                self.stored = StoredSources(self.processed, self.claims, self.damaged)
+        self.refused = {record.path: record for record in list_quarantine(self.processed, self.damaged)}
+        self.periods = Periods(self.processed)
         self.sources = list[Source]()
         self.unread = 0
         """Sources that are known by size and time, which nobody looked at."""
@@ -218,16 +228,13 @@ class _Run:
         """Paths of stored sources that were not found, or not searched for."""
         self.places = dict[str, str]()
         """Path under which each trial is stored now."""
-        self.taken = dict[str, StoredSource]()
         self.renamed = dict[str, str]()
         """Id of each trial whose log was renamed, and the one that it has now."""
         self.pending, self.pending_bytes, self.dropped, self.outdated = list[Accepted](), 0, set[Key](), set[Key]()
         """Trials that are not visible yet, and those that give way to them: of any, and of older content."""
         self.folders = set[Path]()
-        self.counts = Counter[Action]()
-        """Sources by what becomes of them."""
         self.refusals, self.warnings, self.changed = list[Refusal](), list[LogWarning](), list[ChangedSource]()
-        self.waiting, self.plan = list[str](), list[PlannedSource]()
+        self.waiting, self.plan = list[PlannedSource](), list[PlannedSource]()
 
     @cached_property
     def _motions(self) -> dict[str, Motion]:
@@ -258,14 +265,12 @@ class _Run:
         if settle_s:
             known = {path: state for path, state in known.items() if is_settled(state[1], settle_s)}
         left = dict(known)
-
-        def noticed(folder: Path, text: str) -> None:
-            self.warnings.append(LogWarning(path=path_text(folder), warning=text))
-
+        noticed = list[tuple[Path, str]]()
         found = find_sources(folders, self.profiles, self.processed, noticed, left)
+        self.warnings += [LogWarning(path_text(folder), text) for folder, text in noticed]
         self.unread = len(known) - len(left)
         present = {source.key for source in found}
-        self.missing = (self.stored.last.keys() - known.keys() | left.keys()) - present
+        self.missing = (self.stored.paths - known.keys() | left.keys()) - present
         restless = frozenset(growing)
         for source in found:
             if source.key in known and source.key not in left:
@@ -273,8 +278,7 @@ class _Run:
             if is_settled(source.mtime_ns, settle_s) and restless.isdisjoint(map(os.path.abspath, source.files)):
                 self.sources.append(source)
             else:
-                self.waiting.append(source.shown)
-                self._note(source, "wait", f"modified less than {settle_s:g} s ago")
+                self.waiting.append(PlannedSource(source.shown, "wait", f"modified less than {settle_s:g} s ago"))
 
     def work(self, jobs: int) -> None:
         """Decide on every source and store what is new."""
@@ -283,7 +287,7 @@ class _Run:
             # a source that is looked at again enters after that
             self.places = self.stored.places({source.key for source in unsettled})
         # stored sources come first: a log that was copied and touched is recognised at its old place
-        unsettled.sort(key=lambda source: (source.key not in self.stored.last, source.key))
+        unsettled.sort(key=lambda source: (source.key not in self.stored.paths, source.key))
         for batch in reads_of(unsettled, self._is_known, jobs):
             refused = [record for done in batch if (record := self._settle(done)) is not None]
             if not self.dry_run:
@@ -307,30 +311,25 @@ class _Run:
         missing = [key for key in self.missing if key.startswith(roots)]
         # what may not be looked at is told as such; a folder in the place of a log is none
         removed = [key for key in missing if is_gone(path := path_of_text(key)) or path.is_dir()]
+        counts = Counter(one.action for one in self.plan)
         return IngestReport(
-            found=self._done + self.unread,
-            ingested=self.counts["ingest"],
-            skipped=self.counts["skip"] + self.unread,
+            found=len(self.plan) + self.unread,
+            ingested=counts["ingest"],
+            skipped=counts["skip"] + self.unread,
             quarantined=tuple(sorted(self.refusals, key=lambda refusal: refusal.path)),
             warnings=tuple(sorted(self.warnings, key=lambda warning: warning.path)),
             removed=tuple(sorted(removed)),
             changed=tuple(sorted(self.changed, key=lambda source: source.path)),
-            waiting=tuple(sorted(self.waiting)),
-            plan=tuple(sorted(self.plan, key=lambda source: source.path)) if self.dry_run else None,
+            waiting=tuple(sorted(one.path for one in self.waiting)),
+            plan=tuple(sorted(self.plan + self.waiting, key=lambda one: one.path)) if self.dry_run else None,
             damaged=tuple(sorted(set(self.damaged.values()))),
         )
 
-    @property
-    def _done(self) -> int:
-        return self.counts["ingest"] + self.counts["skip"] + self.counts["refuse"]
-
     def _note(self, source: Source, action: Action, reason: str) -> None:
-        """Count what becomes of a source."""
-        self.counts[action] += 1
-        if self.dry_run:
-            self.plan.append(PlannedSource(source.shown, action, reason))
-        if self.progress and action != "wait":
-            self.progress(self._done + self.unread, len(self.sources) + self.unread)
+        """Note what becomes of a source."""
+        self.plan.append(PlannedSource(source.shown, action, reason))
+        if self.progress:
+            self.progress(len(self.plan) + self.unread, len(self.sources) + self.unread)
 
     def _skip(self, source: Source, reason: str) -> None:
         self._release(source)
@@ -339,7 +338,7 @@ class _Run:
     def _settled_unread(self, source: Source) -> bool:
         if self.rehash:
             return False
-        sign = (source.size, source.mtime_ns, self._digest(source))
+        sign = (source.size, source.mtime_ns, source.profile_sha256)
         stored, refused = self.stored.get(source.key), self.refused.get(source.key)
         # what could not be read may be readable now: permissions leave size and time alone
         readable = refused is not None and refused.sha256 is not None and not self.replace
@@ -351,28 +350,21 @@ class _Run:
             return False
         return True
 
-    def _digest(self, source: Source) -> str | None:
-        return self.digests[source.profile] if source.profile else None
-
     def _is_known(self, source: Source, sha256: str) -> bool:
         """Return whether a content was read by the same profile and is stored as a whole, here or elsewhere."""
         former = self.stored.get(source.key)
         if former is not None and former.whole and former.sha256 == sha256:
-            return former.profile_sha256 == self._digest(source)
+            return former.profile_sha256 == source.profile_sha256
         return self._read_alike(self._find(source, sha256), source)
 
     def _find(self, source: Source, sha256: str) -> str | None:
         """Return the path under which a log is stored that is this one: content, and what its name tells."""
-        return self.places.get(id_of(source, sha256))
-
-    def _at(self, path: str) -> StoredSource | None:
-        """Return what is stored under a path, by this run or before."""
-        return self.taken.get(path) or self.stored.get(path)
+        return self.places.get(trial_id(sha256, None, source.told))
 
     def _read_alike(self, path: str | None, source: Source) -> bool:
         """Return whether what is stored under a path was read by the profile that reads a source."""
-        stored = None if path is None else self._at(path)
-        return stored is not None and stored.profile_sha256 == self._digest(source)
+        stored = None if path is None else self.stored.get(path)
+        return stored is not None and stored.profile_sha256 == source.profile_sha256
 
     def _settle(self, read: Read) -> Refused | None:
         """Decide on a source that was read; return what is to be put into quarantine."""
@@ -383,7 +375,7 @@ class _Run:
             assert read.sha256 is not None, "what was read has a hash"
             self._accept(source, read.sha256, read.result)
         except LogError as error:
-            record, former = record_of(source, read.sha256, error, self._digest(source)), self.refused.get(source.key)
+            record, former = record_of(source, read.sha256, error), self.refused.get(source.key)
             self._tell_refused(source, record)
             if record != former and not record.knows_less(former):
                 return source, record
@@ -397,29 +389,25 @@ class _Run:
         LogError
             If it cannot be stored.
         """
-        profile = source.profile
-        assert profile is not None, "a source without a profile has a problem, which is a LogError"
         former, twin = self.stored.get(source.key), self._find(source, sha256)
         again = former is not None and former.sha256 == sha256
         accepted: list[Accepted] = []
         if logs is not None:
-            stamps = {"profile_sha256": self.digests[profile], "claims": self.claims}
-            accepted = accepted_logs(
-                source, sha256, [self.periods.apart(log) for log in logs], profile, self._motions, stamps
-            )
+            apart = [self.periods.apart(log) for log in logs]
+            accepted = accepted_logs(source, sha256, apart, self._motions, self.claims)
             paths = {self.places.get(one.trial) for one in accepted}
             twin = None if again else (paths.pop() if len(paths) == 1 else None) or twin
         if logs is None or self._read_alike(twin, source):
             self._known(source, former, again, twin)
             return
-        rival = former if again else None if twin is None else self._at(twin)
+        rival = former if again else None if twin is None else self.stored.get(twin)
         outcome = self._outcome(rival, accepted)
         if twin is not None and outcome is None:
             self._known(source, former, again, twin)  # another version of the profile read the other one
             return
         if twin is not None and rival is not None:
             self._drop(source.shown, twin, rival, outcome)
-        self._take(source, accepted, former, again, outcome)
+        self._take(source, accepted, outcome)
 
     def _outcome(self, rival: StoredSource | None, accepted: Sequence[Accepted]) -> str | None:
         """Return what becomes of trials of the same content that another profile or device has; None where none has.
@@ -443,19 +431,13 @@ class _Run:
         count = len(rival.trials)
         return f"{counted(count, 'trial')} of {before} {'was' if count == 1 else 'were'} replaced"
 
-    def _take(
-        self,
-        source: Source,
-        accepted: Sequence[Accepted],
-        former: StoredSource | None,
-        again: bool,
-        outcome: str | None,
-    ) -> None:
+    def _take(self, source: Source, accepted: Sequence[Accepted], outcome: str | None) -> None:
         """Store a log in place of what was stored of it before."""
+        former = self.stored.get(source.key)
         row, ids = accepted[0].row, tuple(one.trial for one in accepted)
         devices = tuple(one.place.device for one in accepted)
         told = (row["source_sha256"], row["profile_sha256"], row["profile"])
-        self.taken[source.key] = StoredSource(*told, source.size, source.mtime_ns, devices, ids)
+        self.stored.taken[source.key] = StoredSource(*told, source.size, source.mtime_ns, devices, ids)
         self.places |= dict.fromkeys(ids, source.key)
         texts = dict.fromkeys(text for one in accepted for text in one.log.warnings)
         if not self._deleted.isdisjoint(ids):
@@ -470,7 +452,7 @@ class _Run:
                 self.renamed |= dict(zip(renamed.trials, ids, strict=False))
                 self._drop(path, path, renamed, f"is now {source.shown}; its trials were read anew")
                 reason = f"its name was {path}"
-        elif not again:
+        elif former.sha256 != row["source_sha256"]:
             reason = "content changed"
             keys = self.outdated if source.mtime_ns > former.mtime_ns else self.dropped
             keys |= former.keys(source.key)
@@ -517,7 +499,7 @@ class _Run:
         """Make all that is pending visible, and drop what it replaces; after an error all that is stored is valid."""
         if self.dry_run or not (self.pending or self.dropped):
             return
-        self.folders |= store_logs(self.processed, self.pending, self.dropped, self.outdated, self.damaged)
+        self.folders |= store(self.processed, batches_of(self.pending), self.dropped, self.outdated, self.damaged)
         publish(self.processed)
         for source in {one.source.key: one.source for one in self.pending}.values():
             self._release(source)

@@ -17,6 +17,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 
@@ -36,9 +37,6 @@ BATCH_BYTES = 6 << 20
 
 LONGEST_FOLDER = 200
 """Longest folder name made of a device or experiment; file systems allow 255 bytes."""
-
-SHORT_NAME = LONGEST_FOLDER // 12
-"""Characters of a name that is not too long, whatever they are: each makes twelve at most."""
 
 METADATA = "metadata.yaml"
 ENDINGS = (".db3", ".mcap")
@@ -69,9 +67,6 @@ def files_of_bag(file: Path) -> tuple[Path, ...]:
 
 UNCOUNTED = frozenset({"truth.json", "readme", "readme.md", "readme.txt", "license", "license.md", "license.txt"})
 """Files that stand beside logs and are none (the first by the simulator), in small letters; not counted in folders."""
-
-Notice = Callable[[Path, str], None]
-"""Told of a folder that is not searched, and why."""
 
 
 @dataclass(frozen=True)
@@ -111,18 +106,39 @@ class Source:
         """The path as found, as text that can be stored."""
         return path_text(self.path)
 
+    @property
+    def profile_sha256(self) -> str | None:
+        """Hash of the profile."""
+        return self.profile.digest if self.profile else None
+
+    @cached_property
+    def told(self) -> str | None:
+        """What the profile reads from the name of the log, as text; None where it reads names not.
+
+        Names that tell the same, as 2 and 2.0, give the same text.
+        """
+        profile, name = self.profile, storable(self.path.name)
+        if profile is None or not profile.reads_names:
+            return None
+        told = (find_groups(profile.name_pattern, name) if profile.name_pattern else None) or {}
+        for key in told.keys() & CONDITION_QUANTITIES:
+            with suppress(ValueError):
+                told[key] = str(float(told[key]))
+        entries = [entry.match for entry in profile.file if fnmatchcase(name.lower(), entry.match.lower())]
+        return json.dumps([told, entries], sort_keys=True)
+
 
 def find_sources(
     paths: Sequence[Path],
     profiles: tuple[Profile, ...],
     exclude: Path | None = None,
-    notice: Notice = lambda folder, reason: None,
+    notices: list[tuple[Path, str]] | None = None,
     unchanged: dict[str, tuple[int, int]] | None = None,
 ) -> list[Source]:
     """Return every log below the given folders and files, each once, in order of path.
 
     Links to files are followed. Links to folders inside a searched folder are not, since they may lead in a circle:
-    `notice` is told.
+    `notices` gets them.
 
     Parameters
     ----------
@@ -132,8 +148,8 @@ def find_sources(
         Profiles that may claim a file.
     exclude : Path, optional
         Folder that is left out (`processed/`, which may lie inside a searched folder).
-    notice : callable, optional
-        Called with each folder that is not searched, and why: it is a link, or may not be read.
+    notices : list of (Path, str), optional
+        Gets each folder that is not searched, and why: it is a link, or may not be read.
     unchanged : dict of str to (int, int), optional
         Size [byte] and time [ns] of files, by absolute path; it loses those that have them, which are left out.
 
@@ -152,63 +168,41 @@ def find_sources(
             raise UsageError(f"{path}: no such file or folder that may be looked at. Give folders with logs, or logs.")
         if excluded is not None and os.path.join(os.path.realpath(path), "").startswith(os.path.join(excluded, "")):
             raise UsageError(f"{path}: lies in {exclude}, where results are kept. Give folders with logs.")
-        look = _files(path, excluded, notice, {} if unchanged is None else unchanged)
+        look = _files(path, excluded, [] if notices is None else notices, {} if unchanged is None else unchanged)
         for file in look if path.is_dir() else [path]:
             source = _source(file, profiles)
             found.setdefault(source.key, source)
     return [found[key] for key in sorted(found)]
 
 
-def _files(folder: Path, excluded: str | None, notice: Notice, unchanged: dict[str, tuple[int, int]]) -> Iterator[Path]:
+def _files(
+    folder: Path, excluded: str | None, notices: list[tuple[Path, str]], unchanged: dict[str, tuple[int, int]]
+) -> Iterator[Path]:
     """Yield the files below a folder but hidden ones and `UNCOUNTED`; links to folders are not followed."""
-    waiting = [os.fspath(folder)]
-    while waiting:
-        here = waiting.pop()
+
+    def refused(error: OSError) -> None:
+        notices.append((Path(error.filename), f"folder cannot be read ({error.strerror}). Correct its permissions."))
+
+    for here, folders, names in os.walk(folder, onerror=refused):
+        shown = [Path(here, name) for name in folders if name[0] != "."]
+        text = "is a link to a folder, which is not followed. Give that folder if it has logs."
+        notices += [(path, text) for path in shown if path.is_symlink()]
+        folders[:] = [path.name for path in shown if os.path.realpath(path) != excluded]
         below = os.path.join(os.path.abspath(here), "")
-        try:
-            with os.scandir(here) as entries:
-                for entry in entries:
-                    path = below + entry.name
-                    known = unchanged.get(path)
-                    if known is not None and _state(entry) == known:
-                        del unchanged[path]
-                    elif entry.name[0] == ".":
-                        continue
-                    elif not os.path.isdir(path):
-                        if entry.name.lower() not in UNCOUNTED:
-                            yield Path(entry.path)
-                    elif entry.is_symlink():
-                        text = "is a link to a folder, which is not followed. Give that folder if it has logs."
-                        notice(Path(entry.path), text)
-                    elif os.path.realpath(entry.path) != excluded:
-                        waiting.append(entry.path)
-        except OSError as error:
-            notice(Path(here), f"folder cannot be read ({error.strerror}). Correct its permissions.")
+        for name in names:
+            path = below + name
+            if path in unchanged and _state(path) == unchanged[path]:
+                del unchanged[path]
+            elif name[0] != "." and name.lower() not in UNCOUNTED:
+                yield Path(here, name)
 
 
-def _state(entry: os.DirEntry[str]) -> tuple[int, int] | None:
+def _state(path: str) -> tuple[int, int] | None:
     """Return size and time of what has a name: of a link those of the link itself."""
-    try:
-        status = entry.stat(follow_symlinks=False)
-    except OSError:
-        return None
-    return status.st_size, status.st_mtime_ns
-
-
-def told_by_name(profile: Profile, path: Path) -> str | None:
-    """Return what a profile reads from the name of a log, as text; None where it reads names not.
-
-    Names that tell the same, as 2 and 2.0, give the same text.
-    """
-    if not profile.reads_names:
-        return None
-    name = storable(path.name)
-    told = (find_groups(profile.name_pattern, name) if profile.name_pattern else None) or {}
-    for key in told.keys() & CONDITION_QUANTITIES:
-        with suppress(ValueError):
-            told[key] = str(float(told[key]))
-    entries = [entry.match for entry in profile.file if fnmatchcase(name.lower(), entry.match.lower())]
-    return json.dumps([told, entries], sort_keys=True)
+    with suppress(OSError):
+        status = os.lstat(path)
+        return status.st_size, status.st_mtime_ns
+    return None
 
 
 def is_settled(mtime_ns: int, settle_s: float) -> bool:
@@ -288,26 +282,24 @@ def read_and_check(sources: Sequence[Source], known: Callable[[Source, str], boo
     known : callable
         Whether a source with a content (its SHA-256) is stored already; such a source is not parsed.
     """
-    reads: dict[int, Read] = {}
-    raws: dict[int, RawLog] = {}
+    reads, raws = list[Read](), dict[int, RawLog]()
     for index, source in enumerate(sources):
         try:
             raw, sha256, seen = load_source(source)
+            reads.append(Read(seen, sha256, None))
+            if not known(source, sha256):
+                raws[index] = raw
         except LogError as error:
-            reads[index] = Read(source, None, error)
-            continue
-        reads[index] = Read(seen, sha256, None)
-        if not known(source, sha256):
-            raws[index] = raw
-    profile = sources[0].profile if sources else None
-    if raws and profile:
+            reads.append(Read(source, None, error))
+    if raws and (profile := sources[0].profile):
         outcomes = reader_of(profile)(profile, list(raws.values()))
         for index, outcome in zip(raws, outcomes, strict=True):
             reads[index] = replace(reads[index], result=outcome)
-    for read in reads.values():
-        if isinstance(read.result, LogError):
-            _forget_frames(read.result)
-    return list(reads.values())
+    for read in reads:
+        if isinstance(why := read.result, LogError):
+            # frames in which it was raised hold the bytes of logs until cycles are collected
+            why.__traceback__ = why.__cause__ = why.__context__ = None
+    return reads
 
 
 def logs_of(source: Source) -> tuple[Profile, RawLog, tuple[Log, ...]]:
@@ -324,11 +316,6 @@ def logs_of(source: Source) -> tuple[Profile, RawLog, tuple[Log, ...]]:
     if isinstance(outcome, LogError):
         raise outcome
     return source.profile, raw, outcome
-
-
-def _forget_frames(error: BaseException) -> None:
-    """Let go of the frames in which an error was raised: they hold the bytes of logs until cycles are collected."""
-    error.__traceback__ = error.__cause__ = error.__context__ = None
 
 
 def load_source(source: Source) -> tuple[RawLog, str, Source]:
@@ -382,7 +369,7 @@ def motion_of(log: Log, known: Mapping[str, Motion]) -> Motion:
     header = log.header
     for key in ("device", "experiment"):
         name = getattr(header, key)
-        if len(name) > SHORT_NAME and len(folder_name(name)) > LONGEST_FOLDER:
+        if len(folder_name(name)) > LONGEST_FOLDER:
             cure = "Shorten it, or use ASCII letters."
             raise refusal("condition-wrong", "", f"{key} {name!r} is too long for a folder name", cure=cure)
     device = known.get(header.device)

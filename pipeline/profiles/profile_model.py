@@ -9,7 +9,7 @@ import json
 import re
 from collections.abc import Iterator
 from fnmatch import translate
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
@@ -670,8 +670,9 @@ class Profile(TextLayout, StepTime):
         name = path.name.replace(self.partner.by, self.partner.replace)
         return path.with_name(name) if self.claims(name) else None
 
+    @cached_property
     def digest(self) -> str:
-        """Return the SHA-256 of all that decides how a file is read; layout and title of the TOML do not.
+        """The SHA-256 of all that decides how a file is read; layout and title of the TOML do not.
 
         Keys at their default do not count, so that a new key leaves the hashes of profiles without it as they are.
         """

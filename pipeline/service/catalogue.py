@@ -28,9 +28,18 @@ from pipeline.measured.stages.stages import ExperimentStages, cost_column
 from pipeline.records.criteria import REPORTED
 from pipeline.records.tables import LOCATION
 from pipeline.service.database import Database, connected
-from pipeline.store.corrections import Correction, corrections_files, read_corrections, read_exclusions, split_trials
 from pipeline.store.names import name_of_folder
-from pipeline.store.storage import natural_key, read_trials, stage_file, trials_files
+from pipeline.store.storage import (
+    Correction,
+    corrections_files,
+    natural_key,
+    read_corrections,
+    read_exclusions,
+    read_trials,
+    split_trials,
+    stage_file,
+    trials_files,
+)
 
 LOOK_S = 0.5
 """Longest time after which a change by the command line is seen [s]."""

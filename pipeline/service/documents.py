@@ -11,8 +11,7 @@ from pipeline.base.provenance import code_digest, digest, sha256
 from pipeline.device_data.devices import known_devices
 from pipeline.device_data.published import published_files
 from pipeline.service.settings import Settings
-from pipeline.store.corrections import read_corrections
-from pipeline.store.storage import trials_files
+from pipeline.store.storage import read_corrections, trials_files
 
 
 def state_of(processed: Path, device: str, experiments: Sequence[str]) -> str:

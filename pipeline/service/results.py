@@ -11,9 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.base.disk import write_text
+from pipeline.base.disk import write_text, writing
 from pipeline.base.errors import DeviceError, PipelineError
-from pipeline.base.lock import writing
 from pipeline.base.paths import path_of_text
 from pipeline.comparison.against import against_experiments
 from pipeline.comparison.compare import compare

@@ -23,10 +23,9 @@ from pipeline.service.problems import Problem
 from pipeline.service.settings import Settings
 from pipeline.service.theory import Theory, case_of_loop
 from pipeline.service.workers import Workers
-from pipeline.store.corrections import read_exclusions, split_trials
 from pipeline.store.names import folder_name
 from pipeline.store.samples import load_batch, load_trial
-from pipeline.store.storage import list_devices, list_experiments, read_trials
+from pipeline.store.storage import list_devices, list_experiments, read_exclusions, read_trials, split_trials
 
 RETRY_S = 60.0
 """Time after which what could not be computed is tried again by who looks at it [s]."""
@@ -234,7 +233,7 @@ class Service:
 
 
 def run_of(*names: str) -> str:
-    """Return a device, or an experiment of one, as one word of an address, as `intake.correct` takes it, too."""
+    """Return a device, or an experiment of one, as one word of an address, as `store.corrections` takes it, too."""
     return "/".join(map(folder_name, names))
 
 

@@ -23,7 +23,7 @@ from starlette.requests import Request
 
 from pipeline.base.disk import each, make_folder, sync_folder
 from pipeline.base.paths import path_of_text, path_text
-from pipeline.intake.quarantine import list_quarantine
+from pipeline.intake.kept import list_quarantine
 from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.service.database import Database

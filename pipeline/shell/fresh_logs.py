@@ -27,9 +27,9 @@ from pipeline.records.findings import Record
 from pipeline.records.results import LogList
 from pipeline.records.tables import LOCATION
 from pipeline.store.batch_files import Place, trials_of, write_batch
-from pipeline.store.corrections import Correction, Exclusion, read_exclusions, split_trials, write_corrections
+from pipeline.store.corrections import write_corrections
 from pipeline.store.samples import load_groups
-from pipeline.store.storage import read_trials
+from pipeline.store.storage import Correction, Exclusion, read_exclusions, read_trials, split_trials
 
 
 class LogProblem(Record):

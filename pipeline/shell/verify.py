@@ -28,8 +28,8 @@ from pipeline.rendering.report.report_parts import (
     take_apart,
 )
 from pipeline.shell.fresh_logs import LogProblem, ReportedLogs, read_anew
-from pipeline.store.corrections import Exclusion
 from pipeline.store.objects import is_url, opened
+from pipeline.store.storage import Exclusion
 
 ROUNDING = 1e-9
 """Relative difference of two values that counts as none: other processors and builds of numpy round the last digits of

@@ -16,14 +16,24 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.base.disk import READABLE, content_of, new_file, readers_of, remove_all, remove_temporary, said_content
+from pipeline.base.disk import (
+    READABLE,
+    content_of,
+    each,
+    make_folder,
+    new_file,
+    readers_of,
+    remove_all,
+    remove_temporary,
+    said_content,
+)
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import stamp
 from pipeline.records.batch import Booleans
 from pipeline.records.findings import Motion
 from pipeline.records.table_files import WRITING, damaged_file, metadata_of, open_table
 from pipeline.records.tables import arrow_schema
-from pipeline.store.storage import TABLE, VERSION_COLUMNS, Rows, read_rows, trials_folder
+from pipeline.store.storage import TABLE, VERSION_COLUMNS, Rows, read_rows, row_parts, trials_folder
 
 GROUP_TRIALS, GROUP_BYTES = 64, 8 << 20
 """Trials of a group of rows, and bytes of their samples, at most: one trial is read by reading its group."""
@@ -40,6 +50,9 @@ _REPEATED = [
 MOST_SMALL = 8
 """Batches of like size that an experiment may have. The eighth makes one batch of them, which is of the next size: a
 trial is rewritten once for each factor of eight, and n batches of one trial become some 7 log8 n."""
+
+OPEN_FILES = 8
+"""Files that are written at once: each recording may be an experiment of its own, and open files are few."""
 
 LARGE_TRIALS, LARGE_BYTES = 2048, 256 << 20
 """Trials, or bytes of the file, from which on an ingest leaves a batch alone."""
@@ -117,15 +130,7 @@ def _groups(parts: Iterable[pa.Table]) -> Iterator[pa.Table]:
 
 def trials_of(file: Path, kept: Booleans | None = None) -> Iterator[pa.Table]:
     """Yield trials of a file with their samples, by default all; group by group."""
-    first = 0
-    with open_table(file) as stored:
-        for number in range(stored.num_row_groups):
-            rows = stored.metadata.row_group(number).num_rows
-            some = np.ones(rows, dtype=np.bool_) if kept is None else kept[first : first + rows]
-            first += rows
-            if some.any():
-                group = stored.read_row_group(number, use_threads=False)
-                yield group if some.all() else group.filter(pa.array(some))
+    return (part for _, part in row_parts(file, None if kept is None else np.flatnonzero(kept)))
 
 
 def find_damaged(files: Iterable[Path]) -> dict[Path, str]:
@@ -164,6 +169,42 @@ def without(processed: Path, dropped: Collection[Key], damaged: dict[Path, str])
     kept = kept_of(rows, np.array([key not in dropped for key in keys], dtype=np.bool_))
     damaged |= (bad := find_damaged(kept))
     return {file: mask for file, mask in kept.items() if file not in bad}
+
+
+def store(
+    processed: Path,
+    batches: Mapping[Place, Iterable[pa.Table]],
+    dropped: Collection[Key],
+    outdated: Collection[Key],
+    damaged: dict[Path, str],
+) -> set[Path]:
+    """Store trials, a file for each place, and drop what they replace; return the folders that changed.
+
+    What they replace goes with the same file that brings the new trials, where it is of their place. Elsewhere it goes
+    before, since what is new can be read again from its log; but what is outdated goes afterwards: a reader who sees
+    two contents of a log takes the newer one, and misses none.
+    """
+    absorbed, later = defaultdict[Place, list[Path]](list), list[Path]()
+    first = without(processed, dropped, damaged) if dropped else {}
+    kept = without(processed, {*dropped, *outdated}, damaged) if outdated else first
+    for file in kept:
+        if (place := place_of_file(file)) in batches:
+            absorbed[place].append(file)
+        elif file in first:
+            rewrite(processed, [file], kept)
+        else:
+            later.append(file)
+    for place in batches:  # one after the other: the name of a folder depends on those that are there
+        make_folder(trials_folder(processed, place.device, place.experiment))
+
+    def write(place: Place) -> Path | None:
+        former = chain.from_iterable(trials_of(file, kept[file]) for file in absorbed[place])
+        return write_batch(processed, place, chain(batches[place], former), absorbed[place])
+
+    folders = {path.parent for path in each(write, list(batches), OPEN_FILES) if path is not None}
+    for file in later:
+        rewrite(processed, [file], kept)
+    return folders
 
 
 def remove_incomplete(processed: Path) -> None:

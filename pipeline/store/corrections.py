@@ -1,93 +1,151 @@
-"""What people correct by hand: trials that are excluded, count as of another experiment or device, or are deleted.
+"""Corrects stored trials by hand, and undoes it: they are excluded, count as of another place, or are deleted.
 
-They stand in ``processed/corrections`` and are applied on reading, so that what is stored stays as the logs have it. A
-trial is known by the content of its log: a correction stays when that is ingested again, merged or repaired, and a log
-with other content is another trial. Each change writes a new file with all corrections in place of those that it read;
-of two that were written at once both count, and of two of one trial the newer.
+Corrections stand in ``processed/corrections`` and are applied on reading (`storage`), so that what is stored stays as
+the logs have it. A trial is known by the content of its log: a correction stays when that is ingested again, merged or
+repaired, and a log with other content is another trial. Each change writes a new file with all corrections, and removes
+those that it read; of two that were written at once both count.
+
+All functions take words that name trials: a device, ``device/experiment`` (names as `names.folder_name` has them), the
+id of a trial, the beginning of one, or the path of a log with one trial. ``wait_s`` and ``say`` are those of
+`disk.writing`. They raise `UsageError` where the words fit nothing, or several trials, and `StoreError` where the store
+is damaged, cannot be written, or others write there.
 """
 
 from __future__ import annotations
 
+import os
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 
-import pyarrow as pa
+import numpy as np
 
-from pipeline.base.disk import new_file, remove_all
+from pipeline.base.disk import WAIT_S, new_file, remove_all, writing
+from pipeline.base.errors import UsageError
+from pipeline.base.paths import path_of_text, path_text, storable
 from pipeline.base.provenance import stamp
-from pipeline.records.findings import Record
-from pipeline.records.table_files import damaged_file, metadata_of, parquet_bytes, read_table
+from pipeline.base.wording import counted
+from pipeline.records.table_files import parquet_bytes
 from pipeline.records.tables import TABLES, to_arrow
+from pipeline.store.batch_files import kept_of, rewrite
+from pipeline.store.names import name_of_folder
+from pipeline.store.storage import (
+    IDENTITY,
+    TABLE,
+    Correction,
+    Exclusion,
+    alike,
+    corrections_files,
+    read_corrections,
+    read_exclusions,
+    read_rows,
+    read_trials,
+)
+
+SHOWN = 5
+"""Trials that a message shows."""
+
+Say = Callable[[str], None] | None
 
 
-class Exclusion(Record):
-    """A trial that is excluded by hand: where it belongs, its log, why, and since when (UTC, ISO 8601).
-
-    It is known by its id, a hash of its log, of which trial of that it is, and of what the name tells.
-    """
-
-    trial_id: str
-    label: str | None
-    device: str
-    experiment: str
-    source_path: str
-    source_sha256: str
-    exclusion_reason: str
-    excluded_since: str
+def exclude(processed: Path, wanted: str, reason: str, wait_s: float = WAIT_S, say: Say = None) -> list[Exclusion]:
+    """Exclude trials; one that is excluded already gets the new reason, unless it is one of a whole experiment."""
+    text = storable(" ".join(reason.split()))
+    if not text:
+        raise UsageError('reason is blank, but every report shows why a trial is excluded. Give --reason "<words>".')
+    with writing(processed, wait_s, say):
+        rows = _meant(processed, wanted)
+        out = read_exclusions(processed)
+        rows = [row for row in rows if len(rows) == 1 or row["trial_id"] not in out]
+        new = {"exclusion_reason": text, "excluded_since": datetime.now(UTC).isoformat(timespec="seconds")}
+        _correct(processed, rows, new)
+    return [Exclusion(**row, **new) for row in rows]
 
 
-class Correction(Exclusion):
-    """All that was corrected of a trial; device and experiment are those of its log."""
-
-    exclusion_reason: str = ""
-    excluded_since: str = ""
-    moved_device: str | None = None
-    moved_experiment: str | None = None
-    deleted: bool = False
-    corrected_ns: int = 0
-
-    @property
-    def changes_place(self) -> bool:
-        """Whether the trial counts where its log says no more."""
-        return self.deleted or self.place != (self.device, self.experiment)
-
-    @property
-    def place(self) -> tuple[str, str]:
-        """Device and experiment that the trial counts as one of."""
-        return self.moved_device or self.device, self.moved_experiment or self.experiment
+def use_again(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> list[Exclusion]:
+    """Undo the exclusion of trials and return it."""
+    with writing(processed, wait_s, say):
+        known = read_exclusions(processed)
+        rows = _meant(processed, wanted, "excluded", known.values())
+        _correct(processed, rows, {"exclusion_reason": "", "excluded_since": ""})
+    return [known[row["trial_id"]] for row in rows]
 
 
-IDENTITY = tuple(name for name in Exclusion.model_fields if name in TABLES["trials"])
-"""What a correction takes from the row of its trial."""
-
-
-def corrections_files(processed: Path) -> list[Path]:
-    """Return the files of corrections: one, but where two were written at once."""
-    return sorted((processed / "corrections").glob("*.parquet"))
-
-
-def read_corrections(processed: Path) -> dict[str, Correction]:
-    """Return the corrections of a store in the order in which they were made, of trials no longer stored, too.
+def move(processed: Path, wanted: str, to: str, wait_s: float = WAIT_S, say: Say = None) -> int:
+    """Let trials count as of another place, ``device`` or ``device/experiment``, and return how many.
 
     Raises
     ------
-    StoreError
-        If a file is damaged: what is corrected is then not known, and nothing may be computed.
+    UsageError
+        If the trials there move otherwise, or have another sampling period.
     """
-    for _ in range(2):  # one may have taken the place of another while they were read
-        files = corrections_files(processed)
-        try:
-            tables = {file: read_table(file) for file in files}
-            break
-        except FileNotFoundError as error:
-            gone = error
-    else:
-        raise damaged_file(processed / "corrections", gone) from gone
-    replaced = {name for t in tables.values() for name in metadata_of(t.schema).get("pipeline.replaces", "").split()}
-    rows = [row for file, table in tables.items() if file.stem not in replaced for row in table.to_pylist()]
-    found = [Correction(**row) for row in sorted(rows, key=lambda row: int(row["corrected_ns"]))]
-    return {one.trial_id: one for one in found}
+    place = _place_of(to)
+    if len(place) > 2 or not all(place):
+        raise UsageError(f"{to}: is no place. Give DEVICE, or DEVICE/EXPERIMENT (a slash in a name as %2F).")
+    with writing(processed, wait_s, say):
+        more = ("motion", "sampling_period_s")
+        stored = read_trials(processed, columns=[*IDENTITY, *more]).to_pylist()
+        rows = _meant(processed, wanted)
+        loops: dict[str, set[tuple[str, float]]] = {}
+        moved = {row["trial_id"] for row in rows}
+        for row in stored:
+            experiment = place[1] if len(place) > 1 else row["experiment"]
+            if row["trial_id"] in moved or (row["device"], row["experiment"]) == (place[0], experiment):
+                loops.setdefault(experiment, set()).add(tuple(row[name] for name in more))
+        for experiment, found in loops.items():
+            (motion, period), *others = sorted(found)
+            if any(other != motion or not alike(period, apart) for other, apart in others):
+                raise UsageError(
+                    f"{wanted}: cannot become {place[0]}, experiment {experiment}: motion or sampling period differ "
+                    f"({', '.join(f'{m}, {1e3 * t:.4g} ms' for m, t in sorted(found))}). Choose another name."
+                )
+        return _correct(processed, rows, dict(zip(("moved_device", "moved_experiment"), place, strict=False)))
+
+
+def delete(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> int:
+    """Put trials into the bin and return how many: they are kept, and seen nowhere else, until `empty_bin`."""
+    with writing(processed, wait_s, say):
+        return _correct(processed, _meant(processed, wanted), {"deleted": True})
+
+
+def restore(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> int:
+    """Take trials out of the bin and return how many; those that are not stored any more come with their logs."""
+    with writing(processed, wait_s, say):
+        return _correct(processed, _meant(processed, wanted, "deleted", deleted(processed)), {"deleted": False})
+
+
+def deleted(processed: Path) -> list[Correction]:
+    """Return all trials that are deleted, at the place that they had; whether they are stored still or not."""
+    found = (one for one in read_corrections(processed).values() if one.deleted)
+    return [one.model_copy(update=one.placed) for one in found]
+
+
+def in_bin(processed: Path) -> list[Correction]:
+    """Return the deleted trials that are still stored."""
+    stored = set(read_rows(processed, ["trial_id"], {}).column("trial_id"))
+    return [one for one in deleted(processed) if one.trial_id in stored]
+
+
+def empty_bin(processed: Path, wait_s: float = WAIT_S, say: Say = None) -> int:
+    """Remove the trials of the bin from the store and return how many.
+
+    They stay deleted: where their logs are read again, they are in the bin.
+    """
+    with writing(processed, wait_s, say):
+        gone, rows = {one.trial_id for one in deleted(processed)}, read_rows(processed, ["trial_id"], {})
+        kept = kept_of(rows, np.array([trial not in gone for trial in rows.column("trial_id")], dtype=np.bool_))
+        for file in kept:
+            rewrite(processed, [file], kept)
+    return len(gone.intersection(rows.column("trial_id")))
+
+
+def _correct(processed: Path, rows: Sequence[Mapping[str, str]], change: Mapping[str, object]) -> int:
+    """Change what is corrected of trials, by rows of the trials table, with their present place; return how many."""
+    known = read_corrections(processed)
+    ones = (known.get(row["trial_id"]) or Correction(**{name: row[name] for name in IDENTITY}) for row in rows)
+    write_corrections(processed, [one.model_copy(update=change) for one in ones])
+    return len(rows)
 
 
 def write_corrections(processed: Path, new: Iterable[Correction]) -> None:
@@ -97,9 +155,8 @@ def write_corrections(processed: Path, new: Iterable[Correction]) -> None:
     known |= {one.trial_id: one.model_copy(update={"corrected_ns": now}) for one in new}
     rows = [one.model_dump() for one in known.values()]
     columns = {name: [row[name] for row in rows] for name in TABLES["corrections"]}
-    metadata = stamp(replaces=" ".join(file.stem for file in former))
-    with new_file(processed / "corrections", ending=".parquet") as file:
-        file.stream.write(parquet_bytes(to_arrow("corrections", columns, metadata=metadata)))
+    with new_file(processed / "corrections", ending=TABLE) as file:
+        file.stream.write(parquet_bytes(to_arrow("corrections", columns, metadata=stamp())))
     remove_all(old for old in former if old != file.path)
 
 
@@ -111,52 +168,36 @@ def carry(processed: Path, ids: Mapping[str, str]) -> None:
         write_corrections(processed, new)
 
 
-def read_exclusions(processed: Path) -> dict[str, Exclusion]:
-    """Return the exclusions of a store; order and errors as those of `read_corrections`."""
-    found = {}
-    for key, one in read_corrections(processed).items():
-        if one.exclusion_reason and not one.deleted:
-            values = one.model_dump(include=set(Exclusion.model_fields))
-            found[key] = Exclusion(**values | dict(zip(("device", "experiment"), one.place, strict=True)))
-    return found
+def _place_of(word: str) -> tuple[str, ...]:
+    return tuple(map(name_of_folder, word.split("/")))
 
 
-def split_trials(trials: pa.Table, exclusions: Mapping[str, Exclusion]) -> tuple[pa.Table, tuple[Exclusion, ...]]:
-    """Return the rows of a trials table that are in use, and the exclusions of the others, in order of trial ids."""
-    keys = trials.column("trial_id").to_pylist()
-    if exclusions.keys().isdisjoint(keys):
-        return trials, ()
-    out = pa.array([key in exclusions for key in keys], pa.bool_())
-    rows = trials.filter(out).select(IDENTITY).sort_by("trial_id").to_pylist()
-    found = tuple(exclusions[row["trial_id"]].model_copy(update=row) for row in rows)
-    return trials.filter(pa.array([key not in exclusions for key in keys], pa.bool_())), found
-
-
-def moved_from(
-    corrections: Iterable[Correction], device: str | None, experiment: str | None
-) -> dict[tuple[str, str], None]:
-    """Return where trials are stored that count as of a device, or of one of its experiments, by hand."""
-    if device is None:
-        return {}
-    wanted = (one for one in corrections if one.place[0] == device and experiment in (None, one.place[1]))
-    return {(one.device, one.experiment): None for one in wanted if experiment is not None or one.device != device}
-
-
-def applied(
-    trials: pa.Table, corrections: Mapping[str, Correction], device: str | None, experiment: str | None
-) -> pa.Table:
-    """Return trials with device and experiment as corrected, those of a device or experiment, without deleted ones."""
-    if not corrections:
-        return trials
-    found = [corrections.get(key) for key in trials.column("trial_id").to_pylist()]
-    for at, name in enumerate(("device", "experiment")):
-        values = trials.column(name).to_pylist()
-        moved = [value if one is None else one.place[at] for value, one in zip(values, found, strict=True)]
-        index = trials.schema.get_field_index(name)
-        trials = trials.set_column(index, trials.schema.field(index), pa.array(moved, pa.string()))
-    places = zip(*(trials.column(name).to_pylist() for name in ("device", "experiment")), strict=True)
-    keep = [
-        (one is None or not one.deleted) and device in (None, place[0]) and experiment in (None, place[1])
-        for place, one in zip(places, found, strict=True)
-    ]
-    return trials.filter(pa.array(keep, pa.bool_()))
+def _meant(
+    processed: Path, wanted: str, state: str = "stored", among: Iterable[Exclusion] | None = None
+) -> list[dict[str, str]]:
+    """Return the rows of a device or experiment, or the one that is meant by an id, the beginning of one, or a path."""
+    rows: list[dict[str, str]] = [one.model_dump() for one in among or ()]
+    if among is None:
+        rows = read_trials(processed, columns=list(IDENTITY)).to_pylist()
+    place = _place_of(wanted)
+    if own := [row for row in rows if (row["device"], row["experiment"])[: len(place)] == place]:
+        return own
+    path = wanted if path_of_text(wanted) != Path(wanted) else path_text(os.path.abspath(wanted))
+    for found in (
+        [row for row in rows if row["trial_id"] == wanted],
+        [row for row in rows if row["source_path"] in (wanted, path)],
+        [row for row in rows if wanted and row["trial_id"].startswith(wanted)],
+    ):
+        if len(found) > 1:
+            shown = (
+                f"{row['trial_id']} ({Path(row['source_path']).name}{', ' + row['label'] if row['label'] else ''})"
+                for row in found[:SHOWN]
+            )
+            more = ", ..." * (len(found) > SHOWN)
+            raise UsageError(f"{wanted}: fits {len(found)} {state} trials: {', '.join(shown)}{more}. Give one id.")
+        if found:
+            return found
+    raise UsageError(
+        f"{wanted}: is no {state} trial of {processed}, by id, beginning of an id, or path of its log, nor a device or "
+        f"DEVICE/EXPERIMENT. {counted(len(rows), 'trial')} {'is' if len(rows) == 1 else 'are'} {state}."
+    )

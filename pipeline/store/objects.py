@@ -22,8 +22,8 @@ from typing import TypeVar
 
 from pipeline.base.disk import each, if_writable
 from pipeline.base.errors import PipelineError, StoreError, UsageError
-from pipeline.store.corrections import read_corrections
 from pipeline.store.names import name_of_folder
+from pipeline.store.storage import read_corrections
 
 Result = TypeVar("Result")
 
@@ -71,48 +71,40 @@ class Objects:
         check_installed("obstore", f"a store at {self.url}")
         from obstore.store import S3Store
 
+        http = os.environ.get("AWS_ALLOW_HTTP", "").lower() in ("1", "true", "yes", "on")
         try:
             self._store = S3Store.from_url(
                 self.url,
                 retry_config={"max_retries": RETRIES, "retry_timeout": timedelta(seconds=PATIENCE_S)},
                 # options that are given take the place of those in variables
-                client_options={"connect_timeout": "5s", "timeout": "120s", "allow_http": _allows_http()},
+                client_options={"connect_timeout": "5s", "timeout": "120s", "allow_http": http},
             )
         except Exception as error:  # the errors of the package have no base that is not this one
             raise UsageError(f"{url}: cannot be opened ({_first_line(error)}).") from error
 
     def get(self, name: str) -> bytes | None:
         """Return an object, None where there is none."""
-        import obstore
-
         with self._told():
             try:
-                return bytes(obstore.get(self._store, name).bytes())
+                return bytes(self._store.get(name).bytes())
             except FileNotFoundError:
                 return None
 
     def put(self, name: str, file: Path) -> None:
         """Store a file as an object: all of it, or nothing."""
-        import obstore
-
         with self._told():
-            obstore.put(self._store, name, file)
+            self._store.put(name, file)
 
     def list(self, prefix: str) -> list[Listed]:
         """Return all objects below a prefix."""
-        import obstore
-
         with self._told():
-            pages = obstore.list(self._store, prefix, chunk_size=1000)
+            pages = self._store.list(prefix, chunk_size=1000)
             return [(meta["path"], meta["size"], meta["last_modified"]) for page in pages for meta in page]
 
     def delete(self, names: Iterable[str]) -> None:
         """Remove objects."""
-        import obstore
-
-        if gone := list(names):
-            with self._told():
-                obstore.delete(self._store, gone)
+        with self._told():
+            self._store.delete(list(names))
 
     @contextmanager
     def _told(self) -> Iterator[None]:
@@ -146,10 +138,6 @@ def is_url(place: str | os.PathLike[str]) -> bool:
     return "://" in os.fspath(place)
 
 
-def _allows_http() -> bool:
-    return os.environ.get("AWS_ALLOW_HTTP", "").lower() in ("1", "true", "yes", "on")
-
-
 def _first_line(error: object) -> str:
     return (str(error).strip().splitlines() or [type(error).__name__])[0][:300]
 
@@ -161,8 +149,8 @@ class _Mirror:
     objects: Objects
     folder: Path
     place: tuple[str, ...]
-    known: dict[str, tuple[int, int]] = field(default_factory=dict)
-    """Size and time of each file that the store has, too."""
+    known: dict[str, int] = field(default_factory=dict)
+    """Time [ns] of each file that the store has, too; one that a repair has written anew has another one."""
 
     def bring(self, trees: tuple[str, ...] = _TREES) -> bool:
         """Bring what came to the store since; return whether anything did."""
@@ -190,7 +178,7 @@ class _Mirror:
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(found)
             os.utime(file, (put.timestamp(), put.timestamp()))
-            self.known[name] = _sign(file)
+            self.known[name] = file.stat().st_mtime_ns
             return True
 
         return all(each(fetch, [one for one in listed if one[0] not in self.known], _AT_ONCE))
@@ -198,20 +186,15 @@ class _Mirror:
     def publish(self) -> None:
         """Put what is new, then delete what is gone."""
         present = {
-            file.relative_to(self.folder).as_posix(): _sign(file)
+            file.relative_to(self.folder).as_posix(): file.stat().st_mtime_ns
             for tree in _TREES
             for file in sorted((self.folder / tree).rglob("*"))
             if file.is_file() and not file.name.startswith(".")
         }
-        new = [name for name, sign in present.items() if self.known.get(name) != sign]
+        new = [name for name, mtime_ns in present.items() if self.known.get(name) != mtime_ns]
         each(lambda name: self.objects.put(name, self.folder / name), new, _AT_ONCE)
         self.objects.delete(self.known.keys() - present.keys())
         self.known = present
-
-
-def _sign(file: Path) -> tuple[int, int]:
-    status = file.stat()
-    return status.st_size, status.st_mtime_ns
 
 
 def _is_stored(name: str) -> bool:
@@ -227,7 +210,7 @@ def _is_of(parts: list[str], place: tuple[str, ...]) -> bool:
     return parts[0] != "quarantine" and tuple(map(name_of_folder, parts[1 : 1 + len(place)])) == place
 
 
-_mirrors: dict[str, _Mirror] = {}
+_mirrors: dict[Path, _Mirror] = {}
 """Mirrors of this process, by folder."""
 
 
@@ -252,7 +235,7 @@ def opened(place: str | Path, *only: str) -> Iterator[Path]:
         return
     objects = Objects(os.fspath(place))
     with tempfile.TemporaryDirectory(prefix="pipeline-") as folder:
-        mirror = _mirrors[folder] = _Mirror(objects, Path(folder), only)
+        mirror = _mirrors[Path(folder)] = _Mirror(objects, Path(folder), only)
         try:
             mirror.bring()
             yield mirror.folder
@@ -262,7 +245,7 @@ def opened(place: str | Path, *only: str) -> Iterator[Path]:
             error.args = tuple(str(part).replace(folder, objects.url) for part in error.args)
             raise
         finally:
-            del _mirrors[folder]
+            del _mirrors[mirror.folder]
 
 
 def stored_by(place: str | Path, work: Callable[[Path], Result]) -> Result:
@@ -275,17 +258,15 @@ def stored_by(place: str | Path, work: Callable[[Path], Result]) -> Result:
 
 def publish(processed: Path) -> None:
     """Make what was stored into a mirror visible to others, as it is at once in a folder."""
-    if os.fspath(processed) in _mirrors:
-        _mirrors[os.fspath(processed)].publish()
+    if processed in _mirrors:
+        _mirrors[processed].publish()
 
 
 def renewed(processed: Path, tree: str) -> bool:
     """Bring what others stored of a kind into the store of a mirror since; return whether there was anything."""
-    mirror = _mirrors.get(os.fspath(processed))
-    return mirror is not None and mirror.bring((tree,))
+    return processed in _mirrors and _mirrors[processed].bring((tree,))
 
 
 def origin(processed: Path) -> str:
     """Return the folder of a store as text, or the URL that it is a mirror of."""
-    mirror = _mirrors.get(os.fspath(processed))
-    return os.fspath(processed) if mirror is None else mirror.objects.url
+    return _mirrors[processed].objects.url if processed in _mirrors else os.fspath(processed)

@@ -6,7 +6,7 @@ Files may be merged while samples are read: where one is gone, its trials are lo
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,18 +14,15 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline.base.errors import StoreError
-from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
-from pipeline.records.groups import TrialGroups, group_trials, padded_length
-from pipeline.records.table_files import damaged_file, open_table
+from pipeline.records.batch import Floats, Integers, TrialBatch, TrialGroups, group_trials, padded_length
+from pipeline.records.table_files import damaged_file
 from pipeline.records.tables import LOCATION, OF_TRIALS
-from pipeline.store.storage import ATTEMPTS, read_trials
+from pipeline.store.storage import ATTEMPTS, read_trials, row_parts
 
 _OPTIONAL = ("force", "velocity")
 """Columns of samples that a log may lack."""
 
 _SAMPLES = ("time_s", "command", "position", *_OPTIONAL)
-
-Length = Callable[[Integers], int]
 
 
 def load_batch(processed: Path, trials: pa.Table) -> TrialBatch:
@@ -44,21 +41,25 @@ def load_batch(processed: Path, trials: pa.Table) -> TrialBatch:
     StoreError
         If a file is missing or damaged, or a trial was removed meanwhile.
     """
-    return _load(processed, in_order(trials), [np.arange(trials.num_rows)], lambda rows: rows.max(initial=0))[0]
+    lengths = trials.column("rows").to_numpy()
+    return _load(processed, in_order(trials), [np.arange(len(lengths))], [lengths.max(initial=0)])[0]
 
 
 def load_groups(processed: Path, trials: pa.Table) -> TrialGroups:
     """Read the samples of trials in groups of like length; parameters and errors as those of `load_batch`."""
     trials = in_order(trials)
-    places = group_trials(trials.column("rows").to_numpy())
-    return TrialGroups(tuple(places), tuple(_load(processed, trials, places, lambda rows: padded_length(rows)[0])))
+    rows = trials.column("rows").to_numpy()
+    places = group_trials(rows)
+    return TrialGroups(
+        tuple(places), tuple(_load(processed, trials, places, [padded_length(rows[place])[0] for place in places]))
+    )
 
 
 def load_trial(processed: Path, trial: str, file: str, row: int) -> tuple[pa.Table, TrialBatch] | None:
     """Return a trial and its samples by where it was stored a moment ago; None where it is there no more."""
-    names = (*(name for name in OF_TRIALS if name not in LOCATION), *_SAMPLES)
+    names = [*(name for name in OF_TRIALS if name not in LOCATION), *_SAMPLES]
     try:
-        ((_, table),) = _parts(processed / file, np.array([row]), names)
+        ((_, table),) = row_parts(processed / file, np.array([row]), names)
     except (FileNotFoundError, ValueError):
         return None
     if table.column("trial_id").to_pylist() != [trial]:
@@ -72,24 +73,24 @@ def in_order(trials: pa.Table) -> pa.Table:
     return trials.sort_by([("damping", "ascending"), ("stiffness", "ascending"), ("trial_id", "ascending")])
 
 
-def _load(processed: Path, trials: pa.Table, places: list[Integers], length: Length) -> list[TrialBatch]:
-    """Read the trials at some places into a batch each, of the length that their rows have."""
+def _load(processed: Path, trials: pa.Table, places: list[Integers], lengths: list[int]) -> list[TrialBatch]:
+    """Read the trials at some places into a batch each, of so many samples."""
     for _ in range(ATTEMPTS):
         try:
-            return _read_samples(processed, trials, places, length)
+            return _read_samples(processed, trials, places, lengths)
         except FileNotFoundError:
             trials = _located(processed, trials)
     raise StoreError(f"{processed}: samples were moved during each of {ATTEMPTS} attempts to read them.")
 
 
-def _read_samples(processed: Path, trials: pa.Table, places: list[Integers], length: Length) -> list[TrialBatch]:
+def _read_samples(processed: Path, trials: pa.Table, places: list[Integers], lengths: list[int]) -> list[TrialBatch]:
     file = np.array(trials.column("sample_file").to_pylist(), dtype=np.str_)
     at, rows = (trials.column(name).to_numpy().astype(np.int64) for name in ("sample_row", "rows"))
     where = {int(one): (group, i) for group, place in enumerate(places) for i, one in enumerate(place)}
     samples: list[dict[str, Floats]] = [{} for _ in places]
     for name in np.unique(file).tolist():
         own = np.flatnonzero(file == name)
-        for which, part in _parts(processed / name, at[own], _SAMPLES):
+        for which, part in row_parts(processed / name, at[own], list(_SAMPLES)):
             for column in _SAMPLES:
                 for one, values in zip(own[which].tolist(), _lists(part, column), strict=True):
                     if values is None:
@@ -98,24 +99,9 @@ def _read_samples(processed: Path, trials: pa.Table, places: list[Integers], len
                         raise damaged_file(processed / name, "a trial has more or fewer samples than it says")
                     group, row = where[one]
                     if column not in samples[group]:
-                        shape = len(places[group]), int(length(rows[places[group]]))
-                        samples[group][column] = np.full(shape, np.nan)
+                        samples[group][column] = np.full((len(places[group]), lengths[group]), np.nan)
                     samples[group][column][row, : len(values)] = values
     return [_batch(trials.take(place), found) for place, found in zip(places, samples, strict=True)]
-
-
-def _parts(file: Path, rows: Integers, columns: Sequence[str]) -> Iterator[tuple[Integers, pa.Table]]:
-    """Yield some rows of a file, group by group: beside what is made of them, one is in memory."""
-    order = np.argsort(rows)
-    with open_table(file) as stored:
-        counts = [stored.metadata.row_group(number).num_rows for number in range(stored.num_row_groups)]
-        ends = np.cumsum([0, *counts])
-        cuts = np.searchsorted(rows[order], ends)
-        for number, (begin, end) in enumerate(pairwise(cuts.tolist())):
-            if end > begin:
-                which = order[begin:end]
-                group = stored.read_row_group(number, list(columns), use_threads=False)
-                yield which, group.take(rows[which] - ends[number]) if end - begin < len(group) else group
 
 
 def _lists(table: pa.Table, column: str) -> Iterator[Floats | None]:
@@ -129,7 +115,9 @@ def _lists(table: pa.Table, column: str) -> Iterator[Floats | None]:
 def _batch(trials: pa.Table, samples: dict[str, Floats]) -> TrialBatch:
     nothing = np.empty((0, 0))
     present = {name: None if np.isnan(samples.get(name, nothing)).all() else samples[name] for name in _OPTIONAL}
-    extra = trials.column("extra").to_pylist()
+    extra = [json.loads(text) for text in trials.column("extra").to_pylist()]
+    declared = [told.get("step_row") for told in extra]
+    integrated = np.array([told.get("integrated") == "trapezoid" for told in extra])
     return TrialBatch(
         trial_id=tuple(trials.column("trial_id").to_pylist()),
         stiffness=trials.column("stiffness").to_numpy(),
@@ -141,8 +129,8 @@ def _batch(trials: pa.Table, samples: dict[str, Floats]) -> TrialBatch:
         command=samples.get("command", nothing),
         position=samples.get("position", nothing),
         **present,
-        step_row=_declared_step_rows(extra),
-        integrated=_integrated(extra),
+        step_row=np.array([-1 if row is None else int(row) for row in declared]) if any(declared) else None,
+        integrated=integrated if integrated.any() else None,
     )
 
 
@@ -150,7 +138,7 @@ def _located(processed: Path, trials: pa.Table) -> pa.Table:
     """Return trials with the present place of their samples, which a merge of batches may have moved."""
     keys = ("trial_id", "profile_sha256")
     present = read_trials(processed, columns=[*keys, *LOCATION])
-    places = {row[:2]: row[2:] for row in zip(*(column.to_pylist() for column in present.columns), strict=True)}
+    places = {key: at for at, key in enumerate(zip(*(present.column(key).to_pylist() for key in keys), strict=True))}
     wanted = list(zip(*(trials.column(key).to_pylist() for key in keys), strict=True))
     gone = [key for key in wanted if key not in places]
     if gone:
@@ -158,22 +146,7 @@ def _located(processed: Path, trials: pa.Table) -> pa.Table:
             f"{processed}: {len(gone)} trials were removed while they were read, the first {gone[0][0]}: "
             "their source changed. Run the command again."
         )
-    for at, name in enumerate(LOCATION):
-        index = trials.schema.get_field_index(name)
-        field = trials.schema.field(index)
-        trials = trials.set_column(index, field, pa.array([places[key][at] for key in wanted], field.type))
+    present = present.take([places[key] for key in wanted])
+    for name in LOCATION:
+        trials = trials.set_column(trials.schema.get_field_index(name), trials.schema.field(name), present.column(name))
     return trials
-
-
-def _declared_step_rows(extra: list[str]) -> Integers | None:
-    """Rows of the command edge that profiles or logs declare (``step_row``), -1 for the others."""
-    declared = [json.loads(text).get("step_row") if "step_row" in text else None for text in extra]
-    if not any(declared):
-        return None
-    return np.array([-1 if row is None else int(row) for row in declared], dtype=np.int64)
-
-
-def _integrated(extra: list[str]) -> Booleans | None:
-    """Whether positions are integrals of a velocity by the trapezoidal rule."""
-    found = np.array(["integrated" in text and json.loads(text).get("integrated") == "trapezoid" for text in extra])
-    return found if found.any() else None

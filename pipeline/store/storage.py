@@ -16,9 +16,11 @@ import os
 import re
 import shlex
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
+from glob import escape, glob
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -30,9 +32,9 @@ from pipeline.base.disk import content_of, kept_files, said_content
 from pipeline.base.errors import StoreError
 from pipeline.base.wording import counted
 from pipeline.records.batch import Booleans, Integers
-from pipeline.records.table_files import damaged_file, metadata_of, open_table
+from pipeline.records.findings import Record
+from pipeline.records.table_files import damaged_file, metadata_of, open_table, read_table
 from pipeline.records.tables import LOCATION, OF_TRIALS, TABLES, arrow_schema
-from pipeline.store.corrections import applied, moved_from, read_corrections
 from pipeline.store.names import name_of_folder, place_of
 
 Result = TypeVar("Result")
@@ -78,12 +80,12 @@ def list_experiments(processed: Path, device: str) -> list[str]:
     return sorted({experiment for of, experiment in _places(processed, device) if of == device}, key=natural_key)
 
 
-def _places(processed: Path, device: str | None = None) -> set[tuple[str, str]]:
+def _places(processed: Path, *device: str) -> set[tuple[str, str]]:
     """Return device and experiment of all trials, or of those of a device, as corrections have them."""
     if any(one.changes_place for one in read_corrections(processed).values()):
-        table = read_trials(processed, device, columns=["device", "experiment"])
+        table = read_trials(processed, device[0] if device else None, columns=["device", "experiment"])
         return set(zip(*(table.column(name).to_pylist() for name in table.column_names), strict=True))
-    folders = {file.parent for file in trials_files(processed, device)}
+    folders = {file.parent for file in trials_files(processed, *device)}
     return {(name_of_folder(folder.parent.name), name_of_folder(folder.name)) for folder in folders}
 
 
@@ -93,26 +95,14 @@ def natural_key(name: str) -> tuple[tuple[int, int | str], ...]:
     return tuple((0, int(part)) if part.isdecimal() and part.isascii() else (1, part) for part in parts)
 
 
-def trials_files(processed: Path, device: str | None = None, experiment: str | None = None) -> list[Path]:
-    """Return the files of trials: all, of a device, or of one experiment; sorted."""
-    names = [name for name in (device, experiment) if name is not None]
-    return [Path(path) for path in sorted(_listing(os.fspath(trials_folder(processed, *names))))]
+def trials_files(processed: Path, *names: str) -> list[Path]:
+    """Return the files of trials: all, of a device, or of one of its experiments; sorted."""
+    return [Path(path) for path in _listing(trials_folder(processed, *names))]
 
 
-def _listing(folder: str) -> dict[str, tuple[int, int, int]]:
-    """Return inode, size [byte] and time [ns] of each Parquet file below a folder: another file has another."""
-    found: dict[str, tuple[int, int, int]] = {}
-    try:
-        with os.scandir(folder) as entries:
-            for entry in entries:
-                if entry.is_dir(follow_symlinks=False):
-                    found |= _listing(entry.path)
-                elif entry.name.endswith(TABLE):
-                    status = entry.stat()
-                    found[entry.path] = (status.st_ino, status.st_size, status.st_mtime_ns)
-    except FileNotFoundError:  # nothing stored yet, or removed since it was listed
-        pass
-    return found
+def _listing(folder: Path) -> list[str]:
+    """Return the Parquet files below a folder, sorted: a file that changed has another name."""
+    return sorted(glob(os.path.join(escape(os.fspath(folder)), "**", f"*{TABLE}"), recursive=True))
 
 
 def steadily(folder: Path, read: Callable[[], Result]) -> Result:
@@ -123,22 +113,21 @@ def steadily(folder: Path, read: Callable[[], Result]) -> Result:
     StoreError
         If it fails although nothing moved, or others write there all the time.
     """
-    root = os.fspath(folder)
     for _ in range(ATTEMPTS):
-        before = _listing(root)
+        before = _listing(folder)
         try:
             result = read()
         except (StoreError, FileNotFoundError) as error:
-            if _listing(root) == before:
+            if _listing(folder) == before:
                 if isinstance(error, StoreError):
                     raise
-                raise damaged_file(Path(error.filename or root), error.strerror) from error
+                raise damaged_file(Path(error.filename or folder), error.strerror) from error
         else:
             # a folder is not listed in one moment: what was merged meanwhile may be missing in both places
-            if _listing(root) == before:
+            if _listing(folder) == before:
                 return result
         time.sleep(_PAUSE_S)
-    raise StoreError(f"{root}: changed during each of {ATTEMPTS} attempts to read it. Wait for other commands.")
+    raise StoreError(f"{folder}: changed during each of {ATTEMPTS} attempts to read it. Wait for other commands.")
 
 
 def read_trials(
@@ -177,10 +166,11 @@ def read_trials(
         damaged[processed / "corrections"] = str(error)
     needed = list(dict.fromkeys([*wanted, *VERSION_COLUMNS, *(("device", "experiment") if corrections else ())]))
     tables = []
-    for of, one in [(device, experiment), *moved_from(corrections.values(), device, experiment)]:
-        rows = read_rows(processed, needed, damaged, of, one)
+    place = tuple(name for name in (device, experiment) if name is not None)
+    for names in [place, *moved_from(corrections.values(), place)]:
+        rows = read_rows(processed, needed, damaged, *names)
         tables.append(rows.table.filter(pa.array(rows.current)))
-    return applied(pa.concat_tables(tables), corrections, device, experiment).select(wanted)
+    return applied(pa.concat_tables(tables), corrections, place).select(wanted)
 
 
 class Rows(NamedTuple):
@@ -192,9 +182,8 @@ class Rows(NamedTuple):
     file : int64, shape (rows,)
         Index of the file of each row.
     files : list of Path
-        Damaged ones, and those in whose place another one stands, have no rows.
     replaced : list of Path
-        The latter.
+        Files that are left out since another one stands in their place.
     """
 
     table: pa.Table
@@ -223,14 +212,8 @@ class Rows(NamedTuple):
         return mask
 
 
-def read_rows(
-    processed: Path,
-    columns: Sequence[str],
-    damaged: dict[Path, str] | None = None,
-    device: str | None = None,
-    experiment: str | None = None,
-) -> Rows:
-    """Return columns of all rows of the files of trials; parameters and errors as those of `read_trials`."""
+def read_rows(processed: Path, columns: Sequence[str], damaged: dict[Path, str] | None = None, *names: str) -> Rows:
+    """Return columns of all rows of the files of trials, as `trials_files` names them; else as `read_trials`."""
     schema, own = _schema(tuple(columns)), [name for name in columns if name not in LOCATION]
     broken: dict[Path, str] = {}
 
@@ -251,16 +234,15 @@ def read_rows(
 
     def read() -> Rows:
         broken.clear()
-        files, names = trials_files(processed, device, experiment), set[str]()
-        tables = {file: rows_of(file, names) for file in files if file not in (damaged or {})}
-        replaced = [file for file in files if file.stem in names]
-        counts = [0 if file in replaced or file not in tables else len(tables[file]) for file in files]
-        kept = [tables[file] for file, count in zip(files, counts, strict=True) if count]
-        return Rows(
-            pa.concat_tables([schema.empty_table(), *kept]), np.repeat(np.arange(len(files)), counts), files, replaced
-        )
+        files, replaces = trials_files(processed, *names), set[str]()
+        tables = {file: rows_of(file, replaces) for file in files if file not in (damaged or {})}
+        counting = [file for file in tables if file.stem not in replaces]
+        kept = [tables[file] for file in counting]
+        of = np.repeat(np.arange(len(kept)), [len(table) for table in kept])
+        replaced = [file for file in files if file.stem in replaces]
+        return Rows(pa.concat_tables([schema.empty_table(), *kept]), of, counting, replaced)
 
-    rows = steadily(trials_folder(processed, *(name for name in (device, experiment) if name is not None)), read)
+    rows = steadily(trials_folder(processed, *names), read)
     if broken and damaged is None:
         raise StoreError(next(iter(broken.values())))
     (damaged if damaged is not None else {}).update(broken)
@@ -271,6 +253,32 @@ def read_rows(
 def _schema(columns: tuple[str, ...]) -> pa.Schema:
     whole = arrow_schema("trials", also=LOCATION)
     return pa.schema([whole.field(name) for name in columns])
+
+
+APART = 0.01
+"""Part by which sampling periods of one experiment may differ: a clock is off by 1e-4, and the limit of a stiff wall is
+proportional to 1/T."""
+
+
+def alike(one: float, other: float) -> bool:
+    """Return whether two sampling periods [s] may be of one experiment."""
+    return abs(one - other) <= APART * max(one, other)
+
+
+def row_parts(
+    file: Path, rows: Integers | None = None, columns: list[str] | None = None
+) -> Iterator[tuple[Integers, pa.Table]]:
+    """Yield some rows of a file, by default all, group by group: beside what is made of them, one is in memory."""
+    with open_table(file) as stored:
+        ends = np.cumsum([0, *(stored.metadata.row_group(number).num_rows for number in range(stored.num_row_groups))])
+        rows = np.arange(ends[-1]) if rows is None else rows
+        order = np.argsort(rows)
+        cuts = np.searchsorted(rows[order], ends)
+        for number, (begin, end) in enumerate(pairwise(cuts.tolist())):
+            if end > begin:
+                which = order[begin:end]
+                group = stored.read_row_group(number, columns, use_threads=False)
+                yield which, group.take(rows[which] - ends[number]) if end - begin < len(group) else group
 
 
 def check_version(processed: Path) -> None:
@@ -295,6 +303,117 @@ def check_version(processed: Path) -> None:
             f"{shlex.quote(os.path.commonpath(folders))} --processed {shlex.quote(f'{processed}-new')}`; then remove "
             "the old one."
         )
+
+
+class Exclusion(Record):
+    """A trial that is excluded by hand: where it belongs, its log, why, and since when (UTC, ISO 8601).
+
+    It is known by its id, a hash of its log, of which trial of that it is, and of what the name tells.
+    """
+
+    trial_id: str
+    label: str | None
+    device: str
+    experiment: str
+    source_path: str
+    source_sha256: str
+    exclusion_reason: str
+    excluded_since: str
+
+
+class Correction(Exclusion):
+    """All that was corrected of a trial; device and experiment are those of its log."""
+
+    exclusion_reason: str = ""
+    excluded_since: str = ""
+    moved_device: str | None = None
+    moved_experiment: str | None = None
+    deleted: bool = False
+    corrected_ns: int = 0
+
+    @property
+    def changes_place(self) -> bool:
+        """Whether the trial counts where its log says no more."""
+        return self.deleted or self.place != (self.device, self.experiment)
+
+    @property
+    def place(self) -> tuple[str, str]:
+        """Device and experiment that the trial counts as one of."""
+        return self.moved_device or self.device, self.moved_experiment or self.experiment
+
+    @property
+    def placed(self) -> dict[str, str]:
+        """The same by name."""
+        return dict(zip(("device", "experiment"), self.place, strict=True))
+
+
+IDENTITY = tuple(name for name in Exclusion.model_fields if name in TABLES["trials"])
+"""What a correction takes from the row of its trial."""
+
+
+def corrections_files(processed: Path) -> list[Path]:
+    """Return the files of corrections: one, but where two were written at once."""
+    return sorted((processed / "corrections").glob("*.parquet"))
+
+
+def read_corrections(processed: Path) -> dict[str, Correction]:
+    """Return the corrections of a store in the order in which they were made, of trials no longer stored, too.
+
+    Of two of a trial, in files that stand there at once, the newer counts.
+
+    Raises
+    ------
+    StoreError
+        If a file is damaged: what is corrected is then not known, and nothing may be computed.
+    """
+    tables = steadily(processed / "corrections", lambda: [read_table(f) for f in corrections_files(processed)])
+    rows = [Correction(**row) for table in tables for row in table.to_pylist()]
+    return {one.trial_id: one for one in sorted(rows, key=lambda one: one.corrected_ns)}
+
+
+def read_exclusions(processed: Path) -> dict[str, Exclusion]:
+    """Return the exclusions of a store; order and errors as those of `read_corrections`."""
+    found = {}
+    for key, one in read_corrections(processed).items():
+        if one.exclusion_reason and not one.deleted:
+            found[key] = Exclusion(**one.model_dump(include=set(Exclusion.model_fields)) | one.placed)
+    return found
+
+
+def split_trials(trials: pa.Table, exclusions: Mapping[str, Exclusion]) -> tuple[pa.Table, tuple[Exclusion, ...]]:
+    """Return the rows of a trials table that are in use, and the exclusions of the others, in order of trial ids."""
+    keys = trials.column("trial_id").to_pylist()
+    if exclusions.keys().isdisjoint(keys):
+        return trials, ()
+    out = pa.array([key in exclusions for key in keys], pa.bool_())
+    rows = trials.filter(out).select(IDENTITY).sort_by("trial_id").to_pylist()
+    found = tuple(exclusions[row["trial_id"]].model_copy(update=row) for row in rows)
+    return trials.filter(pa.array([key not in exclusions for key in keys], pa.bool_())), found
+
+
+def moved_from(corrections: Iterable[Correction], place: tuple[str, ...]) -> set[tuple[str, str]]:
+    """Return where else trials are stored that count as of a device, or of one of its experiments, by hand."""
+    own = len(place)
+    moved = ((one.device, one.experiment) for one in corrections if own and one.place[:own] == place)
+    return {stored for stored in moved if stored[:own] != place}
+
+
+def applied(trials: pa.Table, corrections: Mapping[str, Correction], place: tuple[str, ...]) -> pa.Table:
+    """Return trials with device and experiment as corrected, those of a device or experiment, without deleted ones."""
+    if not corrections:
+        return trials
+    found = [corrections.get(key) for key in trials.column("trial_id").to_pylist()]
+    for at, name in enumerate(("device", "experiment")):
+        values = trials.column(name).to_pylist()
+        moved = [value if one is None else one.place[at] for value, one in zip(values, found, strict=True)]
+        index = trials.schema.get_field_index(name)
+        trials = trials.set_column(index, trials.schema.field(index), pa.array(moved, pa.string()))
+    places = zip(*(trials.column(name).to_pylist() for name in ("device", "experiment")), strict=True)
+    keep = [
+        (one is None or not one.deleted) and names[: len(place)] == place
+        for names, one in zip(places, found, strict=True)
+    ]
+    return trials.filter(pa.array(keep, pa.bool_()))
 
 
 FIRST_STAGE = "response"

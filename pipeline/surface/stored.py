@@ -21,9 +21,8 @@ from pipeline.measured.stages.stages import ExperimentStages, cost_column
 from pipeline.records.criteria import MEASURED
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.frames import MOTIONS, boundary_frame, estimates_frame, frame_of, optima_frame, units_of
-from pipeline.store.corrections import read_exclusions
 from pipeline.store.samples import load_batch
-from pipeline.store.storage import list_devices, list_experiments, read_trials
+from pipeline.store.storage import list_devices, list_experiments, read_exclusions, read_trials
 from pipeline.surface.logs import SAMPLES, Place, response_frame
 
 _CONDITIONS = (

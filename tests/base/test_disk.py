@@ -12,7 +12,7 @@ import pytest
 from native_logs import FAULTS, log_text
 from stored import merge_all
 
-from pipeline.base import disk, lock
+from pipeline.base import disk
 from pipeline.base.disk import kept_files, new_file, read_kept, replacing, write_kept
 from pipeline.base.errors import StoreError
 from pipeline.intake.ingest import ingest
@@ -94,8 +94,8 @@ def test_no_file_is_written_through_a_link(tmp_path, monkeypatch):
     with pytest.raises(FileExistsError), replacing(tmp_path / "file"):
         pass
     (tmp_path / "processed").mkdir()
-    (tmp_path / "processed" / lock.LOCK_FILE).symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(StoreError, match="symbolic links"), lock.writing(tmp_path / "processed"):
+    (tmp_path / "processed" / disk.LOCK_FILE).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(StoreError, match="symbolic links"), disk.writing(tmp_path / "processed"):
         pass
     assert (tmp_path / "elsewhere").read_text() == "kept"
 

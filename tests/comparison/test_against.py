@@ -23,8 +23,8 @@ from pipeline.comparison.against import (
     names_of,
     read_document,
 )
-from pipeline.records.against_records import Side
 from pipeline.records.findings import BoundaryPoint, Estimate, Note, Optimum
+from pipeline.records.results import Side
 from pipeline.rendering.report.report_against import pair_tables, render
 from pipeline.shell.cli import app
 

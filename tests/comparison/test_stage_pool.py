@@ -11,7 +11,7 @@ import pytest
 from pipeline.comparison import stage_pool
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.measured.stages import stages
-from pipeline.records import groups
+from pipeline.records import batch as groups
 from pipeline.records.table_files import read_table
 
 NEEDED = {"response", "boundary", "delay"}

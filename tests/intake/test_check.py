@@ -10,20 +10,19 @@ from stored import check_whole, flip, merge_all
 
 from pipeline.comparison.compare import compare
 from pipeline.intake.check import check
-from pipeline.intake.correct import exclude, use_again
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.store import batch_files
-from pipeline.store.corrections import corrections_files, read_exclusions
+from pipeline.store.corrections import exclude, use_again
 from pipeline.store.samples import load_batch
-from pipeline.store.storage import read_trials, trials_files
+from pipeline.store.storage import corrections_files, read_exclusions, read_trials, trials_files
 
 
 @pytest.fixture
 def lab(tmp_path, monkeypatch):
     """Six logs of one experiment in three groups of rows, one refused log, one result, one exclusion."""
     monkeypatch.setattr(batch_files, "GROUP_TRIALS", 2)
-    monkeypatch.setattr("pipeline.intake.trialstore.GROUP_TRIALS", 2)
+    monkeypatch.setattr("pipeline.intake.kept.GROUP_TRIALS", 2)
     (tmp_path / "logs").mkdir()
     for number in range(6):
         (tmp_path / "logs" / f"{number}.csv").write_text(short_log(float(number), rows=40))

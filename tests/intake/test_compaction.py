@@ -1,5 +1,6 @@
 """Batches are merged without a change to what is read, and an ingest rewrites little."""
 
+import itertools
 import os
 import threading
 from collections import Counter
@@ -148,15 +149,14 @@ def test_a_listing_that_a_merge_tears_is_read_again(grow, monkeypatch):
         listings.append(folder)
         if len(listings) == 1:
             merge_all(processed)
-            return dict(list(found.items())[1:])
+            return found[1:]
         return found
 
     monkeypatch.setattr(storage, "_listing", torn)
     assert read_trials(processed).num_rows == 2
     assert len(listings) > 2
-    monkeypatch.setattr(
-        storage, "_listing", lambda folder: {os.path.join(folder, str(len(listings))): (listings.append(0), 0, 0)}
-    )
+    numbers = itertools.count()
+    monkeypatch.setattr(storage, "_listing", lambda folder: [os.path.join(folder, str(next(numbers)))])
     monkeypatch.setattr(storage, "_PAUSE_S", 0)
     with pytest.raises(StoreError, match="changed during each of 50 attempts"):
         read_trials(processed)

@@ -24,28 +24,10 @@ delimiter = ","
 decimal = "."
 name_pattern = "^K(?P<stiffness>[0-9.]+)_"
 step_at = "command edge"
-
-[columns.time]
-name = "t"
-unit = "s"
-
-[columns.command]
-name = "f"
-unit = "N"
-sign = 1
-
-[columns.position]
-name = "x"
-unit = "m"
-sign = 1
-
-[constants]
-device = "bench"
-experiment = "1"
-motion = "translation"
-damping = 2
-step = 8
-sampling_period_s = 0.001
+columns.time = {name = "t", unit = "s"}
+columns.command = {name = "f", unit = "N", sign = 1}
+columns.position = {name = "x", unit = "m", sign = 1}
+constants = {device = "bench", experiment = "1", damping = 2, step = 8, sampling_period_s = 0.001}
 """
 
 
@@ -156,7 +138,7 @@ def test_a_renamed_log_that_is_refused_keeps_its_former_trials(named, monkeypatc
         raise LogError("its device is another one", code="condition-wrong")
 
     with monkeypatch.context() as patch:
-        patch.setattr("pipeline.intake.trialstore.motion_of", refuse)
+        patch.setattr("pipeline.intake.kept.motion_of", refuse)
         report = named.ingest()
     assert (len(report.quarantined), report.removed, report.changed) == (1, (str(log),), ())
     assert named.rows() == [("K100_a.csv", 100.0)]

@@ -13,21 +13,20 @@ from stored import merge_all
 from typer.testing import CliRunner
 
 import pipeline
-from pipeline.base import lock
+from pipeline.base import disk
 from pipeline.base.errors import EXIT_USAGE, DeviceError, StoreError, UsageError
 from pipeline.comparison.against import against_document, against_experiments, read_document
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.check import check
-from pipeline.intake.correct import delete, empty_bin, exclude, in_bin, move, restore, use_again
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.rendering.report.report_against import render
 from pipeline.rendering.report.report_parts import take_apart
 from pipeline.shell.cli import application
 from pipeline.shell.verify import verify
-from pipeline.store.corrections import read_exclusions
-from pipeline.store.storage import read_trials
+from pipeline.store.corrections import delete, empty_bin, exclude, in_bin, move, restore, use_again
+from pipeline.store.storage import read_exclusions, read_trials
 
 pytestmark = pytest.mark.usefixtures("one_process")
 
@@ -165,8 +164,18 @@ constants = {device = "bench", experiment = "1", stiffness = 0.0, damping = 0.0,
 """
 
 
+def test_what_is_deleted_doubles_no_other_trial(store):
+    trials = read_trials(store)
+    device, experiment, trial = (trials.column(name)[0].as_py() for name in ("device", "experiment", "trial_id"))
+    before = set(read_trials(store, device, experiment).column("trial_id").to_pylist())
+    delete(store, trial)
+    for place in ((device, experiment), (device,), ()):
+        found = read_trials(store, *place).column("trial_id").to_pylist()
+        assert (len(found), before - set(found)) == (len(set(found)), {trial})
+
+
 def test_one_writer_at_a_time(store):
-    with lock.writing(store), pytest.raises(StoreError, match="writes there"):
+    with disk.writing(store), pytest.raises(StoreError, match="writes there"):
         exclude(store, ids(store)["2.csv"], WHY, wait_s=0)
     assert read_exclusions(store) == {}
 

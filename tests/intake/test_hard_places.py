@@ -81,7 +81,7 @@ def test_a_look_at_files_that_move_is_repeated_and_one_at_damage_is_not(store):
         calls.append(len(calls))
         (file,) = (store / "trials").rglob("*.parquet")
         if len(calls) < 3:
-            file.touch()
+            file.rename(file.with_name(f"{len(calls)}.parquet"))
             raise FileNotFoundError(file)
         return "seen"
 
@@ -100,7 +100,7 @@ def test_a_pass_on_a_disk_that_takes_nothing_is_told(store, logs, monkeypatch):
     def no_folder(*_):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(store))
 
-    monkeypatch.setattr("pipeline.base.lock.make_folder", no_folder)
+    monkeypatch.setattr("pipeline.base.disk.make_folder", no_folder)
     events = []
     events += run_pass(Watched((logs,), store, store.parent / "reports"))
     assert status_of(events) == 1

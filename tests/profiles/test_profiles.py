@@ -368,7 +368,7 @@ def test_title_and_layout_do_not_make_another_profile(profile_file):
     first = read_profile(profile_file(TOML))
     same = read_profile(profile_file('title = "Lab"  # remark\n' + TOML))
     other = read_profile(profile_file(TOML.replace("sign = -1", "sign = 1")))
-    assert first.digest() == same.digest() != other.digest()
+    assert first.digest == same.digest != other.digest
 
 
 @pytest.mark.skipif(not PENDULUM.is_dir(), reason="recorded logs in ../shared are not there")

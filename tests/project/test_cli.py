@@ -5,7 +5,10 @@ import json
 import re
 import subprocess
 import sys
+import time
+from itertools import count
 from pathlib import Path
+from types import SimpleNamespace
 
 import pyarrow.parquet as pq
 import pytest
@@ -286,14 +289,14 @@ def test_long_lists_are_cut_in_text_alone(call, logs, tmp_path):
 
 
 def test_a_second_writer_is_refused_and_readers_are_not(call, logs, tmp_path, monkeypatch):
-    from pipeline.base import lock
-    from pipeline.base.lock import writing
+    from pipeline.base import disk
+    from pipeline.base.disk import writing
 
-    taken = lock._taken
-    monkeypatch.setattr(lock, "_taken", lambda file, wait_s: taken(file, 0.0))  # no minute for this test
     assert call("ingest", "logs")[0] == 0
+    clock = SimpleNamespace(monotonic=count(0, 100).__next__, sleep=time.sleep)  # no minute for this test
     (logs / "new.csv").write_text(log_text(1.0))
-    with writing(tmp_path / "processed", 0):
+    with writing(tmp_path / "processed", 0), monkeypatch.context() as patch:
+        patch.setattr(disk, "time", clock)
         for command in (["ingest", "logs"], ["move", "bench", "other"]):
             status, out, err = call(*command)
             assert (status, out) == (1, "")

@@ -24,7 +24,7 @@ from places import ROOT
 from pipeline.base.errors import CURES, LogError, ProfileError, UsageError
 from pipeline.base.paths import open_regular, path_of_text, path_text, storable
 from pipeline.intake.ingest import ingest
-from pipeline.intake.quarantine import list_quarantine
+from pipeline.intake.kept import list_quarantine
 from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import load_profile
 from pipeline.readers import mapping
@@ -220,8 +220,10 @@ def test_a_folder_that_cannot_be_listed_is_told(logs, monkeypatch):
 
     monkeypatch.setattr(os, "scandir", scan)
     told = []
-    assert len(find_sources([logs], (), None, lambda folder, text: told.append((folder.name, text)))) == 1
-    assert told == [("shut", "folder cannot be read (Permission denied). Correct its permissions.")]
+    assert len(find_sources([logs], (), None, told)) == 1
+    assert [(folder.name, text) for folder, text in told] == [
+        ("shut", "folder cannot be read (Permission denied). Correct its permissions.")
+    ]
 
 
 def test_a_path_that_may_not_be_looked_at_is_a_usage_error(logs):

@@ -17,7 +17,7 @@ from locks import is_free
 from native_logs import short_log
 from stored import check_whole, stored_rows
 
-from pipeline.base import lock
+from pipeline.base import disk
 from pipeline.base.errors import StoreError
 from pipeline.intake.ingest import ingest
 from pipeline.store.samples import load_batch
@@ -171,7 +171,7 @@ def test_who_writes_is_named(tmp_path):
     processed = tmp_path / "processed"
     (tmp_path / "a.csv").write_text(short_log(1))
     said: list[str] = []
-    with lock.writing(processed, 0):
+    with disk.writing(processed, 0):
         with pytest.raises(
             StoreError, match=rf"process {os.getpid()} on .* \(since 20.* writes there; .* again when it has ended"
         ):
@@ -184,13 +184,13 @@ def test_who_writes_is_named(tmp_path):
 
 
 def test_a_lock_of_a_killed_process_is_free(tmp_path):
-    script = "import sys\nfrom pathlib import Path\nfrom pipeline.base.lock import writing\n"
+    script = "import sys\nfrom pathlib import Path\nfrom pipeline.base.disk import writing\n"
     script += "with writing(Path(sys.argv[1])):\n    print('ready', flush=True)\n    sys.stdin.read()\n"
     command = [sys.executable, "-c", script, str(tmp_path)]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     assert process.stdout.readline() == "ready\n"
-    with pytest.raises(StoreError, match=f"process {process.pid} on "), lock.writing(tmp_path, 0):
+    with pytest.raises(StoreError, match=f"process {process.pid} on "), disk.writing(tmp_path, 0):
         pass
     process.kill()
     process.communicate()

@@ -148,7 +148,7 @@ def test_the_rule_is_part_of_the_profile_and_shown(tmp_path):
     (tmp_path / "lab.toml").write_text(PROFILE)
     (tmp_path / "other.toml").write_text(PROFILE.replace("difference", "trapezoid"))
     one, other = load_profile(tmp_path / "lab.toml"), load_profile(tmp_path / "other.toml")
-    assert one.digest() != other.digest()
+    assert one.digest != other.digest
     (tmp_path / "log.csv").write_text("t,tau,omega\n" + "".join(f"{k},{0.06 * (k > 3)},{-k}\n" for k in range(30)))
     lines = check_lines(check_samples(one, [tmp_path / "log.csv"]))
     assert any("omega [deg/s, sign -1, integrate difference]" in line for line in lines)

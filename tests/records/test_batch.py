@@ -1,11 +1,323 @@
-"""What names the trials of a batch by their content."""
+"""Trials in groups of like length: nothing that is said of a trial depends on the others in its group."""
 
 from __future__ import annotations
 
+import errno
+import os
+import shutil
+import subprocess
+import sys
+import tracemalloc
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pytest
+from failing_disk import FailingOs
+from hypothesis import given
+from hypothesis import strategies as st
+from labs import make_lab
 from logged import RIGS, record
+from places import ROOT
+
+from pipeline.base import disk
+from pipeline.base.disk import write_text
+from pipeline.comparison.compare import compare
+from pipeline.device_data.devices import load_device
+from pipeline.intake.ingest import ingest
+from pipeline.measured.cost import costs
+from pipeline.measured.signal.verdict import judge
+from pipeline.measured.stages import stage_groups, stage_tables, stages
+from pipeline.measured.stages import stage_rows as rows_of
+from pipeline.measured.stages.stage_groups import TrialGroup
+from pipeline.measured.stages.stage_rows import stage_rows
+from pipeline.measured.stages.stages import STAGES
+from pipeline.records import batch as groups
+from pipeline.records.batch import LENGTHS, TrialGroups, group_trials, padded_length
+from pipeline.shell import console
+from pipeline.shell.cli import run as run_cli
+from pipeline.store.samples import load_batch, load_groups
+from pipeline.store.storage import read_trials
+
+GIVEN = {
+    "delay": 4,
+    "delay_range": [3, 5],
+    "open_loop": False,
+    "pendulum": False,
+    "rotation": False,
+    "sensor": 1e-6,
+    "gain": 1.3,
+    "spring": 0.0,
+    "mass": 0.58,
+    "mass_error": 0.01,
+    "usual_rows": 400,
+    "device": {"mass": 0.58, "damping": 4.0, "stiffness": 0.0, "delay": 4, "span": 9, "least": 1.2},
+}
+"""What every stage may take of an experiment: here it does not matter where it came from."""
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory):
+    """Some 25 noisy trials, a third of them cut to lengths of their own."""
+    lab = make_lab(tmp_path_factory.mktemp("groups"), load_device("falcon"), ("1",), seed=23, coarsen=12)
+    for number, log in enumerate(sorted(lab.raw.rglob("*.csv"))):
+        if number % 3 == 0:
+            lines = log.read_text(encoding="utf-8").splitlines(keepends=True)
+            log.write_text("".join(lines[: 130 + 9 * number]), encoding="utf-8")
+    shutil.rmtree(lab.processed)
+    ingest([lab.raw], lab.processed, jobs=1)
+    return lab
+
+
+@given(st.lists(st.integers(1, 10**7), min_size=1, max_size=40))
+def test_groups_hold_each_trial_once_with_little_padding(lengths):
+    rows = np.array(lengths)
+    found = group_trials(rows)
+    assert sorted(np.concatenate(found).tolist()) == list(range(len(rows)))
+    for index in found:
+        width = padded_length(rows[index])
+        assert len(set(width.tolist())) == 1, "all are padded to the same, which each of them alone would be"
+        assert (rows[index] <= width).all()
+        assert (width <= (1 + 1 / LENGTHS) * rows[index]).all()
+        assert len(index) == 1 or width[0] * len(index) <= groups.READINGS
+
+
+def test_groups_hold_the_samples_of_one_batch(lab, monkeypatch):
+    trials = read_trials(lab.processed)
+    whole = load_batch(lab.processed, trials)
+    monkeypatch.setattr(groups, "READINGS", 1200)
+    parts = load_groups(lab.processed, trials)
+    assert len(parts.parts) > 8
+    assert parts.of_trials("trial_id").tolist() == list(whole.trial_id)
+    assert parts.of_trials("digests").tolist() == list(whole.digests), "a hash does not know of the padding"
+    which = np.array([7, 0, 3])
+    for index, batch in parts.pick(which):
+        for one, place in zip(range(len(batch)), which[index], strict=True):
+            rows = int(whole.rows[place])
+            np.testing.assert_array_equal(batch.position[one, :rows], whole.position[place, :rows])
+    window = parts.cut(which, np.array([5, 6, 7]), np.array([40, 30, 20]))
+    np.testing.assert_array_equal(window.command[1, :30], whole.command[0, 6:36])
+    assert np.isnan(window.position[2, 20:]).all()
+
+
+@pytest.mark.sampled
+@pytest.mark.parametrize("stage", [stage for stage in STAGES if STAGES[stage].rows])
+@pytest.mark.parametrize("readings", [1, 1300])
+def test_rows_of_a_trial_are_the_same_bits_in_any_company(lab, monkeypatch, stage, readings):
+    trials = read_trials(lab.processed)
+    if stage == "model":  # some: a fit takes as long as all else of a trial
+        trials = trials.take(np.arange(0, trials.num_rows, 4))
+
+    def rows():
+        found = []
+        for part in load_groups(lab.processed, trials).parts:
+            group = TrialGroup(part)
+            group.verdicts = judge(part, group.found)
+            found.append(stage_rows(group, stage, STAGES[stage].rows, GIVEN, rotation=False))
+        return pa.concat_tables(found).sort_by("trial_id")
+
+    together = rows()
+    monkeypatch.setattr(groups, "READINGS", readings)
+    apart = rows()
+    for name in together.column_names:
+        assert apart.column(name).combine_chunks().equals(together.column(name).combine_chunks()), name
+
+
+def tables(lab, processed):
+    return {stage: lab.stages("1", processed).table(stage) for stage in STAGES}
+
+
+def copy_store(lab, folder: Path) -> Path:
+    for part in ("trials",):
+        shutil.copytree(lab.processed / part, folder / part)
+    return folder
+
+
+CHANGES = {
+    "one log more": lambda raw, logs: shutil.copy(logs[-1], raw / "more.csv"),
+    "a log less": lambda raw, logs: None,
+    "a log replaced": lambda raw, logs: (raw / logs[3].name).write_text(
+        "".join(logs[3].read_text(encoding="utf-8").splitlines(keepends=True)[:110]), encoding="utf-8"
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.sampled
+@pytest.mark.parametrize("change", CHANGES)
+def test_after_a_change_all_is_as_from_scratch_and_little_is_computed(lab, tmp_path, monkeypatch, change):
+    logs = sorted(lab.raw.rglob("*.csv"))
+    raw, processed = tmp_path / "raw", tmp_path / "processed"
+    raw.mkdir()
+    for log in logs[:-1]:
+        shutil.copy(log, raw / log.name)
+    ingest([raw], processed, jobs=1)
+    tables(lab, processed)
+    CHANGES[change](raw, logs)
+    ingest([raw], processed, jobs=1)
+    trials = read_trials(processed)
+    if change == "a log less":
+        trials = trials.slice(1)
+
+    computed = []
+
+    def counting(of, stage, *arguments, **more):
+        computed.append((stage, len(of.batch)))
+        return stage_rows(of, stage, *arguments, **more)
+
+    monkeypatch.setattr(stage_tables, "stage_rows", counting)
+    of = stages.ExperimentStages(processed, "falcon", "1", trials)
+    assert not of.is_stored("model")
+    now = {stage: of.table(stage) for stage in STAGES}
+    for stage in ("response", "delay"):
+        assert sum(count for name, count in computed if name == stage) == (change != "a log less"), stage
+    fresh = tmp_path / "fresh"
+    shutil.copytree(processed, fresh, ignore=shutil.ignore_patterns("stages"))
+    order = pa.array(range(trials.num_rows - 1, -1, -1))
+    again = stages.ExperimentStages(fresh, "falcon", "1", trials.take(order))
+    for stage in STAGES:
+        assert now[stage].equals(again.table(stage), check_metadata=True), stage
+
+
+@pytest.mark.slow
+@pytest.mark.sampled
+@pytest.mark.parametrize("changed", ["code", "given", "samples"])
+def test_no_row_outlives_what_it_rests_on(lab, tmp_path, monkeypatch, edit, changed):
+    processed = copy_store(lab, tmp_path)
+    before = lab.stages("1", processed)
+    before.table("settling")
+    of = lab.stages("1", processed)
+    monkeypatch.setattr(of, "is_stored", lambda stage: stage != "settling")
+    if changed == "code":
+        edit(costs)
+    elif changed == "given":
+        monkeypatch.setattr(rows_of, "delay_factor", lambda _: (5, 5, 6))
+    else:
+        moved = [replace(part, position=part.position + 1e-9 * (part.position > 0)) for part in of.samples.parts]
+        of.__dict__["samples"] = TrialGroups(of.samples.places, tuple(moved))
+    computed = []
+
+    def counting(group, *arguments, **more):
+        computed.append(len(group.batch))
+        return stage_rows(group, *arguments, **more)
+
+    monkeypatch.setattr(stage_tables, "stage_rows", counting)
+    of.table("settling")
+    assert sum(computed) == of.trials.num_rows
+
+
+@pytest.mark.slow
+def test_one_long_log_costs_as_much_as_itself(lab, tmp_path, monkeypatch):
+    """Padded to the longest, the experiment would take seven times the long log."""
+    longest = 1 << 11
+    monkeypatch.setattr(stage_groups, "LONGEST_MOTION", longest)
+    rows = 16 * longest
+    raw = tmp_path / "raw"
+    raw.mkdir()
+    settled = [row["trial_id"] for row in lab.stages("1").table("outcome").to_pylist() if row["outcome"] == "settled"]
+    sources = {row["trial_id"]: Path(row["source_path"]) for row in read_trials(lab.processed).to_pylist()}
+    for trial in settled[:6]:
+        shutil.copy(sources[trial], raw)
+    ingest([raw], tmp_path / "copy", jobs=1)
+    trial = settled[0]
+    lines = sources[trial].read_text(encoding="utf-8").splitlines()
+    last = lines[-1].split(",")
+    more = (f"{float(last[0]) + (k + 1) * 1e-3:.6f},{last[1]},{last[2]}" for k in range(rows))
+    (raw / "long.csv").write_text("\n".join([*lines, *more]) + "\n", encoding="utf-8")
+    ingest([raw], tmp_path / "processed", jobs=1)
+    peaks = []
+    for processed in (tmp_path / "copy", tmp_path / "processed"):
+        tracemalloc.start()
+        tables(lab, processed)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    own = 3 * 8 * rows
+    assert peaks[1] <= 1.2 * peaks[0] + 12 * own
+    long, short = (lab.stages("1", tmp_path / name).table("settling").to_pylist() for name in ("processed", "copy"))
+    by_trial = {row["trial_id"]: row for row in long}
+    assert all(by_trial[row["trial_id"]] == row for row in short), "what is said of the others stays the same"
+    (added,) = (row for row in long if row["trial_id"] not in {row["trial_id"] for row in short})
+    (like,) = (row for row in short if row["trial_id"] == trial)
+    assert added["settle_2pct"] == pytest.approx(like["settle_2pct"], rel=0.02)
+
+
+class ReadOnly(FailingOs):
+    """Takes no new file below a folder, as a read-only mount."""
+
+    folder = Path("/nowhere")
+
+    def open(self, path, flags, mode=0o777):
+        if flags & os.O_CREAT and self.folder in Path(path).parents:
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+        return os.open(path, flags, mode)
+
+    def mkdir(self, path, mode=0o777):
+        if self.folder in (Path(path), *Path(path).parents):
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+        os.mkdir(path, mode)
+
+    write, fsync, close = staticmethod(os.write), staticmethod(os.fsync), staticmethod(os.close)
+    replace, unlink = staticmethod(os.replace), staticmethod(os.unlink)
+
+
+def test_an_archive_is_compared_without_writing_into_it(lab, tmp_path, monkeypatch, one_process):
+    archive = copy_store(lab, tmp_path / "archive")
+    report = tmp_path / "report.html"
+    with monkeypatch.context() as patch:
+        patch.setattr(disk, "os", only := ReadOnly())
+        only.folder = archive
+        found = compare("falcon", archive, criteria=("overshoot",), report=report).result
+    assert report.is_file()
+    assert sorted(path.name for path in archive.iterdir()) == ["trials"]
+    assert compare("falcon", archive, criteria=("overshoot",)).result.numbers() == found.numbers()
+    assert (archive / "stages").is_dir()
+
+
+def no_space(*_):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_full_disk_is_named_by_the_file(lab, tmp_path, monkeypatch, capsys, one_process):
+    archive = copy_store(lab, tmp_path / "archive")
+    monkeypatch.setattr(disk, "os", full := FailingOs())
+    monkeypatch.setattr(full, "write", no_space)
+    monkeypatch.setattr(console, "_drop_output", lambda: None)
+    with pytest.raises(OSError, match="No space") as caught:
+        write_text(tmp_path / "a.json", "{}")
+    assert "a.json" in caught.value.filename
+    with pytest.raises(SystemExit) as ended:
+        run_cli(["compare", "--device", "falcon", "--criteria", "overshoot", "--processed", str(archive)])
+    assert ended.value.code == 1
+    assert f"Error: {archive}" in (said := capsys.readouterr().err)
+    assert "standard output" not in said
+
+
+COMPARE = """
+import os, sys
+os.cpu_count = lambda: int(sys.argv[2])
+from pathlib import Path
+from pipeline.comparison import stage_pool
+from pipeline.comparison.compare import compare
+stage_pool.LARGE = 20
+if __name__ == "__main__":
+    compare("falcon", Path(sys.argv[1]), criteria=("overshoot", "energy_step_w0"), report=Path("report.html"))
+"""
+
+
+@pytest.mark.slow
+def test_documents_do_not_depend_on_hash_seed_or_workers(lab, tmp_path):
+    documents = set()
+    (tmp_path / "compare.py").write_text(COMPARE, encoding="utf-8")
+    for seed, workers in ((0, 1), (1, 2), (2, 1)):
+        folder = tmp_path / f"{seed}"
+        copy_store(lab, folder / "processed")
+        environment = os.environ | {"PYTHONHASHSEED": str(seed), "PYTHONPATH": str(ROOT)}
+        command = [sys.executable, str(tmp_path / "compare.py"), "processed", str(workers)]
+        subprocess.run(command, cwd=folder, env=environment, check=True)
+        documents.add(tuple((folder / f"report.{kind}").read_bytes() for kind in ("json", "html")))
+    assert len(documents) == 1
+
 
 TRIALS = 4
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from served import Browser, page
 
-from pipeline.base.lock import writing
-from pipeline.shell.verify import verify
+from pipeline.base.disk import writing
 from pipeline.service.rest import remarks
+from pipeline.shell.verify import verify
 
 WHY = "gripper slipped"
 TWO = {"device": "falcon", "experiments": ["2"], "criteria": ["overshoot"]}

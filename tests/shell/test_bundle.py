@@ -17,11 +17,11 @@ from typer.testing import CliRunner
 from pipeline.base.errors import DeviceError, StoreError, UsageError
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import device_file
-from pipeline.intake.correct import delete
 from pipeline.intake.ingest import ingest
 from pipeline.shell.bundle import bundle, verify_bundle
 from pipeline.shell.cli import app
 from pipeline.shell.verify import lines_of, verify
+from pipeline.store.corrections import delete
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_process")]
 

@@ -20,13 +20,16 @@ from pipeline.intake.ingest import ingest
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.records.table_files import parquet_bytes
 from pipeline.records.tables import COLUMNS, LOCATION, TABLES, to_arrow
-from pipeline.store.corrections import IDENTITY, Correction, read_exclusions, write_corrections
+from pipeline.store.corrections import write_corrections
 from pipeline.store.names import folder_name, name_of_folder, page_against, page_against_document, place_of, report_of
 from pipeline.store.samples import load_batch, load_trial
 from pipeline.store.storage import (
+    IDENTITY,
+    Correction,
     list_devices,
     list_experiments,
     natural_key,
+    read_exclusions,
     read_trials,
     trials_files,
 )

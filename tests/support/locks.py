@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
+from pipeline.base.disk import writing
 from pipeline.base.errors import StoreError
-from pipeline.base.lock import writing
 
 
 def is_free(processed: Path) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.base.lock import writing
+from pipeline.base.disk import writing
 from pipeline.records.table_files import parquet_bytes
 from pipeline.store.batch_files import remove_incomplete, rewrite, tidy
 from pipeline.store.objects import publish

@@ -15,8 +15,7 @@ from pipeline.records.criteria import FAMILIES, MEASURED, REPORTED, criterion_of
 from pipeline.records.models import Device, Motion, Scene, Shown
 from pipeline.records.results import Truth
 from pipeline.rendering.labels import UNITS, Units
-from pipeline.store.corrections import Exclusion
-from pipeline.store.storage import list_devices, list_experiments
+from pipeline.store.storage import Exclusion, list_devices, list_experiments
 
 RUN, REUSE, LEAVE_OUT = "run", "reuse", "leave out"
 

@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.measured.signal.response import NO_ROW, Response
-from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
-from pipeline.records.groups import TrialGroups
+from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch, TrialGroups
 
 LONGEST_DELAY = 12
 """Largest delay that is tried [samples], as many as the window of `modes` has room for."""

@@ -10,7 +10,7 @@ import pyarrow as pa
 from pipeline.measured.experiment.stored import Result, Stored
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.measured.stages.stage_groups import Given
-from pipeline.records.groups import TrialGroups
+from pipeline.records.batch import TrialGroups
 
 
 class Experiment(Stored, Protocol):

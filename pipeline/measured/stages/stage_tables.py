@@ -25,13 +25,19 @@ from pipeline.measured.signal.verdict import Verdicts
 from pipeline.measured.stages.stage_given import Experiment, nothing
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 from pipeline.measured.stages.stage_rows import Sources, stage_rows
-from pipeline.records.batch import Booleans, Floats
-from pipeline.records.groups import TrialGroups
+from pipeline.records.batch import Booleans, Floats, TrialGroups
 from pipeline.records.table_files import parquet_bytes, read_metadata, read_table
 from pipeline.records.tables import arrow_schema, to_arrow
-from pipeline.store.corrections import Exclusion, read_exclusions, split_trials
 from pipeline.store.samples import load_groups
-from pipeline.store.storage import TABLE, read_trials, stage_file, stage_folder
+from pipeline.store.storage import (
+    TABLE,
+    Exclusion,
+    read_exclusions,
+    read_trials,
+    split_trials,
+    stage_file,
+    stage_folder,
+)
 
 SAMPLED = "response"
 """Stage that every scene needs; its result is stored with a hash of the samples."""

@@ -9,8 +9,8 @@ from typing import Any
 
 from pipeline.base.disk import write_text
 from pipeline.base.wording import unbroken
-from pipeline.records.against_records import AgainstResult, PairDifference
 from pipeline.records.models import Motion
+from pipeline.records.results import AgainstResult, PairDifference
 from pipeline.rendering.figures.drawing import Figure, draw
 from pipeline.rendering.labels import UNITS, criterion_name, percent_text, significant, span, unit_text
 from pipeline.rendering.report.page_template import fill_template

@@ -10,9 +10,8 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import HTMLResponse, Response
 
 from pipeline.comparison.against import compare_pair
-from pipeline.records.against_records import PairDifference, Side
 from pipeline.records.criteria import REPORTED
-from pipeline.records.results import TheoryParameters
+from pipeline.records.results import PairDifference, Side, TheoryParameters
 from pipeline.service.pages.frame import busy, page_of
 from pipeline.service.problems import Problem
 from pipeline.service.shared import Service, Shared, run_of

@@ -19,8 +19,7 @@ from markupsafe import Markup
 from pydantic import field_validator, model_validator
 from starlette.types import Message
 
-from pipeline.intake.correct import in_bin
-from pipeline.intake.quarantine import list_quarantine
+from pipeline.intake.kept import list_quarantine
 from pipeline.records.criteria import REPORTED
 from pipeline.records.models import Motion
 from pipeline.records.results import Answer
@@ -35,6 +34,7 @@ from pipeline.service.rest.answers import refuse_unknown
 from pipeline.service.rest.api import Segment
 from pipeline.service.security import SESSION, cookie
 from pipeline.service.shared import Service, Shared, Who
+from pipeline.store.corrections import in_bin
 
 pages = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
 

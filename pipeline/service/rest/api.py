@@ -18,9 +18,8 @@ from pydantic import AfterValidator, BaseModel, Field
 from starlette.concurrency import run_in_threadpool
 
 from pipeline import __version__
-from pipeline.records.against_records import AgainstResult
 from pipeline.records.criteria import REPORTED
-from pipeline.records.results import ComparisonResult
+from pipeline.records.results import AgainstResult, ComparisonResult
 from pipeline.records.tables import COLUMNS
 from pipeline.service import documents
 from pipeline.service.catalogue import SORTED, WORDS, Catalogue, Selection

@@ -11,7 +11,7 @@ from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
 from pipeline.base.paths import path_of_text
-from pipeline.intake.quarantine import list_quarantine, record_id, release
+from pipeline.intake.kept import list_quarantine, record_id, release
 from pipeline.records.criteria import CRITERIA, with_discrete
 from pipeline.service import profiles
 from pipeline.service.problems import Problem

@@ -8,11 +8,11 @@ from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, Field
 
 from pipeline.base.provenance import digest
-from pipeline.intake import correct
 from pipeline.service.problems import Problem
 from pipeline.service.rest import answers
 from pipeline.service.rest.api import Cursor, Limit, Segment, latest
 from pipeline.service.shared import Form, Service, Shared, Who, run_of
+from pipeline.store import corrections
 from pipeline.store.storage import list_experiments
 
 remarks = APIRouter(prefix="/api/v1", responses=answers.EVERYWHERE)
@@ -137,9 +137,9 @@ def _add_remarks(owner: str, of: Callable[..., list[str]]) -> None:
         """Exclude by hand with a reason, or use again (null)."""
         known, words = service.excluded(of), (service.settings.processed, words_for(of))
         if asked.reason is not None:
-            correct.exclude(*words, asked.reason, CORRECT_S)
+            corrections.exclude(*words, asked.reason, CORRECT_S)
         elif known:
-            correct.use_again(*words, CORRECT_S)
+            corrections.use_again(*words, CORRECT_S)
         found = service.excluded(of)
         did = "used again" if asked.reason is None else "excluded"
         _corrected(service, who, did, of, len(found or known), reason=asked.reason)
@@ -160,7 +160,7 @@ def _add_places(owner: str, of: Callable[..., list[str]], form: type[DeviceChang
             names = experiment or list_experiments(processed, device)
         name = getattr(asked, "experiment", None)
         to = [asked.device or device, *([name] if name else experiment)]
-        count = correct.move(processed, words_for(of), run_of(*to), CORRECT_S)
+        count = corrections.move(processed, words_for(of), run_of(*to), CORRECT_S)
         for old in names:
             service.database.move_words(["experiment", device, old], ["experiment", to[0], (*to, old)[1]])
         return _corrected(service, who, "moved", of, count, to=to)
@@ -171,12 +171,12 @@ def _add_places(owner: str, of: Callable[..., list[str]], form: type[DeviceChang
     @remarks.delete(owner, response_model=dict[str, int], responses=answers.NAMED)
     def delete(service: Shared, who: Who, of: owned) -> dict[str, int]:
         """Put into the bin, from which it can be restored. Return how many trials."""
-        count = correct.delete(service.settings.processed, words_for(of), CORRECT_S)
+        count = corrections.delete(service.settings.processed, words_for(of), CORRECT_S)
         return _corrected(service, who, "deleted", of, count)
 
 
 def words_for(of: Sequence[str]) -> str:
-    """Return what `intake.correct` calls a trial, an experiment or a device."""
+    """Return what `store.corrections` calls a trial, an experiment or a device."""
     return of[1] if of[0] == "trial" else run_of(*of[1:])
 
 
@@ -199,7 +199,7 @@ _add_places(DEVICE, of_device, DeviceChange)
 def bin_(service: Shared) -> list[dict[str, Any]]:
     """List the deleted trials that are stored still."""
     names = {"trial_id", "device", "experiment"}
-    found = correct.in_bin(service.settings.processed)
+    found = corrections.in_bin(service.settings.processed)
     return [
         {**one.model_dump(include=names), "source": service.database.uploaded_name(one.source_path)} for one in found
     ]
@@ -210,14 +210,14 @@ def restore(service: Shared, who: Who, asked: InBin) -> dict[str, int]:
     """Take trials out of the bin."""
     names = [name for name in (asked.device, asked.experiment) if name]
     of = ["trial", asked.trial] if asked.trial else ["experiment", *names]
-    count = correct.restore(service.settings.processed, words_for(of), CORRECT_S)
+    count = corrections.restore(service.settings.processed, words_for(of), CORRECT_S)
     return _corrected(service, who, "restored", of, count)
 
 
 @remarks.delete("/bin", response_model=dict[str, int])
 def empty_bin(service: Shared, who: Who) -> dict[str, int]:
     """Remove what is in the bin from the store; logs are never touched."""
-    count = correct.empty_bin(service.settings.processed, CORRECT_S)
+    count = corrections.empty_bin(service.settings.processed, CORRECT_S)
     return _corrected(service, who, "emptied the bin", (), count)
 
 

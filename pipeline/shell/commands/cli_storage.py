@@ -15,7 +15,7 @@ from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
     from pipeline.intake.check import CheckReport
-    from pipeline.store.corrections import Exclusion
+    from pipeline.store.storage import Exclusion
 
 Result = TypeVar("Result")
 
@@ -140,10 +140,9 @@ def status(processed: Processed = Path("processed")) -> int:
 
     Example: pipeline status --processed processed
     """
-    from pipeline.intake import correct
-    from pipeline.intake.quarantine import list_quarantine
-    from pipeline.store.corrections import read_exclusions
-    from pipeline.store.storage import read_trials
+    from pipeline.intake.kept import list_quarantine
+    from pipeline.store import corrections as correct
+    from pipeline.store.storage import read_exclusions, read_trials
 
     _must_exist(processed)
     damaged: dict[Path, str] = {}
@@ -191,7 +190,7 @@ def exclude(
 
     Example: pipeline exclude 3f9a --undo
     """
-    from pipeline.intake import correct
+    from pipeline.store import corrections as correct
 
     if undo == (reason is not None):
         raise UsageError(f'{trial}: expected either --reason "<words>" or --undo, found {"both" if undo else "none"}.')
@@ -220,7 +219,7 @@ def move(
 
     Example: pipeline move falcon/2 falcon/without-grip
     """
-    from pipeline.intake import correct
+    from pipeline.store import corrections as correct
 
     count = _changed(processed, lambda folder: correct.move(folder, trial, to, say=console.step))
     console.tell({"trials": count}, [f"trials now {to}: {count}"])
@@ -242,7 +241,7 @@ def delete(
 
     Example: pipeline delete --empty
     """
-    from pipeline.intake import correct
+    from pipeline.store import corrections as correct
 
     if (trial is None and undo) or (empty and trial is not None):
         raise UsageError("give what to delete, with --undo to take it out of the bin, or --empty alone.")
@@ -371,7 +370,7 @@ def quarantine(
 
     Example: pipeline quarantine logs/run_01.csv
     """
-    from pipeline.intake.quarantine import find_record, list_quarantine, record_id
+    from pipeline.intake.kept import find_record, list_quarantine, record_id
 
     _must_exist(processed)  # a mistyped one must not look like one without refusals
     records = [find_record(processed, log) for log in logs or ()] or list_quarantine(processed)

@@ -1,0 +1,436 @@
+"""What is kept of each source: its trials, with what they replace; or why it was refused.
+
+A refused source has a record in a folder of its own below ``processed/quarantine``, and at most one: refusing it again
+replaces the record, accepting it removes the record. The source itself is never touched, and not copied.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from pipeline import __version__
+from pipeline.base.disk import each, kept_files, read_kept, readers_of, write_kept
+from pipeline.base.errors import OTHER_COLUMNS, REMEDY, LogError, StoreError, UsageError
+from pipeline.base.paths import path_of_text, path_text, storable
+from pipeline.base.provenance import digest
+from pipeline.base.provenance import sha256 as hash_of
+from pipeline.intake.sources import ENDINGS, Source, motion_of
+from pipeline.readers import Log
+from pipeline.readers.log import step_flags
+from pipeline.readers.obeyed import other_gains
+from pipeline.records.findings import Motion, Record
+from pipeline.records.table_files import open_table
+from pipeline.records.tables import COLUMNS, to_arrow
+from pipeline.store.batch_files import GROUP_BYTES, GROUP_TRIALS, Key, Place
+from pipeline.store.names import name_of_folder
+from pipeline.store.storage import alike, read_rows, trials_files
+
+SEEN = ("source_path", "source_size", "source_mtime_ns", "source_trials", "claims")
+"""Columns that tell whether anything is new; with groups of 64 rows each column costs a tenth of the time."""
+
+MORE = ("source_sha256", "profile_sha256", "profile", "source_size", "source_mtime_ns", "device", "trial_id")
+"""Columns that are read when a log that is stored is asked for."""
+
+
+class StoredSource(NamedTuple):
+    """What is stored of a source.
+
+    Parameters
+    ----------
+    sha256, profile_sha256, profile : str
+        Content, and the profile that read it.
+    size, mtime_ns : int
+        Size [byte] and modification time [ns] when it was read.
+    devices, trials : tuple of str
+        Device and id of each of its trials.
+    whole : bool
+        Whether these are all that the source holds: an interrupted run may have written some of them.
+    """
+
+    sha256: str
+    profile_sha256: str
+    profile: str
+    size: int
+    mtime_ns: int
+    devices: tuple[str, ...]
+    trials: tuple[str, ...]
+    whole: bool = True
+
+    def keys(self, path: str) -> set[Key]:
+        """Return its trials as they were read."""
+        return {(path, trial, self.profile_sha256) for trial in self.trials}
+
+
+class StoredSources:
+    """What is stored of each source, by its path; more than whether it is new is read when it is asked for.
+
+    Parameters
+    ----------
+    processed : Path
+    claims : str
+        Hash of all profiles that may claim a file now.
+    damaged : dict of Path to str
+        As for `storage.read_trials`.
+    """
+
+    def __init__(self, processed: Path, claims: str, damaged: dict[Path, str]) -> None:
+        self.processed, self.damaged = processed, damaged
+        self.rows = read_rows(processed, SEEN, damaged)
+        path, size, mtime_ns, held, by = map(self.rows.column, SEEN)
+        trials = dict(zip(path, held, strict=True))
+        missing = {name: trials[name] - count for name, count in Counter(path).items() if count != trials[name]}
+        self.paths, self.partly = trials.keys(), missing.keys()
+        self.doubled = min(missing.values(), default=0) < 0
+        """Whether a log stands there with two contents."""
+        states = zip(path, size, mtime_ns, by, strict=True)
+        self.states = {name: (of, at) for name, of, at, claimed in states if claimed == claims}
+        """Size [byte] and time [ns] of each source that is one file, stored as a whole, of a profile that is sure."""
+        for name in (*missing, *(name for name in self.states if name.endswith(ENDINGS))):
+            self.states.pop(name, None)
+        self.taken = dict[str, StoredSource]()
+        """What was stored since."""
+
+    @cached_property
+    def _former(self) -> dict[str, StoredSource]:
+        names, found = ("source_path", *MORE), dict[str, StoredSource]()
+        rows = read_rows(self.processed, names, self.damaged)
+        for path, sha256, by, profile, size, mtime_ns, device, trial in zip(*map(rows.column, names), strict=True):
+            devices, trials = (found[path].devices, found[path].trials) if path in found else ((), ())
+            ours, whole = ((*devices, device), (*trials, trial)), path not in self.partly
+            found[path] = StoredSource(sha256, by, profile, size, mtime_ns, *ours, whole)
+        return found
+
+    def get(self, path: str) -> StoredSource | None:
+        """Return what is stored under a path; of a file that is damaged nothing, so that its logs count as new."""
+        return self.taken.get(path) or (self._former.get(path) if path in self.paths else None)
+
+    def places(self, but: set[str]) -> dict[str, str]:
+        """Return the path under which each trial is stored, but those of some sources and of such in part."""
+        rows = read_rows(self.processed, ("trial_id", "source_path"), self.damaged)
+        pairs = zip(rows.column("trial_id"), rows.column("source_path"), strict=True)
+        return {trial: path for trial, path in pairs if path not in but and path not in self.partly}
+
+
+@dataclass
+class Periods:
+    """Sampling period [s] of each experiment of a store, by device and name; the first log decides.
+
+    A log whose period differs is of another loop, and of an experiment of its own.
+    """
+
+    processed: Path
+
+    @cached_property
+    def known(self) -> dict[tuple[str, str], float]:
+        """What is stored, and what was taken since."""
+        found: dict[tuple[str, str], float] = {}
+        for file in trials_files(self.processed):
+            place = name_of_folder(file.parent.parent.name), name_of_folder(file.parent.name)
+            if place not in found:
+                # what is damaged is named by who reads more of it
+                with suppress(StoreError, FileNotFoundError), open_table(file) as stored:
+                    found[place] = stored.read_row_group(0, ["sampling_period_s"]).column(0)[0].as_py()
+        return found
+
+    def apart(self, log: Log) -> Log:
+        """Return a log with the name of the experiment of its own period; one that is renamed says so."""
+        header, period = log.header, log.header.sampling_period_s
+        common = self.known.setdefault((header.device, header.experiment), period)
+        if alike(common, period):
+            return log
+        stem = f"{header.experiment}-T"
+        of_device = [(name, known) for (device, name), known in self.known.items() if device == header.device]
+        names = (name for name, known in of_device if name.startswith(stem) and alike(known, period))
+        name = next(names, f"{stem}{1e3 * period:.4g}ms")
+        self.known.setdefault((header.device, name), period)
+        text = (
+            f"the sampling period is {1e3 * period:.4g} ms; logs of experiment {header.experiment!r} have "
+            f"{1e3 * common:.4g} ms. It is stored as experiment {name!r}: another period is another loop."
+        )
+        return replace(log, header=replace(header, experiment=name), warnings=(*log.warnings, text))
+
+
+OTHER_GAINS = "other_gains"
+"""Key in ``extra`` of a trial whose command obeys other gains than its header says: which, and what cures it."""
+
+LOG_BYTES = 2048
+"""Memory of a log beside its samples [byte]."""
+
+
+_CONDITIONS = ("device", "experiment", "stiffness", "damping", "step", "sampling_period_s", "grip", "simulated")
+
+
+@dataclass(frozen=True, eq=False)
+class Accepted:
+    """A checked log, and its row in the trials table but for what is made of many logs at once."""
+
+    source: Source
+    log: Log
+    row: dict[str, Any]
+
+    @property
+    def trial(self) -> str:
+        """Id of the trial."""
+        return str(self.row["trial_id"])
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the log [byte]."""
+        return LOG_BYTES + sum(values.nbytes for values in vars(self.log).values() if isinstance(values, np.ndarray))
+
+    @property
+    def place(self) -> Place:
+        """What it has in common with the trials of its file."""
+        device, experiment, motion = (self.row[name] for name in ("device", "experiment", "motion"))
+        return Place(device, experiment, motion, readers_of(self.source.mode))
+
+
+def accepted_logs(
+    source: Source, sha256: str, logs: Sequence[Log], known: Mapping[str, Motion], claims: str
+) -> list[Accepted]:
+    """Return the trials of a source that was read; one whose command obeys other gains bears a mark and a warning.
+
+    Parameters
+    ----------
+    source : Source
+    sha256 : str
+    logs : sequence of Log
+    known : mapping of str to Motion
+        Motion of each device that has a device file.
+    claims : str
+        Hash of all profiles that might have claimed it.
+
+    Raises
+    ------
+    LogError
+        If a log cannot be stored (`reading.motion_of`).
+    """
+    assert source.profile is not None, "a source without a profile is refused before it is read"
+    common = {
+        "source_path": source.key,
+        "source_size": source.size,
+        "source_mtime_ns": source.mtime_ns,
+        "source_sha256": sha256,
+        "source_trials": len(logs),
+        "profile": source.profile.name,
+        "profile_sha256": source.profile_sha256,
+        "claims": claims,
+        "package_version": __version__,
+    }
+    found = []
+    for log in logs:
+        row = common | {"motion": motion_of(log, known), "label": log.label, "rows": len(log.time)}
+        if (text := other_gains(source.profile, log)) is not None:
+            header = replace(log.header, extra=log.header.extra | {OTHER_GAINS: text})
+            log = replace(log, header=header, warnings=(*log.warnings, text))
+        row |= {name: getattr(log.header, name) for name in (*_CONDITIONS, "added_delay_samples")}
+        row["extra"] = json.dumps(log.header.extra, sort_keys=True, ensure_ascii=False)
+        row["trial_id"] = trial_id(sha256, log.label, source.told)
+        found.append(Accepted(source, log, row))
+    return found
+
+
+def batches_of(accepted: Sequence[Accepted]) -> dict[Place, Iterator[pa.Table]]:
+    """Return the trials of logs for each place, a group of rows at a time."""
+    places = defaultdict[Place, list[Accepted]](list)
+    for one in accepted:
+        places[one.place].append(one)
+    return {place: _tables(members) for place, members in places.items()}
+
+
+def _tables(members: Sequence[Accepted]) -> Iterator[pa.Table]:
+    """Yield the trials of logs, a group of rows at a time."""
+    step = max(min(GROUP_TRIALS, GROUP_BYTES // max(one.bytes for one in members)), 1)
+    for first in range(0, len(members), step):
+        yield _table(members[first : first + step])
+
+
+def _table(members: Sequence[Accepted]) -> pa.Table:
+    """Return the trials table of some logs."""
+    logs = [member.log for member in members]
+    period = np.array([log.header.sampling_period_s for log in logs], dtype=np.float64)
+    rows = np.array([len(log.time) for log in logs], dtype=np.int64)
+    flags = step_flags(np.concatenate([log.time for log in logs]), rows, period)
+    columns: dict[str, Any] = {name: [member.row[name] for member in members] for name in members[0].row}
+    columns["time_quality"] = [json.dumps({**flag, **log.counts}) for flag, log in zip(flags, logs, strict=True)]
+    samples: dict[str, list[Any]] = {"time_s": [log.time for log in logs]}
+    samples |= {name: [getattr(log, name) for log in logs] for name in ("command", "position", "force", "velocity")}
+    for name, kind in (("raw_time", "f"), ("raw_count", "i")):  # stamps of the file with a fraction, and whole ones
+        stamps = [log.raw_time for log in logs]
+        samples[name] = [None if values is None or values.dtype.kind != kind else values for values in stamps]
+    columns |= {name: pa.array(values, COLUMNS[name].dtype) for name, values in samples.items()}
+    return to_arrow("trials", columns, rotation=members[0].row["motion"] == "rotation")
+
+
+def trial_id(sha256: str, label: str | None, told: str | None = None) -> str:
+    """Return the id of a trial: of its source, with its label where the source holds several.
+
+    Parameters
+    ----------
+    sha256 : str
+        Of the source, 64 hexadecimal digits.
+    label : str or None
+        Which trial of the source it is.
+    told : str, optional
+        What is read from the name of the file: under a name that tells otherwise the same samples are another trial.
+    """
+    parts = [part for part in (label, told) if part is not None]
+    # neither label nor name holds a NUL
+    return hash_of((sha256 + "\0".join(parts)).encode())[:16] if parts else sha256[:16]
+
+
+RECORD = "reason"
+"""Begin of the name of a record."""
+
+
+class QuarantineRecord(Record):
+    """Why a source was refused, and how to see whether it has changed since.
+
+    Parameters
+    ----------
+    path : str
+        Absolute path of the source (of the first file of a pair).
+    size, mtime_ns : int
+        Of all its files together [byte], and the newest modification [ns].
+    sha256 : str or None
+        Of its content; None where it could not be read or was too large to be a log.
+    row : int or None
+        Row at fault, counted from 1: the line of a text file, else record, sample or message.
+    reason : str
+    profile, profile_sha256 : str or None
+        Profile that claimed it; None where none did.
+    code : str or None
+        The reason for programs, one of `errors.CURES`; None in records of earlier versions.
+    profile_line : str or None
+        Line of a profile by which it might be read.
+    """
+
+    path: str
+    size: int
+    mtime_ns: int
+    sha256: str | None
+    row: int | None
+    reason: str
+    profile: str | None
+    profile_sha256: str | None
+    code: str | None = None
+    profile_line: str | None = None
+
+    def knows_less(self, other: QuarantineRecord | None) -> bool:
+        """Return whether its profile does not fit the file at all, while another one, which did, said what is wrong."""
+        if other is None or (self.size, self.mtime_ns) != (other.size, other.mtime_ns):
+            return False
+        return other.profile != self.profile and self.code in OTHER_COLUMNS and other.code not in OTHER_COLUMNS
+
+
+FOLDER = "quarantine"
+"""Folder below `processed` of all refused logs."""
+
+
+def list_quarantine(processed: Path, damaged: dict[Path, str] | None = None) -> list[QuarantineRecord]:
+    """Return the records of all refused logs, sorted by path.
+
+    Parameters
+    ----------
+    processed : Path
+    damaged : dict of Path to str, optional
+        Gets the damaged records, and why; without it they are an error.
+
+    Raises
+    ------
+    StoreError
+        If a record is damaged.
+    OSError
+        If the folder may not be read.
+    """
+    records = []
+    try:
+        folders = sorted((processed / FOLDER).iterdir())
+    except FileNotFoundError:
+        return []
+    for folder in folders:
+        if (data := read_kept(folder, RECORD, ".json")) is not None:
+            records.append(QuarantineRecord.model_validate_json(data))
+            continue
+        for file in kept_files(folder, RECORD, ".json")[:1]:  # none where its log was accepted meanwhile
+            fault = f"{file}: is no quarantine record (its content is not that of its name). {REMEDY}"
+            if damaged is None:
+                raise StoreError(fault)
+            damaged[file] = fault
+    return sorted(records, key=lambda record: record.path)
+
+
+def record_id(record: QuarantineRecord) -> str:
+    """Return the id of a record: the name of its folder."""
+    return digest(record.path)
+
+
+def find_record(processed: Path, wanted: str) -> QuarantineRecord:
+    """Return the record of a source by its id or path.
+
+    Parameters
+    ----------
+    processed : Path
+    wanted : str
+        Id, or path of the source: absolute, or from the current folder.
+
+    Raises
+    ------
+    UsageError
+        If nothing of this id or path is in quarantine.
+    """
+    path = wanted if path_of_text(wanted) != Path(wanted) else path_text(os.path.abspath(wanted))
+    for record in list_quarantine(processed):
+        if wanted == record_id(record) or path == record.path:
+            return record
+    raise UsageError(f"{wanted}: is not in quarantine. `pipeline quarantine` shows ids and paths of what is.")
+
+
+def record_of(source: Source, sha256: str | None, error: LogError) -> QuarantineRecord:
+    """Return the record of a refused source."""
+    return QuarantineRecord(
+        path=source.key,
+        size=source.size,
+        mtime_ns=source.mtime_ns,
+        sha256=sha256,
+        row=error.row,
+        reason=storable(error.reason),
+        profile=source.profile.name if source.profile else None,
+        profile_sha256=source.profile_sha256,
+        code=error.code,
+        profile_line=None if error.profile_line is None else storable(error.profile_line),
+    )
+
+
+Refused = tuple[Source, QuarantineRecord]
+
+
+def keep(processed: Path, refused: Sequence[Refused]) -> None:
+    """Put refused sources into quarantine; files that are synced together take a twentieth of the time.
+
+    A record quotes the log, and may be read by whom that may be read by.
+    """
+
+    def write(one: Refused) -> None:
+        source, record = one
+        text = record.model_dump_json() + "\n"
+        write_kept(processed / FOLDER / record_id(record), RECORD, ".json", text.encode(), source.mode)
+
+    each(write, refused)
+
+
+def release(processed: Path, path: str) -> None:
+    """Remove the record of a source, if there is one: it was repaired and is now stored."""
+    shutil.rmtree(processed / FOLDER / digest(path), ignore_errors=True)
