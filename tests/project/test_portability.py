@@ -97,14 +97,7 @@ def test_a_course_is_ingested_compared_watched_and_verified(poor, tmp_path):
     assert '"unchanged"' in call("watch", "raw", "--scene", "scene.toml", "--once", "--json").stdout
     rich = os.environ | {"PYTHONPATH": str(ROOT)}
     call(
-        "compare",
-        "--scene",
-        "scene.toml",
-        "--processed",
-        "processed",
-        "--report",
-        "reports/rich.html",
-        "--json",
+        *["compare", "--scene", "scene.toml", "--processed", "processed", "--report", "reports/rich.html", "--json"],
         env=rich,
     )
     assert document_without_places(tmp_path / "reports" / "rich.json") == found
