@@ -14,7 +14,7 @@ FILES = [
     for place in (
         "theory/test_poles",
         "theory/test_energy",
-        "theory/test_many_points",
+        "theory/test_costs",
         "measured/signal/test_modes",
         "measured/model/test_model",
     )
@@ -23,7 +23,7 @@ FILES = [
 SENSITIVE = (
     "threefold and (known or plant0-0)",  # multiple poles
     "slow_responses and step and not loop2",  # sums over 1e4 samples, modes that are skew
-    "same_sums and step",  # modes beside transfer functions
+    "plain_sums_over_samples",  # transfer functions beside sums
     "growth_of_one_known_mode",  # singular values and eigenvectors
     "ideal_device_behind_walls or dense_covariance",  # the likelihood
 )

@@ -261,28 +261,6 @@ def wall_of_radius(gamma: float, delay: float, delta: float, radius: float) -> t
     return low, beta
 
 
-def stable_cases(count: int, seed: int, slowest: float = 0.93) -> list[tuple[float, ...]]:
-    """Random (gamma, delta, p, q, alpha, beta) of loops that settle in a few hundred samples; seeded.
-
-    Stability is judged by polynomial roots (numpy), so that drawing needs nothing of the code under test.
-    """
-    rng = np.random.default_rng(seed)
-    cases: list[tuple[float, ...]] = []
-    while len(cases) < count:
-        q = int(rng.choice([1, 1, 2, 3, 4, 5]))
-        p = int(rng.integers(0, 4 * q + 1))
-        d = p / q
-        gamma = float(rng.choice([0.0, 1e-9, 1e-3, 0.02 / (1 + d) ** 2, 0.3 / (1 + d) ** 2]))
-        delta = float(rng.choice([0.0, 1e-9, 0.02, 0.3, 2.0]))
-        alpha = float(rng.uniform(0.02, 0.7) * 2.1 / (1 + d) ** 2 * 0.5)
-        beta = float(rng.uniform(0.1, 1.2) / (0.5 + d) * 0.7)
-        polynomial = [float(c) for c in characteristic(gamma, delta, d, alpha, beta)]
-        radius = float(np.abs(np.roots(polynomial)).max())
-        if radius < 1 - (1 - slowest) / (1 + d):
-            cases.append((gamma, delta, p, q, alpha, beta))
-    return cases
-
-
 Loops = list[tuple[float, float, int, int]]
 """gamma, delta and the delay p/q."""
 

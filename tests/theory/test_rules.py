@@ -62,7 +62,7 @@ def test_ziegler_nichols_from_the_critical_oscillation(delay: float, period: flo
 
 
 @pytest.mark.slow
-def test_ziegler_nichols_of_random_and_extreme_loops(record_property) -> None:
+def test_ziegler_nichols_of_random_and_extreme_loops() -> None:
     random = random_loops(300, seed=31)
     extreme = [
         (gamma, delta, p, q)
@@ -82,7 +82,6 @@ def test_ziegler_nichols_of_random_and_extreme_loops(record_property) -> None:
             (32, 1),
         ]
     ]
-    worst = 0.0
     for gamma, delta, p, q in random + extreme:
         loop = Loop(gamma, delta, p / q)
         point, top = marked_point(loop, "ziegler_nichols"), marked_point(loop, "beta_max")
@@ -99,10 +98,6 @@ def test_ziegler_nichols_of_random_and_extreme_loops(record_property) -> None:
         assert away < (1e-10 if p / q >= 0.5 else 1e-6), (gamma, delta, p, q)
         # and no other root has left the circle
         assert stable_by_schur_cohn(polynomial, 1 + 1e-6), (gamma, delta, p, q)
-        worst = max(worst, away)
-    record_property("random", len(random))
-    record_property("extreme", len(extreme))
-    record_property("deviation", worst)
     assert len(extreme) >= 60
 
 
