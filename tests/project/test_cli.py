@@ -320,8 +320,7 @@ def test_wrong_comparisons_are_refused(call, course, arguments, status, message,
 
 
 @pytest.mark.parametrize(
-    "command",
-    ["theory map --delay 1 --out", "profile draft s.csv --out", "compare --device lwr --save-scene"],
+    "command", ["theory map --delay 1 --out", "profile draft s.csv --out", "compare --device lwr --save-scene"]
 )
 def test_a_file_that_cannot_be_written_is_told_before_the_work(call, command, tmp_path):
     (tmp_path / "file").touch()

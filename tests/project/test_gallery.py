@@ -47,8 +47,7 @@ def test_a_script_is_short_and_imports_public_names_alone(script: Path) -> None:
 
 @pytest.mark.sampled
 @pytest.mark.parametrize(
-    "script",
-    [pytest.param(s, marks=() if s.stem in QUICK else pytest.mark.slow, id=s.stem) for s in SCRIPTS],
+    "script", [pytest.param(s, marks=() if s.stem in QUICK else pytest.mark.slow, id=s.stem) for s in SCRIPTS]
 )
 def test_a_script_runs_anywhere_without_a_warning(script: Path, tmp_path: Path) -> None:
     environment = os.environ | {"MPLBACKEND": "agg", "OPENBLAS_NUM_THREADS": "1"}

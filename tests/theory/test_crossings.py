@@ -26,10 +26,7 @@ def many():
 
 def checked(example: Example, rng: np.random.Generator) -> int:
     """Hold the limit at a random damping; returns whether there was one."""
-    loop, units = (
-        loop_of(*example.arguments),
-        wall_units(example.mass, example.sampling_period_s, example.parts),
-    )
+    loop, units = (loop_of(*example.arguments), wall_units(example.mass, example.sampling_period_s, example.parts))
     found = outline(loop, 8)
     if not len(found.beta):
         return 0

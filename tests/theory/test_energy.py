@@ -125,12 +125,7 @@ def test_long_delays(p: int, q: int) -> None:
 
 
 @settings(max_examples=15, deadline=None, derandomize=True)
-@given(
-    st.floats(1e-3, 1e3),
-    st.floats(1e-5, 1.0),
-    st.sampled_from([(0, 1), (1, 1), (3, 2)]),
-    st.floats(0.2, 0.45),
-)
+@given(st.floats(1e-3, 1e3), st.floats(1e-5, 1.0), st.sampled_from([(0, 1), (1, 1), (3, 2)]), st.floats(0.2, 0.45))
 def test_physical_energies_scale_with_mass_and_period(
     mass: float, period: float, delay: tuple[int, int], share: float
 ) -> None:

@@ -1,19 +1,16 @@
-"""Optima against reference values, the printed tables with their errata, and independent searches."""
+"""Optima against reference values, the printed theory rows of devices, and independent searches."""
 
 from __future__ import annotations
-
-import csv
 
 import numpy as np
 import pytest
 from independent import discrete_settling, simulate
-from places import SHARED
 
 from pipeline.base.errors import ParameterError
 from pipeline.device_data.published import PublishedRow, published_rows
 from pipeline.loop.loop import Loop, Normalised, Vibration
 from pipeline.theory.boundary import stiffness_limit
-from pipeline.theory.optimum import POINT_CRITERIA, marked_point, optimal_point
+from pipeline.theory.optimum import optimal_point
 from pipeline.theory.poles import is_stable
 from pipeline.theory.search import OptimalPoint
 from pipeline.theory.settling_overshoot import transient_costs
@@ -99,11 +96,7 @@ def test_theory_rows_of_d1_to_d5(row: PublishedRow) -> None:
 @pytest.mark.sampled
 @pytest.mark.parametrize(
     ("table", "stiffness", "damping"),
-    [
-        ("D.1", (4461.8, 4478.4), (72.98, 73.16)),
-        ("D.3", (9842.5, 9883.6), None),
-        ("D.4", (3723, 3800), (38.84, 39.36)),
-    ],
+    [("D.1", (4461.8, 4478.4), (72.98, 73.16)), ("D.3", (9842.5, 9883.6), None), ("D.4", (3723, 3800), (38.84, 39.36))],
 )
 def test_whole_regions_of_the_discrete_settling_optimum(
     table: str, stiffness: tuple[float, float], damping: tuple[float, float] | None
@@ -238,57 +231,6 @@ def test_small_stiffness_is_without_overshoot_up_to_the_edge() -> None:
     costs = transient_costs(loop, alpha, np.full(20, point.beta), ())
     clean = costs["overshoot"] <= 1e-12
     assert clean.all()
-
-
-TABLES = SHARED / "reference" / "tables" / "C_optimal_values.csv"
-
-FLAT = "exact .82843, .82814, .82452, .82423 (d = 0); .42399, .42282, .42212 (d = 1): grid tolerance at a flat maximum"
-
-DEPARTURES = {
-    **{("C.1", "alpha_max", g, de): ("b", FLAT) for g in ("0.000", "0.001") for de in ("0.00", "0.02")},
-    **{
-        ("C.2", "alpha_max", *plant): ("b", FLAT) for plant in (("0.001", "0.00"), ("0.000", "0.02"), ("0.001", "0.02"))
-    },
-    ("C.1", "pole_radius", "0.000", "0.02"): ("ab", "threefold pole at .07389, .39907: off by 1.3 last digits"),
-    ("C.1", "energy_impulse_w0", "0.001", "0.00"): ("b", "exact .93693: grid tolerance at a flat minimum"),
-    ("C.2", "energy_step_w2", "0.000", "0.02"): ("bc", "exact .37841 and 79.469: printing error"),
-    ("C.3", "damping", "0.000", "0.02"): ("b", "prints the stability edge, where the limit is (0, 0)"),
-    ("C.3", "overshoot", "0.000", "0.02"): ("ab", "the printed point overshoots by 18 %"),
-    ("C.3", "energy_impulse_w0", "0.001", "0.00"): ("c", "exact 6.38681, printed 6.397 for 6.387"),
-}
-"""Rows that cannot be reproduced: which of alpha, beta, cost, and why."""
-
-
-def c_rows() -> list[dict[str, str]]:
-    if not TABLES.exists():
-        return []
-    with TABLES.open(encoding="utf-8", newline="") as stream:
-        return list(csv.DictReader(stream))
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not TABLES.exists(), reason="needs the reference tables beside the repository")
-def test_all_rows_of_tables_c1_to_c3() -> None:
-    rows = c_rows()
-    assert len(rows) == 171
-    differing = {}
-    for row in rows:
-        loop = Loop(float(row["gamma"]), float(row["delta"]), float(row["d"]))
-        name = row["criterion"]
-        point = marked_point(loop, name) if name in POINT_CRITERIA else optimal_point(loop, name)
-        off = ""
-        for letter, column, attribute in (
-            ("a", "alpha_opt", "alpha"),
-            ("b", "beta_opt", "beta"),
-            ("c", "cost", "cost"),
-        ):
-            printed = row[column]
-            if printed:
-                unit = 10.0 ** -len(printed.partition(".")[2])
-                off += letter if abs(getattr(point, attribute) - float(printed)) > 1.0001 * unit else ""
-        if off:
-            differing[row["table"], name, row["gamma"], row["delta"]] = off
-    assert differing == {key: letters for key, (letters, _) in DEPARTURES.items()}
 
 
 @pytest.mark.sampled

@@ -8,15 +8,7 @@ import warnings
 import mpmath as mp
 import numpy as np
 import pytest
-from independent import (
-    characteristic,
-    deviation,
-    horizon,
-    random_loops,
-    simulate,
-    simulate_many,
-    stable_walls,
-)
+from independent import characteristic, deviation, horizon, random_loops, simulate, simulate_many, stable_walls
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
@@ -53,10 +45,7 @@ def extreme_cases() -> list[Case]:
             (math.pi**2 * (1 - 1e-12), 0.0),
             (9.0, 40.0),
         ):
-            cases += [
-                (gamma, delta, delay, 1e-11, 1e-11),
-                (gamma, delta, delay, 0.05 * scale, 0.3 / (1 + delay)),
-            ]
+            cases += [(gamma, delta, delay, 1e-11, 1e-11), (gamma, delta, delay, 0.05 * scale, 0.3 / (1 + delay))]
     return cases
 
 
