@@ -145,11 +145,6 @@ def kill_often(tmp_path: Path, count: int, kills: int, pending: int, rows: int) 
 
 
 @pytest.mark.slow
-def test_kills_at_any_moment_lose_and_double_nothing(tmp_path):
-    kill_often(tmp_path, count=200, kills=10, pending=2_000, rows=5)
-
-
-@pytest.mark.slow
 def test_sixty_kills_of_an_ingest_of_2000_logs(tmp_path):
     kill_often(tmp_path, count=2000, kills=60, pending=2_000_000, rows=400)
 

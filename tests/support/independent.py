@@ -54,14 +54,6 @@ def characteristic(gamma: float, delta: float, delay: float, alpha: float, beta:
         return [x + y for x, y in zip(left, right, strict=True)]
 
 
-def needed_damping(d: float, k: float, b: float, w: np.ndarray) -> np.ndarray:
-    """Right side of (4.6) with T = 1: the quotient of cosines without its cancellation at small w."""
-    half = np.sin(0.5 * np.asarray(w))
-    flat = half == 0
-    ratio = np.where(flat, 2 * d + 1, np.sin((d + 0.5) * w) / np.where(flat, 1.0, half))
-    return 0.5 * k * ratio - b * np.cos((d + 1) * w)
-
-
 def stable_by_schur_cohn(polynomial: list[mp.mpf], radius: float = 1.0) -> bool:
     """Whether all roots lie inside a circle, by reducing the degree with reflection coefficients."""
     with mp.workdps(4 * DIGITS):

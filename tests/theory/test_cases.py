@@ -4,8 +4,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from independent import characteristic, stable_by_schur_cohn
-from simulated import plant, spectral_radius
+from independent import (
+    between_points,
+    characteristic,
+    deviation,
+    discrete_settling,
+    settling_bracket,
+    simulate,
+    stable_by_schur_cohn,
+)
+from simulated import spectral_radius
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
@@ -28,24 +36,6 @@ def points(tmp_path, *rows):
     return case_documents(theory.read_cases(written(tmp_path, text)))
 
 
-FINE = 64
-
-
-def step_response(alpha, beta, delta, delay, count):
-    """Motion of a unit step that ends at 1, `FINE` positions a sample, by matrix exponential and a list of forces."""
-    A, g = plant(1.0, delta, 1.0 / FINE)
-    x = v = before = 0.0
-    positions, commands = [], []
-    for k in range(count):
-        commands.append(-alpha * x - beta * (x - before))
-        before = x
-        u = alpha + (commands[k - delay] if k >= delay else 0.0)  # a step of the size alpha ends at 1
-        for _ in range(FINE):
-            positions.append(x)
-            x, v = A[0, 0] * x + A[0, 1] * v + g[0] * u, A[1, 0] * x + A[1, 1] * v + g[1] * u
-    return np.array(positions)
-
-
 def test_a_cost_that_takes_too_long_is_named_and_the_others_stand(tmp_path, monkeypatch):
     monkeypatch.setattr(theory, "LONGEST", 8000)
     monkeypatch.setattr(modes, "_STILL_REPRODUCED", -1.0)  # as where modes lie so close together that they tell nothing
@@ -62,22 +52,21 @@ CASES = [(0.05, 0.3, 0, 0.02, 1), (0.02, 0.2, 0, 0.0, 3), (0.4, 0.9, 0, 0.1, 0),
 def test_costs_of_points_equal_those_of_a_simulated_response(tmp_path, case):
     alpha, beta, _, delta, delay = case
     (found,) = points(tmp_path, case)
-    motion = step_response(alpha, beta, delta, delay, 1000)
-    x = motion[::FINE]
+    motion = simulate(alpha, beta, delta=delta, delay=(delay, 1), samples=1000, fine=64)
+    e = deviation(motion, alpha)
+    x = e[:: motion.every]
     assert found["stable"] is True
     assert found["reason"] is None
     radius = spectral_radius(alpha, beta, mass=1.0, b=delta, delay=delay, T=1.0)
     assert found["spectral_radius"] == pytest.approx(radius, abs=1e-9)
-    outside = np.flatnonzero(abs(x - 1) > 0.02)
-    assert found["settle_2pct_discrete"] == outside[-1] + 1
+    assert found["settle_2pct_discrete"] == discrete_settling(motion, alpha, 0.02)
     # the samples see the peak only up to rounding of 1 - 1e-16
-    assert found["overshoot_discrete"] == pytest.approx(max(x.max() - 1, 0.0), abs=1e-12)
-    # fine steps: time to 1/64 of a sample, a peak to (1/64)^2/8 of its curvature, which is below alpha
-    last = np.flatnonzero(abs(motion - 1) > 0.02)[-1] / FINE
-    assert last <= found["settle_2pct"] <= last + 1 / FINE
-    assert found["overshoot"] == pytest.approx(max(motion.max() - 1, 0.0), abs=FINE**-2 / 8)
+    assert found["overshoot_discrete"] == pytest.approx(max(x.max(), 0.0), abs=1e-12)
+    low, high = settling_bracket(motion, alpha, 0.02)
+    assert low - 1e-9 <= found["settle_2pct"] <= high + 1e-9
+    assert found["overshoot"] == pytest.approx(max(e.max(), 0.0), abs=between_points(motion))
     k = np.arange(len(x))
-    energy = (x - 1) ** 2 + np.diff(x, prepend=x[0]) ** 2 / alpha  # over E_0 = alpha/2
+    energy = x**2 + np.diff(x, prepend=x[0]) ** 2 / alpha  # over E_0 = alpha/2
     for w in (0, 1, 2):
         assert found[f"energy_step_w{w}_discrete"] == pytest.approx(np.sum(k**w * energy), rel=1e-9)
 
