@@ -94,7 +94,7 @@ CHANGES = (
     Change(SECURITY, "self._within(self.seen)", "pass"),
     Change(SECURITY, "if left < 1.0:", "if left < 0.0:"),
     Change("simulation/simulate.py", "slots = in_force(delays) + 1", "slots = in_force(delays)"),
-    Change("theory/margins.py", "(factors > 0)], max)", "(factors > 0)], min)"),
+    Change("theory/poles.py", "(factors > 0)], max)", "(factors > 0)], min)"),
     Change("theory/passivity.py", "(4 * near - twice) / 3", "near"),
     Change("records/criteria.py", "none=1e-12", "none=1e-3", "tests/theory"),
     Change("rig/wish.py", "(1 - tolerance, 1 + tolerance)", "(1 + tolerance, 1 + tolerance)"),

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from filelock import FileLock
 from labs import Lab, make_lab
@@ -147,16 +146,6 @@ def sticky_outcome(sticky, one_process, made_once) -> Outcome:
 @pytest.fixture(scope="session")
 def unknown_outcome(unknown, one_process, made_once) -> Outcome:
     return made_once("unknown-report", lambda _: unknown.compare(report=unknown.raw.parent / "unknown.html"))
-
-
-@pytest.fixture
-def record_property(record_property):
-    """As pytest's own, for numpy's numbers too: parallel runs cannot send these from worker to worker and crash."""
-
-    def record(name, value):
-        record_property(name, value.item() if isinstance(value, np.generic) else value)
-
-    return record
 
 
 @pytest.fixture

@@ -263,17 +263,12 @@ class Loop:
         return result[:n, :n], result[:n, n]
 
     @cached_property
-    def over_segments(self) -> tuple[tuple[Digits, Digits], ...]:
-        """Exact motion over each of `segments`."""
-        return tuple(self.moved(segment.duration) for segment in self.segments)
-
-    @cached_property
     def pushes(self) -> tuple[Digits, tuple[Digits, ...]]:
         """Transition of a whole sampling interval, and what the force of each segment adds at its end."""
         with many_digits(self.digits):
             whole = as_exact(np.eye(len(self.device[1])))
             gains: list[Digits] = []
-            for transition, gain in self.over_segments:
+            for transition, gain in (self.moved(segment.duration) for segment in self.segments):
                 whole = transition @ whole
                 gains = [transition @ earlier for earlier in gains] + [gain]
         return whole, tuple(gains)
@@ -445,11 +440,8 @@ def loop_of(
     operator, mode = parts.operator, parts.mode
     everything = mass
     if operator is not None:
-        everything, damping, stiffness = (
-            mass + operator.mass,
-            damping + operator.damping,
-            stiffness + operator.stiffness,
-        )
+        everything, damping = mass + operator.mass, damping + operator.damping
+        stiffness += operator.stiffness
     ideal = Normalised(everything, sampling_period_s).loop(stiffness, damping, delay_samples)
     vibration = None
     if mode is not None:

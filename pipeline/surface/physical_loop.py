@@ -23,9 +23,9 @@ from pipeline.theory.boundary import boundary, stiffness_limit
 from pipeline.theory.cases import POINT_COSTS, Case, islands_in_si, optimum_document, point_documents
 from pipeline.theory.costs import MAP_DEFAULT, CostMap
 from pipeline.theory.curves import Curve, best_damping, best_stiffness
-from pipeline.theory.margins import Margins, margins
 from pipeline.theory.motion import response
 from pipeline.theory.passivity import passive_outline, stiffest_passive
+from pipeline.theory.poles import Margins, margins
 
 if TYPE_CHECKING:  # takes longer to load than most answers to compute
     from scipy.signal import StateSpace

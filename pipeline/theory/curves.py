@@ -6,6 +6,7 @@ result, so a curve may jump where the optimum jumps (settling time and overshoot
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,13 +15,8 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.criteria import CRITERIA, DISCRETE, SETTLING_BANDS, criterion_of, with_discrete
-from pipeline.theory.boundary import boundary, is_well_inside, stiffness_limit
-from pipeline.theory.energy import energy_costs
-from pipeline.theory.optimum import (
-    UNDAMPED_LOSS,
-    impulse_energy_limit,
-    nearest_to_line,
-)
+from pipeline.theory.boundary import boundary, stiffness_limit
+from pipeline.theory.optimum import UNDAMPED_LOSS, energy, impulse_energy_limit, nearest_to_line, settling
 from pipeline.theory.poles import damping_ratio, spectral_radius
 from pipeline.theory.search import LEVELS, Cost, LineCost, LineOptima, extents, search_lines, where_stable
 from pipeline.theory.settling_overshoot import NO_OVERSHOOT, late_deviation, transient_costs
@@ -138,13 +134,13 @@ class _Lines:
     high: Floats
     stiffness_given: bool
 
-    def cost(self, cost: Cost) -> LineCost:
-        """Cost along the lines, infinity where not stable."""
+    def cost(self, cost: Callable[..., Floats], *of_line: Floats) -> LineCost:
+        """Cost along the lines, infinity where not stable; of points and of what each line has of its own."""
         guarded = where_stable(self.loop, cost)
 
         def along(line: Integers, place: Floats, best: float) -> Floats:
             pair = (self.given[line], place) if self.stiffness_given else (place, self.given[line])
-            return guarded(*pair, best)
+            return guarded(*pair, best, *(each[line] for each in of_line))
 
         return along
 
@@ -158,17 +154,10 @@ class _Lines:
         """Largest deviation from a sample on, a number of its own for each line."""
         decided = int(_DECIDED * (self.loop.delay + 1))
 
-        def along(line: Integers, place: Floats, _: float) -> Floats:
-            alpha, beta = (self.given[line], place) if self.stiffness_given else (place, self.given[line])
-            stable = is_well_inside(self.loop, alpha, beta, islands=False)
-            result = np.full(len(place), np.inf)
-            if stable.any():
-                begin = first[line[stable]]
-                longest = max(2 * int(begin.max()), decided)
-                result[stable] = late_deviation(self.loop, alpha[stable], beta[stable], begin, longest)
-            return result
+        def deviation(alpha: Floats, beta: Floats, _: float, begin: Floats) -> Floats:
+            return late_deviation(self.loop, alpha, beta, begin, max(2 * int(begin.max()), decided))
 
-        return along
+        return self.cost(deviation, first)
 
 
 def _ends(loop: Loop, given: Floats, stiffness_given: bool) -> tuple[Floats, Floats]:
@@ -230,22 +219,15 @@ def _overshoot(lines: _Lines, criterion: str) -> Floats:
 
 
 def _energy(lines: _Lines, criterion: str) -> Floats:
-    base = criterion_of(criterion)
-    if base.name == "energy_impulse_w0":
+    if criterion_of(criterion).name == "energy_impulse_w0":
         return _impulse(lines, criterion)
-    return _plain(lines.search(lambda a, b, _: energy_costs(lines.loop, a, b, base.signal)[criterion]))
+    return _plain(lines.search(energy(lines.loop, criterion)))
 
 
 def _settling(lines: _Lines, criterion: str) -> Floats:
-    band = SETTLING_BANDS[criterion_of(criterion).name]
     if criterion.endswith(DISCRETE):
-        return _steps(lines, band, criterion)
-
-    def settling(alpha: Floats, beta: Floats, best: float) -> Floats:
-        costs = transient_costs(lines.loop, alpha, beta, (band,), overshoot=False, longest=_LONGEST, cutoff=best)
-        return costs[criterion]
-
-    return _plain(lines.search(settling))
+        return _steps(lines, criterion)
+    return _plain(lines.search(settling(lines.loop, criterion, _LONGEST)))
 
 
 def _plain(found: LineOptima) -> Floats:
@@ -265,14 +247,7 @@ def _flat(lines: _Lines, cost: Cost, levels: int = LEVELS) -> Floats:
 def _impulse(lines: _Lines, criterion: str) -> Floats:
     """Impulse energy w = 0, whose best stiffness may be the limit alpha -> -gamma."""
     loop = lines.loop
-    nearest = nearest_to_line(loop)
-
-    def cost(alpha: Floats, beta: Floats, _: float) -> Floats:
-        if lines.stiffness_given:
-            return energy_costs(loop, alpha, beta, "impulse")[criterion]
-        return np.where(alpha >= nearest, energy_costs(loop, alpha, beta, "impulse")[criterion], np.inf)
-
-    found = lines.search(cost)
+    found = lines.search(energy(loop, criterion, -np.inf if lines.stiffness_given else nearest_to_line(loop)))
     if lines.stiffness_given:
         return _plain(found)
     limit = impulse_energy_limit(loop, lines.given, criterion)
@@ -281,20 +256,14 @@ def _impulse(lines: _Lines, criterion: str) -> Floats:
     return _plain(LineOptima(place, np.where(at_line, limit, found.cost)))
 
 
-def _steps(lines: _Lines, band: float, criterion: str) -> Floats:
+def _steps(lines: _Lines, criterion: str) -> Floats:
     """Discrete settling time: each line's number of samples is lowered as long as a place with one less exists.
 
     A number of samples n can be had on a line where the largest deviation from sample n on, a continuous function of
     the place, can be brought into the band.
     """
-    loop = lines.loop
-
-    def samples(alpha: Floats, beta: Floats, _: float) -> Floats:
-        return transient_costs(loop, alpha, beta, (band,), overshoot=False, continuous=False, longest=_LONGEST)[
-            criterion
-        ]
-
-    first_look = search_lines(lines.cost(samples), lines.low, lines.high, levels=0)
+    band = SETTLING_BANDS[criterion_of(criterion).name]
+    first_look = lines.search(settling(lines.loop, criterion, _LONGEST), levels=0)
     place, count = first_look.place.copy(), first_look.cost.copy()
     open_lines = np.flatnonzero(np.isfinite(count) & (count > 1))
     while len(open_lines):  # ends: a line that stays open needs a sample less, down to 1

@@ -24,6 +24,7 @@ from pipeline.theory.poles import REAL, damping_ratio, pole_settling_time, poles
 from pipeline.theory.search import (
     JUMPING,
     SMOOTH,
+    Cost,
     OptimalPoint,
     bounding_box,
     box,
@@ -139,20 +140,32 @@ def _least_energy(loop: Loop, criterion: str) -> OptimalPoint:
     base = criterion_of(criterion)
     if base.name == "energy_impulse_w0":
         return _least_impulse_energy(loop, criterion)
-    bounds = region() if base.signal == "step" else region(_IMPULSE_INSET)
-    return search(loop, lambda a, b, _: energy_costs(loop, a, b, base.signal)[criterion], SMOOTH, bounds)
+    return search(loop, energy(loop, criterion), SMOOTH, region() if base.signal == "step" else region(_IMPULSE_INSET))
+
+
+def energy(loop: Loop, criterion: str, lowest: float = -np.inf) -> Cost:
+    """Return the energy cost of a search: infinity below an alpha, where a limit stands for it."""
+    signal = criterion_of(criterion).signal
+    return lambda a, b, _: np.where(a >= lowest, energy_costs(loop, a, b, signal)[criterion], np.inf)
 
 
 def _soonest_settled(loop: Loop, criterion: str) -> OptimalPoint:
-    band = SETTLING_BANDS[criterion_of(criterion).name]
     if criterion.endswith(DISCRETE):
-        return _settling_region(loop, band, criterion)
-    return search(loop, lambda a, b, best: _settling(loop, a, b, band, best)[criterion])
+        return _settling_region(loop, SETTLING_BANDS[criterion_of(criterion).name], criterion)
+    return search(loop, settling(loop, criterion, int(_ENDLESS * (loop.delay + 1))))
 
 
-def _settling(loop: Loop, alpha: Floats, beta: Floats, band: float, best: float) -> dict[str, Floats]:
-    longest = int(_ENDLESS * (loop.delay + 1))
-    return transient_costs(loop, alpha, beta, (band,), overshoot=False, longest=longest, cutoff=best)
+def settling(loop: Loop, criterion: str, longest: int) -> Cost:
+    """Return the settling time of a search, by responses that are followed for so many samples."""
+    band, continuous = SETTLING_BANDS[criterion_of(criterion).name], not criterion.endswith(DISCRETE)
+
+    def cost(a: Floats, b: Floats, best: float) -> Floats:
+        found = transient_costs(
+            loop, a, b, (band,), overshoot=False, continuous=continuous, longest=longest, cutoff=best
+        )
+        return found[criterion]
+
+    return cost
 
 
 def _smallest_radius(loop: Loop) -> OptimalPoint:
@@ -208,13 +221,8 @@ def _most_damped(loop: Loop) -> OptimalPoint:
 def _least_impulse_energy(loop: Loop, criterion: str) -> OptimalPoint:
     """Optimum of E_0 after an impulse: along the limit alpha -> -gamma, or inside where that should be less."""
     low, high = box(loop)
-    nearest = nearest_to_line(loop)
-
-    def cost(alpha: Floats, beta: Floats, _: float) -> Floats:
-        # closer to the line the limit stands for the cost, which a search must not gain on by rounding
-        return np.where(alpha >= nearest, energy_costs(loop, alpha, beta, "impulse")[criterion], np.inf)
-
-    inside = search(loop, cost, SMOOTH, region(_IMPULSE_INSET))
+    # closer to the line the limit stands for the cost, which a search must not gain on by rounding
+    inside = search(loop, energy(loop, criterion, nearest_to_line(loop)), SMOOTH, region(_IMPULSE_INSET))
     end = np.array([low[1]]), np.array([high[1]])
     line = search_lines(lambda _, beta, __: impulse_energy_limit(loop, beta, criterion), *end, coarse=61, levels=12)
     if line.cost[0] <= inside.cost:
@@ -246,7 +254,7 @@ def impulse_energy_limit(loop: Loop, beta: Floats, criterion: str = "energy_impu
     Source: Hulin 2017, sec. 5.2.3.
     """
     step = nearest_to_line(loop) + loop.gamma
-    cost = where_stable(loop, lambda a, b, _: energy_costs(loop, a, b, "impulse")[criterion])
+    cost = where_stable(loop, energy(loop, criterion))
     near, far, farther = (cost(np.full(len(beta), -loop.gamma + step * n), beta, np.inf) for n in (1, 2, 4))
     usable = np.isfinite(near) & np.isfinite(far) & np.isfinite(farther)
     result = np.full(len(beta), np.inf)
@@ -265,15 +273,9 @@ def _settling_region(loop: Loop, band: float, criterion: str) -> OptimalPoint:
     def deviation(alpha: Floats, beta: Floats, _: float, first: int) -> Floats:
         return late_deviation(loop, alpha, beta, first, longest)
 
-    def samples_to_settle(alpha: Floats, beta: Floats, _: float) -> Floats:
-        costs = transient_costs(
-            loop, alpha, beta, (band,), overshoot=False, continuous=False, longest=longest, cutoff=longest
-        )
-        return costs[criterion]
-
     # a first number that can surely be had; below it, each number is tried in turn
     alpha, beta = chart(loop)(*grid(*region(), JUMPING.coarse))
-    tried = where_stable(loop, samples_to_settle)(alpha, beta, np.inf)
+    tried = where_stable(loop, settling(loop, criterion, longest))(alpha, beta, longest)
     index = int(np.argmin(tried))
     if not np.isfinite(tried[index]):
         raise ParameterError(f"{loop}: no response settles into a band of {band} within {longest} samples.")

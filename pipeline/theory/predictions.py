@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -107,8 +106,9 @@ Found = OptimalPoint | str
 
 
 class _Kept(BaseModel):
-    """A file of kept optima; what else it holds is for people."""
+    """A file of kept optima; its loop is for people."""
 
+    loop: str
     optima: dict[str, Found]
 
     model_config = ConfigDict(allow_inf_nan=False)
@@ -212,9 +212,9 @@ class Predictions:
         self._known |= found
         for loop in {loop for loop, _ in found}:
             points = self._read(loop) | {c: p for (other, c), p in found.items() if other == loop}
-            document = {"loop": repr(loop), "optima": {c: _plain(points[c]) for c in sorted(points)}}
+            kept = _Kept.model_construct(loop=repr(loop), optima=dict(sorted(points.items())))
             with if_writable():
-                write_kept(self.folder, self._key(loop), ".json", (json.dumps(document, indent=1) + "\n").encode())
+                write_kept(self.folder, self._key(loop), ".json", f"{kept.model_dump_json(indent=1)}\n".encode())
 
     def _key(self, loop: Loop) -> str:
         return digest([*(repr(getattr(loop, part.name)) for part in fields(loop)), code_digest("theory")])
@@ -225,7 +225,3 @@ class Predictions:
             return {} if data is None else _Kept.model_validate_json(data).optima
         except ValueError:
             return {}  # not in this form: it is computed anew
-
-
-def _plain(found: Found) -> Any:
-    return found if isinstance(found, str) else asdict(found)

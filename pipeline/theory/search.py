@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -82,14 +83,17 @@ _DEAR = 2.0
 """Cost, beside the least known, from which on the floor of a line need not be known."""
 
 
-def where_stable(loop: Loop, cost: Cost) -> Cost:
-    """Return the cost with infinity where the loop or a softer wall is unstable, or the cost is not defined."""
+def where_stable(loop: Loop, cost: Callable[..., Floats]) -> Callable[..., Floats]:
+    """Return the cost with infinity where the loop or a softer wall is unstable, or the cost is not defined.
 
-    def guarded(alpha: Floats, beta: Floats, best: float) -> Floats:
+    What follows the best cost known has a number for each point.
+    """
+
+    def guarded(alpha: Floats, beta: Floats, best: float, *more: Floats) -> Floats:
         result = np.full(len(alpha), np.inf)
         usable = np.flatnonzero(is_well_inside(loop, alpha, beta, islands=False))
         if len(usable):
-            values = cost(alpha[usable], beta[usable], best)
+            values = cost(alpha[usable], beta[usable], best, *(each[usable] for each in more))
             result[usable] = np.where(np.isnan(values), np.inf, values)
         return result
 
@@ -277,16 +281,17 @@ def bounding_box(
     for _ in range(2):
         edges = []
         for axis, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
-
-            def distance(alpha: Floats, beta: Floats, _: float, axis: int = axis, sign: float = sign) -> Floats:
-                return feasible(alpha, beta, np.inf) + sign * (alpha if axis == 0 else beta)
-
+            distance = partial(_distance, feasible, axis, sign)
             values = distance(known_alpha, known_beta, np.inf)
             index = int(np.argmin(values))
             start = np.array([known_alpha[index], known_beta[index]])
             edges.append(refine(distance, start, float(values[index]), 0.1 * span, levels=16))
         known_alpha, known_beta = (np.array([getattr(e, name) for e in edges]) for name in ("alpha", "beta"))
     return edges[0].alpha, edges[1].alpha, edges[2].beta, edges[3].beta
+
+
+def _distance(feasible: Cost, axis: int, sign: float, alpha: Floats, beta: Floats, best: float) -> Floats:
+    return feasible(alpha, beta, best) + sign * (beta if axis else alpha)
 
 
 LineCost = Callable[[Integers, Floats, float], Floats]

@@ -8,9 +8,7 @@ from places import ROOT
 
 PACKAGE = ROOT / "pipeline"
 
-EXCEPTIONS = {
-    ("simulation.course", "measured.signal.verdict"): "a lab stops raising K when the log looks unstable",
-}
+EXCEPTIONS = {("simulation.course", "measured.signal.verdict"): "a lab stops raising K when the log looks unstable"}
 
 
 def executed(tree: ast.Module) -> ast.Module:
@@ -116,44 +114,3 @@ def test_measured_quantities_are_functions_of_arrays() -> None:
     quantities = modules_in("measured") - {"measured.stages.stages", "measured.stages.stage_tables"}
     readers = {name for name in quantities if reach(name) & (store | {"records.table_files"})}
     assert readers == set(), "only `stage_tables` reads and writes files"
-
-
-def test_nothing_imports_the_command_line() -> None:
-    shell = {
-        name
-        for name in modules_in("shell")
-        if name == "__main__" or name == "shell.cli" or name.startswith("shell.commands.")
-    }
-    assert {name for name in FILES if name not in shell and IMPORTS[name] & shell} == set()
-
-
-def test_the_package_itself_imports_nothing() -> None:
-    """What it offers by name (`test_public`) is above all that imports it."""
-    assert IMPORTS["__init__"] == set()
-
-
-def test_imports_are_found_wherever_they_stand() -> None:
-    modules = {
-        "__init__",
-        "readers",
-        "readers.formats",
-        "readers.formats.native",
-        "loop",
-        "loop.loop",
-        "loop.motion",
-        "measured.stages.stages",
-    }
-    source = (
-        "import os, pipeline.measured.stages.stages\n"
-        "from pipeline import __version__\n"
-        "from pipeline.loop import loop\n"
-        "def f():\n"
-        "    from pipeline.loop.motion import Mechanism\n"
-        "    if True:\n"
-        "        import pipeline.readers.formats.native as n\n"
-        "    importlib.import_module('pipeline.measured.stages.stages')\n"
-    )
-    assert imports_of(source, modules) == modules - {"readers", "readers.formats"}
-    formats = {"readers.formats", "readers.formats.native"}
-    assert imports_of("from . import native", modules, "readers.formats") == formats
-    assert imports_of("from numpy import theory", modules) == set()

@@ -21,7 +21,7 @@ from trial_pages import trial_page
 
 from pipeline.comparison.compare import Outcome
 from pipeline.rendering.report import report
-from pipeline.shell.profile.check import look, page
+from pipeline.shell.profile import check
 from pipeline.shell.report_index import write_index
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
@@ -29,6 +29,7 @@ playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright: p
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 WIDTHS = (1440, 390)
 SCHEMES = ("light", "dark")
+OPEN_ALL = "document.querySelectorAll('details').forEach((part) => { part.open = true; })"
 DRAWN = "document.querySelector('#trial-plot canvas') !== null"
 
 
@@ -81,6 +82,13 @@ class Opened:
 
     def __exit__(self, *_: object) -> None:
         self.context.close()
+
+
+@pytest.fixture
+def page(browser: Any, measured: Path) -> Iterator[Any]:
+    """The report, opened on a wide screen."""
+    with Opened(browser, measured) as opened:
+        yield opened
 
 
 def until(page: Any, expression: str) -> None:
@@ -152,27 +160,26 @@ def test_policy_stops_a_script_that_is_not_the_pages_own(browser: Any, hostile: 
         assert page.evaluate("window.owned") is None
 
 
-def test_pointing_tells_of_a_trial_and_clicking_shows_its_response(browser: Any, measured: Path) -> None:
-    with Opened(browser, measured) as page:
-        plane = page.locator("#plane")
-        plane.scroll_into_view_if_needed()
-        spot = page.evaluate("""() => {
-            const plane = explorer.plane, row = [...explorer.shown.byRow.keys()][3];
-            const box = plane.canvas.getBoundingClientRect(), { k, b } = explorer.shown;
-            return { x: plane.x(k[row]), y: plane.y(b[row]), k: k[row], b: b[row] };
-        }""")
-        plane.hover(position={"x": spot["x"], "y": spot["y"]})
-        assert status(page).startswith(f"K = {spot['k']:g} Nm/rad, B = {spot['b']:g} Nms/rad: ")
-        assert "settling time, 2 % band [samples]" in status(page)
-        before = title(page)
-        plane.click(position={"x": spot["x"], "y": spot["y"]})
-        assert title(page) != before
-        assert f"K = {spot['k']:g} Nm/rad" in title(page)
-        assert page.locator("#trial-plot canvas").bounding_box()["height"] > 200
-        facts = page.locator("#trial-facts").inner_text()
-        for name in ("verdict and outcome", "evidence", "fitted model", "m = ", "energy cost, w = 2"):
-            assert name in facts
-        assert re.search(r"#trial-0-\d+$", page.url)
+def test_pointing_tells_of_a_trial_and_clicking_shows_its_response(page: Any) -> None:
+    plane = page.locator("#plane")
+    plane.scroll_into_view_if_needed()
+    spot = page.evaluate("""() => {
+        const plane = explorer.plane, row = [...explorer.shown.byRow.keys()][3];
+        const box = plane.canvas.getBoundingClientRect(), { k, b } = explorer.shown;
+        return { x: plane.x(k[row]), y: plane.y(b[row]), k: k[row], b: b[row] };
+    }""")
+    plane.hover(position={"x": spot["x"], "y": spot["y"]})
+    assert status(page).startswith(f"K = {spot['k']:g} Nm/rad, B = {spot['b']:g} Nms/rad: ")
+    assert "settling time, 2 % band [samples]" in status(page)
+    before = title(page)
+    plane.click(position={"x": spot["x"], "y": spot["y"]})
+    assert title(page) != before
+    assert f"K = {spot['k']:g} Nm/rad" in title(page)
+    assert page.locator("#trial-plot canvas").bounding_box()["height"] > 200
+    facts = page.locator("#trial-facts").inner_text()
+    for name in ("verdict and outcome", "evidence", "fitted model", "m = ", "energy cost, w = 2"):
+        assert name in facts
+    assert re.search(r"#trial-0-\d+$", page.url)
 
 
 def test_choosing_criterion_and_experiment_changes_plane_key_and_response(browser: Any, measured: Path) -> None:
@@ -197,143 +204,135 @@ def test_figures_of_the_scripts_follow_the_colour_scheme(browser: Any, measured:
         until(page, f"{pictures}.every((picture, index) => picture !== window.light[index])")
 
 
-def test_keyboard_reaches_every_control_and_moves_in_the_plane(browser: Any, measured: Path) -> None:
-    with Opened(browser, measured) as page:
-        stops = "a[href], button, select, input, summary, [tabindex='0']"
-        wanted = page.evaluate(
-            "(stops) => [...document.querySelectorAll(stops)].filter((e) => e.checkVisibility())"
-            ".map((e, n) => { e.dataset.stop = n; return n; })",
-            stops,
-        )
-        reached = set()
-        for _ in range(len(wanted) + 5):
-            page.keyboard.press("Tab")
-            stop = page.evaluate("document.activeElement.dataset.stop")
-            if stop is not None:
-                reached.add(int(stop))
-        assert sorted(set(wanted) - reached) == []
-        page.locator("#plane").focus()
-        told = [status(page)]
-        for key in ("ArrowRight", "ArrowDown", "ArrowDown", "End", "Home"):
-            page.keyboard.press(key)
-            told.append(status(page))
-        assert len(set(told)) >= 5
-        before = title(page)
-        page.keyboard.press("End")
-        page.keyboard.press("Enter")
-        assert title(page) != before
-        assert status(page).split(":")[0] in title(page)
-
-
-def test_skip_link_comes_first_and_leads_past_the_navigation(browser: Any, measured: Path) -> None:
-    with Opened(browser, measured) as page:
+def test_keyboard_reaches_every_control_and_moves_in_the_plane(page: Any) -> None:
+    stops = "a[href], button, select, input, summary, [tabindex='0']"
+    wanted = page.evaluate(
+        "(stops) => [...document.querySelectorAll(stops)].filter((e) => e.checkVisibility())"
+        ".map((e, n) => { e.dataset.stop = n; return n; })",
+        stops,
+    )
+    reached = set()
+    for _ in range(len(wanted) + 5):
         page.keyboard.press("Tab")
-        assert page.evaluate("document.activeElement.className") == "skip"
-        assert page.evaluate("document.activeElement.getBoundingClientRect().left") >= 0
-        page.keyboard.press("Enter")
-        page.keyboard.press("Tab")
-        assert page.evaluate("document.activeElement.closest('main') !== null")
+        stop = page.evaluate("document.activeElement.dataset.stop")
+        if stop is not None:
+            reached.add(int(stop))
+    assert sorted(set(wanted) - reached) == []
+    page.locator("#plane").focus()
+    told = [status(page)]
+    for key in ("ArrowRight", "ArrowDown", "ArrowDown", "End", "Home"):
+        page.keyboard.press(key)
+        told.append(status(page))
+    assert len(set(told)) >= 5
+    before = title(page)
+    page.keyboard.press("End")
+    page.keyboard.press("Enter")
+    assert title(page) != before
+    assert status(page).split(":")[0] in title(page)
 
 
-def test_keyboard_reaches_the_trials_within_ten_stops(browser: Any, measured: Path) -> None:
+def test_skip_link_comes_first_and_leads_past_the_navigation(page: Any) -> None:
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.className") == "skip"
+    assert page.evaluate("document.activeElement.getBoundingClientRect().left") >= 0
+    page.keyboard.press("Enter")
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.closest('main') !== null")
+
+
+def test_keyboard_reaches_the_trials_within_ten_stops(page: Any) -> None:
     """The second link of the page leads to them; every control of the explorer and the search follow."""
-    with Opened(browser, measured) as page:
-        for _ in range(2):
-            page.keyboard.press("Tab")
-        assert page.evaluate("document.activeElement.textContent") == "Skip to the trials"
-        page.keyboard.press("Enter")
-        reached = []
-        for _ in range(8):
-            page.keyboard.press("Tab")
-            reached.append(page.evaluate("document.activeElement.id"))
-        assert {"choose-experiment", "choose-criterion", "plane", "trial-range", "runs-search"} <= set(reached), reached
+    for _ in range(2):
+        page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.textContent") == "Skip to the trials"
+    page.keyboard.press("Enter")
+    reached = []
+    for _ in range(8):
+        page.keyboard.press("Tab")
+        reached.append(page.evaluate("document.activeElement.id"))
+    assert {"choose-experiment", "choose-criterion", "plane", "trial-range", "runs-search"} <= set(reached), reached
 
 
-def test_pointing_at_a_figure_tells_what_the_drawing_shows(browser: Any, measured: Path) -> None:
-    with Opened(browser, measured) as page:
-        svg = page.locator("#boundaries-answer svg")
-        place = page.evaluate("""async () => {
-            const [{ axes: [{ box, x, y, series }] }] = (await numbersOfFigures())["boundaries-answer"];
-            const [label, k, b] = series.find(([label]) => label === "measured limit");
-            const at = (value, ends, from, to) => from + (value - ends[0]) / (ends[1] - ends[0]) * (to - from);
-            const middle = Math.floor(k.length / 2), view = document.querySelector("#boundaries-answer svg");
-            const factor = view.getBoundingClientRect().width / view.viewBox.baseVal.width;
-            return { k: k[middle], b: b[middle], x: factor * at(k[middle], x, box[0], box[2]),
-                     y: factor * at(b[middle], y, box[3], box[1]) };
-        }""")
-        svg.hover(position={"x": place["x"], "y": place["y"]})
-        until(page, "!document.querySelector('.tip').hidden")
-        told = page.locator(".tip").inner_text()
-        assert told.endswith(f"K = {place['k']:g} Nm/rad, B = {place['b']:g} Nms/rad")
-        page.mouse.move(5, 5)
-        until(page, "document.querySelector('.tip').hidden")
+def test_pointing_at_a_figure_tells_what_the_drawing_shows(page: Any, measured: Path) -> None:
+    svg = page.locator("#boundaries-answer svg")
+    place = page.evaluate("""async () => {
+        const [{ axes: [{ box, x, y, series }] }] = (await numbersOfFigures())["boundaries-answer"];
+        const [label, k, b] = series.find(([label]) => label === "measured limit");
+        const at = (value, ends, from, to) => from + (value - ends[0]) / (ends[1] - ends[0]) * (to - from);
+        const middle = Math.floor(k.length / 2), view = document.querySelector("#boundaries-answer svg");
+        const factor = view.getBoundingClientRect().width / view.viewBox.baseVal.width;
+        return { k: k[middle], b: b[middle], x: factor * at(k[middle], x, box[0], box[2]),
+                 y: factor * at(b[middle], y, box[3], box[1]) };
+    }""")
+    svg.hover(position={"x": place["x"], "y": place["y"]})
+    until(page, "!document.querySelector('.tip').hidden")
+    told = page.locator(".tip").inner_text()
+    assert told.endswith(f"K = {place['k']:g} Nm/rad, B = {place['b']:g} Nms/rad")
+    page.mouse.move(5, 5)
+    until(page, "document.querySelector('.tip').hidden")
 
 
-def test_a_figure_is_saved_as_csv_with_its_trials_and_as_svg_of_its_own(browser: Any, measured: Path) -> None:
-    with Opened(browser, measured) as page:
-        figure = page.locator(".viewer figure:visible")
-        saved = {}
-        for name in ("CSV", "SVG"):
-            with page.expect_download() as download:
-                figure.locator(".tools button", has_text=name).click()
-            saved[name] = Path(download.value.path()).read_text(encoding="utf-8")
-        rows = list(csv.DictReader(io.StringIO(saved["CSV"])))
-        trials = [row for row in rows if row["series"].startswith("trial: ")]
-        assert len(trials) > 50
-        assert {"least cost", "optimum"} <= {row["series"] for row in rows}
-        drawing = ElementTree.fromstring(saved["SVG"])
-        assert drawing.tag == "{http://www.w3.org/2000/svg}svg"
-        assert "var(" not in saved["SVG"]
+def test_a_figure_is_saved_as_csv_with_its_trials_and_as_svg_of_its_own(page: Any) -> None:
+    figure = page.locator(".viewer figure:visible")
+    saved = {}
+    for name in ("CSV", "SVG"):
+        with page.expect_download() as download:
+            figure.locator(".tools button", has_text=name).click()
+        saved[name] = Path(download.value.path()).read_text(encoding="utf-8")
+    rows = list(csv.DictReader(io.StringIO(saved["CSV"])))
+    trials = [row for row in rows if row["series"].startswith("trial: ")]
+    assert len(trials) > 50
+    assert {"least cost", "optimum"} <= {row["series"] for row in rows}
+    drawing = ElementTree.fromstring(saved["SVG"])
+    assert drawing.tag == "{http://www.w3.org/2000/svg}svg"
+    assert "var(" not in saved["SVG"]
 
 
-def test_number_in_a_table_leads_to_its_trial(browser: Any, measured: Path) -> None:
-    with Opened(browser, measured) as page:
-        link = page.locator("[data-row='optima/delay-4/overshoot'] [data-cell='stiffness'] a")
-        page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
-        stiffness = link.inner_text()
-        link.click()
-        until(page, "document.activeElement.id === 'trial-title'")
-        assert title(page).startswith(f"Experiment delay-4: K = {stiffness} Nm/rad")
-        page.go_back()
-        until(page, "!location.hash.includes('trial')")
+def test_number_in_a_table_leads_to_its_trial(page: Any) -> None:
+    link = page.locator("[data-row='optima/delay-4/overshoot'] [data-cell='stiffness'] a")
+    page.evaluate(OPEN_ALL)
+    stiffness = link.inner_text()
+    link.click()
+    until(page, "document.activeElement.id === 'trial-title'")
+    assert title(page).startswith(f"Experiment delay-4: K = {stiffness} Nm/rad")
+    page.go_back()
+    until(page, "!location.hash.includes('trial')")
 
 
 def test_plane_opens_on_the_first_tables_criterion_and_takes_that_of_a_number(browser: Any, measured: Path) -> None:
     chosen = "document.getElementById('choose-criterion').selectedOptions[0].textContent.replaceAll('\u00a0', ' ')"
     with Opened(browser, measured) as page:
         assert page.evaluate(chosen).startswith("settling time, 2 %")
-        page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
+        page.evaluate(OPEN_ALL)
         page.locator("[data-row='optima/delay-4/overshoot'] [data-cell='stiffness'] a").click()
         until(page, f"{chosen}.startsWith('overshoot')")
         assert "overshoot" in status(page)
 
 
-def test_search_takes_numbers_as_numbers(browser: Any, measured: Path) -> None:
-    with Opened(browser, measured) as page:
+def test_search_takes_numbers_as_numbers(page: Any) -> None:
 
-        def found(text: str) -> list[list[str]]:
-            page.fill("#runs-search", text)
-            return [row.split("\t") for row in page.locator("#runs-table tbody tr").all_inner_texts()]
+    def found(text: str) -> list[list[str]]:
+        page.fill("#runs-search", text)
+        return [row.split("\t") for row in page.locator("#runs-table tbody tr").all_inner_texts()]
 
-        stiffness, damping = found("stable")[20][1:3]
-        some = found(f"K={stiffness}")
-        assert {row[1] for row in some} == {stiffness}
-        assert [damping] == [row[2] for row in found(f"k = {stiffness} B={damping}")][:1]
-        assert all(stiffness in row[1:3] for row in found(stiffness))
-        assert all(row[1] == stiffness[:-1] for row in found(f"K={stiffness[:-1]}")), "no part of a number"
-        assert {row[3] for row in found("unstable")} == {"unstable"}
+    stiffness, damping = found("stable")[20][1:3]
+    some = found(f"K={stiffness}")
+    assert {row[1] for row in some} == {stiffness}
+    assert [damping] == [row[2] for row in found(f"k = {stiffness} B={damping}")][:1]
+    assert all(stiffness in row[1:3] for row in found(stiffness))
+    assert all(row[1] == stiffness[:-1] for row in found(f"K={stiffness[:-1]}")), "no part of a number"
+    assert {row[3] for row in found("unstable")} == {"unstable"}
 
 
-def test_address_of_a_trial_opens_it_and_a_wrong_one_does_no_harm(browser: Any, measured: Path, tmp_path: Path) -> None:
-    with Opened(browser, measured) as page:
-        page.goto(measured.as_uri() + "#trial-1-5")
-        page.reload()
-        until(page, DRAWN)
-        assert "delay-4" in title(page)
-        for wrong in ("#trial-9-0", "#trial-0-99999", "#trial-x"):
-            page.evaluate(f"location.hash = '{wrong}'")
-            page.wait_for_timeout(50)
-        assert "K = " in title(page)
+def test_address_of_a_trial_opens_it_and_a_wrong_one_does_no_harm(page: Any, measured: Path, tmp_path: Path) -> None:
+    page.goto(measured.as_uri() + "#trial-1-5")
+    page.reload()
+    until(page, DRAWN)
+    assert "delay-4" in title(page)
+    for wrong in ("#trial-9-0", "#trial-0-99999", "#trial-x"):
+        page.evaluate(f"location.hash = '{wrong}'")
+        page.wait_for_timeout(50)
+    assert "K = " in title(page)
 
 
 def test_trial_without_response_says_how_to_get_it(browser: Any, hostile: Path) -> None:
@@ -344,44 +343,42 @@ def test_trial_without_response_says_how_to_get_it(browser: Any, hostile: Path) 
         assert page.locator("#trial-plot canvas").count() == 0
 
 
-def test_tables_sort_by_number_with_missing_values_last_and_back(browser: Any, measured: Path) -> None:
-    with Opened(browser, measured) as page:
-        page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
-        cells = "[data-row^='boundary/delay-2/'] [data-cell='unstable']"
-        heads = page.locator(f"table:has({cells}) thead tr:last-child th")
-        texts = page.locator(cells)
+def test_tables_sort_by_number_with_missing_values_last_and_back(page: Any) -> None:
+    page.evaluate(OPEN_ALL)
+    cells = "[data-row^='boundary/delay-2/'] [data-cell='unstable']"
+    heads = page.locator(f"table:has({cells}) thead tr:last-child th")
+    texts = page.locator(cells)
 
-        def column() -> list[str]:
-            return [text.strip() for text in texts.all_inner_texts()]
+    def column() -> list[str]:
+        return [text.strip() for text in texts.all_inner_texts()]
 
-        original = column()
-        button = heads.nth(2).locator("button")
-        button.focus()
-        page.keyboard.press("Enter")
-        assert heads.nth(2).get_attribute("aria-sort") == "ascending"
-        rising = [text for text in column() if not text.startswith("–")]
-        assert [float(text) for text in rising] == sorted(float(text) for text in rising)
-        assert rising == column()[: len(rising)]
-        button.click()
-        assert heads.nth(2).get_attribute("aria-sort") == "descending"
-        assert column()[: len(rising)] == rising[::-1] != rising
-        button.click()
-        assert heads.nth(2).get_attribute("aria-sort") is None
-        assert column() == original
+    original = column()
+    button = heads.nth(2).locator("button")
+    button.focus()
+    page.keyboard.press("Enter")
+    assert heads.nth(2).get_attribute("aria-sort") == "ascending"
+    rising = [text for text in column() if not text.startswith("–")]
+    assert [float(text) for text in rising] == sorted(float(text) for text in rising)
+    assert rising == column()[: len(rising)]
+    button.click()
+    assert heads.nth(2).get_attribute("aria-sort") == "descending"
+    assert column()[: len(rising)] == rising[::-1] != rising
+    button.click()
+    assert heads.nth(2).get_attribute("aria-sort") is None
+    assert column() == original
 
 
-def test_long_table_filters_and_says_how_many_rows_are_left(browser: Any, measured: Path) -> None:
-    with Opened(browser, measured) as page:
-        page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
-        table = page.locator("table:has([data-row^='stages/'])")
-        filter_ = page.locator(".scroll:has([data-row^='stages/'])").locator("xpath=preceding-sibling::*[1]")
-        rows = table.locator("tbody tr:not(.blockhead):visible")
-        everything = rows.count()
-        filter_.locator("input").fill("delay-4: overshoot")
-        assert rows.count() == 1
-        assert filter_.locator("[role=status]").inner_text() == f"1 of {everything} rows"
-        filter_.locator("input").fill("")
-        assert rows.count() == everything
+def test_long_table_filters_and_says_how_many_rows_are_left(page: Any) -> None:
+    page.evaluate(OPEN_ALL)
+    table = page.locator("table:has([data-row^='stages/'])")
+    filter_ = page.locator(".scroll:has([data-row^='stages/'])").locator("xpath=preceding-sibling::*[1]")
+    rows = table.locator("tbody tr:not(.blockhead):visible")
+    everything = rows.count()
+    filter_.locator("input").fill("delay-4: overshoot")
+    assert rows.count() == 1
+    assert filter_.locator("[role=status]").inner_text() == f"1 of {everything} rows"
+    filter_.locator("input").fill("")
+    assert rows.count() == everything
 
 
 def test_without_scripts_all_results_are_there(browser: Any, measured: Path) -> None:
@@ -450,39 +447,36 @@ def test_one_figure_of_costs_is_shown_and_chosen_by_lists_and_address(browser: A
         assert page.locator(".viewer figure:visible").count() > 5
 
 
-def test_table_of_trials_filters_sorts_and_compares_and_its_address_opens_it_again(
-    browser: Any, measured: Path
-) -> None:
-    with Opened(browser, measured) as page:
-        count = page.locator("#runs-count")
-        total = int(count.inner_text().split()[2])
-        page.select_option("#runs-verdict", "stable")
-        stable = int(count.inner_text().split()[0])
-        assert 0 < stable < total
-        page.fill("#runs-search", "settled")
-        assert int(count.inner_text().split()[0]) <= stable
-        page.locator("#runs-table button.sort").nth(5).click()
-        assert page.locator("#runs-table th[aria-sort=ascending]").count() == 1
-        costs = page.locator("#runs-table tbody td:nth-child(7)").all_inner_texts()
-        known = [float(text) for text in costs if text != "–"]
-        assert len(known) > 10
-        assert known == sorted(known)
-        boxes = page.locator("#runs-table input[type=checkbox]")
-        assert boxes.count() > 7
-        for number in range(6):
-            boxes.nth(number).press("Space")
-        assert boxes.nth(6).is_disabled(), "six at most"
-        assert page.locator("#runs-key li").count() == 6
-        assert page.locator("#runs-plot canvas").is_visible()
-        address, told = page.url, page.locator("#runs-key").inner_text()
-        page.goto("about:blank")
-        page.goto(address)
-        until(page, DRAWN)
-        until(page, "document.querySelectorAll('#runs-key li').length === 6")
-        assert page.locator("#runs-key").inner_text() == told
-        assert page.locator("#runs-verdict").input_value() == "stable"
-        page.click("#runs-clear")
-        assert page.locator("#runs-plot").is_hidden()
+def test_table_of_trials_filters_sorts_and_compares_and_its_address_opens_it_again(page: Any) -> None:
+    count = page.locator("#runs-count")
+    total = int(count.inner_text().split()[2])
+    page.select_option("#runs-verdict", "stable")
+    stable = int(count.inner_text().split()[0])
+    assert 0 < stable < total
+    page.fill("#runs-search", "settled")
+    assert int(count.inner_text().split()[0]) <= stable
+    page.locator("#runs-table button.sort").nth(5).click()
+    assert page.locator("#runs-table th[aria-sort=ascending]").count() == 1
+    costs = page.locator("#runs-table tbody td:nth-child(7)").all_inner_texts()
+    known = [float(text) for text in costs if text != "–"]
+    assert len(known) > 10
+    assert known == sorted(known)
+    boxes = page.locator("#runs-table input[type=checkbox]")
+    assert boxes.count() > 7
+    for number in range(6):
+        boxes.nth(number).press("Space")
+    assert boxes.nth(6).is_disabled(), "six at most"
+    assert page.locator("#runs-key li").count() == 6
+    assert page.locator("#runs-plot canvas").is_visible()
+    address, told = page.url, page.locator("#runs-key").inner_text()
+    page.goto("about:blank")
+    page.goto(address)
+    until(page, DRAWN)
+    until(page, "document.querySelectorAll('#runs-key li').length === 6")
+    assert page.locator("#runs-key").inner_text() == told
+    assert page.locator("#runs-verdict").input_value() == "stable"
+    page.click("#runs-clear")
+    assert page.locator("#runs-plot").is_hidden()
 
 
 def test_wrong_addresses_of_the_table_do_no_harm(browser: Any, measured: Path) -> None:
@@ -495,21 +489,19 @@ def test_wrong_addresses_of_the_table_do_no_harm(browser: Any, measured: Path) -
             assert opened.complaints == []
 
 
-def test_contents_stay_in_sight_on_a_wide_screen(browser: Any, measured: Path) -> None:
-    with Opened(browser, measured) as page:
-        page.locator("#sec-experiments").scroll_into_view_if_needed()
-        box = page.locator("nav.contents").bounding_box()
-        assert 0 <= box["y"] < 100
+def test_contents_stay_in_sight_on_a_wide_screen(page: Any) -> None:
+    page.locator("#sec-experiments").scroll_into_view_if_needed()
+    box = page.locator("nav.contents").bounding_box()
+    assert 0 <= box["y"] < 100
 
 
-def test_nothing_moves_while_the_page_opens(browser: Any, measured: Path) -> None:
-    with Opened(browser, measured) as page:
-        seen = "new Promise((done) => new PerformanceObserver((list) => done(list.getEntries().map((e) => e.value)))"
-        shifts = page.evaluate(
-            f"Promise.race([{seen}.observe({{type: 'layout-shift', buffered: true}})), "
-            "new Promise((done) => setTimeout(() => done([]), 500))])"
-        )
-        assert sum(shifts) < 0.1
+def test_nothing_moves_while_the_page_opens(page: Any) -> None:
+    seen = "new Promise((done) => new PerformanceObserver((list) => done(list.getEntries().map((e) => e.value)))"
+    shifts = page.evaluate(
+        f"Promise.race([{seen}.observe({{type: 'layout-shift', buffered: true}})), "
+        "new Promise((done) => setTimeout(() => done([]), 500))])"
+    )
+    assert sum(shifts) < 0.1
 
 
 @pytest.mark.sampled
@@ -518,7 +510,7 @@ def test_nothing_moves_while_the_page_opens(browser: Any, measured: Path) -> Non
 def test_axe_finds_nothing_serious(browser: Any, measured: Path, width: int, scheme: str) -> None:
     axe = Path(pytest.importorskip("axe_playwright_python").__file__).with_name("axe.min.js")
     with Opened(browser, measured, width=width, color_scheme=scheme) as page:
-        page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
+        page.evaluate(OPEN_ALL)
         page.evaluate(axe.read_text(encoding="utf-8"))
         tags = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]
         found = page.evaluate("(tags) => axe.run({ runOnly: tags, resultTypes: ['violations'] })", tags)
@@ -534,7 +526,7 @@ def test_axe_finds_nothing_serious(browser: Any, measured: Path, width: int, sch
 @pytest.mark.parametrize("width", [390, 768])
 def test_no_sideways_scrolling_on_narrow_screens(browser: Any, measured: Path, width: int) -> None:
     with Opened(browser, measured, width=width) as page:
-        page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
+        page.evaluate(OPEN_ALL)
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         assert page.locator("#plane").bounding_box()["width"] <= width
 
@@ -564,7 +556,7 @@ def test_no_number_at_the_plane_is_cut(browser: Any, measured: Path) -> None:
 def test_a_picture_of_a_log_has_one_margin(browser: Any, tmp_path: Path) -> None:
     log = tmp_path / "a.csv"
     log.write_text("n,x\n" + "".join(f"{row},{row % 7}.5\n" for row in range(60)), encoding="utf-8")
-    (tmp_path / "look.html").write_text(page(look(log)), encoding="utf-8")
+    (tmp_path / "look.html").write_text(check.page(check.look(log)), encoding="utf-8")
     for width in WIDTHS:
         opened = browser.new_page(viewport={"width": width, "height": 900})
         opened.goto((tmp_path / "look.html").as_uri())

@@ -83,11 +83,3 @@ def test_demo_leaves_foreign_files_alone_and_says_so(first):
         assert foreign.read_text() == "not,a,log\n"
     finally:
         foreign.unlink()
-
-
-def test_the_demo_covers_what_it_promises():
-    assert {p.device: p.experiments for p in demo.PARTS} == {
-        "falcon-real": ("1",),
-        "falcon": ("1", "2", "6"),
-        "lwr": (),
-    }

@@ -27,25 +27,6 @@ def test_commands_exist_with_their_options(page: Path) -> None:
     assert {command: fault(command) for command in commands(read(page)) if fault(command)} == {}
 
 
-def test_command_check_finds_faults() -> None:
-    assert fault("pipeline compare --device falcon --json") is None
-    assert fault("pipeline frobnicate logs") is not None
-    assert fault("pipeline theory frobnicate") is not None
-    assert fault("pipeline compare --devise falcon") is not None
-    assert fault("pipeline quarantine --overwrite") is not None
-    assert fault("pipeline demo here") is not None
-    assert commands("a `pipeline` b `pipeline demo` c\n\n    pipeline ingest logs/\n") == [
-        "pipeline demo",
-        "pipeline ingest logs/",
-    ]
-
-
-def test_readme_shows_the_commands_that_a_user_needs() -> None:
-    shown = " ".join(commands(read(ROOT / "README.md")))
-    for name in ("ingest", "compare", "simulate", "theory"):
-        assert f"pipeline {name}" in shown
-
-
 def test_log_of_the_readme_is_accepted(tmp_path: Path) -> None:
     from pipeline.intake.ingest import ingest
     from pipeline.store.storage import read_trials

@@ -132,16 +132,15 @@ def lose_power(lab, kind, monkeypatch, tmp_path, chances, step):
     assert tried > 10
 
 
+QUICK, MANY = (0.0, 0.5, 1.0), (0.0, 1.0, *[0.5] * 8)
+
+
 @pytest.mark.sampled
-@pytest.mark.parametrize("kind", ["ingest", "merge"])
-def test_power_may_fail_at_each_call(lab, kind, monkeypatch, tmp_path):
-    lose_power(lab, kind, monkeypatch, tmp_path, (0.0, 0.5, 1.0), 3 if kind == "ingest" else 1)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["ingest", "merge"])
-def test_power_may_fail_at_each_call_in_many_ways(lab, kind, monkeypatch, tmp_path):
-    lose_power(lab, kind, monkeypatch, tmp_path, (0.0, 1.0, *[0.5] * 8), 1)
+@pytest.mark.parametrize(
+    ("kind", "chances", "step"), [("ingest", QUICK, 3), ("merge", QUICK, 1), ("ingest", MANY, 1), ("merge", MANY, 1)]
+)
+def test_power_may_fail_at_each_call(lab, kind, chances, step, monkeypatch, tmp_path):
+    lose_power(lab, kind, monkeypatch, tmp_path, chances, step)
 
 
 def test_the_model_of_lost_power_finds_a_missing_sync(lab, monkeypatch, tmp_path):

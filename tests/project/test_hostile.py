@@ -1,6 +1,5 @@
 """Hostile logs: their names, links and metadata, files that are none, and files that ask for more than they hold."""
 
-import ast
 import contextlib
 import gzip
 import json
@@ -30,11 +29,9 @@ from pipeline.profiles.profile_files import load_profile
 from pipeline.readers import mapping
 from pipeline.readers.formats import native, refuse_other_kind
 from pipeline.readers.isolation import read_file
-from pipeline.shell.cli import run as run_cli
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import list_devices, read_trials
 
-PACKAGE = ROOT / "pipeline"
 LOGS_PAGE = (ROOT / "docs" / "logs.md").read_text(encoding="utf-8")
 
 PROFILE = """
@@ -76,25 +73,8 @@ def store(processed):
     return store
 
 
-def call(capsys, *arguments):
-    with pytest.raises(SystemExit) as leaving:
-        run_cli([str(argument) for argument in arguments])
-    return leaving.value.code or 0, capsys.readouterr().out
-
-
 def refusals(report):
     return {Path(refusal.path).name: refusal for refusal in report.quarantined}
-
-
-def test_every_refusal_in_the_package_has_a_code_of_its_own():
-    """`invalid` is for callers outside: in the package it would say nothing."""
-    without = []
-    for path in sorted(PACKAGE.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            named = isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "LogError"
-            if named and "code" not in {keyword.arg for keyword in node.keywords}:
-                without.append(f"{path.name}:{node.lineno}")
-    assert without == []
 
 
 def test_the_page_explains_every_code():
@@ -119,23 +99,23 @@ NAMES = [
 
 @pytest.mark.skipif(sys.platform == "win32", reason="such names are legal where names are bytes")
 @pytest.mark.parametrize("name", NAMES, ids=lambda name: name.decode("latin-1")[:12].encode("unicode_escape").decode())
-def test_names_of_any_bytes_are_stored_told_and_found_again(logs, processed, store, capsys, name):
+def test_names_of_any_bytes_are_stored_told_and_found_again(logs, processed, store, call, name):
     path = Path(os.fsdecode(os.fsencode(logs) + b"/" + name))
     path.write_text(FAULTS["text cell"][0])
     report = store(logs)
     (refusal,) = report.quarantined
     refusal.path.encode()
     assert path_of_text(refusal.path) == path
-    status, out = call(capsys, "ingest", logs, "--processed", processed, "--json")
+    status, out, _ = call("ingest", logs, "--processed", processed, "--json")
     assert status == 3
     assert json.loads(out)["quarantined"][0]["path"] == refusal.path
     for arguments in ((), ("--json",), (refusal.path,), (refusal.path, "--json")):
-        status, out = call(capsys, "quarantine", *arguments, "--processed", processed)
+        status, out, _ = call("quarantine", *arguments, "--processed", processed)
         assert status == 0
         assert not re.search(r"[\x00-\x09\x0b-\x1f\x7f]", out), "no command reaches the terminal"
     assert len(list(processed.glob("quarantine/*/*"))) == 1
     path.write_text(GOOD)
-    status, out = call(capsys, "ingest", logs, "--processed", processed, "--json")
+    status, out, _ = call("ingest", logs, "--processed", processed, "--json")
     assert (status, json.loads(out)["ingested"]) == (0, 1)
     assert not list(processed.glob("quarantine/*"))
     (stored,) = read_trials(processed).column("source_path").to_pylist()
@@ -439,7 +419,7 @@ def test_lone_surrogates_in_json_are_stored_escaped(tmp_path, logs, store, proce
     refusal.reason.encode()
 
 
-def test_the_record_names_code_place_and_remedy(logs, processed, store, lab, capsys):
+def test_the_record_names_code_place_and_remedy(logs, processed, store, lab, call):
     (logs / "a.csv").write_text("t,F,x\r\n0,0,0\r\n1,1,--\r\n2,1,\x1b[2J1\r\n")
     store(logs, profile=lab)
     (folder,) = (processed / "quarantine").iterdir()
@@ -447,13 +427,13 @@ def test_the_record_names_code_place_and_remedy(logs, processed, store, lab, cap
     record = json.loads(file.read_text())
     assert (record["code"], record["row"]) == ("not-a-number", 3)
     assert record["profile_line"] == 'missing = ["--"]'
-    _, out = call(capsys, "quarantine", "--processed", processed)
+    _, out, _ = call("quarantine", "--processed", processed)
     assert "[not-a-number]" in out
     assert 'profile: missing = ["--"]' in out
-    _, out = call(capsys, "quarantine", logs / "a.csv", "--processed", processed)
+    _, out, _ = call("quarantine", logs / "a.csv", "--processed", processed)
     assert '\n    missing = ["--"]\n' in out
     for arguments in ((), (logs / "a.csv",)):
-        _, out = call(capsys, "quarantine", *arguments, "--processed", processed, "--json")
+        _, out, _ = call("quarantine", *arguments, "--processed", processed, "--json")
         document = json.loads(out)
         shown = document[0] if isinstance(document, list) else document
         assert shown | record == shown

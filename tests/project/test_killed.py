@@ -148,12 +148,7 @@ class Run:
         line = [sys.executable, *command.program, *(command.arguments if arguments is None else arguments)]
         self.errors = (folder / "errors.txt").open("wb")
         self.process = subprocess.Popen(
-            line,
-            cwd=folder,
-            env=os.environ | {name: value},
-            stdout=subprocess.PIPE,
-            stderr=self.errors,
-            **options,
+            line, cwd=folder, env=os.environ | {name: value}, stdout=subprocess.PIPE, stderr=self.errors, **options
         )
         self.errors.close()
         self.out = b""

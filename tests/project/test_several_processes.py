@@ -1,4 +1,4 @@
-"""Processes that are killed, that run into a full disk, and that work at the same time."""
+"""Ingests that are stopped or killed, that run into a full disk, and that work at the same time."""
 
 import json
 import os
@@ -14,11 +14,12 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 from locks import is_free
-from native_logs import short_log
+from native_logs import FAULTS, log_text, short_log
 from stored import check_whole, stored_rows
 
 from pipeline.base import disk
 from pipeline.base.errors import StoreError
+from pipeline.intake import ingest as ingest_module
 from pipeline.intake.ingest import ingest
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import read_trials
@@ -144,11 +145,6 @@ def kill_often(tmp_path: Path, count: int, kills: int, pending: int, rows: int) 
 
 
 @pytest.mark.slow
-def test_kills_at_any_moment_lose_and_double_nothing(tmp_path):
-    kill_often(tmp_path, count=200, kills=10, pending=2_000, rows=5)
-
-
-@pytest.mark.slow
 def test_sixty_kills_of_an_ingest_of_2000_logs(tmp_path):
     kill_often(tmp_path, count=2000, kills=60, pending=2_000_000, rows=400)
 
@@ -252,3 +248,41 @@ def test_a_source_that_grows_while_it_is_read_is_taken_when_it_is_finished(tmp_p
         .to_pylist()
     )
     assert row["rows"] == len(growing.read_text().splitlines()) - 10
+
+
+def test_an_interrupted_ingest_is_finished_by_the_next(tmp_path, logs, processed, monkeypatch):
+    for number in range(6):
+        (logs / f"{number}.csv").write_text(log_text(float(number + 1)))
+    (logs / "0bad.csv").write_text(FAULTS["text cell"][0])
+    monkeypatch.setattr(ingest_module, "PENDING_BYTES", 3 * 30 * 24)  # three logs
+
+    def stop(done, found):
+        if done == 6:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        ingest([logs], processed, jobs=1, progress=stop)
+    stored = stored_rows(processed).total()
+    assert 0 < stored < 6
+    again = ingest([logs], processed, jobs=1)
+    assert (again.ingested, again.skipped, len(again.quarantined)) == (6 - stored, stored, 1)
+
+
+def test_ctrl_c_is_answered_on_stderr(tmp_path, logs):
+    for number in range(3000):
+        (logs / f"{number}.csv").write_text(log_text(float(number + 1), rows=200))
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pipeline", "ingest", "logs", "--jobs", "1"],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "processed" / ".lock").exists() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    time.sleep(0.5)  # until it reads logs
+    os.kill(process.pid, signal.SIGINT)
+    _, told = process.communicate(timeout=60)
+    assert process.returncode != 0
+    assert "Traceback" not in told
+    assert "Each file is complete or as it was before: run the command again for what is left." in told

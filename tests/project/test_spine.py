@@ -13,6 +13,7 @@ import pytest
 import simulated
 from native_logs import log_text
 from report_data import HOSTILE
+from test_cli import document
 
 from pipeline.base.errors import DeviceError
 from pipeline.comparison.compare import compare
@@ -24,7 +25,6 @@ from pipeline.records.native import NativeHeader, format_header
 from pipeline.records.results import ComparisonResult
 from pipeline.records.table_files import read_table
 from pipeline.rendering.report.report_parts import take_apart
-from pipeline.shell.cli import run
 from pipeline.simulation.course import run_course, write_course
 from pipeline.store.storage import read_trials, stage_file
 
@@ -33,36 +33,22 @@ QUICK = ("energy_step_w0", "overshoot")
 pytestmark = pytest.mark.usefixtures("one_process")
 
 
-@pytest.fixture
-def call(capsys, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-
-    def run_here(*arguments):
-        with pytest.raises(SystemExit) as leaving:
-            run(list(arguments))
-        out, err = capsys.readouterr()
-        assert (leaving.value.code or 0) == 0, err
-        return out
-
-    return run_here
-
-
 def test_commands_lead_from_simulation_to_the_report(call, tmp_path):
     logs = write_course(run_course(load_device("lwr"), "delay-8", ideal=True, coarsen=4), tmp_path / "raw")
-    stored = json.loads(call("ingest", "raw", "--json"))
+    stored = document(call("ingest", "raw", "--json"))
     nothing: dict[str, list] = {
         key: [] for key in ("quarantined", "warnings", "removed", "changed", "waiting", "damaged")
     }
     assert stored == {"found": logs, "ingested": logs, "skipped": 0, **nothing}
-    again = json.loads(call("ingest", "raw", "--json"))
+    again = document(call("ingest", "raw", "--json"))
     assert again == {"found": logs, "ingested": 0, "skipped": logs, **nothing}
     arguments = ("compare", "--device", "lwr", "--criteria", ",".join(QUICK))
-    plan = json.loads(call(*arguments, "--dry-run", "--json"))
+    plan = document(call(*arguments, "--dry-run", "--json"))
     assert {step["stage"]: step["action"] for step in plan}["delay-8: settling"] == "leave out"
     assert not (tmp_path / "reports").exists()
-    document = json.loads(call(*arguments, "--json"))
-    assert document == json.loads((tmp_path / "reports/lwr.json").read_text(encoding="utf-8"))
-    (experiment,) = document["experiments"]
+    found = document(call(*arguments, "--json"))
+    assert found == json.loads((tmp_path / "reports/lwr.json").read_text(encoding="utf-8"))
+    (experiment,) = found["experiments"]
     assert experiment["trials"] == logs
     assert experiment["estimates"]["delay_samples"]["value"] == 8
     assert experiment["estimates"]["mass"]["value"] == pytest.approx(0.19, rel=1e-4)
@@ -73,7 +59,7 @@ def test_commands_lead_from_simulation_to_the_report(call, tmp_path):
     assert max(p["stable"] for p in experiment["boundary"] if p["stable"] is not None) == largest
     # all numbers of the rows stand in the page
     shown = " ".join(take_apart((tmp_path / "reports/lwr.html").read_text(encoding="utf-8")).cells.values())
-    for row in document["tables"]:
+    for row in found["tables"]:
         if row["condition"] == "experiment":
             assert f"{row['stiffness']:.0f}" in shown.replace(" ", "").replace(",", "")
 

@@ -40,28 +40,14 @@ def fault(command: str) -> str | None:
         if words[0] not in here.commands:
             return f"no command {words[0]!r} in {sorted(here.commands)}"
         here = here.commands[words.pop(0)]
-    options = {name: p for p in here.params if p.param_type_name == "option" for name in p.opts}
-    arguments = sum(p.param_type_name == "argument" for p in here.params)
-    given: set[str] = set()
-    position = 0
-    while words:
-        word = words.pop(0)
-        if not word.startswith("--"):
-            position += 1
-        elif word == "--help":
-            return None
-        elif word not in options:
-            return f"no option {word}; there are {sorted(options)}"
-        else:
-            given |= set(options[word].opts)
-            if not options[word].is_flag:
-                if not words:
-                    return f"{word} needs a value"
-                words.pop(0)
-    if position > arguments and not any(p.nargs == -1 for p in here.params):
-        return f"{position} arguments, {arguments} expected"
-    needed = {p.opts[-1] for p in here.params if p.required and p.param_type_name == "option"}
+    if "--help" in words:
+        return None
+    try:
+        given, left, _ = here.make_parser(here.context_class(here)).parse_args([*words])
+    except Exception as error:  # of the library's parser, which typer may bring along or not
+        return str(error)
+    if left:
+        return f"too many arguments: {left}"
+    needed = {p.name for p in here.params if p.required and p.param_type_name == "option"}
     # a command that is only named, as in a list of changes, says nothing of its options
-    if (given or position) and needed - given:
-        return f"{sorted(needed - given)} missing"
-    return None
+    return f"{sorted(needed - set(given))} missing" if words and needed - set(given) else None

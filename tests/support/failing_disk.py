@@ -14,10 +14,6 @@ from typing import Any, BinaryIO
 import numpy as np
 
 
-class PowerLoss(BaseException):
-    """The process ends here; nothing that it would still do is done."""
-
-
 class Raw(io.FileIO):
     """A file whose writes go through a `FailingOs`."""
 
@@ -34,7 +30,6 @@ class FailingOs:
     """The calls that change something, with the one at which they fail, counted from 1; 0 never."""
 
     fail_at: int = 0
-    error: BaseException = field(default_factory=lambda: OSError(28, "No space left on device"))
     calls: list[tuple[Any, ...]] = field(default_factory=list)
     _files: dict[int, int] = field(default_factory=dict)
     _folders: dict[int, str] = field(default_factory=dict)
@@ -49,9 +44,8 @@ class FailingOs:
         with self._lock:
             self.calls.append(call)
             count = len(self.calls)
-        # what has lost power does nothing any more, what is full may still remove files
-        if count == self.fail_at or (0 < self.fail_at < count and isinstance(self.error, PowerLoss)):
-            raise self.error
+        if count == self.fail_at:
+            raise OSError(28, "No space left on device")
 
     def open(self, path: Path, flags: int, mode: int = 0o777) -> int:
         folder = os.path.isdir(path)

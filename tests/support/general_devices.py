@@ -27,10 +27,7 @@ class Example:
 
     @property
     def arguments(self) -> tuple[float, float, float, float, float, LoopParts]:
-        return (
-            *(self.mass, self.damping, self.stiffness),
-            *(self.delay_samples, self.sampling_period_s, self.parts),
-        )
+        return (*(self.mass, self.damping, self.stiffness), *(self.delay_samples, self.sampling_period_s, self.parts))
 
 
 def random_device(rng: np.random.Generator, extreme: str = "") -> Example:

@@ -54,14 +54,6 @@ def characteristic(gamma: float, delta: float, delay: float, alpha: float, beta:
         return [x + y for x, y in zip(left, right, strict=True)]
 
 
-def needed_damping(d: float, k: float, b: float, w: np.ndarray) -> np.ndarray:
-    """Right side of (4.6) with T = 1: the quotient of cosines without its cancellation at small w."""
-    half = np.sin(0.5 * np.asarray(w))
-    flat = half == 0
-    ratio = np.where(flat, 2 * d + 1, np.sin((d + 0.5) * w) / np.where(flat, 1.0, half))
-    return 0.5 * k * ratio - b * np.cos((d + 1) * w)
-
-
 def stable_by_schur_cohn(polynomial: list[mp.mpf], radius: float = 1.0) -> bool:
     """Whether all roots lie inside a circle, by reducing the degree with reflection coefficients."""
     with mp.workdps(4 * DIGITS):
@@ -259,28 +251,6 @@ def wall_of_radius(gamma: float, delay: float, delta: float, radius: float) -> t
         inside = stable_by_schur_cohn(characteristic(gamma, delta, delay, middle, beta), radius)
         low, high = (middle, high) if inside else (low, middle)
     return low, beta
-
-
-def stable_cases(count: int, seed: int, slowest: float = 0.93) -> list[tuple[float, ...]]:
-    """Random (gamma, delta, p, q, alpha, beta) of loops that settle in a few hundred samples; seeded.
-
-    Stability is judged by polynomial roots (numpy), so that drawing needs nothing of the code under test.
-    """
-    rng = np.random.default_rng(seed)
-    cases: list[tuple[float, ...]] = []
-    while len(cases) < count:
-        q = int(rng.choice([1, 1, 2, 3, 4, 5]))
-        p = int(rng.integers(0, 4 * q + 1))
-        d = p / q
-        gamma = float(rng.choice([0.0, 1e-9, 1e-3, 0.02 / (1 + d) ** 2, 0.3 / (1 + d) ** 2]))
-        delta = float(rng.choice([0.0, 1e-9, 0.02, 0.3, 2.0]))
-        alpha = float(rng.uniform(0.02, 0.7) * 2.1 / (1 + d) ** 2 * 0.5)
-        beta = float(rng.uniform(0.1, 1.2) / (0.5 + d) * 0.7)
-        polynomial = [float(c) for c in characteristic(gamma, delta, d, alpha, beta)]
-        radius = float(np.abs(np.roots(polynomial)).max())
-        if radius < 1 - (1 - slowest) / (1 + d):
-            cases.append((gamma, delta, p, q, alpha, beta))
-    return cases
 
 
 Loops = list[tuple[float, float, int, int]]

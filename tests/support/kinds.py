@@ -127,8 +127,7 @@ _KINDS = {
     ),
     "butterworth filter": Kind(_BUTTERWORTH, ("velocity_filter",)),
     "difference filter": Kind(
-        {"loop.velocity.kind": either("difference"), "loop.velocity.samples": either(2, 4, 8, 16)},
-        ("velocity_filter",),
+        {"loop.velocity.kind": either("difference"), "loop.velocity.samples": either(2, 4, 8, 16)}, ("velocity_filter",)
     ),
     "coefficient filter": Kind(
         {
@@ -155,8 +154,7 @@ _KINDS = {
     "gravity": Kind({"simulation.constant_force": of_signed(of_step(0.02, 0.1))}, ("constant_force",)),
     "lost rows": Kind({"simulation.lost_rows": uniform(0.005, 0.03)}, ("missing_rows",)),
     "hidden rows": Kind(
-        {"simulation.lost_rows": uniform(0.005, 0.03), "simulation.lost_rows_hidden": either(True)},
-        ("missing_rows",),
+        {"simulation.lost_rows": uniform(0.005, 0.03), "simulation.lost_rows_hidden": either(True)}, ("missing_rows",)
     ),
     "held samples": Kind({"simulation.held_samples": uniform(0.01, 0.1)}, ("repeated_rows",)),
     "repeated rows": Kind({"simulation.repeated_rows": uniform(0.01, 0.1)}, ("repeated_rows",)),

@@ -81,43 +81,18 @@ class Labelled:
     near: np.ndarray
 
 
-def pad(values: np.ndarray, first: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Cut a long column into trials: row i holds ``values[first[i] : first[i] + rows[i]]``, then NaN.
-
-    Parameters
-    ----------
-    values : float64, shape (m,)
-    first, rows : int64, shape (n,)
-        Start and length of each trial in ``values``.
-    """
-    longest = int(rows.max(initial=0))
-    offset = np.arange(longest)
-    inside = offset[None, :] < rows[:, None]
-    taken = values[np.minimum(first[:, None] + offset[None, :], max(len(values) - 1, 0))]
-    return np.where(inside, taken, np.nan)
-
-
 def join(batches: list[TrialBatch]) -> TrialBatch:
     """Trials of several batches in one; ``trial_id`` is the running number."""
-    rows = np.concatenate([b.rows for b in batches])
-    first = np.concatenate([[0], np.cumsum(rows)[:-1]])
-    columns = {
-        name: pad(np.concatenate([getattr(b, name)[b.valid] for b in batches]), first, rows)
-        for name in ("time", "command", "position")
-    }
-    scalars = {
-        name: np.concatenate([getattr(b, name) for b in batches])
-        for name in ("stiffness", "damping", "step", "sampling_period_s")
-    }
-    return TrialBatch(tuple(map(str, range(len(rows)))), **scalars, rows=rows, **columns)
+    whole = TrialBatch.joined(batches)
+    return replace(whole, trial_id=tuple(map(str, range(len(whole)))))
 
 
 def cut(batch: TrialBatch, rows: np.ndarray) -> TrialBatch:
     """The same trials, recorded for fewer rows."""
     rows = np.minimum(rows, batch.rows).astype(np.int64)
-    inside = np.arange(batch.position.shape[1])[None, :] < rows[:, None]
-    columns = {name: np.where(inside, getattr(batch, name), np.nan) for name in ("time", "command", "position")}
-    return join([replace(batch, rows=rows, **columns)])
+    inside = np.arange(rows.max()) < rows[:, None]
+    names = ("time", "command", "position")
+    return replace(batch, rows=rows, **{n: np.where(inside, getattr(batch, n)[:, : rows.max()], np.nan) for n in names})
 
 
 def labelled_set(size: int = 200, seed: int = 0, groups: tuple[Group, ...] = GROUPS) -> list[Labelled]:

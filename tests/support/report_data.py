@@ -131,10 +131,7 @@ def delay_rows() -> tuple[ComparisonRow, ...]:
             ("energy_step_w2", 12.0, 2),
         ):
             theory = c * (d + 1) ** (w + 1)
-            for condition, value, deviation in (
-                ("theory_discrete", theory, None),
-                ("experiment", theory * 1.1, 10.0),
-            ):
+            for condition, value, deviation in (("theory_discrete", theory, None), ("experiment", theory * 1.1, 10.0)):
                 gone = d == 5 and condition == "experiment" and w == 2
                 result.append(
                     ComparisonRow(
@@ -190,14 +187,7 @@ def report_data(*, full: bool = True, motion: Motion = "translation", hostile: b
 def bare(data: ReportData) -> ReportData:
     """The same device with nothing measured: every optional section loses its data."""
     empty = data.result.model_copy(
-        update={
-            "experiments": (),
-            "tables": (),
-            "summary": (),
-            "warnings": (),
-            "simulated": False,
-            "provenance": {},
-        }
+        update={"experiments": (), "tables": (), "summary": (), "warnings": (), "simulated": False, "provenance": {}}
     )
     return replace(data, result=empty, figures=(), stages=())
 

@@ -11,8 +11,8 @@ import pytest
 from independent import DIGITS, characteristic
 
 from pipeline.loop.loop import Loop
-from pipeline.theory.circle import circle_points, ends, first_branch, is_sampled, place_of
-from pipeline.theory.crossings import branches, counted_stretches, exact_branches, stretches
+from pipeline.theory.circle import circle_points, ends, first_branch, place_of
+from pipeline.theory.crossings import counted_stretches, exact_branches, stretches
 
 NYQUIST = math.pi**2
 
@@ -79,18 +79,6 @@ def test_points_of_random_and_extreme_loops() -> None:
             assert abs(p.alpha[i] - alpha) <= 1e-12 * (abs(alpha) + lever), (loop, angle)
 
 
-@pytest.mark.parametrize("d", [0.0, 3.0, 64.0, 256.0, 255.5])
-def test_points_at_long_delays(d: float) -> None:
-    for loop in (Loop(0, 0, d), Loop(1e-3, 0.02, d)):
-        angles = np.pi / (d + 0.5) * np.array([0.05, 0.3, 0.45, 0.7, 0.99, 1.4])
-        angles = angles[angles < np.pi]
-        p = circle_points(loop, place_of(angles))
-        for i, angle in enumerate(angles):
-            alpha, beta, size = exact_point(loop, float(angle))
-            assert abs(p.alpha[i] - alpha) <= 1e-12 * abs(alpha)
-            assert abs(p.beta[i] - beta) <= 1e-12 * size
-
-
 def test_slopes_and_the_start() -> None:
     for loop in loops(25, seed=2):
         x, step = places(np.array([0.3, 1.1, 2.2, -0.3])), 1e-5
@@ -129,14 +117,3 @@ def test_the_first_branch_is_what_counting_over_all_of_them_finds(values) -> Non
     assert ours.index.tolist() == counted.index.tolist()
     np.testing.assert_allclose(ours.high, counted.high, rtol=0, atol=1e-12 * counted.high.max())
     np.testing.assert_allclose(ours.low, counted.low, rtol=0, atol=1e-15)
-
-
-@pytest.mark.parametrize("values", [(0.5, 0.01, 20.5), (1e-3, 0.3, 40.0)])
-def test_sampled_branches_are_those_of_polynomials(values) -> None:
-    loop = Loop(*values)
-    assert is_sampled(loop)
-    beta = np.linspace(-0.1, 0.1, 201)
-    sampled, exact = (counted_stretches(loop, b, beta) for b in (branches(loop), exact_branches(loop)))
-    assert sampled.index.tolist() == exact.index.tolist()
-    np.testing.assert_allclose(sampled.high, exact.high, rtol=1e-12, atol=1e-14)
-    np.testing.assert_allclose(sampled.low, exact.low, rtol=1e-12, atol=1e-14)

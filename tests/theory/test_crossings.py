@@ -12,7 +12,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, loop_of, wall_units
 from pipeline.loop.many_digits import as_exact, many_digits, product
 from pipeline.records.loop_parts import Coefficients, Difference, LoopParts
-from pipeline.theory.boundary import boundary, is_inside, limits, outline, stiffness_limit
+from pipeline.theory.boundary import boundary, is_inside, limits, outline
 from pipeline.theory.circle import right_half
 from pipeline.theory.crossings import counted_stretches, exact_branches, passed_roots, positive_roots, sampled_branches
 from pipeline.theory.poles import spectral_radius
@@ -26,10 +26,7 @@ def many():
 
 def checked(example: Example, rng: np.random.Generator) -> int:
     """Hold the limit at a random damping; returns whether there was one."""
-    loop, units = (
-        loop_of(*example.arguments),
-        wall_units(example.mass, example.sampling_period_s, example.parts),
-    )
+    loop, units = (loop_of(*example.arguments), wall_units(example.mass, example.sampling_period_s, example.parts))
     found = outline(loop, 8)
     if not len(found.beta):
         return 0
@@ -44,21 +41,15 @@ def checked(example: Example, rng: np.random.Generator) -> int:
 
 @pytest.mark.slow
 def test_limits_of_random_devices_are_right_to_1e_9():
-    rng = np.random.default_rng(5)
-    assert sum(checked(random_device(rng), rng) for _ in range(10)) > 7
+    rng = np.random.default_rng(17)
+    assert sum(checked(random_device(rng), rng) for _ in range(300)) > 250
+    assert sum(checked(random_device(rng, extreme), rng) for extreme in EXTREMES for _ in range(10)) > 40
 
 
 @pytest.mark.parametrize("extreme", EXTREMES)
 def test_limits_of_extreme_devices_are_right_to_1e_9(extreme):
     rng = np.random.default_rng(len(extreme))
     assert checked(random_device(rng, extreme), rng) + checked(random_device(rng, extreme), rng) > 0
-
-
-@pytest.mark.slow
-def test_limits_of_300_random_and_60_extreme_devices():
-    rng = np.random.default_rng(17)
-    assert sum(checked(random_device(rng), rng) for _ in range(300)) > 250
-    assert sum(checked(random_device(rng, extreme), rng) for extreme in EXTREMES for _ in range(10)) > 40
 
 
 @pytest.mark.slow
@@ -83,13 +74,9 @@ def test_stable_stretches_are_those_of_the_poles():
     ("gamma", "delta", "delay"), [(0, 0.01, 2.0), (1e-3, 0.05, 3.4), (0, 0, 0.6), (0.02, 0.3, 0.0)]
 )
 def test_general_loop_equals_the_ideal_one(gamma, delta, delay):
-    ideal, loop = Loop(gamma, delta, delay), Loop(gamma, delta, delay)
-    border = boundary(ideal)
-    beta = np.linspace(0.02, 0.98, 60) * border.beta_max
-    expected = stiffness_limit(ideal, beta)
-    some = np.isfinite(expected)
-    np.testing.assert_allclose(stiffness_limit(loop, beta)[some], expected[some], rtol=1e-10)
-    found = outline(loop)
+    """By the angle along the one branch, and by dampings."""
+    loop = Loop(gamma, delta, delay)
+    border, found = boundary(loop), outline(loop)
     assert found.alpha_max == pytest.approx(border.alpha_max, rel=1e-10)
     assert found.beta_at_alpha_max == pytest.approx(border.beta_at_alpha_max, rel=1e-6)
 
@@ -153,15 +140,19 @@ def test_right_half_counts_roots():
         assert right_half(product(as_exact([1, 1]), as_exact([5, 2, 1]))) == 0
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_branches_by_samples_are_those_by_roots(seed):
+DEVICES = [replace(loop_of(*random_device(np.random.default_rng(seed)).arguments), delay=7.3) for seed in range(6)]
+
+
+@pytest.mark.parametrize("loop", [*DEVICES, Loop(0.5, 0.01, 20.5), Loop(1e-3, 0.3, 40.0)])
+def test_branches_by_samples_are_those_by_roots(loop):
     """Samples stand for the roots of long polynomials; where both are quick they count the same stretches."""
-    loop = replace(loop_of(*random_device(np.random.default_rng(seed), "").arguments), delay=7.3)
     beta = np.unique(np.concatenate([np.linspace(-0.3, 0.9, 61), np.linspace(-1e-2, 1e-2, 21)]))
     exact, found = (counted_stretches(loop, known(loop), beta) for known in (exact_branches, sampled_branches))
     np.testing.assert_array_equal(found.index, exact.index)
     for name in ("low", "high"):
-        np.testing.assert_allclose(getattr(found, name), getattr(exact, name), rtol=1e-9)
+        np.testing.assert_allclose(
+            getattr(found, name), getattr(exact, name), rtol=1e-9 if loop in DEVICES else 1e-12, atol=1e-14
+        )
 
 
 @pytest.mark.parametrize(("samples", "delay", "gamma"), [(5, 2.0, 2e-4), (4, 1.5, 0.0), (9, 4.0, 2e-4), (3, 19.0, 0.0)])

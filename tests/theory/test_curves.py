@@ -73,34 +73,6 @@ def test_no_point_of_a_line_is_better(criterion: str) -> None:
         assert sign * curve.cost[i] <= brute.min() + 1e-9 * abs(brute.min()) + 1e-12
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("criterion", BRUTE)
-def test_no_point_of_random_lines_is_better(criterion: str, record_property) -> None:
-    rng = np.random.default_rng(50)
-    sign = -1 if criterion == "damping" else 1
-    count, worst = 0, np.inf
-    for loop in (Loop(0.0, 0.0, 0.25), Loop(1e-16, 0.02, 1.5), Loop(0.01, 0.2, 1)):
-        border = boundary(loop)
-        shares = rng.uniform(0.05, 0.95, 10)
-        given = [-loop.gamma + shares * (border.alpha_max + loop.gamma), shares * border.beta_max]
-        curves = [best_damping(loop, criterion, given[0])]
-        if criterion != "energy_impulse_w0":  # its best stiffness is a limit: below
-            curves.append(best_stiffness(loop, criterion, given[1]))
-        for number, curve in enumerate(curves):
-            ends = (border.beta.min(), border.beta_max) if number == 0 else (-loop.gamma + 1e-4, border.alpha_max)
-            other = rng.uniform(*ends, (10, 400))
-            level = np.repeat(curve.given, 400)
-            points = (level, other.ravel()) if number == 0 else (other.ravel(), level)
-            brute = cost_of(loop, criterion, *points).reshape(10, 400).min(axis=1)
-            known = curve.found & np.isfinite(brute)
-            assert known.sum() >= 8
-            gap = brute[known] - sign * curve.cost[known]
-            assert (gap >= -1e-9 * np.abs(brute[known]) - 1e-12).all(), (loop, criterion)
-            count, worst = count + int(known.sum()), min(worst, float(gap.min()))
-    record_property("random", count)
-    record_property("deviation", worst)
-
-
 @pytest.mark.sampled
 @pytest.mark.parametrize("criterion", BRUTE)
 def test_curves_meet_in_the_optimal_point(criterion: str) -> None:

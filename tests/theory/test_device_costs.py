@@ -1,4 +1,6 @@
-"""Costs of general loops: against fine integration with scipy, and long sums in many digits."""
+"""Costs of general loops: against fine integration with scipy, long sums in many digits, and plain iteration."""
+
+from __future__ import annotations
 
 from dataclasses import replace
 
@@ -10,14 +12,15 @@ from scipy.integrate import simpson
 from scipy.interpolate import CubicHermiteSpline
 from scipy.linalg import eig, expm, norm
 
+import pipeline
 from pipeline.loop.loop import Loop, Vibration, loop_of, wall_units
 from pipeline.records.loop_parts import Butterworth
-from pipeline.theory.boundary import outline
+from pipeline.theory.boundary import limits, outline, stiffness_limit
 from pipeline.theory.costs import point_costs_by_name
 from pipeline.theory.energy import energy_costs
 from pipeline.theory.optimum import optimal_point
 from pipeline.theory.poles import spectral_radius
-from pipeline.theory.settling_overshoot import transient_costs
+from pipeline.theory.settling_overshoot import LONGEST, transient_costs
 
 RICH = Loop(
     *(1e-4, 0.01, 2.4),
@@ -113,74 +116,6 @@ def finely_right(loop):
         assert costs[f"energy_step_w{w}"][0] == pytest.approx(expected, rel=1e-6)
 
 
-def energies_in_many_digits(example, K, B, samples):
-    """Discrete step energies by summing samples in mpmath, SI, absolute coordinates."""
-    truth = ManyDigits(example)
-    matrix = truth.matrix(mp.mpf(K), mp.mpf(B))
-    n, oldest = matrix.rows, truth.segments[0][1]
-    positions = max(len(truth.b), 1) + oldest
-    z = mp.zeros(n, 1)
-    z[0] = z[2] = -1
-    for i in range(positions):
-        z[5 + i] = -1
-    z[4] = -truth.stiffness if example.parts.actuator_lag_s > 0 else 0
-    total, before = [mp.mpf(0)] * 3, mp.mpf(-1)
-    # E/E_0 = e^2 + m v^2/(gain K + k), the wall's force per unit of command being gain K
-    inertia = truth.mass / (truth.gain * K + truth.stiffness) / truth.period**2
-    for k in range(samples):
-        e = z[truth.sensor]
-        energy = e**2 + inertia * (e - before) ** 2
-        total = [s + mp.mpf(k) ** w * energy for w, s in enumerate(total)]
-        before, z = e, matrix * z
-    return [float(s) for s in total], float(max(abs(z[i]) for i in truth.kept))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 4])
-def test_discrete_energies_equal_long_sums_in_many_digits(seed):
-    rng = np.random.default_rng(seed)
-    with mp.workdps(40):
-        for _ in range(20):
-            example = random_device(rng)
-            loop = loop_of(*example.arguments)
-            if not len(outline(loop, 8).beta):
-                continue
-            alpha, beta = a_wall(loop, 0.3)
-            radius = spectral_radius(loop, alpha, beta)[0]
-            if radius < 0.93:
-                break
-        assert radius < 0.93
-        units = wall_units(example.mass, example.sampling_period_s, example.parts)
-        K, B = float(alpha[0] * units.stiffness), float(beta[0] * units.damping)
-        expected, rest = energies_in_many_digits(example, K, B, 700)
-    assert rest < 1e-10
-    found = energy_costs(loop, alpha, beta)
-    for w in (0, 1, 2):
-        assert found[f"energy_step_w{w}_discrete"][0] == pytest.approx(expected[w], rel=1e-9)
-
-
-@pytest.mark.parametrize("signal", ["step", "impulse"])
-def test_general_energies_equal_ideal_ones(signal):
-    alpha, beta = np.array([0.002, 0.01, 0.03]), np.array([0.1, 0.15, 0.2])
-    for gamma, delta, delay in ((0.0, 0.01, 2.0), (1e-3, 0.05, 1.4)):
-        ideal = energy_costs(Loop(gamma, delta, delay), alpha, beta, signal)
-        found = energy_costs(Loop(gamma, delta, delay), alpha, beta, signal)
-        for name, values in ideal.items():
-            np.testing.assert_allclose(found[name], values, rtol=1e-10, err_msg=name)
-
-
-def test_general_transients_equal_ideal_ones():
-    alpha, beta = np.array([0.002, 0.01, 0.03, 0.001]), np.array([0.1, 0.15, 0.2, 0.2])
-    for gamma, delta, delay in ((0.0, 0.01, 2.0), (1e-3, 0.05, 1.4)):
-        ideal, found = (
-            transient_costs(loop, alpha, beta)
-            | point_costs_by_name(loop, alpha, beta, ("rise_time", "rise_time_discrete"), 5000)
-            for loop in (Loop(gamma, delta, delay), Loop(gamma, delta, delay))
-        )
-        for name, values in ideal.items():
-            np.testing.assert_allclose(found[name], values, rtol=1e-10, atol=1e-12, err_msg=name)
-
-
 @pytest.mark.parametrize("extreme", ["", *EXTREMES])
 def test_slowest_pole_in_many_digits(extreme):
     rng = np.random.default_rng(2)
@@ -228,8 +163,88 @@ def test_no_random_wall_beats_the_optimum(criterion):
     assert np.nanmin(others) >= best.cost * (1 - 1e-9)
 
 
-def test_the_soonest_rise_of_a_general_loop_is_the_ideal_one_along_its_edge():
-    ideal, found = (optimal_point(loop(1e-3, 0.02, 1.5), "rise_time") for loop in (Loop, Loop))
-    assert found.cost == pytest.approx(ideal.cost, rel=1e-9)
+def iterated(
+    near: float, stiffness: float, damping: float, delta: float, wall: tuple[float, float], far: bool, blow: bool
+):
+    """Discrete energy w = 0 of a response with one sample of delay, from the positions of both masses."""
+    with mp.workdps(60):
+        m, k, d = mp.mpf(near), mp.mpf(stiffness), mp.mpf(damping)
+        rate = mp.matrix(5, 5)  # x1, v1, x2, v2, force on the first
+        rate[0, 1] = rate[2, 3] = 1
+        rate[1, 0], rate[1, 1], rate[1, 2], rate[1, 3], rate[1, 4] = -k / m, -(d + delta) / m, k / m, d / m, 1 / m
+        rate[3, 0], rate[3, 1], rate[3, 2], rate[3, 3] = (v / (1 - m) for v in (k, d, -k, -d))
+        step = mp.expm(rate)
+        alpha, beta = (mp.mpf(v) for v in wall)
+        start = 0 if blow else -1
+        state = mp.matrix([start, 1 / m if blow else 0, start, 0])
+        before, waiting, total = mp.mpf(start), -alpha * start, mp.mpf(0)
+        for _ in range(4000):
+            here = state[2 if far else 0]
+            force, waiting = waiting, -alpha * here - beta * (here - before)
+            state = step[:4, :4] * state + step[:4, 4] * force
+            total += here**2 + (state[2 if far else 0] - here) ** 2 / alpha
+            before = here
+        return float(total * (alpha if blow else 1))
+
+
+@pytest.mark.parametrize("far", [False, True])
+@pytest.mark.parametrize("blow", [False, True])
+@pytest.mark.parametrize("near", [1e-5, 0.3])
+@pytest.mark.sampled
+def test_energies_of_a_light_motor_side(near, blow, far):
+    reduced = near * (1 - near)
+    stiffness, damping = reduced * 0.3**2, 2 * 0.9 * 0.3 * reduced
+    stiffness, damping = (stiffness, damping) if near > 0.1 else (2e-2, 8e-2)
+    wall, delta = (1e-3, 0.05), 0.03
+    loop = Loop(0.0, delta, 1.0, mode=Vibration(1 - near, stiffness, damping, far))
+    assert np.abs(np.linalg.eigvals(loop.matrix(*(np.array([v]) for v in wall)))).max() < 0.995
+    signal = "impulse" if blow else "step"
+    found = energy_costs(loop, *wall, signal)[f"energy_{signal}_w0_discrete"][0]
+    assert found == pytest.approx(iterated(near, stiffness, damping, delta, wall, far, blow), rel=1e-9)
+
+
+def test_sums_that_rounding_keeps_from_their_equations_are_none():
+    # a radius of 1 - 7e-12: mpmath with 70 digits has 6.311e10, four rounds of refinement told 6.552e12
+    device = pipeline.Loop(
+        mass=1.0,
+        damping=17.250022087330652,
+        sampling_period_s=0.001,
+        delay_samples=5.0,
+        stiffness=0.0,
+        velocity={"kind": "butterworth", "order": 3, "cutoff_hz": 243.6823222407204},
+        actuator_lag_s=0.0001802570302356224,
+    )
+    unit = device._scale
+    wall = [2.2239988459545563e-05 / unit.stiffness], [-17.250021954961706 / unit.damping]
+    found = energy_costs(device._normalised, *wall, "impulse")["energy_impulse_w0"]
+    assert np.isnan(found[0]) or found[0] == pytest.approx(63110474678.73257, rel=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.sampled
+@pytest.mark.parametrize(("order", "cutoff"), [(4, 0.01), (4, 0.001), (3, 0.003), (2, 0.3)])
+def test_every_wall_of_a_slow_filter_has_costs(order, cutoff):
+    loop = Loop(0, 1e-3, 2.0, velocity=Butterworth(kind="butterworth", order=order, cutoff_hz=cutoff))
+    found, rng = outline(loop, 30), np.random.default_rng(17)
+    beta = rng.uniform(found.beta[0], found.beta[-1], 35)
+    alpha = limits(loop, beta).alpha * rng.uniform(0.05, 0.95, 35)
+    radius = spectral_radius(loop, alpha, beta)
+    found = energy_costs(loop, alpha, beta) | transient_costs(loop, alpha, beta, (0.02,))
+    for name, values in found.items():
+        # an overshoot that may still come after so many samples is not told
+        assert (np.isfinite(values) | (found["settle_2pct"] > LONGEST) & ("overshoot" in name)).all(), name
+    # the energies of a response by its own samples
+    quick = np.flatnonzero(radius < 0.999)[:3]
+    state, total = loop.starts(alpha[quick], "step"), np.zeros(len(quick))
+    matrix = loop.matrix(alpha[quick], beta[quick])
+    for _ in range(40_000):
+        after = np.einsum("nij,nj->ni", matrix, state)
+        total += state[:, 0] ** 2 + (after[:, 0] - state[:, 0]) ** 2 / alpha[quick]
+        state = after
+    np.testing.assert_allclose(energy_costs(loop, alpha, beta)["energy_step_w0_discrete"][quick], total, rtol=1e-9)
+
+
+def test_the_soonest_rise_is_a_limit_at_the_edge():
+    found = optimal_point(Loop(1e-3, 0.02, 1.5), "rise_time")
     assert not found.attained
-    assert (found.alpha, found.beta) == pytest.approx((ideal.alpha, ideal.beta), rel=1e-5)  # flat there
+    assert found.alpha == pytest.approx(float(stiffness_limit(Loop(1e-3, 0.02, 1.5), found.beta)[0]), rel=1e-9)

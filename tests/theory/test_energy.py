@@ -1,15 +1,17 @@
-"""Energy costs against fine quadrature and direct sums of an independent loop, and against published values."""
+"""Energy costs against fine quadrature, direct sums and Lyapunov equations of an independent loop."""
 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
+import mpmath as mp
 import numpy as np
 import pytest
-from exact_energy import energies_in_many_digits
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from independent import (
+    DIGITS,
     continuous_energy,
     discrete_energy,
     extreme_cases,
@@ -20,6 +22,7 @@ from independent import (
     stable_walls,
     wall_of_radius,
 )
+from scipy.linalg import expm
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, Normalised
@@ -27,13 +30,69 @@ from pipeline.theory import energy
 from pipeline.theory.boundary import boundary, stiffness_limit
 from pipeline.theory.energy import _by_recursion, energy_costs
 
+
+def energies_in_many_digits(case: tuple[float, float, float, float, float], signal: str) -> dict[str, float]:
+    """The six energies of (gamma, delta, delay, alpha, beta) by linear (Lyapunov) equations in 50 digits.
+
+    State: position and velocity, position before, and the wall forces on their way. For few states.
+    """
+    gamma, delta, delay, alpha, beta = case
+    whole, part = math.floor(delay), delay - math.floor(delay)
+    waiting = whole + (1 if part else 0)
+    n = 3 + waiting
+    with mp.workdps(DIGITS):
+        rate = mp.matrix([[0, 1, 0], [-mp.mpf(gamma), -mp.mpf(delta), 1], [0, 0, 0]])
+        wall = [-mp.mpf(alpha) - mp.mpf(beta), mp.mpf(0), mp.mpf(beta), *[mp.mpf(0)] * waiting]
+        unit = [[mp.mpf(int(i == j)) for j in range(n)] for i in range(n)]
+        forces = [wall, *unit[3:]]  # by age
+        moving, pieces, begun = [unit[0], unit[1]], [], 0.0
+        for time, age in ((part, whole + 1), (1 - part, whole)) if part else ((1.0, whole),):
+            rows = [*moving, forces[age]]
+            pieces.append((begun, time, np.array([[float(c) for c in row] for row in rows])))
+            step = mp.expm(rate * mp.mpf(time))
+            moving = [[sum(step[i, k] * rows[k][j] for k in range(3)) for j in range(n)] for i in (0, 1)]
+            begun += time
+        matrix = mp.matrix([*moving, unit[0], *forces[:waiting]])
+        start = [-1, 0, -1, *[mp.mpf(alpha)] * waiting] if signal == "step" else [0, 1, *[0] * (n - 1)][:n]
+        z = mp.matrix(start)
+        twice = mp.matrix(n * n, n * n)
+        for i in range(n):
+            for j in range(n):
+                for k in range(n):
+                    for m in range(n):
+                        twice[i * n + j, k * n + m] = matrix[i, k] * matrix[j, m]
+        left = mp.eye(n * n) - twice
+        plain = mp.lu_solve(left, mp.matrix([z[i] * z[j] for i in range(n) for j in range(n)]))
+        linear = mp.lu_solve(left, twice * plain)
+        square = mp.lu_solve(left, twice * (plain + 2 * linear))
+        sums = [np.array([[float(s[i * n + j]) for j in range(n)] for i in range(n)]) for s in (plain, linear, square)]
+        speeds = [float(c) for c in (matrix[0, j] - (1 if j == 0 else 0) for j in range(n))]
+    potential, kinetic = (1.0, 1 / (alpha + gamma)) if signal == "step" else (alpha + gamma, 1.0)
+    moments = np.zeros((3, n, n))
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    plant = np.array([[0, 1, 0], [-gamma, -delta, 1], [0, 0, 0]])
+    for begun, time, moves in pieces:
+        # panels that double from 2/delta on: what the plant's own damping ends is integrated where it happens
+        edges = time * np.append(0.0, 2.0 ** -np.arange(math.ceil(math.log2(max(0.5 * delta * time, 2.0))), -1.0, -1.0))
+        for low, high in pairwise(edges):
+            for node, weight in zip(low + 0.5 * (high - low) * (nodes + 1), 0.5 * (high - low) * weights, strict=True):
+                place, speed = (expm(plant * node) @ moves)[:2]
+                power = weight * (potential * np.outer(place, place) + kinetic * np.outer(speed, speed))
+                moments += power * np.array([1, begun + node, (begun + node) ** 2])[:, None, None]
+    result = {}
+    for w in (0, 1, 2):
+        result[f"w{w}"] = sum(math.comb(w, i) * float((moments[i] * sums[w - i]).sum()) for i in range(w + 1))
+        steps = sum(math.comb(w, i) * float(speeds @ sums[i] @ np.array(speeds)) for i in range(w + 1))
+        result[f"w{w}_discrete"] = potential * float(sums[w][0, 0]) + kinetic * steps
+    return result
+
+
 RANDOM = stable_walls(random_loops(60, seed=21), each=5, seed=22, slowest=0.85)
 EXTREME = extreme_cases()
 
 
-def compare(cases: list[tuple[float, ...]], signal: str, fine: int, tolerance: float) -> tuple[float, float]:
-    """Check the six energies of points; return the largest relative deviations, continuous and discrete."""
-    worst = {"": 0.0, "_discrete": 0.0}
+def compare(cases: list[tuple[float, ...]], signal: str, fine: int, tolerance: float) -> None:
+    """Check the six energies of points."""
     for k in range(0, len(cases), 60):  # dense motions of all cases at once would take memory
         part = cases[k : k + 60]  # 8 decades of motion are 16 of its energy
         for case, motion in zip(part, simulate_many(part, [horizon(c, 8) for c in part], signal, fine), strict=True):
@@ -47,46 +106,39 @@ def compare(cases: list[tuple[float, ...]], signal: str, fine: int, tolerance: f
                 for suffix, limit in (("", tolerance), ("_discrete", 1e-10)):
                     deviation = abs(costs[f"energy_{signal}_w{w}{suffix}"][0] / exact[suffix] - 1)
                     assert deviation < limit, (w, suffix, case)
-                    worst[suffix] = max(worst[suffix], float(deviation))
-    return worst[""], worst["_discrete"]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("signal", ["step", "impulse"])
-def test_random_points(signal: str, record_property) -> None:
+def test_random_points(signal: str) -> None:
     # Simpson's rule with 12 points a piece errs by up to 7e-6, most at strong damping; a wrong term is seen at 1e-2
-    continuous, discrete = compare(RANDOM, signal, 12, 1e-5)
-    record_property("random", len(RANDOM))
-    record_property("continuous deviation", continuous)
-    record_property("discrete deviation", discrete)
+    compare(RANDOM, signal, 12, 1e-5)
     assert len(RANDOM) >= 300
     assert sum(case[2] % case[3] != 0 for case in RANDOM) >= 90
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("signal", ["step", "impulse"])
-def test_extreme_points(signal: str, record_property) -> None:
+def test_extreme_points(signal: str) -> None:
     long = [case for case in EXTREME if case[2] / case[3] > 60]
     damped = [case for case in EXTREME if case[1] > 5]
     rest = [case for case in EXTREME if case not in long and case not in damped]
     # motion at long delays is slow; else 32 points a piece, where Simpson's rule errs by less than 1e-6
-    continuous, discrete = np.max([compare(long, signal, 2, 2e-6), compare(rest, signal, 32, 2e-6)], axis=0)
+    compare(long, signal, 2, 2e-6)
+    compare(rest, signal, 32, 2e-6)
     for gamma, delta, p, q, alpha, beta in damped:
         costs = energy_costs(Loop(gamma, delta, p / q), alpha, beta, signal)
         for name, truth in energies_in_many_digits((gamma, delta, p / q, alpha, beta), signal).items():
             deviation = abs(float(costs[f"energy_{signal}_{name}"][0]) / truth - 1)
             assert deviation < 1e-11, (name, gamma, delta, p, q, alpha, beta)
-    record_property("extreme", len(EXTREME))
-    record_property("continuous deviation", continuous)
-    record_property("discrete deviation", discrete)
     assert len(EXTREME) >= 60
     assert len(damped) >= 20
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("signal", ["step", "impulse"])
-def test_points_close_to_the_boundary(signal: str, record_property) -> None:
-    worst, count = 0.0, 0
+def test_points_close_to_the_boundary(signal: str) -> None:
+    count = 0
     for gamma, delta, delay in [(0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1e-3, 0.02, 0.5), (0.3, 0.0, 0.25), (0.0, 2.0, 1.5)]:
         for k in range(2, 12):
             alpha, beta = wall_of_radius(gamma, delay, delta, 1 - 10.0**-k)
@@ -95,9 +147,7 @@ def test_points_close_to_the_boundary(signal: str, record_property) -> None:
             for name, truth in exact.items():
                 deviation = abs(costs[f"energy_{signal}_{name}"][0] / truth - 1)
                 assert deviation < 1e-12, (name, k, gamma, delta, delay)
-                worst, count = max(worst, float(deviation)), count + 1
-    record_property("extreme", count // 6)
-    record_property("deviation", worst)
+                count += 1
     assert count >= 6 * 50
 
 
@@ -120,18 +170,6 @@ def test_slow_responses_in_many_digits(loop: Loop, alpha: float, beta: float, si
         assert costs[f"energy_{signal}_{name}"][0] == pytest.approx(truth, rel=1e-12, abs=0), name
 
 
-@pytest.mark.parametrize(("gamma", "delta"), [(0.0, 10.0), (0.5, 10.0), (0.0, 40.0), (0.0, 1000.0), (30.0, 12.0)])
-def test_strong_damping(gamma: float, delta: float) -> None:
-    # the motion between samples dies within a fraction of a sample; quadrature points must be where it does
-    alpha, beta = 0.4 * delta, 0.2 * delta
-    fine = int(64 * max(1, delta / 20))
-    motion = simulate(alpha, beta, gamma=gamma, delta=delta, delay=(1, 2), samples=150, fine=fine, signal="impulse")
-    costs = energy_costs(Loop(gamma, delta, 0.5), alpha, beta, "impulse")
-    for w in (0, 1, 2):
-        truth = continuous_energy(motion, alpha + gamma, 1.0, w, "impulse")
-        assert costs[f"energy_impulse_w{w}"][0] == pytest.approx(truth, rel=2e-5), w
-
-
 @pytest.mark.parametrize(("p", "q"), [(16, 1), (64, 1), (129, 2)])
 def test_long_delays(p: int, q: int) -> None:
     d = p / q
@@ -147,12 +185,7 @@ def test_long_delays(p: int, q: int) -> None:
 
 
 @settings(max_examples=15, deadline=None, derandomize=True)
-@given(
-    st.floats(1e-3, 1e3),
-    st.floats(1e-5, 1.0),
-    st.sampled_from([(0, 1), (1, 1), (3, 2)]),
-    st.floats(0.2, 0.45),
-)
+@given(st.floats(1e-3, 1e3), st.floats(1e-5, 1.0), st.sampled_from([(0, 1), (1, 1), (3, 2)]), st.floats(0.2, 0.45))
 def test_physical_energies_scale_with_mass_and_period(
     mass: float, period: float, delay: tuple[int, int], share: float
 ) -> None:
@@ -169,41 +202,11 @@ def test_physical_energies_scale_with_mass_and_period(
         assert costs[f"energy_step_w{w}_discrete"][0] == pytest.approx(truth, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("d", "alpha", "beta", "w", "cost"),
-    [
-        (0, 0.321957, 0.979989, 0, 2.582605),
-        (1, 0.070228, 0.471013, 0, 5.428833),
-        (2, 0.030506, 0.315491, 0, 8.213799),
-        (0, 0.281600, 0.841926, 1, 4.142840),
-        (1, 0.064153, 0.419066, 1, 17.34736),
-        (2, 0.028044, 0.282215, 1, 39.38114),
-        (0, 0.247419, 0.744455, 2, 10.80040),
-        (1, 0.058232, 0.379584, 2, 87.43189),
-        (2, 0.025586, 0.256617, 2, 296.1661),
-    ],
-)
-def test_reference_optima(d: int, alpha: float, beta: float, w: int, cost: float) -> None:
-    # computed by others in 400-bit arithmetic, flat: rounding alpha and beta does not show; 5e-7 is half a digit
-    assert energy_costs(Loop(0, 0, d), alpha, beta)[f"energy_step_w{w}"][0] == pytest.approx(cost, rel=5e-7)
-
-
 def test_small_parameters_change_nothing() -> None:
     exact = energy_costs(Loop(0, 0, 1.5), 0.04, 0.3)
     near = energy_costs(Loop(1e-13, 1e-13, 1.5), 0.04, 0.3)
     for name, value in exact.items():
         assert near[name] == pytest.approx(value, rel=1e-9)
-
-
-def test_close_to_the_boundary() -> None:
-    border = boundary(Loop(0, 0, 1))
-    # the pole radius approaches 1 in proportion, and a sum of k^w r^2k grows as the power w + 1 of 1/(1 - r)
-    near, nearer = (
-        energy_costs(Loop(0, 0, 1), border.alpha_max * (1 - gap), border.beta_at_alpha_max) for gap in (1e-5, 1e-6)
-    )
-    for w in (0, 1, 2):
-        ratio = nearer[f"energy_step_w{w}"][0] / near[f"energy_step_w{w}"][0]
-        assert ratio == pytest.approx(10.0 ** (w + 1), rel=1e-3)
 
 
 @pytest.mark.parametrize("factor", [1.0001, 1.5, 100.0])

@@ -8,8 +8,7 @@ import pytest
 import pipeline
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, Vibration
-from pipeline.theory.margins import margins
-from pipeline.theory.poles import spectral_radius
+from pipeline.theory.poles import margins, spectral_radius
 
 T = 1e-3
 LOOPS = {

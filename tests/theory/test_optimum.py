@@ -1,20 +1,16 @@
-"""Optima against reference values, the printed tables with their errata, and independent searches."""
+"""Optima against reference values, the printed theory rows of devices, and independent searches."""
 
 from __future__ import annotations
 
-import csv
-
 import numpy as np
 import pytest
-from independent import continuous_energy, discrete_settling, simulate
-from places import SHARED
+from independent import discrete_settling, simulate
 
 from pipeline.base.errors import ParameterError
 from pipeline.device_data.published import PublishedRow, published_rows
 from pipeline.loop.loop import Loop, Normalised, Vibration
 from pipeline.theory.boundary import stiffness_limit
-from pipeline.theory.energy import energy_costs
-from pipeline.theory.optimum import POINT_CRITERIA, marked_point, optimal_point
+from pipeline.theory.optimum import optimal_point
 from pipeline.theory.poles import is_stable
 from pipeline.theory.search import OptimalPoint
 from pipeline.theory.settling_overshoot import transient_costs
@@ -97,31 +93,10 @@ def test_theory_rows_of_d1_to_d5(row: PublishedRow) -> None:
         assert point.cost == pytest.approx(row.cost, abs=0.0101)
 
 
-def test_the_rows_above_are_all_of_them() -> None:
-    assert len(energy_and_continuous_rows()) == 3 + 6 + 2 + 6
-
-
-@pytest.mark.sampled
-@pytest.mark.parametrize(
-    ("table", "samples", "stiffness", "damping"), [("D.1", 24, 4469, 73.05), ("D.3", 22, 9863, 125.09)]
-)
-def test_discrete_settling_rows(table: str, samples: int, stiffness: float, damping: float) -> None:
-    unit, loop = THEORY[table]
-    point = optimal_point(loop, "settle_2pct_discrete")
-    assert point.cost == samples
-    # 0.2 %: the printed centre is that of a smaller, inner box (erratum)
-    assert point.alpha * unit.stiffness == pytest.approx(stiffness, rel=2e-3)
-    assert point.beta * unit.damping == pytest.approx(damping, rel=2e-3)
-
-
 @pytest.mark.sampled
 @pytest.mark.parametrize(
     ("table", "stiffness", "damping"),
-    [
-        ("D.1", (4461.8, 4478.4), (72.98, 73.16)),
-        ("D.3", (9842.5, 9883.6), None),
-        ("D.4", (3723, 3800), (38.84, 39.36)),
-    ],
+    [("D.1", (4461.8, 4478.4), (72.98, 73.16)), ("D.3", (9842.5, 9883.6), None), ("D.4", (3723, 3800), (38.84, 39.36))],
 )
 def test_whole_regions_of_the_discrete_settling_optimum(
     table: str, stiffness: tuple[float, float], damping: tuple[float, float] | None
@@ -258,89 +233,6 @@ def test_small_stiffness_is_without_overshoot_up_to_the_edge() -> None:
     assert clean.all()
 
 
-TABLES = SHARED / "reference" / "tables" / "C_optimal_values.csv"
-
-FLAT = "exact .82843, .82814, .82452, .82423 (d = 0); .42399, .42282, .42212 (d = 1): grid tolerance at a flat maximum"
-
-DEPARTURES = {
-    **{("C.1", "alpha_max", g, de): ("b", FLAT) for g in ("0.000", "0.001") for de in ("0.00", "0.02")},
-    **{
-        ("C.2", "alpha_max", *plant): ("b", FLAT) for plant in (("0.001", "0.00"), ("0.000", "0.02"), ("0.001", "0.02"))
-    },
-    ("C.1", "pole_radius", "0.000", "0.02"): ("ab", "threefold pole at .07389, .39907: off by 1.3 last digits"),
-    ("C.1", "energy_impulse_w0", "0.001", "0.00"): ("b", "exact .93693: grid tolerance at a flat minimum"),
-    ("C.2", "energy_step_w2", "0.000", "0.02"): ("bc", "exact .37841 and 79.469: printing error"),
-    ("C.3", "damping", "0.000", "0.02"): ("b", "prints the stability edge, where the limit is (0, 0)"),
-    ("C.3", "overshoot", "0.000", "0.02"): ("ab", "the printed point overshoots by 18 %"),
-    ("C.3", "energy_impulse_w0", "0.001", "0.00"): ("c", "exact 6.38681, printed 6.397 for 6.387"),
-}
-"""Rows that cannot be reproduced: which of alpha, beta, cost, and why."""
-
-
-def c_rows() -> list[dict[str, str]]:
-    if not TABLES.exists():
-        return []
-    with TABLES.open(encoding="utf-8", newline="") as stream:
-        return list(csv.DictReader(stream))
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not TABLES.exists(), reason="needs the reference tables beside the repository")
-def test_all_rows_of_tables_c1_to_c3() -> None:
-    rows = c_rows()
-    assert len(rows) == 171
-    differing = {}
-    for row in rows:
-        loop = Loop(float(row["gamma"]), float(row["delta"]), float(row["d"]))
-        name = row["criterion"]
-        point = marked_point(loop, name) if name in POINT_CRITERIA else optimal_point(loop, name)
-        off = ""
-        for letter, column, attribute in (
-            ("a", "alpha_opt", "alpha"),
-            ("b", "beta_opt", "beta"),
-            ("c", "cost", "cost"),
-        ):
-            printed = row[column]
-            if printed:
-                unit = 10.0 ** -len(printed.partition(".")[2])
-                off += letter if abs(getattr(point, attribute) - float(printed)) > 1.0001 * unit else ""
-        if off:
-            differing[row["table"], name, row["gamma"], row["delta"]] = off
-    assert differing == {key: letters for key, (letters, _) in DEPARTURES.items()}
-
-
-@pytest.mark.sampled
-@pytest.mark.parametrize(
-    ("d", "gamma", "delta", "criterion", "printed", "at"),
-    [
-        (1, 0.0, 0.02, "energy_step_w2", 79.40, (0.0625, 0.3786)),
-        (2, 0.001, 0.0, "energy_impulse_w0", 6.397, None),
-    ],
-)
-def test_departures_stepped_through_time(
-    d: int, gamma: float, delta: float, criterion: str, printed: float, at: tuple[float, float] | None
-) -> None:
-    point = optimal_point(Loop(gamma, delta, d), criterion)
-    _, signal, weight = criterion.split("_")
-    places = [(point.alpha, point.beta)] + ([at] if at else [])
-    found = []
-    for alpha, beta in places:
-        # the limit at alpha = -gamma is approached by a straight line from two points beside it
-        values = [
-            continuous_energy(
-                simulate(a, beta, gamma=gamma, delta=delta, delay=(d, 1), samples=count, signal=signal, fine=16),
-                a + gamma,
-                1.0,
-                int(weight[1]),
-                signal,
-            )
-            for a, count in (((alpha, 400),) if point.attained else ((alpha + 1e-4, 40000), (alpha + 2e-4, 20000)))
-        ]
-        found.append(values[0] if point.attained else 2 * values[0] - values[1])
-    assert found[0] == pytest.approx(point.cost, rel=1e-6 if point.attained else 1e-4)
-    assert min(found) > printed + 0.03 if at else abs(found[0] - printed) > 0.009
-
-
 @pytest.mark.sampled
 @pytest.mark.parametrize(
     ("d", "plant", "alpha", "beta", "ratio"),
@@ -369,32 +261,6 @@ def test_most_damped_points_with_delay(
 @pytest.mark.parametrize(("d", "printed"), [(0, 0.2133), (1, 0.0505), (2, 0.0222)])
 def test_edge_without_any_overshoot(d: int, printed: float) -> None:
     assert optimal_point(Loop(0, 0, d), "overshoot_at_all").alpha == pytest.approx(printed, abs=1.01e-4)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("table", "stiffness"), [("D.1", 4895), ("D.3", 10488), ("D.4", 4217)])
-def test_edge_without_any_overshoot_of_devices(table: str, stiffness: float) -> None:
-    unit, loop = THEORY[table]
-    assert optimal_point(loop, "overshoot_at_all").alpha * unit.stiffness == pytest.approx(stiffness, rel=1e-3)
-
-
-@pytest.mark.sampled
-@pytest.mark.parametrize("values", [(0, 0, 0.5), (0.001, 0.02, 2.5), (0, 10, 1), (0, 0, 16)])
-def test_nothing_around_an_optimum_is_better(values: tuple[float, float, float]) -> None:
-    loop = Loop(*values)
-    rng = np.random.default_rng(3)
-    for criterion in ("energy_step_w1", "energy_step_w1_discrete", "settle_2pct"):
-        point = optimal_point(loop, criterion)
-        for reach in (1e-1, 1e-2, 1e-4):
-            a = point.alpha * (1 + reach * rng.uniform(-1, 1, 100))
-            b = point.beta * (1 + reach * rng.uniform(-1, 1, 100))
-            keep = is_stable(loop, a, b) & (a + loop.gamma > 0)
-            costs = (
-                energy_costs(loop, a[keep], b[keep])
-                if criterion.startswith("energy")
-                else transient_costs(loop, a[keep], b[keep], (0.02,), overshoot=False, longest=4000)
-            )
-            assert np.nanmin(costs[criterion]) >= point.cost * (1 - 1e-9), (values, criterion, reach)
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
@@ -79,8 +77,7 @@ SEARCHED = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize("criterion", SEARCHED)
-def test_no_random_start_finds_a_better_point(criterion: str, record_property) -> None:
-    gaps = []
+def test_no_random_start_finds_a_better_point(criterion: str) -> None:
     # with delay and gamma = 0 the damping ratio has a limit and no optimum
     for loop in (Loop(0.001, 0.02, 1.5), Loop(0.0, 0.0, 0.0 if criterion == "damping" else 0.5)):
         found = optimal_point(loop, criterion)
@@ -96,9 +93,6 @@ def test_no_random_start_finds_a_better_point(criterion: str, record_property) -
                 slack, close = 2e-5, 0.01
         assert best >= claimed - slack, (loop, criterion)
         assert best <= claimed + close, (loop, criterion)  # the climbers came close, or the test would say nothing
-        gaps.append(best - claimed)
-    record_property("random", 2 * STARTS)
-    record_property("deviation", min(gaps))
 
 
 EXTREME_LOOPS = [
@@ -109,9 +103,9 @@ EXTREME_LOOPS = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize("criterion", ["pole_radius", "settle_2pct", *(f"energy_step_w{w}" for w in (0, 1, 2))])
-def test_nothing_around_the_optima_of_extreme_loops_is_better(criterion: str, record_property) -> None:
+def test_nothing_around_the_optima_of_extreme_loops_is_better(criterion: str) -> None:
     rng = np.random.default_rng(18)
-    count, worst = 0, math.inf
+    count = 0
     for loop in EXTREME_LOOPS:
         point = optimal_point(loop, criterion)
         base, span = point.alpha + loop.gamma, abs(point.beta) + loop.delta
@@ -123,9 +117,7 @@ def test_nothing_around_the_optima_of_extreme_loops_is_better(criterion: str, re
             costs = plain_cost(loop, criterion)(a[keep], b[keep])
             slack = 2e-5 if criterion == "pole_radius" else 1e-9 * point.cost
             assert np.nanmin(costs) >= point.cost - slack, (loop, criterion, reach)
-            count, worst = count + int(keep.sum()), min(worst, float(np.nanmin(costs) / point.cost - 1))
-    record_property("extreme", count)
-    record_property("deviation", worst)
+            count += int(keep.sum())
     assert count >= 3000
 
 

@@ -79,12 +79,6 @@ def check_whole(loop: Loop, seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_outlines_of_random_devices_are_whole():
-    for number, loop in enumerate(random_loops(24, 6)):
-        check_whole(loop, number)
-
-
-@pytest.mark.slow
 def test_outlines_of_300_random_devices_are_whole():
     for number, loop in enumerate(random_loops(300, 7)):
         check_whole(loop, number)

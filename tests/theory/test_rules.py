@@ -1,4 +1,4 @@
-"""Rules of thumb against continuous-time poles, the critical oscillation and the printed scaling factors."""
+"""Rules of thumb against continuous-time poles, the critical oscillation and printed scaling factors."""
 
 from __future__ import annotations
 
@@ -13,36 +13,13 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.theory.optimum import marked_point, scaling_factor
 
-SCALING = [
-    ("pole_radius", 6.84, 0.01),
-    ("settle_2pct", 4.90, 0.01),
-    ("energy_step_w0", 2.75, 0.01),
-    ("energy_step_w1", 4.40, 0.01),
-    ("energy_step_w2", 11.00, 0.01),
-    ("energy_impulse_w0", 2.15, 0.01),
-    ("energy_impulse_w1", 5.69, 0.01),
-    ("energy_impulse_w2", 20.30, 0.01),
-    ("settle_2pct_discrete", 5.0, 0.1),
-    ("energy_step_w0_discrete", 2.81, 0.01),
-    ("energy_step_w1_discrete", 4.47, 0.01),
-    ("energy_step_w2_discrete", 11.30, 0.01),
-    ("energy_impulse_w0_discrete", 2.16, 0.015),
-    ("energy_impulse_w1_discrete", 5.80, 0.01),
-    ("energy_impulse_w2_discrete", 20.71, 0.01),
-]
-"""Table 5.1: criterion, printed factor, one unit of its last digit. Discrete E_0 of the impulse is printed as 2.16; the
-limit is 2.1454, and 2.16 is the smallest value at 0.8 % of alpha_max, two lines of the thesis's grid inside."""
-
 
 @pytest.mark.sampled
-@pytest.mark.parametrize(("criterion", "printed", "unit"), SCALING)
-def test_scaling_factors_of_table_5_1(criterion: str, printed: float, unit: float) -> None:
-    assert scaling_factor(criterion) == pytest.approx(printed, abs=1.001 * unit)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("criterion", "printed"), [("settle_5pct", 3.77), ("settle_1pct", 5.81)])
-def test_scaling_factors_of_other_bands(criterion: str, printed: float) -> None:
+@pytest.mark.parametrize(
+    ("criterion", "printed"),
+    [("pole_radius", 6.84), ("energy_step_w1", 4.4), ("settle_5pct", 3.77), ("settle_1pct", 5.81)],
+)
+def test_scaling_factors(criterion: str, printed: float) -> None:
     assert scaling_factor(criterion) == pytest.approx(printed, abs=0.0101)  # 5.4.2, printed with "about"
 
 
@@ -62,27 +39,16 @@ def test_ziegler_nichols_from_the_critical_oscillation(delay: float, period: flo
 
 
 @pytest.mark.slow
-def test_ziegler_nichols_of_random_and_extreme_loops(record_property) -> None:
+def test_ziegler_nichols_of_random_and_extreme_loops() -> None:
     random = random_loops(300, seed=31)
     extreme = [
         (gamma, delta, p, q)
         for gamma, delta in [(0.0, 0.0), (1e-16, 0.0), (1e-16, 1e-16), (1e-6, 2e-3), (1e-6, 2e-3 * (1 + 1e-12))]
         for p, q in [
-            (0, 1),
-            (1, 8),
-            (1, 2),
-            (999, 1000),
-            (1, 1),
-            (1001, 1000),
-            (3, 1),
-            (7, 2),
-            (8, 1),
-            (12, 1),
-            (33, 2),
-            (32, 1),
+            *((0, 1), (1, 8), (1, 2), (999, 1000), (1, 1), (1001, 1000)),
+            *((3, 1), (7, 2), (8, 1), (12, 1), (33, 2), (32, 1)),
         ]
     ]
-    worst = 0.0
     for gamma, delta, p, q in random + extreme:
         loop = Loop(gamma, delta, p / q)
         point, top = marked_point(loop, "ziegler_nichols"), marked_point(loop, "beta_max")
@@ -99,10 +65,6 @@ def test_ziegler_nichols_of_random_and_extreme_loops(record_property) -> None:
         assert away < (1e-10 if p / q >= 0.5 else 1e-6), (gamma, delta, p, q)
         # and no other root has left the circle
         assert stable_by_schur_cohn(polynomial, 1 + 1e-6), (gamma, delta, p, q)
-        worst = max(worst, away)
-    record_property("random", len(random))
-    record_property("extreme", len(extreme))
-    record_property("deviation", worst)
     assert len(extreme) >= 60
 
 
