@@ -8,6 +8,8 @@ are listed in ``docs/architecture.md``.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from pipeline.base.provenance import __version__ as __version__
+
 if TYPE_CHECKING:
     from pipeline.base.errors import PipelineError as PipelineError
     from pipeline.rig.design import Design as Design
@@ -31,8 +33,6 @@ if TYPE_CHECKING:
     from pipeline.surface.stored import optima as optima
     from pipeline.surface.stored import samples as samples
     from pipeline.surface.stored import trials as trials
-
-__version__ = "1.0.0rc1"
 
 _PUBLIC = {
     "base.errors": ("PipelineError",),

@@ -9,7 +9,8 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 
-from pipeline import __version__
+__version__ = "1.0.0rc1"
+"""Of the package."""
 
 PACKAGE_FOLDER = Path(__file__).parents[1]
 

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import __version__
 from pipeline.base.errors import UsageError
-from pipeline.base.provenance import code_digest
+from pipeline.base.provenance import __version__, code_digest
 from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, nominal_theories
 from pipeline.comparison.figures.responses import trials_of
 from pipeline.comparison.scene.origin import excluded_trials

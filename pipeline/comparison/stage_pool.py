@@ -18,11 +18,10 @@ from typing import Any, TypeVar
 
 import pyarrow as pa
 
-from pipeline import __version__
 from pipeline.base.disk import if_writable
 from pipeline.base.errors import StoreError
 from pipeline.base.process import process_pool
-from pipeline.base.provenance import code_digest, digest
+from pipeline.base.provenance import __version__, code_digest, digest
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.measured.stages.stage_groups import TrialGroup
 from pipeline.measured.stages.stages import STAGES, ExperimentStages

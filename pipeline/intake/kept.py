@@ -20,11 +20,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from pipeline import __version__
 from pipeline.base.disk import each, kept_files, read_kept, readers_of, write_kept
 from pipeline.base.errors import OTHER_COLUMNS, REMEDY, LogError, StoreError, UsageError
 from pipeline.base.paths import path_of_text, path_text, storable
-from pipeline.base.provenance import digest
+from pipeline.base.provenance import __version__, digest
 from pipeline.base.provenance import sha256 as hash_of
 from pipeline.intake.sources import ENDINGS, Source, motion_of
 from pipeline.readers import Log

@@ -7,9 +7,8 @@ import platform
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from pipeline import __version__
 from pipeline.base.disk import read_kept, write_kept
-from pipeline.base.provenance import PACKAGE_FOLDER, digest, digest_all, schema_folder, sha256
+from pipeline.base.provenance import PACKAGE_FOLDER, __version__, digest, digest_all, schema_folder, sha256
 from pipeline.records.findings import Record
 
 OURS = "this package"

@@ -17,8 +17,8 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 from starlette.types import ASGIApp
 
-from pipeline import __version__
 from pipeline.base.errors import PipelineError, UsageError
+from pipeline.base.provenance import __version__
 from pipeline.service import connections
 from pipeline.service.catalogue import Catalogue
 from pipeline.service.database import Database

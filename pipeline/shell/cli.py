@@ -13,8 +13,8 @@ from typing import Annotated
 
 import typer
 
-from pipeline import __version__
 from pipeline.base.process import begin_alone
+from pipeline.base.provenance import __version__
 from pipeline.shell import console
 
 COMMANDS = {

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import __version__
 from pipeline.base.disk import TEMPORARY_ENDING, write_text
 from pipeline.base.errors import ParameterError, PipelineError, UsageError
+from pipeline.base.provenance import __version__
 from pipeline.device_data.devices import find_experiment
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.batch import Floats, Integers, TrialBatch

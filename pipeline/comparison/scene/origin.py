@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 
-from pipeline import __version__
 from pipeline.base.paths import path_of_text
-from pipeline.base.provenance import digest, sha256
+from pipeline.base.provenance import __version__, digest, sha256
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.device_data.devices import digest_of
 from pipeline.measured.stages.stages import ExperimentStages

@@ -17,7 +17,7 @@ from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, Response
 from pydantic import AfterValidator, BaseModel, Field
 from starlette.concurrency import run_in_threadpool
 
-from pipeline import __version__
+from pipeline.base.provenance import __version__
 from pipeline.records.criteria import REPORTED
 from pipeline.records.results import AgainstResult, ComparisonResult
 from pipeline.records.tables import COLUMNS

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import __version__
 from pipeline.base.errors import OTHER_COLUMNS, LogError, UsageError, refusal
+from pipeline.base.provenance import __version__
 from pipeline.base.wording import counted
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.sources import find_sources, logs_of, motion_of
