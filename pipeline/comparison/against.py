@@ -13,7 +13,7 @@ import numpy as np
 
 from pipeline.base.errors import UsageError
 from pipeline.base.provenance import __version__, code_digest
-from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, nominal_theories
+from pipeline.comparison.experiment_result import estimated_theories, experiment_result, nominal_theories
 from pipeline.comparison.figures.responses import trials_of
 from pipeline.comparison.scene.origin import excluded_trials
 from pipeline.comparison.scene.scene import SceneData, open_scene

@@ -11,8 +11,8 @@ from pydantic import ValidationError
 
 from pipeline.base.disk import write_text
 from pipeline.base.provenance import code_digest, digest, sha256
-from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, nominal_theories
 from pipeline.comparison.executors import Executor
+from pipeline.comparison.experiment_result import estimated_theories, experiment_result, nominal_theories
 from pipeline.comparison.figures.maps import departure_figures, map_figures
 from pipeline.comparison.figures.responses import response_figures, trials_of
 from pipeline.comparison.figures.trial_page import trial_page

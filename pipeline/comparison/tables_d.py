@@ -8,61 +8,16 @@ from functools import cache
 from itertools import product
 from typing import Any
 
-from pipeline.comparison.scene.scene import SceneData
+from pipeline.comparison.scene.scene import SceneData, layouts
 from pipeline.comparison.scores.deviation import deviation_of
 from pipeline.device_data.published import find
-from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.criteria import CRITERIA, DISCRETE, REPORTED, criterion_of
+from pipeline.records.criteria import DISCRETE, criterion_of
 from pipeline.records.findings import Optimum
-from pipeline.records.models import ComparisonRow, Deviation, Shown, TableLayout
+from pipeline.records.models import ComparisonRow, Deviation, TableLayout
 from pipeline.records.results import ExperimentResult
 from pipeline.theory.predictions import Prediction, Predictions, Request, Theory
 
-TABLED = tuple(c.name for c in CRITERIA.values() if c.tabled)
-"""Criteria of a table for an experiment that no published table holds."""
-
 _NUMBERS = ("stiffness", "damping", "cost")
-
-
-def layouts(data: SceneData) -> tuple[TableLayout, ...]:
-    """Return the tables that the stored experiments can fill: published layouts, then one for each other experiment."""
-    asked = data.scene.criteria
-    stored = data.scene.experiments
-    known = data.device.tables if data.device else ()
-    result = []
-    for table in known:
-        experiments = tuple(e for e in table.experiments if e in stored)
-        criteria = tuple(c for c in table.criteria if c in asked)
-        if experiments and criteria and (table.kind == "optima" or len(experiments) > 1):
-            result.append(table.model_copy(update={"experiments": experiments, "criteria": criteria}))
-    covered = {e for table in result for e in table.experiments}
-    usual = tuple(c for c in TABLED if c in asked) or tuple(c for c in REPORTED if c in asked)
-    extra = tuple(c for c in asked if c not in REPORTED)  # in no published table
-    least = min((added_delay(e) for e in data.experiments), default=0)
-    for stages in data.experiments:
-        experiment = stages.experiment
-        # in a sweep of a device without layouts, one table over delay says more than one table for each delay
-        swept = data.device is None and data.scene.delay_sweep and added_delay(stages) > least
-        criteria = (() if experiment in covered else usual) + extra
-        if criteria and not swept:
-            name = f"experiment {experiment}"
-            result.append(TableLayout(name=name, criteria=criteria, experiments=(experiment,), theory_from=experiment))
-    # an overshoot of zero at every delay says nothing (Table D.6)
-    sweep = tuple(c for c in (*TABLED, *extra) if c in asked and not criterion_of(c).family.levels)
-    if data.device is None and data.scene.delay_sweep and sweep:
-        fields: dict[str, Any] = {"experiments": stored, "theory_from": stored[0], "kind": "delay"}
-        result.append(TableLayout(name="delay", criteria=sweep, **fields))
-    return tuple(table for table in result if _in_use(table, data.scene.shown))
-
-
-def _in_use(table: TableLayout, shown: Shown) -> bool:
-    """Tell whether a layout is shown as a table, or gives the figures that follow it."""
-    return shown.has_table(table.name) or shown.has_figure("delay" if table.kind == "delay" else "maps")
-
-
-def added_delay(stages: ExperimentStages) -> int:
-    """Return the least delay that was added on purpose in the trials of an experiment, in samples."""
-    return int(min(stages.trials.column("added_delay_samples").to_pylist()))
 
 
 def condition_of(table: TableLayout, experiment: str, published_experiments: int) -> str:

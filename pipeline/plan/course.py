@@ -264,7 +264,7 @@ def foretold(course: Course, dampings: Sequence[float]) -> Forecast | None:
         return None
     point = stated_device(course.device, course.of_file).point
     limit = point.limit(wall)
-    largest = float(limit.max()) or float(point.limit(np.array([point.stiffest]))[0])
+    largest = float(limit.max()) or float(point.limit(np.array([point.damping_of_stiffest]))[0])
     if not largest > 0:
         raise DeviceError(f"device {course.name!r}: by its file no wall is stable; {RANGE_NEEDED}.")
     return Forecast(limit, np.full(len(limit), START_ERROR * largest))

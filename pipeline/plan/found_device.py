@@ -81,7 +81,7 @@ class LoopPoint:
         return np.maximum(stiffness_limit(self.loop, wall_damping / self.units.damping), 0.0) * self.units.stiffness
 
     @property
-    def stiffest(self) -> float:
+    def damping_of_stiffest(self) -> float:
         """Damping B [Ns/m, Nms/rad] of the stiffest stable wall; 0 where there is none."""
         loop = self.loop
         damping = max(0.0, boundary(loop, OUTLINE).beta_at_alpha_max) if stabilises(loop) else 0.0
@@ -223,7 +223,7 @@ class FoundDevice:
         own, undecided = self.point.step_limits(wall_damping, trial, np.broadcast_to(softest, limit.shape))
         reach = np.hypot(reach, undecided)
         if self.point.coulomb:
-            friction = self.fitted.known("coulomb")
+            friction = self.fitted.with_interval("coulomb")
             reach = np.hypot(reach, (own - limit) * (friction.high - friction.low) / (2 * friction.value))
         return own, reach
 

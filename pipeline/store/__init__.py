@@ -1,1 +1,1 @@
-"""From files of a lab to `processed/` and back: ingest, quarantine, batches, devices, published values."""
+"""Stored trials and stages in `processed/`, a folder or a bucket: batches, their rows and samples, corrections."""

@@ -1,1 +1,1 @@
-"""Error against run time of the measured branch, on simulated truth."""
+"""Studies by the package of itself: the tables of the thesis anew, and error against run time."""

@@ -11,7 +11,7 @@ import pandas as pd
 import pyarrow as pa
 
 from pipeline.base.errors import DeviceError, StoreError, UsageError
-from pipeline.comparison.compare_experiment import experiment_result
+from pipeline.comparison.experiment_result import experiment_result
 from pipeline.comparison.scene.scene import SceneData, needed_stages, open_scene
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.device_data.devices import known_devices

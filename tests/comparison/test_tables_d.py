@@ -7,9 +7,9 @@ import pytest
 from labs import make_lab
 
 from pipeline.base.provenance import schema_folder
-from pipeline.comparison.compare_experiment import nominal_theories
-from pipeline.comparison.scene.scene import open_scene
-from pipeline.comparison.tables_d import TableBuilder, condition_of, layouts
+from pipeline.comparison.experiment_result import nominal_theories
+from pipeline.comparison.scene.scene import layouts, open_scene
+from pipeline.comparison.tables_d import TableBuilder, condition_of
 from pipeline.device_data.devices import load_device
 from pipeline.records.findings import Optimum
 from pipeline.records.models import ComparisonRow

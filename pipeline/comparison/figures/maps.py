@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.comparison.scene.scene import SceneData
+from pipeline.comparison.scene.scene import SceneData, layouts
 from pipeline.comparison.scores.deviation import FEWEST, smooth_of
-from pipeline.comparison.tables_d import layouts
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.criteria import OVERSHOOT, criterion_of

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.base.wording import counted
-from pipeline.comparison.loops.departures import MATTERS, SENTENCES, CourseFilter, LawDeparture, OtherGains
+from pipeline.comparison.limits import MATTERS
+from pipeline.comparison.loops.departures import SENTENCES, CourseFilter, LawDeparture, OtherGains
 from pipeline.comparison.loops.wall_replay import LOW, coarse
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
@@ -132,7 +133,7 @@ def _parts(shown: Shown) -> Iterator[Candidate]:
         kind, _, at = name.partition(" ")
         if (part := PARTS.get(kind)) is None:
             continue
-        number, rest = fitted.known(part.number), abs(values[part.number]) / least[part.over]
+        number, rest = fitted.with_interval(part.number), abs(values[part.number]) / least[part.over]
         left = {key: value for key, value in values.items() if kind != "mode" or key != "far_mass"}
         left |= {part.number: 0.0} if kind != "mode" else {}
         effect, change = _beside(found.point, found.at(left), shown)
@@ -159,7 +160,7 @@ def _held(coulomb: float, step: float) -> str:
 
 def _beside(point: LoopPoint, other: LoopPoint, shown: Shown) -> tuple[float, str]:
     """Return how far limits of two devices are apart where they differ most for their size, and both in words."""
-    where = np.unique(np.concatenate([ALONG * each.stiffest for each in (point, other)]))
+    where = np.unique(np.concatenate([ALONG * each.damping_of_stiffest for each in (point, other)]))
     own, others = point.limit(where), other.limit(where)
     if point.coulomb != other.coulomb:  # for the step: to large motions friction is none
         own = np.maximum(np.nan_to_num(point.step_limits(where, shown.trial, np.zeros(len(where)))[0]), own)
@@ -176,7 +177,7 @@ def _beside(point: LoopPoint, other: LoopPoint, shown: Shown) -> tuple[float, st
 
 def _shared(shown: Shown, found: FoundDevice) -> Iterator[Candidate]:
     """Yield a delay that is no whole number, jitter, and a mass that is not the stated one."""
-    point, delay, mass = found.point, found.fitted.known("delay_samples"), found.fitted.known("mass")
+    point, delay, mass = found.point, found.fitted.with_interval("delay_samples"), found.fitted.with_interval("mass")
     part = delay.value - round(delay.value)
     jitter = list(_jitter(shown, point))
     yield from jitter

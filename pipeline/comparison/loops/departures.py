@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.wording import commonest, counted, listed
+from pipeline.comparison.limits import MATTERS
 from pipeline.measured.law.velocity_filter import VelocityFilterFound
 from pipeline.measured.law.wall_law import OTHER_WALL
 from pipeline.measured.stages.stages import ExperimentStages
@@ -18,10 +19,6 @@ from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import VelocityFilter
 from pipeline.records.results import Cause
 from pipeline.rendering.labels import range_text, significant
-
-MATTERS = 0.02
-"""Change of a result, relative to it, that is worth a word: a course brackets a limit no closer. Share of the logs
-above which what they show is no accident of single trials, too."""
 
 FEWEST_LOGS = 3
 """Logs below which what they show is an accident; all of fewer logs."""

@@ -7,9 +7,9 @@ from math import floor, log10
 
 import numpy as np
 
+from pipeline.comparison.limits import measured_limits
 from pipeline.comparison.loops.causes import FEW
 from pipeline.comparison.loops.told_loop import ToldLoop
-from pipeline.comparison.scores.agreement import measured_limits
 from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.plan.found_device import LoopPoint
 from pipeline.records.results import ExperimentResult, PassiveWall

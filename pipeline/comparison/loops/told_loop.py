@@ -59,7 +59,7 @@ class ToldLoop:
 
     def parameter(self, name: str) -> Parameter:
         """Return a number with its 95 % interval; that of a file reaches to what the logs show."""
-        found = self.found.fitted.known(name) if self.found else None
+        found = self.found.fitted.with_interval(name) if self.found else None
         if self.stated is None:
             assert found is not None, "a loop is found or stated"
             return found
@@ -130,7 +130,7 @@ def loop_numbers(told: ToldLoop, of_logs: Sequence[VelocityFilter], parts: LoopP
         }
     fitted = told.devices[0].fitted
     names = {"frequency_hz": "frequency_hz", "damping_ratio": "damping_ratio", "mass": "far_mass"}
-    found = {name: fitted.known(of) for name, of in names.items() if of in fitted.values}
+    found = {name: fitted.with_interval(of) for name, of in names.items() if of in fitted.values}
     most = {"mass": fitted.values["mass"]}
     mode_found = {
         name: Parameter(value=each.value, low=max(each.low, 0.0), high=min(each.high, most.get(name, np.inf)))

@@ -8,10 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.base.wording import counted
-from pipeline.comparison.loops.departures import MATTERS
+from pipeline.comparison.limits import MATTERS, NARROW, measured_limits
 from pipeline.comparison.loops.told_loop import ToldLoop, found_device
-from pipeline.comparison.scores.agreement import measured_limits
-from pipeline.comparison.summary.advice import NARROW
 from pipeline.measured.cost.costs import settling
 from pipeline.measured.experiment.boundary import spread_over_plane
 from pipeline.measured.signal.response import find_response

@@ -11,8 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from pipeline.base.errors import SceneError
-from pipeline.comparison.scene.scene import LEAVE_OUT, RUN, PlannedStage, SceneData, open_scene
-from pipeline.comparison.tables_d import layouts
+from pipeline.comparison.scene.scene import LEAVE_OUT, RUN, PlannedStage, SceneData, layouts, open_scene
 from pipeline.profiles.profile_files import Mistake, Place, key_lines
 from pipeline.records.criteria import REPORTED, SETTLING_BANDS
 from pipeline.records.models import FigureKind, SceneFile

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.comparison.loops.departures import MATTERS
+from pipeline.comparison.limits import MATTERS
 from pipeline.loop.loop import Loop
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Booleans, Floats, Integers

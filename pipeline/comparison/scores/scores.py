@@ -7,17 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from pipeline.base.wording import counted
+from pipeline.comparison.limits import MeasuredLimits, Overlap, Stretches, measured_limits, overlap
 from pipeline.comparison.loops.departures import other_gains
 from pipeline.comparison.scene.scene import SceneData
-from pipeline.comparison.scores.agreement import (
-    MeasuredLimits,
-    Overlap,
-    Stretches,
-    boundary_distance,
-    measured_limits,
-    overlap,
-    verdict_agreement,
-)
+from pipeline.comparison.scores.agreement import boundary_distance, verdict_agreement
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.results import ExperimentResult, RegionScore, Scores, StiffnessScore

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.comparison.scores.agreement import MeasuredLimits, measured_limits
+from pipeline.comparison.limits import NARROW, MeasuredLimits, measured_limits
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.findings import Optimum
@@ -17,10 +17,6 @@ from pipeline.rendering.labels import criterion_name
 PREFERRED = ("settle_2pct", "settle_5pct", "settle_1pct", "energy_step_w1", "energy_step_w0", "energy_step_w2")
 """Criteria by which walls are recommended, the first one that has a cost: how fast a wall comes to rest is what a user
 feels. Overshoot alone is no choice: its optimum is a limit, not a best point."""
-
-NARROW = 1.25
-"""Least margin of the stability limit over the stiffness of a wall to use: a mass or a delay that is wrong by a quarter
-moves the limit that far."""
 
 FAR = 2.0
 """The same where no cost tells how good a wall is: a gain margin of two (6 dB) is the usual one of control."""

@@ -12,10 +12,11 @@ import numpy as np
 
 from pipeline.base.errors import DeviceError, UsageError
 from pipeline.base.wording import counted, first_clause, listed
-from pipeline.comparison.loops.departures import MATTERS, other_gains
+from pipeline.comparison.limits import MATTERS, measured_limits
+from pipeline.comparison.loops.departures import other_gains
 from pipeline.comparison.loops.told_loop import found_device
 from pipeline.comparison.scene.scene import SceneData
-from pipeline.comparison.scores.agreement import FEWEST_COMPARISONS, boundary_distance, measured_limits
+from pipeline.comparison.scores.agreement import FEWEST_COMPARISONS, boundary_distance
 from pipeline.comparison.summary.summary_warnings import NEEDED
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.course import Wish, course_of

@@ -88,9 +88,9 @@ class FittedDevice:
 
     def parameter(self, name: str) -> Parameter | None:
         """Return one of its numbers with its 95 % interval; None where it has none."""
-        return self.known(name) if name in self.values else None
+        return self.with_interval(name) if name in self.values else None
 
-    def known(self, name: str) -> Parameter:
+    def with_interval(self, name: str) -> Parameter:
         """Return one of the numbers that it has with its 95 % interval."""
         value = self.values[name]
         reach = NORMAL_95 * float(np.sqrt(self.covariance[(place := list(self.values).index(name)), place]))

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.measured.experiment.stored import Experiment
 from pipeline.measured.signal.sensor import sensor_floor
-from pipeline.measured.stages.stage_given import Experiment
 from pipeline.measured.student import SMALLEST
 from pipeline.records.batch import Booleans, Floats
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
-from pipeline.records.batch import Floats
+import pyarrow as pa
+
+from pipeline.measured.signal.verdict import Verdicts
+from pipeline.records.batch import Floats, TrialGroups
 
 Result = TypeVar("Result")
 
@@ -36,3 +39,26 @@ class Stored(Protocol):
 
     def once(self, function: Callable[[Any], Result]) -> Result:
         """What a function finds in the experiment; it is called once."""
+
+
+class Experiment(Stored, Protocol):
+    """What there is of an experiment: its samples, and what the stages before found."""
+
+    @property
+    def trials(self) -> pa.Table:
+        """Rows of the trials table, in any order."""
+
+    @property
+    def spring(self) -> float:
+        """Stiffness k of the device that its file declares [N/m, Nm/rad], 0 for none."""
+
+    @property
+    def samples(self) -> TrialGroups:
+        """All samples."""
+
+    @property
+    def verdicts(self) -> Verdicts:
+        """Verdict of each trial."""
+
+    def of_each(self, function: Callable[..., Result], **given: Any) -> list[Result]:
+        """Results of a function of each group."""

@@ -349,16 +349,16 @@ def refined(
     if far:
         for late in (False, jitters):
             device = _climbed(_fit(held, device, trials, places[:0]), held, trials, FIXED_STEPS).device
-            device = replace(device, noise=noise_of(held, device, jitters=late)) if noisy else device
+            device = replace(device, noise=noise_and_jitter(held, device, jitters=late)) if noisy else device
     elif noisy:
-        device = replace(device, noise=noise_of(held, device, jitters=jitters))
+        device = replace(device, noise=noise_and_jitter(held, device, jitters=jitters))
     start = _fit(held, device, trials, places)
     found = _climbed(start, held, trials, steps)
     for _ in range(NOISE_ROUNDS if noisy else 0):
         if found.likelihood - start.likelihood < WORTH:
             break
         # what was noise where the search began may be motion where it ends
-        device = replace(found.device, noise=noise_of(held, found.device, jitters=jitters))
+        device = replace(found.device, noise=noise_and_jitter(held, found.device, jitters=jitters))
         start = _fit(held, device, trials, places)
         again = _climbed(start, held, trials, steps)
         if again.likelihood <= found.likelihood:
@@ -444,7 +444,7 @@ def _climbed(fit: Fit, held: Stretches, trials: int, steps: int) -> Fit:
     return fit
 
 
-def noise_of(held: Stretches, device: Device, *, jitters: bool) -> Noise:
+def noise_and_jitter(held: Stretches, device: Device, *, jitters: bool) -> Noise:
     """Return the noise under which the errors of a device are likeliest, without what is worth nothing.
 
     A random force is looked for, and a jitter of the delay if asked for.

@@ -26,12 +26,12 @@ from pipeline.measured.cost.reading_error import (
 from pipeline.measured.experiment.boundary_band import boundary_band
 from pipeline.measured.experiment.estimates import by_model, delay_factor, first_change, standard_error
 from pipeline.measured.experiment.rest_forces import rest_spring
+from pipeline.measured.experiment.stored import Experiment
 from pipeline.measured.signal import outcome, verdict
 from pipeline.measured.signal.disturbance import Device, learn_device
 from pipeline.measured.signal.events import usual_length
 from pipeline.measured.signal.response import NO_ROW
 from pipeline.measured.signal.sensor import sensor_floor
-from pipeline.measured.stages.stage_given import Experiment
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 from pipeline.records.batch import Floats
 from pipeline.records.tables import COLUMNS, TABLES, to_arrow

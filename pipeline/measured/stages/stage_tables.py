@@ -21,8 +21,8 @@ import pyarrow as pa
 from pipeline.base.disk import if_writable, write_kept
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import code_digest, digest, stamp
+from pipeline.measured.experiment.stored import Experiment
 from pipeline.measured.signal.verdict import Verdicts
-from pipeline.measured.stages.stage_given import Experiment, nothing
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 from pipeline.measured.stages.stage_rows import Sources, stage_rows
 from pipeline.records.batch import Booleans, Floats, TrialGroups
@@ -73,7 +73,7 @@ class Stage:
 
     needs: tuple[str, ...] = ()
     rows: Callable[[TrialGroup, Given], Sources] | None = None
-    given: Callable[[Experiment], Given] = nothing
+    given: Callable[[Experiment], Given] = lambda _: {}
     whole: Callable[[Experiment], Columns] | None = None
     derived: Callable[[Experiment, pa.Table], Columns] | None = None
     sprung: bool = False

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from stored import batch_of
 from trial_pages import decode, unpack
 
-from pipeline.comparison.compare_experiment import experiment_result, nominal_theories
+from pipeline.comparison.experiment_result import experiment_result, nominal_theories
 from pipeline.comparison.figures import trial_page as page_module
 from pipeline.comparison.figures.trial_page import (
     COLUMNS,

@@ -108,7 +108,7 @@ def test_mass_and_friction_are_told_where_friction_differs_from_run_to_run(tmp_p
     device = fitted_device(stages)
     assert device.parts == ("friction",)
     for name, true, most in (("mass", 0.47, 0.02), ("damping", 3.1, 0.1), ("coulomb", 0.6, 0.2)):
-        number = device.known(name)
+        number = device.with_interval(name)
         assert number.low <= true <= number.high, (name, number)
         assert number.high - number.low < 2 * most * true
 

@@ -8,14 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.base.errors import ParameterError
-from pipeline.comparison.scores.agreement import (
-    MeasuredLimits,
-    Stretches,
-    boundary_distance,
-    measured_limits,
-    overlap,
-    verdict_agreement,
-)
+from pipeline.comparison.limits import MeasuredLimits, Stretches, measured_limits, overlap
+from pipeline.comparison.scores.agreement import boundary_distance, verdict_agreement
 from pipeline.records.findings import BoundaryPoint
 
 NONE = np.zeros(4, dtype=bool)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from labs import make_lab
 
-from pipeline.comparison.loops.departures import MATTERS
+from pipeline.comparison.limits import MATTERS
 from pipeline.comparison.scores.deviation import _least_in_range, deviation
 from pipeline.device_data.devices import load_device
 from pipeline.loop.loop import Loop

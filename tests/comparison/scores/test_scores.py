@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.comparison.compare_experiment import nominal_theories
+from pipeline.comparison.experiment_result import nominal_theories
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.comparison.scores.scores import _scores
 from pipeline.records.findings import BoundaryPoint

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.comparison.scores.agreement import MeasuredLimits, measured_limits
+from pipeline.comparison.limits import NARROW, MeasuredLimits, measured_limits
 from pipeline.comparison.summary.advice import (
     CALM,
     FAR,
     FEWEST,
     GOOD,
-    NARROW,
     NEIGHBOURS,
     WallTrials,
     best_rectangle,

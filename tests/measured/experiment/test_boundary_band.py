@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import ParameterError
-from pipeline.comparison.scores.agreement import measured_limits
+from pipeline.comparison.limits import measured_limits
 from pipeline.device_data.devices import load_device
 from pipeline.measured.experiment.boundary_area import boundary_area
 from pipeline.measured.experiment.boundary_band import boundary_band

@@ -1,0 +1,157 @@
+"""Measured limits of stability over damping, regions below limits, and what of two of them overlaps.
+
+Regions are stretches of stiffness over damping, linear between the dampings. All are numbers of arrays alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from pipeline.base.errors import ParameterError
+from pipeline.base.wording import counted
+from pipeline.records.batch import Booleans, Floats
+from pipeline.records.findings import BoundaryPoint
+
+MATTERS = 0.02
+"""Change of a result, relative to it, that is worth a word: a course brackets a limit no closer. Share of the logs
+above which what they show is no accident of single trials, too."""
+
+NARROW = 1.25
+"""Least margin of the stability limit over the stiffness of a wall to use: a mass or a delay that is wrong by a quarter
+moves the limit that far."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stretches:
+    """Stable stiffness [N/m, Nm/rad] from ``low`` to ``high`` at each damping, shape (layers, n) each.
+
+    Layers do not overlap; one that a damping does not have is empty there (low = high).
+    """
+
+    low: Floats
+    high: Floats
+
+    @classmethod
+    def up_to(cls, limit: Floats) -> Stretches:
+        """Return the region from K = 0 to a limit, shape (n,); a limit below 0 leaves nothing."""
+        high = np.maximum(limit, 0.0)[None, :]
+        return cls(np.zeros_like(high), high)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredLimits:
+    """Limits of a measured boundary [N/m, Nm/rad] over damping [Ns/m, Nms/rad], shape (n,) each.
+
+    ``low`` and ``high`` are the interval of a limit. Where it is censored, all three are the stiffest stable trial: a
+    lower bound. ``known`` is False where not even that exists, and where no trial is stable: there ``high`` is an upper
+    bound, and the others are 0.
+    """
+
+    damping: Floats
+    limit: Floats
+    low: Floats
+    high: Floats
+    censored: Booleans
+    known: Booleans
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """Areas of two regions, of what they share and of what either covers, in stiffness times damping."""
+
+    first: float
+    second: float
+    shared: float
+
+    @property
+    def union(self) -> float:
+        """Area that at least one of both covers."""
+        return self.first + self.second - self.shared
+
+
+def measured_limits(points: Sequence[BoundaryPoint]) -> MeasuredLimits:
+    """Return the limits of a measured boundary with what their verdicts or growth rates leave open.
+
+    Parameters
+    ----------
+    points : sequence of BoundaryPoint
+        In order of damping.
+
+    Notes
+    -----
+    The limit by the growth rates with its 95 % interval where there is one, else the middle between the stiffest
+    stable trial and the softest unstable one, and these as the interval.
+    """
+
+    def column(values: Sequence[float | None]) -> Floats:
+        return np.array(values, dtype=np.float64)
+
+    stable, unstable = column([p.stable for p in points]), column([p.unstable for p in points])
+    value, low, high = (column([getattr(p, name) for p in points]) for name in ("estimate", "low", "high"))
+    censored = np.array([p.censored for p in points], dtype=np.bool_)
+    floor = np.nan_to_num(stable)
+    fitted = np.isfinite(value) & np.isfinite(low) & np.isfinite(high)
+    known = fitted | np.isfinite(stable)
+    return MeasuredLimits(
+        column([p.damping for p in points]),
+        np.where(censored, floor, np.where(fitted, value, np.where(known, 0.5 * (floor + unstable), 0.0))),
+        np.where(censored | ~fitted, floor, low),
+        np.where(censored, floor, np.where(fitted, high, unstable)),
+        censored,
+        known,
+    )
+
+
+def overlap(damping: Floats, first: Stretches, second: Stretches, top: Floats | None = None) -> Overlap:
+    """Return the areas of two regions and of their intersection.
+
+    Parameters
+    ----------
+    damping : float64, shape (n,)
+        Dampings of the regions, strictly increasing [Ns/m, Nms/rad]; the areas lie between the first and the last.
+    first, second : Stretches
+    top : float64, shape (n,), optional
+        Stiffness above which nothing counts; infinite where there is no such end.
+
+    Raises
+    ------
+    ParameterError
+        If there are fewer than two dampings, or they do not increase.
+
+    Notes
+    -----
+    All ends are linear between two dampings. Where two of them cross there, a damping is added: between the dampings
+    that result, lengths of stretches and of their intersections are linear too, so that trapezoids are exact. Where
+    only one of two neighbours has an infinite top, the top between them runs to the higher region of that one.
+    """
+    if len(damping) < 2 or not (np.diff(damping) > 0).all():
+        raise ParameterError(
+            f"overlap of regions at {counted(len(damping), 'damping')}: expected at least two, increasing."
+        )
+    ends = [first.low, first.high, second.low, second.high]
+    if top is not None:
+        most = np.maximum(first.high.max(axis=0), second.high.max(axis=0))
+        ends.append(np.where(np.isfinite(top), top, most)[None, :])
+    B, rows = _with_crossings(damping, np.concatenate(ends))
+    parts = np.split(rows, np.cumsum([len(e) for e in ends])[:-1], axis=0)
+    if top is not None:
+        parts = [np.minimum(p, parts[4]) for p in parts[:4]]
+    a_low, a_high, b_low, b_high = parts
+    common = np.minimum(a_high[:, None], b_high[None]) - np.maximum(a_low[:, None], b_low[None])
+    lengths = [(a_high - a_low).sum(axis=0), (b_high - b_low).sum(axis=0), np.maximum(common, 0.0).sum(axis=(0, 1))]
+    return Overlap(*(float(np.trapezoid(length, B)) for length in lengths))
+
+
+def _with_crossings(B: Floats, rows: Floats) -> tuple[Floats, Floats]:
+    """Add the dampings at which two of several rows, linear between dampings, cross; rows of shape (m, n)."""
+    added = [B]
+    for one, other in combinations(range(len(rows)), 2):
+        gap = rows[one] - rows[other]
+        cell = np.flatnonzero(gap[:-1] * gap[1:] < 0)
+        added.append(B[cell] + np.diff(B)[cell] * gap[cell] / (gap[cell] - gap[cell + 1]))
+    nodes = np.unique(np.concatenate(added))
+    return nodes, np.stack([np.interp(nodes, B, row) for row in rows])
