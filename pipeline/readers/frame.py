@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
+from importlib import import_module
 from itertools import islice
 from typing import Any, Self
 
@@ -272,3 +273,19 @@ def with_gaps(values: Array, place: Sequence[int] | Integers, rows: int) -> Arra
     result: Array = np.zeros(rows, values.dtype) if full else np.full(rows, np.nan)
     result[place] = values
     return result
+
+
+def library(module: str, extra: str) -> Any:
+    """Import a module that needs a library which only some formats need.
+
+    Raises
+    ------
+    LogError
+        If it is not installed; says how to install it.
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        found = f"reading this format needs {error.name or module}, which is not installed"
+        cure = f"Run pip install '.[{extra}]' in the project's folder, then ingest with --rehash."
+        raise refusal("library-missing", "", found, cure=cure) from error

@@ -25,7 +25,7 @@ from pipeline.base.errors import LogError, refusal
 from pipeline.base.process import begin_alone, without_pandas
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.formats import FORMATS
-from pipeline.readers.frame import MOST_VALUES, Contents, allowed_bytes
+from pipeline.readers.frame import MOST_VALUES, Contents, allowed_bytes, library
 
 COPIES, SLACK = 3, 32 << 20
 """Times that reading may hold what its file may unpack to, and the file itself: as read, as numbers, as columns; and
@@ -120,22 +120,6 @@ def isolated(place: str, kind: str, size: int, name: str, *more: Any, imports: s
     if isinstance(outcome, LogError):
         raise outcome
     return outcome
-
-
-def library(module: str, extra: str) -> Any:
-    """Import a module that needs a library which only some formats need.
-
-    Raises
-    ------
-    LogError
-        If it is not installed; says how to install it.
-    """
-    try:
-        return import_module(module)
-    except ImportError as error:
-        found = f"reading this format needs {error.name or module}, which is not installed"
-        cure = f"Run pip install '.[{extra}]' in the project's folder, then ingest with --rehash."
-        raise refusal("library-missing", "", found, cure=cure) from error
 
 
 def serve() -> None:

@@ -194,3 +194,9 @@ def marked(table: Table, *, simulated: bool) -> Table:
 def footnote(index: int) -> str:
     """Return the mark of a footnote: a to z, then a1, b1 and so on."""
     return chr(ord("a") + index % 26) + (str(index // 26) if index >= 26 else "")
+
+
+def is_sweep(rows: Sequence[Row]) -> bool:
+    """Tell whether rows of one table are over delay: its measured ones differ in their experiment only."""
+    measured = [(row["criterion"], row["condition"]) for row in rows if not row["condition"].startswith("theory")]
+    return len(set(measured)) < len(measured)

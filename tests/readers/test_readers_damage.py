@@ -14,8 +14,8 @@ from places import ROOT
 
 from pipeline.base.errors import LogError
 from pipeline.readers.formats import FORMATS
-from pipeline.readers.frame import allowed_bytes
-from pipeline.readers.isolation import isolated, library
+from pipeline.readers.frame import allowed_bytes, library
+from pipeline.readers.isolation import isolated
 
 
 @pytest.mark.parametrize("form", ["json", "parquet", "feather", "matlab", "hdf5", "tdms", "rosbag", "mcap", "mdf"])

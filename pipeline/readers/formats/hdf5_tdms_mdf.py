@@ -16,8 +16,7 @@ import numpy as np
 
 from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers.frame import Array, Contents
-from pipeline.readers.isolation import library
+from pipeline.readers.frame import Array, Contents, library
 
 TIME = "@time"
 _HINTS = ("unit", "units", "Unit", "Units", "unit_string", "description", "long_name")

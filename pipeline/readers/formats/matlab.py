@@ -18,8 +18,7 @@ from scipy.io import loadmat
 
 from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers.frame import Array, Contents
-from pipeline.readers.isolation import library
+from pipeline.readers.frame import Array, Contents, library
 
 if find_spec("matio"):  # here, where the time to import it does not count
     import_module("matio")

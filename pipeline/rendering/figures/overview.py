@@ -16,8 +16,7 @@ from pipeline.records.results import ComparisonResult
 from pipeline.rendering.figures.drawing import Figure, Panel, Series, around
 from pipeline.rendering.frames import frames
 from pipeline.rendering.labels import criterion_label, printed_scale, quantity_name, shortened, significant, unit_text
-from pipeline.rendering.report.tables import is_sweep
-from pipeline.rendering.table import records
+from pipeline.rendering.table import is_sweep, records
 
 MOST_POINTS = 1600
 """Points of a line; of more rows the least and the largest of each pixel are drawn."""

@@ -31,7 +31,7 @@ from pipeline.rendering.labels import (
     table_label,
     unit_text,
 )
-from pipeline.rendering.table import Column, Row, Table, records, table_of
+from pipeline.rendering.table import Column, Row, Table, is_sweep, records, table_of
 
 MAIN = ("delay_samples", "mass", "damping")
 """Quantities that stand beside the experiments; the others stand in the table of methods only."""
@@ -399,12 +399,6 @@ def _optima(rows: Sequence[Row], units: Any, place: Callable[[Row], str]) -> dic
         )
         found["delay_tables" if swept else "optima"] += [table] if table else []
     return found
-
-
-def is_sweep(rows: Sequence[Row]) -> bool:
-    """Tell whether rows of one table are over delay: its measured ones differ in their experiment only."""
-    measured = [(row["criterion"], row["condition"]) for row in rows if not row["condition"].startswith("theory")]
-    return len(set(measured)) < len(measured)
 
 
 def _named(rows: Sequence[Row]) -> Callable[[Row], str]:
