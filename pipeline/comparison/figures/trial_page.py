@@ -234,8 +234,8 @@ class _Experiment:
         fitted = (f"{symbol} = {significant(model[name], 3)} {unit}" for symbol, name, unit in names)
         told = {
             "id": self.ids[row],
-            "why": self.stages.texts("response", "reason")[row],
-            "evidence": self.stages.texts("outcome", "evidence")[row].replace("+-", "±"),
+            "why": self.stages.text("response", "reason", row),
+            "evidence": self.stages.text("outcome", "evidence", row).replace("+-", "±"),
             "model": ", ".join(fitted) if np.isfinite(model["mass"]) else "",
             "costs": [self._cost_text(criterion, row) for criterion in self.criteria],
         }
@@ -244,7 +244,7 @@ class _Experiment:
     def _cost_text(self, criterion: str, row: int) -> str:
         cost = float(self.costs[criterion][row])
         if np.isnan(cost):
-            reasons = self.stages.texts(cost_column(criterion)[0], "reason")[row]
+            reasons = self.stages.text(cost_column(criterion)[0], "reason", row)
             return f"none: {reason_of(criterion, reasons) or 'only stable trials have one'}"
         ends = [float(end[row]) for end in self.stages.cost_interval(criterion)]
         told = "" if np.isnan(ends).any() else f" ({' to '.join(cost_text(criterion, end) for end in ends)})"

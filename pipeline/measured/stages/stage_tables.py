@@ -289,6 +289,10 @@ class StageTables:
         """Return a text column of a stage, null as an empty string."""
         return [text or "" for text in self.table(stage).column(name).to_pylist()]
 
+    def text(self, stage: str, name: str, row: int) -> str:
+        """Return one cell of a text column of a stage, null as an empty string."""
+        return self.table(stage).column(name)[row].as_py() or ""
+
     @property
     def step_sizes(self) -> Floats:
         """Step F_0 of each trial by its header [N, Nm]."""
