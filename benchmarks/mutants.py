@@ -35,7 +35,7 @@ class Change(NamedTuple):
 VERDICT, OUTCOME = "measured/signal/verdict.py", "measured/signal/outcome.py"
 SETTLING, OPTIMUM, THESIS = "measured/cost/costs.py", "measured/experiment/best_trial.py", "measured/thesis.py"
 INTERVALS, LIKELIHOOD = "measured/model/intervals.py", "measured/model/likelihood.py"
-BAND, SESSIONS, SECURITY = "measured/experiment/boundary_band.py", "service/database.py", "service/security.py"
+BAND, SESSIONS, SECURITY = "measured/experiment/boundary.py", "service/database.py", "service/security.py"
 AGAINST, AGREEMENT = "comparison/against.py", "comparison/scores/agreement.py"
 
 CHANGES = (
@@ -48,7 +48,7 @@ CHANGES = (
     Change(VERDICT, "np.where(rises, \"unstable\"", "np.where(~rises, \"unstable\""),
     Change(OUTCOME, "BAND = 0.02", "BAND = 0.2"),
     Change(OUTCOME, "LASTING = 0.8", "LASTING = 0.05"),
-    Change("measured/signal/motion_end.py", "SETTLED_SAMPLES = 5", "SETTLED_SAMPLES = 0"),
+    Change("measured/signal/response.py", "SETTLED_SAMPLES = 5", "SETTLED_SAMPLES = 0"),
     Change(SETTLING, "np.where(good, entry - of.first, np.nan)", "np.where(good, entry - of.first + 1, np.nan)"),
     Change(SETTLING, "resolved, settled = width >= response.floor", "resolved, settled = width >= 0 * response.floor"),
     Change(SETTLING, "(response.floor + response.baseline_motion)", "(response.floor)"),
@@ -71,7 +71,7 @@ CHANGES = (
     Change(BAND, "single = NORMAL_95 * scatter", "single = 0.5 * NORMAL_95 * scatter"),
     Change(BAND, "student_95(found.freedom) * found.error", "found.error"),
     Change("measured/student.py", "NORMAL_95 = 1.959963984540054", "NORMAL_95 = 1.645"),
-    Change("measured/experiment/boundary_area.py", "(high - low) ** 2 / 12", "(high - low) ** 2 / 3"),
+    Change("measured/experiment/boundary.py", "(high - low) ** 2 / 12", "(high - low) ** 2 / 3"),
     Change("comparison/loops/findings.py", "if not adequate:", "if False:"),
     Change("comparison/loops/departures.py", "FEWEST_LOGS = 3", "FEWEST_LOGS = 1"),
     Change(AGREEMENT, "wall = stiffness > 0", "wall = stiffness >= 0"),

@@ -17,7 +17,7 @@ from pipeline.comparison.scene.origin import header_lines
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.comparison.summary.advice import region_to_use
 from pipeline.loop.loop import LARGEST_DELAY
-from pipeline.measured.experiment.boundary_area import boundary_area
+from pipeline.measured.experiment.boundary import boundary_area
 from pipeline.measured.experiment.estimates import by_model
 from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.stages.stages import STAGES, ExperimentStages

@@ -20,7 +20,7 @@ from pipeline.records.accuracy import OURS, AccuracyReport, Rung
 from pipeline.rendering.report import report as comparison_report
 from pipeline.rendering.report.report_parts import take_apart
 from pipeline.shell import cli
-from pipeline.studies.accuracy import extremes, page, peers, run
+from pipeline.studies.accuracy import extremes, peers, run
 from pipeline.studies.accuracy.measure import Row, Table, best_time, mean, median
 from pipeline.studies.accuracy.theory import QUANTITIES, reference, theory_tables
 
@@ -213,7 +213,7 @@ def test_stored_measurement_is_used_while_code_and_machine_are_the_same(report: 
 
 
 def test_page_is_complete_and_self_contained(report: AccuracyReport) -> None:
-    text = page.render(report)
+    text = run.render(report)
     assert re.findall("<(?:script|link|img|iframe)", text) == []
     identifiers = re.findall(r'\bid="([^"]+)"', text)
     assert len(identifiers) == len(set(identifiers)) > 0
@@ -234,7 +234,7 @@ def test_summary_compares_with_the_quickest_good_method() -> None:
             ("good", 1e-7, 1e-2),
         )
     )
-    row = page.summary_rows(AccuracyReport(key="", quick=True, measured="", machine={}, rungs=rungs))[0]
+    row = run.summary_rows(AccuracyReport(key="", quick=True, measured="", machine={}, rungs=rungs))[0]
     assert (row["other"], row["other time"]) == ("good", duration(1e-2))
 
 

@@ -12,8 +12,8 @@ from pipeline.measured.cost.costs import settling
 from pipeline.records.accuracy import AccuracyReport, MeasuredAccuracy
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.simulate import simulate
-from pipeline.studies.accuracy import page as page_of
 from pipeline.studies.accuracy import run
+from pipeline.studies.accuracy import run as page_of
 from pipeline.studies.accuracy.measured import COMPLETE, MODEL, SLOWEST, Trials, drawn, true_costs, truth, whole_sum
 from pipeline.theory.boundary import stiffness_limit
 

@@ -16,8 +16,7 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.measured.cost.reading_error import ReadingError
-from pipeline.measured.signal.motion_end import SETTLED_SAMPLES, reach
-from pipeline.measured.signal.response import Response
+from pipeline.measured.signal.response import SETTLED_SAMPLES, Response, reach
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.measured.student import CONFIDENCE, NORMAL_95
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch

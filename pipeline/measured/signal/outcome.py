@@ -21,8 +21,7 @@ from pipeline.measured.signal.events import (
     usual_length,
 )
 from pipeline.measured.signal.modes import FEWEST_SAMPLES
-from pipeline.measured.signal.motion_end import SETTLED_SAMPLES, reach
-from pipeline.measured.signal.response import NO_ROW, Response
+from pipeline.measured.signal.response import NO_ROW, SETTLED_SAMPLES, Response, reach
 from pipeline.measured.signal.sensor import NOISE_FACTOR
 from pipeline.measured.signal.verdict import REST_FLOORS as SENSOR_FLOORS
 from pipeline.measured.signal.verdict import Verdicts

@@ -12,8 +12,7 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.measured.experiment.fitted_device import NAMES, PARTS
 from pipeline.measured.experiment.stored import Experiment
-from pipeline.measured.model.identified import Identified, identified
-from pipeline.measured.model.own import own_numbers
+from pipeline.measured.model.identified import Identified, identified, own_numbers
 from pipeline.measured.model.recordings import GAP, Recording
 from pipeline.measured.model.scatter import FEWEST
 from pipeline.measured.model.told import Recorded

@@ -23,7 +23,7 @@ from pipeline.measured.cost.reading_error import (
     sensor_error,
     usual_gain,
 )
-from pipeline.measured.experiment.boundary_band import boundary_band
+from pipeline.measured.experiment.boundary import boundary_band
 from pipeline.measured.experiment.estimates import by_model, delay_factor, first_change, standard_error
 from pipeline.measured.experiment.rest_forces import rest_spring
 from pipeline.measured.experiment.stored import Experiment

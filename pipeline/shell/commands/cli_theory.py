@@ -160,16 +160,16 @@ def accuracy(
     """
     from pipeline.base.disk import write_text
     from pipeline.records import accuracy as results
-    from pipeline.studies.accuracy import page, run
+    from pipeline.studies.accuracy import run
 
     out = reports_folder() / "accuracy.html"
     check_output(out, "", document_beside=True)
     report = run.measure(quick, console.step)
     document, machine = report.model_dump(mode="json"), report.machine
-    write_text(out, page.render(report))
+    write_text(out, run.render(report))
     write_text(out.with_suffix(".json"), report.model_dump_json(indent=1) + "\n")
     results.store(report, Path(os.environ.get(PROCESSED, "processed")))
-    lines = console.table(page.summary_rows(report), ("quantity", "error", "time", "other", "other time"))
+    lines = console.table(run.summary_rows(report), ("quantity", "error", "time", "other", "other time"))
     lines.append(f"{machine['processor']}, Python {machine['python']}, numpy {machine['numpy']}")
     console.tell(document, [*lines, f"report: {out}"])
 

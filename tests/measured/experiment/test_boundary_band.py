@@ -10,8 +10,7 @@ import pytest
 from pipeline.base.errors import ParameterError
 from pipeline.comparison.limits import measured_limits
 from pipeline.device_data.devices import load_device
-from pipeline.measured.experiment.boundary_area import boundary_area
-from pipeline.measured.experiment.boundary_band import boundary_band
+from pipeline.measured.experiment.boundary import boundary_area, boundary_band
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.student import NORMAL_95
 from pipeline.records.findings import BoundaryPoint
