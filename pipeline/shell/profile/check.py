@@ -19,7 +19,7 @@ from pipeline.base.provenance import __version__
 from pipeline.base.wording import counted
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.sources import find_sources, logs_of, motion_of
-from pipeline.measured.signal.edge import gaps, jumps, rests
+from pipeline.measured.signal.marks import gaps, jumps, rests
 from pipeline.measured.signal.response import NO_ROW, find_response
 from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, QUANTITIES, Profile, si_unit
