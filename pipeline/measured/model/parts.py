@@ -55,8 +55,8 @@ TURNS = (0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.2)
 LAGS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Lags [samples] from which one is looked for, each of which the next one resembles."""
 
-UNSEEN = (0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8, 1.1)
-"""Lags [samples] that may be part of a delay."""
+UNSEEN = (0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8, 1.1)
+"""Lags [samples] that may be part of a delay: rounding makes shorter ones likelier than none."""
 
 BESIDE = 1.92
 """Log-likelihood below the largest at which an interval of 95 % ends that is told by it."""

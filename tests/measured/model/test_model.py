@@ -345,7 +345,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     assert {name: sum(each) for name, each in inside.items() if sum(each) < 52} == {}
 
 
-def behind_walls(rng, device, parts, n=16, rows=250, walls=None):
+def behind_walls(rng, device, parts, n=16, rows=250, walls=None, quantum=0.0):
     """Recordings of simulated wall trials of a device with other parts, by the simulator's own exact motion."""
     stiffness, damping = (rng.uniform(200, 1500, n), rng.uniform(5, 25, n)) if walls is None else walls
     mechanism = Mechanism(**device, **parts)
@@ -354,6 +354,7 @@ def behind_walls(rng, device, parts, n=16, rows=250, walls=None):
     seen, sent = np.zeros((rows, n)), np.zeros((rows, n))
     for row in range(rows):
         seen[row] = state[mechanism.sensed] + 2e-6 * rng.standard_normal(n)
+        seen[row] = quantum * np.rint(seen[row] / quantum) if quantum else seen[row]
         sent[row] = 4.0 * (row >= 20) - stiffness * (seen[row] - seen[0])
         sent[row] -= damping * (seen[row] - seen[max(row - 1, 0)]) / T
         delayed = np.vstack([sent[row], delayed[:-1]])
@@ -384,6 +385,18 @@ def test_a_lag_is_found_in_long_free_motion_with_a_coarse_sensor(seed):
     found = identified([Recording(str(i), T * np.arange(rows), sent[:, i], seen[:, i], T) for i in range(12)])
     assert set(found.parts) == {"lag"}
     assert holds(found.parameters, {"mass": 3e-4, "damping": 1e-3, "actuator_lag": 3e-3, "delay": 2e-3}) == []
+
+
+@pytest.mark.parametrize("quantum", [3e-6, 2.5e-5])
+def test_a_lag_of_half_a_sample_is_no_mode_and_may_be_in_the_delay(quantum):
+    rng, walls = np.random.default_rng(4), (np.linspace(500, 2500, 24), np.linspace(10, 30, 24))
+    logs = behind_walls(rng, {"mass": 0.6, "damping": 4.0}, {"lag_s": 5e-4}, 24, walls=walls, quantum=quantum)
+    found = identified(logs)
+    assert found.parts == {}
+    assert found.choice.bounds["actuator_lag"] > 5e-4
+    favoured = quantum < 1e-5
+    assert (holds(found.parameters, {"delay": 2.4e-3}) == []) == favoured
+    assert [each.code for each in found.combinations] == ["delay_and_lag"] * favoured
 
 
 @pytest.mark.slow
