@@ -35,7 +35,7 @@ from pipeline.intake.kept import (
     release,
     trial_id,
 )
-from pipeline.intake.sources import Read, Source, find_sources, is_settled, reads_of
+from pipeline.intake.sources import Read, Source, check_places, find_sources, is_settled, reads_of
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
@@ -186,6 +186,7 @@ def ingest(
     check_version(processed)
     profiles = shipped_profiles() if profile is None else (load_profile(profile),)
     folders = [Path(path) for path in paths]
+    check_places(folders, processed)  # before anything is written
     with nullcontext() if dry_run else writing(processed, wait_s, say):
         run = _Run(processed, profiles, dict(damaged or {}), dry_run, rehash, replace, progress)
         run.look(folders, settle_s, growing)

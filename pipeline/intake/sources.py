@@ -161,6 +161,17 @@ def find_sources(
         If two profiles claim one file.
     """
     found: dict[str, Source] = {}
+    excluded = check_places(paths, exclude)
+    for path in paths:
+        look = _files(path, excluded, [] if notices is None else notices, {} if unchanged is None else unchanged)
+        for file in look if path.is_dir() else [path]:
+            source = _source(file, profiles)
+            found.setdefault(source.key, source)
+    return [found[key] for key in sorted(found)]
+
+
+def check_places(paths: Sequence[Path], exclude: Path | None) -> str | None:
+    """Return the real path of the excluded folder if logs may be looked for in the others; errors as `find_sources`."""
     # what a link leads to may be reached by its own name, too
     excluded = None if exclude is None else os.path.realpath(exclude)
     for path in paths:
@@ -168,11 +179,7 @@ def find_sources(
             raise UsageError(f"{path}: no such file or folder that may be looked at. Give folders with logs, or logs.")
         if excluded is not None and os.path.join(os.path.realpath(path), "").startswith(os.path.join(excluded, "")):
             raise UsageError(f"{path}: lies in {exclude}, where results are kept. Give folders with logs.")
-        look = _files(path, excluded, [] if notices is None else notices, {} if unchanged is None else unchanged)
-        for file in look if path.is_dir() else [path]:
-            source = _source(file, profiles)
-            found.setdefault(source.key, source)
-    return [found[key] for key in sorted(found)]
+    return excluded
 
 
 def _files(

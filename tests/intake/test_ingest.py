@@ -219,6 +219,7 @@ def test_dry_run_counts_and_writes_nothing(logs, run, processed):
 def test_wrong_arguments(logs, processed):
     with pytest.raises(UsageError, match="no such file or folder"):
         ingest([logs / "nowhere"], processed)
+    assert not processed.exists()
     with pytest.raises(UsageError, match="jobs must be at least 1"):
         ingest([logs], processed, jobs=0)
     with pytest.raises(ProfileError, match="neither a file nor a shipped profile"):
