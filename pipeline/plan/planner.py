@@ -187,7 +187,7 @@ def rounded(wall: float, width: float) -> float:
     12350.0
     """
     unit = 10.0 ** floor(log10(max(width, 1e-12) / 20))
-    return round(wall / unit) * unit
+    return float(f"{round(wall / unit) * unit:.12g}")
 
 
 def _next(column: Column, found: State, aim: Aim, course: Course) -> Next:
@@ -243,15 +243,14 @@ def _search(course: Course, wish: Wish, found: State, aim: Aim) -> Search:
 
 def _walls_of(search: Search, course: Course, wish: Wish, found: State, aim: Aim) -> list[Next]:
     so_far = "no cost yet" if search.best is None else f"best {wish.criterion} {course.tried.cost[search.best]:.4g}"
-    return [
-        Next(
-            stiffness=min(max(rounded(K, aim.accuracy * found.largest), aim.lowest), aim.highest),
-            damping=rounded(B, 0.02 * aim.dampings[-1]),
-            expected="stable",
-            why=f"{so_far}, {cost:.4g} expected here, {search.least:.4g} at the least",
-        )
-        for K, B, cost in search.walls
-    ]
+    walls: dict[tuple[float, float], Next] = {}
+    for K, B, cost in search.walls:
+        stiffness = min(max(rounded(K, aim.accuracy * found.largest), aim.lowest), aim.highest)
+        damping = rounded(B, 0.02 * aim.dampings[-1])
+        why = f"{so_far}, {cost:.4g} expected here, {search.least:.4g} at the least"
+        # neighbours may be one wall to all digits that are told
+        walls.setdefault((stiffness, damping), Next(stiffness=stiffness, damping=damping, expected="stable", why=why))
+    return [*walls.values()]
 
 
 def _best(search: Search, course: Course, wish: Wish) -> Best | None:
