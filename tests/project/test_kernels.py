@@ -52,7 +52,7 @@ FILES = [
     for place in (
         "theory/test_poles",
         "theory/test_energy",
-        "theory/test_costs",
+        "theory/test_costs_by_name",
         "measured/signal/test_modes",
         "measured/model/test_model",
     )
