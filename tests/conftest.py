@@ -16,6 +16,7 @@ from labs import Lab, make_lab
 from pipeline.base import provenance
 from pipeline.comparison.compare import Outcome
 from pipeline.device_data.devices import load_device
+from pipeline.shell.cli import run
 
 
 def pytest_collection_modifyitems(items):
@@ -43,6 +44,21 @@ def edit(monkeypatch):
     monkeypatch.setattr(provenance, "_source", source)
     yield edit_modules
     provenance.code_digest.cache_clear()
+
+
+@pytest.fixture
+def call(capsys, monkeypatch, tmp_path):
+    """Run the command line in an empty folder; returns exit status, stdout and stderr."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run_here(*arguments):
+        with pytest.raises(SystemExit) as leaving:
+            run([str(a) for a in arguments])
+        out, err = capsys.readouterr()
+        return leaving.value.code or 0, out, err
+
+    return run_here
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -13,7 +13,6 @@ from pipeline.base.errors import LogError
 from pipeline.profiles.profile_files import find_questions, shipped_profiles
 from pipeline.readers.formats import format_of
 from pipeline.readers.formats.delimited import text_layout
-from pipeline.shell.cli import run
 from pipeline.shell.profile.draft import draft_profile
 
 TOML = """name = "lab"
@@ -51,21 +50,6 @@ damping = 3
 """
 ROWS = [(0, 0, 0), (1, 0, 0), (2, 8, 0), (3, 8, 0.25), (5, 8, 0.5), (6, 8, 0.75)]
 LOG = "t;F;x\n" + "".join(f"{t};{force};{x}\n".replace(".", ",") for t, force, x in ROWS)
-
-
-@pytest.fixture
-def call(capsys, monkeypatch, tmp_path):
-    """Run the command line in an empty folder; returns exit status, stdout and stderr."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def run_here(*arguments):
-        with pytest.raises(SystemExit) as leaving:
-            run([str(a) for a in arguments])
-        out, err = capsys.readouterr()
-        return leaving.value.code or 0, out, err
-
-    return run_here
 
 
 @pytest.fixture
