@@ -152,7 +152,8 @@ class Errors:
         variance = np.einsum("qi,ij,qj->q", slopes, self.covariance_of_numbers, slopes)
         count, spread = len(self.without), (self.without - self.without.mean(axis=0)) @ slopes.T
         variance = np.maximum(variance, (count - 1) / count * (spread**2).sum(axis=0))
-        together = [self.phases @ slopes.T]
+        phases = self.phases @ slopes.T
+        together = [phases, phases[::2] + phases[1::2]]
         if count >= 2 * GROUPS:
             together.append(np.array([each.sum(axis=0) for each in np.array_split(spread, GROUPS)]))
         for groups in together:

@@ -77,8 +77,9 @@ DONE = 1e-3
 PORTIONS = 16
 """Portions of few logs, whose own numbers show what is not independent within a log; Student's t is then 2.13."""
 
-PHASES = 4
-"""Phases of the motion, between which what the model leaves out differs: damping by direction, a hand by the way."""
+PHASES = 8
+"""Phases of the motion, between which what the model leaves out differs: damping by direction, a hand by the way, play
+by the speed."""
 
 ROBUST_ROUNDS = 4
 """Rounds of least squares and weights for a start."""
@@ -186,7 +187,7 @@ class Fit:
 
     ``solved`` at the device, with its ``moments`` and the ``places`` of numbers that scatter; units are portions of
     ``few`` logs, else trials. ``alike`` is the mean number of equal readings in a row, which count as one, ``open``
-    (p,) how far the numbers move with a jitter that is larger by its error, ``phases`` (4, p) what each phase of the
+    (p,) how far the numbers move with a jitter that is larger by its error, ``phases`` (8, p) what each phase of the
     motion adds to them: nothing but noise where the model holds all. None of a fit that has not `ended`.
     """
 
@@ -394,16 +395,17 @@ def _fit(held: Stretches, device: Device, trials: int, places: Integers) -> Fit:
 
 
 def phases_of(held: Stretches, fit: Fit, trials: int) -> Floats:
-    """Return the step of the numbers that the errors in each phase of the motion ask for, shape (4, p); together none.
+    """Return the step of the numbers that the errors in each phase of the motion ask for, shape (8, p); together none.
 
-    Phases are both directions on both sides of the middle of all readings. Each adds the product of the inverse
+    Phases are both directions on both sides of the middle of all readings, each slow and fast. Each adds the product of the inverse
     information and its own sum of scores, whose scatter between phases is that of the numbers: what a model that holds
     all leaves in them is noise.
 
     Source: the sandwich estimate with few clusters; White 1982, "Maximum likelihood estimation of misspecified models".
     """
     solved, p, portions = fit.solved, len(fit.device.names), portions_of(held, trials)
-    middle = np.median(held.position[held.valid])
+    rate = _rate(held.position)
+    middle, usual = np.median(held.position[held.valid]), np.median(np.abs(rate[held.valid]))
     total, score = np.diag(fit.moments.before[0]), np.zeros((PHASES, p))
     for some in chunks(held, p + 8):
         part = held.chosen(some)
@@ -416,12 +418,17 @@ def phases_of(held: Stretches, fit: Fit, trials: int) -> Floats:
         error = left[..., p] - (columns * solved.effects[unit]).sum(axis=-1)
         weighted = columns * (solved.weight[unit] / solved.noise)[..., None]
         total += np.einsum("snp,snq->pq", weighted, columns)
-        x = part.position
-        ahead = np.pad(x, ((2, 2), (0, 0)), mode="edge")
-        phase = 2 * (x > middle) + (ahead[4:] > ahead[:-4])
+        speed = rate[: len(part.position), some]
+        phase = 4 * (part.position > middle) + 2 * (speed > 0) + (np.abs(speed) > usual)
         for which in range(PHASES):
             score[which] += np.einsum("snp,sn->p", weighted, error * (phase == which).T)
     return np.asarray(score @ inverse(total))
+
+
+def _rate(position: Floats) -> Floats:
+    """Return by how much a position changes in the four rows around each."""
+    ahead = np.pad(position, ((2, 2), (0, 0)), mode="edge")
+    return np.asarray(ahead[4:] - ahead[:-4])
 
 
 def _climbed(fit: Fit, held: Stretches, trials: int, steps: int) -> Fit:
