@@ -262,28 +262,30 @@ def _polynomial(matrix: Floats) -> Floats:
 def _by_rows(passage: Passage, found: Filter, columns: Sequence[Column]) -> list[Floats]:
     """Return the errors of a filter whose gain, or whose rows, change."""
     (rows, count), n, size = passage.held.position.shape, passage.states, found.gain.shape[2]
-    # what each row starts with, and, before it is reached, what enters it
-    states = np.zeros((rows + 1, count, len(columns), size))
-    readings = np.zeros((rows, count, len(columns)))
+    errors, at = np.zeros((rows, count, len(columns))), np.zeros((count, len(columns), size))
+    entering = np.zeros((rows, count, len(columns), n))
     for place, column in enumerate(columns):
         if column.readings is not None:
-            readings[:, :, place] = column.readings
+            errors[:, :, place] = column.readings
         if column.start is not None:
-            states[0, :, place, :n] = column.start
+            at[:, place, :n] = column.start
         for piece, of, force in passage.forces(column):
-            states[1:, :, place, :n] += force[..., None] * passage.gains[piece, :, :, :, of]
-    groups = max(passage.transition.shape[1], found.gain.shape[1])
-    turned = np.zeros((rows, groups, size, size))
+            entering[:, :, place] += force[..., None] * passage.gains[piece, :, :, :, of]
+    groups = passage.transition.shape[1]
+    turned = np.zeros((*passage.transition.shape[:2], size, size))
     turned[..., :n, :n] = passage.transition.swapaxes(-1, -2)
-    if size > n:
-        turned[..., n:, :n] = found.forces[..., None] * passage.disturbed[..., None, :]
-        turned[..., n:, n:] = found.ageing
-    if found.gain.any():
-        corrected = found.gain[..., None, :] @ turned
-        states[1:] += readings[..., None] * corrected
-        turned[..., :n, :] -= passage.sensor[:, None] * corrected
-    joined = states.reshape(rows + 1, groups, -1, size)
+    turned[..., n:, n:] = found.ageing
+    gain, turned, disturbed = (
+        np.broadcast_to(each, (rows, *each.shape[1:])) for each in (found.gain, turned, passage.disturbed)
+    )
+    corrects = found.gain.any()
     for k in range(rows):
-        joined[k + 1] += joined[k] @ turned[k]
-    readings -= states[:-1, ..., :n] @ passage.sensor
-    return [np.ascontiguousarray(readings[:, :, place]) for place in range(len(columns))]
+        errors[k] -= at[..., :n] @ passage.sensor
+        if corrects:
+            at += errors[k][..., None] * gain[k][:, None, :]
+        if size > n:
+            pushed = np.einsum("sca,sa->sc", at[..., n:], found.forces[k])
+            entering[k] += pushed[..., None] * disturbed[k][:, None, :]
+        at = (at.reshape(groups, -1, size) @ turned[k]).reshape(at.shape)
+        at[..., :n] += entering[k]
+    return [np.ascontiguousarray(errors[:, :, place]) for place in range(len(columns))]

@@ -24,7 +24,7 @@ def mean_of(values, known, phases=0.0):
         score=deviation[:, None],
     )
     device = SimpleNamespace(numbers={"mean": float(values.mean())})
-    beside = {"few": False, "open": np.zeros(1), "phases": np.zeros((4, 1)) + np.reshape(phases, (-1, 1))}
+    beside = {"few": False, "open": np.zeros(1), "phases": np.zeros((8, 1)) + np.reshape(phases, (-1, 1))}
     return Errors.of(SimpleNamespace(device=device, solved=solved, alike=len(values) * known**2, **beside))
 
 
@@ -55,16 +55,19 @@ def test_units_that_are_alike_in_groups_count_as_so_many():
     assert half_width(np.repeat(groups, 40)) == pytest.approx(expected, rel=0.02)
 
 
-def test_phases_of_the_motion_that_disagree_count_as_four():
-    quarters = np.array([4.0, 5.5, 5.0, 9.0])
-    expected = t.ppf(0.975, 3) * quarters.std(ddof=1) / 2
-    # the mean of all is that of the quarters, and each adds a quarter of its own deviation
-    assert half_width(SAMPLE, 1e-6, (quarters - quarters.mean()) / 4) == pytest.approx(expected)
+@pytest.mark.parametrize("count", [4, 8])
+def test_phases_of_the_motion_that_disagree_count_as_so_many(count):
+    """Four whose slow and fast halves agree count as four, else as eight."""
+    phases = np.array([4.0, 5.5, 5.0, 9.0, 3.0, 8.0, 7.0, 2.0])[:count]
+    expected = t.ppf(0.975, count - 1) * phases.std(ddof=1) / np.sqrt(count)
+    # the mean of all is that of the phases, and each adds its share of its own deviation
+    added = np.repeat((phases - phases.mean()) / 8, 8 // count)
+    assert half_width(SAMPLE, 1e-6, added) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("value", [0.1, 0.0, -0.1, -3.0])
 def test_what_is_not_negative_ends_at_zero(value):
-    errors = Errors({"b": value}, np.array([[0.04]]), np.zeros((5, 1)), np.inf, np.zeros(1), np.zeros((4, 1)))
+    errors = Errors({"b": value}, np.array([[0.04]]), np.zeros((5, 1)), np.inf, np.zeros(1), np.zeros((8, 1)))
     found, reach = errors.interval(lambda n: n["b"], bounded=True), 0.2 * norm.ppf(0.975)
     assert (found.value, found.low) == (max(value, 0.0), 0.0)
     # the likelihood falls by as much from its largest value that is allowed as to an end of the plain interval
@@ -73,5 +76,5 @@ def test_what_is_not_negative_ends_at_zero(value):
 
 
 def test_what_is_far_from_its_bound_is_as_without():
-    errors = Errors({"b": 0.5}, np.array([[0.04]]), np.zeros((5, 1)), np.inf, np.zeros(1), np.zeros((4, 1)))
+    errors = Errors({"b": 0.5}, np.array([[0.04]]), np.zeros((5, 1)), np.inf, np.zeros(1), np.zeros((8, 1)))
     assert errors.interval(lambda n: n["b"], bounded=True) == errors.interval(lambda n: n["b"])
