@@ -130,8 +130,8 @@ def simulate(
 
 
 def _check(setup: Setup, K: Floats, B: Floats, seed: int, disturbance: Floats | None) -> None:
-    if not (np.isfinite(K).all() and np.isfinite(B).all() and (K >= 0).all()):
-        raise ParameterError("simulated stiffness must be finite and not negative, damping finite.")
+    if not (np.isfinite(K).all() and np.isfinite(B).all()):
+        raise ParameterError("simulated stiffness and damping must be finite.")
     if seed < 0:
         raise ParameterError(f"seed {seed}: expected 0 or a positive whole number.")
     if disturbance is not None and disturbance.shape != (expected := (setup.rows, len(K))):

@@ -204,7 +204,7 @@ def test_seed_experiment_and_repetition_change_the_trial(change: dict[str, objec
     assert not np.array_equal(one.position, other.position)
 
 
-@pytest.mark.parametrize(("K", "B", "seed"), [(-1.0, 0.0, 0), (np.nan, 0.0, 0), (1.0, np.inf, 0), (1.0, 0.0, -1)])
+@pytest.mark.parametrize(("K", "B", "seed"), [(-np.inf, 0.0, 0), (np.nan, 0.0, 0), (1.0, np.inf, 0), (1.0, 0.0, -1)])
 def test_conditions_out_of_range_are_refused(K: float, B: float, seed: int) -> None:
     with pytest.raises(ParameterError):
         simulate(IDEAL, np.array([K]), np.array([B]), seed=seed)

@@ -7,15 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.model.likelihood import Fit
+from pipeline.measured.model.likelihood import LINEAR, Fit
 from pipeline.measured.model.recordings import Scales
-from pipeline.measured.model.scatter import inverse
+from pipeline.measured.model.scatter import inverse, untold
 from pipeline.measured.student import NORMAL_95, student_95
 from pipeline.records.batch import Floats
 
 COMPUTED = 1e-9
 """Error relative to a value that computing it leaves: the search ends there in logs without noise."""
 
+
+FAR = 1e3
+"""Deviation, relative to the size of a number, of what logs tell nothing about."""
 
 GROUPS = 10
 """Neighbours in the order of walls that a jackknife leaves out together, from twice as many units on."""
@@ -96,15 +99,19 @@ class Errors:
 
         A portion of few logs may be the only one that tells a number, such as the delay: its step is of first order.
         """
-        solved = fit.solved
+        solved, numbers = fit.solved, fit.device.numbers
         total = solved.total
         told = np.einsum("tii->t", solved.information) > 0
         information, score = solved.information[told], solved.score[told]
         without = (total if fit.few else total - own for own in information)
         steps = np.stack([-(inverse(rest) @ each) for rest, each in zip(without, score, strict=True)])
         freedom = max(float(told.sum() - 1), 1.0)
+        nothing = untold(total)
+        sizes = [max(abs(value), numbers.get("gain", 0.0) * (name in LINEAR), 1e-6) for name, value in numbers.items()]
+        nothing *= FAR / np.abs(nothing / sizes).max(axis=1, keepdims=True, initial=1e-300)
         # equal readings count as one
-        return cls(fit.device.numbers, fit.alike * inverse(total), steps, freedom, fit.open, fit.phases)
+        known = fit.alike * inverse(total) + nothing.T @ nothing
+        return cls(numbers, known, steps, freedom, fit.open, fit.phases)
 
     def interval(self, quantity: Quantity, bounded: bool = False, unit: float = 0.0) -> Interval:
         """Return a quantity's value and interval; one that is not negative by its profile likelihood at 0.

@@ -62,8 +62,8 @@ BESIDE = 1.92
 """Log-likelihood below the largest at which an interval of 95 % ends that is told by it."""
 
 CLOSER = 20.0
-"""Gain of log-likelihood that each number more must bring where rounding is left, which is no white noise: a mode in
-the place of a lag of half a sample gained 6 to 17 with two more, a real mode at 300 Hz 100."""
+"""Gain of log-likelihood that each number but the first of a part must bring, as rounding is no white noise: a mode in
+the place of a lag of half a sample gained 6 to 38 with two more, a real mode at 300 Hz 100."""
 
 CLIPPED = (0.1, 0.15, 0.22, 0.33, 0.45, 0.6, 0.75, 0.9)
 """Largest forces, relative to the largest command, from which one is looked for."""
@@ -296,7 +296,6 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
         plain = refined(some, alone, trials, far=False)
         # where the noise of readings alone is left, most parts are seen to be none from where a search starts
         least = ROUNDED_ROW * float(some.rows.sum()) if plain.device.noise == WHITE else -np.inf
-        price = CLOSER if plain.device.noise == WHITE else WORTH
         # a part leaves no jitter where there was none without it
         jitters = plain.device.noise.jitter > 0
         for name, size in left.items():
@@ -306,11 +305,12 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
             if _promise(some, start, trials, name) - _promise(some, plain.device, trials, name) < least:
                 continue
             other = refined(some, start, trials, SOME_STEPS, jitters=jitters)
-            if not (size and _loss(other, size) < WORTH) and other.likelihood - plain.likelihood >= WORTH:
+            worth = WORTH + CLOSER * (len(NUMBERS[name]) - 1)
+            if not (size and _loss(other, size) < WORTH) and other.likelihood - plain.likelihood >= worth:
                 tried[name] = other
         if not tried:
             break
-        name = max(tried, key=lambda each: tried[each].likelihood - price * len(NUMBERS[each]))
+        name = max(tried, key=lambda each: tried[each].likelihood - CLOSER * len(NUMBERS[each]))
         # far from the solution noise may stand for what is left: it is looked for anew
         starts = [replace(tried[name].device, effects=None)]
         if starts[0].at_load:  # two shares may be about as likely, with other delays
@@ -344,7 +344,7 @@ def _takes_away(fit: Fit, other: Fit) -> bool:
     before, behind = fit.device.noise, other.device.noise
     if before.force > 0:
         return bool(behind.force * other.solved.noise <= LEFT * before.force * fit.solved.noise)
-    return behind.force == 0 and behind.jitter**2 <= LEFT * before.jitter**2
+    return (behind.force == 0 or before.jitter > 0) and behind.jitter**2 <= LEFT * before.jitter**2
 
 
 def _having(held: Stretches, device: Device, trials: int, part: str) -> Device:

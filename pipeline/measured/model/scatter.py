@@ -28,7 +28,7 @@ LEAST_NOISE = 1e-100
 """Noise of logs without any motion, of which everything is told."""
 
 RIDGE = 1e-12
-"""Share of a number's information that is added to it: directions without any get a step of 0."""
+"""Share of a number's own information below which a direction has none, but rounding: it gets a step of 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,12 +72,23 @@ class Solved:
 
 
 def inverse(information: Floats) -> Floats:
-    """Return the inverse of an information matrix scaled to a unit diagonal; nearly singular ones give large values."""
+    """Return the inverse of an information matrix, 0 along directions of which it tells nothing."""
+    scale, values, vectors = _scaled(information)
+    known = np.where(values > RIDGE, 1 / np.maximum(values, RIDGE), 0.0)
+    return np.asarray((vectors * known) @ vectors.T * scale[:, None] * scale[None, :])
+
+
+def untold(information: Floats) -> Floats:
+    """Return the directions of which an information matrix tells nothing, shape (k, p)."""
+    scale, values, vectors = _scaled(information)
+    return np.asarray(vectors[:, values <= RIDGE].T * scale)
+
+
+def _scaled(information: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return what scales an information matrix to a unit diagonal, and eigenvalues and vectors of that."""
     known = np.diagonal(information)
     scale = 1 / np.sqrt(np.where(known > 0, known, 1.0))
-    scaled = information * scale[:, None] * scale[None, :]
-    values, vectors = np.linalg.eigh(scaled)
-    return np.asarray((vectors / np.maximum(values, RIDGE)) @ vectors.T * scale[:, None] * scale[None, :])
+    return scale, *np.linalg.eigh(information * scale[:, None] * scale[None, :])
 
 
 def solve(moments: Moments, random: Integers) -> Solved:
