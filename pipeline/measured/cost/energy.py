@@ -219,7 +219,7 @@ def energy_interval(
     response that rests beside its final position, which lie behind the horizon.
 
     There is no value where the interval is wider than `LARGEST_HALF_WIDTH`, and where noise and quantum are not small
-    beside the final displacement. 94 to 98 % of the intervals of the shipped devices hold the cost of the ideal loop,
+    beside the final displacement. 94 to 97 % of the intervals of the shipped devices hold the cost of the ideal loop,
     and 90 to 97 % with a quantum and no noise, where errors of slow readings depend on each other. What jitter itself
     does to the cost, and a wrong final position, are not in the interval.
 
@@ -443,9 +443,10 @@ def _sensor_error(sums: _Sums) -> Floats:
         slope[:, :-1] -= 2 * moving[:, 1:]
         each = np.fft.irfft(np.fft.rfft(slope, length) * answer, length)[:, 1:columns]
         moved = np.where(np.arange(1, columns)[None, :] >= terms.first[:, None], each, 0.0)
-        # the first reading is the reference of all others, which share what lasts of its error until the device moves
-        free, bound = ((part**2).sum(axis=1) + part.sum(axis=1) ** 2 for part in (each, moved))
-        square = (1 - error.lasting) * free + error.lasting * bound
+        # the first reading is the reference of all others, which share what lasts of its error until the device moves;
+        # the wall pulls the device towards the first reading
+        resting = ((each - moved) ** 2).sum(axis=1) + each.sum(axis=1) ** 2
+        square = (moved**2).sum(axis=1) + error.wandering * resting + error.lasting * moved.sum(axis=1) ** 2
         result.append(np.nan_to_num(error.sensor) ** 2 * square)
     # slopes that errors made steeper count their squares twice over: of 4 (x + e)^2 s^2 the mean is 4 x^2 s^2 + 4 s^4,
     # but (x + e)^2 has the variance 4 x^2 s^2 + 2 s^4; what the wall answers to errors that do not last depends on them

@@ -38,6 +38,9 @@ chatter: simulated baselines of the shipped devices, 20 to 200 rows long."""
 BLURRED = 0.25
 """Noise relative to the quantum at which it moves most devices over the next edge all the same (as `PULLED_ROWS`)."""
 
+HELD = np.exp(-((NOISES / BLURRED) ** 2))
+"""Part of `WANDERING` that is gone from devices that a wall has pulled away from an edge, for `NOISES`."""
+
 POOLED = 4.0
 """Noise of a baseline relative to the median, or to the quantum, up to which it is the sensor's: that of ten rows
 scatters by a quarter."""
@@ -65,8 +68,9 @@ class ReadingError:
     ----------
     sensor : float64, shape (n,)
         Standard deviation of the error of one reading [m, rad], noise and quantum; the same for all trials.
-    lasting : float64, shape (n,)
-        Part of its variance that all readings of a device at rest share: of the rounding.
+    lasting, wandering : float64, shape (n,)
+        Parts of its variance while a device rests: of the rounding, which all readings share, and what is left to each
+        reading after the wall has pulled the device away from the edge of a quantum.
     gain : float64, shape (n,)
         Variance of what the loop made of earlier errors, relative to what the weights tell.
     weight : float64, shape (n, N)
@@ -83,6 +87,7 @@ class ReadingError:
 
     sensor: Floats
     lasting: Floats
+    wandering: Floats
     gain: Floats
     weight: Floats
     weight_noise: Floats
@@ -134,7 +139,7 @@ def sensor_error(noise: Floats, quantum: Floats, rows: Integers) -> float:
     if step > 0:
         # what a device at rest does not show of noise^2 + quantum^2/12
         pulled = float(np.median(rows[seen] / (rows[seen] + PULLED_ROWS)))
-        visible = WANDERING * (1 - pulled * np.exp(-((NOISES / BLURRED) ** 2)))
+        visible = WANDERING * (1 - pulled * HELD)
         scatter += step * np.interp(scatter / step, visible, np.maximum(READING - visible, 0.0))
     return as_known(float(np.sqrt(scatter)))
 
@@ -261,9 +266,12 @@ def reading_error(
     quanta = np.where(
         response.sensor_quantum > 0, np.nan_to_num(each) / np.maximum(response.sensor_quantum, 1e-100), 1.0
     )
+    lasting, held = (np.interp(quanta**2, READING, part) for part in (LASTING / READING, HELD))
+    baseline = np.maximum(response.edge_row, 0)
     return ReadingError(
         sensor=each,
-        lasting=np.interp(quanta**2, READING, LASTING / READING),
+        lasting=lasting,
+        wandering=(1 - lasting) * (1 - held * baseline / (baseline + PULLED_ROWS)),
         gain=gain_of_each,
         weight=weight,
         weight_noise=weight_noise,

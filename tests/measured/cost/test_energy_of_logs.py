@@ -85,13 +85,13 @@ SHIPPED = [
 
 @pytest.mark.parametrize("of", SHIPPED)
 def test_95_of_100_intervals_of_shipped_devices_hold_the_exact_cost(of):
-    """93 to 97 %, 1,000 trials each: chance moves a share by 0.7 % (standard error), the largest of 18 by more."""
+    """93 to 97 %, 1,000 trials each: chance moves a share by 0.7 % (standard error)."""
     batch, experiment, costs = shipped(*of.split(), 1000)
     response, delay = find_response(batch), round(experiment.delay_samples)
     error = reading_error(batch, response, delay)
     found = energy_interval(batch, response, judge(batch, response), error, delay, experiment.mass)
     shares = held(found, np.stack(list(costs.values()), axis=1))
-    assert 0.93 <= min(shares) <= max(shares) <= 0.982
+    assert 0.93 <= min(shares) <= max(shares) <= 0.97
 
 
 def test_a_coarse_sensor_is_refused_rather_than_guessed():
