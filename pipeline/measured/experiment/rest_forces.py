@@ -10,12 +10,13 @@ from pipeline.measured.experiment.stored import Experiment
 from pipeline.measured.signal.sensor import sensor_floor
 from pipeline.measured.student import SMALLEST
 from pipeline.records.batch import Booleans, Floats
+from pipeline.records.findings import MATTERS
 
 RESTS = 3.0
 """Distance from x_0 + F_0/K, in sensor floors, from which on a device rests elsewhere."""
 
-SLIGHT = 2e-3
-"""Force relative to the step that is none: a tenth of what is worth a word, and more than the motion that is left."""
+SLIGHT = 0.1 * MATTERS
+"""Force relative to the step that is none, and more than the motion that is left."""
 
 OFTEN = 0.2
 """Share of the logs that come to rest elsewhere, from which on they are no accidents (trials that still move)."""

@@ -14,10 +14,6 @@ from pipeline.measured.student import NORMAL_QUARTILE, ROUNDING, SMALLEST, stude
 from pipeline.records.batch import Floats
 from pipeline.records.findings import DRIFTS, Trend
 
-DRIFT = 0.02
-"""Change over the tested range, relative to the value, that matters: it shifts either end by 1 %, as much as the mass
-may be biased, and by 0.04 of 4 samples of delay, where 0.05 are allowed."""
-
 MOST_RELATIVE = 10.0
 """Change, relative to the value, up to which it is told in percent of it."""
 

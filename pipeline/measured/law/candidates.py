@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.measured.law.log_rows import EQUAL, GRID, PLATEAU, LogRows, hidden_rows, is_equal
+from pipeline.measured.law.log_rows import GRID, PLATEAU, LogRows, hidden_rows, is_equal
 from pipeline.measured.law.velocity_filter import VelocityFilterFound, find_filter
+from pipeline.measured.student import ROUNDING
 from pipeline.records.batch import Booleans, Floats
 
 LONGEST_RAMP = 0.25
@@ -111,8 +112,8 @@ def _slow(log: LogRows) -> tuple[Departure, ...] | None:
     before = np.append(0.0, log.command[:-1])
     change = log.command - before
     limit = float(np.abs(change).max())
-    at = np.abs(np.abs(change) - limit) <= log.of_command + np.append(0.0, log.of_command[:-1]) + EQUAL * limit
-    if limit >= abs(log.step) * (1 - EQUAL) or at.sum() < FEWEST_AT_LIMIT:
+    at = np.abs(np.abs(change) - limit) <= log.of_command + np.append(0.0, log.of_command[:-1]) + ROUNDING * limit
+    if limit >= abs(log.step) * (1 - ROUNDING) or at.sum() < FEWEST_AT_LIMIT:
         return None
     # half of a step that rises slowly is late; the first row is at the limit
     log = replace(log, edge=int(np.argmax(at & (change * log.step > 0))))

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.measured.signal.response import Response
+from pipeline.measured.student import ROUNDING
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
-FULL_DIGITS = 15
+FULL_DIGITS = int(np.finfo(np.float64).precision)
 """Digits that a double holds whatever its size; more are those of arithmetic."""
 
 ROUNDED = 4.0
@@ -26,11 +27,11 @@ ROUNDED = 4.0
 FEWEST_NUMBERS = 3
 """Different numbers that show digits: a column of 0 and 8 shows none."""
 
-SINGLE_DIGITS = (7, 9)
+SINGLE_DIGITS = (int(np.finfo(np.float32).precision) + 1, int(np.finfo(np.float32).precision) + 3)
 """Digits with which single precision is printed."""
 
-STATED_DIGITS = 5
-"""Digits from which on a number of a header was cut off rather than chosen."""
+SET_DIGITS = 4
+"""Digits that a person sets: a wall, a period, a cut-off. A number with more was cut off rather than chosen."""
 
 _EPS, _SINGLE = float(np.finfo(np.float64).eps), float(np.finfo(np.float32).eps)
 
@@ -107,7 +108,7 @@ def stated_resolution(values: Floats) -> Floats:
     """
     size = np.abs(values)
     digits = _digits(size)
-    return _half(size, digits) if digits >= STATED_DIGITS else np.zeros(len(size))
+    return _half(size, digits) if digits > SET_DIGITS else np.zeros(len(size))
 
 
 def _digits(size: Floats) -> int:
@@ -317,9 +318,6 @@ def stands_still(change: Floats, after: Booleans, least: float | Floats) -> Bool
 PLATEAU = 2
 """Rows of equal extreme command that show a limit: two equal numbers are no chance."""
 
-EQUAL = 1e-12
-"""Relative difference of commands that are the same number."""
-
 MOST_SPIKES = 0.34
 """Largest share of rows off the law that single lost or repeated rows cause; with more, nothing is single."""
 
@@ -373,7 +371,7 @@ def repeated_rows(log: LogRows, *, by_law: bool = True) -> Integers:
     digits = STILL_DIGITS * log.of_position
     # a quantum that print hides is at most the least change
     hidden = np.abs(log.change)[np.abs(log.change) > digits].min(initial=np.inf) if not log.quantum else 0.0
-    least = STILL_FLOORS * max(log.floor, hidden) + EQUAL * np.ptp(log.position) + digits
+    least = STILL_FLOORS * max(log.floor, hidden) + ROUNDING * np.ptp(log.position) + digits
     still = stands_still(log.change, log.after, least)
     # the row itself is off the law where the device moved before, the row behind where it moves on
     off = np.abs(log.residual) > log.rounding
@@ -385,5 +383,5 @@ def repeated_rows(log: LogRows, *, by_law: bool = True) -> Integers:
 
 def is_equal(values: Floats, limit: float) -> Booleans:
     """Return which values are the same number as a limit, up to rounding."""
-    result: Booleans = np.abs(values - limit) <= EQUAL * max(abs(limit), 1e-300)
+    result: Booleans = np.abs(values - limit) <= ROUNDING * max(abs(limit), 1e-300)
     return result

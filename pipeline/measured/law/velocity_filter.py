@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.measured.law.log_rows import SET_DIGITS
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.loop_parts import Butterworth, Coefficients, Difference, VelocityFilter
 
@@ -19,11 +20,8 @@ HIGHEST_ORDER = 4
 LONGEST_DIFFERENCE = 64
 """Samples of the longest difference that is looked for."""
 
-CUTOFF_DIGITS = 4
-"""Digits to which a cut-off is rounded where that explains the rows: nobody sets more."""
-
 ROUNDED_CUTOFF = 2.0
-"""Units of rounding that a filter with a rounded cut-off may leave unexplained."""
+"""Units of rounding that a filter with a cut-off of `SET_DIGITS` may leave unexplained."""
 
 FITTED_ROWS = 400
 """Rows from the edge on that a filter is found from: it needs ten, and noise is none."""
@@ -162,7 +160,7 @@ def _butterworth(
             options={"xatol": 1e-10},
         )  # fmt: skip
         exact = np.exp(best.x) * nyquist
-        for cutoff in (float(f"{exact:.{CUTOFF_DIGITS}g}"), float(f"{exact:.8g}")):
+        for cutoff in (float(f"{exact:.{SET_DIGITS}g}"), float(f"{exact:.8g}")):
             if error(np.log(cutoff / nyquist), order) <= ROUNDED_CUTOFF:
                 b, a = butter(order, cutoff / nyquist)
                 return VelocityFilterFound(tuple(b.tolist()), tuple(a.tolist()), cutoff_hz=cutoff)

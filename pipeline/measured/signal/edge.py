@@ -37,6 +37,10 @@ is left only where command plus wall force is off its level by more than `LEVEL`
 STEP_TOLERANCE = 0.1
 """Relative difference of the jump from an operating point and the step up to which they are the same."""
 
+BENT = 1e-3
+"""Departure of a command from the wall law, relative to the step, at one of its limits, by which it is bent: a log in
+few digits is rounded by less."""
+
 LISTED_STEPS = 6
 """Steps that a reason lists."""
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.measured.student import SIGMAS
 from pipeline.records.batch import Booleans, Floats, Integers
 
 WINDOW_POINTS = 16
@@ -21,9 +22,6 @@ SHORT_WINDOW_POINTS = 8
 
 FEWEST_SAMPLES = 12
 """Shortest motion: a pair of modes, a drift and as many samples again to check them."""
-
-RANK_FACTOR = 3.0
-"""Singular values below this many standard deviations of the noise matrix are noise."""
 
 LARGEST_WINDOWS = 256
 """Windows that a long motion is seen through, evenly spread: more cost time and tell little more."""
@@ -121,10 +119,10 @@ def _grow(
     _, values, right = np.linalg.svd(np.linalg.qr(hankel, mode="r"))
     # of a noise matrix: largest singular value is sigma (sqrt(windows) + sqrt(points)), smallest sigma sqrt(windows)
     spread = np.sqrt(windows) + np.sqrt(points)
-    level = np.maximum(noise * spread * RANK_FACTOR, DYNAMIC_RANGE * values[:, 0])
+    level = np.maximum(noise * spread * SIGMAS, DYNAMIC_RANGE * values[:, 0])
     clean = (values[:, -1] <= level) & (level < CLEAN_FRACTION * 1e-3 * values[:, 0])
     left_over = np.maximum(noise, values[:, -1] / np.sqrt(windows))
-    level = np.where(values[:, -1] <= level, level, left_over * spread * RANK_FACTOR)
+    level = np.where(values[:, -1] <= level, level, left_over * spread * SIGMAS)
     rank = np.minimum((values > level[:, None]).sum(axis=1), points - 1)
     at_end = (np.arange(signal.shape[1])[None, :] >= (0.75 * length)[:, None]) & (
         np.arange(signal.shape[1])[None, :] < length[:, None]

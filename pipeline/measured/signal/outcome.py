@@ -22,13 +22,13 @@ from pipeline.measured.signal.events import (
 )
 from pipeline.measured.signal.modes import FEWEST_SAMPLES
 from pipeline.measured.signal.response import NO_ROW, SETTLED_SAMPLES, Response, reach
-from pipeline.measured.signal.sensor import NOISE_FACTOR
-from pipeline.measured.signal.verdict import REST_FLOORS as SENSOR_FLOORS
-from pipeline.measured.signal.verdict import Verdicts
+from pipeline.measured.signal.sensor import AT_REST, NOISE_FACTOR
+from pipeline.measured.signal.verdict import REST_FLOORS, Verdicts
 from pipeline.measured.student import NORMAL_95
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+from pipeline.records.criteria import SETTLING_BANDS
 
-BAND = 0.02
+BAND = SETTLING_BANDS["settle_2pct"]
 """Half width of the band relative to the final displacement: the settling criterion that the tables use."""
 
 LASTING = 0.8
@@ -40,9 +40,6 @@ LASTING_CHANGE = 0.1
 
 CROSSINGS = 4
 """Crossings of the final position in the last three fifths: two periods, fewer show no lasting oscillation."""
-
-REST_FLOORS = 2.0
-"""Range of the last two fifths, in sensor floors, up to which the device is at rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,11 +267,11 @@ def _end(batch: TrialBatch, response: Response, verdicts: Verdicts, band: Floats
     lasting = (crossings >= CROSSINGS) & (fifth_range > response.floor) & ~np.isnan(band)
     lasting &= np.minimum(third, fifth_range) >= LASTING * np.maximum(third, fifth_range)
     # above what quanta keep up, a rate that the verdict tells is surer than ratios of amplitudes
-    told = (verdicts.verdict != "undecided") & (fifth_range > 2 * SENSOR_FLOORS * response.floor)
+    told = (verdicts.verdict != "undecided") & (fifth_range > 2 * REST_FLOORS * response.floor)
     change = np.abs(verdicts.growth_per_s) * batch.sampling_period_s * (batch.rows - edge)
     lasting &= ~(told & (change > LASTING_CHANGE))
     # an oscillation about the edge of the band leaves it now and then, and a growing one may pass it at its smallest
     settled &= ~((lasting | (verdicts.verdict == "unstable")) & (entry >= edge + 4 * fifth))
-    rests = np.maximum(fourth, fifth_range) <= REST_FLOORS * response.floor
+    rests = np.maximum(fourth, fifth_range) <= AT_REST * response.floor
     elsewhere = rests & (np.abs(means[2]) > np.nan_to_num(band, nan=np.inf) + response.floor)
     return _End(entry, settled, lasting, elsewhere, means[2], 0.5 * fifth_range)

@@ -15,6 +15,9 @@ NOISE_GAIN = 6.0
 NOISE_FACTOR = 6.0
 """Four standard deviations (2 % chance in 400 samples) of the difference of two readings, 4 sqrt 2 and more."""
 
+AT_REST = 2.0
+"""Sensor floors within which readings of a device at rest stay: it may lie between two, and beat."""
+
 GRID_TOLERANCE = 1e-3
 """Largest distance of a position change from a multiple of the quantum, relative to the quantum."""
 
