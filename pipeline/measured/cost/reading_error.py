@@ -72,8 +72,6 @@ class ReadingError:
     weight : float64, shape (n, N)
         Answer of a reading to an error of 1 m (1 rad) j samples before, as the wall feeds it back: 1 for
         j = 0, 0 behind the end of the log.
-    weight_noise, change_noise : float64, shape (n,)
-        Variance that the noise of the log itself adds to each weight behind j = 0, and to each change of it.
     deviation, change : float64, shape (n, N)
         Standard error of each reading relative to the first one [m, rad], and of its change since the sample
         before, both against the same trial with an ideal sensor.
@@ -85,8 +83,6 @@ class ReadingError:
     lasting: Floats
     gain: Floats
     weight: Floats
-    weight_noise: Floats
-    change_noise: Floats
     deviation: Floats
     change: Floats
     reason: tuple[str, ...]
@@ -106,8 +102,6 @@ class _Variances:
     """
 
     weight: Floats
-    weight_noise: Floats
-    change_noise: Floats
     answered: Floats
     kept: Floats
     change: Floats
@@ -244,10 +238,7 @@ def reading_error(
         _variances(part, response.select(some), delay_samples, each[some], known[some])
         for some, part in batch.portions()
     ]
-    weight, weight_noise, change_noise, own = (
-        np.concatenate([getattr(part, name) for part in found])
-        for name in ("weight", "weight_noise", "change_noise", "gain")
-    )
+    weight, own = (np.concatenate([getattr(part, name) for part in found]) for name in ("weight", "gain"))
     gain_of_each = np.where(np.isfinite(own), own, usual_gain(own) if gain is None else gain)
     deviation, change = np.empty((n, columns)), np.empty((n, columns))
     for (some, part), variances in zip(batch.portions(), found, strict=True):
@@ -266,8 +257,6 @@ def reading_error(
         lasting=np.interp(quanta**2, READING, LASTING / READING),
         gain=gain_of_each,
         weight=weight,
-        weight_noise=weight_noise,
-        change_noise=change_noise,
         deviation=deviation,
         change=change,
         reason=reason,
@@ -304,7 +293,7 @@ def _variances(
     kept, kept_change = (1.0 + _one_later(part) ** 2 for part in (np.cumsum(weight, axis=1), weight))
     square = sensor[:, None] ** 2
     gain = _gain_at_rest(batch, response, square * kept, square * answered, known)
-    return _Variances(weight, weight_noise, change_noise, answered, kept, kept_change + answered_change, gain)
+    return _Variances(weight, answered, kept, kept_change + answered_change, gain)
 
 
 def _one_later(values: Floats) -> Floats:

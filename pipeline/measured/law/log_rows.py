@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.measured.signal.response import Response
+from pipeline.measured.signal.sensor import FEWEST_ON_GRID
 from pipeline.measured.student import ROUNDING
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
@@ -150,10 +151,10 @@ def converted(values: Floats, half: float, others: Floats) -> float:
     may be multiples of one.
     """
     levels = np.unique(values[np.isfinite(values)])
-    if len(levels) < FEWEST_LEVELS:
+    if len(levels) < FEWEST_ON_GRID:
         return 0.0
     change = np.diff(levels)
-    some = np.sort(change)[:FEWEST_LEVELS].tolist()
+    some = np.sort(change)[:FEWEST_ON_GRID].tolist()
     common, left_open = some[0], max(ROUNDED * half, NOTHING_LEFT * some[0])
     for rest in some[1:]:
         while rest > left_open:  # ends: at most half is left of the smaller one
@@ -170,14 +171,9 @@ def converted(values: Floats, half: float, others: Floats) -> float:
 NOTHING_LEFT = 1e-3
 """Remainder, in the smallest change of a command, that is rounding."""
 
-FEWEST_LEVELS = 12
-"""Different commands that show the grid of a converter: by its smallest changes."""
-
 ROUNDINGS = 16.0
-"""Units of rounding of the terms of the law up to which its residual is rounding: they are a dozen operations."""
-
-SINGLE_ROUNDINGS = 1.0
-"""The same where commands are of single precision: less than its own digit leaves open."""
+"""Units of rounding of the terms of the law up to which its residual is rounding: they are a dozen operations. One
+unit where commands are of single precision, whose own digit leaves more open."""
 
 CAUGHT_UP = 1.3
 """Way in the row after one that was held, relative to the way before it: twice at an even speed."""
@@ -227,7 +223,7 @@ class LogRows:
             *(batch.time[i, rows], command, position),
             *(np.maximum(of_command.half, 0.5 * step), exact if read else of_position.half),
             stated_resolution(np.array([K, B])),
-            ROUNDINGS * _EPS if not of_command.single else SINGLE_ROUNDINGS * _SINGLE,
+            ROUNDINGS * _EPS if not of_command.single else _SINGLE,
             np.ones(len(position), dtype=np.bool_),
             of_position.half if read and not of_command.in_full else None,
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.measured.signal.disturbance import LONGEST_DELAY, Device, Disturbance
-from pipeline.measured.signal.edge import BENT
+from pipeline.measured.signal.edge import BENT, lasting
 from pipeline.measured.signal.modes import FEWEST_SAMPLES
 from pipeline.measured.signal.response import NO_ROW, SETTLED_SAMPLES, Response, external_force
 from pipeline.records.batch import Floats, Integers, TrialBatch
@@ -104,13 +104,9 @@ def first_stop(batch: TrialBatch, response: Response, outside: Disturbance, devi
         arrives[:, 1:] &= ~near[:, :-1]
         rebounds = arrives & (behind < before / ABRUPT) & (before > LOUD * floor)
         rebounds &= rebounds.sum(axis=1, keepdims=True) >= REBOUNDS
-        stands = near.copy()
-        for shift in range(1, SETTLED_SAMPLES):
-            stands[:, :-shift] &= near[:, shift:]
-            stands[:, -shift:] = False
         # the force is inwards, at the extreme: the first time that the device was there
         thrown = there & (blown & (np.sign(outside.force) == side) & (there & about).any(axis=1))[:, None]
-        hit = thrown | rebounds | (stands & arrives & (speed > IMPACT * floor))
+        hit = thrown | rebounds | (lasting(near, SETTLED_SAMPLES) & arrives & (speed > IMPACT * floor))
         first = np.where(hit.any(axis=1), np.minimum(first, np.argmax(hit, axis=1)), first)
     return np.where(first < columns, first, NO_ROW).astype(np.int64)
 

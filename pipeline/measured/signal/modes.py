@@ -47,8 +47,6 @@ class Growth:
     ----------
     per_sample : float64
         ln|z| of that mode; negative where it decays.
-    span : int64
-        Number of samples that the fit saw.
     amplitude : float64
         Root mean square of that mode at the end of the fit.
     noise : float64
@@ -58,7 +56,6 @@ class Growth:
     """
 
     per_sample: Floats
-    span: Integers
     amplitude: Floats
     noise: Floats
     clean: Booleans
@@ -100,7 +97,7 @@ def fastest_growth(
         if len(index):
             found = _grow(signal[index], length[index], noise[index], points, window_part, least_part)
             per_sample[index], amplitude[index], left_over[index], clean[index] = found
-    return Growth(per_sample, length, amplitude, left_over, clean)
+    return Growth(per_sample, amplitude, left_over, clean)
 
 
 def _grow(

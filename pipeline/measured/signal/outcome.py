@@ -11,14 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.signal.disturbance import Device, Disturbance, device_of, find_disturbance
+from pipeline.measured.signal.disturbance import Device, Disturbance, find_disturbance
 from pipeline.measured.signal.events import (
     UNMOVED_SAMPLES,
     first_clipped,
     first_stop,
     free_samples,
     left_travel,
-    usual_length,
 )
 from pipeline.measured.signal.modes import FEWEST_SAMPLES
 from pipeline.measured.signal.response import NO_ROW, SETTLED_SAMPLES, Response, reach
@@ -173,9 +172,8 @@ def classify(
     batch: TrialBatch,
     response: Response,
     verdicts: Verdicts,
-    *,
-    usual_rows: int | None = None,
-    device: Device | None = None,
+    usual_rows: int,
+    device: Device,
 ) -> Outcomes:
     """Say of each trial what happened in it.
 
@@ -185,8 +183,8 @@ def classify(
         Trials of one experiment: its usual length tells early ends, its device what is a disturbance.
     response, verdicts : Response, Verdicts
         Of the same trials.
-    usual_rows, device : int, Device, optional
-        `usual_length` of the logs of the experiment, and its device (`learn_device`); by default by these trials.
+    usual_rows, device : int, Device
+        `usual_length` of the logs of the experiment, and its device (`learn_device`).
 
     Returns
     -------
@@ -202,10 +200,8 @@ def classify(
     The band is 2 % of the final displacement, or the sensor floor where that is wider. K <= 0 has no final
     position: such a trial diverged or moves.
     """
-    usual = usual_length(batch.rows) if usual_rows is None else usual_rows
-    device = device_of(batch, response) if device is None else device
     parts = [
-        _classified(part, response.select(some), verdicts.select(some), usual, device)
+        _classified(part, response.select(some), verdicts.select(some), usual_rows, device)
         for some, part in batch.portions()
     ]
     arrays = ("outcome", "first_row", "band", "amplitude_end")

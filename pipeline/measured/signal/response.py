@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.signal.edge import EDGE_SAMPLES, find_edges, level_before
 from pipeline.measured.signal.edge import NO_ROW as NO_ROW
 from pipeline.measured.signal.edge import external_force as external_force
+from pipeline.measured.signal.edge import find_edges, level_before
 from pipeline.measured.signal.sensor import sensor_floor, sensor_quantum, white_noise
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.criteria import RISE_LEVELS
@@ -78,14 +78,12 @@ class Response:
         return replace(self, **arrays, **texts)  # type: ignore[arg-type]
 
 
-def find_response(batch: TrialBatch, *, edge_samples: int = EDGE_SAMPLES) -> Response:
+def find_response(batch: TrialBatch) -> Response:
     """Find the command edge and the resolution of each trial.
 
     Parameters
     ----------
     batch : TrialBatch
-    edge_samples : int
-        Rows for which the external force must stay above half the step.
 
     Returns
     -------
@@ -109,7 +107,7 @@ def find_response(batch: TrialBatch, *, edge_samples: int = EDGE_SAMPLES) -> Res
 
     Source: Hulin 2017, sec. 6.1.1 (procedure) and eq. 6.1 (final position).
     """
-    edges = find_edges(batch, edge_samples)
+    edges = find_edges(batch)
     quantum = sensor_quantum(batch)
     if batch.integrated is not None:
         quantum = np.where(batch.integrated, 0.0, quantum)

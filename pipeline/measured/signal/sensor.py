@@ -32,7 +32,8 @@ STORED_MULTIPLES = 20.0
 """Largest multiple that tests a grid in rounded positions: beyond, its own error reaches the tolerance."""
 
 FEWEST_ON_GRID = 12
-"""Changes that must lie on such a grid: those of a continuous signal all do with a chance of 0.3^12 = 5e-7."""
+"""Changes that must lie on such a grid, of a command too: those of a continuous signal all do with a chance of
+0.3^12 = 5e-7."""
 
 ROUNDING_UNITS = 64.0
 """Changes below this many units of rounding are arithmetic, not the sensor."""

@@ -277,12 +277,6 @@ class StageTables:
         values = self.table(stage).column(name).to_numpy(zero_copy_only=False)
         return np.asarray(values, dtype=np.float64)
 
-    def lists(self, stage: str, name: str) -> Floats:
-        """Return a column of lists of one length as rows, null as NaN."""
-        values = self.table(stage).column(name).to_pylist()
-        length = max((len(value) for value in values if value is not None), default=0)
-        return np.array([value or [np.nan] * length for value in values], dtype=np.float64)
-
     def texts(self, stage: str, name: str) -> list[str]:
         """Return a text column of a stage, null as an empty string."""
         return [text or "" for text in self.table(stage).column(name).to_pylist()]
