@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.wording import commonest, counted, listed
-from pipeline.measured.experiment.fitted_device import MOST
+from pipeline.measured.experiment.fitted_device import FEWEST_LOGS, MOST
 from pipeline.measured.law.velocity_filter import VelocityFilterFound
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
@@ -20,14 +20,8 @@ from pipeline.records.loop_parts import VelocityFilter
 from pipeline.records.results import Cause
 from pipeline.rendering.labels import range_text, significant
 
-FEWEST_LOGS = 3
-"""Logs below which what they show is an accident; all of fewer logs."""
-
 SAME_FILTER = 0.05
 """Difference of the gains of two filters, at any frequency, up to which they are one: logs show theirs by rounding."""
-
-GAINS = 33
-"""Frequencies at which filters are compared."""
 
 NAMED = 10
 """Logs that are named; the others are undecided in the list of trials, each with its reason."""
@@ -162,9 +156,9 @@ def course_filter(stages: ExperimentStages) -> CourseFilter | None:
 
 def _gain(found: VelocityFilterFound) -> NDArray[np.complex128]:
     """Return the gain of a filter between rest and half the sampling frequency."""
-    z = np.exp(-1j * np.linspace(0, np.pi, GAINS))
-    gain = np.polyval(np.array(found.b[::-1], dtype=complex), z) / np.polyval(np.array(found.a[::-1], dtype=complex), z)
-    return np.asarray(gain, dtype=np.complex128)
+    from scipy.signal import freqz
+
+    return np.asarray(freqz(found.b, found.a)[1], dtype=np.complex128)
 
 
 def _found(text: str) -> VelocityFilterFound:

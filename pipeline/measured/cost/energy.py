@@ -16,6 +16,7 @@ from pipeline.measured.signal.verdict import Verdicts
 from pipeline.measured.student import NORMAL_95
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.criteria import ENERGY, members
+from pipeline.records.findings import ROUNDING
 
 WEIGHTS = tuple(sorted({c.weight for c in members(ENERGY)}))
 """Exponents w of the weighting by time."""
@@ -40,9 +41,6 @@ LARGEST_TAIL = 0.25
 
 SHORTEST_HORIZON = 40
 """Samples of the shortest horizon that tells a decay: half of them hold a swing of the fastest walls."""
-
-NOTHING_LEFT = 1e-9
-"""Mean energy in the last half of the horizon, relative to the peak, below which an ideal response has died away."""
 
 LARGEST_EXPONENT = 0.5 * float(np.log(np.finfo(np.float64).max))
 """Beyond twice that exp overflows."""
@@ -365,10 +363,11 @@ def _tail(sums: _Sums, growth: Floats, sunk: Booleans) -> tuple[Floats, Floats, 
     by_halves = np.log(np.where(clear, total - after, 1.0) / safe) / width
     its_error = 4 * unsure / safe / width
     peak, at = sums.energy.max(axis=1, initial=0.0), np.argmax(sums.energy, axis=1)
-    left = np.maximum(total + unsure, NOTHING_LEFT**2 * peak) / width
+    # of an ideal response that has died away rounding is left
+    left = np.maximum(total + unsure, ROUNDING**2 * peak) / width
     mean = np.log(np.where(peak > left, peak, 1.0) / np.where(peak > left, left, 1.0))
     mean /= 2 * np.maximum(terms.stop - width // 2 - at, 1)
-    mean = np.where(sunk | (left < NOTHING_LEFT * peak), mean, 0.0)
+    mean = np.where(sunk | (left < ROUNDING * peak), mean, 0.0)
     told = (growth < 0) & long & (clear | ~above)
     decay = np.where(told, -growth, np.where(clear, by_halves, mean))
     # one departure tells the size of others to a factor of two

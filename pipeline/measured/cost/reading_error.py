@@ -15,6 +15,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.verdict import REST_FLOORS
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+from pipeline.records.criteria import SETTLING_BANDS
 
 NOISES = np.linspace(1e-3, 1.0, 200)
 """Noise relative to the quantum: with more of it the rounding is independent from reading to reading."""
@@ -53,8 +54,8 @@ EXCESS = 2.0
 """Motion at rest relative to what sensor and weights tell, from which on the loop answers by more: without jitter that
 of a slow response, which has two independent values in a fifth, is larger by chance in 2 % of the trials."""
 
-LARGEST_REST = 0.05
-"""Motion relative to the final displacement up to which it may be rest: as the widest settling band."""
+LARGEST_REST = max(SETTLING_BANDS.values())
+"""Motion relative to the final displacement up to which it may be rest: the widest settling band."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -54,10 +54,6 @@ BEND = 1.0
 """Half of the largest second derivative of the growth rate over K, relative to its slope over K, by simulation up to
 0.6: by that times the distances of its trials from the zero a line through few rates is off."""
 
-LARGEST_CONDITION = 1e10
-"""Condition of the normal equations beyond which doubles keep fewer than six digits: trials at one stiffness."""
-
-
 WITNESSES = 2
 """Trials that say the same at a stiffness or beyond, from which on it is believed although each may err: with jitter
 one decided verdict in 100 is another in the next run. As many stable ones outvote an undecided one below."""
@@ -333,7 +329,7 @@ def _zero_crossing(c: _Columns, centre: Floats) -> _Crossing:
     normal = np.einsum("lmi,lm,lmj->lij", design, weight, design)
     normal[:, 2, 2] += 1 - curved
     normal[count < 2] = np.eye(3)
-    usable = (count >= 2) & (np.linalg.cond(normal) < LARGEST_CONDITION)
+    usable = (count >= 2) & (np.linalg.matrix_rank(normal, hermitian=True) == 3)
     normal[~usable] = np.eye(3)
     inverse = np.linalg.inv(normal)
     a = np.einsum("lij,lmj,lm,lm->li", inverse, design, weight, g)

@@ -33,6 +33,9 @@ NAMES = {
 PARTS = {"stiffness": "spring", "mode": "mode at the motor"}
 """Parts of a fitted device by those of the model, where these have other names."""
 
+FEWEST_LOGS = 3
+"""Logs below which what they show is an accident."""
+
 MOST = 0.5
 """Share of the logs of an experiment from which on what they show is the experiment's: its device, its filter, why it
 tells nothing."""

@@ -20,9 +20,6 @@ MOST_RELATIVE = 10.0
 FEWEST_FOR_TREND = 8
 """Trials from which on a trend is looked for: three coefficients and five more to tell their error."""
 
-COLLINEAR = 1e6
-"""Condition of the scaled normal equations beyond which stiffness and damping were not varied independently."""
-
 HUBER = 1.345
 """Residual, in standard deviations, from which on a trial pulls a trend no more strongly: 95 % efficient (Huber)."""
 
@@ -73,16 +70,15 @@ def find_trends(
     if not varied:
         return ()
     x = np.stack([np.ones_like(v), *((conditions[n] - conditions[n].mean()) / np.ptp(conditions[n]) for n in varied)])
+    if np.linalg.matrix_rank(x) < len(x):
+        return ()
     sigma = np.maximum(sigma, ROUNDING * np.abs(v).max() + SMALLEST)
     pull = np.ones_like(v)
     slopes = np.zeros(len(x))
     for _ in range(_ROUNDS):
         w = pull / sigma**2
         w = w / w.max()
-        normal = (x * w) @ x.T
-        if np.linalg.cond(normal) > COLLINEAR:
-            return ()
-        slopes = np.linalg.solve(normal, (x * w) @ v)
+        slopes = np.linalg.solve((x * w) @ x.T, (x * w) @ v)
         residual = (v - slopes @ x) / sigma
         scale = float(np.median(np.abs(residual))) / NORMAL_QUARTILE or 1.0
         size = np.abs(residual) / scale
@@ -93,10 +89,9 @@ def find_trends(
     # HC3: residuals, each enlarged for how far it drew the line to itself; a trial whose pull is limited does not
     # answer to a change of the slope
     answers = np.where(pull == 1, w, 0.0)
-    normal = (x * answers) @ x.T
-    if np.linalg.cond(normal) > COLLINEAR:
+    if np.linalg.matrix_rank(x * answers) < len(x):
         return ()
-    inverse = np.linalg.inv(normal)
+    inverse = np.linalg.inv((x * answers) @ x.T)
     draw = np.einsum("in,ij,jn->n", x, inverse, x) * answers
     score = x * (w * (v - slopes @ x) / np.maximum(1 - draw, _LEAST_FREE))
     covariance = inverse @ (score @ score.T) @ inverse

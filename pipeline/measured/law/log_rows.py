@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.measured.signal.response import Response
-from pipeline.measured.signal.sensor import FEWEST_ON_GRID
+from pipeline.measured.signal.sensor import FEWEST_ON_GRID, GRID_TOLERANCE
 from pipeline.measured.student import ROUNDING
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
@@ -155,7 +155,7 @@ def converted(values: Floats, half: float, others: Floats) -> float:
         return 0.0
     change = np.diff(levels)
     some = np.sort(change)[:FEWEST_ON_GRID].tolist()
-    common, left_open = some[0], max(ROUNDED * half, NOTHING_LEFT * some[0])
+    common, left_open = some[0], max(ROUNDED * half, GRID_TOLERANCE * some[0])
     for rest in some[1:]:
         while rest > left_open:  # ends: at most half is left of the smaller one
             common, rest = rest, abs(common - rest * round(common / rest))
@@ -167,9 +167,6 @@ def converted(values: Floats, half: float, others: Floats) -> float:
     own = (np.abs(share - np.rint(share)) > GRID).any() or not others.any()
     return step if own and (np.abs(change - counts * step) <= GRID * step).all() else 0.0
 
-
-NOTHING_LEFT = 1e-3
-"""Remainder, in the smallest change of a command, that is rounding."""
 
 ROUNDINGS = 16.0
 """Units of rounding of the terms of the law up to which its residual is rounding: they are a dozen operations. One

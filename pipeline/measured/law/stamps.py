@@ -12,15 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.measured.law.log_rows import SET_DIGITS
-from pipeline.measured.student import NORMAL_QUARTILE
+from pipeline.measured.student import NORMAL_QUARTILE, SIGMAS
 from pipeline.records.batch import Floats, Integers, TrialBatch
 
 EVEN = 0.01
 """Part of a period up to which distances of stamps are even, and that of the header: a hundredth of the period is two
 of the mass. An ingest keeps logs of other periods apart."""
-
-SIGMAS = 4.0
-"""Standard errors of the usual distance of stamps by which it differs from the sampling period where one is wrong."""
 
 ODD = 0.5
 """Part of a period by which the distance of two stamps differs from it where rows are looked for between them."""

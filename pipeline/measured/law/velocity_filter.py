@@ -17,8 +17,8 @@ from pipeline.records.loop_parts import Butterworth, Coefficients, Difference, V
 HIGHEST_ORDER = 4
 """Of a recursive velocity filter that is looked for; the thesis and drives use 1 or 2."""
 
-LONGEST_DIFFERENCE = 64
-"""Samples of the longest difference that is looked for."""
+LONGEST_WINDOW = 64
+"""Samples of the longest difference that is looked for, and of the longest window that adapts."""
 
 ROUNDED_CUTOFF = 2.0
 """Units of rounding that a filter with a cut-off of `SET_DIGITS` may leave unexplained."""
@@ -91,7 +91,7 @@ def find_filter(
 
 def _difference(change: Floats, output: Floats, rows: Booleans, tolerance: Floats) -> VelocityFilterFound | None:
     displacement = np.cumsum(change)
-    for samples in range(2, min(LONGEST_DIFFERENCE, len(output) - 1) + 1):
+    for samples in range(2, min(LONGEST_WINDOW, len(output) - 1) + 1):
         mean = (displacement - _delayed(displacement, samples)) / samples
         if (np.abs(output - mean) <= tolerance)[rows].all():
             return VelocityFilterFound((1 / samples,) * samples, difference=samples)

@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.measured.signal.response import NO_ROW, Response
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch, TrialGroups
+from pipeline.records.criteria import SETTLING_BANDS
 
 LONGEST_DELAY = 12
 """Largest delay that is tried [samples], as many as the window of `modes` has room for."""
@@ -29,9 +30,9 @@ SHORTEST_SPAN, LONGEST_SPAN = 8, 40
 SENSOR_FLOORS = 2.3
 """Largest second difference that the sensor feigns, in floors: two quanta and six standard deviations."""
 
-SMALLEST_FORCE = 0.05
+SMALLEST_FORCE = max(SETTLING_BANDS.values())
 """Smallest disturbance that is reported, relative to the step, and part of command and own forces that may be wrong:
-what the settling band of 5 % hardly shows, and what the device is fitted to."""
+what the widest settling band hardly shows, and what the device is fitted to."""
 
 TYPICAL = 3.0
 """A force must exceed that of the middle trial by this: what all trials show is the device (friction, jitter), no

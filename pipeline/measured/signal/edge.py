@@ -27,15 +27,13 @@ LEVEL_ROWS = 20
 """Rows before and behind a jump that show two levels. A velocity over N rows leaves a plateau of N rows behind each
 quantum; with as many rows it is too low to be a step."""
 
-JUMP, JUMP_WITH_DAMPING = 0.04, 0.1
-"""Smallest jump between two levels that is a step, relative to the step of the log; with B, quanta jump, too."""
+JUMP = 0.1
+"""Smallest change that is a step or a motion, relative to the step of the log; by B, quanta jump by less. Of a wall
+force in another unit, or of another signal, as much is left only where command plus wall force is off its level by more
+than `LEVEL`; two steps that differ by less are the same."""
 
-MOVES = 0.1
-"""Size of a command, relative to the step, that moves: of a wall force in another unit, or of another signal, that much
-is left only where command plus wall force is off its level by more than `LEVEL`."""
-
-STEP_TOLERANCE = 0.1
-"""Relative difference of the jump from an operating point and the step up to which they are the same."""
+UNDAMPED_JUMP = 0.04
+"""The same of a jump between two levels where no B amplifies quanta."""
 
 BENT = 1e-3
 """Departure of a command from the wall law, relative to the step, at one of its limits, by which it is bent: a log in
@@ -139,7 +137,7 @@ def _moves(batch: TrialBatch, towards: Floats, half: Floats, until: Integers) ->
     early = column < until[:, None]
     off = batch.valid & ~(np.abs(towards - 2 * half) <= 2 * LEVEL * half)
     behind = batch.valid & (column > np.max(np.where(off, column, -1), axis=1, initial=-1)[:, None])
-    moves = ((command > half) & early) | ((command > 2 * MOVES * half) & behind)
+    moves = ((command > half) & early) | ((command > 2 * JUMP * half) & behind)
     return np.asarray(np.any(moves, axis=1, keepdims=True)[:, 0])
 
 
@@ -164,7 +162,7 @@ def _from_level(force: Floats, step: float) -> tuple[int, float, str] | None:
     if not leaves[0] or np.ptp(reached) > LEVEL * abs(step):
         return None
     jump = float(np.median(reached)) - start
-    if abs(jump - step) <= STEP_TOLERANCE * abs(step):
+    if abs(jump - step) <= JUMP * abs(step):
         return edge, start, ""
     return (
         *(NO_ROW, 0.0),
@@ -181,7 +179,7 @@ def first_step_alone(batch: TrialBatch) -> TrialBatch:
 
 def _steps(force: Floats, step: float, damping: float) -> list[int]:
     """Return the rows in which a force jumps from a level to another one."""
-    smallest = JUMP_WITH_DAMPING if damping else JUMP
+    smallest = JUMP if damping else UNDAMPED_JUMP
     near = LEVEL * abs(step)
     rows = np.flatnonzero(np.abs(np.diff(force)) > smallest * abs(step)) + 1
     if len(rows) < 2:
@@ -211,9 +209,9 @@ def _told(force: Floats, steps: list[int]) -> str:
 
 def lasting(rows: Booleans, samples: int) -> Booleans:
     """Return the rows from which on so many are true, shape (n, N)."""
-    padded = np.pad(rows, ((0, 0), (0, samples - 1)))
+    padded = np.pad(rows, ((0, 0), (0, samples)))
     result: Booleans = np.lib.stride_tricks.sliding_window_view(padded, samples, axis=1).all(axis=2)
-    return result
+    return result[:, :-1]
 
 
 def _first_run(rows: Booleans) -> tuple[Integers, Booleans]:

@@ -17,7 +17,7 @@ from pipeline.records.batch import Booleans, Floats, Integers
 WINDOW_POINTS = 16
 """Points of a window, more than the modes of a loop with 12 samples of delay; 2,300 trials cost 0.5 s."""
 
-SHORT_WINDOW_POINTS = 8
+SHORT_WINDOW_POINTS = WINDOW_POINTS // 2
 """Points of a window where the motion lasted for too few samples for `WINDOW_POINTS`."""
 
 FEWEST_SAMPLES = 12
@@ -26,8 +26,8 @@ FEWEST_SAMPLES = 12
 LARGEST_WINDOWS = 256
 """Windows that a long motion is seen through, evenly spread: more cost time and tell little more."""
 
-DYNAMIC_RANGE = 1e-13
-"""Smallest singular value kept relative to the largest: rounding of double precision positions."""
+DYNAMIC_RANGE = LARGEST_WINDOWS * float(np.finfo(np.float64).eps)
+"""Smallest singular value kept relative to the largest, as in `numpy.linalg.matrix_rank`."""
 
 CLEAN_FRACTION = 1e-4
 """Modes below this fraction of the motion at its end are rounding in a signal that few modes explain."""

@@ -19,7 +19,7 @@ AT_REST = 2.0
 """Sensor floors within which readings of a device at rest stay: it may lie between two, and beat."""
 
 GRID_TOLERANCE = 1e-3
-"""Largest distance of a position change from a multiple of the quantum, relative to the quantum."""
+"""Largest distance of a change from a multiple of the quantum, relative to the quantum."""
 
 STORED_TOLERANCE = 0.15
 """As `GRID_TOLERANCE` for positions that were stored in single precision or with few digits: six units of the
