@@ -70,15 +70,14 @@ def find_trends(
     if not varied:
         return ()
     x = np.stack([np.ones_like(v), *((conditions[n] - conditions[n].mean()) / np.ptp(conditions[n]) for n in varied)])
-    if np.linalg.matrix_rank(x) < len(x):
-        return ()
     sigma = np.maximum(sigma, ROUNDING * np.abs(v).max() + SMALLEST)
     pull = np.ones_like(v)
-    slopes = np.zeros(len(x))
     for _ in range(_ROUNDS):
         w = pull / sigma**2
         w = w / w.max()
-        slopes = np.linalg.solve((x * w) @ x.T, (x * w) @ v)
+        slopes, _, rank, _ = np.linalg.lstsq((x * np.sqrt(w)).T, v * np.sqrt(w))
+        if rank < len(x):
+            return ()
         residual = (v - slopes @ x) / sigma
         scale = float(np.median(np.abs(residual))) / NORMAL_QUARTILE or 1.0
         size = np.abs(residual) / scale
@@ -89,9 +88,10 @@ def find_trends(
     # HC3: residuals, each enlarged for how far it drew the line to itself; a trial whose pull is limited does not
     # answer to a change of the slope
     answers = np.where(pull == 1, w, 0.0)
-    if np.linalg.matrix_rank(x * answers) < len(x):
+    normal = (x * answers) @ x.T
+    if np.linalg.matrix_rank(normal, hermitian=True) < len(x):
         return ()
-    inverse = np.linalg.inv((x * answers) @ x.T)
+    inverse = np.linalg.inv(normal)
     draw = np.einsum("in,ij,jn->n", x, inverse, x) * answers
     score = x * (w * (v - slopes @ x) / np.maximum(1 - draw, _LEAST_FREE))
     covariance = inverse @ (score @ score.T) @ inverse
