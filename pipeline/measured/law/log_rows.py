@@ -311,9 +311,6 @@ def stands_still(change: Floats, after: Booleans, least: float | Floats) -> Bool
 PLATEAU = 2
 """Rows of equal extreme command that show a limit: two equal numbers are no chance."""
 
-MOST_SPIKES = 0.34
-"""Largest share of rows off the law that single lost or repeated rows cause; with more, nothing is single."""
-
 STILL_FLOORS = 3.0
 """Change of position on both sides of a row, in sensor floors, between which a device cannot stand still for a row."""
 
@@ -329,7 +326,7 @@ def hidden_rows(log: LogRows) -> Integers:
     none = np.empty(0, dtype=np.int64)
     off = (np.abs(log.residual) > log.rounding) & log.after
     moving = off & (log.change != 0)
-    if not moving.any() or log.damping == 0 or off.mean() > MOST_SPIKES:
+    if not moving.any() or log.damping == 0:
         return none
     # over a row that is missing the position changed by more than since the row before: the residual is the damping
     # force of the change that is lost, which is like those beside it

@@ -210,8 +210,8 @@ def _told(force: Floats, steps: list[int]) -> str:
 def lasting(rows: Booleans, samples: int) -> Booleans:
     """Return the rows from which on so many are true, shape (n, N)."""
     padded = np.pad(rows, ((0, 0), (0, samples)))
-    result: Booleans = np.lib.stride_tricks.sliding_window_view(padded, samples, axis=1).all(axis=2)
-    return result[:, :-1]
+    runs = np.lib.stride_tricks.sliding_window_view(padded, samples, axis=1)[:, :-1]
+    return np.asarray(runs.all(axis=2))
 
 
 def _first_run(rows: Booleans) -> tuple[Integers, Booleans]:
