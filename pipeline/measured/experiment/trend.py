@@ -75,9 +75,10 @@ def find_trends(
     for _ in range(_ROUNDS):
         w = pull / sigma**2
         w = w / w.max()
-        slopes, _, rank, _ = np.linalg.lstsq((x * np.sqrt(w)).T, v * np.sqrt(w))
-        if rank < len(x):
+        normal = (x * w) @ x.T
+        if np.linalg.matrix_rank(normal, hermitian=True) < len(x):
             return ()
+        slopes = np.linalg.solve(normal, (x * w) @ v)
         residual = (v - slopes @ x) / sigma
         scale = float(np.median(np.abs(residual))) / NORMAL_QUARTILE or 1.0
         size = np.abs(residual) / scale
