@@ -40,7 +40,7 @@ AGAINST, AGREEMENT = "comparison/against.py", "comparison/scores/agreement.py"
 
 CHANGES = (
     Change(VERDICT, "REST_FLOORS = 8.0", "REST_FLOORS = 2.0"),
-    Change(VERDICT, "SIGMAS = 3.0", "SIGMAS = 0.5"),
+    Change("measured/student.py", "SIGMAS = 3.0", "SIGMAS = 0.5", "tests/measured/signal"),
     Change(VERDICT, "LEAST_FALL = 3.0", "LEAST_FALL = 30.0"),
     Change(VERDICT, "END = 0.8", "END = 0.5"),
     Change(VERDICT, "2 * onset - edge", "onset"),
@@ -59,7 +59,7 @@ CHANGES = (
     Change(THESIS, "float(known[n - rank])", "float(known[min(n - rank + 1, n - 1)])"),
     Change(THESIS, "(below <= 0.5 * (1 - CONFIDENCE))", "(below <= 1 - CONFIDENCE)"),
     Change(THESIS, "SMALLEST_SIGNAL = 20.0", "SMALLEST_SIGNAL = 0.02"),
-    Change(THESIS, "IRREGULARITY = 0.01", "IRREGULARITY = 1.0"),
+    Change(THESIS, "irregular[i] > EVEN", "irregular[i] > 100 * EVEN"),
     Change(THESIS, "(np.cumsum(acting, axis=1) - 0.5 * acting)", "np.cumsum(acting, axis=1)"),
     Change(THESIS, "first - edge - 1, NO_DELAY", "first - edge, NO_DELAY"),
     Change(THESIS, "found = seen & ~against &", "found = seen &"),
@@ -70,7 +70,7 @@ CHANGES = (
     Change(LIKELIHOOD, "WORTH = 5.0", "WORTH = 500.0"),
     Change(BAND, "single = NORMAL_95 * scatter", "single = 0.5 * NORMAL_95 * scatter"),
     Change(BAND, "student_95(found.freedom) * found.error", "found.error"),
-    Change("measured/student.py", "NORMAL_95 = 1.959963984540054", "NORMAL_95 = 1.645"),
+    Change("measured/student.py", "inv_cdf(0.5 + CONFIDENCE / 2)", "inv_cdf(CONFIDENCE)"),
     Change("measured/experiment/boundary.py", "(high - low) ** 2 / 12", "(high - low) ** 2 / 3"),
     Change("comparison/loops/findings.py", "if not adequate:", "if False:"),
     Change("comparison/loops/departures.py", "FEWEST_LOGS = 3", "FEWEST_LOGS = 1"),

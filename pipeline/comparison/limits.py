@@ -16,10 +16,6 @@ from pipeline.base.wording import counted
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.findings import BoundaryPoint
 
-MATTERS = 0.02
-"""Change of a result, relative to it, that is worth a word: a course brackets a limit no closer. Share of the logs
-above which what they show is no accident of single trials, too."""
-
 NARROW = 1.25
 """Least margin of the stability limit over the stiffness of a wall to use: a mass or a delay that is wrong by a quarter
 moves the limit that far."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from statistics import NormalDist
+
 import numpy as np
 
 from pipeline.records.batch import Floats
@@ -9,15 +11,17 @@ from pipeline.records.batch import Floats
 CONFIDENCE = 0.95
 """Coverage of every interval."""
 
-NORMAL_95 = 1.959963984540054
+SIGMAS = 3.0
+"""Standard deviations by which a value differs from another for sure: by chance 0.3 % of normal values do."""
+
+NORMAL_95 = NormalDist().inv_cdf(0.5 + CONFIDENCE / 2)
 """Half width of the 95 % interval of a normal distribution in standard deviations."""
 
-NORMAL_QUARTILE = 0.6744897501960817
+NORMAL_QUARTILE = NormalDist().inv_cdf(0.75)
 """Median of the absolute value of a standard normal variable."""
 
-
 ROUNDING = 1e-12
-"""Smallest standard error relative to the largest value: what computing a value in doubles leaves."""
+"""Relative difference that computing in doubles leaves between equal values: the smallest standard error, too."""
 
 SMALLEST = float(np.sqrt(np.finfo(np.float64).tiny))
 """Smallest standard error of a value that is zero: its square is still a number."""

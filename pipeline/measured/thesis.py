@@ -10,16 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.wording import counted, percent
-from pipeline.measured.signal.response import Response
-from pipeline.measured.student import CONFIDENCE
+from pipeline.measured.law.stamps import EVEN
+from pipeline.measured.signal.response import NO_ROW, Response
+from pipeline.measured.student import CONFIDENCE, SIGMAS
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.findings import Estimate
 
-NO_DELAY = -1
-"""Stands where no delay factor could be had."""
-
-QUANTA, SIGMAS = 1.5, 3.0
-"""Threshold in quanta plus standard deviations: rounding flickers by one quantum, noise by three sigma."""
+QUANTA = 1.5
+"""Threshold in quanta, plus `SIGMAS` of the noise: rounding flickers by one quantum."""
 
 QUANTA_AT_REST = 0.5
 """Threshold in quanta where the baseline is constant: there one quantum is a change."""
@@ -33,9 +31,6 @@ WINDOW_S = 0.015
 
 SMALLEST_SIGNAL = 20.0
 """Velocity change in standard errors of the sensor: at 20 the sensor alone makes an error of 5 %."""
-
-IRREGULARITY = 0.01
-"""Largest deviation of a time step from T in the window: it enters the velocity, and so the mass, in full."""
 
 ZERO_RATE = 1e-6
 """Growth rate, relative to the range of the rates, that is zero but for rounding."""
@@ -118,8 +113,8 @@ def first_change(batch: TrialBatch, response: Response) -> Delays:
         )
     )
     return Delays(
-        delay_samples=np.where(found, first - edge - 1, NO_DELAY).astype(np.int64),  # (6.2)
-        first_row=np.where(found, first, NO_DELAY).astype(np.int64),
+        delay_samples=np.where(found, first - edge - 1, NO_ROW).astype(np.int64),  # (6.2)
+        first_row=np.where(found, first, NO_ROW).astype(np.int64),
         reason=reason,
     )
 
@@ -225,7 +220,7 @@ def by_momentum(batch: TrialBatch, response: Response, delay_samples: int, *, wi
             return f"no start of the time window: {response.edge_reason[i]}"
         if not fits[i]:
             return f"window of {window[i]} samples: the log ends earlier, or the delay of {delay_samples} fills it"
-        if irregular[i] > IRREGULARITY:
+        if irregular[i] > EVEN:
             return f"time steps in the window differ from T by {percent(float(irregular[i]), 1)}"
         if not abs(velocity[i]) > least[i]:
             return f"velocity change {abs(velocity[i]):.3g} is not above the noise threshold {least[i]:.3g}"

@@ -31,6 +31,10 @@ def holds(low: float, value: float, high: float) -> bool:
     return low - ROUNDING * abs(low) <= value <= high + ROUNDING * abs(high)
 
 
+MATTERS = 0.02
+"""Change of a result, relative to it, that is worth a word: a course brackets a limit no closer, and a header that
+rounds K and B stays below. Share of the logs above which what they show is no accident of single trials, too."""
+
 DRIFTS = "drifts by"
 """Beginning of a warning about a `Trend`, by which such warnings are told from others."""
 

@@ -28,8 +28,8 @@ from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.measured.cost import costs
 from pipeline.measured.signal.verdict import judge
-from pipeline.measured.stages import stage_groups, stage_tables, stages
 from pipeline.measured.stages import stage_rows as rows_of
+from pipeline.measured.stages import stage_tables, stages
 from pipeline.measured.stages.stage_groups import TrialGroup
 from pipeline.measured.stages.stage_rows import stage_rows
 from pipeline.measured.stages.stages import STAGES
@@ -210,9 +210,7 @@ def test_no_row_outlives_what_it_rests_on(lab, tmp_path, monkeypatch, edit, chan
 @pytest.mark.slow
 def test_one_long_log_costs_as_much_as_itself(lab, tmp_path, monkeypatch):
     """Padded to the longest, the experiment would take seven times the long log."""
-    longest = 1 << 11
-    monkeypatch.setattr(stage_groups, "LONGEST_MOTION", longest)
-    rows = 16 * longest
+    rows = 1 << 15
     raw = tmp_path / "raw"
     raw.mkdir()
     settled = [row["trial_id"] for row in lab.stages("1").table("outcome").to_pylist() if row["outcome"] == "settled"]

@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.base.wording import counted
-from pipeline.comparison.limits import MATTERS
 from pipeline.comparison.loops.departures import SENTENCES, CourseFilter, LawDeparture, OtherGains
 from pipeline.comparison.loops.wall_replay import LOW, coarse
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
-from pipeline.records.findings import Parameter
+from pipeline.records.findings import MATTERS, Parameter
 from pipeline.records.results import Cause, CauseCode, ExperimentResult
 from pipeline.rendering.labels import Units, percent_text, share_text, significant, span
 

@@ -11,27 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.wording import commonest, counted, listed
-from pipeline.comparison.limits import MATTERS
+from pipeline.measured.experiment.fitted_device import FEWEST_LOGS, MOST
 from pipeline.measured.law.velocity_filter import VelocityFilterFound
-from pipeline.measured.law.wall_law import OTHER_WALL
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
+from pipeline.records.findings import MATTERS
 from pipeline.records.loop_parts import VelocityFilter
 from pipeline.records.results import Cause
 from pipeline.rendering.labels import range_text, significant
 
-FEWEST_LOGS = 3
-"""Logs below which what they show is an accident; all of fewer logs."""
-
 SAME_FILTER = 0.05
 """Difference of the gains of two filters, at any frequency, up to which they are one: logs show theirs by rounding."""
-
-MOST = 0.5
-"""Share of logs from which on what they show is the course's: a filter is in all trials or none, and gains that are
-another's in most of them are no slip of the headers."""
-
-GAINS = 33
-"""Frequencies at which filters are compared."""
 
 NAMED = 10
 """Logs that are named; the others are undecided in the list of trials, each with its reason."""
@@ -166,9 +156,9 @@ def course_filter(stages: ExperimentStages) -> CourseFilter | None:
 
 def _gain(found: VelocityFilterFound) -> NDArray[np.complex128]:
     """Return the gain of a filter between rest and half the sampling frequency."""
-    z = np.exp(-1j * np.linspace(0, np.pi, GAINS))
-    gain = np.polyval(np.array(found.b[::-1], dtype=complex), z) / np.polyval(np.array(found.a[::-1], dtype=complex), z)
-    return np.asarray(gain, dtype=np.complex128)
+    from scipy.signal import freqz
+
+    return np.asarray(freqz(found.b, found.a)[1], dtype=np.complex128)
 
 
 def _found(text: str) -> VelocityFilterFound:
@@ -227,14 +217,14 @@ def other_gains(stages: ExperimentStages) -> OtherGains | None:
 
 def _words(obeyed: Floats, stated: Floats) -> str:
     pairs = (stated[:, 1::-1], stated[:, :2])
-    swapped, same = (np.isclose(obeyed[:, :2], each, rtol=OTHER_WALL).all() for each in pairs)
+    swapped, same = (np.isclose(obeyed[:, :2], each, rtol=MATTERS).all() for each in pairs)
     if swapped and not same:
         return "K and B are swapped"
     found: dict[str, list[str]] = {}
     for symbol, one, other in zip(("K", "B", "the step"), obeyed.T, stated.T, strict=True):
         known = (other != 0) & (one != 0)
         factor = one[known] / other[known]
-        if len(factor) and (np.abs(factor - 1) > OTHER_WALL).any():
+        if len(factor) and (np.abs(factor - 1) > MATTERS).any():
             low, high = np.quantile(factor, (0.05, 0.95))
             found.setdefault(range_text(lambda value: significant(value, 3), low, high), []).append(symbol)
     told = [f"{listed(symbols)} {factor} times as large" for factor, symbols in found.items()]

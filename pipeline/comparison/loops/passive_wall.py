@@ -11,19 +11,18 @@ from pipeline.comparison.limits import measured_limits
 from pipeline.comparison.loops.causes import FEW
 from pipeline.comparison.loops.told_loop import ToldLoop
 from pipeline.loop.loop import LARGEST_DELAY
+from pipeline.measured.law.log_rows import SET_DIGITS
 from pipeline.plan.found_device import LoopPoint
 from pipeline.records.results import ExperimentResult, PassiveWall
 from pipeline.theory.passivity import required_damping, stiffest_passive
-
-DIGITS = 4
-"""Digits with which a passive wall is named; what is named is checked."""
 
 SPARE = 1e-4
 """Part of the damping and of the limit that is kept back: a hundred times what the frequencies that are looked at can
 miss."""
 
 TRIES = 200
-"""Steps of two units of the last digit by which a stiffness is lowered: 4 % in all, where rounding costs 0.1 %."""
+"""Steps of two units of the last digit, of `SET_DIGITS`, by which a stiffness is lowered: 4 % in all, where rounding
+costs 0.1 %."""
 
 
 def passive_wall(loop: ToldLoop, result: ExperimentResult) -> tuple[PassiveWall | None, str | None]:
@@ -57,7 +56,7 @@ def passive_wall(loop: ToldLoop, result: ExperimentResult) -> tuple[PassiveWall 
         return None, "the delay may be longer than theory is computed for"
     found = [(point.units, *stiffest_passive(point.loop, damping / point.units.damping)) for point in points]
     highest, wall_damping = min((alpha * units.stiffness, beta * units.damping) for units, alpha, beta in found)
-    wall_damping = float(f"{wall_damping:.{DIGITS}g}")
+    wall_damping = float(f"{wall_damping:.{SET_DIGITS}g}")
     measured = _measured(result, wall_damping)
     if measured is None:
         where = f"beside a damping of {wall_damping:g}, that of the stiffest passive wall"
@@ -69,7 +68,7 @@ def passive_wall(loop: ToldLoop, result: ExperimentResult) -> tuple[PassiveWall 
     for _ in range(TRIES):
         if stiffness <= 0 or all(_needed(point, stiffness, wall_damping) <= damping for point in points):
             break
-        stiffness = _rounded_down(stiffness * (1 - 2 * 10.0**-DIGITS))
+        stiffness = _rounded_down(stiffness * (1 - 2 * 10.0**-SET_DIGITS))
     else:
         return None, "no wall that is passive was found beside the measured limits"
     if stiffness <= 0:
@@ -93,8 +92,8 @@ def _points(loop: ToldLoop) -> list[LoopPoint]:
 def _rounded_down(value: float) -> float:
     if not value > 0:
         return 0.0
-    step = 10.0 ** (floor(log10(value)) - DIGITS + 1)
-    return float(f"{floor(value / step) * step:.{DIGITS}g}")
+    step = 10.0 ** (floor(log10(value)) - SET_DIGITS + 1)
+    return float(f"{floor(value / step) * step:.{SET_DIGITS}g}")
 
 
 def _measured(result: ExperimentResult, damping: float) -> float | None:

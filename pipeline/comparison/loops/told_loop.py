@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.comparison.loops.departures import course_filter
 from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.measured.experiment.fitted_device import fitted_device
-from pipeline.measured.law.velocity_filter import CUTOFF_DIGITS
+from pipeline.measured.law.log_rows import SET_DIGITS
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import AT_LOAD, FoundDevice, LoopPoint, stated_device
 from pipeline.records.batch import Floats
@@ -156,7 +156,7 @@ def filter_parameters(velocity: VelocityFilter, of_logs: Sequence[VelocityFilter
     for name, value in numbers.items():
         low, high = np.quantile([found[name] for found in (numbers, *others)], (0.025, 0.975))
         # half of the last digit, as far as logs tell; a device file is exact
-        digit = 10.0 ** (np.floor(np.log10(value)) + 1 - CUTOFF_DIGITS) if of_logs and name == "cutoff_hz" else 0.0
+        digit = 10.0 ** (np.floor(np.log10(value)) + 1 - SET_DIGITS) if of_logs and name == "cutoff_hz" else 0.0
         result[name] = Parameter(value=value, low=min(low, value) - 0.5 * digit, high=max(high, value) + 0.5 * digit)
     return result
 

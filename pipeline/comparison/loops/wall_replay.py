@@ -4,33 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from statistics import NormalDist
 
 import numpy as np
 
 from pipeline.base.wording import counted
-from pipeline.comparison.limits import MATTERS, NARROW, measured_limits
+from pipeline.comparison.limits import NARROW, measured_limits
 from pipeline.comparison.loops.told_loop import ToldLoop, found_device
 from pipeline.measured.cost.costs import settling
 from pipeline.measured.experiment.boundary import spread_over_plane
+from pipeline.measured.model.identified import FOLDS
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.stages.stage_groups import Given, TrialGroup
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+from pipeline.records.findings import MATTERS
 from pipeline.records.results import ExperimentResult, LoopLimit, WallReplay
 from pipeline.rendering.labels import share_text, significant
 
 MOST_WALLS = 150
 """Trials that are replayed, spread over the tested walls: a share of 95 % is then known to 2 %."""
 
-FOLDS = 5
-
 REPEATS = 4
 """Runs of a device with jitter behind each wall, which must agree on a verdict for it to be one."""
 
-QUANTILES = (-1.2816, -0.5244, 0.0, 0.5244, 1.2816)
-"""Friction of each fold's trials, in standard deviations of its scatter: the middles of five equal shares."""
+QUANTILES = [NormalDist().inv_cdf((fold + 0.5) / FOLDS) for fold in range(FOLDS)]
+"""Friction of each fold's trials, in standard deviations of its scatter: the middles of equal shares."""
 
 LOW = 0.25
 """Limit relative to the largest one below which none is compared in percent: at its ends a boundary tends to zero."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.comparison.limits import MATTERS, MeasuredLimits
+from pipeline.comparison.limits import MeasuredLimits
 from pipeline.records.batch import Booleans, Floats
+from pipeline.records.findings import MATTERS
 from pipeline.records.results import DistanceScore, VerdictScore
 
 NEAR_ZERO = 0.25

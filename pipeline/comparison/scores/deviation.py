@@ -13,12 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.comparison.limits import MATTERS
 from pipeline.loop.loop import Loop
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.criteria import DISCRETE, criterion_of
-from pipeline.records.findings import Optimum
+from pipeline.records.findings import MATTERS, Optimum
 from pipeline.records.models import Deviation
 from pipeline.theory.costs import costs_at
 from pipeline.theory.predictions import Predictions, Theory

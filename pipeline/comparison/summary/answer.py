@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.base.errors import DeviceError, UsageError
 from pipeline.base.wording import counted, first_clause, listed
-from pipeline.comparison.limits import MATTERS, measured_limits
+from pipeline.comparison.limits import measured_limits
 from pipeline.comparison.loops.departures import other_gains
 from pipeline.comparison.loops.told_loop import found_device
 from pipeline.comparison.scene.scene import SceneData
@@ -21,7 +21,7 @@ from pipeline.comparison.summary.summary_warnings import NEEDED
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.course import Wish, course_of
 from pipeline.plan.planner import plan_of
-from pipeline.records.findings import DRIFTS
+from pipeline.records.findings import DRIFTS, MATTERS
 from pipeline.records.models import ComparisonRow, Experiment
 from pipeline.records.results import (
     Answer,

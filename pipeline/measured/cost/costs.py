@@ -143,7 +143,6 @@ def settling(
     error: ReadingError | None = None,
     *,
     delay_range: tuple[int, int] | None = None,
-    bands: Mapping[str, float] = SETTLING_BANDS,
 ) -> dict[str, Cost]:
     """Return the discrete settling time by criterion: the smallest k from which on all samples are inside the band.
 
@@ -158,8 +157,6 @@ def settling(
         Of the same trials; without it there is no interval.
     delay_range : tuple of int, optional
         Smallest and largest integer delay factor that the experiment leaves open.
-    bands : mapping of str to float
-        Half width relative to the final displacement, by criterion.
 
     Raises
     ------
@@ -182,7 +179,7 @@ def settling(
     growth = verdicts.growth_per_s * batch.sampling_period_s
     final = np.where(of.usable, response.position_final_expected, 0.0)
     found = {}
-    for name, band in bands.items():
+    for name, band in SETTLING_BANDS.items():
         width = band * np.abs(of.travel)
         wider, entry, narrower = (
             _last(of.counted & ~(np.abs(of.offset) <= width[:, None] + shift), of.first)

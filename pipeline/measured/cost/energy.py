@@ -11,16 +11,15 @@ from pipeline.base.errors import ParameterError
 from pipeline.measured.cost.costs import cost_start, delay_bounds
 from pipeline.measured.cost.reading_error import ReadingError
 from pipeline.measured.signal.response import Response
+from pipeline.measured.signal.sensor import AT_REST
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.measured.student import NORMAL_95
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.criteria import ENERGY, members
+from pipeline.records.findings import ROUNDING
 
-WEIGHTS = (0, 1, 2)
+WEIGHTS = tuple(sorted({c.weight for c in members(ENERGY)}))
 """Exponents w of the weighting by time."""
-
-HORIZON_FLOORS = 2.0
-"""Sensor floors above which the response stands in a plain sum: it leaves room for a beat."""
 
 LEVEL_SIGMAS = 4.5
 """Standard errors of a reading above which the response stands: noise alone exceeds them in 0.3 % of 400 samples. The
@@ -43,11 +42,8 @@ LARGEST_TAIL = 0.25
 SHORTEST_HORIZON = 40
 """Samples of the shortest horizon that tells a decay: half of them hold a swing of the fastest walls."""
 
-NOTHING_LEFT = 1e-9
-"""Mean energy in the last half of the horizon, relative to the peak, below which an ideal response has died away."""
-
-LARGEST_EXPONENT = 700.0
-"""Where exp overflows."""
+LARGEST_EXPONENT = 0.5 * float(np.log(np.finfo(np.float64).max))
+"""Beyond twice that exp overflows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +99,7 @@ def energy_terms(
     delay_samples : int
         Integer delay factor d of the experiment.
     level : float64, shape (n,), optional
-        Distance from the final position above which the response stands [m, rad]; `HORIZON_FLOORS` sensor floors
+        Distance from the final position above which the response stands [m, rad]; `AT_REST` sensor floors
         where it is not given.
 
     Raises
@@ -126,7 +122,7 @@ def energy_terms(
     stiffness = np.where(usable, batch.stiffness, 1.0)
     counted = batch.valid & (column >= first[:, None]) & usable[:, None]
     error = np.where(counted, batch.position - final[:, None], 0.0)
-    level = HORIZON_FLOORS * response.floor if level is None else level
+    level = AT_REST * response.floor if level is None else level
     above = counted & (np.abs(error) > level[:, None])
     stop = np.where(above.any(axis=1), columns - np.argmax(above[:, ::-1], axis=1), first)
     stop = np.where(response.floor > 0, stop, batch.rows)
@@ -367,10 +363,11 @@ def _tail(sums: _Sums, growth: Floats, sunk: Booleans) -> tuple[Floats, Floats, 
     by_halves = np.log(np.where(clear, total - after, 1.0) / safe) / width
     its_error = 4 * unsure / safe / width
     peak, at = sums.energy.max(axis=1, initial=0.0), np.argmax(sums.energy, axis=1)
-    left = np.maximum(total + unsure, NOTHING_LEFT**2 * peak) / width
+    # of an ideal response that has died away rounding is left
+    left = np.maximum(total + unsure, ROUNDING**2 * peak) / width
     mean = np.log(np.where(peak > left, peak, 1.0) / np.where(peak > left, left, 1.0))
     mean /= 2 * np.maximum(terms.stop - width // 2 - at, 1)
-    mean = np.where(sunk | (left < NOTHING_LEFT * peak), mean, 0.0)
+    mean = np.where(sunk | (left < ROUNDING * peak), mean, 0.0)
     told = (growth < 0) & long & (clear | ~above)
     decay = np.where(told, -growth, np.where(clear, by_halves, mean))
     # one departure tells the size of others to a factor of two

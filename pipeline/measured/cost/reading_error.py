@@ -15,6 +15,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.verdict import REST_FLOORS
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+from pipeline.records.criteria import SETTLING_BANDS
 
 NOISES = np.linspace(1e-3, 1.0, 200)
 """Noise relative to the quantum: with more of it the rounding is independent from reading to reading."""
@@ -56,8 +57,8 @@ EXCESS = 2.0
 """Motion at rest relative to what sensor and weights tell, from which on the loop answers by more: without jitter that
 of a slow response, which has two independent values in a fifth, is larger by chance in 2 % of the trials."""
 
-LARGEST_REST = 0.05
-"""Motion relative to the final displacement up to which it may be rest: as the widest settling band."""
+LARGEST_REST = max(SETTLING_BANDS.values())
+"""Motion relative to the final displacement up to which it may be rest: the widest settling band."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +77,6 @@ class ReadingError:
     weight : float64, shape (n, N)
         Answer of a reading to an error of 1 m (1 rad) j samples before, as the wall feeds it back: 1 for
         j = 0, 0 behind the end of the log.
-    weight_noise, change_noise : float64, shape (n,)
-        Variance that the noise of the log itself adds to each weight behind j = 0, and to each change of it.
     deviation, change : float64, shape (n, N)
         Standard error of each reading relative to the first one [m, rad], and of its change since the sample
         before, both against the same trial with an ideal sensor.
@@ -90,8 +89,6 @@ class ReadingError:
     wandering: Floats
     gain: Floats
     weight: Floats
-    weight_noise: Floats
-    change_noise: Floats
     deviation: Floats
     change: Floats
     reason: tuple[str, ...]
@@ -111,8 +108,6 @@ class _Variances:
     """
 
     weight: Floats
-    weight_noise: Floats
-    change_noise: Floats
     answered: Floats
     kept: Floats
     change: Floats
@@ -249,10 +244,7 @@ def reading_error(
         _variances(part, response.select(some), delay_samples, each[some], known[some])
         for some, part in batch.portions()
     ]
-    weight, weight_noise, change_noise, own = (
-        np.concatenate([getattr(part, name) for part in found])
-        for name in ("weight", "weight_noise", "change_noise", "gain")
-    )
+    weight, own = (np.concatenate([getattr(part, name) for part in found]) for name in ("weight", "gain"))
     gain_of_each = np.where(np.isfinite(own), own, usual_gain(own) if gain is None else gain)
     deviation, change = np.empty((n, columns)), np.empty((n, columns))
     for (some, part), variances in zip(batch.portions(), found, strict=True):
@@ -274,8 +266,6 @@ def reading_error(
         wandering=(1 - lasting) * (1 - held * baseline / (baseline + PULLED_ROWS)),
         gain=gain_of_each,
         weight=weight,
-        weight_noise=weight_noise,
-        change_noise=change_noise,
         deviation=deviation,
         change=change,
         reason=reason,
@@ -312,7 +302,7 @@ def _variances(
     kept, kept_change = (1.0 + _one_later(part) ** 2 for part in (np.cumsum(weight, axis=1), weight))
     square = sensor[:, None] ** 2
     gain = _gain_at_rest(batch, response, square * kept, square * answered, known)
-    return _Variances(weight, weight_noise, change_noise, answered, kept, kept_change + answered_change, gain)
+    return _Variances(weight, answered, kept, kept_change + answered_change, gain)
 
 
 def _one_later(values: Floats) -> Floats:

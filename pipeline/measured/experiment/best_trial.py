@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pipeline.measured.student import ROUNDING
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.criteria import OVERSHOOT
 from pipeline.records.findings import Optimum
@@ -11,9 +12,6 @@ from pipeline.records.findings import Optimum
 LARGEST_OVERSHOOT_FLOOR = 0.01
 """Uncertainty of the overshoot from which on "none" is no finding: a tenth of the distance between contour
 lines in the published maps (10 percentage points)."""
-
-TIE_TOLERANCE = 1e-12
-"""Relative difference of costs that rounding alone makes."""
 
 
 def without_overshoot(overshoot: Floats, floor: Floats) -> Booleans:
@@ -73,7 +71,7 @@ def choose_optimum(
         tied = free & (stiffness == stiffness[free].max())
     else:
         least = cost[candidates].min()
-        tied = candidates & (cost <= least + TIE_TOLERANCE * abs(least))
+        tied = candidates & (cost <= least + ROUNDING * abs(least))
     index = np.flatnonzero(tied)
     distance = np.zeros(len(index))
     for axis in (stiffness, damping):

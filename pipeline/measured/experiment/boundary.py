@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.base.errors import ParameterError
 from pipeline.base.wording import counted
-from pipeline.measured.student import NORMAL_95, SMALLEST, student_95
+from pipeline.measured.signal.sensor import NOISE_GAIN
+from pipeline.measured.student import NORMAL_95, NORMAL_QUARTILE, SIGMAS, SMALLEST, student_95
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.findings import BoundaryPoint, Estimate
 
@@ -24,15 +25,12 @@ NEAREST = 10
 FEWEST_FOR_CURVATURE = 6
 """Trials from which on a parabola is fitted: its three coefficients and as many again to tell its error."""
 
-CONCLUSIVE = 3.0
-"""Growth rates within this many standard errors of zero do not tell on which side of the limit a trial lies."""
-
 SEEN = 8.0
 """Growth with which a mode is surely seen, relative to the slowest that was: one that begins a thousand times smaller
 needs exp(7) more of it."""
 
-TYPICAL_BEND = 0.605
-"""Standard deviation of rates, relative to the median size of their second difference: 1.4826/sqrt(6)."""
+TYPICAL_BEND = 1 / float(NORMAL_QUARTILE * np.sqrt(NOISE_GAIN))
+"""Standard deviation of rates, relative to the median size of their second difference."""
 
 FARTHEST = 0.25
 """Distance of a fitted trial from the limit relative to it: beyond it another mode may be the fastest growing one."""
@@ -55,10 +53,6 @@ line through few rates may find it."""
 BEND = 1.0
 """Half of the largest second derivative of the growth rate over K, relative to its slope over K, by simulation up to
 0.6: by that times the distances of its trials from the zero a line through few rates is off."""
-
-LARGEST_CONDITION = 1e10
-"""Condition of the normal equations beyond which doubles keep fewer than six digits: trials at one stiffness."""
-
 
 WITNESSES = 2
 """Trials that say the same at a stiffness or beyond, from which on it is believed although each may err: with jitter
@@ -126,7 +120,7 @@ def boundary_band(
 
     The interval is cut to what the verdicts allow: from the stiffest stable trial below all unstable ones to the
     softest unstable one above all stable ones, so that repeated trials that disagree widen it, and undecided ones do
-    that `WITNESSES` stiffer ones do not outvote. Verdicts within `CONCLUSIVE` standard errors of zero growth that
+    that `WITNESSES` stiffer ones do not outvote. Verdicts within `SIGMAS` standard errors of zero growth that
     fewer than `WITNESSES` share, and those that the sign of the growth contradicts, are not counted. Where the scatter
     of the rates cannot be told, as with two of them, the allowed range is the interval and the interpolation of two
     rates, or the middle of what verdicts bracket, the value; a zero outside of it widens it. The limit can therefore
@@ -227,7 +221,7 @@ def _allowed(c: _Columns, scatter: Floats) -> tuple[Floats, Floats]:
     where it is, or where a trial that is not decided rather grows, one without a growth rate does not count: its motion
     may have been too small to be seen growing.
     """
-    doubt = np.nan_to_num(CONCLUSIVE * scatter)[:, None]
+    doubt = np.nan_to_num(SIGMAS * scatter)[:, None]
     grows = _may_grow(c, scatter)
     plain = np.isnan(c.growth) & (np.isnan(scatter) & ~grows.any(axis=1))[:, None]
     stable = c.stable & (plain | (c.growth < -doubt) | _witnessed(c.stiffness, c.stable & (c.growth < 0)))
@@ -247,10 +241,10 @@ def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
     """
     order = np.argsort(np.where(np.isfinite(c.growth), c.stiffness, np.inf), axis=1, kind="stable")
     K, g = (np.take_along_axis(values, order, axis=1) for values in (c.stiffness, c.growth))
-    change, here, clear = np.diff(g, axis=1), g[:, 2:-1], CONCLUSIVE * scatter[:, None]
+    change, here, clear = np.diff(g, axis=1), g[:, 2:-1], SIGMAS * scatter[:, None]
     # with jitter rates scatter more where the loop is fast than at the limit, which their bends show
     bends = np.abs(np.diff(g, n=2, axis=1))
-    sure = np.maximum(clear, CONCLUSIVE * TYPICAL_BEND * np.nan_to_num(_medians(bends))[:, None])
+    sure = np.maximum(clear, SIGMAS * TYPICAL_BEND * np.nan_to_num(_medians(bends))[:, None])
     peak = np.zeros(g.shape, dtype=np.bool_)
     # a rate that rises twice and then falls to twice itself at least, below where it was before: behind a single rate
     # that is off the others go on rising; NaN compares as false
@@ -335,7 +329,7 @@ def _zero_crossing(c: _Columns, centre: Floats) -> _Crossing:
     normal = np.einsum("lmi,lm,lmj->lij", design, weight, design)
     normal[:, 2, 2] += 1 - curved
     normal[count < 2] = np.eye(3)
-    usable = (count >= 2) & (np.linalg.cond(normal) < LARGEST_CONDITION)
+    usable = (count >= 2) & (np.linalg.matrix_rank(normal, hermitian=True) == 3)
     normal[~usable] = np.eye(3)
     inverse = np.linalg.inv(normal)
     a = np.einsum("lij,lmj,lm,lm->li", inverse, design, weight, g)

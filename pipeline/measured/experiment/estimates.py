@@ -11,10 +11,10 @@ from pipeline.base.wording import of_most, true_minus
 from pipeline.measured import thesis
 from pipeline.measured.experiment.fitted_device import METHOD, fitted_device
 from pipeline.measured.experiment.stored import Stored
-from pipeline.measured.experiment.trend import DRIFT, drift_warning, find_trends
+from pipeline.measured.experiment.trend import drift_warning, find_trends
 from pipeline.measured.signal.response import NO_ROW
 from pipeline.measured.student import NORMAL_95, NORMAL_QUARTILE
-from pipeline.records.findings import Estimate, ModelCheck
+from pipeline.records.findings import MATTERS, Estimate, ModelCheck
 
 LARGEST_OFFSET = 0.05
 """Distance [samples] from a whole number beyond which a delay is none, however wide its interval: 2 % of the limit."""
@@ -73,7 +73,7 @@ def by_model(of: Stored, name: str) -> Estimate:
     trend = find_trends(v, np.hypot(e, spread), {"stiffness": K, "damping": B}, unit, rotation=of.rotation)
     reach = 0.5 * ((estimate.high or 0.0) - (estimate.low or 0.0))
     # 2 % of nothing is nothing: beside a value that may be 0, a drift within the error of one trial is small
-    least = max(DRIFT * abs(estimate.value), within if abs(estimate.value) <= reach else 0.0)
+    least = max(MATTERS * abs(estimate.value), within if abs(estimate.value) <= reach else 0.0)
     axes = {"stiffness": K, "damping": B}
     drifts = [drift_warning(t, axes[t.over], estimate.value, least, unit, rotation=of.rotation) for t in trend]
     found = {"within": within, "spread": spread, "trend": trend, "warning": "; ".join(filter(None, drifts)) or None}

@@ -33,8 +33,12 @@ NAMES = {
 PARTS = {"stiffness": "spring", "mode": "mode at the motor"}
 """Parts of a fitted device by those of the model, where these have other names."""
 
-TOLD = 0.5
-"""Share of the trials that a device must explain for its parts to be named as causes."""
+FEWEST_LOGS = 3
+"""Logs below which what they show is an accident."""
+
+MOST = 0.5
+"""Share of the logs of an experiment from which on what they show is the experiment's: its device, its filter, why it
+tells nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +88,7 @@ class FittedDevice:
     @property
     def tells(self) -> bool:
         """Whether it explains enough trials for its parts to be real."""
-        return self.explained >= TOLD * len(self.trials)
+        return self.explained >= MOST * len(self.trials)
 
     def parameter(self, name: str) -> Parameter | None:
         """Return one of its numbers with its 95 % interval; None where it has none."""

@@ -6,22 +6,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.measured.experiment.fitted_device import FEWEST_LOGS
 from pipeline.measured.experiment.stored import Experiment
 from pipeline.measured.signal.sensor import sensor_floor
 from pipeline.measured.student import SMALLEST
 from pipeline.records.batch import Booleans, Floats
+from pipeline.records.findings import MATTERS
 
 RESTS = 3.0
 """Distance from x_0 + F_0/K, in sensor floors, from which on a device rests elsewhere."""
 
-SLIGHT = 2e-3
-"""Force relative to the step that is none: a tenth of what is worth a word, and more than the motion that is left."""
+SLIGHT = 0.1 * MATTERS
+"""Force relative to the step that is none, and more than the motion that is left."""
 
 OFTEN = 0.2
 """Share of the logs that come to rest elsewhere, from which on they are no accidents (trials that still move)."""
-
-FEWEST_RESTS = 3
-"""Logs that must come to rest elsewhere to tell anything."""
 
 ALIKE = 0.5
 """Largest difference of the forces that hold a device off its place from their median, relative to it, up to which
@@ -83,7 +82,7 @@ def rest_spring(of: Experiment) -> float:
 
 
 def _are_many(off: int, of: int) -> bool:
-    return off >= FEWEST_RESTS and off > OFTEN * of
+    return off >= FEWEST_LOGS and off > OFTEN * of
 
 
 def _spring(force: Floats, moved: Floats, reach: Floats) -> float:

@@ -31,9 +31,6 @@ class Stored(Protocol):
     def column(self, stage: str, name: str) -> Floats:
         """Numeric column of a stage, null as NaN."""
 
-    def lists(self, stage: str, name: str) -> Floats:
-        """Column of lists of one length, as rows; null as NaN."""
-
     def texts(self, stage: str, name: str) -> list[str]:
         """Text column of a stage, null as an empty string."""
 

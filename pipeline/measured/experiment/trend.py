@@ -14,18 +14,11 @@ from pipeline.measured.student import NORMAL_QUARTILE, ROUNDING, SMALLEST, stude
 from pipeline.records.batch import Floats
 from pipeline.records.findings import DRIFTS, Trend
 
-DRIFT = 0.02
-"""Change over the tested range, relative to the value, that matters: it shifts either end by 1 %, as much as the mass
-may be biased, and by 0.04 of 4 samples of delay, where 0.05 are allowed."""
-
 MOST_RELATIVE = 10.0
 """Change, relative to the value, up to which it is told in percent of it."""
 
 FEWEST_FOR_TREND = 8
 """Trials from which on a trend is looked for: three coefficients and five more to tell their error."""
-
-COLLINEAR = 1e6
-"""Condition of the scaled normal equations beyond which stiffness and damping were not varied independently."""
 
 HUBER = 1.345
 """Residual, in standard deviations, from which on a trial pulls a trend no more strongly: 95 % efficient (Huber)."""
@@ -79,12 +72,11 @@ def find_trends(
     x = np.stack([np.ones_like(v), *((conditions[n] - conditions[n].mean()) / np.ptp(conditions[n]) for n in varied)])
     sigma = np.maximum(sigma, ROUNDING * np.abs(v).max() + SMALLEST)
     pull = np.ones_like(v)
-    slopes = np.zeros(len(x))
     for _ in range(_ROUNDS):
         w = pull / sigma**2
         w = w / w.max()
         normal = (x * w) @ x.T
-        if np.linalg.cond(normal) > COLLINEAR:
+        if np.linalg.matrix_rank(normal, hermitian=True) < len(x):
             return ()
         slopes = np.linalg.solve(normal, (x * w) @ v)
         residual = (v - slopes @ x) / sigma
@@ -98,7 +90,7 @@ def find_trends(
     # answer to a change of the slope
     answers = np.where(pull == 1, w, 0.0)
     normal = (x * answers) @ x.T
-    if np.linalg.cond(normal) > COLLINEAR:
+    if np.linalg.matrix_rank(normal, hermitian=True) < len(x):
         return ()
     inverse = np.linalg.inv(normal)
     draw = np.einsum("in,ij,jn->n", x, inverse, x) * answers

@@ -11,28 +11,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.measured.law.log_rows import EQUAL, GRID, PLATEAU, LogRows, hidden_rows, is_equal
-from pipeline.measured.law.velocity_filter import VelocityFilterFound, find_filter
+from pipeline.measured.law.log_rows import GRID, PLATEAU, LogRows, hidden_rows, is_equal
+from pipeline.measured.law.velocity_filter import LONGEST_WINDOW, VelocityFilterFound, find_filter
+from pipeline.measured.signal.edge import BENT
+from pipeline.measured.signal.response import SETTLED_SAMPLES
+from pipeline.measured.student import ROUNDING
 from pipeline.records.batch import Booleans, Floats
 
 LONGEST_RAMP = 0.25
 """Part of the rows after the edge that a ramped step may take."""
 
-LONGEST_WINDOW, ADAPTS = 32, 0.1
-"""Samples of the longest adaptive window, and share of the rows of a motion from which on the velocity is not the last
-change: of the rows behind a lost one, a few percent, some window fits by chance."""
-
-LEVEL_ROWS = 5
-"""Rows for which the external force must stay on a level to be a step of its own; velocities that show a grid."""
-
-FEWEST_AT_LIMIT = 3
-"""Rows whose command changes by the same that show a limit of that."""
+ADAPTS = 0.1
+"""Share of the rows of a motion from which on the velocity is not the last change: of the rows behind a lost one, a few
+percent, some window fits by chance."""
 
 EXPLAINED = 1e-6
 """Part of what a filter changes that it may leave unexplained, beside rounding: what is found is exact or not it."""
-
-CLIPPED = 1e-3
-"""Part of a limit by which what a filtered wall demands may stay below it: its filter is known as well as that."""
 
 
 SCALE_TOLERANCE = 0.2
@@ -111,8 +105,8 @@ def _slow(log: LogRows) -> tuple[Departure, ...] | None:
     before = np.append(0.0, log.command[:-1])
     change = log.command - before
     limit = float(np.abs(change).max())
-    at = np.abs(np.abs(change) - limit) <= log.of_command + np.append(0.0, log.of_command[:-1]) + EQUAL * limit
-    if limit >= abs(log.step) * (1 - EQUAL) or at.sum() < FEWEST_AT_LIMIT:
+    at = np.abs(np.abs(change) - limit) <= log.of_command + np.append(0.0, log.of_command[:-1]) + ROUNDING * limit
+    if limit >= abs(log.step) * (1 - ROUNDING) or at.sum() < PLATEAU:
         return None
     # half of a step that rises slowly is late; the first row is at the limit
     log = replace(log, edge=int(np.argmax(at & (change * log.step > 0))))
@@ -121,7 +115,7 @@ def _slow(log: LogRows) -> tuple[Departure, ...] | None:
     if (np.abs(change - np.clip(demand, -limit, limit)) > log.rounding + of_change)[log.kept].any():
         return None
     at &= np.abs(demand) > limit + log.rounding
-    if at.sum() < FEWEST_AT_LIMIT:
+    if at.sum() < PLATEAU:
         return None
     text = f"the logged command changes by at most {limit:.4g} from row to row, in {int(at.sum())} rows by that"
     return (Departure("rate_limit", text, int(at.sum())),)
@@ -173,7 +167,7 @@ def _other_step(log: LogRows) -> tuple[Departure, ...] | None:
     from_zero = replace(log, step=0.0)
     found = [_constant(from_zero, slice(a, b)) for a, b in zip(starts, ends, strict=True)]
     levels = [level for level in found if level is not None]
-    if len(turns) < 2 or lengths[0] < LEVEL_ROWS or len(levels) < len(found):
+    if len(turns) < 2 or lengths[0] < SETTLED_SAMPLES or len(levels) < len(found):
         return None
     force = np.repeat(levels, lengths)
     first, last = int(turns[0]), int(turns[-1])
@@ -302,7 +296,7 @@ def _decimated(log: LogRows) -> tuple[Departure, ...] | None:
     if (tolerance > near).any() or (np.abs(output - steps * quantum) > tolerance + near).any():
         return None
     every = int(np.gcd.reduce(steps.astype(np.int64)))
-    if every < 2 or len(np.unique(steps)) < LEVEL_ROWS:
+    if every < 2 or len(np.unique(steps)) < SETTLED_SAMPLES:
         return None
     text = f"the velocity of the wall law is taken over 1/{every} of the {log.period:.4g} s from row to row"
     return (Departure("decimated_rows", text, len(output)),)
@@ -321,7 +315,7 @@ def _filtered_and_clipped(log: LogRows) -> tuple[Departure, ...] | None:
 
     velocity = lfilter(found[0].filter.b, found[0].filter.a, log.change) / log.period
     demand = log.step * log.after - log.stiffness * log.displacement - log.damping * velocity
-    if (demand * np.sign(log.command) < (1 - CLIPPED) * np.abs(log.command))[clipped].any():
+    if (demand * np.sign(log.command) < (1 - BENT) * np.abs(log.command))[clipped].any():
         return None
     text = f"the logged command is clipped at {limit:.4g} in {rows} rows"
     return (Departure("saturation", text, rows), *found)

@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.measured.signal.response import Response
+from pipeline.measured.signal.sensor import FEWEST_ON_GRID, GRID_TOLERANCE
+from pipeline.measured.student import ROUNDING
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
-FULL_DIGITS = 15
+FULL_DIGITS = int(np.finfo(np.float64).precision)
 """Digits that a double holds whatever its size; more are those of arithmetic."""
 
 ROUNDED = 4.0
@@ -26,11 +28,11 @@ ROUNDED = 4.0
 FEWEST_NUMBERS = 3
 """Different numbers that show digits: a column of 0 and 8 shows none."""
 
-SINGLE_DIGITS = (7, 9)
+SINGLE_DIGITS = (int(np.finfo(np.float32).precision) + 1, int(np.finfo(np.float32).precision) + 3)
 """Digits with which single precision is printed."""
 
-STATED_DIGITS = 5
-"""Digits from which on a number of a header was cut off rather than chosen."""
+SET_DIGITS = 4
+"""Digits that a person sets: a wall, a period, a cut-off. A number with more was cut off rather than chosen."""
 
 _EPS, _SINGLE = float(np.finfo(np.float64).eps), float(np.finfo(np.float32).eps)
 
@@ -107,7 +109,7 @@ def stated_resolution(values: Floats) -> Floats:
     """
     size = np.abs(values)
     digits = _digits(size)
-    return _half(size, digits) if digits >= STATED_DIGITS else np.zeros(len(size))
+    return _half(size, digits) if digits > SET_DIGITS else np.zeros(len(size))
 
 
 def _digits(size: Floats) -> int:
@@ -149,11 +151,11 @@ def converted(values: Floats, half: float, others: Floats) -> float:
     may be multiples of one.
     """
     levels = np.unique(values[np.isfinite(values)])
-    if len(levels) < FEWEST_LEVELS:
+    if len(levels) < FEWEST_ON_GRID:
         return 0.0
     change = np.diff(levels)
-    some = np.sort(change)[:FEWEST_LEVELS].tolist()
-    common, left_open = some[0], max(ROUNDED * half, NOTHING_LEFT * some[0])
+    some = np.sort(change)[:FEWEST_ON_GRID].tolist()
+    common, left_open = some[0], max(ROUNDED * half, GRID_TOLERANCE * some[0])
     for rest in some[1:]:
         while rest > left_open:  # ends: at most half is left of the smaller one
             common, rest = rest, abs(common - rest * round(common / rest))
@@ -166,17 +168,9 @@ def converted(values: Floats, half: float, others: Floats) -> float:
     return step if own and (np.abs(change - counts * step) <= GRID * step).all() else 0.0
 
 
-NOTHING_LEFT = 1e-3
-"""Remainder, in the smallest change of a command, that is rounding."""
-
-FEWEST_LEVELS = 12
-"""Different commands that show the grid of a converter: by its smallest changes."""
-
 ROUNDINGS = 16.0
-"""Units of rounding of the terms of the law up to which its residual is rounding: they are a dozen operations."""
-
-SINGLE_ROUNDINGS = 1.0
-"""The same where commands are of single precision: less than its own digit leaves open."""
+"""Units of rounding of the terms of the law up to which its residual is rounding: they are a dozen operations. One
+unit where commands are of single precision, whose own digit leaves more open."""
 
 CAUGHT_UP = 1.3
 """Way in the row after one that was held, relative to the way before it: twice at an even speed."""
@@ -226,7 +220,7 @@ class LogRows:
             *(batch.time[i, rows], command, position),
             *(np.maximum(of_command.half, 0.5 * step), exact if read else of_position.half),
             stated_resolution(np.array([K, B])),
-            ROUNDINGS * _EPS if not of_command.single else SINGLE_ROUNDINGS * _SINGLE,
+            ROUNDINGS * _EPS if not of_command.single else _SINGLE,
             np.ones(len(position), dtype=np.bool_),
             of_position.half if read and not of_command.in_full else None,
         )
@@ -317,12 +311,6 @@ def stands_still(change: Floats, after: Booleans, least: float | Floats) -> Bool
 PLATEAU = 2
 """Rows of equal extreme command that show a limit: two equal numbers are no chance."""
 
-EQUAL = 1e-12
-"""Relative difference of commands that are the same number."""
-
-MOST_SPIKES = 0.34
-"""Largest share of rows off the law that single lost or repeated rows cause; with more, nothing is single."""
-
 STILL_FLOORS = 3.0
 """Change of position on both sides of a row, in sensor floors, between which a device cannot stand still for a row."""
 
@@ -338,7 +326,7 @@ def hidden_rows(log: LogRows) -> Integers:
     none = np.empty(0, dtype=np.int64)
     off = (np.abs(log.residual) > log.rounding) & log.after
     moving = off & (log.change != 0)
-    if not moving.any() or log.damping == 0 or off.mean() > MOST_SPIKES:
+    if not moving.any() or log.damping == 0:
         return none
     # over a row that is missing the position changed by more than since the row before: the residual is the damping
     # force of the change that is lost, which is like those beside it
@@ -373,7 +361,7 @@ def repeated_rows(log: LogRows, *, by_law: bool = True) -> Integers:
     digits = STILL_DIGITS * log.of_position
     # a quantum that print hides is at most the least change
     hidden = np.abs(log.change)[np.abs(log.change) > digits].min(initial=np.inf) if not log.quantum else 0.0
-    least = STILL_FLOORS * max(log.floor, hidden) + EQUAL * np.ptp(log.position) + digits
+    least = STILL_FLOORS * max(log.floor, hidden) + ROUNDING * np.ptp(log.position) + digits
     still = stands_still(log.change, log.after, least)
     # the row itself is off the law where the device moved before, the row behind where it moves on
     off = np.abs(log.residual) > log.rounding
@@ -385,5 +373,5 @@ def repeated_rows(log: LogRows, *, by_law: bool = True) -> Integers:
 
 def is_equal(values: Floats, limit: float) -> Booleans:
     """Return which values are the same number as a limit, up to rounding."""
-    result: Booleans = np.abs(values - limit) <= EQUAL * max(abs(limit), 1e-300)
+    result: Booleans = np.abs(values - limit) <= ROUNDING * max(abs(limit), 1e-300)
     return result

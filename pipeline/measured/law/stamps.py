@@ -11,17 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pipeline.measured.law.log_rows import SET_DIGITS
+from pipeline.measured.student import NORMAL_QUARTILE, SIGMAS
 from pipeline.records.batch import Floats, Integers, TrialBatch
-
-PERIOD_DIGITS = 4
-"""Digits of a period that stamps show."""
 
 EVEN = 0.01
 """Part of a period up to which distances of stamps are even, and that of the header: a hundredth of the period is two
-of the mass."""
-
-SIGMAS = 4.0
-"""Standard errors of the usual distance of stamps by which it differs from the sampling period where one is wrong."""
+of the mass. An ingest keeps logs of other periods apart."""
 
 ODD = 0.5
 """Part of a period by which the distance of two stamps differs from it where rows are looked for between them."""
@@ -30,19 +26,13 @@ UNEVEN = 0.1
 """Part of a period by which distances of stamps are off whole numbers of it where they scatter."""
 
 WINDOW = 7
-"""Rows among which half may have stamps of a wrong row."""
+"""Rows among which half may have stamps of a wrong row; fewer have no usual distance."""
 
 CATCH_UP = 40
 """Rows after which stamps that were written late are in time again."""
 
-NORMAL_MEDIAN = 0.6745
-"""Median distance from the mean in standard deviations of a normal distribution."""
-
 FOLLOWED = 0.1
 """Part of what a stamp is off by that the next ones are expected to be off by, too: two clocks drift apart."""
-
-FEWEST_ROWS = 5
-"""Rows of a log whose stamps have a usual distance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,14 +70,14 @@ def read_stamps(time: Floats, period: float) -> Stamps:
     """
     steps = np.diff(time)
     none = np.zeros(len(steps), dtype=np.int64)
-    if len(time) < FEWEST_ROWS or (np.abs(steps / period - 1) <= EVEN).all():
+    if len(time) < WINDOW or (np.abs(steps / period - 1) <= EVEN).all():
         return Stamps(none, period)
     usual, mean = float(np.median(steps)), float(steps.mean())
     # half of the stamps say so, and the whole log: lost rows move the mean alone, stamps of few digits the median
     off = np.array([usual, mean]) / period - 1
     error = np.sqrt(0.5 * np.pi / len(steps)) * _scatter(steps) / period
     if (np.sign(off) * off[0] > EVEN + SIGMAS * error).all() and (np.abs(off) > EVEN).all():
-        usual = float(f"{usual:.{PERIOD_DIGITS}g}")  # nobody sets more digits
+        usual = float(f"{usual:.{SET_DIGITS}g}")
         return Stamps(read_stamps(time, usual).skipped, usual)
     late = (time - time[0]) / period - np.arange(len(time))
     stays = late
@@ -108,7 +98,7 @@ def read_stamps(time: Floats, period: float) -> Stamps:
 
 def _scatter(values: Floats) -> float:
     """Return the standard deviation of most values: among stamps that scatter a gap is found a few rows off."""
-    return float(np.median(np.abs(values - np.median(values))) / NORMAL_MEDIAN)
+    return float(np.median(np.abs(values - np.median(values))) / NORMAL_QUARTILE)
 
 
 def even(batch: TrialBatch) -> TrialBatch:

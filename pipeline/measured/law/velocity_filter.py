@@ -10,20 +10,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.measured.law.log_rows import SET_DIGITS
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.loop_parts import Butterworth, Coefficients, Difference, VelocityFilter
 
 HIGHEST_ORDER = 4
 """Of a recursive velocity filter that is looked for; the thesis and drives use 1 or 2."""
 
-LONGEST_DIFFERENCE = 64
-"""Samples of the longest difference that is looked for."""
-
-CUTOFF_DIGITS = 4
-"""Digits to which a cut-off is rounded where that explains the rows: nobody sets more."""
+LONGEST_WINDOW = 64
+"""Samples of the longest difference that is looked for, and of the longest window that adapts."""
 
 ROUNDED_CUTOFF = 2.0
-"""Units of rounding that a filter with a rounded cut-off may leave unexplained."""
+"""Units of rounding that a filter with a cut-off of `SET_DIGITS` may leave unexplained."""
 
 FITTED_ROWS = 400
 """Rows from the edge on that a filter is found from: it needs ten, and noise is none."""
@@ -93,7 +91,7 @@ def find_filter(
 
 def _difference(change: Floats, output: Floats, rows: Booleans, tolerance: Floats) -> VelocityFilterFound | None:
     displacement = np.cumsum(change)
-    for samples in range(2, min(LONGEST_DIFFERENCE, len(output) - 1) + 1):
+    for samples in range(2, min(LONGEST_WINDOW, len(output) - 1) + 1):
         mean = (displacement - _delayed(displacement, samples)) / samples
         if (np.abs(output - mean) <= tolerance)[rows].all():
             return VelocityFilterFound((1 / samples,) * samples, difference=samples)
@@ -162,7 +160,7 @@ def _butterworth(
             options={"xatol": 1e-10},
         )  # fmt: skip
         exact = np.exp(best.x) * nyquist
-        for cutoff in (float(f"{exact:.{CUTOFF_DIGITS}g}"), float(f"{exact:.8g}")):
+        for cutoff in (float(f"{exact:.{SET_DIGITS}g}"), float(f"{exact:.8g}")):
             if error(np.log(cutoff / nyquist), order) <= ROUNDED_CUTOFF:
                 b, a = butter(order, cutoff / nyquist)
                 return VelocityFilterFound(tuple(b.tolist()), tuple(a.tolist()), cutoff_hz=cutoff)

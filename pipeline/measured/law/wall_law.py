@@ -13,17 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.measured.law.candidates import Departure, explanation, hidden
-from pipeline.measured.law.log_rows import EQUAL, PLATEAU, ROUNDINGS, STILL_FLOORS, LogRows, repeated_rows, stands_still
+from pipeline.measured.law.log_rows import PLATEAU, ROUNDINGS, STILL_FLOORS, LogRows, repeated_rows, stands_still
 from pipeline.measured.law.stamps import ODD, Stamps, read_stamps
 from pipeline.measured.signal.response import Response, external_force
+from pipeline.measured.student import ROUNDING
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+from pipeline.records.findings import MATTERS
 
 PRINTED_IN_FULL = float(ROUNDINGS**2 * np.finfo(np.float64).eps)
 """Rounding of the law relative to its largest force where all numbers are printed in full, as `LogRows.of` has it."""
-
-OTHER_WALL = 0.02
-"""Departure from the stated law, relative to the step, from which on the wall is another one: a course brackets its
-limits no closer. A header that rounds K and B stays below."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +62,7 @@ def other_walls(law: WallLaw) -> OtherWalls:
     obeyed, reason = np.full((len(law.departures), 3), np.nan), [""] * len(law.departures)
     for i, found in enumerate(law.departures):
         other = next((each for each in found if each.obeyed is not None), None)
-        if other is not None and law.residual[i] > OTHER_WALL:
+        if other is not None and law.residual[i] > MATTERS:
             obeyed[i], reason[i] = other.obeyed, other.evidence
     return OtherWalls(obeyed, tuple(reason))
 
@@ -126,7 +124,7 @@ def _odd_rows(batch: TrialBatch, response: Response) -> Booleans:
     after = np.arange(change.shape[1]) >= response.edge_row[:, None]
     some = np.flatnonzero(((change == 0) & after).any(axis=1))
     span = np.fmax.reduce(batch.position[some], axis=1) - np.fmin.reduce(batch.position[some], axis=1)
-    still = stands_still(change[some], after[some], (STILL_FLOORS * response.floor[some] + EQUAL * span)[:, None])
+    still = stands_still(change[some], after[some], (STILL_FLOORS * response.floor[some] + ROUNDING * span)[:, None])
     odd[some] |= still.sum(axis=1) >= PLATEAU
     return odd
 

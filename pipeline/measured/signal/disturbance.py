@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.measured.signal.response import NO_ROW, Response
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch, TrialGroups
+from pipeline.records.criteria import SETTLING_BANDS
 
 LONGEST_DELAY = 12
 """Largest delay that is tried [samples], as many as the window of `modes` has room for."""
@@ -29,9 +30,9 @@ SHORTEST_SPAN, LONGEST_SPAN = 8, 40
 SENSOR_FLOORS = 2.3
 """Largest second difference that the sensor feigns, in floors: two quanta and six standard deviations."""
 
-SMALLEST_FORCE = 0.05
+SMALLEST_FORCE = max(SETTLING_BANDS.values())
 """Smallest disturbance that is reported, relative to the step, and part of command and own forces that may be wrong:
-what the settling band of 5 % hardly shows, and what the device is fitted to."""
+what the widest settling band hardly shows, and what the device is fitted to."""
 
 TYPICAL = 3.0
 """A force must exceed that of the middle trial by this: what all trials show is the device (friction, jitter), no
@@ -72,7 +73,7 @@ class Device:
     least: float = 1.0
 
 
-def find_disturbance(batch: TrialBatch, response: Response, device: Device | None = None) -> Disturbance:
+def find_disturbance(batch: TrialBatch, response: Response, device: Device) -> Disturbance:
     """Find the force that acts beside the command.
 
     Parameters
@@ -81,8 +82,8 @@ def find_disturbance(batch: TrialBatch, response: Response, device: Device | Non
         Trials of one experiment: they share device and delay. Few and disturbed trials are judged worse.
     response : Response
         Of the same trials.
-    device : Device, optional
-        What was learnt from all trials of the experiment (`learn_device`); by default from these.
+    device : Device
+        What was learnt from all trials of the experiment (`learn_device`).
 
     Notes
     -----
@@ -92,7 +93,6 @@ def find_disturbance(batch: TrialBatch, response: Response, device: Device | Non
     of the loop.
     """
     n = len(batch)
-    device = device_of(batch, response) if device is None else device
     first, largest, force = np.full(n, NO_ROW), np.full(n, NO_ROW), np.zeros(n)
     for some, part in batch.portions():
         if device.mass > 0 and part.position.shape[1] > 2 * device.span:
@@ -103,12 +103,6 @@ def find_disturbance(batch: TrialBatch, response: Response, device: Device | Non
             largest[some] = np.where(broken, at + device.span, NO_ROW)
             force[some] = np.where(broken, left[trial, at], 0.0)
     return Disturbance(first, largest, force)
-
-
-def device_of(batch: TrialBatch, response: Response) -> Device:
-    """Return what `learn_device` tells of the trials of a batch."""
-    groups = TrialGroups((np.arange(len(batch)),), (batch,))
-    return learn_device(groups, response.edge_row, response.floor, batch.rows, batch.step, batch.sampling_period_s)
 
 
 def learn_device(

@@ -27,15 +27,17 @@ LEVEL_ROWS = 20
 """Rows before and behind a jump that show two levels. A velocity over N rows leaves a plateau of N rows behind each
 quantum; with as many rows it is too low to be a step."""
 
-JUMP, JUMP_WITH_DAMPING = 0.04, 0.1
-"""Smallest jump between two levels that is a step, relative to the step of the log; with B, quanta jump, too."""
+JUMP = 0.1
+"""Smallest change that is a step or a motion, relative to the step of the log; by B, quanta jump by less. Of a wall
+force in another unit, or of another signal, as much is left only where command plus wall force is off its level by more
+than `LEVEL`; two steps that differ by less are the same."""
 
-MOVES = 0.1
-"""Size of a command, relative to the step, that moves: of a wall force in another unit, or of another signal, that much
-is left only where command plus wall force is off its level by more than `LEVEL`."""
+UNDAMPED_JUMP = 0.04
+"""The same of a jump between two levels where no B amplifies quanta."""
 
-STEP_TOLERANCE = 0.1
-"""Relative difference of the jump from an operating point and the step up to which they are the same."""
+BENT = 1e-3
+"""Departure of a command from the wall law, relative to the step, at one of its limits, by which it is bent: a log in
+few digits is rounded by less."""
 
 LISTED_STEPS = 6
 """Steps that a reason lists."""
@@ -80,14 +82,12 @@ def external_force(batch: TrialBatch) -> Floats:
     return batch.command + batch.stiffness[:, None] * batch.displacement + damping_per_sample[:, None] * change
 
 
-def find_edges(batch: TrialBatch, samples: int = EDGE_SAMPLES) -> Edges:
+def find_edges(batch: TrialBatch) -> Edges:
     """Find the one step of each trial.
 
     Parameters
     ----------
     batch : TrialBatch
-    samples : int
-        Rows for which the external force must stay above half the step.
 
     Notes
     -----
@@ -98,10 +98,10 @@ def find_edges(batch: TrialBatch, samples: int = EDGE_SAMPLES) -> Edges:
     external = external_force(batch)
     sign, half = np.sign(batch.step)[:, None], 0.5 * np.abs(batch.step)[:, None]
     towards = np.nan_to_num(external * sign)
-    first, found = _first_run(towards > half, samples)
-    opposite, against = _first_run(towards < -half, samples)
+    first, found = _first_run(towards > half)
+    opposite, against = _first_run(towards < -half)
     against &= opposite < first
-    moves = _moves(batch, towards, half, first + samples)
+    moves = _moves(batch, towards, half, first + EDGE_SAMPLES)
     row = np.where(found & (first > 0) & moves & ~against, first, NO_ROW).astype(np.int64)
     level, count = np.zeros(len(batch)), np.zeros(len(batch), dtype=np.int64)
     reasons = []
@@ -113,12 +113,12 @@ def find_edges(batch: TrialBatch, samples: int = EDGE_SAMPLES) -> Edges:
             reason = "no step was commanded (step is 0)"
         elif len(steps) > 1:
             row[i], reason = NO_ROW, _told(force, steps)
-        elif (raised := _from_level(force, step, samples)) is not None:
+        elif (raised := _from_level(force, step)) is not None:
             row[i], level[i], reason = raised
         elif row[i] != NO_ROW:
             level[i] = level_before(force, int(row[i]), step)
         elif not found[i]:
-            reason = NEVER.format(step=step, samples=samples)
+            reason = NEVER.format(step=step, samples=EDGE_SAMPLES)
         else:
             why = NO_BASELINE if first[i] == 0 else OTHER_COMMAND if not moves[i] else AGAINST
             reason = why.format(step=step, row=opposite[i] if why is AGAINST else first[i])
@@ -137,7 +137,7 @@ def _moves(batch: TrialBatch, towards: Floats, half: Floats, until: Integers) ->
     early = column < until[:, None]
     off = batch.valid & ~(np.abs(towards - 2 * half) <= 2 * LEVEL * half)
     behind = batch.valid & (column > np.max(np.where(off, column, -1), axis=1, initial=-1)[:, None])
-    moves = ((command > half) & early) | ((command > 2 * MOVES * half) & behind)
+    moves = ((command > half) & early) | ((command > 2 * JUMP * half) & behind)
     return np.asarray(np.any(moves, axis=1, keepdims=True)[:, 0])
 
 
@@ -148,21 +148,21 @@ def level_before(force: Floats, row: int, step: float) -> float:
     return level if abs(level) > near and np.abs(force[:row] - level).max() <= near else 0.0
 
 
-def _from_level(force: Floats, step: float, samples: int) -> tuple[int, float, str] | None:
+def _from_level(force: Floats, step: float) -> tuple[int, float, str] | None:
     """Return edge, level before it, and why there is no edge, for a force that begins on a level and jumps to another.
 
     None where it begins near 0, or does not jump.
     """
-    start = level_before(force, samples, step)
+    start = level_before(force, EDGE_SAMPLES, step)
     if start == 0:
         return None
-    away, leaves = _first_run((np.abs(force - start) > LEVEL * abs(step))[None, :], samples)
+    away, leaves = _first_run((np.abs(force - start) > LEVEL * abs(step))[None, :])
     edge = int(away[0])
-    reached = force[edge : edge + samples]
+    reached = force[edge : edge + EDGE_SAMPLES]
     if not leaves[0] or np.ptp(reached) > LEVEL * abs(step):
         return None
     jump = float(np.median(reached)) - start
-    if abs(jump - step) <= STEP_TOLERANCE * abs(step):
+    if abs(jump - step) <= JUMP * abs(step):
         return edge, start, ""
     return (
         *(NO_ROW, 0.0),
@@ -179,7 +179,7 @@ def first_step_alone(batch: TrialBatch) -> TrialBatch:
 
 def _steps(force: Floats, step: float, damping: float) -> list[int]:
     """Return the rows in which a force jumps from a level to another one."""
-    smallest = JUMP_WITH_DAMPING if damping else JUMP
+    smallest = JUMP if damping else UNDAMPED_JUMP
     near = LEVEL * abs(step)
     rows = np.flatnonzero(np.abs(np.diff(force)) > smallest * abs(step)) + 1
     if len(rows) < 2:
@@ -207,12 +207,16 @@ def _told(force: Floats, steps: list[int]) -> str:
     )
 
 
-def _first_run(rows: Booleans, samples: int) -> tuple[Integers, Booleans]:
-    """Return the first row from which on so many rows are true, shape (n,), and whether there is one."""
-    stays = rows.copy()
-    for shift in range(1, samples):
-        stays[:, :-shift] &= rows[:, shift:]
-        stays[:, -shift:] = False
+def lasting(rows: Booleans, samples: int) -> Booleans:
+    """Return the rows from which on so many are true, shape (n, N)."""
+    padded = np.pad(rows, ((0, 0), (0, samples)))
+    runs = np.lib.stride_tricks.sliding_window_view(padded, samples, axis=1)[:, :-1]
+    return np.asarray(runs.all(axis=2))
+
+
+def _first_run(rows: Booleans) -> tuple[Integers, Booleans]:
+    """Return the first row from which on `EDGE_SAMPLES` rows are true, shape (n,), and whether there is one."""
+    stays = lasting(rows, EDGE_SAMPLES)
     first = np.argmax(stays, axis=1) if stays.shape[1] else np.zeros(len(stays))
     found: Booleans = np.any(stays, axis=1, keepdims=True)[:, 0]
     return first.astype(np.int64), found

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.measured.signal.disturbance import Device, Disturbance
+from pipeline.measured.signal.disturbance import LONGEST_DELAY, Device, Disturbance
+from pipeline.measured.signal.edge import BENT, lasting
 from pipeline.measured.signal.modes import FEWEST_SAMPLES
-from pipeline.measured.signal.response import NO_ROW, Response, external_force
+from pipeline.measured.signal.response import NO_ROW, SETTLED_SAMPLES, Response, external_force
 from pipeline.records.batch import Floats, Integers, TrialBatch
-
-STANDING_SAMPLES = 5
-"""Rows for which a position stands at its extreme before it counts as a stop."""
 
 IMPACT = 6.0
 """Last change before a stand, in floors: a smooth turn that stays within a floor and the rounding of a quantum for 5
@@ -23,13 +21,9 @@ stop; a smooth turn comes to 2.2. And that way in floors: below it a smooth turn
 BLOW = 2.0
 """Force of an impact relative to the step: hands push by less, and impacts of 0.2 m/s give more."""
 
-UNMOVED_SAMPLES = 36
-"""Samples after the step within which a device that has not moved may still be waiting for the command: 12 of
-delay, and twice what a verdict needs."""
-
-DEPARTURE = 1e-3
-"""Smallest departure of the command from the wall law, relative to the step, that shows clipping: logs with few
-digits are rounded by less."""
+UNMOVED_SAMPLES = LONGEST_DELAY + 2 * FEWEST_SAMPLES
+"""Samples after the step within which a device that has not moved may still be waiting for the command: twice what a
+verdict needs behind the delay."""
 
 
 def usual_length(rows: Integers) -> int:
@@ -110,13 +104,9 @@ def first_stop(batch: TrialBatch, response: Response, outside: Disturbance, devi
         arrives[:, 1:] &= ~near[:, :-1]
         rebounds = arrives & (behind < before / ABRUPT) & (before > LOUD * floor)
         rebounds &= rebounds.sum(axis=1, keepdims=True) >= REBOUNDS
-        stands = near.copy()
-        for shift in range(1, STANDING_SAMPLES):
-            stands[:, :-shift] &= near[:, shift:]
-            stands[:, -shift:] = False
         # the force is inwards, at the extreme: the first time that the device was there
         thrown = there & (blown & (np.sign(outside.force) == side) & (there & about).any(axis=1))[:, None]
-        hit = thrown | rebounds | (stands & arrives & (speed > IMPACT * floor))
+        hit = thrown | rebounds | (lasting(near, SETTLED_SAMPLES) & arrives & (speed > IMPACT * floor))
         first = np.where(hit.any(axis=1), np.minimum(first, np.argmax(hit, axis=1)), first)
     return np.where(first < columns, first, NO_ROW).astype(np.int64)
 
@@ -135,7 +125,7 @@ def first_clipped(batch: TrialBatch) -> tuple[Integers, Floats]:
     departure, step = external_force(batch), batch.step[:, None]
     # 0 or F_0 was asked for, whichever is nearer: before the edge and after it
     departure = np.where(np.abs(departure) < np.abs(departure - step), departure, departure - step)
-    clipped = np.nan_to_num(-departure * np.sign(batch.command)) > DEPARTURE * np.abs(step)
+    clipped = np.nan_to_num(-departure * np.sign(batch.command)) > BENT * np.abs(step)
     clipped &= size >= (1 - 1e-9) * largest[:, None]
     return np.where(clipped.sum(axis=1) >= 2, np.argmax(clipped, axis=1), NO_ROW).astype(np.int64), largest
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pipeline.measured.law.stamps import ODD
 from pipeline.records.batch import Floats, Integers
 
 JUMP = 0.2
@@ -19,9 +20,6 @@ SHORTEST_REST = 0.05
 """Length of a rest, relative to that of the column, and at least `FEWEST_ROWS`."""
 
 FEWEST_ROWS = 8
-
-GAP = 1.5
-"""Step of the time, relative to the usual one, from which on rows are missing: the nearest multiple is 2."""
 
 
 def jumps(values: Floats) -> Integers:
@@ -57,7 +55,7 @@ def gaps(time: Floats) -> Integers:
     """Return the rows before which rows are missing, by the stamps; NaN is no gap."""
     step = np.diff(time)
     usual = float(np.nanmedian(step)) if len(step) else 0.0
-    return np.flatnonzero(step > GAP * usual) + 1 if usual > 0 else np.zeros(0, dtype=np.int64)
+    return np.flatnonzero(step > (1 + ODD) * usual) + 1 if usual > 0 else np.zeros(0, dtype=np.int64)
 
 
 def _reach(values: Floats) -> float:

@@ -11,25 +11,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.measured.student import SIGMAS
 from pipeline.records.batch import Booleans, Floats, Integers
 
 WINDOW_POINTS = 16
 """Points of a window, more than the modes of a loop with 12 samples of delay; 2,300 trials cost 0.5 s."""
 
-SHORT_WINDOW_POINTS = 8
+SHORT_WINDOW_POINTS = WINDOW_POINTS // 2
 """Points of a window where the motion lasted for too few samples for `WINDOW_POINTS`."""
 
 FEWEST_SAMPLES = 12
 """Shortest motion: a pair of modes, a drift and as many samples again to check them."""
 
-RANK_FACTOR = 3.0
-"""Singular values below this many standard deviations of the noise matrix are noise."""
-
 LARGEST_WINDOWS = 256
 """Windows that a long motion is seen through, evenly spread: more cost time and tell little more."""
 
-DYNAMIC_RANGE = 1e-13
-"""Smallest singular value kept relative to the largest: rounding of double precision positions."""
+DYNAMIC_RANGE = LARGEST_WINDOWS * float(np.finfo(np.float64).eps)
+"""Smallest singular value kept relative to the largest, as in `numpy.linalg.matrix_rank`."""
 
 CLEAN_FRACTION = 1e-4
 """Modes below this fraction of the motion at its end are rounding in a signal that few modes explain."""
@@ -49,8 +47,6 @@ class Growth:
     ----------
     per_sample : float64
         ln|z| of that mode; negative where it decays.
-    span : int64
-        Number of samples that the fit saw.
     amplitude : float64
         Root mean square of that mode at the end of the fit.
     noise : float64
@@ -60,7 +56,6 @@ class Growth:
     """
 
     per_sample: Floats
-    span: Integers
     amplitude: Floats
     noise: Floats
     clean: Booleans
@@ -102,7 +97,7 @@ def fastest_growth(
         if len(index):
             found = _grow(signal[index], length[index], noise[index], points, window_part, least_part)
             per_sample[index], amplitude[index], left_over[index], clean[index] = found
-    return Growth(per_sample, length, amplitude, left_over, clean)
+    return Growth(per_sample, amplitude, left_over, clean)
 
 
 def _grow(
@@ -121,10 +116,10 @@ def _grow(
     _, values, right = np.linalg.svd(np.linalg.qr(hankel, mode="r"))
     # of a noise matrix: largest singular value is sigma (sqrt(windows) + sqrt(points)), smallest sigma sqrt(windows)
     spread = np.sqrt(windows) + np.sqrt(points)
-    level = np.maximum(noise * spread * RANK_FACTOR, DYNAMIC_RANGE * values[:, 0])
+    level = np.maximum(noise * spread * SIGMAS, DYNAMIC_RANGE * values[:, 0])
     clean = (values[:, -1] <= level) & (level < CLEAN_FRACTION * 1e-3 * values[:, 0])
     left_over = np.maximum(noise, values[:, -1] / np.sqrt(windows))
-    level = np.where(values[:, -1] <= level, level, left_over * spread * RANK_FACTOR)
+    level = np.where(values[:, -1] <= level, level, left_over * spread * SIGMAS)
     rank = np.minimum((values > level[:, None]).sum(axis=1), points - 1)
     at_end = (np.arange(signal.shape[1])[None, :] >= (0.75 * length)[:, None]) & (
         np.arange(signal.shape[1])[None, :] < length[:, None]

@@ -11,24 +11,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.signal.disturbance import Device, Disturbance, device_of, find_disturbance
+from pipeline.measured.signal.disturbance import Device, Disturbance, find_disturbance
 from pipeline.measured.signal.events import (
     UNMOVED_SAMPLES,
     first_clipped,
     first_stop,
     free_samples,
     left_travel,
-    usual_length,
 )
 from pipeline.measured.signal.modes import FEWEST_SAMPLES
 from pipeline.measured.signal.response import NO_ROW, SETTLED_SAMPLES, Response, reach
-from pipeline.measured.signal.sensor import NOISE_FACTOR
-from pipeline.measured.signal.verdict import REST_FLOORS as SENSOR_FLOORS
-from pipeline.measured.signal.verdict import Verdicts
+from pipeline.measured.signal.sensor import AT_REST, NOISE_FACTOR
+from pipeline.measured.signal.verdict import REST_FLOORS, Verdicts
 from pipeline.measured.student import NORMAL_95
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+from pipeline.records.criteria import SETTLING_BANDS
 
-BAND = 0.02
+BAND = SETTLING_BANDS["settle_2pct"]
 """Half width of the band relative to the final displacement: the settling criterion that the tables use."""
 
 LASTING = 0.8
@@ -40,9 +39,6 @@ LASTING_CHANGE = 0.1
 
 CROSSINGS = 4
 """Crossings of the final position in the last three fifths: two periods, fewer show no lasting oscillation."""
-
-REST_FLOORS = 2.0
-"""Range of the last two fifths, in sensor floors, up to which the device is at rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,9 +172,8 @@ def classify(
     batch: TrialBatch,
     response: Response,
     verdicts: Verdicts,
-    *,
-    usual_rows: int | None = None,
-    device: Device | None = None,
+    usual_rows: int,
+    device: Device,
 ) -> Outcomes:
     """Say of each trial what happened in it.
 
@@ -188,8 +183,8 @@ def classify(
         Trials of one experiment: its usual length tells early ends, its device what is a disturbance.
     response, verdicts : Response, Verdicts
         Of the same trials.
-    usual_rows, device : int, Device, optional
-        `usual_length` of the logs of the experiment, and its device (`learn_device`); by default by these trials.
+    usual_rows, device : int, Device
+        `usual_length` of the logs of the experiment, and its device (`learn_device`).
 
     Returns
     -------
@@ -205,10 +200,8 @@ def classify(
     The band is 2 % of the final displacement, or the sensor floor where that is wider. K <= 0 has no final
     position: such a trial diverged or moves.
     """
-    usual = usual_length(batch.rows) if usual_rows is None else usual_rows
-    device = device_of(batch, response) if device is None else device
     parts = [
-        _classified(part, response.select(some), verdicts.select(some), usual, device)
+        _classified(part, response.select(some), verdicts.select(some), usual_rows, device)
         for some, part in batch.portions()
     ]
     arrays = ("outcome", "first_row", "band", "amplitude_end")
@@ -270,11 +263,11 @@ def _end(batch: TrialBatch, response: Response, verdicts: Verdicts, band: Floats
     lasting = (crossings >= CROSSINGS) & (fifth_range > response.floor) & ~np.isnan(band)
     lasting &= np.minimum(third, fifth_range) >= LASTING * np.maximum(third, fifth_range)
     # above what quanta keep up, a rate that the verdict tells is surer than ratios of amplitudes
-    told = (verdicts.verdict != "undecided") & (fifth_range > 2 * SENSOR_FLOORS * response.floor)
+    told = (verdicts.verdict != "undecided") & (fifth_range > 2 * REST_FLOORS * response.floor)
     change = np.abs(verdicts.growth_per_s) * batch.sampling_period_s * (batch.rows - edge)
     lasting &= ~(told & (change > LASTING_CHANGE))
     # an oscillation about the edge of the band leaves it now and then, and a growing one may pass it at its smallest
     settled &= ~((lasting | (verdicts.verdict == "unstable")) & (entry >= edge + 4 * fifth))
-    rests = np.maximum(fourth, fifth_range) <= REST_FLOORS * response.floor
+    rests = np.maximum(fourth, fifth_range) <= AT_REST * response.floor
     elsewhere = rests & (np.abs(means[2]) > np.nan_to_num(band, nan=np.inf) + response.floor)
     return _End(entry, settled, lasting, elsewhere, means[2], 0.5 * fifth_range)

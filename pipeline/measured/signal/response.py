@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.signal.edge import EDGE_SAMPLES, find_edges, level_before
 from pipeline.measured.signal.edge import NO_ROW as NO_ROW
 from pipeline.measured.signal.edge import external_force as external_force
+from pipeline.measured.signal.edge import find_edges, level_before
 from pipeline.measured.signal.sensor import sensor_floor, sensor_quantum, white_noise
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+from pipeline.records.criteria import RISE_LEVELS
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,14 +78,12 @@ class Response:
         return replace(self, **arrays, **texts)  # type: ignore[arg-type]
 
 
-def find_response(batch: TrialBatch, *, edge_samples: int = EDGE_SAMPLES) -> Response:
+def find_response(batch: TrialBatch) -> Response:
     """Find the command edge and the resolution of each trial.
 
     Parameters
     ----------
     batch : TrialBatch
-    edge_samples : int
-        Rows for which the external force must stay above half the step.
 
     Returns
     -------
@@ -108,7 +107,7 @@ def find_response(batch: TrialBatch, *, edge_samples: int = EDGE_SAMPLES) -> Res
 
     Source: Hulin 2017, sec. 6.1.1 (procedure) and eq. 6.1 (final position).
     """
-    edges = find_edges(batch, edge_samples)
+    edges = find_edges(batch)
     quantum = sensor_quantum(batch)
     if batch.integrated is not None:
         quantum = np.where(batch.integrated, 0.0, quantum)
@@ -210,10 +209,6 @@ def _last_tenth(batch: TrialBatch) -> Floats:
 SETTLED_SAMPLES = 5
 """Samples in a band at the end of a log: fewer may be a mere passage of it."""
 
-RISE = (0.1, 0.9)
-"""Parts of its way between which the time of a motion is taken that never passes its final position: 2.2 time
-constants of a creep, 1.5 radians and more of a swing that is damped so far."""
-
 
 def reach(
     batch: TrialBatch, final: Floats, first: Integers, entry: Integers, growth: Floats, noise: Floats
@@ -236,8 +231,9 @@ def reach(
     -----
     A swing of angular frequency w that is at e and moves at v comes as far as hypot(e, v/w) at most. The slowest one
     shows in the longest time on one side of the final position, half a period; of a motion that never passed it the
-    rise time tells. Inwards it has a quarter of a period more to decay in. The last half radian of the log counts, as
-    far as it is inside the band. A motion that does not grow is bounded by its last whole swing, too.
+    rise time tells: 2.2 time constants of a creep, 1.5 radians and more of a swing that is damped so far. Inwards it
+    has a quarter of a period more to decay in. The last half radian of the log counts, as far as it is inside the band.
+    A motion that does not grow is bounded by its last whole swing, too.
     """
     column = np.arange(batch.position.shape[1])[None, :]
     first = np.minimum(first, np.maximum(batch.rows - 1, 0))
@@ -276,7 +272,7 @@ def _radian(error: Floats, inside: Booleans, first: Integers, noise: Floats) -> 
     longest = np.maximum(gaps, 2 * quarter)
     share = np.abs(error) / np.maximum(np.abs(error).max(axis=1, initial=0.0), np.finfo(np.float64).tiny)[:, None]
     begin, end = (
-        np.argmax(inside & (column >= first[:, None]) & (share <= 1 - level), axis=1) for level in RISE
+        np.argmax(inside & (column >= first[:, None]) & (share <= 1 - level), axis=1) for level in RISE_LEVELS
     )  # rows by which so much of the way is made
     result: Floats = np.where(passes.any(axis=1), longest / np.pi, (end - begin) / np.log(9.0))
     return result

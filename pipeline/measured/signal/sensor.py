@@ -15,8 +15,11 @@ NOISE_GAIN = 6.0
 NOISE_FACTOR = 6.0
 """Four standard deviations (2 % chance in 400 samples) of the difference of two readings, 4 sqrt 2 and more."""
 
+AT_REST = 2.0
+"""Sensor floors within which readings of a device at rest stay: it may lie between two, and beat."""
+
 GRID_TOLERANCE = 1e-3
-"""Largest distance of a position change from a multiple of the quantum, relative to the quantum."""
+"""Largest distance of a change from a multiple of the quantum, relative to the quantum."""
 
 STORED_TOLERANCE = 0.15
 """As `GRID_TOLERANCE` for positions that were stored in single precision or with few digits: six units of the
@@ -29,7 +32,8 @@ STORED_MULTIPLES = 20.0
 """Largest multiple that tests a grid in rounded positions: beyond, its own error reaches the tolerance."""
 
 FEWEST_ON_GRID = 12
-"""Changes that must lie on such a grid: those of a continuous signal all do with a chance of 0.3^12 = 5e-7."""
+"""Changes that must lie on such a grid, of a command too: those of a continuous signal all do with a chance of
+0.3^12 = 5e-7."""
 
 ROUNDING_UNITS = 64.0
 """Changes below this many units of rounding are arithmetic, not the sensor."""

@@ -11,14 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.signal.edge import external_force, first_step_alone
+from pipeline.measured.signal.edge import BENT, external_force, first_step_alone
 from pipeline.measured.signal.modes import FEWEST_SAMPLES, NARROW, WIDE, fastest_growth
 from pipeline.measured.signal.response import Response, find_response
 from pipeline.measured.signal.sensor import NOISE_FACTOR
+from pipeline.measured.student import SIGMAS
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
-
-SIGMAS = 3.0
-"""Standard errors by which a growth rate differs from zero to decide: 0.3 % of the logs at the limit by chance."""
 
 REST_FLOORS = 8.0
 """Amplitude at the end, in sensor floors, up to which quanta may keep an oscillation up in a stable loop: the
@@ -31,10 +29,6 @@ not grown, and by which the size of a motion without modes changes, to decide.""
 
 END = 0.8
 """Part of the motion behind which is its end, by which it has come down to the floor of the sensor."""
-
-BENT = 1e-3
-"""Departure of a command from the wall law, relative to the step, at one of its limits, by which it is bent: a log in
-few digits is rounded by less."""
 
 FADES = 0.9
 """Ratio of the sizes of neighbouring quarters up to which a motion fades: parts of a period make 5 % of difference."""

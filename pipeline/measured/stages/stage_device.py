@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.experiment.fitted_device import NAMES, PARTS
+from pipeline.measured.experiment.fitted_device import MOST, NAMES, PARTS
 from pipeline.measured.experiment.stored import Experiment
 from pipeline.measured.model.identified import Identified, identified, own_numbers
 from pipeline.measured.model.recordings import GAP, Recording
@@ -44,9 +44,6 @@ OTHER_WALLS = (
     "not tell the mass; correct K, B and the units in the profile"
 )
 
-FEW_LEFT = 0.5
-"""Share of the logs that must be usable for what these lack to be the reason."""
-
 
 def found_device(of: Experiment) -> tuple[Identified | None, str]:
     """Return the likeliest device of all logs of an experiment, or None and why."""
@@ -70,7 +67,7 @@ def found_device(of: Experiment) -> tuple[Identified | None, str]:
     if "mass" not in device.untold:
         return device, ""
     # logs that obey another wall than stated are the reason, whatever the others lack
-    why = NOT_TOLD.format(Recorded.of(found).remedy()) if usable.mean() > FEW_LEFT else OTHER_WALLS
+    why = NOT_TOLD.format(Recorded.of(found).remedy()) if usable.mean() > MOST else OTHER_WALLS
     return None, why
 
 

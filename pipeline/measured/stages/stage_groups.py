@@ -17,7 +17,7 @@ from pipeline.measured.law.stamps import even
 from pipeline.measured.law.wall_law import OtherWalls, WallLaw, other_walls, wall_law
 from pipeline.measured.signal.response import NO_ROW, Response, declare_edge, find_response
 from pipeline.measured.signal.verdict import Verdicts
-from pipeline.records.batch import Booleans, Integers, TrialBatch
+from pipeline.records.batch import Booleans, TrialBatch
 
 Given = Mapping[str, Any]
 """Values of the whole experiment by name, as JSON holds them."""
@@ -25,12 +25,6 @@ Given = Mapping[str, Any]
 Columns = dict[str, Any]
 
 Result = TypeVar("Result")
-
-LONGEST_MOTION = 1 << 16
-"""Rows of a longer log that mass and damping are estimated from: a minute at 1 kHz."""
-
-LEAD = 1024
-"""Rows before the step that a longer log keeps there: the fit reads the position at rest from 40 of them."""
 
 
 def _unjudged() -> Verdicts:
@@ -113,25 +107,6 @@ class TrialGroup:
             edge_reason=tuple(text or why for text, why in zip(other, found.edge_reason, strict=True)),
         )
         return held
-
-    def beginning(self) -> tuple[TrialGroup, Integers]:
-        """Return the trials from shortly before the step on for `LONGEST_MOTION` rows, and the first row of each.
-
-        The group itself where all logs are as short: what tells mass and damping is the motion, not the rest after it.
-        """
-        first = np.zeros(len(self.logged), dtype=np.int64)
-        if self.logged.position.shape[1] <= LONGEST_MOTION:
-            return self, first
-        first = np.maximum(self.found.edge_row - LEAD, 0)
-        windows = [
-            self.logged.select(slice(i, i + 1)).window(start, min(int(rows) - start, LONGEST_MOTION))
-            for i, (start, rows) in enumerate(zip(first.tolist(), self.logged.rows, strict=True))
-        ]
-        some = TrialGroup(TrialBatch.joined(windows), self.verdicts)
-        some.found = replace(
-            self.found, edge_row=np.where(self.found.has_edge, self.found.edge_row - first, self.found.edge_row)
-        )
-        return some, first
 
     @cached_property
     def grid(self) -> SampleGrid:

@@ -114,8 +114,7 @@ def given_to_outcome(of: Experiment) -> Given:
 
 def outcomes(of: TrialGroup, given: Given) -> Sources:
     """Return how each trial ended, and what shows it."""
-    device = Device(**given["device"])
-    found = outcome.classify(of.batch, of.found, of.verdicts, usual_rows=given["usual_rows"], device=device)
+    found = outcome.classify(of.batch, of.found, of.verdicts, given["usual_rows"], Device(**given["device"]))
     return found, {"outcome_row": found.first_row}
 
 

@@ -22,6 +22,7 @@ from pipeline.base.disk import if_writable, write_kept
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import code_digest, digest, stamp
 from pipeline.measured.experiment.stored import Experiment
+from pipeline.measured.law.stamps import EVEN
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 from pipeline.measured.stages.stage_rows import Sources, stage_rows
@@ -41,9 +42,6 @@ from pipeline.store.storage import (
 
 SAMPLED = "response"
 """Stage that every scene needs; its result is stored with a hash of the samples."""
-
-ONE_PERIOD = 0.01
-"""Part by which sampling periods may differ in an experiment: an ingest keeps others apart."""
 
 ROW_KEY = "samples_sha256"
 """Column by which a row of a stage is known; what else it rests on is the same for all rows of a file."""
@@ -279,12 +277,6 @@ class StageTables:
         values = self.table(stage).column(name).to_numpy(zero_copy_only=False)
         return np.asarray(values, dtype=np.float64)
 
-    def lists(self, stage: str, name: str) -> Floats:
-        """Return a column of lists of one length as rows, null as NaN."""
-        values = self.table(stage).column(name).to_pylist()
-        length = max((len(value) for value in values if value is not None), default=0)
-        return np.array([value or [np.nan] * length for value in values], dtype=np.float64)
-
     def texts(self, stage: str, name: str) -> list[str]:
         """Return a text column of a stage, null as an empty string."""
         return [text or "" for text in self.table(stage).column(name).to_pylist()]
@@ -317,7 +309,7 @@ class StageTables:
             If trials differ.
         """
         periods = sorted(set(self.trials.column("sampling_period_s").to_pylist()))
-        if periods[-1] - periods[0] > ONE_PERIOD * periods[-1]:
+        if periods[-1] - periods[0] > EVEN * periods[-1]:
             raise StoreError(
                 f"device {self.device!r}, experiment {self.experiment!r}: sampling periods differ ({periods[:5]} s); "
                 "expected one. Name the experiments apart in the logs' headers and ingest them into a new folder."

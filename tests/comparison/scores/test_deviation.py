@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from labs import make_lab
 
-from pipeline.comparison.limits import MATTERS
 from pipeline.comparison.scores.deviation import _least_in_range, deviation
 from pipeline.device_data.devices import load_device
 from pipeline.loop.loop import Loop
+from pipeline.records.findings import MATTERS
 from pipeline.theory.costs import costs_at
 from pipeline.theory.optimum import optimal_point
 

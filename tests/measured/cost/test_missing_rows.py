@@ -121,3 +121,22 @@ def test_a_long_gap_leaves_no_cost():
     found, reason = costs(batch)
     assert np.isnan(found["settle_2pct"]).all()
     assert all("15 of 600 rows are missing, 15 of them in a row" in text for text in reason)
+
+
+@pytest.mark.parametrize(
+    ("lost", "told"),
+    [
+        (range(100, 108), True),
+        (range(100, 109), False),
+        (range(30, 590, 11), True),  # 51 of 600
+        (range(30, 590, 9), False),  # 63
+    ],
+)
+def test_a_motion_is_interpolated_over_eight_rows_and_a_tenth_of_a_log(lost, told):
+    batch = whole(3).select(slice(0, 1))
+    keep = np.delete(np.arange(600), list(lost))
+    columns = {name: getattr(batch, name)[:, keep] for name in ("time", "command", "position")}
+    grid = group(replace(batch, rows=np.array([len(keep)]), **columns)).grid
+    assert grid.filled.tolist() == [600 - len(keep)]
+    assert (grid.response.edge_reason == ("",)) == told
+    assert told or "too many to interpolate" in grid.response.edge_reason[0]

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.measured.experiment.best_trial import choose_optimum
+from pipeline.measured.experiment.best_trial import choose_optimum, without_overshoot
 
 NONE = np.full(2, np.nan)
 
@@ -46,6 +46,7 @@ def test_a_trial_with_a_wide_floor_is_not_known_to_be_without_overshoot():
     cost[(K == 6) & (B == 3)] = 0.04
     floor = np.where((K == 6) & (B == 3), 0.05, 1e-3)
     assert choose_optimum(cost, K, B, names, unstable=unstable, floor=floor).stiffness == 4.0
+    assert without_overshoot(np.zeros(2), np.array([0.009, 0.011])).tolist() == [True, False]
     # where no trial is known to be without, the smallest overshoot is the best
     cost = np.where((K == 6) & (B == 3), 0.04, 0.1)
     assert choose_optimum(cost, K, B, names, unstable=unstable, floor=floor).trial_id == "6/3"

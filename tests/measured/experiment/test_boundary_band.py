@@ -315,6 +315,34 @@ def test_area_of_an_open_boundary_is_a_lower_bound():
     assert boundary_area(()).value is None
 
 
+@pytest.mark.parametrize(("unstable", "told"), [(240.0, True), (260.0, False)])
+def test_a_damping_without_a_limit_leaves_a_small_part_of_the_area_open(unstable, told):
+    lost = BoundaryPoint(damping=30.0, stable=None, unstable=unstable, censored=False, estimate=None, low=0.0)
+    found = boundary_area((*area_points([1000] * 3, [1000] * 3, [1000] * 3), lost))
+    # a limit lies nowhere beyond twice the softest wall that seems to grow, and a tenth may be open
+    assert found.value == (pytest.approx(25000 + 5 * unstable) if told else None)
+    reach = NORMAL_95 * 5 * 2 * unstable / np.sqrt(12)
+    assert found.low == pytest.approx(25000 + 5 * unstable - reach if told else 25000)
+
+
+def test_a_line_through_few_rates_may_miss_their_bend():
+    (point,) = boundary_band(
+        np.array([900.0, 1000, 1100]), np.zeros(3), ["stable", "stable", "unstable"], np.array([-1.5, -0.5, 0.5])
+    )
+    # exact rates: all that is open is a bend of 1/K, by the distances of the nearest and the farthest trial
+    reach = 50 * 150 / 1050
+    assert (point.low, point.estimate, point.high) == pytest.approx((1050 - reach, 1050, 1050 + reach))
+
+
+def test_the_scatter_of_rates_is_at_least_that_of_two_dampings_on_either_side():
+    K, B = (axis.ravel() for axis in np.meshgrid(np.linspace(950, 1050, 11), np.arange(7.0)))
+    scatter = 0.01 * np.array([4, 1, 4, 0, 4, 1, 4])[B.astype(int)] * np.tile([1, -1], 39)[:77]
+    growth = (K - 1000) / 50 + scatter
+    points = boundary_band(K, B, np.where(growth < 0, "stable", "unstable"), growth)
+    (_, _, noisy, clean, *_) = (p.high - p.low for p in points)
+    assert 0.1 * noisy < clean < 0.5 * noisy
+
+
 def test_jitter_moves_the_limit():
     of = run_course(load_device("falcon"), "1", seed=0, coarsen=4)
     points = band(of)

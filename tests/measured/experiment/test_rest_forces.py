@@ -165,3 +165,24 @@ def test_a_spring_alone_is_told_from_a_constant_force(stiffness, options, spring
     rest = rest_forces(Settled(np.array(stiffness), **options))
     assert rest.tells
     assert rest.spring == pytest.approx(spring, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("forces", "quantum", "off", "tells", "constant"),
+    [
+        ([0.28] * 5, 1e-4, 0, False, False),  # three quanta are 0.3 mm
+        ([0.35] * 5, 1e-4, 5, True, True),
+        ([0.5] * 4 + [0.0] * 16, 1e-6, 4, False, True),
+        ([0.5] * 5 + [0.0] * 15, 1e-6, 5, True, True),
+        ([0.5] * 2 + [0.0] * 2, 1e-6, 2, False, True),
+        ([1.0, 1.0, 1.4], 1e-6, 3, True, True),
+        ([1.0, 1.0, 1.6], 1e-6, 3, True, False),
+    ],
+)
+def test_a_force_is_told_beyond_the_sensor_in_many_logs_and_one_where_they_are_alike(
+    forces, quantum, off, tells, constant
+):
+    logs = Settled(np.full(len(forces), 1000.0), force=np.array(forces))
+    logs.columns["sensor_quantum"] = np.full(len(forces), quantum)
+    rest = rest_forces(logs)
+    assert (rest.off, rest.tells, rest.constant) == (off, tells, constant)

@@ -119,6 +119,27 @@ def test_a_staircase_against_a_wall():
     assert "row 20 (0 to 8), row 500 (8 to 12)" in found.edge_reason[0]
 
 
+@pytest.mark.parametrize(
+    ("damping", "second", "ripple", "apart", "steps"),
+    [
+        (10.0, 0.09, 0.0, 480, 1),
+        (10.0, 0.11, 0.0, 480, 2),
+        (0.0, 0.035, 0.0, 480, 1),
+        (0.0, 0.045, 0.0, 480, 2),
+        (10.0, 0.5, 0.017, 480, 2),
+        (10.0, 0.5, 0.023, 480, 0),
+        (10.0, 0.5, 0.0, 18, 0),
+        (10.0, 0.5, 0.0, 22, 2),
+    ],
+)
+def test_a_second_step_is_larger_than_quanta_and_lies_between_levels(damping, second, ripple, apart, steps):
+    """Relative to the step: 0.1 with damping, 0.04 without, levels within 0.02 for 20 rows."""
+    batch = simulate([300.0], [damping], **FALCON, rows=900)
+    command = batch.command + 8.0 * ripple * (np.arange(900) % 2)
+    command[0, 20 + apart :] += 8.0 * second
+    assert find_response(replace(batch, command=command)).steps.tolist() == [steps]
+
+
 @pytest.mark.parametrize("samples", [1, 3, 10, 30])
 @pytest.mark.parametrize("quantum", [1e-5, 6e-5])
 def test_a_filtered_velocity_and_a_coarse_sensor_are_no_steps(samples, quantum):

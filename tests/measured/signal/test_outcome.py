@@ -11,11 +11,12 @@ from labelled import GROUPS, Group, Labelled, cut, join, labelled_set
 
 from pipeline.base.errors import ParameterError
 from pipeline.measured.cost import costs
-from pipeline.measured.signal.disturbance import LONGEST_SPAN, Device, find_disturbance
+from pipeline.measured.signal.disturbance import LONGEST_SPAN, Device, find_disturbance, learn_device
+from pipeline.measured.signal.events import usual_length
 from pipeline.measured.signal.outcome import BAND, OUTCOMES, Outcomes, classify
-from pipeline.measured.signal.response import find_response
+from pipeline.measured.signal.response import Response, find_response
 from pipeline.measured.signal.verdict import judge
-from pipeline.records.batch import TrialBatch
+from pipeline.records.batch import TrialBatch, TrialGroups
 from pipeline.records.loop_parts import Butterworth, SimulationParts
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import simulate
@@ -30,7 +31,13 @@ OF_THE_LOOP = {"diverged", "limit_cycle", "moving", "settled"}
 
 def outcomes(batch: TrialBatch) -> Outcomes:
     response = find_response(batch)
-    return classify(batch, response, judge(batch, response))
+    return classify(batch, response, judge(batch, response), usual_length(batch.rows), device_of(batch, response))
+
+
+def device_of(batch: TrialBatch, response: Response) -> Device:
+    """The device that the trials of a batch show."""
+    groups = TrialGroups((np.arange(len(batch)),), (batch,))
+    return learn_device(groups, response.edge_row, response.floor, batch.rows, batch.step, batch.sampling_period_s)
 
 
 def run(setup: Setup, K: list[float], B: list[float], **options) -> TrialBatch:
@@ -110,7 +117,8 @@ def test_push_is_dated_and_measured(size: float) -> None:
     row = np.arange(FALCON.rows)
     force = np.where((row >= 250) & (row < 290), size * np.sin(np.pi * (row - 250) / 40), 0.0)[:, None]
     batch = among(run(FALCON, [3000.0], [60.0], disturbance=force))
-    found = find_disturbance(batch, find_response(batch))
+    response = find_response(batch)
+    found = find_disturbance(batch, response, device_of(batch, response))
     # told from 8 rows on each side of a row, of which the mean is 3 % below the peak; up to a fifth of a push is
     # taken for commands that came a sample early or late, where quiet trials do not tell the delay sharply
     assert 242 <= found.first_row[0] <= 265
@@ -279,10 +287,10 @@ def test_stop_of_the_simulator_is_never_passed_and_holds_against_the_force() -> 
 def test_a_log_has_settled_once_some_samples_lie_within_the_band(more: int, outcome: str) -> None:
     whole = run(IDEAL, [3000.0], [90.0])
     response = find_response(whole)
-    entry = int(classify(whole, response, judge(whole, response)).first_row[0])
+    entry = int(outcomes(whole).first_row[0])
     log = run(replace(IDEAL, rows=entry + more), [3000.0], [90.0])
     assert outcomes(log).outcome.tolist() == [outcome]
-    settled = costs.settling(log, find_response(log), judge(log), 4, bands={"2 %": 0.02})["2 %"].value[0]
+    settled = costs.settling(log, find_response(log), judge(log), 4)["settle_2pct"].value[0]
     assert np.isnan(settled) if more < 5 else settled == entry - 24
     # the band is 2 % of the final displacement
     error = np.abs(whole.position[0] - response.position_final_expected[0]) * 3000.0 / IDEAL.step

@@ -179,3 +179,13 @@ def test_empty_batch():
     nothing = np.empty(0)
     batch = TrialBatch((), *[nothing] * 4, np.empty(0, np.int64), *[np.empty((0, 0))] * 3)
     assert find_response(batch).reason == ()
+
+
+@pytest.mark.parametrize(("quantum", "seen"), [(1.6e-12, True), (1.25e-12, False)])
+def test_a_grid_that_rounding_of_positions_hides_is_no_quantum(quantum, seen):
+    """At 0.1 m doubles are 1.4e-17 apart: a hundred thousand of them, 64 units of rounding a thousandfold."""
+    steps = np.cumsum(np.random.default_rng(3).integers(-3, 4, 400))
+    batch = simulate([3000.0], [50.0], **FALCON)
+    position = 0.1 + quantum * steps[None, : batch.position.shape[1]]
+    found = find_response(dataclasses.replace(batch, position=position))
+    assert found.sensor_quantum[0] == (pytest.approx(quantum, rel=1e-3) if seen else 0.0)
