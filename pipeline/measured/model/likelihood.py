@@ -397,9 +397,9 @@ def _fit(held: Stretches, device: Device, trials: int, places: Integers) -> Fit:
 def phases_of(held: Stretches, fit: Fit, trials: int) -> Floats:
     """Return the step of the numbers that the errors in each phase of the motion ask for, shape (8, p); together none.
 
-    Phases are both directions on both sides of the middle of all readings, each slow and fast. Each adds the product of the inverse
-    information and its own sum of scores, whose scatter between phases is that of the numbers: what a model that holds
-    all leaves in them is noise.
+    Phases are both directions on both sides of the middle of all readings, each slow and fast. Each adds the product of
+    the inverse information and its own sum of scores, whose scatter between phases is that of the numbers: what a model
+    that holds all leaves in them is noise.
 
     Source: the sandwich estimate with few clusters; White 1982, "Maximum likelihood estimation of misspecified models".
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from pipeline.loop.motion import Mechanism
 from pipeline.measured.model.identified import identified
 from pipeline.measured.model.likelihood import Device, moments_of
 from pipeline.measured.model.motion import Physics, pieces
+from pipeline.measured.model.parts import _takes_away
 from pipeline.measured.model.recordings import Recording, Scales, motion_of, stretches
 from pipeline.measured.model.scatter import Moments, solve
 from pipeline.measured.model.whitening import Column, Filter, Noise, Passage, passed
@@ -240,6 +242,16 @@ def test_one_step_tells_the_acceleration_and_no_mass():
     assert "two sizes" in known["acceleration"].record
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.034])
+def test_equal_steps_however_many_tell_no_mass_either(friction):
+    """Rows before the step have no direction: gain, friction and a constant force make one number, and no interval."""
+    logs = moved(np.random.default_rng(5), steps(np.full(12, 0.1)), friction=friction, delay=2.0, quantum=2e-4)
+    found = identified(logs)
+    assert {"mass", "damping", "friction", "constant_force"} <= found.untold
+    known = {each.code: each.interval for each in found.combinations}
+    assert known["acceleration"].low <= (0.1 - friction) / 1.1e-4 <= known["acceleration"].high
+
+
 def test_what_is_asked_for_was_not_recorded_already():
     rng = np.random.default_rng(11)
     found = identified(moved(rng, steps([0.1, 0.06])))
@@ -397,6 +409,22 @@ def test_a_lag_of_half_a_sample_is_no_mode_and_may_be_in_the_delay(quantum):
     favoured = quantum < 1e-5
     assert (holds(found.parameters, {"delay": 2.4e-3}) == []) == favoured
     assert [each.code for each in found.combinations] == ["delay_and_lag"] * favoured
+
+
+@pytest.mark.parametrize(
+    ("before", "behind", "takes"),
+    [
+        (Noise(), Noise(1e-4), False),
+        (Noise(1e-3), Noise(1e-4), True),
+        (Noise(1e-3), Noise(8e-4), False),
+        (Noise(0.0, 80.0, 0.9), Noise(1e-4), True),
+        (Noise(0.0, 80.0, 0.9), Noise(0.0, 80.0, 0.8), False),
+    ],
+)
+def test_a_part_takes_most_of_a_random_force_or_of_a_jitter_away(before, behind, takes):
+    """A lag in a position loop left a small force where a jitter of a longer delay left none."""
+    fits = (SimpleNamespace(device=Device({}, noise), solved=SimpleNamespace(noise=1.0)) for noise in (before, behind))
+    assert _takes_away(*fits) == takes
 
 
 @pytest.mark.slow
