@@ -76,7 +76,8 @@ def by_model(of: Stored, name: str) -> Estimate:
     least = max(MATTERS * abs(estimate.value), within if abs(estimate.value) <= reach else 0.0)
     axes = {"stiffness": K, "damping": B}
     drifts = [drift_warning(t, axes[t.over], estimate.value, least, unit, rotation=of.rotation) for t in trend]
-    found = {"within": within, "spread": spread, "trend": trend, "warning": "; ".join(filter(None, drifts)) or None}
+    warning = "; ".join(filter(None, [*drifts, estimate.warning])) or None
+    found = {"within": within, "spread": spread, "trend": trend, "warning": warning}
     return (
         with_sign_warning(estimate.model_copy(update=found)) if name == "damping" else estimate.model_copy(update=found)
     )
