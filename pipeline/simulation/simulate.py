@@ -42,13 +42,13 @@ def simulate(
     repetition: int = 0,
     disturbance: Floats | None = None,
 ) -> TrialBatch:
-    """Simulate step responses, one per pair (K, B), from rest at ``centre - F_0/K`` (``centre`` for K = 0).
+    """Simulate step responses, one per pair (K, B), from rest at ``centre - F_0/K`` (``centre`` for K <= 0).
 
     Parameters
     ----------
     setup : Setup
     stiffness, damping : float64, shape (n,)
-        Virtual stiffness K >= 0 [N/m, Nm/rad] and damping B [Ns/m, Nms/rad], B may be negative.
+        Virtual stiffness K [N/m, Nm/rad] and damping B [Ns/m, Nms/rad]; both may be negative.
     seed, stream, repetition : int, str, int
         Name the random streams together with K and B: the same five give the same trial, whatever it is
         simulated together with, and a longer trial starts with the samples of the shorter one.
@@ -64,7 +64,7 @@ def simulate(
     Raises
     ------
     ParameterError
-        If K is negative, or K or B is not finite, or the seed is negative, or the disturbance has another shape.
+        If K or B is not finite, or the seed is negative, or the disturbance has another shape.
 
     Notes
     -----

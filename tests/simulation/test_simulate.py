@@ -85,6 +85,13 @@ def test_without_stiffness_the_travel_is_reached_after_85_ms() -> None:
     assert batch.displacement[0, -1] > 0.05 >= batch.displacement[0, -2]
 
 
+def test_a_wall_of_negative_stiffness_takes_from_a_spring() -> None:
+    """An arm of 1,000 N/m with a wall of -600 N/m rests where 400 N/m hold the step."""
+    setup = replace(IDEAL, plant=Mechanism(0.58, 20.0, 1000.0), rows=3000)
+    batch = simulate(setup, np.array([-600.0]), np.array([20.0]))
+    assert batch.displacement[0, -1] == pytest.approx(8 / 400, rel=1e-3)
+
+
 def test_a_trial_ends_with_the_first_sample_outside_its_travel_and_the_others_go_on() -> None:
     batch = simulate(IDEAL, np.array([4000.0, 30_000.0]), np.array([60.0, 0.0]))
     rows = batch.rows[1]
