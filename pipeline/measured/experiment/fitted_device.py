@@ -112,9 +112,7 @@ class FittedDevice:
         if name in self.open:
             found |= {"value": None, "low": max(number.low, 0.0), "reason": "the logs leave it open"}
         elif (hidden := number.value - self.bounds.get(name, number.value)) > 0:
-            found["warning"] = (
-                f"up to {hidden:.2g} {unit} of it may be a lag of the drive: logs do not tell which"
-            )
+            found["warning"] = f"up to {hidden:.2g} {unit} of it may be a lag of the drive: logs do not tell which"
         return Estimate(**found, unit=unit, method=METHOD, trials=count)
 
 
