@@ -25,6 +25,9 @@ ADAPTS = 0.1
 """Share of the rows of a motion from which on the velocity is not the last change: of the rows behind a lost one, a few
 percent, some window fits by chance."""
 
+FEWEST_AT_LIMIT = 3
+"""Rows whose command changes by the same that show a limit of that: two may by rounding."""
+
 EXPLAINED = 1e-6
 """Part of what a filter changes that it may leave unexplained, beside rounding: what is found is exact or not it."""
 
@@ -106,7 +109,7 @@ def _slow(log: LogRows) -> tuple[Departure, ...] | None:
     change = log.command - before
     limit = float(np.abs(change).max())
     at = np.abs(np.abs(change) - limit) <= log.of_command + np.append(0.0, log.of_command[:-1]) + ROUNDING * limit
-    if limit >= abs(log.step) * (1 - ROUNDING) or at.sum() < PLATEAU:
+    if limit >= abs(log.step) * (1 - ROUNDING) or at.sum() < FEWEST_AT_LIMIT:
         return None
     # half of a step that rises slowly is late; the first row is at the limit
     log = replace(log, edge=int(np.argmax(at & (change * log.step > 0))))
@@ -115,7 +118,7 @@ def _slow(log: LogRows) -> tuple[Departure, ...] | None:
     if (np.abs(change - np.clip(demand, -limit, limit)) > log.rounding + of_change)[log.kept].any():
         return None
     at &= np.abs(demand) > limit + log.rounding
-    if at.sum() < PLATEAU:
+    if at.sum() < FEWEST_AT_LIMIT:
         return None
     text = f"the logged command changes by at most {limit:.4g} from row to row, in {int(at.sum())} rows by that"
     return (Departure("rate_limit", text, int(at.sum())),)

@@ -12,12 +12,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.measured.law.log_rows import SET_DIGITS
-from pipeline.measured.student import NORMAL_QUARTILE, SIGMAS
+from pipeline.measured.student import NORMAL_QUARTILE
 from pipeline.records.batch import Floats, Integers, TrialBatch
 
 EVEN = 0.01
 """Part of a period up to which distances of stamps are even, and that of the header: a hundredth of the period is two
 of the mass. An ingest keeps logs of other periods apart."""
+
+SURE = 4.0
+"""Standard errors of the usual distance of stamps by which it differs from the sampling period where one is wrong: by
+chance in 6e-5 of the logs."""
 
 ODD = 0.5
 """Part of a period by which the distance of two stamps differs from it where rows are looked for between them."""
@@ -76,7 +80,7 @@ def read_stamps(time: Floats, period: float) -> Stamps:
     # half of the stamps say so, and the whole log: lost rows move the mean alone, stamps of few digits the median
     off = np.array([usual, mean]) / period - 1
     error = np.sqrt(0.5 * np.pi / len(steps)) * _scatter(steps) / period
-    if (np.sign(off) * off[0] > EVEN + SIGMAS * error).all() and (np.abs(off) > EVEN).all():
+    if (np.sign(off) * off[0] > EVEN + SURE * error).all() and (np.abs(off) > EVEN).all():
         usual = float(f"{usual:.{SET_DIGITS}g}")
         return Stamps(read_stamps(time, usual).skipped, usual)
     late = (time - time[0]) / period - np.arange(len(time))
