@@ -241,8 +241,10 @@ def test_ten_gigabytes_are_refused_before_they_come(steady):
 
 
 def test_pieces_are_counted_where_no_length_is_told(steady):
-    piece = b"1000\r\n" + b"x" * 0x1000 + b"\r\n"
-    assert b" 413 " in raw(steady, head_of(steady, "Transfer-Encoding: chunked"), piece, piece).splitlines()[0]
+    start = b'--b\r\nContent-Disposition: form-data; name="files"; filename="a.csv"\r\n\r\n'
+    pieces = [b"1000\r\n" + text + b"\r\n" for text in (start.ljust(0x1000, b"x"), b"x" * 0x1000)]
+    answer = raw(steady, head_of(steady, "Transfer-Encoding: chunked"), *pieces)
+    assert b" 413 " in answer.splitlines()[0]
 
 
 def test_a_silent_client_is_told(steady):
