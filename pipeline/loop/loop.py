@@ -98,12 +98,15 @@ class Vibration:
         Of the spring between both, normalised like gamma and delta.
     sensor_far : bool
         Whether the position is sensed at the far mass.
+    far_damping : float
+        What the far mass bears of delta.
     """
 
     far_mass: float
     stiffness: float
     damping: float
     sensor_far: bool
+    far_damping: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -144,8 +147,8 @@ class Loop:
     Parameters
     ----------
     gamma, delta : float
-        Normalised physical stiffness and damping, >= 0; gamma <= pi^2 + delta^2/4, both <= 1e7. With a mode those of
-        the motor's side with what holds it, per mass of all.
+        Normalised physical stiffness and damping, >= 0; gamma <= pi^2 + delta^2/4, both <= 1e7. With a mode per mass of
+        all: the stiffness of the motor's side with what holds it, the damping of both sides.
     delay : float
         Delay factor d = t_d/T, integer or fractional, 0 <= d <= 256.
     lag : float
@@ -229,7 +232,7 @@ class Loop:
         count = 2 + 2 * (self.mode is not None)
         near = 1.0 - mode.far_mass
         motor = np.array([1.0, -mode.far_mass / near])[: count // 2]
-        held = -np.kron(motor, [self.gamma, self.delta])
+        held = -np.kron(motor, [self.gamma, self.delta - mode.far_damping])
         matrix, push, sensor = np.zeros((count, count)), np.zeros(count), np.zeros(count)
         matrix[0, 1] = push[1] = 1.0
         matrix[1] = held
@@ -239,6 +242,8 @@ class Loop:
             matrix[3] = -held
             matrix[3, 2:] -= np.array([mode.stiffness, mode.damping]) * (1 / mode.far_mass + 1 / near)
             push[3] = -1.0
+            for row, moved in ((1, 1.0), (3, near / mode.far_mass)):
+                matrix[row, 1::2] -= moved * mode.far_damping
             if mode.sensor_far:
                 sensor[2] = 1.0
         if self.lag == 0:
@@ -434,7 +439,7 @@ def loop_of(
     ParameterError
         If a parameter is out of range, or parts do not fit mass or sampling period.
     """
-    mistakes = parts.mistakes(mass, sampling_period_s)
+    mistakes = parts.mistakes(mass, damping, sampling_period_s)
     if mistakes:
         raise ParameterError("; ".join(mistakes))
     operator, mode = parts.operator, parts.mode
@@ -449,7 +454,11 @@ def loop_of(
         reduced = mode.mass * (mass - mode.mass) / mass / everything
         turn = 2 * math.pi * mode.frequency_hz * sampling_period_s
         vibration = Vibration(
-            mode.mass / everything, reduced * turn**2, 2 * mode.damping_ratio * turn * reduced, mode.sensor == "load"
+            mode.mass / everything,
+            reduced * turn**2,
+            2 * mode.damping_ratio * turn * reduced,
+            mode.sensor == "load",
+            mode.load_damping * sampling_period_s / everything,
         )
     return Loop(
         ideal.gamma,

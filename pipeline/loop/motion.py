@@ -54,8 +54,8 @@ class Mechanism:
     ----------
     mass, damping, stiffness : float
         Of the motor's side [kg, Ns/m, N/m or kg m^2, Nms/rad, Nm/rad]; the spring is relaxed at the start.
-    load_mass, spring, spring_damping : float
-        Far mass and what joins it to the motor's side; no mode where ``load_mass`` is 0.
+    load_mass, spring, spring_damping, load_damping : float
+        Far mass, what joins it to the motor's side, and its own damper; no mode where ``load_mass`` is 0.
     lag_s : float
         Time constant of the actuator [s].
     friction : Friction or None
@@ -74,6 +74,7 @@ class Mechanism:
     load_mass: float = 0.0
     spring: float = 0.0
     spring_damping: float = 0.0
+    load_damping: float = 0.0
     lag_s: float = 0.0
     friction: Friction | None = None
     sensor_at_load: bool = False
@@ -83,7 +84,7 @@ class Mechanism:
         """Return a device with operator, vibration mode, lag and friction; mass, damping, stiffness are its own.
 
         Of a mode with free-free resonance w, damping ratio z and masses m1 (motor, without operator) and m2, the spring
-        is M w^2 and its damping 2 z w M with M = m1 m2/(m1 + m2).
+        is M w^2 and its damping 2 z w M with M = m1 m2/(m1 + m2); the load's own damping is part of the device's.
         """
         motor, friction = mass, parts.friction
         if parts.operator is not None:
@@ -99,6 +100,8 @@ class Mechanism:
         return replace(
             device,
             mass=motor - mode.mass,
+            damping=damping - mode.load_damping,
+            load_damping=mode.load_damping,
             load_mass=mode.mass,
             spring=reduced * frequency**2,
             spring_damping=2 * mode.damping_ratio * frequency * reduced,
@@ -137,7 +140,7 @@ class Mechanism:
         free[1] = self.motor_force() / self.mass
         if self.load_mass > 0:
             free[2, 3] = 1.0
-            free[3, :4] = np.array([self.spring, self.spring_damping, -self.spring, -self.spring_damping])
+            free[3, :4] = self.spring, self.spring_damping, -self.spring, -self.spring_damping - self.load_damping
             free[3] /= self.load_mass
         if self.lag_s > 0:
             free[n - 1, n - 1], free[n - 1, n] = -1 / self.lag_s, 1 / self.lag_s

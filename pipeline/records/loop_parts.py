@@ -119,13 +119,15 @@ class Mode(Part):
     """One vibration mode: two masses on a spring, of which the motor's side bears force, damping and operator.
 
     ``frequency_hz`` is the free-free resonance, ``damping_ratio`` that of the relative motion, ``mass`` [kg, kg m^2]
-    the far one; the experiment's mass is the sum of both.
+    the far one; the experiment's mass is the sum of both. ``load_damping`` [Ns/m, Nms/rad] is what the far one bears of
+    the experiment's damping.
     """
 
     frequency_hz: Positive
     damping_ratio: NonNegative
     mass: Positive
     sensor: Literal["motor", "load"] = "motor"
+    load_damping: NonNegative = 0.0
 
 
 class Operator(Part):
@@ -179,6 +181,7 @@ class LoopParts(Part):
                 damping_ratio=mode.damping_ratio * slower,
                 mass=mode.mass / gain,
                 sensor=mode.sensor,
+                load_damping=mode.load_damping / gain,
             )
         if held is not None:
             damping, stiffness = damping + held.damping, stiffness + held.stiffness
@@ -210,11 +213,17 @@ class LoopParts(Part):
         velocity = ["velocity"] if isinstance(self.velocity, AdaptiveWindow | Levant) else []
         return velocity + (["friction"] if self.friction is not None else [])
 
-    def mistakes(self, mass: float, sampling_period_s: float) -> list[str]:
-        """Return what a device of a mass [kg, kg m^2] and a sampling period [s] cannot have, as sentences."""
+    def mistakes(self, mass: float, damping: float, sampling_period_s: float) -> list[str]:
+        """Return what a device of a mass [kg, kg m^2], damping [Ns/m, Nms/rad] and sampling period [s] cannot have, as
+        sentences."""
         found = []
         if self.mode is not None and self.mode.mass >= mass:
             found.append(f"loop.mode.mass: found {self.mode.mass:g}; must be below the mass of both sides, {mass:g}")
+        if self.mode is not None and self.mode.load_damping > damping:
+            found.append(
+                f"loop.mode.load_damping: found {self.mode.load_damping:g}; must be at most all of the device's damping, "
+                f"{damping:g}"
+            )
         nyquist = 0.5 / sampling_period_s
         if isinstance(self.velocity, Butterworth) and self.velocity.cutoff_hz >= nyquist:
             found.append(

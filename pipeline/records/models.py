@@ -119,7 +119,7 @@ class Device(Record):
             f"experiment {experiment.name!r}: {mistake}"
             for experiment in self.experiments
             for mistake in (
-                *self.loop_of(experiment).mistakes(experiment.mass, self.sampling_period_s),
+                *self.loop_of(experiment).mistakes(experiment.mass, experiment.damping, self.sampling_period_s),
                 *self.simulation_of(experiment).mistakes(self.duration_s, self.limits.force),
             )
         ]

@@ -47,6 +47,10 @@ def physical(scales: Scales) -> dict[str, Quantity]:
     def mass(n: Numbers) -> float:
         return 1 / (n["gain"] * acceleration) if n["gain"] else float("inf")
 
+    def damper(n: Numbers) -> float:
+        drag, far = n.get("drag", 0.0), n["share"] / (1 - n["share"])
+        return n["ratio"] - ((n["delta"] - drag) * far + drag / far) / (2 * n["turn"])
+
     return {
         "mass": mass,
         "damping": lambda n: n["delta"] / scales.period * mass(n),
@@ -56,8 +60,9 @@ def physical(scales: Scales) -> dict[str, Quantity]:
         "constant_force": lambda n: n["force"] / n["gain"] * command,
         "actuator_lag": lambda n: n["lag"] * scales.period,
         "mode_frequency": lambda n: n["turn"] / (2 * np.pi * scales.period),
-        "mode_damping_ratio": lambda n: n["ratio"] - n["delta"] * n["share"] / (1 - n["share"]) / (2 * n["turn"]),
+        "mode_damping_ratio": damper,
         "mode_mass": lambda n: n["share"] * mass(n),
+        "load_damping": lambda n: n["drag"] / scales.period * mass(n),
         "force_limit": lambda n: n["limit"] * command,
     }
 
@@ -73,11 +78,12 @@ NEEDED = {
     "mode_frequency": "turn",
     "mode_damping_ratio": "ratio",
     "mode_mass": "share",
+    "load_damping": "drag",
     "force_limit": "limit",
 }
 """Number of a device that each quantity stands for: it is told where the device has it."""
 
-BOUNDED = ("damping", "stiffness", "friction", "actuator_lag", "mode_damping_ratio", "mode_mass", "delay")
+BOUNDED = ("damping", "stiffness", "friction", "actuator_lag", "mode_damping_ratio", "mode_mass", "load_damping", "delay")
 """Quantities that are not negative."""
 
 

@@ -14,7 +14,7 @@ from pipeline.measured.model.scatter import FEWEST, Moments, Solved, inverse, so
 from pipeline.measured.model.whitening import WHITE, Column, Filter, Noise, Passage, passed
 from pipeline.records.batch import Floats, Integers
 
-SHAPE = ("delta", "gamma", "delay", "lag", "turn", "ratio", "share")
+SHAPE = ("delta", "gamma", "delay", "lag", "turn", "ratio", "share", "drag")
 """Numbers that the shape of a motion depends on; it is linear in the others."""
 
 LINEAR = ("gain", "coulomb", "force")
@@ -36,6 +36,7 @@ LIMITS = {
     "turn": (0.002, 3.0),
     "ratio": (1e-4, 0.5),
     "share": (1e-4, 0.97),
+    "drag": (-0.01, 2.0),
 }
 BEFORE = {"share": (0.25, 25.0)}
 """Mean of a number without logs, and information of it: what vibrates far from the motor is a lesser part of all, which
@@ -49,6 +50,7 @@ LARGEST_STEP = {
     "lag": 1.5,
     "turn": 0.1,
     "share": 0.1,
+    "drag": 0.2,
 }
 """Change of a number in one step within which the response is near a straight line."""
 
@@ -58,7 +60,7 @@ BY_HALF = ("gain", "ratio")
 SMALL = 1e-5
 """Change of a number for a slope: rounding of 1e-16 then leaves eleven digits of it."""
 
-GROWS = {"delta": 1, "gamma": 2, "turn": 1, "ratio": 1}
+GROWS = {"delta": 1, "gamma": 2, "turn": 1, "ratio": 1, "drag": 1}
 """Power of the rows of a stretch by which the effect of a number grows: its change for a slope is less by as much, from
 ten rows on. A spring that is weaker than any other moves a free device by all of its way in a thousand rows."""
 

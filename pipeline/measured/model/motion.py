@@ -26,8 +26,8 @@ class Physics:
     """What decides the shape of a device's motion: damping and stiffness per mass, delay, lag and mode, in samples.
 
     ``turn`` [rad a sample], ``ratio`` and ``share`` (of the far mass) are those of a mode; none where ``share`` is 0.
-    ``ratio`` is of all that its vibration loses, also to the motor's damping, which is told better than each alone.
-    ``at_load``: the far mass is the one whose position is read.
+    ``ratio`` is of all that its vibration loses, also to the damping of both sides, which is told better than each
+    alone; ``drag`` is what the far mass bears of that damping. ``at_load``: the far mass is the one that is read.
     """
 
     delta: float = 0.0
@@ -37,6 +37,7 @@ class Physics:
     turn: float = 0.0
     ratio: float = 0.0
     share: float = 0.0
+    drag: float = 0.0
     at_load: bool = False
 
     def moved(self, name: str, by: float) -> Physics:
@@ -48,9 +49,10 @@ class Physics:
         """Matrix (n, n), the command's column, a force's column on the motor's side, and the row of the sensor."""
         mode = None
         if self.share > 0:
-            near = 1 - self.share
-            spring, damper = near * self.turn**2, 2 * self.ratio * self.turn * near - self.delta * self.share
-            mode = Vibration(self.share, self.share * spring, self.share * damper, self.at_load)
+            near, far = 1 - self.share, self.share
+            lost = (self.delta - self.drag) * far / near + self.drag * near / far
+            reduced, damper = near * far, 2 * self.ratio * self.turn - lost
+            mode = Vibration(far, reduced * self.turn**2, reduced * damper, self.at_load, self.drag)
         # the parts of `loop`, whose own numbers may not be negative; those of a search may
         shape = Loop(0.0, 0.0, 0.0, max(self.lag, SHORTEST_LAG) if self.lag else 0.0, mode)
         matrix, push, sensor = (part.copy() for part in shape.device)

@@ -34,6 +34,7 @@ NUMBERS = {
     "lag": ("lag",),
     "mode": ("turn", "ratio", "share"),
     "mode at the load": ("turn", "ratio", "share"),
+    "load damping": ("drag",),
 }
 """Numbers of each part."""
 
@@ -51,6 +52,9 @@ SHARES = (0.05, 0.2)
 TURNS = (0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.2)
 """Frequencies [rad a sample] from which a mode is looked for, a factor of 1.5 apart."""
 
+
+DRAGS = (0.2, 0.5, 0.8)
+"""Shares of the damping from which one of the far mass is looked for."""
 
 LAGS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Lags [samples] from which one is looked for, each of which the next one resembles."""
@@ -290,7 +294,7 @@ def _loss(fit: Fit, name: str) -> float:
 def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) -> tuple[Fit, dict[str, float]]:
     """Return the fit with largest force, lag and mode: the likeliest first, as each may stand for another."""
     some = held.chosen(spread(held, LOOKED_AT))
-    left = {"saturation": "", "lag": "lag", "mode": "share", "mode at the load": ""}
+    left = {"saturation": "", "lag": "lag", "mode": "share", "mode at the load": "", "load damping": "drag"}
     while left and "delay" in fit.device.numbers:
         alone, tried = replace(fit.device, effects=None), {}
         plain = refined(some, alone, trials, far=False)
@@ -299,7 +303,7 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
         # a part leaves no jitter where there was none without it
         jitters = plain.device.noise.jitter > 0
         for name, size in left.items():
-            if set(NUMBERS[name]) <= set(alone.names):
+            if set(NUMBERS[name]) <= set(alone.names) or (name == "load damping" and "mode" not in parts):
                 continue
             start = _having(some, alone, trials, name)
             if _promise(some, start, trials, name) - _promise(some, plain.device, trials, name) < least:
@@ -360,6 +364,8 @@ def _having(held: Stretches, device: Device, trials: int, part: str) -> Device:
         found = _best(held, found, trials, part, [{"limit": limit} for limit in limits if limit < 1])
     elif part == "lag":
         found = _best(held, device, trials, part, [{"lag": lag, "delay": max(delay - lag, 0.0)} for lag in LAGS])
+    elif part == "load damping":
+        found = _best(held, device, trials, part, [{"drag": drag * device.numbers["delta"]} for drag in DRAGS])
     else:
         modes = [{"turn": turn, "ratio": 0.04, "share": share} for turn in TURNS for share in SHARES]
         found = _best(held, replace(device, at_load=part == "mode at the load"), trials, part, modes)
