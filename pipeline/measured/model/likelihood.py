@@ -227,15 +227,14 @@ def moments_of(held: Stretches, device: Device, trials: int) -> Moments:
     """Return the moments of all units (trials, or portions) at a device."""
     p, portions = len(device.names), portions_of(held, trials)
     units = len(held) * portions if portions else trials
-    total, rows, spreads, known = np.zeros((units, p + 1, p + 1)), np.zeros(units), 0.0, []
+    total, rows, spreads = np.zeros((units, p + 1, p + 1)), np.zeros(units), 0.0
     for some in chunks(held, p + 8):
         part = held.chosen(some)
-        left, spread, told, starts = _columns(part, device)
+        left, spread, known = _columns(part, device)
         spreads += spread
-        known.append(told)
         if not portions:
             np.add.at(total, part.trial, left.transpose(0, 2, 1) @ left)
-            np.add.at(rows, part.trial, part.rows - starts)
+            np.add.at(rows, part.trial, part.rows - known)
             continue
         for portion in range(portions):
             first, behind = (part.rows * each // portions for each in (portion, portion + 1))
@@ -243,20 +242,58 @@ def moments_of(held: Stretches, device: Device, trials: int) -> Moments:
             inside = (at >= first[:, None]) & (at < behind[:, None])
             cut = left * inside[..., None]
             total[some * portions + portion] = cut.transpose(0, 2, 1) @ cut
-            rows[some * portions + portion] = behind - first - starts / portions
+            rows[some * portions + portion] = behind - first - known / portions
     before = np.array([BEFORE.get(name, (0.0, 0.0)) for name in device.names]).T
     before = np.stack([before[1], before[1] * (before[0] - list(device.numbers.values()))])
-    return Moments(total, rows, float(np.median(held.least)), spreads, np.concatenate(known), before)
+    return Moments(total, rows, float(np.median(held.least)), spreads, before)
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """What whitened errors tell of the c unknowns of each start.
+
+    Of these it is known before that they are no larger than the readings' range, and what a lag or a mode holds no
+    larger than what the largest command makes: c rows below the N of the errors. ``basis`` (S, N + c, c) and
+    ``triangle`` (S, c, c) are those of all of them, ``known`` (S,) is how many unknowns the errors tell, ``lost`` by
+    how much that makes them less likely.
+    """
+
+    basis: Floats
+    triangle: Floats
+    known: Floats
+    lost: float
+
+    @classmethod
+    def of(cls, held: Stretches, device: Device, errors: list[Floats]) -> Starts:
+        """Return what whitened columns (N, S) of the unknowns, in the order of the states, tell."""
+        gain, shape, variance = abs(device.numbers["gain"]), device.shape, held.white
+        mode = [gain / shape.turn**2, gain / shape.turn] if shape.share > 0 else []
+        sizes = np.array([1.0, 1.0, *mode, *([gain] if shape.lag else [])])[: len(errors)]
+        before = np.broadcast_to(np.diag(np.sqrt(variance) / sizes), (len(held), len(sizes), len(sizes)))
+        columns = -np.stack(errors, axis=-1).transpose(1, 0, 2)
+        basis, triangle = np.linalg.qr(np.concatenate([columns, before], axis=1))
+        told = (np.diagonal(triangle, axis1=1, axis2=2) * sizes) ** 2
+        share = np.maximum(1 - variance / told, 0.0)
+        lost = 0.5 * float((np.log(told) - (1 - share) * np.log(variance)).sum())
+        return cls(basis, triangle, share.sum(axis=1), lost)
+
+    def within(self, columns: Floats) -> Floats:
+        """Return the products of whitened columns (S, N, k) with the basis, (S, c, k)."""
+        return np.asarray(self.basis[:, : columns.shape[1]].transpose(0, 2, 1) @ columns)
+
+    def without(self, columns: Floats) -> Floats:
+        """Return what the likeliest starts leave of whitened columns (S, N, k), and of what is known before."""
+        left = -self.basis @ self.within(columns)
+        left[:, : columns.shape[1]] += columns
+        return np.asarray(left)
 
 
 def errors_of(
-    held: Stretches, passage: Passage, found: Filter, columns: list[Column]
-) -> tuple[list[Floats], Floats, Floats]:
-    """Return whitened columns (N, S) each, and a basis (S, N, c) of those of the unknown starts with its triangle."""
-    starts = passage.starts()
-    errors = passed(passage, found, [*columns, *starts])
-    basis, triangle = np.linalg.qr(-np.stack(errors[len(columns) :], axis=-1).transpose(1, 0, 2))
-    return errors[: len(columns)], basis, triangle
+    held: Stretches, device: Device, passage: Passage, found: Filter, columns: list[Column]
+) -> tuple[list[Floats], Starts]:
+    """Return whitened columns (N, S) each, and what the errors tell of the unknown starts."""
+    errors = passed(passage, found, [*columns, *passage.starts()])
+    return errors[: len(columns)], Starts.of(held, device, errors[len(columns) :])
 
 
 def force_of(held: Stretches, device: Device) -> Column:
@@ -272,21 +309,9 @@ def _log_spread(held: Stretches, found: Filter) -> float:
     return float(np.log(np.broadcast_to(found.spread, held.position.shape)[held.valid]).sum())
 
 
-def _told(held: Stretches, device: Device, triangle: Floats) -> Floats:
-    """Return the information about each unknown of the starts, known those before it, by readings of noise 1.
-
-    Position and rate are at most 1; what a lag or a mode holds is at most what the largest command makes.
-    """
-    gain, shape = abs(device.numbers["gain"]), device.shape
-    mode = [gain / shape.turn**2, gain / shape.turn] if shape.share > 0 else []
-    sizes = np.array([1.0, 1.0, *mode, *([gain] if shape.lag else [])])[: triangle.shape[2]]
-    unknown = ~held.rests[:, None] | (np.arange(len(sizes)) == 0)
-    return np.asarray((np.diagonal(triangle, axis1=1, axis2=2) * sizes)[unknown] ** 2)
-
-
-def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats, Floats]:
-    """Return columns and errors without the start (S, N, p + 1), the filter's spreads, `_told`, and unknowns of each
-    start."""
+def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats]:
+    """Return columns and errors without the starts (S, N + c, p + 1), the logarithms that make them less likely, and
+    how many unknowns of each start are told."""
     passage, nothing = device.passage(held), np.ones(len(held))
     found = Filter.of(passage, device.noise)
     linear = {
@@ -299,13 +324,13 @@ def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats, Fl
         linear["limit"] = Column(command=clipped * device.own("gain", held.trial))
     asked = [name for name in device.names if name in linear]
     whole = force_of(held, device)
-    (left, *base), q, r = errors_of(held, passage, found, [whole, *(linear[name] for name in asked)])
+    (left, *base), starts = errors_of(held, device, passage, found, [whole, *(linear[name] for name in asked)])
     columns = {name: -each for name, each in zip(asked, base, strict=True)}
     common = left
     if device.effects is not None:
         for name, each in columns.items():
             common = common + (device.own(name, held.trial) - device.numbers[name]) * each
-    fitted = (np.linalg.pinv(r, rcond=1e-11) @ np.einsum("snc,ns->sc", q, left)[..., None])[..., 0]
+    fitted = (np.linalg.pinv(starts.triangle, rcond=1e-11) @ starts.within(left.T[..., None]))[..., 0]
     start = np.zeros((len(held), passage.states))
     for place, column in enumerate(passage.starts()):
         assert column.start is not None
@@ -318,9 +343,7 @@ def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats, Fl
         (moved,) = passed(device.passage(held, name, small), found, [whole])
         columns[name] = (at - moved) / small
     stacked = np.stack([*(columns[name] for name in device.names), common], axis=-1).transpose(1, 0, 2)
-    reduced = stacked - q @ (q.transpose(0, 2, 1) @ stacked)
-    unknowns = np.full(len(held), q.shape[2]) - held.rests * (q.shape[2] - 1)
-    return reduced, _log_spread(held, found), _told(held, device, r), unknowns
+    return starts.without(stacked), _log_spread(held, found) + starts.lost, starts.known
 
 
 def refined(
@@ -423,7 +446,8 @@ def phases_of(held: Stretches, fit: Fit, trials: int) -> Floats:
         error = left[..., p] - (columns * solved.effects[unit]).sum(axis=-1)
         weighted = columns * (solved.weight[unit] / solved.noise)[..., None]
         total += np.einsum("snp,snq->pq", weighted, columns)
-        speed = rate[: len(part.position), some]
+        rows = len(part.position)
+        weighted, error, speed = weighted[:, :rows], error[:, :rows], rate[:rows, some]
         phase = 4 * (part.position > middle) + 2 * (speed > 0) + (np.abs(speed) > usual)
         for which in range(PHASES):
             score[which] += np.einsum("snp,sn->p", weighted, error * (phase == which).T)
@@ -463,7 +487,7 @@ def noise_and_jitter(held: Stretches, device: Device, *, jitters: bool) -> Noise
     """
     some = held.chosen(spread(held, NOISE_STRETCHES)).shorter(NOISE_ROWS)
     constant, command = Column(direct=np.ones(len(some))), device.numbers["gain"] ** 2
-    white = max(_white(some), float(np.median(some.least)))
+    white = some.white
 
     @np.errstate(over="ignore", invalid="ignore")  # numbers far off overflow: they cost NaN, and a search leaves them
     def cost(force: float, jitter: float = 0.0, reading: float = 1.0) -> float:
@@ -471,17 +495,16 @@ def noise_and_jitter(held: Stretches, device: Device, *, jitters: bool) -> Noise
         passage = Passage(some, device.shape, jitter)
         found, whole = Filter.of(passage, noise), force_of(some, device)
         # the constant force of each stretch is free, so that it is not taken for a random one
-        (left, push), q, r = errors_of(some, passage, found, [whole, constant])
-        both = np.stack([left, push], axis=-1).transpose(1, 0, 2)
-        both = both - q @ (q.transpose(0, 2, 1) @ both)
+        (left, push), starts = errors_of(some, device, passage, found, [whole, constant])
+        both = starts.without(np.stack([left, push], axis=-1).transpose(1, 0, 2))
         products = both.transpose(0, 2, 1) @ both
         pushed = np.maximum(products[:, 1, 1], 1e-300)
         squares = np.maximum(products[:, 0, 0] - products[:, 0, 1] ** 2 / pushed, 1e-300)
-        rows = np.maximum(some.rows - q.shape[2] - 1, 1)
+        rows = np.maximum(some.rows - starts.known - 1, 1)
         # the strength of a jitter is that of its forces, beside the noise of a reading
         variance = reading * white if jitter else np.maximum(squares / rows, some.least)
         lost = 0.5 * (rows * np.log(variance) + squares / variance + np.log(pushed)).sum()
-        return float(lost) + _log_spread(some, found) + 0.5 * float(np.log(_told(some, device, r) + white).sum())
+        return float(lost) + _log_spread(some, found) + starts.lost
 
     none, (force, by_force) = cost(0.0), _likeliest(cost, MEMORIES)
     # what rounding leaves may look like a little of either
@@ -526,12 +549,6 @@ def _minimum(
         lambda logs: cost(*np.exp(logs).tolist()), start, method="Nelder-Mead", bounds=bounds, options=options
     )
     return np.exp(found.x).tolist(), float(found.fun)
-
-
-def _white(held: Stretches) -> float:
-    """Return the variance of a reading [squares of its unit] by third differences, which motion does not have."""
-    third = np.diff(held.position, 3, axis=0)[held.valid[3:]]
-    return max(float(np.median(np.abs(third)) / 0.6745) ** 2 / 20, 1e-24)
 
 
 def spread(held: Stretches, most: int) -> np.ndarray:

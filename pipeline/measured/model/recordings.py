@@ -120,6 +120,13 @@ class Stretches:
         """Command where it acts on the device, shape (lead + N, S)."""
         return np.asarray(self.command * self.acts)
 
+    @cached_property
+    def white(self) -> float:
+        """Variance of a reading by third differences, which motion does not have; no less than that of rounding."""
+        third = np.diff(self.position, 3, axis=0)[self.valid[3:]]
+        of_noise = float(np.median(np.abs(third)) / 0.6745) ** 2 / 20 if len(third) else 0.0
+        return max(of_noise, float(np.median(self.least)), EXACT**2)
+
     def __len__(self) -> int:
         return len(self.rows)
 

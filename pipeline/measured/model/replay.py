@@ -50,10 +50,9 @@ def replayed(held: Stretches, device: Device) -> Replay:
 def _linear(held: Stretches, device: Device) -> Floats:
     """Return the free run of a device without friction, in whose start it is linear."""
     passage = device.passage(held)
-    errors, basis, _ = errors_of(held, passage, Filter.of(passage, WHITE), [force_of(held, device)])
-    left = errors[0].T[..., None]
-    left = left - basis @ (basis.transpose(0, 2, 1) @ left)
-    return np.asarray(held.position - left[..., 0].T)
+    errors, starts = errors_of(held, device, passage, Filter.of(passage, WHITE), [force_of(held, device)])
+    left = starts.without(errors[0].T[..., None])[:, : len(held.position), 0]
+    return np.asarray(held.position - left.T)
 
 
 def _sliding(held: Stretches, device: Device) -> Floats:

@@ -36,7 +36,7 @@ class Moments:
     """Sums of products of each trial's whitened columns and errors (T, p + 1, p + 1); its free rows (T,).
 
     ``least`` is the variance of an error that rounding of the readings alone leaves, ``log_spread`` the sum of the
-    logarithms of the filter's spreads over all rows, ``told`` what readings of noise 1 tell of each unknown of a start.
+    logarithms of the filter's spreads over all rows, and of what the readings tell of the unknown starts.
     ``before`` (2, p) is what is known of each number without logs: information, and the slope of its likelihood.
     """
 
@@ -44,7 +44,6 @@ class Moments:
     rows: Floats
     least: float = 0.0
     log_spread: float = 0.0
-    told: Floats = field(default_factory=lambda: np.empty(0))
     before: Floats = field(default_factory=lambda: np.zeros((2, 1)))
 
 
@@ -123,8 +122,6 @@ def solve(moments: Moments, random: Integers) -> Solved:
         apart = 0.5 * float((slope**2 / np.maximum(prior, 1e-300)).sum())
         return float(found.determinants.sum() + of_rows.sum()) - moments.log_spread - apart
 
-    # a start is anywhere within the range of the readings: what these do not tell of it makes no device likelier
-    starts = 0.5 * float(np.log(moments.told + noise).sum())
     information = found.information / (scale[:, None] * scale[None, :])
     return Solved(
         found.step * scale,
@@ -134,7 +131,7 @@ def solve(moments: Moments, random: Integers) -> Solved:
         found.effects * scale,
         noise,
         weight,
-        likelihood(squares, noise, slope - prior * found.step) - starts,
+        likelihood(squares, noise, slope - prior * found.step),
         likelihood(before, _weighed(before, rows, noise, least)[0], slope),
         information.sum(axis=0) + moments.before[0] * np.eye(p),
     )

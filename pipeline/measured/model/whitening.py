@@ -8,12 +8,12 @@ that is always as strong the filter is a steady one, a recursion of two to five 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from pipeline.measured.model.motion import Physics, Pieces, at_times, pieces
+from pipeline.measured.model.motion import SHORTEST_LAG, Physics, Pieces, at_times, pieces
 from pipeline.measured.model.recordings import Stretches
 from pipeline.records.batch import Floats, Integers
 
@@ -62,7 +62,8 @@ class Column:
     direct : float64, shape (N, S) or (S,), optional
         Force on the motor's side in an interval, where the command in force acts.
     start : float64, shape (S, n), optional
-        State at the first row; a spring is held at its position while the stretch still rests.
+        State at the first row beside the drive's force by the commands before it; a spring is held at its position
+        while the stretch still rests.
     """
 
     readings: Floats | None = None
@@ -105,6 +106,25 @@ class Passage:
             result[..., age] += self.held.driven[row, self._column] * width
         return result
 
+    @cached_property
+    def before(self) -> Floats:
+        """What remains at the first row of the force by each command before it, and of that before all, behind a lag;
+        shape (lead + 1, S)."""
+        held, shape = self.held, self.shape
+        since = np.maximum(held.time[held.lead] - shape.delay - held.time[: held.lead + 1], 0.0)
+        left = np.exp(-since / max(shape.lag, SHORTEST_LAG))
+        return np.vstack([np.diff(left, axis=0), left[:1]])
+
+    def started(self, column: Column) -> Column:
+        """Return a column with the drive's force at its start, as far as its commands before it tell."""
+        if column.command is None or not self.shape.lag:
+            return column
+        start = np.zeros((len(self.held), self.states)) if column.start is None else column.start.copy()
+        # what came before the first command is taken to be alike
+        start[:, -1] += (self.before[:-1] * column.command[: self.held.lead]).sum(axis=0)
+        start[:, -1] += self.before[-1] * column.command[0]
+        return replace(column, start=start)
+
     @property
     def _column(self) -> Integers:
         return np.arange(len(self.held))[None, :]
@@ -128,7 +148,7 @@ class Passage:
         count, result = len(self.held), []
         for state in range(self.states):
             unit = np.zeros((count, self.states))
-            unit[:, state] = 1.0
+            unit[:, state] = self.before[-1] if self.shape.lag and state == self.states - 1 else 1.0
             if state:
                 unit[self.held.rests] = 0.0
                 if self.held.rests.all():
@@ -208,7 +228,7 @@ class Filter:
 def passed(passage: Passage, found: Filter, columns: Sequence[Column]) -> list[Floats]:
     """Return the whitened prediction errors of columns, each of shape (N, S)."""
     steady = passage.held.regular and len(found.gain) == 1
-    errors = (_recursion if steady else _by_rows)(passage, found, columns)
+    errors = (_recursion if steady else _by_rows)(passage, found, [passage.started(each) for each in columns])
     for each in errors:
         each /= found.spread
         each[~passage.held.valid] = 0.0
