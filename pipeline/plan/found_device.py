@@ -168,6 +168,7 @@ class FoundDevice:
                 damping_ratio=max(values["damping_ratio"], 0.0),
                 mass=min(max(values["far_mass"], SMALLEST * mass), (1 - SMALLEST) * mass),
                 sensor="load" if AT_LOAD in self.fitted.parts else "motor",
+                load_damping=min(max(values.get("load_damping", 0.0), 0.0), max(values["damping"], 0.0)),
             )
         lag = max(values.get("actuator_lag_s", 0.0), 0.0)
         coulomb = values.get("coulomb", 0.0) if "friction" in self.fitted.parts else 0.0
@@ -238,7 +239,7 @@ def stated_device(device: Device, of: Experiment) -> FoundDevice:
     if parts.mode is not None:
         names.append(AT_LOAD if parts.mode.sensor == "load" else "mode at the motor")
         values |= {"frequency_hz": parts.mode.frequency_hz, "damping_ratio": parts.mode.damping_ratio}
-        values["far_mass"] = parts.mode.mass
+        values |= {"far_mass": parts.mode.mass, "load_damping": parts.mode.load_damping}
     if parts.friction is not None:
         names.append("friction")
         values["coulomb"] = parts.friction.coulomb

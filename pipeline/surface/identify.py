@@ -48,6 +48,7 @@ UNITS: dict[str, tuple[str, str]] = {
     "mode_frequency": ("Hz", "Hz"),
     "mode_damping_ratio": ("", ""),
     "mode_mass": ("kg", "kg m^2"),
+    "load_damping": ("Ns/m", "Nms/rad"),
     "acceleration": ("m/s^2", "rad/s^2"),
     "force": ("N", "Nm"),
 }
@@ -283,6 +284,7 @@ def _loop_document(found: Model, drift: str) -> dict[str, Any]:
     told = {"mass", "delay"} & set(found.parameters) - found.untold == {"mass", "delay"}
     mode = {name: parameter(f"mode_{name}") for name in ("frequency", "damping_ratio", "mass")}
     at_load = dict.fromkeys(("value", "low", "high"), float("mode at the load" in found.parts))
+    of_load = {name: told for name in ("load_damping",) if (told := parameter(name))}
     return {
         "source": "estimated",
         "adequate": bool(told) and len(fits) > 0 and float(np.median(fits)) >= FOLLOWS,
@@ -298,7 +300,7 @@ def _loop_document(found: Model, drift: str) -> dict[str, Any]:
         "delay_samples": parameter("delay", 1 / found.scales.period),
         "actuator_lag_s": parameter("actuator_lag"),
         "velocity": None,
-        "mode": {"frequency_hz": mode.pop("frequency"), **mode, "sensor_at_load": at_load}
+        "mode": {"frequency_hz": mode.pop("frequency"), **mode, **of_load, "sensor_at_load": at_load}
         if all(mode.values())
         else None,
         "operator": None,

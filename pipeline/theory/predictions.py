@@ -84,7 +84,8 @@ class Theory:
 
     @property
     def _own_delta(self) -> float:
-        return self.parameters.damping / self.parameters.loop.force_gain / self.units.damping
+        p, mode = self.parameters, self.parameters.loop.mode
+        return (p.damping - (mode.load_damping if mode else 0.0)) / p.loop.force_gain / self.units.damping
 
     @cached_property
     def boundary(self) -> Boundary:

@@ -37,13 +37,15 @@ def passive_wall(loop: ToldLoop, result: ExperimentResult) -> tuple[PassiveWall 
     Notes
     -----
     A passive wall is named where limits were measured on both sides of it, or at it, and in no course of few trials.
-    The device has the least damping at the lower end of b, less what an operator has of it. The stiffness is rounded
-    down and the rounded pair is held against passivity, the limits of theory over all intervals, and the measured
-    limits, interpolated between the dampings: the stable region is convex there, so that a chord of it lies inside.
+    The device has the least damping at the lower end of b, less what an operator and the far side of a mode have of it.
+    The stiffness is rounded down and the rounded pair is held against passivity, the limits of theory over all
+    intervals, and the measured limits, interpolated between the dampings: the stable region is convex there, so that a
+    chord of it lies inside.
     """
     if result.trials < FEW:
         return None, f"{result.trials} trials are too few to promise stability with every hand; record {FEW}"
-    damping = (loop.parameter("damping").low - loop.held) * (1 - SPARE)
+    of_load = max((point.parts.mode.load_damping for point in loop.points if point.parts.mode), default=0.0)
+    damping = (loop.parameter("damping").low - loop.held - of_load) * (1 - SPARE)
     if damping <= 0:
         return None, (
             "no wall is passive for the whole range of the device's damping, which may be 0: stability with every hand "

@@ -130,17 +130,21 @@ def loop_numbers(told: ToldLoop, of_logs: Sequence[VelocityFilter], parts: LoopP
         }
     fitted = told.devices[0].fitted
     names = {"frequency_hz": "frequency_hz", "damping_ratio": "damping_ratio", "mass": "far_mass"}
+    names |= {"load_damping": "load_damping"}
     found = {name: fitted.with_interval(of) for name, of in names.items() if of in fitted.values}
     most = {"mass": fitted.values["mass"]}
     mode_found = {
         name: Parameter(value=each.value, low=max(each.low, 0.0), high=min(each.high, most.get(name, np.inf)))
         for name, each in found.items()
     }
-    at_load = {"sensor_at_load": exact(float(AT_LOAD in fitted.parts))}
+    at_load = AT_LOAD in fitted.parts
+    if at_load:
+        # with damping on both sides any share moves the far mass alike
+        mode_found["mass"] = mode_found["mass"].model_copy(update={"low": 0.0, "high": most["mass"]})
     return numbers | {
         "stiffness": fitted.parameter("stiffness"),
         "actuator_lag_s": fitted.parameter("actuator_lag_s"),
-        "mode": mode_found | at_load if mode_found else None,
+        "mode": mode_found | {"sensor_at_load": exact(float(at_load))} if mode_found else None,
     }
 
 

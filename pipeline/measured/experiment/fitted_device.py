@@ -26,6 +26,7 @@ NAMES = {
     "mode_frequency": "frequency_hz",
     "mode_damping_ratio": "damping_ratio",
     "mode_mass": "far_mass",
+    "load_damping": "load_damping",
     "force_limit": "force_limit",
 }
 """Numbers of a fitted device by those of the model."""

@@ -77,17 +77,20 @@ def identified(recordings: list[Recording]) -> Identified:
     quantities = physical(choice.scales)
     names = [name for name, number in NEEDED.items() if number in errors.numbers]
     mass, period = quantities["mass"](errors.numbers), choice.scales.period
-    units = {"damping": mass / period, "stiffness": mass / period**2, "delay": period}
+    units = {"damping": mass / period, "load_damping": mass / period, "stiffness": mass / period**2, "delay": period}
     units |= dict.fromkeys(("friction", "constant_force"), choice.scales.command)
     parameters = {name: errors.interval(quantities[name], name in BOUNDED, units.get(name, 0.0)) for name in names}
     if choice.late:
         delay = parameters["delay"]
         parameters["delay"] = replace(delay, low=max(delay.low - choice.bounds["actuator_lag"], 0.0))
+    if choice.fit.device.at_load and "mode_mass" in parameters:
+        # with damping on both sides any share moves the far mass alike
+        parameters["mode_mass"] = replace(parameters["mode_mass"], low=0.0, high=parameters["mass"].high)
     if "constant_force" in choice.assumed and "friction" in parameters:
         parameters = _held_before(parameters, choice.scales.command)
     untold = {name for name in ("mass",) if not is_told(parameters[name])}
     if untold:
-        untold |= {"damping", "stiffness", "friction", "constant_force", "mode_mass"} & set(names)
+        untold |= {"damping", "stiffness", "friction", "constant_force", "mode_mass", "load_damping"} & set(names)
     untold |= {name for name in names if name == "friction" and choice.parts["friction"] <= 0}
     # a force that is known to no better than the largest command is not known
     forces = {"friction", "constant_force"} & set(names)
@@ -137,7 +140,7 @@ def _held_before(parameters: dict[str, Interval], command: float) -> dict[str, I
     """
     share = parameters["friction"].value / command / np.sqrt(3.0)
     result = dict(parameters)
-    for name in ("mass", "damping", "stiffness", "friction", "mode_mass"):
+    for name in ("mass", "damping", "stiffness", "friction", "mode_mass", "load_damping"):
         if name in parameters:
             each = parameters[name]
             more = 1.96 * share * each.value
