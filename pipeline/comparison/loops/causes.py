@@ -180,7 +180,7 @@ def _shared(shown: Shown, found: FoundDevice) -> Iterator[Candidate]:
     part = delay.value - round(delay.value)
     jitter = list(_jitter(shown, point))
     yield from jitter
-    if not (jitter or point.parts.actuator_lag_s or delay.low <= round(delay.value) <= delay.high):
+    if not (jitter or point.parts.actuator_lag_s or abs(part) <= delay.high - delay.value):
         effect, _ = _beside(point, replace(point, delay_samples=delay.value - part), shown)
         yield Candidate(
             "fractional_delay",

@@ -80,9 +80,10 @@ def identified(recordings: list[Recording]) -> Identified:
     units = {"damping": mass / period, "load_damping": mass / period, "stiffness": mass / period**2, "delay": period}
     units |= dict.fromkeys(("friction", "constant_force"), choice.scales.command)
     parameters = {name: errors.interval(quantities[name], name in BOUNDED, units.get(name, 0.0)) for name in names}
-    if choice.late:
-        delay = parameters["delay"]
-        parameters["delay"] = replace(delay, low=max(delay.low - choice.bounds["actuator_lag"], 0.0))
+    if "delay" in choice.bounds:
+        delay, more = parameters["delay"], choice.bounds["delay"] - parameters["delay"].value
+        low, high = max(delay.low + min(more, 0.0), 0.0), delay.high + max(more, 0.0)
+        parameters["delay"] = replace(delay, low=low, high=high)
     if choice.fit.device.at_load and "mode_mass" in parameters:
         # with damping on both sides any share moves the far mass alike
         parameters["mode_mass"] = replace(parameters["mode_mass"], low=0.0, high=parameters["mass"].high)

@@ -59,8 +59,12 @@ DRAGS = (0.2, 0.5, 0.8)
 LAGS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Lags [samples] from which one is looked for, each of which the next one resembles."""
 
-UNSEEN = (0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8, 1.1)
+UNSEEN = (0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8, 1.1, 1.6, 2.2, 3.2)
 """Lags [samples] that may be part of a delay: rounding makes shorter ones likelier than none."""
+
+IMITATED = 0.75
+"""Lag [samples] below which a mode that is too fast to be looked for moves the device alike: one of 1.9 rad a sample as
+0.38, with a delay that is shorter by as much."""
 
 BESIDE = 1.92
 """Log-likelihood below the largest at which an interval of 95 % ends that is told by it."""
@@ -105,8 +109,8 @@ class Choice:
     """A fit with the parts that it has, and by how much each made held-out trials likelier.
 
     A part with 0 may be there or not: its number is taken along as unknown. ``assumed`` names what is taken as none,
-    ``bounds`` gives the upper ends of friction, spring and lag [SI] where there is none; ``late`` says whether a lag
-    that is too short to be told explains the logs better than a delay alone.
+    ``bounds`` gives the upper ends of friction, spring and lag [SI] where there is none, and as ``delay`` [s] the other
+    end of one that may be part of a lag, or have one as a part.
     """
 
     fit: Fit
@@ -115,7 +119,6 @@ class Choice:
     parts: dict[str, float]
     assumed: tuple[str, ...]
     bounds: dict[str, float] = field(default_factory=dict)
-    late: bool = False
 
     @property
     def moving(self) -> bool:
@@ -165,30 +168,31 @@ def chosen(recordings: list[Recording]) -> Choice:
         held = stretches(recordings, scales, lead, "friction" in parts)
     fit = ended(held, replace(fit.device, effects=None), len(recordings))
     bounds = {name: end for name, end in bounds.items() if name not in parts}
-    lag, seen = _unseen_lag(held, fit, len(recordings))
-    bounds |= {"actuator_lag": lag * scales.period} if lag else {}
-    return Choice(fit, held, scales, parts, assumed, bounds, seen)
+    numbers, period = fit.device.numbers, scales.period
+    if lag := _unseen_lag(held, fit, len(recordings)):
+        bounds |= {"actuator_lag": lag * period, "delay": (numbers["delay"] - lag) * period}
+    elif numbers.get("lag", np.inf) < IMITATED:
+        bounds["delay"] = (numbers["delay"] + numbers["lag"]) * period
+    return Choice(fit, held, scales, parts, assumed, bounds)
 
 
-def _unseen_lag(held: Stretches, fit: Fit, trials: int) -> tuple[float, bool]:
-    """Return the upper end of the lag [samples] that a delay longer by as much stands for, and whether one is likelier.
+def _unseen_lag(held: Stretches, fit: Fit, trials: int) -> float:
+    """Return the upper end of the lag [samples] that a delay longer by as much stands for.
 
     Up to the second order in its length a lag is a delay. Beside a lag or a mode none is looked for.
     """
     numbers = fit.device.numbers
     if "delay" not in numbers or {"lag", "share"} & set(numbers):
-        return 0.0, False
+        return 0.0
     some, alone = held.chosen(spread(held, LOOKED_AT)), replace(fit.device, effects=None)
-    none = most = _promise(some, alone, trials, "lag")
-    end = 0.0
+    most, end = _promise(some, alone, trials, "lag"), 0.0
     for lag in (lag for lag in UNSEEN if lag <= numbers["delay"]):
         late = replace(alone, numbers=numbers | {"delay": numbers["delay"] - lag, "lag": lag})
         likely = _promise(some, late, trials, "lag")
         if likely < most - BESIDE:
-            end = lag if end else 0.0
-            break
+            return lag if end else 0.0
         end, most = lag, max(most, likely)
-    return end, most - none > WORTH
+    return end
 
 
 def again(choice: Choice, recordings: list[Recording]) -> Choice:

@@ -108,7 +108,7 @@ def combinations(choice: Choice, errors: Errors, recorded: Recorded, untold: set
             return float((n["coulomb"] - np.sign(level) * n["force"]) / n["gain"] * scales.command)
 
         add("friction_less_force", ("friction", "constant_force"), against, "force", recorded.remedy())
-    if choice.late or ("delay" in untold and "lag" in numbers):
+    if "delay" in choice.bounds or ("delay" in untold and "lag" in numbers):
         add(
             "delay_and_lag",
             ("delay", "actuator_lag"),

@@ -26,10 +26,6 @@ MOST_ROWS = 600
 AHEAD = 40
 """Rows before the step that are kept."""
 
-IMITATED = 0.75
-"""Lag [samples] below which a mode that is too fast to be looked for moves the device alike: one of 1.9 rad a sample as
-0.38, with a delay that is shorter by as much."""
-
 LEAST = 1e-300
 """Variance of a number that is known exactly."""
 
@@ -114,11 +110,7 @@ def _numbers(found: Identified, of: Experiment) -> dict[str, Any]:
     # what is known exactly is known as far as it is computed
     own = (units * np.array([each.error for each in parameters.values()])) ** 2
     np.fill_diagonal(covariance, np.maximum(covariance.diagonal(), own))
-    bounds = {NAMES[name]: value for name, value in found.bounds.items()}
-    if found.choice.late:
-        bounds["delay_samples"] = values["delay_samples"] - bounds["actuator_lag_s"] / period
-    if 0 < values.get("actuator_lag_s", 0.0) < IMITATED * period:
-        bounds["delay_samples"] = values["delay_samples"] + values["actuator_lag_s"] / period
+    bounds = {NAMES[name]: value * unit.get(name, 1.0) for name, value in found.bounds.items()}
     noise = found.choice.fit.device.noise
     fits = found.replay.fit[np.isfinite(found.replay.fit)]
     return {
