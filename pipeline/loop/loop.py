@@ -228,29 +228,7 @@ class Loop:
         States: position and velocity of the centre of mass; with a mode the distance of the far mass from it, and its
         rate; with a lag the actuator's force. So a blow on however light a near side is one of 1 in each.
         """
-        mode = self.mode or Vibration(0.0, 0.0, 0.0, False)
-        count = 2 + 2 * (self.mode is not None)
-        near = 1.0 - mode.far_mass
-        motor = np.array([1.0, -mode.far_mass / near])[: count // 2]
-        held = -np.kron(motor, [self.gamma, self.delta - mode.far_damping])
-        matrix, push, sensor = np.zeros((count, count)), np.zeros(count), np.zeros(count)
-        matrix[0, 1] = push[1] = 1.0
-        matrix[1] = held
-        sensor[::2] = motor
-        if self.mode is not None:
-            matrix[2, 3] = 1.0
-            matrix[3] = -held
-            matrix[3, 2:] -= np.array([mode.stiffness, mode.damping]) * (1 / mode.far_mass + 1 / near)
-            push[3] = -1.0
-            for row, moved in ((1, 1.0), (3, near / mode.far_mass)):
-                matrix[row, 1::2] -= moved * mode.far_damping
-            if mode.sensor_far:
-                sensor[2] = 1.0
-        if self.lag == 0:
-            return matrix, push, sensor
-        lagged = np.zeros((count + 1, count + 1))
-        lagged[:count, :count], lagged[:count, count], lagged[count, count] = matrix, push, -1 / self.lag
-        return lagged, np.append(np.zeros(count), 1 / self.lag), np.append(sensor, 0.0)
+        return device_matrices(self.gamma, self.delta, self.lag, self.mode)
 
     @property
     def digits(self) -> int:
@@ -386,6 +364,33 @@ class Loop:
             z[:, p - 1] = -self.gamma
         z[:, self.states - self.oldest_force :] = np.asarray(alpha)[:, None]
         return z
+
+
+def device_matrices(gamma: float, delta: float, lag: float, mode: Vibration | None) -> tuple[Floats, Floats, Floats]:
+    """Return what `Loop.device` is made of; numbers may be negative, or complex for the slopes of a search."""
+    of_mode = mode or Vibration(0.0, 0.0, 0.0, False)
+    count, near = 2 + 2 * (mode is not None), 1.0 - of_mode.far_mass
+    motor = np.array([1.0, -of_mode.far_mass / near])[: count // 2]
+    held = -np.kron(motor, [gamma, delta - of_mode.far_damping])
+    kind = np.result_type(held, np.asarray(of_mode.stiffness), np.asarray(of_mode.damping))
+    matrix, push, sensor = np.zeros((count, count), kind), np.zeros(count), np.zeros(count, kind)
+    matrix[0, 1] = push[1] = 1.0
+    matrix[1] = held
+    sensor[::2] = motor
+    if mode is not None:
+        matrix[2, 3] = 1.0
+        matrix[3] = -held
+        matrix[3, 2:] -= np.array([mode.stiffness, mode.damping]) * (1 / mode.far_mass + 1 / near)
+        push[3] = -1.0
+        for row, moved in ((1, 1.0), (3, near / mode.far_mass)):
+            matrix[row, 1::2] -= moved * mode.far_damping
+        if mode.sensor_far:
+            sensor[2] = 1.0
+    if lag == 0:
+        return matrix, push, sensor
+    lagged = np.zeros((count + 1, count + 1), np.result_type(matrix, np.asarray(lag)))
+    lagged[:count, :count], lagged[:count, count], lagged[count, count] = matrix, push, -1 / lag
+    return lagged, np.append(np.zeros(count), 1 / lag), np.append(sensor, 0.0)
 
 
 def as_points(alpha: object, beta: object) -> tuple[Floats, Floats]:

@@ -11,7 +11,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.measured.model.motion import SHORTEST_LAG, Physics
 from pipeline.measured.model.recordings import Stretches
 from pipeline.measured.model.scatter import FEWEST, Moments, Solved, inverse, solve
-from pipeline.measured.model.whitening import WHITE, Column, Filter, Noise, Passage, passed
+from pipeline.measured.model.whitening import WHITE, Column, Filter, Noise, Passage, passed, slopes
 from pipeline.records.batch import Floats, Integers
 
 SHAPE = ("delta", "gamma", "delay", "lag", "turn", "ratio", "share", "drag")
@@ -38,9 +38,9 @@ LIMITS = {
     "share": (1e-4, 0.97),
     "drag": (-0.01, 2.0),
 }
-BEFORE = {"share": (0.25, 25.0)}
-"""Mean of a number without logs, and information of it: what vibrates far from the motor is a lesser part of all, which
-a sensor at the load hardly tells."""
+BEFORE = {"share": (0.5, 12.0)}
+"""Mean of a number without logs, and information of it: a share that is anywhere between 0 and 1, which a sensor at the
+load hardly tells."""
 
 LARGEST_STEP = {
     "limit": 0.05,
@@ -56,13 +56,6 @@ LARGEST_STEP = {
 
 BY_HALF = ("gain", "ratio")
 """Numbers that change by half of themselves at most: without damping a mode is told so well that no step leaves it."""
-
-SMALL = 1e-5
-"""Change of a number for a slope: rounding of 1e-16 then leaves eleven digits of it."""
-
-GROWS = {"delta": 1, "gamma": 2, "turn": 1, "ratio": 1, "drag": 1}
-"""Power of the rows of a stretch by which the effect of a number grows: its change for a slope is less by as much, from
-ten rows on. A spring that is weaker than any other moves a free device by all of its way in a thousand rows."""
 
 STEPS = 18
 """Newton's steps at most; seven are usual, a mode may take all."""
@@ -173,10 +166,9 @@ class Device:
         limit = self.numbers.get("limit", np.inf)
         return np.asarray(np.clip(held.driven, -limit, limit))
 
-    def passage(self, held: Stretches, name: str = "", by: float = 0.0) -> Passage:
-        """Return how it moves in stretches, after a change of one of its numbers."""
-        shape = self.shape.moved(name, by) if name else self.shape
-        return Passage(held, shape, self.noise.jitter)
+    def passage(self, held: Stretches, name: str = "") -> Passage:
+        """Return how it moves in stretches, or changes along one of its numbers."""
+        return Passage(held, self.shape.along(name) if name else self.shape, self.noise.jitter)
 
     def own(self, name: str, trials: np.ndarray) -> Floats:
         """Return a number of the trial of each stretch, shape (S,); 0 where the device has none."""
@@ -335,13 +327,10 @@ def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats]:
     for place, column in enumerate(passage.starts()):
         assert column.start is not None
         start += column.start * fitted[:, place, None]
-    # the prediction with its start, along each number of the shape
-    whole = replace(whole, start=start)
-    (at,) = passed(passage, found, [whole])
-    for name in (each for each in SHAPE if each in device.numbers):
-        small = SMALL * (10 / max(held.position.shape[0], 10)) ** GROWS.get(name, 0)
-        (moved,) = passed(device.passage(held, name, small), found, [whole])
-        columns[name] = (at - moved) / small
+    shaped = [name for name in SHAPE if name in device.numbers]
+    along = [device.passage(held, name) for name in shaped]
+    # of the prediction with its start
+    columns |= dict(zip(shaped, slopes(passage, found, replace(whole, start=start), along), strict=True))
     stacked = np.stack([*(columns[name] for name in device.names), common], axis=-1).transpose(1, 0, 2)
     return starts.without(stacked), _log_spread(held, found) + starts.lost, starts.known
 

@@ -11,11 +11,14 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.loop.loop import Loop, Vibration
+from pipeline.loop.loop import Vibration, device_matrices
 from pipeline.records.batch import Floats, Integers
 
 _TERMS = 14
 """Terms of the series of an exponential of a matrix of norm 1/2: 0.5^15/15! is left out."""
+
+SMALL = 1e-20
+"""Imaginary part of a number for a slope: its square is lost to rounding."""
 
 SHORTEST_LAG = 0.02
 """Shortest lag [samples] that is a part: a shorter one moves the position by less than any sensor resolves."""
@@ -40,38 +43,39 @@ class Physics:
     drag: float = 0.0
     at_load: bool = False
 
-    def moved(self, name: str, by: float) -> Physics:
-        """Return the device with one number changed."""
-        return replace(self, **{name: getattr(self, name) + by})
+    def along(self, name: str) -> Physics:
+        """Return the device with a number that has a small imaginary part: that of a result is its slope, exactly.
+
+        Source: Squire and Trapp 1998, "Using complex variables to estimate derivatives of real functions".
+        """
+        return replace(self, **{name: getattr(self, name) + SMALL * 1j})
+
+    @property
+    def kind(self) -> type[float] | type[complex]:
+        """Kind of what is computed of its numbers."""
+        return complex if any(isinstance(each, complex) for each in vars(self).values()) else float
 
     @cached_property
     def system(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Matrix (n, n), the command's column, a force's column on the motor's side, and the row of the sensor."""
         mode = None
-        if self.share > 0:
+        if self.share:
             near, far = 1 - self.share, self.share
             lost = (self.delta - self.drag) * far / near + self.drag * near / far
             reduced, damper = near * far, 2 * self.ratio * self.turn - lost
             mode = Vibration(far, reduced * self.turn**2, reduced * damper, self.at_load, self.drag)
-        # the parts of `loop`, whose own numbers may not be negative; those of a search may
-        shape = Loop(0.0, 0.0, 0.0, max(self.lag, SHORTEST_LAG) if self.lag else 0.0, mode)
-        matrix, push, sensor = (part.copy() for part in shape.device)
-        blow, motor = np.zeros(len(push)), sensor.copy()
-        blow[1] = 1.0
-        if mode is not None:
-            blow[3] = -1.0
-            motor[2] = -self.share / (1 - self.share)
-        held = self.gamma * motor + self.delta * np.roll(motor, 1)
-        matrix -= blow[:, None] * held
+        matrix, push, sensor = device_matrices(self.gamma, self.delta, self.lag, mode)
+        blow = np.zeros(len(push))
+        blow[1:4:2] = [1.0] if mode is None else [1.0, -1.0]
         return matrix, push, blow, sensor
 
 
 def transitions(matrix: Floats, inputs: Floats, times: Floats) -> tuple[Floats, Floats]:
     """Return transitions (m, n, n) over each time, and what constant inputs add, (m, n, i) for columns (n, i)."""
     n, i = inputs.shape
-    both = np.zeros((n + i, n + i))
+    both = np.zeros((n + i, n + i), np.result_type(matrix, inputs))
     both[:n, :n], both[:n, n:] = matrix, inputs
-    norm = np.abs(both).sum(axis=0).max() * max(float(times.max(initial=0.0)), 1e-12)
+    norm = np.abs(both).sum(axis=0).max() * max(float(times.real.max(initial=0.0)), 1e-12)
     halvings = max(0, int(np.ceil(np.log2(norm))) + 1) if np.isfinite(norm) else 0
     small = both * (times / 2.0**halvings)[:, None, None]
     result = np.eye(n + i) + small
@@ -86,8 +90,9 @@ def transitions(matrix: Floats, inputs: Floats, times: Floats) -> tuple[Floats, 
 
 def at_times(matrix: Floats, inputs: Floats, times: Floats) -> tuple[Floats, Floats]:
     """Return `transitions` at times of any shape, each distinct one (to 1e-9) made once."""
-    distinct, place = np.unique(np.round(times, 9), return_inverse=True)
-    moved, gained = transitions(matrix, inputs, distinct)
+    alike = np.round(times.real, 9) + (1j * times.imag if np.iscomplexobj(times) else 0.0)
+    _, first, place = np.unique(alike, return_index=True, return_inverse=True)
+    moved, gained = transitions(matrix, inputs, times.ravel()[first])
     place = place.reshape(times.shape)
     return moved[place], gained[place]
 
@@ -107,7 +112,7 @@ def ages(delay: float, jitter: float) -> tuple[Floats, Floats]:
         return np.array([delay]), np.ones(1)
     variance = min(jitter**2, OFF_BY_ONE)
     most = 0.5 * (1 - np.sqrt(max(1 - 4 * variance, 0.0)))
-    off = float(np.clip(delay - round(delay), -most, most))
+    off = np.clip(delay - np.round(np.real(delay)), -most, most)
     square = variance + off**2
     share = np.maximum(np.array([square - off, 2 * (1 - square), square + off]) / 2, 0.0)
     left = jitter**2 - variance
@@ -173,7 +178,7 @@ def pieces(time: Floats, lead: int, delay: float, regular: bool, jitter: float =
     """
     made = _even_pieces if regular else _uneven_pieces
     each_age, chances = ages(delay, jitter)
-    found = [made(time, lead, float(age)) for age in each_age]
+    found = [made(time, lead, age) for age in each_age]
     count = [len(row) for row, _, _ in found]
     row, begins, ends = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return Pieces(row, begins, ends, np.repeat(np.arange(len(count)), count), chances)
@@ -181,7 +186,7 @@ def pieces(time: Floats, lead: int, delay: float, regular: bool, jitter: float =
 
 def _even_pieces(time: Floats, lead: int, delay: float) -> tuple[Integers, Floats, Floats]:
     """Return rows of the command, begins and ends of the pieces of one age between even rows."""
-    whole = int(np.floor(delay))
+    whole = int(np.floor(np.real(delay)))
     part = delay - whole
     newest = np.arange(len(time) - 1 - lead)[:, None] + lead - whole
     row = np.stack([newest - 1, newest])
@@ -197,7 +202,7 @@ def _uneven_pieces(time: Floats, lead: int, delay: float) -> tuple[Integers, Flo
     first = np.empty((rows, count), dtype=np.int64)
     last = np.empty_like(first)
     for s in range(count):
-        late = time[:, s] + delay
+        late = time[:, s] + np.real(delay)
         first[:, s] = np.searchsorted(late, start[:, s] + 1e-9, side="right") - 1
         last[:, s] = np.searchsorted(late, stop[:, s] - 1e-9, side="left") - 1
     most = int(max((last - first).max(initial=0), 0)) + 1

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.measured.model.motion import SHORTEST_LAG, Physics, Pieces, at_times, pieces
+from pipeline.measured.model.motion import SMALL, Physics, Pieces, at_times, pieces
 from pipeline.measured.model.recordings import Stretches
 from pipeline.records.batch import Floats, Integers
 
@@ -112,18 +112,18 @@ class Passage:
         shape (lead + 1, S)."""
         held, shape = self.held, self.shape
         since = np.maximum(held.time[held.lead] - shape.delay - held.time[: held.lead + 1], 0.0)
-        left = np.exp(-since / max(shape.lag, SHORTEST_LAG))
+        left = np.exp(-since / shape.lag)
         return np.vstack([np.diff(left, axis=0), left[:1]])
 
     def started(self, column: Column) -> Column:
         """Return a column with the drive's force at its start, as far as its commands before it tell."""
         if column.command is None or not self.shape.lag:
             return column
-        start = np.zeros((len(self.held), self.states)) if column.start is None else column.start.copy()
         # what came before the first command is taken to be alike
-        start[:, -1] += (self.before[:-1] * column.command[: self.held.lead]).sum(axis=0)
-        start[:, -1] += self.before[-1] * column.command[0]
-        return replace(column, start=start)
+        force = (self.before[:-1] * column.command[: self.held.lead]).sum(axis=0) + self.before[-1] * column.command[0]
+        start = np.zeros((len(self.held), self.states), force.dtype)
+        start[:, -1] = force
+        return replace(column, start=start if column.start is None else start + column.start)
 
     @property
     def _column(self) -> Integers:
@@ -235,55 +235,100 @@ def passed(passage: Passage, found: Filter, columns: Sequence[Column]) -> list[F
     return errors
 
 
-def _recursion(passage: Passage, found: Filter, columns: Sequence[Column]) -> list[Floats]:
-    """Return the errors of a steady filter, as recursions by its characteristic polynomial."""
-    from scipy.signal import lfilter  # 1 s that a comparison of stored stages need not wait for
+def slopes(passage: Passage, found: Filter, column: Column, along: Sequence[Passage]) -> list[Floats]:
+    """Return the slopes of a column's whitened predictions along numbers, each of shape (N, S); the filter stays.
 
-    gain, sensor, moved = found.gain[0, 0], passage.sensor, passage.transition[0, 0]
-    n, shape = passage.states, passage.held.position.shape
-    matrix = moved @ (np.eye(n) - np.outer(gain, sensor))
-    poles = _polynomial(matrix)
-    powers = [sensor]
-    for _ in range(n):
-        powers.append(powers[-1] @ matrix)
+    ``along`` are passages of devices `Physics.along` each number. Differences would drown in the rounding of recursions,
+    a thousand times that of a number where a mode is slow.
+    """
+    if passage.held.regular and len(found.gain) == 1:
+        from scipy.signal import lfilter
 
-    def weights(state: Floats) -> Floats:
-        """Return the numerator of what a state that enters once adds to the reading of the next row."""
-        return np.convolve(poles, np.array(powers[:n]) @ state)[:n]
-
-    first = np.zeros((shape[0], 1))
-    first[0] = 1.0
-    starts = np.stack([lfilter(weights(unit), poles, first, axis=0)[:, 0] for unit in np.eye(n)], axis=1)
-    result = []
-    for column in columns:
-        error = np.zeros(shape)
-        if column.readings is not None:
-            error += column.readings
-            if gain.any():
-                error -= lfilter([0.0, *weights(moved @ gain)], poles, column.readings, axis=0)
-        for piece, place, force in passage.forces(column):
-            added = weights(passage.gains[piece, 0, 0, :, place])
-            error -= lfilter([0.0, *added], poles, force, axis=0)
-        if column.start is not None:
-            error -= starts @ column.start.T
-        result.append(error)
+        recursion, readings = Recursion.of(passage, found), column.readings
+        (error,) = _recursion(passage, found, [passage.started(column)])
+        foretold = -error if readings is None else readings - error
+        result = []
+        for each in along:
+            other = Recursion.of(each, found)
+            entering = other.entering(each.started(column))
+            # of D y = x for polynomials D: D y' = x' - D' y
+            change = np.imag(entering) - _delayed(np.imag(other.poles[1:]), foretold)
+            result.append(lfilter([1.0], recursion.poles, change / SMALL, axis=0))
+    else:
+        result = [-np.imag(_by_rows(each, found, [each.started(column)])[0]) / SMALL for each in along]
+    for slope in result:
+        slope /= found.spread
+        slope[~passage.held.valid] = 0.0
     return result
 
 
-def _polynomial(matrix: Floats) -> Floats:
-    """Return the characteristic polynomial (Faddeev and LeVerrier), which is exact to rounding for few states."""
-    n, found, power = len(matrix), [1.0], np.zeros_like(matrix)
-    for k in range(1, n + 1):
-        power = matrix @ power + found[-1] * np.eye(n)
-        found.append(-float(np.trace(matrix @ power)) / k)
-    return np.array(found)
+@dataclass(frozen=True, eq=False)
+class Recursion:
+    """A steady filter as recursions by its characteristic polynomial.
+
+    ``poles`` (n + 1,) is that polynomial; ``weights`` (n, n) what a state that enters once adds to the readings of the
+    next rows, as the numerator over the poles.
+    """
+
+    passage: Passage
+    found: Filter
+    poles: Floats
+    weights: Floats
+
+    @classmethod
+    def of(cls, passage: Passage, found: Filter) -> Recursion:
+        """Return the recursion of a device with a filter."""
+        gain, n = found.gain[0, 0], passage.states
+        matrix = passage.transition[0, 0] @ (np.eye(n) - np.outer(gain, passage.sensor))
+        # Faddeev and LeVerrier, exact to rounding for few states
+        poles, power, rows = [1.0], np.zeros_like(matrix), [passage.sensor]
+        for k in range(1, n + 1):
+            power = matrix @ power + poles[-1] * np.eye(n)
+            poles.append(-np.trace(matrix @ power) / k)
+            rows.append(rows[-1] @ matrix)
+        weights = [sum(poles[i] * rows[k - i] for i in range(k + 1)) for k in range(n)]
+        return cls(passage, found, np.array(poles), np.array(weights))
+
+    def entering(self, column: Column) -> Floats:
+        """Return what of a column drives the recursion of its predictions, (N, S)."""
+        passage, gain = self.passage, self.found.gain[0, 0]
+        total = np.zeros(passage.held.position.shape, passage.shape.kind)
+        for piece, place, force in passage.forces(column):
+            total += _delayed(self.weights @ passage.gains[piece, 0, 0, :, place], force)
+        if column.readings is not None and gain.any():
+            total += _delayed(self.weights @ (passage.transition[0, 0] @ gain), column.readings)
+        if column.start is not None:
+            first = self.weights @ column.start.T
+            total[: len(first)] += first[: len(total)]
+        return total
+
+
+def _delayed(weights: Floats, values: Floats) -> Floats:
+    """Return the sum of values (N, S) of earlier rows, by weights of one row before, two rows before ..."""
+    total = np.zeros(values.shape, np.result_type(weights, values))
+    for rows, weight in enumerate(weights.tolist(), 1):
+        if weight:
+            total[rows:] += weight * values[:-rows]
+    return total
+
+
+def _recursion(passage: Passage, found: Filter, columns: Sequence[Column]) -> list[Floats]:
+    """Return the errors of a steady filter."""
+    from scipy.signal import lfilter  # 1 s that a comparison of stored stages need not wait for
+
+    recursion, result = Recursion.of(passage, found), []
+    for column in columns:
+        error = -lfilter([1.0], recursion.poles, recursion.entering(column), axis=0)
+        result.append(error if column.readings is None else error + column.readings)
+    return result
 
 
 def _by_rows(passage: Passage, found: Filter, columns: Sequence[Column]) -> list[Floats]:
     """Return the errors of a filter whose gain, or whose rows, change."""
     (rows, count), n, size = passage.held.position.shape, passage.states, found.gain.shape[2]
-    errors, at = np.zeros((rows, count, len(columns))), np.zeros((count, len(columns), size))
-    entering = np.zeros((rows, count, len(columns), n))
+    kind = passage.shape.kind
+    errors, at = np.zeros((rows, count, len(columns)), kind), np.zeros((count, len(columns), size), kind)
+    entering = np.zeros((rows, count, len(columns), n), kind)
     for place, column in enumerate(columns):
         if column.readings is not None:
             errors[:, :, place] = column.readings
@@ -292,7 +337,7 @@ def _by_rows(passage: Passage, found: Filter, columns: Sequence[Column]) -> list
         for piece, of, force in passage.forces(column):
             entering[:, :, place] += force[..., None] * passage.gains[piece, :, :, :, of]
     groups = passage.transition.shape[1]
-    turned = np.zeros((*passage.transition.shape[:2], size, size))
+    turned = np.zeros((*passage.transition.shape[:2], size, size), kind)
     turned[..., :n, :n] = passage.transition.swapaxes(-1, -2)
     turned[..., n:, n:] = found.ageing
     gain, turned, disturbed = (
