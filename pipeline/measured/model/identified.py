@@ -84,7 +84,7 @@ def identified(recordings: list[Recording]) -> Identified:
         delay, more = parameters["delay"], choice.bounds["delay"] - parameters["delay"].value
         low, high = max(delay.low + min(more, 0.0), 0.0), delay.high + max(more, 0.0)
         parameters["delay"] = replace(delay, low=low, high=high)
-    if choice.fit.device.at_load and "mode_mass" in parameters:
+    if "within" in errors.numbers:
         # with damping on both sides any share moves the far mass alike
         parameters["mode_mass"] = replace(parameters["mode_mass"], low=0.0, high=parameters["mass"].high)
     if "constant_force" in choice.assumed and "friction" in parameters:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.measured.model.likelihood import LINEAR, Fit
+from pipeline.measured.model.motion import Physics
 from pipeline.measured.model.recordings import Scales
 from pipeline.measured.model.scatter import inverse, untold
 from pipeline.measured.student import NORMAL_95, student_95
@@ -48,6 +49,8 @@ def physical(scales: Scales) -> dict[str, Quantity]:
         return 1 / (n["gain"] * acceleration) if n["gain"] else float("inf")
 
     def damper(n: Numbers) -> float:
+        if "within" in n:
+            return n["ratio"] * n["within"]
         drag, far = n.get("drag", 0.0), n["share"] / (1 - n["share"])
         return n["ratio"] - ((n["delta"] - drag) * far + drag / far) / (2 * n["turn"])
 
@@ -61,7 +64,7 @@ def physical(scales: Scales) -> dict[str, Quantity]:
         "actuator_lag": lambda n: n["lag"] * scales.period,
         "mode_frequency": lambda n: n["turn"] / (2 * np.pi * scales.period),
         "mode_damping_ratio": damper,
-        "mode_mass": lambda n: n["share"] * mass(n),
+        "mode_mass": lambda n: Physics.of(n).far * mass(n),
         "load_damping": lambda n: n["drag"] / scales.period * mass(n),
         "force_limit": lambda n: n["limit"] * command,
     }
@@ -77,7 +80,7 @@ NEEDED = {
     "actuator_lag": "lag",
     "mode_frequency": "turn",
     "mode_damping_ratio": "ratio",
-    "mode_mass": "share",
+    "mode_mass": "turn",
     "load_damping": "drag",
     "force_limit": "limit",
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -14,11 +14,9 @@ from pipeline.measured.model.scatter import FEWEST, Moments, Solved, inverse, so
 from pipeline.measured.model.whitening import WHITE, Column, Filter, Noise, Passage, passed, slopes
 from pipeline.records.batch import Floats, Integers
 
-SHAPE = ("delta", "gamma", "delay", "lag", "turn", "ratio", "share", "drag")
-"""Numbers that the shape of a motion depends on; it is linear in the others."""
-
 LINEAR = ("gain", "coulomb", "force")
-"""Acceleration per command, by friction and by a constant force; units of `Scales`, time in samples."""
+"""Acceleration per command, by friction and by a constant force, in which the motion is linear; units of `Scales`, time
+in samples."""
 
 SCATTERED = ("delay", "coulomb", "force")
 """Numbers that may differ from trial to trial."""
@@ -37,10 +35,10 @@ LIMITS = {
     "ratio": (1e-4, 0.5),
     "share": (1e-4, 0.97),
     "drag": (-0.01, 2.0),
+    "within": (1e-4, 0.999),
 }
-BEFORE = {"share": (0.5, 12.0)}
-"""Mean of a number without logs, and information of it: a share that is anywhere between 0 and 1, which a sensor at the
-load hardly tells."""
+BEFORE = {"within": (0.5, 12.0)}
+"""Mean of a number without logs, and information of it: a part that is anywhere between 0 and 1."""
 
 LARGEST_STEP = {
     "limit": 0.05,
@@ -51,6 +49,7 @@ LARGEST_STEP = {
     "turn": 0.1,
     "share": 0.1,
     "drag": 0.2,
+    "within": 0.3,
 }
 """Change of a number in one step within which the response is near a straight line."""
 
@@ -134,18 +133,16 @@ WORTH = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """Numbers of a device by name, and the noise beside it; ``effects`` (T, p) are what trials differ by, ``at_load``
-    whether its mode's far mass is the one that is read."""
+    """Numbers of a device by name, and the noise beside it; ``effects`` (T, p) are what trials differ by."""
 
     numbers: dict[str, float]
     noise: Noise = WHITE
     effects: Floats | None = field(default=None, repr=False)
-    at_load: bool = False
 
     @property
     def shape(self) -> Physics:
         """Its numbers that shape a motion."""
-        return Physics(**{name: self.numbers[name] for name in SHAPE if name in self.numbers}, at_load=self.at_load)
+        return Physics.of(self.numbers)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -259,7 +256,7 @@ class Starts:
     def of(cls, held: Stretches, device: Device, errors: list[Floats]) -> Starts:
         """Return what whitened columns (N, S) of the unknowns, in the order of the states, tell."""
         gain, shape, variance = abs(device.numbers["gain"]), device.shape, held.white
-        mode = [gain / shape.turn**2, gain / shape.turn] if shape.share > 0 else []
+        mode = [gain / shape.turn**2, gain / shape.turn] if shape.far else []
         sizes = np.array([1.0, 1.0, *mode, *([gain] if shape.lag else [])])[: len(errors)]
         before = np.broadcast_to(np.diag(np.sqrt(variance) / sizes), (len(held), len(sizes), len(sizes)))
         columns = -np.stack(errors, axis=-1).transpose(1, 0, 2)
@@ -327,7 +324,7 @@ def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats]:
     for place, column in enumerate(passage.starts()):
         assert column.start is not None
         start += column.start * fitted[:, place, None]
-    shaped = [name for name in SHAPE if name in device.numbers]
+    shaped = [each.name for each in fields(Physics) if each.name in device.numbers]
     along = [device.passage(held, name) for name in shaped]
     # of the prediction with its start
     columns |= dict(zip(shaped, slopes(passage, found, replace(whole, start=start), along), strict=True))

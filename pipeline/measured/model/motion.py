@@ -6,7 +6,8 @@ mode also the distance of the far mass from the centre, and its rate (`loop.loop
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +17,9 @@ from pipeline.records.batch import Floats, Integers
 
 _TERMS = 14
 """Terms of the series of an exponential of a matrix of norm 1/2: 0.5^15/15! is left out."""
+
+LEAST_DAMPING = 1e-9
+"""Damping of the motor's side, per mass and sample, below which it takes nothing from a vibration."""
 
 SMALL = 1e-20
 """Imaginary part of a number for a slope: its square is lost to rounding."""
@@ -30,7 +34,8 @@ class Physics:
 
     ``turn`` [rad a sample], ``ratio`` and ``share`` (of the far mass) are those of a mode; none where ``share`` is 0.
     ``ratio`` is of all that its vibration loses, also to the damping of both sides, which is told better than each
-    alone; ``drag`` is what the far mass bears of that damping. ``at_load``: the far mass is the one that is read.
+    alone; ``drag`` is what the far mass bears of that damping. Where the far mass is read any share moves it alike:
+    instead of one ``within`` is the part of the loss that the damper between both masses has, the rest the motor's.
     """
 
     delta: float = 0.0
@@ -41,7 +46,20 @@ class Physics:
     ratio: float = 0.0
     share: float = 0.0
     drag: float = 0.0
-    at_load: bool = False
+    within: float = 0.0
+
+    @classmethod
+    def of(cls, numbers: Mapping[str, float]) -> Physics:
+        """Return the device of some numbers, without those that do not shape its motion."""
+        return cls(**{each.name: numbers[each.name] for each in fields(cls) if each.name in numbers})
+
+    @property
+    def far(self) -> float:
+        """Share of the far mass; 0 without a mode."""
+        if not self.within:
+            return self.share
+        lost = 2 * self.ratio * self.turn * (1 - self.within)
+        return lost / (lost + (self.delta if np.real(self.delta) > LEAST_DAMPING else LEAST_DAMPING))
 
     def along(self, name: str) -> Physics:
         """Return the device with a number that has a small imaginary part: that of a result is its slope, exactly.
@@ -59,11 +77,11 @@ class Physics:
     def system(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Matrix (n, n), the command's column, a force's column on the motor's side, and the row of the sensor."""
         mode = None
-        if self.share:
-            near, far = 1 - self.share, self.share
+        if far := self.far:
+            near = 1 - far
             lost = (self.delta - self.drag) * far / near + self.drag * near / far
             reduced, damper = near * far, 2 * self.ratio * self.turn - lost
-            mode = Vibration(far, reduced * self.turn**2, reduced * damper, self.at_load, self.drag)
+            mode = Vibration(far, reduced * self.turn**2, reduced * damper, bool(self.within), self.drag)
         matrix, push, sensor = device_matrices(self.gamma, self.delta, self.lag, mode)
         blow = np.zeros(len(push))
         blow[1:4:2] = [1.0] if mode is None else [1.0, -1.0]

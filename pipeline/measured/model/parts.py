@@ -33,7 +33,7 @@ NUMBERS = {
     "saturation": ("limit",),
     "lag": ("lag",),
     "mode": ("turn", "ratio", "share"),
-    "mode at the load": ("turn", "ratio", "share"),
+    "mode at the load": ("turn", "ratio", "within"),
     "load damping": ("drag",),
 }
 """Numbers of each part."""
@@ -182,7 +182,7 @@ def _unseen_lag(held: Stretches, fit: Fit, trials: int) -> float:
     Up to the second order in its length a lag is a delay. Beside a lag or a mode none is looked for.
     """
     numbers = fit.device.numbers
-    if "delay" not in numbers or {"lag", "share"} & set(numbers):
+    if "delay" not in numbers or {"lag", "turn"} & set(numbers):
         return 0.0
     some, alone = held.chosen(spread(held, LOOKED_AT)), replace(fit.device, effects=None)
     most, end = _promise(some, alone, trials, "lag"), 0.0
@@ -320,10 +320,7 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
             break
         name = max(tried, key=lambda each: tried[each].likelihood - CLOSER * len(NUMBERS[each]))
         # far from the solution noise may stand for what is left: it is looked for anew
-        starts = [replace(tried[name].device, effects=None)]
-        if starts[0].at_load:  # two shares may be about as likely, with other delays
-            starts += [replace(starts[0], numbers=starts[0].numbers | {"share": BEFORE["share"][0]})]
-        other = max((refined(held, start, trials, far=False) for start in starts), key=lambda each: each.likelihood)
+        other = refined(held, replace(tried[name].device, effects=None), trials, far=False)
         fit = refined(held, alone, trials, far=False)
         gain = held_out(other) - held_out(fit)
         if gain > WORTH * len(NUMBERS[name]) and _is_inside(other.device, name) and _takes_away(fit, other):
@@ -338,12 +335,12 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
 def _is_inside(device: Device, part: str) -> bool:
     """Return whether no number of a part stands where its search ends, as of a largest force that nothing exceeds.
 
-    Readings at the load hardly tell the share of the far mass, which may be small.
+    Readings at the load hardly tell where a vibration is lost.
     """
     return all(
-        value < LIMITS[name][1] and (value > LIMITS[name][0] or value == 0 or (name == "share" and device.at_load))
+        value < LIMITS[name][1] and (value > LIMITS[name][0] or value == 0)
         for name, value in device.numbers.items()
-        if name in NUMBERS[part] and name in LIMITS
+        if name in NUMBERS[part] and name in LIMITS and name != "within"
     )
 
 
@@ -371,8 +368,9 @@ def _having(held: Stretches, device: Device, trials: int, part: str) -> Device:
     elif part == "load damping":
         found = _best(held, device, trials, part, [{"drag": drag * device.numbers["delta"]} for drag in DRAGS])
     else:
-        modes = [{"turn": turn, "ratio": 0.04, "share": share} for turn in TURNS for share in SHARES]
-        found = _best(held, replace(device, at_load=part == "mode at the load"), trials, part, modes)
+        lasts = [{"share": share} for share in SHARES] if part == "mode" else [{"within": BEFORE["within"][0]}]
+        modes = [{"turn": turn, "ratio": 0.04, **last} for turn in TURNS for last in lasts]
+        found = _best(held, device, trials, part, modes)
         modes = [{"turn": found.numbers["turn"] * factor} for factor in NEARBY]
         found = _best(held, found, trials, part, modes)
     return replace(found, noise=WHITE)
