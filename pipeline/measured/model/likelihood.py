@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.model.motion import SHORTEST_LAG, Physics
+from pipeline.measured.model.motion import FARTHEST, SHORTEST_LAG, Physics
 from pipeline.measured.model.recordings import Stretches
 from pipeline.measured.model.scatter import FEWEST, Moments, Solved, inverse, solve
 from pipeline.measured.model.whitening import WHITE, Column, Filter, Noise, Passage, passed, slopes
@@ -33,7 +33,7 @@ LIMITS = {
     "lag": (SHORTEST_LAG, 300.0),
     "turn": (0.002, 3.0),
     "ratio": (1e-4, 0.5),
-    "share": (1e-4, 0.97),
+    "share": (1e-4, FARTHEST),
     "drag": (-0.01, 2.0),
     "within": (1e-4, 0.999),
 }
@@ -253,6 +253,7 @@ class Starts:
     lost: float
 
     @classmethod
+    @np.errstate(over="ignore", invalid="ignore")  # as in `noise_and_jitter`
     def of(cls, held: Stretches, device: Device, errors: list[Floats]) -> Starts:
         """Return what whitened columns (N, S) of the unknowns, in the order of the states, tell."""
         gain, shape, variance = abs(device.numbers["gain"]), device.shape, held.white
@@ -319,7 +320,7 @@ def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats]:
     if device.effects is not None:
         for name, each in columns.items():
             common = common + (device.own(name, held.trial) - device.numbers[name]) * each
-    fitted = (np.linalg.pinv(starts.triangle, rcond=1e-11) @ starts.within(left.T[..., None]))[..., 0]
+    fitted = np.linalg.solve(starts.triangle, starts.within(left.T[..., None]))[..., 0]
     start = np.zeros((len(held), passage.states))
     for place, column in enumerate(passage.starts()):
         assert column.start is not None

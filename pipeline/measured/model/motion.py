@@ -18,8 +18,8 @@ from pipeline.records.batch import Floats, Integers
 _TERMS = 14
 """Terms of the series of an exponential of a matrix of norm 1/2: 0.5^15/15! is left out."""
 
-LEAST_DAMPING = 1e-9
-"""Damping of the motor's side, per mass and sample, below which it takes nothing from a vibration."""
+FARTHEST = 0.97
+"""Largest share of a far mass: of a lighter motor's side nothing is seen but its end."""
 
 SMALL = 1e-20
 """Imaginary part of a number for a slope: its square is lost to rounding."""
@@ -59,7 +59,9 @@ class Physics:
         if not self.within:
             return self.share
         lost = 2 * self.ratio * self.turn * (1 - self.within)
-        return lost / (lost + (self.delta if np.real(self.delta) > LEAST_DAMPING else LEAST_DAMPING))
+        # the motor's damping takes more of a vibration the lighter that side is; none takes it with no damping
+        far = lost / (lost + self.delta) if np.real(self.delta) > 0 else FARTHEST
+        return far if np.real(far) < FARTHEST else FARTHEST
 
     def along(self, name: str) -> Physics:
         """Return the device with a number that has a small imaginary part: that of a result is its slope, exactly.

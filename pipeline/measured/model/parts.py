@@ -82,8 +82,8 @@ NEARBY = (0.86, 0.93, 1.0, 1.07, 1.15)
 WEIGHED = 0.1
 """Share of the random force without a part that is left to errors where a start with it is looked for."""
 
-LOOKED_AT = 30
-"""Stretches by which lag and mode are looked for at first: what these do not show moves no limit."""
+LOOKED_AT = 9000
+"""Rows, of stretches spread over all, by which parts are looked for at first: what these do not show moves no limit."""
 
 SOME_STEPS = 10
 """Steps by which they are looked for at first."""
@@ -184,7 +184,7 @@ def _unseen_lag(held: Stretches, fit: Fit, trials: int) -> float:
     numbers = fit.device.numbers
     if "delay" not in numbers or {"lag", "turn"} & set(numbers):
         return 0.0
-    some, alone = held.chosen(spread(held, LOOKED_AT)), replace(fit.device, effects=None)
+    some, alone = _some(held), replace(fit.device, effects=None)
     most, end = _promise(some, alone, trials, "lag"), 0.0
     for lag in (lag for lag in UNSEEN if lag <= numbers["delay"]):
         late = replace(alone, numbers=numbers | {"delay": numbers["delay"] - lag, "lag": lag})
@@ -297,7 +297,7 @@ def _loss(fit: Fit, name: str) -> float:
 
 def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) -> tuple[Fit, dict[str, float]]:
     """Return the fit with largest force, lag and mode: the likeliest first, as each may stand for another."""
-    some = held.chosen(spread(held, LOOKED_AT))
+    some = _some(held)
     left = {"saturation": "", "lag": "lag", "mode": "share", "mode at the load": "", "load damping": "drag"}
     while left and "delay" in fit.device.numbers:
         alone, tried = replace(fit.device, effects=None), {}
@@ -307,7 +307,7 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
         # a part leaves no jitter where there was none without it
         jitters = plain.device.noise.jitter > 0
         for name, size in left.items():
-            if set(NUMBERS[name]) <= set(alone.names) or (name == "load damping" and "mode" not in parts):
+            if NUMBERS[name][0] in alone.names or (name == "load damping" and "mode" not in parts):
                 continue
             start = _having(some, alone, trials, name)
             if _promise(some, start, trials, name) - _promise(some, plain.device, trials, name) < least:
@@ -330,6 +330,11 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
         # a jitter may have stood for what was left before the part was found to the end
         fit = refined(held, replace(fit.device, effects=None), trials, far=False)
     return fit, parts
+
+
+def _some(held: Stretches) -> Stretches:
+    """Return stretches of about `LOOKED_AT` rows."""
+    return held.chosen(spread(held, int(LOOKED_AT / np.mean(held.rows)) + 1))
 
 
 def _is_inside(device: Device, part: str) -> bool:
@@ -359,20 +364,22 @@ def _having(held: Stretches, device: Device, trials: int, part: str) -> Device:
     """
     device = replace(device, noise=Noise(WEIGHED * device.noise.force))
     delay = device.numbers["delay"]
+    tried: list[dict[str, float]]
     if part == "saturation":
-        found = _best(held, device, trials, part, [{"limit": limit} for limit in CLIPPED])
-        limits = [found.numbers["limit"] * factor for factor in NEARBY]
-        found = _best(held, found, trials, part, [{"limit": limit} for limit in limits if limit < 1])
+        tried = [{"limit": limit} for limit in CLIPPED]
     elif part == "lag":
-        found = _best(held, device, trials, part, [{"lag": lag, "delay": max(delay - lag, 0.0)} for lag in LAGS])
+        tried = [{"lag": lag, "delay": max(delay - lag, 0.0)} for lag in LAGS]
     elif part == "load damping":
-        found = _best(held, device, trials, part, [{"drag": drag * device.numbers["delta"]} for drag in DRAGS])
-    else:
-        lasts = [{"share": share} for share in SHARES] if part == "mode" else [{"within": BEFORE["within"][0]}]
-        modes = [{"turn": turn, "ratio": 0.04, **last} for turn in TURNS for last in lasts]
-        found = _best(held, device, trials, part, modes)
-        modes = [{"turn": found.numbers["turn"] * factor} for factor in NEARBY]
-        found = _best(held, found, trials, part, modes)
+        tried = [{"drag": drag * device.numbers["delta"]} for drag in DRAGS]
+    elif part == "mode":
+        tried = [{"turn": turn, "ratio": 0.04, "share": share} for turn in TURNS for share in SHARES]
+    else:  # where it vibrates most, the far mass is a quarter of a period late
+        tried = [{"turn": turn, "ratio": 0.04, "within": BEFORE["within"][0]} for turn in TURNS]
+        tried += [each | {"delay": max(delay - np.pi / 2 / each["turn"], 0.0)} for each in tried]
+    found = _best(held, device, trials, part, tried)
+    if (closer := NUMBERS[part][0]) in ("limit", "turn"):
+        near = [found.numbers[closer] * factor for factor in NEARBY]
+        found = _best(held, found, trials, part, [{closer: value} for value in near if value < LIMITS[closer][1]])
     return replace(found, noise=WHITE)
 
 
