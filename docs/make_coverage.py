@@ -38,7 +38,8 @@ OFF, HALF_WIDTHS = 0.05, 3.0
 class Kind:
     """A kind of device or log; ``inside`` says whether the model holds it.
 
-    Forces are relative to the step, ``hand`` is a stiffness [N/m] that doubles at 2 mm.
+    Forces are relative to the step, ``hand`` is a stiffness [N/m] that doubles at 2 mm, ``drag`` the far mass's damping
+    in that of the motor.
     """
 
     inside: bool = True
@@ -48,6 +49,7 @@ class Kind:
     lag: float = 0.0
     mode: bool = False
     far_sensor: bool = False
+    drag: float = 0.0
     jitter: tuple[int, ...] = ()
     velocity: str = ""
     clipped: float = np.inf
@@ -63,7 +65,9 @@ KINDS = {
     "friction": Kind(friction=0.06),
     "friction, scatter 5 %": Kind(friction=0.06, scatter=0.05),
     "lag": Kind(lag=2.0),
+    "lag of half a sample": Kind(lag=0.5),
     "mode": Kind(mode=True),
+    "mode, damped load": Kind(mode=True, drag=1.0),
     "mode, read at the load": Kind(mode=True, far_sensor=True),
     "jitter": Kind(jitter=(3, 4, 5)),
     "filtered velocity": Kind(velocity="filter"),
@@ -102,7 +106,8 @@ def course(kind: Kind, seed: int) -> Course:
     far = 0.2 * mass if kind.mode else 0.0
     turn, ratio = 2 * np.pi * random.uniform(30, 60), 0.03
     recordings = _simulated(kind, random, (K, B), (mass, damping, friction, own_delay), (far, turn, ratio), quantum)
-    truth = {"mass": mass, "damping": damping, "delay": delay * T}
+    truth = {"mass": mass, "damping": damping * (1 + kind.drag), "delay": delay * T}
+    truth |= {} if kind.mode else {"delay and lag": (delay + kind.lag) * T}
     if kind.friction and not kind.warming:
         truth["friction"] = kind.friction * STEP
     truth |= {"actuator_lag": kind.lag * T} if kind.lag else {}
@@ -123,7 +128,8 @@ def _simulated(
     (K, B), (mass, damping, friction, delay), (far, turn, ratio) = walls, device, mode
     n, h, near = len(K), T / PARTS, mass - far
     kept = np.exp(-damping / near * h)
-    two_masses = _two_masses((near, far), damping, near * far / mass * turn**2, 2 * ratio * turn * near * far / mass)
+    spring, damper = (each * near * far / mass for each in (turn**2, 2 * ratio * turn))
+    two_masses = _two_masses((near, far), (damping, kind.drag * damping), spring, damper)
     x, v, acting, far_x, far_v, filtered = (np.zeros(n) for _ in range(6))
     seen, sent = np.zeros((ROWS, n)), np.zeros((ROWS, n))
     held = np.zeros(n)
@@ -170,13 +176,13 @@ def _simulated(
     return recordings
 
 
-def _two_masses(masses: tuple[float, float], damping: float, spring: float, damper: float) -> Floats:
+def _two_masses(masses: tuple[float, float], dampings: tuple[float, float], spring: float, damper: float) -> Floats:
     """Return the transition of positions and speeds of two masses on a spring, and of the force, over a fine step."""
     near, far = masses
     matrix = np.zeros((5, 5))
     matrix[0, 1] = matrix[2, 3] = 1.0
-    matrix[1] = np.array([-spring, -damper - damping, spring, damper, 1.0]) / near
-    matrix[3] = np.array([spring, damper, -spring, -damper, 0.0]) / (far or 1.0)
+    matrix[1] = np.array([-spring, -damper - dampings[0], spring, damper, 1.0]) / near
+    matrix[3] = np.array([spring, damper, -spring, -damper - dampings[1], 0.0]) / (far or 1.0)
     return np.asarray(expm(matrix * T / PARTS))
 
 
@@ -196,14 +202,16 @@ def told(found: Identified, truth: dict[str, float]) -> dict[str, list[float | N
     """Return truth, value and interval of each quantity; without a value where it is not told."""
     result: dict[str, list[float | None]] = {}
     noise = found.choice.fit.device.noise
+    together = [each.interval for each in found.combinations if each.code == "delay_and_lag"]
+    known = found.parameters | {"delay and lag": (together or [found.parameters["delay"]])[0]}
     for name, true in truth.items():
         if name == "jitter":
             reach = 1.96 * noise.jitter_error
             result[name] = [true, noise.jitter or None, noise.jitter - reach, noise.jitter + reach]
-        elif name not in found.parameters or name in found.untold:
+        elif name not in known or name in found.untold:
             result[name] = [true, None, None, None]
         else:
-            one = found.parameters[name]
+            one = known[name]
             result[name] = [true, one.value, one.low, one.high]
     return result
 

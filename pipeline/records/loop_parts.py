@@ -221,7 +221,7 @@ class LoopParts(Part):
             found.append(f"loop.mode.mass: found {self.mode.mass:g}; must be below the mass of both sides, {mass:g}")
         if self.mode is not None and self.mode.load_damping > damping:
             found.append(
-                f"loop.mode.load_damping: found {self.mode.load_damping:g}; must be at most all of the device's damping, "
+                f"loop.mode.load_damping: found {self.mode.load_damping:g}; must be at most the damping of both sides, "
                 f"{damping:g}"
             )
         nyquist = 0.5 / sampling_period_s

@@ -284,7 +284,7 @@ def _loop_document(found: Model, drift: str) -> dict[str, Any]:
     told = {"mass", "delay"} & set(found.parameters) - found.untold == {"mass", "delay"}
     mode = {name: parameter(f"mode_{name}") for name in ("frequency", "damping_ratio", "mass")}
     at_load = dict.fromkeys(("value", "low", "high"), float("mode at the load" in found.parts))
-    of_load = {name: told for name in ("load_damping",) if (told := parameter(name))}
+    of_load = {"load_damping": load} if (load := parameter("load_damping")) else {}
     return {
         "source": "estimated",
         "adequate": bool(told) and len(fits) > 0 and float(np.median(fits)) >= FOLLOWS,

@@ -86,7 +86,7 @@ NEEDED = {
 }
 """Number of a device that each quantity stands for: it is told where the device has it."""
 
-BOUNDED = ("damping", "stiffness", "friction", "actuator_lag", "mode_damping_ratio", "mode_mass", "load_damping", "delay")
+BOUNDED = {*NEEDED} - {"mass", "constant_force", "mode_frequency", "force_limit"}
 """Quantities that are not negative."""
 
 

@@ -238,8 +238,8 @@ def passed(passage: Passage, found: Filter, columns: Sequence[Column]) -> list[F
 def slopes(passage: Passage, found: Filter, column: Column, along: Sequence[Passage]) -> list[Floats]:
     """Return the slopes of a column's whitened predictions along numbers, each of shape (N, S); the filter stays.
 
-    ``along`` are passages of devices `Physics.along` each number. Differences would drown in the rounding of recursions,
-    a thousand times that of a number where a mode is slow.
+    ``along`` are passages of devices `Physics.along` each number. Differences would drown in rounding, of which the
+    recursion of a slow mode leaves a million times that of a number.
     """
     if passage.held.regular and len(found.gain) == 1:
         from scipy.signal import lfilter
