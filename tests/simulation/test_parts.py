@@ -33,6 +33,7 @@ def body_of(plant: Mechanism) -> Body:
         stiction=(friction.stiction or friction.coulomb) if friction else 0.0,
         stribeck=friction.stribeck_velocity if friction and friction.stiction else np.inf,
         sensor_at_load=plant.sensor_at_load,
+        load_damping=plant.load_damping,
     )
 
 
@@ -40,6 +41,7 @@ PLANTS = {
     "lag": Mechanism(0.5, 4.0, lag_s=0.003),
     "short lag": Mechanism(0.5, 4.0, lag_s=2e-5),
     "mode, motor": Mechanism(0.4, 4.0, **MODE),
+    "mode, damped load": Mechanism(0.4, 4.0, **MODE, load_damping=1.5),
     "mode, load": Mechanism(0.4, 4.0, **MODE, sensor_at_load=True),
     "spring and lag": Mechanism(0.5, 4.0, 300.0, lag_s=0.002),
     "coulomb": Mechanism(0.5, 4.0, friction=FRICTION),
@@ -71,6 +73,7 @@ def test_random_combinations_move_as_the_second_simulator_says(seed: int) -> Non
         lag_s=random.choice([0.0, 0.0015]),
         friction=Friction(coulomb=random.uniform(0.1, 1), stiction=1.1, stribeck_velocity=random.uniform(0.005, 0.05)),
         sensor_at_load=bool(random.integers(2)),
+        load_damping=random.uniform(0, 2),
     )
     order, cutoff = int(random.integers(1, 5)), random.uniform(30, 200)
     hidden = SimulationParts(clock_error=0.02, gain_error=-0.1, one_sided_wall=bool(random.integers(2)))

@@ -31,6 +31,7 @@ class Body:
     stiction: float = 0.0
     stribeck: float = 0.01
     sensor_at_load: bool = False
+    load_damping: float = 0.0
     state: Floats = field(default_factory=lambda: np.zeros(5))
     dissipated: float = 0.0
 
@@ -52,7 +53,7 @@ class Body:
                 s[1] if side else 0.0,
                 force / self.mass if side else 0.0,
                 s[3] if self.load else 0.0,
-                across / self.load if self.load else 0.0,
+                (across - self.load_damping * s[3]) / self.load if self.load else 0.0,
                 (command - s[4]) / self.lag if self.lag else 0.0,
             ]
         )

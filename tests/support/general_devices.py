@@ -80,7 +80,11 @@ def random_device(rng: np.random.Generator, extreme: str = "") -> Example:
     )
     delay = float(rng.choice([float(rng.integers(0, 6)), rng.uniform(0, 6)]))
     spring = float(rng.choice([0.0, rng.uniform(0, 100)]))
-    return Example(mass, float(rng.uniform(0, 0.02) * mass / period), spring, delay, period, parts)
+    damping = float(rng.uniform(0, 0.02) * mass / period)
+    if parts.mode and rng.random() < 0.5:
+        update = {"load_damping": float(rng.uniform(0, damping))}
+        parts = parts.model_copy(update={"mode": parts.mode.model_copy(update=update)})
+    return Example(mass, damping, spring, delay, period, parts)
 
 
 EXTREMES = ("cut-off near Nyquist", "short lag", "long lag", "hardly damped", "mode above Nyquist", "light mass")
@@ -119,20 +123,21 @@ class ManyDigits:
         self.damping = mp.mpf(example.damping) + (mp.mpf(held.damping) if held else 0)
         self.stiffness = mp.mpf(example.stiffness) + (mp.mpf(held.stiffness) if held else 0)
         self.gain, self.mass = mp.mpf(p.force_gain), near + far
-        spring = damper = mp.mpf(0)
+        spring = damper = of_load = mp.mpf(0)
         if p.mode:
             turn, reduced = 2 * mp.pi * mp.mpf(p.mode.frequency_hz), far * near_alone / (far + near_alone)
             spring, damper = reduced * turn**2, 2 * mp.mpf(p.mode.damping_ratio) * turn * reduced
+            of_load = mp.mpf(p.mode.load_damping)
         # states: near position, near velocity, far position, far velocity, actuator's force; last: its input
         m = mp.zeros(6)
         m[0, 1] = m[2, 3] = 1
         m[1, 0], m[1, 1], m[1, 2], m[1, 3] = (
-            *(-(self.stiffness + spring) / near, -(self.damping + damper) / near),
+            *(-(self.stiffness + spring) / near, -(self.damping - of_load + damper) / near),
             *(spring / near, damper / near),
         )
         m[1, 4] = 1 / near
         if p.mode:
-            m[3, 0], m[3, 1], m[3, 2], m[3, 3] = spring / far, damper / far, -spring / far, -damper / far
+            m[3, 0], m[3, 1], m[3, 2], m[3, 3] = spring / far, damper / far, -spring / far, -(damper + of_load) / far
         self.kept = [0, 1, *([2, 3] if p.mode else []), *([4] if p.actuator_lag_s > 0 else [])]
         if p.actuator_lag_s > 0:
             m[4, 4], m[4, 5] = -1 / mp.mpf(p.actuator_lag_s), self.gain / mp.mpf(p.actuator_lag_s)

@@ -79,6 +79,9 @@ def soft_course(parts: dict, folder, scatter=0.0, **experiment) -> tuple[Experim
         pytest.param({"actuator_lag_s": 0.0016, "velocity": FILTER}, {}, {"lag"}, marks=pytest.mark.slow),
         pytest.param({"mode": MODE}, {}, {"mode at the motor"}, marks=pytest.mark.slow),
         pytest.param({"mode": MODE | {"sensor": "load"}}, {}, {"mode at the load"}, marks=pytest.mark.slow),
+        pytest.param(
+            {"mode": MODE | {"load_damping": 1.5}}, {}, {"mode at the motor", "load damping"}, marks=pytest.mark.slow
+        ),
         pytest.param({"mode": MODE, "actuator_lag_s": 0.002}, {}, {"lag", "mode at the motor"}, marks=pytest.mark.slow),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
 from itertools import product
 from types import SimpleNamespace
 
@@ -16,10 +17,10 @@ from pipeline.loop.motion import Mechanism
 from pipeline.measured.model.identified import identified
 from pipeline.measured.model.likelihood import Device, moments_of
 from pipeline.measured.model.motion import Physics, pieces
-from pipeline.measured.model.parts import _takes_away
+from pipeline.measured.model.parts import _promise, _takes_away
 from pipeline.measured.model.recordings import Recording, Scales, motion_of, stretches
 from pipeline.measured.model.scatter import Moments, solve
-from pipeline.measured.model.whitening import Column, Filter, Noise, Passage, passed
+from pipeline.measured.model.whitening import Column, Filter, Noise, Passage, passed, slopes
 from pipeline.simulation.simulate import age_in_force
 
 T = 1e-3
@@ -105,6 +106,61 @@ def test_a_late_command_moves_a_device_as_an_integration_does(irregular, lag):
         state = moved(state, time[row], time[row + 1])
         expected.append(state[0])
     np.testing.assert_allclose(found[: held.rows[0]], expected, rtol=1e-7, atol=1e-8)
+
+
+@pytest.mark.parametrize("irregular", [False, True])
+@pytest.mark.parametrize("noise", [Noise(), Noise(0.3), Noise(0.3, 0.2, 0.5)])
+@pytest.mark.parametrize(
+    "shape",
+    [
+        Physics(delta=0.03, gamma=0.02, delay=2.4, lag=1.3),
+        Physics(delta=0.03, gamma=0.01, delay=2.3, turn=0.4, ratio=0.05, share=0.3, drag=0.01),
+        Physics(delta=0.03, delay=2.3, turn=0.4, ratio=0.05, within=0.6),
+    ],
+)
+def test_slopes_are_those_of_differences(irregular, noise, shape):
+    rng, rows = np.random.default_rng(1), 60
+    time = np.cumsum(np.where(irregular, rng.uniform(0.6, 1.4, rows), 1.0))
+    command, position = np.cumsum(rng.standard_normal((2, rows)), axis=1)
+    held = stretches([Recording("a", time, command, 0.1 * position, 1.0)], Scales(1.0, 1.0, 1.0, 0.0), 6, False)
+    passage = Passage(held, shape, noise.jitter)
+    found, start = Filter.of(passage, noise), 0.1 * rng.standard_normal((1, passage.states))
+    column = Column(held.position, held.driven, np.ones(1), start)
+    for each in (each.name for each in fields(Physics) if getattr(shape, each.name)):
+        (slope,) = slopes(passage, found, column, [Passage(held, shape.along(each), noise.jitter)])
+        ends = (replace(shape, **{each: getattr(shape, each) + by}) for by in (1e-5, -1e-5))
+        high, low = (passed(Passage(held, end, noise.jitter), found, [column])[0] for end in ends)
+        np.testing.assert_allclose(slope, (low - high) / 2e-5, atol=3e-6 * np.abs(slope).max(), err_msg=each)
+
+
+def test_slopes_along_a_slow_mode_are_not_those_of_rounding():
+    rows, shape = 1000, Physics(delta=8e-4, delay=1.5, turn=0.157, ratio=0.024, within=0.5)
+    command = np.repeat(np.random.default_rng(1).standard_normal(rows // 50), 50)
+    log = Recording("a", np.arange(float(rows)), command, np.cumsum(command), 1.0)
+    held = stretches([log], Scales(1.0, 1.0, 1.0, 0.0), 5, False)
+    passage, column = Passage(held, shape), Column(held.position, held.driven)
+    # the same filter, row by row in state space, whose rounding does not grow
+    white = Filter.of(passage, Noise())
+    rowwise = replace(white, gain=np.zeros((rows - 5, 1, 4)), spread=np.ones((rows - 5, 1)))
+    for each in ("turn", "ratio", "within", "delta"):
+        fast, slow = (slopes(passage, way, column, [Passage(held, shape.along(each))])[0] for way in (white, rowwise))
+        np.testing.assert_allclose(fast, slow, atol=1e-8 * np.abs(slow).max(), err_msg=each)
+
+
+def test_a_lag_of_nothing_is_as_likely_as_none():
+    rng = np.random.default_rng(4)
+    logs = behind_walls(rng, {"mass": 0.6, "damping": 4.0}, {}, 12, quantum=5e-6)
+    kept = [np.flatnonzero(rng.uniform(size=len(log.time)) > 0.03) for log in logs]
+    logs = [
+        replace(log, **{n: getattr(log, n)[k] for n in ("time", "command", "position")})
+        for log, k in zip(logs, kept, strict=True)
+    ]
+    scales = Scales.of(logs)
+    held = stretches(logs, scales, 6, False)
+    device = replace(identified(logs).choice.fit.device, effects=None)
+    late = replace(device, numbers=device.numbers | {"delay": device.numbers["delay"] - 0.02, "lag": 0.02})
+    assert len(held) > 4 * len(logs)
+    assert _promise(held, late, 12, "lag") == pytest.approx(_promise(held, device, 12, "lag"), abs=0.5)
 
 
 @pytest.mark.parametrize("noise", [Noise(0.3), Noise(0.3, 0.2, 0.8), Noise(0.0, 0.2, 0.4)])
@@ -435,6 +491,27 @@ def test_a_mode_is_found_behind_walls():
     assert set(found.parts) == {"mode"}
     truth = {"mass": 0.6, "mode_frequency": 40.0, "mode_mass": far, "mode_damping_ratio": 0.03}
     assert {name: found.parameters[name].value for name in truth} == pytest.approx(truth, rel=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("at_load", [False, True])
+def test_damping_of_a_load_is_told_where_the_motor_is_read(at_load):
+    far, near, frequency = 0.15, 0.45, 2 * np.pi * 25
+    reduced = far * near / (far + near)
+    load = {"load_mass": far, "spring": frequency**2 * reduced, "spring_damping": 2 * 0.03 * frequency * reduced}
+    load |= {"load_damping": 3.0, "sensor_at_load": at_load}
+    rng = np.random.default_rng(18)
+    walls = rng.uniform(30, 150, 16), rng.uniform(1, 5, 16)
+    found = identified(behind_walls(rng, {"mass": near, "damping": 2.0}, load, walls=walls))
+    truth = {"mass": 0.6, "damping": 5.0, "mode_frequency": 25.0}
+    parts = {name for name, gain in found.parts.items() if gain > 0}
+    assert parts == ({"mode at the load"} if at_load else {"mode", "load damping"})
+    assert {name: found.parameters[name].value for name in truth} == pytest.approx(truth, rel=0.01)
+    assert (
+        holds(found.parameters, {"delay": 2.4e-3, "mode_mass": far} | ({} if at_load else {"load_damping": 3.0})) == []
+    )
+    told = found.parameters["delay"]
+    assert told.high - told.low < (5e-4 if at_load else 5e-5)
 
 
 @pytest.mark.slow
