@@ -20,6 +20,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from pipeline.measured.model.identified import Identified, identified
+from pipeline.measured.model.intervals import Interval
 from pipeline.measured.model.recordings import Recording
 from pipeline.records.batch import Floats
 from pipeline.simulation.simulate import age_in_force
@@ -202,8 +203,11 @@ def told(found: Identified, truth: dict[str, float]) -> dict[str, list[float | N
     """Return truth, value and interval of each quantity; without a value where it is not told."""
     result: dict[str, list[float | None]] = {}
     noise = found.choice.fit.device.noise
-    together = [each.interval for each in found.combinations if each.code == "delay_and_lag"]
-    known = found.parameters | {"delay and lag": (together or [found.parameters["delay"]])[0]}
+    names = list(found.parameters)
+    places = [names.index(name) for name in ("delay", "actuator_lag") if name in names]
+    value = sum(found.parameters[names[place]].value for place in places)
+    error = float(np.sqrt(found.covariance[np.ix_(places, places)].sum()))
+    known = found.parameters | {"delay and lag": Interval(value, value - 1.96 * error, value + 1.96 * error, error)}
     for name, true in truth.items():
         if name == "jitter":
             reach = 1.96 * noise.jitter_error
@@ -256,7 +260,7 @@ quantum 2 to 20 um. *Told*: with a value, of so many courses; *right*: within 5 
 than 5 % **and** by more than three half widths; *held*: 95 % intervals with the truth in them; *width*: median half
 width relative to the truth.
 
-| kind | quantity | told | right | wrong | held | width |
+| kind | quantity | told | right | wrong | held [%] | width [%] |
 |---|---|---|---|---|---|---|
 """
 AFTER = """
@@ -282,8 +286,8 @@ def page(kept: Sequence[dict[str, Any]]) -> str:
                 width = count.add(*values)
                 widths += [] if width is None else [width]
         for place, (name, (count, widths)) in enumerate(counts.items()):
-            width = f"{float(f'{100 * np.median(widths):.2g}'):g} %" if widths else ""
-            held = f"{100 * count.held / count.told:.0f} %" if count.told else ""
+            width = f"{float(f'{100 * np.median(widths):.2g}'):g}" if widths else ""
+            held = f"{100 * count.held / count.told:.0f}" if count.told else ""
             shown = [f"{count.told}/{count.courses}", count.right, count.wrong, held, width]
             called = "" if place else kind if about.inside else f"*{kind}*"
             lines.append(f"| {called} | {name} | {' | '.join(map(str, shown))} |")

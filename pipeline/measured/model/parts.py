@@ -189,7 +189,7 @@ def _unseen_lag(held: Stretches, fit: Fit, trials: int) -> float:
     for lag in (lag for lag in UNSEEN if lag <= numbers["delay"]):
         late = replace(alone, numbers=numbers | {"delay": numbers["delay"] - lag, "lag": lag})
         likely = _promise(some, late, trials, "lag")
-        if likely < most - BESIDE:
+        if likely < most - BESIDE * fit.alike:
             return lag if end else 0.0
         end, most = lag, max(most, likely)
     return end
@@ -310,7 +310,8 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
             if NUMBERS[name][0] in alone.names or (name == "load damping" and "mode" not in parts):
                 continue
             start = _having(some, alone, trials, name)
-            if _promise(some, start, trials, name) - _promise(some, plain.device, trials, name) < least:
+            enough = CLOSER if name == "load damping" else least
+            if _promise(some, start, trials, name) - _promise(some, plain.device, trials, name) < enough:
                 continue
             other = refined(some, start, trials, SOME_STEPS, jitters=jitters)
             worth = WORTH + CLOSER * (len(NUMBERS[name]) - 1)
