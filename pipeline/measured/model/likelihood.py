@@ -258,7 +258,8 @@ class Starts:
         """Return what whitened columns (N, S) of the unknowns, in the order of the states, tell."""
         gain, shape, variance = abs(device.numbers["gain"]), device.shape, held.white
         mode = [gain / shape.turn**2, gain / shape.turn] if shape.far else []
-        sizes = np.array([1.0, 1.0, *mode, *([gain] if shape.lag else [])])[: len(errors)]
+        farthest = 1.0 + float(np.abs(held.position).max())
+        sizes = np.array([farthest, 1.0, *mode, *([gain] if shape.lag else [])])[: len(errors)]
         before = np.broadcast_to(np.diag(np.sqrt(variance) / sizes), (len(held), len(sizes), len(sizes)))
         columns = -np.stack(errors, axis=-1).transpose(1, 0, 2)
         basis, triangle = np.linalg.qr(np.concatenate([columns, before], axis=1))

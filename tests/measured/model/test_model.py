@@ -147,6 +147,17 @@ def test_slopes_along_a_slow_mode_are_not_those_of_rounding():
         np.testing.assert_allclose(fast, slow, atol=1e-8 * np.abs(slow).max(), err_msg=each)
 
 
+def test_where_a_log_begins_weighs_nothing():
+    """An absolute encoder reads each run from elsewhere, a thousand ways away."""
+    rng = np.random.default_rng(3)
+    logs = behind_walls(rng, {"mass": 0.6, "damping": 4.0}, {}, 8, quantum=5e-6)
+    near, places = identified(logs), rng.uniform(-20, 20, 8)
+    far = identified([replace(log, position=log.position + place) for log, place in zip(logs, places, strict=True)])
+    for name in ("mass", "damping", "delay"):
+        assert far.parameters[name].value == pytest.approx(near.parameters[name].value, rel=1e-3)
+    assert far.choice.fit.solved.weight == pytest.approx(near.choice.fit.solved.weight, rel=0.05)
+
+
 def test_a_lag_of_nothing_is_as_likely_as_none():
     rng = np.random.default_rng(4)
     logs = behind_walls(rng, {"mass": 0.6, "damping": 4.0}, {}, 12, quantum=5e-6)
