@@ -133,11 +133,13 @@ WORTH = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """Numbers of a device by name, and the noise beside it; ``effects`` (T, p) are what trials differ by."""
+    """Numbers of a device by name, and the noise beside it; ``effects`` (T, p) are what trials differ by, ``reading``
+    the variance of a reading where a fit has told one."""
 
     numbers: dict[str, float]
     noise: Noise = WHITE
     effects: Floats | None = field(default=None, repr=False)
+    reading: float = np.inf
 
     @property
     def shape(self) -> Physics:
@@ -256,7 +258,8 @@ class Starts:
     @np.errstate(over="ignore", invalid="ignore")  # as in `noise_and_jitter`
     def of(cls, held: Stretches, device: Device, errors: list[Floats]) -> Starts:
         """Return what whitened columns (N, S) of the unknowns, in the order of the states, tell."""
-        gain, shape, variance = abs(device.numbers["gain"]), device.shape, held.white
+        # third differences of logs without noise are those of the motion
+        gain, shape, variance = abs(device.numbers["gain"]), device.shape, min(held.white, device.reading)
         mode = [gain / shape.turn**2, gain / shape.turn] if shape.far else []
         farthest = 1.0 + float(np.abs(held.position).max())
         sizes = np.array([farthest, 1.0, *mode, *([gain] if shape.lag else [])])[: len(errors)]
@@ -405,7 +408,7 @@ def _fit(held: Stretches, device: Device, trials: int, places: Integers) -> Fit:
         moments = replace(moments, products=np.zeros_like(moments.products), log_spread=np.inf)
     solved = solve(moments, places)
     alike = float(held.rows.sum() / max(held.distinct.sum(), 1.0)) if device.noise == WHITE else 1.0
-    device = replace(device, effects=solved.effects if len(places) else None)
+    device = replace(device, effects=solved.effects if len(places) else None, reading=solved.noise)
     p = len(device.names)
     return Fit(device, solved, moments, places, trials < FEWEST, alike, np.zeros(p), np.zeros((PHASES, p)))
 
