@@ -162,6 +162,11 @@ class LoopParts(Part):
     operator: Operator | None = None
     friction: Friction | None = None
 
+    @property
+    def load_damping(self) -> float:
+        """What a mode's far side bears of the device's damping: none of it makes a wall passive."""
+        return self.mode.load_damping if self.mode else 0.0
+
     def over(self, lower: LoopParts) -> LoopParts:
         """Return these parts, with those of another where this one does not name them."""
         return LoopParts(**{**named(lower), **named(self)})

@@ -284,7 +284,7 @@ class Loop:
 
         Source: Hulin 2017, ch. 4; for delays that are no whole number of samples docs/definitions.md.
         """
-        loop, delta = self._normalised, self.damping / self._scale.damping
+        loop, delta = self._normalised, (self.damping - self._parts.load_damping) / self._scale.damping
         alpha, beta = passive_outline(loop, delta)
         best = stiffest_passive(loop, delta) if delta > 0 else (0.0, 0.0)
         closed = {"damping": np.append(beta, beta[0]), "stiffness": np.append(alpha, alpha[0])}

@@ -84,8 +84,8 @@ class Theory:
 
     @property
     def _own_delta(self) -> float:
-        p, mode = self.parameters, self.parameters.loop.mode
-        return (p.damping - (mode.load_damping if mode else 0.0)) / p.loop.force_gain / self.units.damping
+        p = self.parameters
+        return (p.damping - p.loop.load_damping) / p.loop.force_gain / self.units.damping
 
     @cached_property
     def boundary(self) -> Boundary:

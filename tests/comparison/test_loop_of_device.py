@@ -46,6 +46,12 @@ def test_passive_region_and_linear_condition_know_the_lag():
     assert set(second) == {"linear", "passive"}, "what is robust is known of an ideal loop alone"
 
 
+def test_the_passive_region_is_that_of_the_near_side_alone():
+    mode = {"frequency_hz": 120.0, "damping_ratio": 0.05, "mass": 0.05}
+    damped, whole = (theory(LoopParts.model_validate({"mode": mode | more})) for more in ({"load_damping": 1.0}, {}))
+    assert damped.passive_outline[0].max() == pytest.approx(0.75 * whole.passive_outline[0].max())
+
+
 def test_words_name_the_parts_and_what_is_left_out():
     assert PARTS.words() == (
         "velocity filter (Butterworth, order 1, 40 Hz), actuator lag 1 ms, "

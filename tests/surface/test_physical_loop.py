@@ -3,6 +3,7 @@
 import mpmath as mp
 import numpy as np
 import pytest
+from pandas.testing import assert_frame_equal
 from general_devices import Example, ManyDigits
 from independent import simulate
 from simulated import spectral_radius
@@ -95,6 +96,14 @@ def test_map_is_a_grid_over_the_stable_region():
 def test_parameters_out_of_range(given, message):
     with pytest.raises(ParameterError, match=message):
         pipeline.Loop(**({"mass": 0.58, "damping": 4.0, "sampling_period_s": 0.001, "delay_samples": 4} | given))
+
+
+def test_damping_of_a_load_makes_no_wall_passive():
+    """A hand may hold the motor's side still against the load's damper."""
+    mode = {"frequency_hz": 60.0, "damping_ratio": 0.05, "mass": 0.1}
+    damped = pipeline.Loop(0.58, 4.0, 0.001, 4, mode=mode | {"load_damping": 1.5}).passive()
+    assert_frame_equal(damped, pipeline.Loop(0.58, 2.5, 0.001, 4, mode=mode).passive())
+    assert pipeline.Loop(0.58, 4.0, 0.001, 4, mode=mode | {"load_damping": 4.0}).passive().stiffness.max() == 0
 
 
 PARTS = {

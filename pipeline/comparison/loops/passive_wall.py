@@ -44,7 +44,7 @@ def passive_wall(loop: ToldLoop, result: ExperimentResult) -> tuple[PassiveWall 
     """
     if result.trials < FEW:
         return None, f"{result.trials} trials are too few to promise stability with every hand; record {FEW}"
-    of_load = max((point.parts.mode.load_damping for point in loop.points if point.parts.mode), default=0.0)
+    of_load = max(point.parts.load_damping for point in loop.points)
     damping = (loop.parameter("damping").low - loop.held - of_load) * (1 - SPARE)
     if damping <= 0:
         return None, (

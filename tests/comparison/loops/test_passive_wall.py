@@ -22,10 +22,12 @@ T = 1e-3
 MOTOR, FALCON = (1.2e-4, 7e-5), (0.58, 4.0)  # a small device, whose B of two decimals would be none
 
 
-def loop(device, delay, share, error=0.0):
+def loop(device, delay, share, error=0.0, of_mode=None):
     """A loop whose mass, damping and delay may be off by a share, the delay by ten shares of a sample."""
     values = dict(zip(("mass", "damping", "delay_samples"), (*device, delay), strict=True))
-    covariance = np.diag(np.square([device[0] * share, device[1] * share, 10 * share]) / NORMAL_95**2)
+    values |= of_mode or {}
+    shares = [device[0] * share, device[1] * share, 10 * share, *(0.0 for _ in of_mode or {})]
+    covariance = np.diag(np.square(shares) / NORMAL_95**2)
     return ToldLoop(FoundDevice(FittedDevice((), values, covariance), T), error=error)
 
 
@@ -62,6 +64,13 @@ def test_the_named_wall_is_passive_and_stable_for_all_that_the_intervals_leave_o
         assert spectral_radius(setup.plant, setup, np.array([wall.stiffness]), np.array([wall.damping]))[0] < 1
     if share < 0.01:  # and no softer than it need be: 3 % more is passive no longer
         assert needed_damping(1.03 * wall.stiffness, wall.damping, delay) > device[1]
+
+
+def test_the_damping_of_a_load_is_none_of_a_passive_wall():
+    mode = {"frequency_hz": 60.0, "damping_ratio": 0.05, "far_mass": 0.1}
+    found, _ = passive_wall(loop(FALCON, 4.0, 1e-3, of_mode=mode | {"load_damping": 1.0}), measured())
+    without, _ = passive_wall(loop(FALCON, 4.0, 1e-3, of_mode=mode), measured())
+    assert found.stiffness == pytest.approx(0.75 * without.stiffness, rel=0.01)
 
 
 def test_the_named_wall_is_never_above_a_measured_limit():

@@ -170,7 +170,7 @@ def test_what_the_wall_feels_is_the_same_loop():
         {
             "actuator_lag_s": 0.001,
             "force_gain": 0.7,
-            "mode": {"frequency_hz": 60.0, "damping_ratio": 0.05, "mass": 0.1},
+            "mode": {"frequency_hz": 60.0, "damping_ratio": 0.05, "mass": 0.1, "load_damping": 2.0},
             "operator": {"mass": 0.15, "damping": 5.0, "stiffness": 300.0},
         }
     )

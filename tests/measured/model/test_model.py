@@ -521,6 +521,8 @@ def test_damping_of_a_load_is_told_where_the_motor_is_read(at_load):
     assert (
         holds(found.parameters, {"delay": 2.4e-3, "mode_mass": far} | ({} if at_load else {"load_damping": 3.0})) == []
     )
+    if not at_load:
+        assert found.parameters["mode_damping_ratio"].value == pytest.approx(0.03, rel=0.03)
     told = found.parameters["delay"]
     assert told.high - told.low < (5e-4 if at_load else 5e-5)
 
