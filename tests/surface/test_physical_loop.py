@@ -3,9 +3,9 @@
 import mpmath as mp
 import numpy as np
 import pytest
-from pandas.testing import assert_frame_equal
 from general_devices import Example, ManyDigits
 from independent import simulate
+from pandas.testing import assert_frame_equal
 from simulated import spectral_radius
 
 import pipeline
