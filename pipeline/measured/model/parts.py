@@ -374,8 +374,8 @@ def _having(held: Stretches, device: Device, trials: int, part: str) -> Device:
         tried = [{"drag": drag * device.numbers["delta"]} for drag in DRAGS]
     elif part == "mode":
         tried = [{"turn": turn, "ratio": 0.04, "share": share} for turn in TURNS for share in SHARES]
-    else:  # where it vibrates most, the far mass is a quarter of a period late
-        tried = [{"turn": turn, "ratio": 0.04, "within": BEFORE["within"][0]} for turn in TURNS]
+    else:  # where it vibrates most, the far mass is a quarter of a period late; a faster one is hardly late at all
+        tried = [{"turn": turn, "ratio": 0.04, "within": BEFORE["within"][0]} for turn in TURNS if turn <= 1]
         tried += [each | {"delay": max(delay - np.pi / 2 / each["turn"], 0.0)} for each in tried]
     found = _best(held, device, trials, part, tried)
     if (closer := NUMBERS[part][0]) in ("limit", "turn"):
