@@ -290,7 +290,7 @@ def page(kept: Sequence[dict[str, Any]]) -> str:
             held = f"{100 * count.held / count.told:.0f}" if count.told else ""
             shown = [f"{count.told}/{count.courses}", count.right, count.wrong, held, width]
             called = "" if place else kind if about.inside else f"*{kind}*"
-            lines.append(f"| {called} | {name} | {' | '.join(map(str, shown))} |")
+            lines.append(f"|{'|'.join(map(str, [called, name, *shown]))}|")
             total = totals[about.inside]
             for key, value in asdict(count).items():
                 setattr(total, key, getattr(total, key) + value)

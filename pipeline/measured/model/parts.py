@@ -310,7 +310,7 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
             if NUMBERS[name][0] in alone.names or (name == "load damping" and "mode" not in parts):
                 continue
             start = _having(some, alone, trials, name)
-            enough = CLOSER if name == "load damping" else least
+            enough = min(least, CLOSER) if name == "load damping" else least
             if _promise(some, start, trials, name) - _promise(some, plain.device, trials, name) < enough:
                 continue
             other = refined(some, start, trials, SOME_STEPS, jitters=jitters)
