@@ -21,8 +21,9 @@ from pipeline.measured.model.likelihood import (
     spread,
 )
 from pipeline.measured.model.recordings import Recording, Scales, Stretches, stretches
-from pipeline.measured.model.scatter import inverse, solve
+from pipeline.measured.model.scatter import Solved, inverse, solve
 from pipeline.measured.model.whitening import WHITE, Noise
+from pipeline.records.batch import Integers
 
 BASE = ("gain", "delta", "delay", "force")
 """Numbers of every device."""
@@ -185,10 +186,18 @@ def _unseen_lag(held: Stretches, fit: Fit, trials: int) -> float:
     if "delay" not in numbers or {"lag", "turn"} & set(numbers):
         return 0.0
     some, alone = _some(held), replace(fit.device, effects=None)
-    most, end = _promise(some, alone, trials, "lag"), 0.0
+
+    def likelihood(lag: float) -> float:
+        late = {"delay": numbers["delay"] - lag} | ({"lag": lag} if lag else {})
+        device = replace(alone, numbers=numbers | late)
+        # from where the others are likeliest beside it: what is foretold from afar is too good
+        step = np.zeros(len(device.names))
+        step[: len(numbers)] = _others(some, device, trials, "lag", fit.places).step
+        return _others(some, device.stepped(step), trials, "lag", fit.places).likelihood
+
+    most, end = likelihood(0.0), 0.0
     for lag in (lag for lag in UNSEEN if lag <= numbers["delay"]):
-        late = replace(alone, numbers=numbers | {"delay": numbers["delay"] - lag, "lag": lag})
-        likely = _promise(some, late, trials, "lag")
+        likely = likelihood(lag)
         if likely < most - BESIDE * fit.alike:
             return lag if end else 0.0
         end, most = lag, max(most, likely)
@@ -392,7 +401,12 @@ def _best(held: Stretches, device: Device, trials: int, part: str, some: list[di
 
 def _promise(held: Stretches, device: Device, trials: int, part: str) -> float:
     """Return the likelihood of a device with the best of the numbers that are not a part's."""
+    return _others(held, device, trials, part, np.empty(0, dtype=np.int64)).likelihood
+
+
+def _others(held: Stretches, device: Device, trials: int, part: str, random: Integers) -> Solved:
+    """Return the estimate of the numbers that are not a part's, in their order, with scatter of those at some places."""
     moments = moments_of(held, device, trials)
     others = [i for i, name in enumerate(device.names) if name not in NUMBERS[part]] + [len(device.names)]
     products, before = moments.products[:, others][:, :, others], moments.before[:, others[:-1]]
-    return solve(replace(moments, products=products, before=before), np.empty(0, dtype=np.int64)).likelihood
+    return solve(replace(moments, products=products, before=before), random)
