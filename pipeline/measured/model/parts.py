@@ -405,7 +405,7 @@ def _promise(held: Stretches, device: Device, trials: int, part: str) -> float:
 
 
 def _others(held: Stretches, device: Device, trials: int, part: str, random: Integers) -> Solved:
-    """Return the estimate of the numbers that are not a part's, in their order, with scatter of those at some places."""
+    """Return the estimate of the numbers that are not a part's, in order, with scatter of those at some places."""
     moments = moments_of(held, device, trials)
     others = [i for i, name in enumerate(device.names) if name not in NUMBERS[part]] + [len(device.names)]
     products, before = moments.products[:, others][:, :, others], moments.before[:, others[:-1]]
