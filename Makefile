@@ -52,6 +52,7 @@ bench: .venv/.bench
 docs: .venv/.dev
 	$(BIN)/python docs/make_schemas.py
 	$(BIN)/python docs/make_figure.py
+	$(BIN)/python docs/make_scatter.py
 	$(BIN)/python docs/make_gallery.py
 
 site: .venv/.dev
