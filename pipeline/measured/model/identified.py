@@ -80,15 +80,7 @@ def identified(recordings: list[Recording]) -> Identified:
     units = {"damping": mass / period, "load_damping": mass / period, "stiffness": mass / period**2, "delay": period}
     units |= dict.fromkeys(("friction", "constant_force"), choice.scales.command)
     parameters = {name: errors.interval(quantities[name], name in BOUNDED, units.get(name, 0.0)) for name in names}
-    if "delay" in choice.bounds:
-        delay, more = parameters["delay"], choice.bounds["delay"] - parameters["delay"].value
-        low, high = max(delay.low + min(more, 0.0), 0.0), delay.high + max(more, 0.0)
-        parameters["delay"] = replace(delay, low=low, high=high)
-    if "within" in errors.numbers:
-        # with damping on both sides any share moves the far mass alike
-        parameters["mode_mass"] = replace(parameters["mode_mass"], low=0.0, high=parameters["mass"].high)
-    if "constant_force" in choice.assumed and "friction" in parameters:
-        parameters = _held_before(parameters, choice.scales.command)
+    parameters = _opened(parameters, choice)
     untold = {name for name in ("mass",) if not is_told(parameters[name])}
     if untold:
         untold |= {"damping", "stiffness", "friction", "constant_force", "mode_mass", "load_damping"} & set(names)
@@ -132,6 +124,21 @@ def identified(recordings: list[Recording]) -> Identified:
         [each.name for each in recordings],
         choice.bounds,
     )
+
+
+def _opened(parameters: dict[str, Interval], choice: Choice) -> dict[str, Interval]:
+    """Return intervals with what the likelihood of this device does not say."""
+    result = dict(parameters)
+    if "delay" in choice.bounds:
+        delay, more = parameters["delay"], choice.bounds["delay"] - parameters["delay"].value
+        low, high = max(delay.low + min(more, 0.0), 0.0), delay.high + max(more, 0.0)
+        result["delay"] = replace(delay, low=low, high=high)
+    if "within" in choice.fit.device.numbers:
+        # with damping on both sides any share moves the far mass alike
+        result["mode_mass"] = replace(parameters["mode_mass"], low=0.0, high=parameters["mass"].high)
+    if "constant_force" in choice.assumed and "friction" in parameters:
+        result = _held_before(result, choice.scales.command)
+    return result
 
 
 def _held_before(parameters: dict[str, Interval], command: float) -> dict[str, Interval]:
