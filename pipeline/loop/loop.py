@@ -367,7 +367,10 @@ class Loop:
 
 
 def device_matrices(gamma: float, delta: float, lag: float, mode: Vibration | None) -> tuple[Floats, Floats, Floats]:
-    """Return what `Loop.device` is made of; numbers may be negative, or complex for the slopes of a search."""
+    """Return matrix (n, n), input (n,) and sensor row (n,) of `Loop.device`, of numbers normalised like its own.
+
+    They may be negative, or complex for the slopes of a search.
+    """
     of_mode = mode or Vibration(0.0, 0.0, 0.0, False)
     count, near = 2 + 2 * (mode is not None), 1.0 - of_mode.far_mass
     motor = np.array([1.0, -of_mode.far_mass / near])[: count // 2]

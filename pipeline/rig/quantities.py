@@ -56,6 +56,21 @@ class Quantity:
         return self.write(loop, (self.read(loop) or 0.0) + self.scale(loop) * expm1(x))
 
 
+def with_damping(loop: Loop, value: float) -> Loop:
+    """Return the rig with another damping [Ns/m, Nms/rad], of which the load of a mode bears the same share."""
+    mode = loop.mode
+    if mode and loop.damping > 0 and isinstance(of_load := mode.get("load_damping"), (int, float)):
+        mode = {**mode, "load_damping": min(of_load / loop.damping, 1.0) * value}
+    return replace(loop, damping=value, mode=mode)
+
+
+class _Damping(Quantity):
+    """The damping of the device."""
+
+    def write(self, loop: Loop, value: float) -> Loop:
+        return with_damping(loop, value)
+
+
 class _Cutoff(Quantity):
     """The cut-off of the velocity filter."""
 
@@ -72,7 +87,7 @@ QUANTITIES = {
     for quantity in (
         Quantity("sampling_period_s", "sampling period T", ("s", "s")),
         Quantity("delay_samples", "delay d", ("samples", "samples"), (1 / 32, 4.0)),
-        Quantity("damping", "damping b of the device", ("Ns/m", "Nms/rad"), zero=_SMALL),
+        _Damping("damping", "damping b of the device", ("Ns/m", "Nms/rad"), zero=_SMALL),
         Quantity("mass", "mass m", ("kg", "kg m^2")),
         _Cutoff("velocity_cutoff_hz", "cut-off of the velocity filter", ("Hz", "Hz")),
         Quantity("actuator_lag_s", "lag of the actuator", ("s", "s"), (1 / 32, 4.0)),

@@ -11,6 +11,7 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.records.batch import Floats
+from pipeline.rig.quantities import with_damping
 from pipeline.surface.physical_loop import Loop
 from pipeline.theory.poles import spectral_radius
 from pipeline.theory.settling_overshoot import transient_costs
@@ -152,7 +153,7 @@ def _corners(loop: Loop, tolerance: float) -> list[Loop]:
     if tolerance == 0:
         return [loop]
     return [
-        replace(loop, mass=m * loop.mass, damping=b * loop.damping, delay_samples=d * loop.delay_samples)
+        with_damping(replace(loop, mass=m * loop.mass, delay_samples=d * loop.delay_samples), b * loop.damping)
         for m, b, d in product((1 - tolerance, 1 + tolerance), repeat=3)
     ]
 

@@ -321,6 +321,8 @@ def wall_loop(document: dict[str, Any], **other: float) -> dict[str, Any] | None
     mode = {name: part["value"] for name, part in loop["mode"].items()} if loop["mode"] else None
     if mode:
         mode["sensor"] = "load" if mode.pop("sensor_at_load") else "motor"
+        # both have errors of their own; the load bears no more than all
+        mode["load_damping"] = min(mode.get("load_damping", 0.0), numbers["damping"])
     return numbers | {
         "mass": value["mass"],
         "sampling_period_s": wall["sampling_period_s"],

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from pipeline import Loop, PipelineError, design
 from pipeline.rig.picture import picture
+from pipeline.rig.quantities import QUANTITIES
 from pipeline.rig.wish import Wish, best_wall
 from pipeline.shell.cli import application
 
@@ -156,6 +157,14 @@ def test_the_command_answers() -> None:
     document = json.loads(done.stdout)
     assert document["hand"] == "hogan"
     assert document["reached"] is True  # the arm's mass on the handle holds the wall
+
+
+def test_the_load_of_a_mode_keeps_its_share_of_a_changed_damping() -> None:
+    mode = {"frequency_hz": 60.0, "damping_ratio": 0.05, "mass": 0.1, "load_damping": 4.0}
+    rig = replace(FALCON, damping=4.0, mode=mode)
+    assert QUANTITIES["damping"].write(rig, 3.0) == replace(rig, damping=3.0, mode=mode | {"load_damping": 3.0})
+    rows = design(rig, 4000.0, settling_s=0.1, tolerance=0.05).sensitivities.set_index("quantity")
+    assert np.isfinite(rows.loc["damping", "stiffness_max_per_unit"])
 
 
 def test_a_device_without_damping_of_its_own_has_sensitivities() -> None:

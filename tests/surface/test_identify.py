@@ -13,7 +13,7 @@ from pipeline.base.errors import LogError, ParameterError
 from pipeline.device_data.devices import read_device
 from pipeline.measured.model.intervals import NEEDED
 from pipeline.shell.cli import application
-from pipeline.surface.identify import UNITS
+from pipeline.surface.identify import UNITS, wall_loop
 
 MASS, DAMPING, DELAY, T = 0.5, 3.0, 2, 1e-3
 
@@ -86,6 +86,15 @@ def test_a_device_file_is_one_that_theory_takes(found, tmp_path):
     assert experiment.mass == pytest.approx(MASS, rel=1e-3)
     assert experiment.delay_samples == pytest.approx(DELAY, rel=5e-3)
     assert "95 %" in (tmp_path / "motor.toml").read_text(encoding="utf-8")
+
+
+def test_a_load_bears_no_more_damping_than_both_sides(found):
+    each = {"value": 5.0, "low": 4.0, "high": 6.0}
+    mode = {"frequency_hz": each, "damping_ratio": each, "mass": each, "load_damping": each, "sensor_at_load": each}
+    document = found.document | {"loop": found.document["loop"] | {"mode": mode}}
+    assert wall_loop(document, damping=4.0)["mode"]["load_damping"] == 4.0
+    assert wall_loop(document, damping=-0.1)["mode"]["load_damping"] == 0.0
+    assert wall_loop(document, damping=9.0)["mode"]["load_damping"] == 5.0
 
 
 def test_the_command_prints_the_document_and_writes_the_file(staircase, tmp_path):

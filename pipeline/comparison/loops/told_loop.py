@@ -129,8 +129,7 @@ def loop_numbers(told: ToldLoop, of_logs: Sequence[VelocityFilter], parts: LoopP
             "operator": {name: exact(float(value)) for name, value in held.items()} or None,
         }
     fitted = told.devices[0].fitted
-    names = {"frequency_hz": "frequency_hz", "damping_ratio": "damping_ratio", "mass": "far_mass"}
-    names |= {"load_damping": "load_damping"}
+    names = {name: name for name in ("frequency_hz", "damping_ratio", "load_damping")} | {"mass": "far_mass"}
     found = {name: fitted.with_interval(of) for name, of in names.items() if of in fitted.values}
     most = {"mass": fitted.values["mass"]}
     mode_found = {
