@@ -127,6 +127,21 @@ MIRRORED = 2.0
 """Fall of the logarithm of what is left from which on a device moves against its command: 8 and more where a sign is
 wrong, below 0 where it is right."""
 
+IMPOSSIBLE = 1e30
+"""Cost, as a logarithm of a likelihood, of a noise under which a device cannot be computed: any other is less."""
+
+LARGEST_PRODUCT = 1e60
+"""Largest sum of squares of a column, in units near 1, from which sums over others can be computed in doubles."""
+
+VISIBLE = 4.0
+"""Squares of a segment's deviations from a straight line, in those of its noise, from which on its motion is visible:
+a plateau at constant speed says nothing of a mass, however long it is."""
+
+RESTING = (
+    "the position changes in no part of a log that is long enough: static friction or a stop may fix the device. Record "
+    "larger commands"
+)
+
 WORTH = 5.0
 """Gain of log-likelihood from which on a part, of the device or of its noise, is one: odds of 150 to 1."""
 
@@ -214,6 +229,7 @@ def portions_of(held: Stretches, trials: int) -> int:
     return 0 if trials >= FEWEST else max(1, -(-PORTIONS // max(len(held), 1)))
 
 
+@np.errstate(all="ignore")  # numbers far off overflow: they are impossible, and a search leaves them
 def moments_of(held: Stretches, device: Device, trials: int) -> Moments:
     """Return the moments of all units (trials, or portions) at a device."""
     p, portions = len(device.names), portions_of(held, trials)
@@ -221,7 +237,7 @@ def moments_of(held: Stretches, device: Device, trials: int) -> Moments:
     total, rows, spreads = np.zeros((units, p + 1, p + 1)), np.zeros(units), 0.0
     for some in chunks(held, p + 8):
         part = held.chosen(some)
-        left, spread, known = _columns(part, device)
+        left, spread, known = _columns(part, device, held)
         spreads += spread
         if not portions:
             np.add.at(total, part.trial, left.transpose(0, 2, 1) @ left)
@@ -255,16 +271,18 @@ class Starts:
     lost: float
 
     @classmethod
-    @np.errstate(over="ignore", invalid="ignore")  # as in `noise_and_jitter`
     def of(cls, held: Stretches, device: Device, errors: list[Floats]) -> Starts:
-        """Return what whitened columns (N, S) of the unknowns, in the order of the states, tell."""
+        """Return the estimates by whitened columns (N, S) of the unknowns, in the order of the states.
+
+        ``held`` are the segments that tell the variance of a reading and the range of the positions.
+        """
         # third differences of logs without noise are those of the motion
         gain, shape, variance = abs(device.numbers["gain"]), device.shape, min(held.white, device.reading)
         mode = [gain / shape.turn**2, gain / shape.turn] if shape.far else []
         farthest = 1.0 + float(np.abs(held.position).max())
         sizes = np.array([farthest, 1.0, *mode, *([gain] if shape.lag else [])])[: len(errors)]
-        before = np.broadcast_to(np.diag(np.sqrt(variance) / sizes), (len(held), len(sizes), len(sizes)))
         columns = -np.stack(errors, axis=-1).transpose(1, 0, 2)
+        before = np.broadcast_to(np.diag(np.sqrt(variance) / sizes), (len(columns), len(sizes), len(sizes)))
         basis, triangle = np.linalg.qr(np.concatenate([columns, before], axis=1))
         told = (np.diagonal(triangle, axis1=1, axis2=2) * sizes) ** 2
         share = np.maximum(1 - variance / told, 0.0)
@@ -283,11 +301,19 @@ class Starts:
 
 
 def errors_of(
-    held: Stretches, device: Device, passage: Passage, found: Filter, columns: list[Column]
+    held: Stretches,
+    device: Device,
+    passage: Passage,
+    found: Filter,
+    columns: list[Column],
+    whole: Stretches | None = None,
 ) -> tuple[list[Floats], Starts]:
-    """Return whitened columns (N, S) each, and what the errors tell of the unknown starts."""
+    """Return whitened columns (N, S) each, and the estimates of the unknown starts.
+
+    ``whole`` are all segments where ``held`` are some of them: what is known of a start before is the same for all.
+    """
     errors = passed(passage, found, [*columns, *passage.starts()])
-    return errors[: len(columns)], Starts.of(held, device, errors[len(columns) :])
+    return errors[: len(columns)], Starts.of(whole or held, device, errors[len(columns) :])
 
 
 def force_of(held: Stretches, device: Device) -> Column:
@@ -303,9 +329,9 @@ def _log_spread(held: Stretches, found: Filter) -> float:
     return float(np.log(np.broadcast_to(found.spread, held.position.shape)[held.valid]).sum())
 
 
-def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats]:
+def _columns(held: Stretches, device: Device, whole: Stretches) -> tuple[Floats, float, Floats]:
     """Return columns and errors without the starts (S, N + c, p + 1), the logarithms that make them less likely, and
-    how many unknowns of each start are told."""
+    how many unknowns of each start the readings determine; ``whole`` are all segments, of which ``held`` are some."""
     passage, nothing = device.passage(held), np.ones(len(held))
     found = Filter.of(passage, device.noise)
     linear = {
@@ -317,8 +343,9 @@ def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats]:
         clipped = np.sign(held.driven) * (np.abs(held.driven) > device.numbers["limit"])
         linear["limit"] = Column(command=clipped * device.own("gain", held.trial))
     asked = [name for name in device.names if name in linear]
-    whole = force_of(held, device)
-    (left, *base), starts = errors_of(held, device, passage, found, [whole, *(linear[name] for name in asked)])
+    force = force_of(held, device)
+    entering = [force, *(linear[name] for name in asked)]
+    (left, *base), starts = errors_of(held, device, passage, found, entering, whole)
     columns = {name: -each for name, each in zip(asked, base, strict=True)}
     common = left
     if device.effects is not None:
@@ -332,7 +359,7 @@ def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats]:
     shaped = [each.name for each in fields(Physics) if each.name in device.numbers]
     along = [device.passage(held, name) for name in shaped]
     # of the prediction with its start
-    columns |= dict(zip(shaped, slopes(passage, found, replace(whole, start=start), along), strict=True))
+    columns |= dict(zip(shaped, slopes(passage, found, replace(force, start=start), along), strict=True))
     stacked = np.stack([*(columns[name] for name in device.names), common], axis=-1).transpose(1, 0, 2)
     return starts.without(stacked), _log_spread(held, found) + starts.lost, starts.known
 
@@ -366,6 +393,7 @@ def refined(
     """
     scattered = SCATTERED if trials >= FEWEST else ()
     places = np.array([i for i, name in enumerate(device.names) if name in scattered], dtype=np.int64)
+    begin = device
     if far:
         for late in (False, jitters):
             device = _climbed(_fit(held, device, trials, places[:0]), held, trials, FIXED_STEPS).device
@@ -387,6 +415,11 @@ def refined(
     if noisy and found.device.noise != WHITE:
         plain = _climbed(_fit(held, replace(found.device, noise=WHITE), trials, places), held, trials, steps)
         found = plain if plain.likelihood > found.likelihood else found
+    if far and noisy and not len(scattered) and found.device.noise != WHITE:
+        # a random force that is found before the search ends may replace what another device explains
+        device = _climbed(_fit(held, begin, trials, places), held, trials, steps).device
+        other = refined(held, device, trials, steps, far=False, jitters=jitters)
+        found = other if other.likelihood > found.likelihood else found
     return found
 
 
@@ -404,8 +437,9 @@ def ended(held: Stretches, device: Device, trials: int) -> Fit:
 def _fit(held: Stretches, device: Device, trials: int, places: Integers) -> Fit:
     """Return what the likelihood says at a device, with scatter between trials of the numbers at some places."""
     moments = moments_of(held, device, trials)
-    if not np.isfinite(moments.products).all():
-        moments = replace(moments, products=np.zeros_like(moments.products), log_spread=np.inf)
+    if not (np.abs(moments.products) < LARGEST_PRODUCT).all() or not np.isfinite(moments.log_spread):
+        nothing, rows = np.zeros_like(moments.products), np.ones(len(moments.products))
+        moments = replace(moments, products=nothing, rows=rows, log_spread=np.inf)
     solved = solve(moments, places)
     alike = float(held.rows.sum() / max(held.distinct.sum(), 1.0)) if device.noise == WHITE else 1.0
     device = replace(device, effects=solved.effects if len(places) else None, reading=solved.noise)
@@ -428,7 +462,7 @@ def phases_of(held: Stretches, fit: Fit, trials: int) -> Floats:
     total, score = np.diag(fit.moments.before[0]), np.zeros((PHASES, p))
     for some in chunks(held, p + 8):
         part = held.chosen(some)
-        left = _columns(part, fit.device)[0]
+        left = _columns(part, fit.device, held)[0]
         unit = part.trial[:, None]
         if portions:
             ends = (np.arange(left.shape[1]) + 1) * portions - 1
@@ -480,7 +514,7 @@ def noise_and_jitter(held: Stretches, device: Device, *, jitters: bool) -> Noise
     constant, command = Column(direct=np.ones(len(some))), device.numbers["gain"] ** 2
     white = some.white
 
-    @np.errstate(over="ignore", invalid="ignore")  # numbers far off overflow: they cost NaN, and a search leaves them
+    @np.errstate(all="ignore")  # as in `moments_of`
     def cost(force: float, jitter: float = 0.0, reading: float = 1.0) -> float:
         noise = Noise(force, command / (reading * white) if jitter else 0.0, jitter)
         passage = Passage(some, device.shape, jitter)
@@ -495,8 +529,11 @@ def noise_and_jitter(held: Stretches, device: Device, *, jitters: bool) -> Noise
         # the strength of a jitter is that of its forces, beside the noise of a reading
         variance = reading * white if jitter else np.maximum(squares / rows, some.least)
         lost = 0.5 * (rows * np.log(variance) + squares / variance + np.log(pushed)).sum()
-        return float(lost) + _log_spread(some, found) + starts.lost
+        whole_cost = float(lost) + _log_spread(some, found) + starts.lost
+        return whole_cost if np.isfinite(whole_cost) else IMPOSSIBLE
 
+    if cost(0.0) >= IMPOSSIBLE:
+        return WHITE
     none, (force, by_force) = cost(0.0), _likeliest(cost, MEMORIES)
     # what rounding leaves may look like a little of either
     still, least = (Noise(force), by_force) if by_force < none - WORTH else (WHITE, none)
@@ -569,7 +606,8 @@ def first_guess(held: Stretches, names: tuple[str, ...], most_delay: float) -> D
     way = middle - y[0] * some.rests
     once = np.vstack([np.zeros((1, len(some))), np.cumsum(way * dt, axis=0)[:-1]])
     tried: list[tuple[float, dict[str, float]]] = []
-    against = np.inf
+    signs: list[Floats] = []
+    noise = some.rows * some.white
     for delay in np.arange(0.0, most_delay + 0.5) if "delay" in names else (0.0,):
         passage = Passage(some, Physics(delay=float(delay)))
         forces = [
@@ -584,13 +622,26 @@ def first_guess(held: Stretches, names: tuple[str, ...], most_delay: float) -> D
         q, _ = np.linalg.qr(np.stack([each * some.valid for each in starts], axis=-1).transpose(1, 0, 2))
         columns = columns.transpose(1, 0, 2)
         columns = columns - q @ (q.transpose(0, 2, 1) @ columns)
-        found, left = _robust(columns.transpose(0, 2, 1) @ columns)
-        # late by half a period a swing is that of a force the other way round
-        backwards = found[list(known).index("gain")] < 0
-        against = min(against, left) if backwards else against
-        tried.append((np.inf if backwards else left, dict(zip(known, found.tolist(), strict=True)) | {"delay": delay}))
+        products = columns.transpose(0, 2, 1) @ columns
+        moved = products[:, -1, -1]
+        seen = moved > (VISIBLE * noise if (moved > VISIBLE * noise).any() else 0.0)
+        if not seen.any():
+            raise ParameterError(RESTING)
+        products, floor = products[seen], noise[seen]
+        found, left, weight = _robust(products)
+        if found[list(known).index("gain")] < 0:
+            # late by half a period, or over rows far apart, a motion is that of a force the other way round as well
+            fits = [_bounded(products, weight, tuple(known), sign) for sign in (1.0, -1.0, 0.0)]
+            signs.append(np.array([_left(products, each, floor) for each in fits]))
+            found, left = fits[0], _left(products, fits[0])
+            if found[list(known).index("gain")] == 0:
+                left = np.inf
+        else:
+            signs.append(np.array([_left(products, found, floor), np.inf, np.inf]))
+        tried.append((left, dict(zip(known, found.tolist(), strict=True)) | {"delay": delay}))
     lefts = np.array([left for left, _ in tried])
-    if against < min(float(lefts.min()), 0.0) - MIRRORED:
+    along, against, unmoved = np.min(signs, axis=0).tolist()
+    if against < min(along, unmoved, 0.0) - MIRRORED:
         raise ParameterError(
             "the device moves against its command, so that one of the two has the wrong sign. Set the other `sign` of "
             "columns.command in the profile"
@@ -615,25 +666,64 @@ def shortest(lefts: Floats) -> int:
     return first
 
 
-def _robust(products: Floats) -> tuple[Floats, float]:
-    """Return least squares over stretches, and the logarithm of the share of the motion that is left.
+def _robust(products: Floats) -> tuple[Floats, float, Floats]:
+    """Return least squares over segments, the logarithm of the share of the motion that is left, and the weights.
 
-    A stretch of which much more is left than of most weighs little.
-
-    A stretch tells by how far it moves, up to what most do: one that rests is left little by any device, and one that
-    grows without bound would say all alone.
+    A segment of which much more is left than of most has little weight. The share is a mean over segments by how far
+    they move, up to what most of them do: one that grows without bound would decide alone.
     """
-    way = np.sqrt(products[:, -1, -1])
-    way = np.minimum(way, np.median(way[way > 0]) if way.any() else 1.0)
-    way /= max(float(way.sum()), 1e-300)
+    way = _ways(products)
     weight = np.ones(len(products))
     for _ in range(ROBUST_ROUNDS):
         total = (products * weight[:, None, None]).sum(axis=0)
-        found = np.linalg.lstsq(total[:-1, :-1], total[:-1, -1], rcond=1e-12)[0]
+        # columns of unit size: the integrals of long segments differ by many orders
+        scale = 1 / np.sqrt(np.maximum(np.diagonal(total)[:-1], 1e-300))
+        scaled = total[:-1, :-1] * scale[:, None] * scale[None, :]
+        found = scale * np.linalg.lstsq(scaled, scale * total[:-1, -1], rcond=1e-12)[0]
         whole = np.append(-found, 1.0)
         left = np.maximum(np.einsum("i,tij,j->t", whole, products, whole), 1e-300)
         order = np.argsort(left)
-        middle = float(left[order[np.searchsorted(np.cumsum(way[order]), 0.5)]])
+        reached = int(np.searchsorted(np.cumsum(way[order]), 0.5))
+        middle = float(left[order[min(reached, len(left) - 1)]])
         weight = middle / (middle + left)
-    moved = np.maximum(products[:, -1, -1], 1e-300)
-    return found, float(way @ np.log(left / moved))
+    return found, _left(products, found), weight
+
+
+def _ways(products: Floats) -> Floats:
+    """Return the weight of each segment in a mean: how far it moves, up to the median, with a sum of 1."""
+    way = np.sqrt(products[:, -1, -1])
+    way = np.minimum(way, np.median(way))
+    return np.asarray(way / max(float(way.sum()), 1e-300))
+
+
+def _left(products: Floats, found: Floats, floor: Floats | float = 1e-300) -> float:
+    """Return the mean logarithm of the share of the motion of segments that a balance of forces leaves.
+
+    ``floor`` is what the noise of readings leaves at least of each.
+    """
+    whole = np.append(-found, 1.0)
+    left = np.maximum(np.einsum("i,tij,j->t", whole, products, whole), floor)
+    moved = np.maximum(products[:, -1, -1], floor)
+    return float(_ways(products) @ np.log(np.maximum(left, 1e-300) / np.maximum(moved, 1e-300)))
+
+
+def _bounded(products: Floats, weight: Floats, names: tuple[str, ...], sign: float) -> Floats:
+    """Return least squares over segments for a gain of one sign, or of 0, and no negative friction.
+
+    Damping, stiffness and Coulomb friction are not negative: with all of them reversed a device would follow its
+    command as well.
+    """
+    from scipy.optimize import nnls
+
+    total = (products * weight[:, None, None]).sum(axis=0)
+    scale = 1 / np.sqrt(np.maximum(np.diagonal(total), 1e-300))
+    values, vectors = np.linalg.eigh(total * scale[:, None] * scale[None, :])
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    ways = {"gain": [sign] if sign else [], "force": [1.0, -1.0]}
+    signed = [(place, way) for place, name in enumerate(names) for way in ways.get(name, [1.0])]
+    columns = np.stack([way * root[:, place] for place, way in signed], axis=1)
+    amounts, _ = nnls(columns, root[:, -1])
+    found = np.zeros(len(names))
+    for (place, way), amount in zip(signed, amounts.tolist(), strict=True):
+        found[place] += way * amount * scale[place] / scale[-1]
+    return found

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from pipeline.measured.signal.sensor import position_quantum
 from pipeline.records.batch import Booleans, Floats, Integers
 
 REGULAR = 0.05
@@ -228,11 +229,11 @@ def reading_noise(position: Floats) -> float:
 
 
 def rounding(position: Floats) -> float:
-    """Return the standard deviation of a reading's rounding to the sensor's quantum, 0 where none is seen."""
-    steps = np.abs(np.diff(position))
-    steps = steps[steps > 1e-9 * max(float(np.ptp(position)), 1e-300)]
-    quantum = float(np.quantile(steps, 0.02)) if len(steps) > 20 and len(steps) < 0.8 * len(position) else 0.0
-    return quantum / float(np.sqrt(12.0))
+    """Return the standard deviation of a reading's rounding to the sensor's resolution, 0 where none is seen.
+
+    A fast motion may change by several steps of the sensor in every row, a steady one by a whole number of them.
+    """
+    return float(position_quantum(position[None])[0]) / float(np.sqrt(12.0))
 
 
 def stretches(recordings: list[Recording], scales: Scales, lead: int, moving: bool) -> Stretches:

@@ -212,16 +212,24 @@ class Filter:
 
     @classmethod
     def _steady(cls, passage: Passage, force: float) -> Filter:
-        """Return the filter that goes on for ever: its memory of the start is doubled until nothing changes."""
+        """Return the filter that goes on for ever: its memory of the start is doubled until nothing changes.
+
+        Gains are NaN where doubles do not reach it, as of a device that runs away faster than its readings show.
+        """
         moved, pushed, sensor = passage.transition[0, 0], passage.disturbed[0, 0], passage.sensor
         a, g, h = moved.T, np.outer(sensor, sensor), force * np.outer(pushed, pushed)
         for _ in range(DOUBLINGS):
-            inner = np.linalg.inv(np.eye(len(a)) + g @ h)
+            try:
+                inner = np.linalg.inv(np.eye(len(a)) + g @ h)
+            except np.linalg.LinAlgError:
+                h = np.full_like(h, np.nan)
+                break
             a, g, more = a @ inner @ a, g + a @ inner @ g @ a.T, a.T @ h @ inner @ a
             h = h + more
             if np.abs(more).max() <= STEADY * np.abs(h).max():
                 break
         variance = 1.0 + float(sensor @ h @ sensor)
+        variance = variance if variance >= 1.0 else np.nan
         return cls((h @ sensor / variance)[None, None], np.full((1, 1), np.sqrt(variance)))
 
 

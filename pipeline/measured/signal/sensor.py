@@ -46,33 +46,38 @@ def sensor_floor(quantum: Floats, noise: Floats) -> Floats:
 
 
 def sensor_quantum(batch: TrialBatch) -> Floats:
-    """Return the step of the sensor [m, rad], shape (n,): the coarsest grid on which positions lie, 0 where none is.
-
-    Single precision and printed digits put the positions on a finer grid of their own, whose step is not the
-    sensor's: a grid that is coarser, and on which they lie but for that rounding, goes first.
-    """
+    """Return the step of the sensor [m, rad] of each trial, shape (n,): see `position_quantum`."""
     quantum = np.zeros(len(batch))
     for some, part in batch.portions():
-        # padding does not move; a fast motion never changes by one quantum a sample, but its changes differ by one
-        steps = [np.abs(np.nan_to_num(np.diff(part.position, n=n, axis=1))) for n in (1, 2)]
-        rounding = ROUNDING_UNITS * np.finfo(np.float64).eps * np.nanmax(np.abs(part.position), axis=1, initial=0.0)
-        size = np.concatenate(steps, axis=1)
-        size = np.sort(np.where(size > rounding[:, None], size, np.inf), axis=1)
-        if not size.shape[1]:
-            continue
-        change = np.where(steps[0] > rounding[:, None], steps[0], 0.0)
-        exact = _grid(change, size[:, 0], GRID_TOLERANCE, np.inf, 1)
-        # beyond 1/tolerance multiples the rounding of the positions themselves hides the grid
-        exact[exact <= rounding / GRID_TOLERANCE] = 0.0
-        with np.errstate(invalid="ignore"):
-            ratio = np.where(np.isfinite(size[:, 1:]), size[:, 1:] / size[:, :-1], 0.0)
-        # without a gap the smallest change is no candidate: those of a smooth motion have common measures of their own
-        gap, trial = np.argmax(ratio, axis=1), np.arange(len(part))
-        above = np.where(ratio[trial, gap] > STORED_GAP, size[trial, gap + 1], np.inf)
-        finite = np.where(np.isfinite(size), size, 0.0)
-        stored = _grid(finite, above, STORED_TOLERANCE, STORED_MULTIPLES, FEWEST_ON_GRID)
-        quantum[some] = np.where(stored > STORED_GAP * exact, stored, exact)
+        quantum[some] = position_quantum(part.position)
     return quantum
+
+
+def position_quantum(position: Floats) -> Floats:
+    """Return the step of the grid on which positions (n, N) lie, shape (n,): the coarsest one, 0 where there is none.
+
+    Single precision and printed digits put the positions on a finer grid of their own, whose step is not the
+    sensor's: a grid that is coarser, and on which they lie but for that rounding, goes first. NaN is padding.
+    """
+    # padding does not move; a fast motion never changes by one quantum a sample, but its changes differ by one
+    steps = [np.abs(np.nan_to_num(np.diff(position, n=n, axis=1))) for n in (1, 2)]
+    size = np.concatenate(steps, axis=1)
+    if size.shape[1] < 2:
+        return np.zeros(len(position))
+    rounding = ROUNDING_UNITS * np.finfo(np.float64).eps * np.nanmax(np.abs(position), axis=1, initial=0.0)
+    size = np.sort(np.where(size > rounding[:, None], size, np.inf), axis=1)
+    change = np.where(steps[0] > rounding[:, None], steps[0], 0.0)
+    exact = _grid(change, size[:, 0], GRID_TOLERANCE, np.inf, 1)
+    # beyond 1/tolerance multiples the rounding of the positions themselves hides the grid
+    exact[exact <= rounding / GRID_TOLERANCE] = 0.0
+    with np.errstate(invalid="ignore"):
+        ratio = np.where(np.isfinite(size[:, 1:]), size[:, 1:] / size[:, :-1], 0.0)
+    # without a gap the smallest change is no candidate: those of a smooth motion have common measures of their own
+    gap, trial = np.argmax(ratio, axis=1), np.arange(len(position))
+    above = np.where(ratio[trial, gap] > STORED_GAP, size[trial, gap + 1], np.inf)
+    finite = np.where(np.isfinite(size), size, 0.0)
+    stored = _grid(finite, above, STORED_TOLERANCE, STORED_MULTIPLES, FEWEST_ON_GRID)
+    return np.asarray(np.where(stored > STORED_GAP * exact, stored, exact))
 
 
 def _grid(size: Floats, smallest: Floats, tolerance: float, most: float, fewest: int) -> Floats:
