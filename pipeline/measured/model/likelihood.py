@@ -133,13 +133,16 @@ IMPOSSIBLE = 1e30
 LARGEST_PRODUCT = 1e60
 """Largest sum of squares of a column, in units near 1, from which sums over others can be computed in doubles."""
 
+SMALLEST_SHARE = 1e-6
+"""Share of a column, as the square root of that of `numpy.linalg.lstsq`, below which it is rounding of the others."""
+
 VISIBLE = 4.0
 """Squares of a segment's deviations from a straight line, in those of its noise, from which on its motion is visible:
 a plateau at constant speed says nothing of a mass, however long it is."""
 
 RESTING = (
-    "the position changes in no part of a log that is long enough: static friction or a stop may fix the device. Record "
-    "larger commands"
+    "the position changes in no part of a log that is long enough: static friction or a stop may fix the device. "
+    "Record larger commands"
 )
 
 WORTH = 5.0
@@ -722,7 +725,9 @@ def _bounded(products: Floats, weight: Floats, names: tuple[str, ...], sign: flo
     ways = {"gain": [sign] if sign else [], "force": [1.0, -1.0]}
     signed = [(place, way) for place, name in enumerate(names) for way in ways.get(name, [1.0])]
     columns = np.stack([way * root[:, place] for place, way in signed], axis=1)
-    amounts, _ = nnls(columns, root[:, -1])
+    # where two columns are the same, as of friction and a constant force in one direction, both are small
+    columns = np.vstack([columns, SMALLEST_SHARE * np.eye(columns.shape[1])])
+    amounts, _ = nnls(columns, np.append(root[:, -1], np.zeros(columns.shape[1])))
     found = np.zeros(len(names))
     for (place, way), amount in zip(signed, amounts.tolist(), strict=True):
         found[place] += way * amount * scale[place] / scale[-1]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from pipeline.base.errors import ParameterError
 from pipeline.measured.model.intervals import Errors, physical
 from pipeline.measured.model.likelihood import (
     BEFORE,
@@ -20,7 +21,7 @@ from pipeline.measured.model.likelihood import (
     refined,
     spread,
 )
-from pipeline.measured.model.recordings import Recording, Scales, Stretches, stretches
+from pipeline.measured.model.recordings import SHORTEST, Recording, Scales, Stretches, stretches
 from pipeline.measured.model.scatter import Solved, inverse, solve
 from pipeline.measured.model.whitening import WHITE, Noise
 from pipeline.records.batch import Integers
@@ -38,6 +39,9 @@ NUMBERS = {
     "load damping": ("drag",),
 }
 """Numbers of each part."""
+
+SHORTER = (150,)
+"""Rows of the short segments by which a search starts, too: about ten time constants of a fast motor at 1 kHz."""
 
 FOLDS = 5
 
@@ -160,7 +164,7 @@ def chosen(recordings: list[Recording]) -> Choice:
     rows = int(np.median([len(each.time) for each in some]))
     base, assumed = _base(some)
     begin = _begin(some, scales, base, int(np.clip(rows // 8, 2, LONGEST_DELAY)))
-    lead, trials = int(np.ceil(begin.numbers.get("delay", 0.0))) + 3, len(some)
+    lead, trials = int(np.ceil(max(each.numbers.get("delay", 0.0) for each in begin))) + 3, len(some)
     fit, held, parts, bounds = _first(some, scales, lead, begin)
     fit, parts = _further(held, fit, parts, trials)
     if set(parts) - {"friction", "stiffness"}:
@@ -213,15 +217,17 @@ def again(choice: Choice, recordings: list[Recording]) -> Choice:
 
 
 def _first(
-    recordings: list[Recording], scales: Scales, lead: int, begin: Device
+    recordings: list[Recording], scales: Scales, lead: int, begin: list[Device]
 ) -> tuple[Fit, Stretches, dict[str, float], dict[str, float]]:
     """Return the fit with friction and spring where there are some or may be, its stretches, those parts, and bounds.
+
+    The search starts from each of some devices.
 
     Bounds are the upper ends of friction and spring [SI] with both in the fit.
     """
     trials, bounds, fit = len(recordings), {}, None
-    if "coulomb" in begin.numbers and len(held := stretches(recordings, scales, lead, True)):
-        whole = refined(held, begin, trials)
+    if "coulomb" in begin[0].numbers and len(held := stretches(recordings, scales, lead, True)):
+        whole = _searched(held, begin, trials)
         bounds = {name: _upper(whole, name, scales) for name in ("friction", "stiffness")}
         fit, parts = _worth(held, whole, trials)
         gain, numbers = _loss(fit, "coulomb"), fit.device.numbers
@@ -229,9 +235,10 @@ def _first(
         if rubs or _upper(fit, "friction", scales) >= OPEN * scales.command:
             return fit, held, {"friction": gain if rubs else 0.0} | parts, bounds
     held = stretches(recordings, scales, lead, False)
-    near = begin if fit is None else fit.device
-    numbers = {"gamma": 0.0} | {name: value for name, value in near.numbers.items() if name != "coulomb"}
-    fit = refined(held, Device(numbers, near.noise), trials, far=fit is None)
+    starts = begin if fit is None else [fit.device]
+    slides = [{name: value for name, value in each.numbers.items() if name != "coulomb"} for each in starts]
+    starts = [Device({"gamma": 0.0} | numbers, each.noise) for each, numbers in zip(starts, slides, strict=True)]
+    fit = refined(held, starts[0], trials, far=False) if fit is not None else _searched(held, starts, trials)
     bounds["stiffness"] = _upper(fit, "stiffness", scales)
     fit, parts = _worth(held, fit, trials)
     return fit, held, parts, bounds
@@ -265,12 +272,41 @@ def _base(recordings: list[Recording]) -> tuple[tuple[str, ...], tuple[str, ...]
     return ("gain", "delta"), ("delay", "constant_force")
 
 
-def _begin(recordings: list[Recording], scales: Scales, base: tuple[str, ...], lead: int) -> Device:
-    """Return a device from which a search starts, with a spring, and with friction where directions are seen."""
+def _begin(recordings: list[Recording], scales: Scales, base: tuple[str, ...], lead: int) -> list[Device]:
+    """Return devices from which a search starts, with a spring, and with friction where directions are seen.
+
+    The balances of forces are integrated over whole segments, and over short ones: a long plateau behind a fast motion
+    outweighs it, and short segments of a slow motion hardly move.
+
+    Raises
+    ------
+    ParameterError
+        If no part of a log is long enough or moves, or the device moves against its command.
+    """
     held, names = stretches(recordings, scales, lead, True), (*base, "gamma", "coulomb")
     if not len(held):
         names, held = (*base, "gamma"), stretches(recordings, scales, lead, False)
-    return first_guess(held, names, lead)
+    if not len(held):
+        raise ParameterError(
+            f"no log has {SHORTEST} rows in sequence behind the {lead} whose commands a delay may need; record longer "
+            "logs, with the step nearer to their begin"
+        )
+    parts = [held, *(held.shorter(rows) for rows in SHORTER if held.rows.max() > 2 * rows)]
+    return [first_guess(part, names, lead) for part in parts]
+
+
+def _searched(held: Stretches, begin: list[Device], trials: int) -> Fit:
+    """Return the likeliest fit from the first of some devices, and from the others where it leaves a random force."""
+    fit = refined(held, begin[0], trials)
+    if fit.device.noise == WHITE or len(begin) == 1:
+        return fit
+    some = _some(held)
+    fits = [refined(some, device, trials) for device in begin]
+    best = int(np.argmax([each.likelihood for each in fits]))
+    if fits[best].likelihood <= fits[0].likelihood + WORTH:
+        return fit
+    other = refined(held, replace(fits[best].device, effects=None), trials, far=False)
+    return other if other.likelihood > fit.likelihood else fit
 
 
 def _pruned(
