@@ -396,7 +396,6 @@ def refined(
     """
     scattered = SCATTERED if trials >= FEWEST else ()
     places = np.array([i for i, name in enumerate(device.names) if name in scattered], dtype=np.int64)
-    begin = device
     if far:
         for late in (False, jitters):
             device = _climbed(_fit(held, device, trials, places[:0]), held, trials, FIXED_STEPS).device
@@ -418,12 +417,12 @@ def refined(
     if noisy and found.device.noise != WHITE:
         plain = _climbed(_fit(held, replace(found.device, noise=WHITE), trials, places), held, trials, steps)
         found = plain if plain.likelihood > found.likelihood else found
-    if far and noisy and not len(scattered) and found.device.noise != WHITE:
-        # a random force that is found before the search ends may replace what another device explains
-        device = _climbed(_fit(held, begin, trials, places), held, trials, steps).device
-        other = refined(held, device, trials, steps, far=False, jitters=jitters)
-        found = other if other.likelihood > found.likelihood else found
     return found
+
+
+def climbed(held: Stretches, device: Device, trials: int, steps: int = STEPS) -> Device:
+    """Return the likeliest device near one for its noise as it is, without scatter between trials."""
+    return _climbed(_fit(held, device, trials, np.empty(0, dtype=np.int64)), held, trials, steps).device
 
 
 def ended(held: Stretches, device: Device, trials: int) -> Fit:

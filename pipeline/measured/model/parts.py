@@ -15,6 +15,7 @@ from pipeline.measured.model.likelihood import (
     WORTH,
     Device,
     Fit,
+    climbed,
     ended,
     first_guess,
     moments_of,
@@ -22,7 +23,7 @@ from pipeline.measured.model.likelihood import (
     spread,
 )
 from pipeline.measured.model.recordings import SHORTEST, Recording, Scales, Stretches, stretches
-from pipeline.measured.model.scatter import Solved, inverse, solve
+from pipeline.measured.model.scatter import FEWEST, Solved, inverse, solve
 from pipeline.measured.model.whitening import WHITE, Noise
 from pipeline.records.batch import Integers
 
@@ -296,17 +297,29 @@ def _begin(recordings: list[Recording], scales: Scales, base: tuple[str, ...], l
 
 
 def _searched(held: Stretches, begin: list[Device], trials: int) -> Fit:
-    """Return the likeliest fit from the first of some devices, and from the others where it leaves a random force."""
+    """Return the likeliest fit from the first of some devices.
+
+    Where it leaves a random force, the search also climbs from all of them without one: a random force that is found
+    before the search ends may replace friction, a delay, or a fast motion.
+    """
     fit = refined(held, begin[0], trials)
-    if fit.device.noise == WHITE or len(begin) == 1:
+    if fit.device.noise == WHITE or (len(begin) == 1 and trials >= FEWEST):
         return fit
     some = _some(held)
-    fits = [refined(some, device, trials) for device in begin]
-    best = int(np.argmax([each.likelihood for each in fits]))
-    if fits[best].likelihood <= fits[0].likelihood + WORTH:
-        return fit
-    other = refined(held, replace(fits[best].device, effects=None), trials, far=False)
+    climbs = [climbed(some, device, trials) for device in begin]
+    best = max(climbs, key=lambda device: _likelihood(some, device, trials))
+    other = refined(some, best, trials, far=False)
+    if len(some) < len(held):
+        whole = refined(some, replace(fit.device, effects=None), trials, far=False)
+        if other.likelihood <= whole.likelihood + WORTH:
+            return fit
+        other = refined(held, replace(other.device, effects=None), trials, far=False)
     return other if other.likelihood > fit.likelihood else fit
+
+
+def _likelihood(held: Stretches, device: Device, trials: int) -> float:
+    """Return the likelihood of a device as it is."""
+    return solve(moments_of(held, device, trials), np.empty(0, dtype=np.int64)).here
 
 
 def _pruned(
