@@ -93,7 +93,7 @@ BOUNDED = {*NEEDED} - {"mass", "constant_force", "mode_frequency", "force_limit"
 @dataclass(frozen=True, eq=False)
 class Errors:
     """What intervals rest on: numbers and their covariance, those without each unit, degrees of freedom, the change of
-    the numbers by an error of the noise, and what each phase of the motion adds to them."""
+    the numbers by an error of the noise, what each phase of the motion adds to them, and the steps to other optima."""
 
     numbers: Numbers
     covariance_of_numbers: Floats
@@ -101,6 +101,7 @@ class Errors:
     freedom: float
     open: Floats
     phases: Floats
+    optima: Floats
 
     @classmethod
     def of(cls, fit: Fit) -> Errors:
@@ -120,7 +121,7 @@ class Errors:
         nothing *= FAR / np.abs(nothing / sizes).max(axis=1, keepdims=True, initial=1e-300)
         # equal readings count as one
         known = fit.alike * inverse(total) + nothing.T @ nothing
-        return cls(numbers, known, steps, freedom, fit.open, fit.phases)
+        return cls(numbers, known, steps, freedom, fit.open, fit.phases, fit.optima)
 
     def interval(self, quantity: Quantity, bounded: bool = False, unit: float = 0.0) -> Interval:
         """Return a quantity's value and interval; one that is not negative by its profile likelihood at 0.
@@ -176,4 +177,5 @@ class Errors:
             freedom = len(groups) - 1.0
             wider = float(student_95(freedom) / student_95(self.freedom))
             variance = np.maximum(variance, wider**2 * (1 + 1 / freedom) * (groups**2).sum(axis=0))
-        return np.asarray(variance + (slopes @ self.open) ** 2)
+        optima = np.abs(slopes @ self.optima.T).max(axis=1, initial=0.0) / float(student_95(self.freedom))
+        return np.asarray(variance + (slopes @ self.open) ** 2 + optima**2)

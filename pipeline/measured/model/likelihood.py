@@ -202,7 +202,8 @@ class Fit:
     ``solved`` at the device, with its ``moments`` and the ``places`` of numbers that scatter; units are portions of
     ``few`` logs, else trials. ``alike`` is the mean number of equal readings in a row, which count as one, ``open``
     (p,) how far the numbers move with a jitter that is larger by its error, ``phases`` (8, p) what each phase of the
-    motion adds to them: nothing but noise where the model holds all. None of a fit that has not `ended`.
+    motion adds to them: nothing but noise where the model holds all. None of a fit that has not `ended`. ``optima``
+    (k, p) are the steps to other optima of the likelihood that the logs do not exclude.
     """
 
     device: Device
@@ -213,6 +214,7 @@ class Fit:
     alike: float
     open: Floats
     phases: Floats
+    optima: Floats
 
     @property
     def likelihood(self) -> float:
@@ -446,7 +448,9 @@ def _fit(held: Stretches, device: Device, trials: int, places: Integers) -> Fit:
     alike = float(held.rows.sum() / max(held.distinct.sum(), 1.0)) if device.noise == WHITE else 1.0
     device = replace(device, effects=solved.effects if len(places) else None, reading=solved.noise)
     p = len(device.names)
-    return Fit(device, solved, moments, places, trials < FEWEST, alike, np.zeros(p), np.zeros((PHASES, p)))
+    return Fit(
+        device, solved, moments, places, trials < FEWEST, alike, np.zeros(p), np.zeros((PHASES, p)), np.zeros((1, p))
+    )
 
 
 def phases_of(held: Stretches, fit: Fit, trials: int) -> Floats:

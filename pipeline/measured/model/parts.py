@@ -10,6 +10,8 @@ from pipeline.base.errors import ParameterError
 from pipeline.measured.model.intervals import Errors, physical
 from pipeline.measured.model.likelihood import (
     BEFORE,
+    DONE,
+    LAST_STEPS,
     LIMITS,
     ROUNDED_ROW,
     WORTH,
@@ -64,6 +66,9 @@ DRAGS = (0.2, 0.5, 0.8)
 
 LAGS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Lags [samples] from which one is looked for, each of which the next one resembles."""
+
+DELAYS, FRICTIONS = 4, (0.3, 2.0)
+"""Delays over their range, and friction relative to the likeliest, from which other optima are looked for."""
 
 UNSEEN = (0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8, 1.1, 1.6, 2.2, 3.2)
 """Lags [samples] that may be part of a delay: rounding makes shorter ones likelier than none."""
@@ -173,6 +178,8 @@ def chosen(recordings: list[Recording]) -> Choice:
     if len(places) < len(recordings):
         held = stretches(recordings, scales, lead, "friction" in parts)
     fit = ended(held, replace(fit.device, effects=None), len(recordings))
+    if fit.few and "coulomb" in fit.device.numbers and "delay" in fit.device.numbers:
+        fit = _spanned(held, fit, len(recordings), lead)
     bounds = {name: end for name, end in bounds.items() if name not in parts}
     numbers, period = fit.device.numbers, scales.period
     if lag := _unseen_lag(held, fit, len(recordings)):
@@ -180,6 +187,27 @@ def chosen(recordings: list[Recording]) -> Choice:
     elif numbers.get("lag", np.inf) < IMITATED:
         bounds["delay"] = (numbers["delay"] + numbers["lag"]) * period
     return Choice(fit, held, scales, parts, assumed, bounds)
+
+
+def _spanned(held: Stretches, fit: Fit, trials: int, lead: int) -> Fit:
+    """Return the likeliest of several optima, with intervals that reach to those that the logs do not exclude.
+
+    With friction few logs leave several: where a motion turns depends on both friction and delay. They are searched
+    from delays over the whole range, with less and with more friction.
+    """
+    numbers = fit.device.numbers
+    starts = [
+        replace(fit.device, numbers=numbers | {"delay": float(delay), "coulomb": share * numbers["coulomb"]})
+        for delay in np.unique(np.linspace(0, max(lead - 3, 1), DELAYS).round())
+        for share in FRICTIONS
+    ]
+    climbs = (climbed(held, device, trials, SOME_STEPS) for device in starts)
+    fits = [fit, *(refined(held, each, trials, LAST_STEPS, far=False, noisy=False) for each in climbs)]
+    best = max(fits, key=lambda each: each.likelihood)
+    best = fit if best.likelihood < fit.likelihood + DONE else ended(held, best.device, trials)
+    near = [each for each in fits if each.likelihood > best.likelihood - BESIDE * best.alike]
+    steps = [np.array(list(each.device.numbers.values())) - list(best.device.numbers.values()) for each in near]
+    return replace(best, optima=np.stack(steps))
 
 
 def _unseen_lag(held: Stretches, fit: Fit, trials: int) -> float:
