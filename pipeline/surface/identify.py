@@ -226,6 +226,7 @@ def _document(
                 **_numbers(interval, name not in found.untold),
                 "unit": UNITS[name][turning],
                 "told": name not in found.untold,
+                "reason": found.reasons.get(name),
             }
             for name, interval in found.parameters.items()
         ],

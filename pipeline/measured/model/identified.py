@@ -7,13 +7,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.base.wording import counted, listed
 from pipeline.measured.model.intervals import BOUNDED, NEEDED, Errors, Interval, physical
 from pipeline.measured.model.likelihood import Device, Fit, refined
 from pipeline.measured.model.parts import Choice, chosen
+from pipeline.measured.model.quasi_static import damping_without_inertia
 from pipeline.measured.model.recordings import SHORTEST, Recording, Scales, stretches
 from pipeline.measured.model.replay import Replay, replayed
 from pipeline.measured.model.scatter import FEWEST, inverse
-from pipeline.measured.model.told import Combination, Recorded, combinations, is_told
+from pipeline.measured.model.told import (
+    FEWEST_COUNTS,
+    Combination,
+    Recorded,
+    combinations,
+    largest_command,
+    reasons,
+    sensor_resolution,
+    stuck,
+    unidentifiable,
+)
 from pipeline.records.batch import Floats
 
 FOLDS = 5
@@ -24,6 +36,12 @@ MOST_REPLAYED = 40
 EXPLAINS = 0.5
 """Weight of a trial from which on the device explains it; see `scatter.OWN_ROWS`."""
 
+SAME_PERIOD = 0.05
+"""Difference of sampling periods, relative to them, up to which logs are those of one."""
+
+SMALLEST_UNIT = 1e-60
+"""Smallest unit of position, command and time in SI, and the inverse of the largest: squares of more overflow."""
+
 LAST = 0.4
 """Share of a single log that is replayed by the device fitted to what came before."""
 
@@ -32,7 +50,8 @@ LAST = 0.4
 class Identified:
     """What recordings say of a device.
 
-    ``parameters``: intervals in SI by name. ``untold``: names among them whose value is not told; ``parts``: gain of
+    ``parameters``: intervals in SI by name. ``untold``: names among them whose value cannot be identified, for which
+    ``reasons`` has a sentence each; ``parts``: gain of
     held-out log-likelihood by part; ``assumed``: what had to be taken as none, by name; ``noise``: standard deviation
     of a reading [m, rad]; ``disturbance``: of the random force, held over a sample [N, Nm]; ``scatter``: standard
     deviations from trial to trial by name. ``covariance`` of the parameters, in their order; ``folds``: their values
@@ -41,6 +60,7 @@ class Identified:
 
     parameters: dict[str, Interval]
     untold: set[str]
+    reasons: dict[str, str]
     parts: dict[str, float]
     assumed: tuple[str, ...]
     combinations: list[Combination]
@@ -81,16 +101,11 @@ def identified(recordings: list[Recording]) -> Identified:
     units |= dict.fromkeys(("friction", "constant_force"), choice.scales.command)
     parameters = {name: errors.interval(quantities[name], name in BOUNDED, units.get(name, 0.0)) for name in names}
     parameters = _opened(parameters, choice)
-    untold = {name for name in ("mass",) if not is_told(parameters[name])}
-    if untold:
-        untold |= {"damping", "stiffness", "friction", "constant_force", "mode_mass", "load_damping"} & set(names)
-    untold |= {name for name in names if name == "friction" and choice.parts["friction"] <= 0}
-    # a force that is known to no better than the largest command is not known
-    forces = {"friction", "constant_force"} & set(names)
-    untold |= {name for name in forces if parameters[name].high - parameters[name].low > 2 * choice.scales.command}
-    delay = parameters.get("delay", Interval(0.0, 0.0, 0.0, 0.0))
-    if delay.high - delay.low > max(2.0 * period, delay.value):
-        untold.add("delay")
+    untold = unidentifiable(parameters, choice)
+    alone = damping_without_inertia(recordings) if "mass" in untold else None
+    if alone is not None:
+        parameters["damping"] = alone
+        untold.discard("damping")
     recorded = Recorded.of(recordings)
     command = choice.scales.command
     scatter = np.sqrt(choice.fit.solved.scatter)
@@ -102,6 +117,7 @@ def identified(recordings: list[Recording]) -> Identified:
     return Identified(
         parameters,
         untold,
+        reasons(untold, choice, recordings, recorded, slow_rows=alone is not None),
         choice.parts,
         choice.assumed,
         combinations(choice, errors, recorded, untold),
@@ -162,6 +178,7 @@ def _check(recordings: list[Recording]) -> None:
     rows = sum(len(each.time) for each in recordings if len(each.time) >= SHORTEST)
     if rows < 4 * SHORTEST:
         raise ParameterError(f"the logs have {rows} usable rows; expected at least {4 * SHORTEST}. Record longer ones.")
+    _check_periods(recordings)
     if not any(np.ptp(each.position) > 0 for each in recordings):
         raise ParameterError("the position does not change in any log; expected a device in motion.")
     if not any(np.any(each.command != 0) for each in recordings):
@@ -169,6 +186,37 @@ def _check(recordings: list[Recording]) -> None:
             "the command is 0 in all rows; a motion without a force tells no mass. Record steps of the command, or "
             "name the column of the force in the profile (columns.command)."
         )
+    travel = max(float(np.ptp(each.position)) for each in recordings)
+    resolution, largest = sensor_resolution(recordings), largest_command(recordings)
+    if travel <= FEWEST_COUNTS * resolution:
+        raise ParameterError(stuck(travel / resolution, largest))
+    units = [travel, largest, travel / largest, travel / largest / recordings[0].period ** 2]
+    if not all(SMALLEST_UNIT < unit < 1 / SMALLEST_UNIT for unit in units):
+        raise ParameterError(
+            f"the position changes by {travel:.3g} under a command of {largest:.3g} at T = {recordings[0].period:.3g} "
+            "s; expected numbers in SI. Correct the units in the profile."
+        )
+
+
+def _check_periods(recordings: list[Recording]) -> None:
+    """Refuse logs whose sampling periods differ, or are none."""
+    periods = np.array([each.period for each in recordings])
+    low, high = float(periods.min()), float(periods.max())
+    if not low > SMALLEST_UNIT or not high < 1 / SMALLEST_UNIT:
+        raise ParameterError(
+            f"sampling periods of {low:g} to {high:g} s; expected some between a microsecond and a day."
+        )
+    if high - low <= SAME_PERIOD * low:
+        return
+    names = [
+        f"{period:g} s ({counted(len(some), 'log')}, such as {some[0]})"
+        for period in np.unique(np.round(periods, 12)).tolist()
+        if (some := [each.name for each in recordings if abs(each.period - period) <= 1e-9 * period + 1e-12])
+    ]
+    raise ParameterError(
+        f"the logs have {len(names)} sampling periods: {listed(names[:4])}. A delay counts in samples, so that logs of "
+        "one period are identified together. Give those of one."
+    )
 
 
 def _replay(recordings: list[Recording], choice: Choice) -> tuple[Replay, list[str]]:

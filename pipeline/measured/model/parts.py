@@ -180,13 +180,22 @@ def chosen(recordings: list[Recording]) -> Choice:
     fit = ended(held, replace(fit.device, effects=None), len(recordings))
     if fit.few and "coulomb" in fit.device.numbers and "delay" in fit.device.numbers:
         fit = _spanned(held, fit, len(recordings), lead)
-    bounds = {name: end for name, end in bounds.items() if name not in parts}
+    bounds = {name: end for name, end in bounds.items() if name not in parts and end <= _largest_bound(name, scales)}
     numbers, period = fit.device.numbers, scales.period
     if lag := _unseen_lag(held, fit, len(recordings)):
         bounds |= {"actuator_lag": lag * period, "delay": (numbers["delay"] - lag) * period}
     elif numbers.get("lag", np.inf) < IMITATED:
         bounds["delay"] = (numbers["delay"] + numbers["lag"]) * period
     return Choice(fit, held, scales, parts, assumed, bounds)
+
+
+def _largest_bound(name: str, scales: Scales) -> float:
+    """Return the largest upper end of friction or a spring [SI] that means something.
+
+    More friction than the largest command would fix the device, and a stiffer spring than twice that command over the
+    largest displacement would have moved it less.
+    """
+    return {"friction": scales.command, "stiffness": 2 * scales.command / scales.position}.get(name, np.inf)
 
 
 def _spanned(held: Stretches, fit: Fit, trials: int, lead: int) -> Fit:

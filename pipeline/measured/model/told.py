@@ -17,6 +17,13 @@ WIDE = 0.5
 as large at one end as at the other."""
 
 
+FEWEST_COUNTS = 10
+"""Steps of the sensor that a device must move by in the largest log; presliding moves one by as many."""
+
+FEW_COUNTS = 100
+"""Steps of the sensor below which a device whose mass cannot be identified hardly moves."""
+
+
 @dataclass(frozen=True)
 class Combination:
     """A combination that is known where its members are not, in SI, with its unit as a power of [s], and a remedy."""
@@ -76,6 +83,98 @@ def _turns(position: Floats) -> bool:
 def is_told(interval: Interval) -> bool:
     """Return whether an interval is narrow enough to be a value."""
     return bool(np.isfinite(interval.error) and interval.high - interval.low < 2 * WIDE * abs(interval.value))
+
+
+def largest_command(recordings: list[Recording]) -> float:
+    """Return the largest absolute command of recordings [N, Nm]."""
+    return max(float(np.abs(each.command).max()) for each in recordings)
+
+
+def sensor_resolution(recordings: list[Recording]) -> float:
+    """Return the coarsest resolution of the position of recordings [m, rad], 0 where none is seen."""
+    return max(each.rounding for each in recordings) * float(np.sqrt(12.0))
+
+
+def stuck(steps: float, command: float) -> str:
+    """Return why nothing can be identified of a device that moves by few steps of the sensor under a command."""
+    return (
+        f"the device hardly moves: its position changes by {counted(round(steps), 'step')} of the sensor while the command "
+        f"reaches {command:.3g}. Static friction of more than that command, or a stop, fixes it. Record larger commands"
+    )
+
+
+def unidentifiable(parameters: dict[str, Interval], choice: Choice) -> set[str]:
+    """Return the names of parameters whose interval is too wide to be a value.
+
+    An interval of mass, frequency or largest force that reaches 0, of a force beyond the largest command, of a delay of
+    several samples, of a damping or spring that would stop the device within a sample: none of these is knowledge.
+    """
+    period, command = choice.scales.period, choice.scales.command
+    mass = parameters["mass"]
+    names = {"mass"} if not is_told(mass) else set()
+    if names:
+        names |= {"damping", "stiffness", "friction", "constant_force", "mode_mass", "load_damping"} & set(parameters)
+    if "friction" in parameters and choice.parts["friction"] <= 0:
+        names.add("friction")
+    per_sample = abs(mass.value) / period
+    widest = {
+        "friction": 2 * command,
+        "constant_force": 2 * command,
+        "delay": max(2.0 * period, parameters["delay"].value if "delay" in parameters else 0.0),
+        "damping": per_sample,
+        "load_damping": per_sample,
+        "stiffness": per_sample / period,
+        "actuator_lag": max(2.0 * period, parameters["actuator_lag"].value if "actuator_lag" in parameters else 0.0),
+        "mode_damping_ratio": 1.0,
+    }
+    for name, most in widest.items():
+        if name in parameters and not parameters[name].high - parameters[name].low <= most:
+            names.add(name)
+    names |= {
+        name for name in ("mode_frequency", "force_limit") if name in parameters and not is_told(parameters[name])
+    }
+    if "mode_frequency" in names:
+        names |= {"mode_damping_ratio", "mode_mass", "load_damping"} & set(parameters)
+    return names
+
+
+def reasons(
+    names: set[str], choice: Choice, recordings: list[Recording], recorded: Recorded, *, slow_rows: bool
+) -> dict[str, str]:
+    """Return why each of some parameters cannot be identified, and what to record, as a sentence each.
+
+    ``slow_rows``: whether the command explains the motion without an inertia.
+    """
+    resolution = sensor_resolution(recordings)
+    travel = max(float(np.ptp(each.position)) for each in recordings)
+    command, period = choice.scales.command, choice.scales.period
+    forces = f"Mass and the force on the device cannot be separated from these logs. Record {recorded.remedy()}."
+    if travel < FEW_COUNTS * resolution:
+        forces = stuck(travel / resolution, command) + "."
+    elif slow_rows:
+        forces = (
+            f"Rows are farther apart ({period:.3g} s) than the time constant of the device, so that no inertia is "
+            "visible. Record at a higher sampling rate."
+        )
+    result = dict.fromkeys(sorted(names), forces)
+    wide = {
+        "delay": "The interval of the delay is wider than the delay. Record larger steps of the command, or with a "
+        "finer sensor or a higher sampling rate.",
+        "actuator_lag": "Actuator lag and delay cannot be separated from these logs. Record at a higher sampling rate.",
+        "mode_frequency": "The vibration hardly moves the position. Record larger steps, or with a finer sensor.",
+        "force_limit": f"No command up to {command:.3g} shows a largest force. Record larger commands.",
+    }
+    wide |= dict.fromkeys(("mode_damping_ratio", "mode_mass"), wide["mode_frequency"])
+    for name in names & wide.keys():
+        if name == "mode_mass" and "mode_frequency" not in names:
+            continue
+        result[name] = wide[name]
+    if "mass" not in names:
+        both = f"Friction and a constant force cannot be separated from these logs. Record {recorded.remedy()}."
+        result |= dict.fromkeys(names & {"friction", "constant_force"}, both)
+        little = "What damps or holds the device is hidden by its inertia. Record longer motion, or at several speeds."
+        result |= dict.fromkeys(names & {"damping", "stiffness", "load_damping"}, little)
+    return result
 
 
 def combinations(choice: Choice, errors: Errors, recorded: Recorded, untold: set[str]) -> list[Combination]:

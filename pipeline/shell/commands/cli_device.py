@@ -116,6 +116,9 @@ def _identified(document: dict[str, Any]) -> Iterator[str]:
     fit, limits = document["replay"]["fit_percent"], document["boundary"]
     yield f"{document['trials']} logs, {document['rows']} rows, T = {document['sampling_period_s']:g} s"
     yield from ("", *console.table(document["parameters"], ("name", "value", "low", "high", "unit")), "")
+    for reason in dict.fromkeys(row["reason"] for row in document["parameters"] if row["reason"]):
+        names = [row["name"] for row in document["parameters"] if row["reason"] == reason]
+        yield f"not identifiable: {_words(names)}. {reason[0].upper()}{reason[1:]}"
     parts = {found: ", ".join(p["name"] for p in document["parts"] if p["found"] is found) for found in (True, False)}
     yield f"parts found beside mass, damping and delay: {parts[True] or 'none'}"
     if parts[False]:

@@ -1,0 +1,84 @@
+"""Speed per command of a device whose rows are farther apart than its time constant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pipeline.measured.model.intervals import Interval
+from pipeline.measured.model.recordings import Recording
+from pipeline.measured.student import student_95
+from pipeline.records.batch import Booleans, Floats
+
+WINDOW = 8
+"""Rows of a window: the motion behind a change of the command is over within it, and the position moves visibly."""
+
+BLOCKS = 16
+"""Blocks of windows that a jackknife leaves out."""
+
+KNOWN = (0.1, 0.05)
+"""Largest changes of the command between rows, relative to its range, in windows that are used: between rows it is not
+known. What both differ in is the error of a command by trapezoids."""
+
+EXPLAINS = 0.97
+"""Share of the squares of the displacements that the command must explain; it explains less where an inertia shows."""
+
+FASTEST = 2.0
+"""Delay and time constant [rows] above which the rows themselves show an inertia."""
+
+
+def damping_without_inertia(recordings: Sequence[Recording]) -> Interval | None:
+    """Return the damping [Ns/m, Nms/rad per unit of command] of a device without visible inertia; None if it has some.
+
+    Over a window of rows the displacement is x_1 - x_0 = (U - t_a (u_1 - u_0) - c S)/b + v_0 t with U the integral of
+    the command by trapezoids, t_a the sum of delay and time constant, c Coulomb friction, and S the time in which the
+    device moves forwards less that in which it moves backwards: least squares for 1/b and the others. The interval is
+    that of a jackknife over blocks.
+    """
+    fast, slow = (_estimate(recordings, known) for known in KNOWN)
+    if fast is None or slow is None:
+        return None
+    value, spread = slow
+    error = float(np.hypot(spread, fast[0] - value))
+    reach = float(student_95(BLOCKS - 1.0)) * error
+    return Interval(value, max(value - reach, 0.0), value + reach, error)
+
+
+def _estimate(recordings: Sequence[Recording], known: float) -> tuple[float, float] | None:
+    """Return the damping by windows in which the command changes slowly, and its standard error; None without one."""
+    rows = [_windows(each, known) for each in recordings if len(each.time) >= 4 * WINDOW]
+    if not rows:
+        return None
+    columns, moved = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    size = np.sqrt((columns**2).sum(axis=0))
+    used = size > 1e-12 * size.max(initial=0.0)
+    columns, size = columns[:, used], size[used]
+    if not used[:2].all() or len(moved) < 2 * BLOCKS or np.linalg.matrix_rank(columns / size) < len(size):
+        return None
+
+    def fitted(inside: Booleans) -> Floats:
+        return np.asarray(np.linalg.lstsq(columns[inside] / size, moved[inside], rcond=None)[0] / size)
+
+    found = fitted(np.ones(len(moved), dtype=bool))
+    left = float(((moved - columns @ found) ** 2).sum())
+    period = float(np.median([each.period for each in recordings]))
+    if found[0] <= 0 or left > (1 - EXPLAINS) * float((moved**2).sum()) or -found[1] > FASTEST * period * found[0]:
+        return None
+    block = np.arange(len(moved)) * BLOCKS // len(moved)
+    without = np.array([fitted(block != number)[0] for number in range(BLOCKS)])
+    spread = float(np.sqrt((BLOCKS - 1) / BLOCKS * ((without - without.mean()) ** 2).sum()))
+    return 1 / float(found[0]), spread / float(found[0]) ** 2
+
+
+def _windows(each: Recording, known: float) -> tuple[Floats, Floats]:
+    """Return the columns (W, 4) of the windows of a log and their displacements (W,)."""
+    first = np.arange(0, len(each.time) - WINDOW, WINDOW)
+    last, step = first + WINDOW, np.diff(each.time)
+    force = np.concatenate([[0.0], np.cumsum(0.5 * (each.command[1:] + each.command[:-1]) * step)])
+    way = np.concatenate([[0.0], np.cumsum(np.sign(np.diff(each.position)) * step)])
+    columns = [whole[last] - whole[first] for whole in (force, each.command, each.time, way)]
+    change = np.abs(np.diff(each.command))
+    largest = np.array([change[a:b].max() for a, b in zip(first.tolist(), last.tolist(), strict=True)])
+    slow = largest <= known * float(np.ptp(each.command))
+    return np.stack(columns, axis=1)[slow], (each.position[last] - each.position[first])[slow]
