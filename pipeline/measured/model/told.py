@@ -98,8 +98,9 @@ def sensor_resolution(recordings: list[Recording]) -> float:
 def stuck(steps: float, command: float) -> str:
     """Return why nothing can be identified of a device that moves by few steps of the sensor under a command."""
     return (
-        f"the device hardly moves: its position changes by {counted(round(steps), 'step')} of the sensor while the command "
-        f"reaches {command:.3g}. Static friction of more than that command, or a stop, fixes it. Record larger commands"
+        f"the device hardly moves: its position changes by {counted(round(steps), 'step')} of the sensor while the "
+        f"command reaches {command:.3g}. Static friction of more than that command, or a stop, fixes it. Record larger "
+        "commands"
     )
 
 

@@ -24,7 +24,12 @@ def mean_of(values, known, phases=0.0):
         score=deviation[:, None],
     )
     device = SimpleNamespace(numbers={"mean": float(values.mean())})
-    beside = {"few": False, "open": np.zeros(1), "phases": np.zeros((8, 1)) + np.reshape(phases, (-1, 1))}
+    beside = {
+        "few": False,
+        "open": np.zeros(1),
+        "optima": np.zeros((1, 1)),
+        "phases": np.zeros((8, 1)) + np.reshape(phases, (-1, 1)),
+    }
     return Errors.of(SimpleNamespace(device=device, solved=solved, alike=len(values) * known**2, **beside))
 
 
