@@ -15,6 +15,9 @@ from pipeline.records.batch import Floats
 PARTS = 4
 """Pieces of an interval between which friction may change direction: a turn is off by an eighth of a row."""
 
+STILL = 3.0
+"""Standard deviation of a position, in that of its readings' noise, up to which a log does not move."""
+
 STARTS = 3
 """Newton's steps to the start of a log, in which all but friction is linear."""
 
@@ -42,8 +45,10 @@ def replayed(held: Stretches, device: Device) -> Replay:
     mean = (held.position * held.valid).sum(axis=0) / held.rows
     error = np.sqrt(((held.position - found) ** 2 * held.valid).sum(axis=0))
     size = np.sqrt(((held.position - mean) ** 2 * held.valid).sum(axis=0))
+    # a position that noise and the sensor's steps alone change is predicted by any device
+    moves = size > np.maximum(STILL * np.sqrt(held.rows * held.white), 1e-3)
     with np.errstate(divide="ignore", invalid="ignore"):
-        fit = np.where(size > 1e-3, 100 * (1 - error / size), np.nan)
+        fit = np.where(moves, 100 * (1 - error / size), np.nan)
     return Replay(held, found, fit)
 
 

@@ -20,6 +20,10 @@ as large at one end as at the other."""
 FEWEST_COUNTS = 10
 """Steps of the sensor that a device must move by in the largest log; presliding moves one by as many."""
 
+STILL_COUNTS, SPRING_LIKE = 3.0, 0.5
+"""Steps of the sensor within which a device rests, and correlation of its position with the command from which on it
+follows that as a spring does: friction that does not slide is one."""
+
 FEW_COUNTS = 100
 """Steps of the sensor below which a device whose mass cannot be identified hardly moves."""
 
@@ -104,6 +108,15 @@ def stuck(steps: float, command: float) -> str:
     )
 
 
+def _rests(each: Recording, resolution: float) -> bool:
+    """Return whether a device is at rest in the last third of a log, or follows its command as a spring does."""
+    last = each.position[-max(len(each.position) // 3, 1) :]
+    if np.ptp(last) <= STILL_COUNTS * resolution:
+        return True
+    x, u = each.position - each.position.mean(), each.command - each.command.mean()
+    return bool(x @ u > SPRING_LIKE * np.sqrt((x @ x) * (u @ u)))
+
+
 def unidentifiable(parameters: dict[str, Interval], choice: Choice) -> set[str]:
     """Return the names of parameters whose interval is too wide to be a value.
 
@@ -150,7 +163,7 @@ def reasons(
     travel = max(float(np.ptp(each.position)) for each in recordings)
     command, period = choice.scales.command, choice.scales.period
     forces = f"Mass and the force on the device cannot be separated from these logs. Record {recorded.remedy()}."
-    if travel < FEW_COUNTS * resolution:
+    if travel < FEW_COUNTS * resolution and all(_rests(each, resolution) for each in recordings):
         forces = stuck(travel / resolution, command) + "."
     elif slow_rows:
         forces = (
