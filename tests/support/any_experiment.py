@@ -6,6 +6,7 @@ exact; a step in which the velocity changes its sign is cut there, and friction 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import exp, inf
 from pathlib import Path
@@ -121,19 +122,18 @@ def is_unstable(rig: Rig, K: float, B: float, step: float, rows: int = 1500) -> 
     return way[2] > 1.05 * way[0] and way[2] > 1e-3 * abs(step) / max(K, 1e-300)
 
 
-def write_log(path: Path, rig: Rig, trial: Trial, seed: int = 0, device: str = "dev", experiment: str = "1", **more) -> None:
-    """Write a trial as a native log; ``more`` are further lines of its header, and ``lost`` rows that are left out."""
-    time, command, position = recorded(rig, trial, seed)
-    lost = set(more.pop("lost", ()))
+def write_log(path: Path, rig: Rig, trial: Trial, seed: int = 0, lost: Sequence[int] = (), **more: object) -> None:
+    """Write a trial as a native log without the rows that are lost; ``more`` are other conditions of its header."""
     head = {
-        "device": device,
-        "experiment": experiment,
+        "device": "dev",
+        "experiment": "1",
         "stiffness": trial.stiffness,
         "damping": trial.damping,
         "step": trial.step,
         "sampling_period_s": rig.period,
         **more,
     }
-    lines = [f"# {name}: {value!r}" if isinstance(value, float) else f"# {name}: {value}" for name, value in head.items()]
-    rows = [f"{t!r},{u!r},{x!r}" for i, (t, u, x) in enumerate(zip(time.tolist(), command.tolist(), position.tolist())) if i not in lost]
-    path.write_text("\n".join([*lines, "time_s,command,position", *rows]) + "\n", encoding="utf-8")
+    columns = zip(*(column.tolist() for column in recorded(rig, trial, seed)), strict=True)
+    rows = [",".join(map(repr, row)) for number, row in enumerate(columns) if number not in lost]
+    lines = [*(f"# {name}: {value}" for name, value in head.items()), "time_s,command,position", *rows]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -252,6 +252,8 @@ def stretches(recordings: list[Recording], scales: Scales, lead: int, moving: bo
     cuts: list[_Cut] = []
     even = [_even(each.time / scales.period) for each in recordings]
     for trial, (each, grid) in enumerate(zip(recordings, even, strict=True)):
+        if len(grid) < SHORTEST:
+            continue
         pauses = np.flatnonzero((np.diff(grid) > GAP * each.period / scales.period) & (np.diff(each.command) != 0)) + 1
         bounds = [0, *pauses.tolist(), len(grid)]
         seen = each.motion if moving else None
@@ -264,6 +266,8 @@ def stretches(recordings: list[Recording], scales: Scales, lead: int, moving: bo
 
 def _even(time: Floats) -> Floats:
     """Return times [samples] on an even grid where they lie within `REGULAR` of one."""
+    if len(time) < SHORTEST:
+        return time
     index = np.arange(len(time))
     even = time[0] + index * (time[-1] - time[0]) / max(len(time) - 1, 1)
     spacing = (time[-1] - time[0]) / max(len(time) - 1, 1)

@@ -1,0 +1,157 @@
+"""Any experiment ends in a report: a generator of experiments, most of them poor, and what must be true of each.
+
+`PIPELINE_EXAMPLES` sets the number of examples and `PIPELINE_SEED` draws others.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import pytest
+from any_experiment import Rig, Trial, is_unstable, write_log
+from hypothesis import HealthCheck, Phase, given, note, seed, settings
+from hypothesis import strategies as st
+
+import pipeline
+from pipeline.shell.cli import run as run_here
+
+EXAMPLES = int(os.environ.get("PIPELINE_EXAMPLES", "15"))
+SEED = int(os.environ.get("PIPELINE_SEED", "20261128"))
+
+DOCUMENTED = {0, 1, 2, 3}
+"""Exit statuses of commands."""
+
+
+@st.composite
+def rigs(draw: st.DrawFn) -> Rig:
+    mass = 10 ** draw(st.floats(-2, 1))
+    return Rig(
+        mass=mass,
+        damping=mass * draw(st.floats(0, 20)),
+        friction=draw(st.sampled_from([0.0, 0.0, 0.1, 0.5, 2.0])),
+        period=draw(st.sampled_from([1e-3, 1e-3, 5e-4, 5e-3])),
+        delay=draw(st.integers(0, 120)) / 20,
+        jitter=draw(st.sampled_from([0, 0, 0, 1])),
+        resolution=draw(st.sampled_from([0.0, 1e-6, 1e-4, 1e-2])),
+        noise=draw(st.sampled_from([0.0, 1e-6, 1e-4])),
+        stop=draw(st.sampled_from([math.inf, math.inf, 0.05])),
+    )
+
+
+@st.composite
+def trials(draw: st.DrawFn, rig: Rig) -> Trial:
+    largest = 2 * rig.mass / rig.period**2 / (1 + rig.delay) ** 2
+    rows = draw(st.one_of(st.integers(2, 12), st.integers(20, 300), st.integers(100, 300)))
+    released = draw(st.sampled_from([False, False, False, True]))
+    return Trial(
+        stiffness=draw(st.one_of(st.just(0.0), st.floats(-0.05, 1.2))) * largest,
+        damping=draw(st.one_of(st.just(0.0), st.floats(0, 0.8))) * rig.mass / rig.period / (1 + rig.delay),
+        step=0.0 if released else draw(st.sampled_from([1.0, 4.0, -4.0, 0.3])),
+        rows=rows,
+        edge=draw(st.one_of(st.just(0), st.just(min(20, rows - 1)), st.integers(0, rows - 1))),
+        position=draw(st.sampled_from([0.0, 0.02])) if released else 0.0,
+        velocity=draw(st.sampled_from([0.0, 0.1])) if released else 0.0,
+    )
+
+
+@st.composite
+def experiments(draw: st.DrawFn) -> tuple[Rig, list[tuple[Trial, dict[str, Any]]]]:
+    rig = draw(rigs())
+    logs = []
+    for _ in range(draw(st.integers(1, 12))):
+        trial = draw(trials(rig))
+        more: dict[str, Any] = {}
+        if draw(st.integers(0, 7)) == 0 and trial.rows > 8:
+            more["lost"] = sorted(draw(st.sets(st.integers(1, trial.rows - 1), max_size=trial.rows // 4)))
+        logs.append((trial, more))
+        if draw(st.integers(0, 5)) == 0:
+            logs.append((trial, more))
+    return rig, logs
+
+
+def finite(text: str) -> Any:
+    """Return a JSON document, in which NaN and infinity are an error."""
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} in JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def run(*arguments: str) -> tuple[int, Any]:
+    """Return exit status and document of a command; any exception but a named error is a failure."""
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as leaving:
+        run_here([*arguments, "--json"])
+    status = int(leaving.value.code or 0)
+    note(f"pipeline {' '.join(arguments)} --json: {status} {err.getvalue()[-500:]}")
+    assert status in DOCUMENTED
+    assert "Warning" not in err.getvalue()
+    if status in {1, 2}:
+        assert err.getvalue().startswith("Error:"), "an error without a message"
+        return status, None
+    return status, finite(out.getvalue())
+
+
+def recorded_by(folder: Path, rig: Rig, logs: list[tuple[Trial, dict[str, Any]]]) -> None:
+    folder.mkdir()
+    for i, (trial, more) in enumerate(logs):
+        write_log(folder / f"{i:03}.csv", rig, trial, seed=i, **more)
+
+
+def unstable_walls(rig: Rig, walls: list[tuple[float, float]], step: float) -> list[tuple[float, float]]:
+    return [(K, B) for K, B in walls if is_unstable(rig, K, B, step)]
+
+
+@seed(SEED)
+@settings(
+    max_examples=EXAMPLES,
+    deadline=None,
+    database=None,
+    phases=[Phase.generate],
+    suppress_health_check=list(HealthCheck),
+    print_blob=True,
+)
+@given(experiments())
+def test_any_experiment_ends_in_a_report_and_no_wall_is_unsafe(drawn: tuple[Rig, list[Any]]) -> None:
+    rig, logs = drawn
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        recorded_by(folder / "logs", rig, logs)
+        store = ["--processed", str(folder / "processed")]
+        status, report = run("ingest", str(folder / "logs"), *store)
+        assert status in {0, 3}
+        assert report["found"] == report["ingested"] + report["skipped"] + len(report["quarantined"])
+        run("identify", str(folder / "logs"))
+        if not report["ingested"]:
+            return
+        status, compared = run("compare", "--device", "dev", *store, "--report", str(folder / "report.html"))
+        assert status == 0
+        assert len(compared["experiments"]) >= 1
+        recommended: list[tuple[float, float]] = []
+        for each in compared["experiments"]:
+            for name, estimate in each["estimates"].items():
+                assert estimate["value"] is not None or estimate["reason"], name
+            wall = (each.get("answer") or compared["answer"])["wall"]
+            recommended += [(wall["stiffness"], wall["damping"])] if wall else []
+            _, plan = run("plan", "--device", "dev", "--experiment", each["experiment"], *store)
+            _, careful = run("plan", "--device", "dev", "--experiment", each["experiment"], "--gentle", *store)
+            if plan is not None and plan["done"]:
+                assert all(limit["low"] is not None or limit["note"] for limit in plan["boundary"])
+            if careful is not None:
+                recommended += [(wall["stiffness"], wall["damping"]) for wall in careful["next"] if is_known(each)]
+        step = max((abs(trial.step) for trial, _ in logs), default=1.0) or 1.0
+        assert not unstable_walls(rig, recommended, step)
+        assert len(pipeline.estimates(folder / "processed", "dev", compared["experiments"][0]["experiment"]))
+
+
+def is_known(experiment: dict[str, Any]) -> bool:
+    """Return whether a stable trial of the experiment limits what may be tried next."""
+    return experiment["verdicts"].get("stable", 0) > 0
