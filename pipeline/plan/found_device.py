@@ -123,6 +123,8 @@ class LoopPoint:
             one is already. Friction can but raise a limit; jitter moves it either way.
         """
         linear = self.limit(damping)
+        if not len(damping):
+            return linear, linear
         least = linear if self.coulomb and not trial.jitter else 0.5 * linear
         low, high = np.maximum(least, softest), linear + BEYOND * linear.max()
         begin, ends = low, high > low

@@ -20,6 +20,7 @@ from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.measured.signal.outcome import OUTCOMES
 from pipeline.measured.stages.stage_groups import TrialGroup
 from pipeline.measured.stages.stages import ExperimentStages, cost_column
+from pipeline.plan.found_device import LoopPoint, Trial
 from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.records.criteria import CRITERIA, criterion_of
 from pipeline.records.results import ExperimentResult
@@ -208,12 +209,10 @@ class _Experiment:
         device = found_device(self.result, stages) if self.modelled else None
         run = np.full(batch.position.shape, np.nan)
         if device is not None:
-            usual = usual_trial(self.result, stages)
-            alone = device.point.behind(batch.stiffness, batch.damping, replace(usual, quantum=0.0, jitter=0.0))
-            for i in np.flatnonzero(found.edge_row >= 0).tolist():
-                edge, rest = int(found.edge_row[i]), found.position_start[i]
-                moved = alone.displacement[i, 1 : min(int(batch.rows[i]) - edge, int(alone.rows[i]) - 1) + 1]
-                run[i, :edge], run[i, edge : edge + len(moved)] = rest, rest + moved * batch.step[i] / usual.step
+            usual = replace(usual_trial(self.result, stages), quantum=0.0, jitter=0.0)
+            for i, edge, moved in _alone(device.point, batch, found.edge_row, usual):
+                rest = found.position_start[i]
+                run[i, :edge], run[i, edge : edge + len(moved)] = rest, rest + moved
         start = found.position_start[:, None]
         position, ghost = batch.position - start, run - start
         final = found.position_final_expected - found.position_start
@@ -249,6 +248,26 @@ class _Experiment:
         ends = [float(end[row]) for end in self.stages.cost_interval(criterion)]
         told = "" if np.isnan(ends).any() else f" ({' to '.join(cost_text(criterion, end) for end in ends)})"
         return f"{cost_text(criterion, cost)}{told}"
+
+
+def _alone(
+    point: LoopPoint, batch: TrialBatch, edge_row: Integers, usual: Trial
+) -> Iterator[tuple[int, int, Floats]]:
+    """Yield of each trial with a step its place, its edge, and how a device alone moves from there on [m, rad].
+
+    The motion of a linear device is that of the usual step times the size; friction and a constant force take another
+    share of each step.
+    """
+    linear = not (point.coulomb or point.force)
+    stepped = np.flatnonzero((edge_row >= 0) & (batch.step != 0))
+    steps = np.full(len(stepped), usual.step) if linear else batch.step[stepped]
+    for step in np.unique(steps):
+        some = stepped[steps == step]
+        alone = point.behind(batch.stiffness[some], batch.damping[some], replace(usual, step=float(step)))
+        for row, i in enumerate(some.tolist()):
+            edge = int(edge_row[i])
+            moved = alone.displacement[row, 1 : min(int(batch.rows[i]) - edge, int(alone.rows[row]) - 1) + 1]
+            yield i, edge, moved * (batch.step[i] / step)
 
 
 def reason_of(criterion: str, reasons: str) -> str:

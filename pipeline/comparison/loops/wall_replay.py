@@ -14,6 +14,7 @@ from pipeline.comparison.loops.told_loop import ToldLoop, found_device
 from pipeline.measured.cost.costs import settling
 from pipeline.measured.experiment.boundary import spread_over_plane
 from pipeline.measured.model.identified import FOLDS
+from pipeline.measured.signal.release import find_release
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.stages.stage_groups import Given, TrialGroup
@@ -42,11 +43,29 @@ def usual_trial(result: ExperimentResult, stages: ExperimentStages) -> Trial:
     jitter, share = result.estimates.get("jitter_samples"), coarse(stages)
     matters = len(share) and float(np.median(share)) > MATTERS
     return Trial(
-        step=float(np.median(stages.step_sizes)),
+        step=usual_step(stages),
         rows=int(np.median(stages.trials.column("rows").to_numpy())),
         quantum=float(np.nanmedian(stages.column("response", "sensor_quantum"))) if matters else 0.0,
         jitter=(jitter.value or 0.0) if jitter is not None and (jitter.low or 0.0) > 0 else 0.0,
     )
+
+
+def usual_step(stages: ExperimentStages) -> float:
+    """Return the usual size of a step [N, Nm], > 0: steps in both directions count by their sizes.
+
+    Of trials without a step it is that of what set the device in motion, as a force; 1 where none is known.
+    """
+    size = np.abs(stages.step_sizes)
+    size = size[size > 0]
+    if not len(size):
+        size = np.concatenate([np.empty(0), *stages.of_each(excitations)])
+        size = size[np.isfinite(size) & (size > 0)]
+    return float(np.median(size)) if len(size) else 1.0
+
+
+def excitations(group: TrialGroup, given: Given) -> Floats:
+    """Return the force that set each trial of a group in motion without a step [N, Nm], NaN where none is known."""
+    return find_release(group.batch).size
 
 
 def softest(result: ExperimentResult, stages: ExperimentStages) -> Floats:
@@ -95,13 +114,15 @@ def wall_replay(
     # the fold in which a fit left a trial out, or the next in turn where none used it
     fold = np.array([place.get(ids[i], number) % FOLDS for number, i in enumerate(chosen)])
     said, fits, costs = np.empty(len(chosen), dtype="<U9"), np.full(len(chosen), np.nan), np.full(len(chosen), np.nan)
+    steps = stages.step_sizes
     repeats = REPEATS if trial.jitter else 1
     logged = dict(pair for part in stages.of_each(motions, chosen=[ids[i] for i in chosen]) for pair in part)
     for number, point in enumerate(_without_each_fold(found)):
         some = np.flatnonzero(fold == number)
         if not len(some):
             continue
-        batch, *others = (point.behind(K[chosen[some]], B[chosen[some]], trial, run) for run in range(repeats))
+        walls = chosen[some]
+        batch, *others = (_behind(point, K[walls], B[walls], steps[walls], trial, run) for run in range(repeats))
         # a spring that holds the device lets it rest at x_0 + F_0/(K + k)
         batch = replace(batch, stiffness=batch.stiffness + max(point.stiffness, 0.0))
         response = find_response(batch)
@@ -122,6 +143,20 @@ def wall_replay(
         costs_off_percent=_costs_off(result, stages, chosen[stable], costs[stable]),
         trials=int(decided.sum()),
     )
+
+
+def _behind(point: LoopPoint, K: Floats, B: Floats, steps: Floats, trial: Trial, run: int) -> TrialBatch:
+    """Return a device behind walls, each with the step of its log: friction and a constant force are no linear parts.
+
+    Where a log has no step it is the usual one.
+    """
+    steps = np.where(steps != 0, steps, trial.step)
+    parts, order = [], []
+    for step in np.unique(steps):
+        some = np.flatnonzero(steps == step)
+        parts.append(point.behind(K[some], B[some], replace(trial, step=float(step)), run))
+        order.append(some)
+    return parts[0] if len(parts) == 1 else TrialBatch.joined(parts).select(np.argsort(np.concatenate(order)))
 
 
 def _of_chance(result: ExperimentResult, K: Floats, B: Floats) -> Booleans:

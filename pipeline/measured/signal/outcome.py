@@ -211,8 +211,9 @@ def classify(
 
 def _classified(batch: TrialBatch, response: Response, verdicts: Verdicts, usual: int, device: Device) -> Outcomes:
     with np.errstate(divide="ignore", invalid="ignore"):
-        travel = np.where(batch.stiffness > 0, np.abs(batch.step / batch.stiffness), np.nan)
-    band = np.where(batch.stiffness > 0, np.maximum(BAND * travel, response.floor), np.nan)
+        stepped = (batch.stiffness > 0) & (batch.step != 0)
+        travel = np.where(stepped, np.abs(batch.step / batch.stiffness), np.nan)
+    band = np.where(stepped, np.maximum(BAND * travel, response.floor), np.nan)
     push, unstable = find_disturbance(batch, response, device), verdicts.verdict == "unstable"
     free = free_samples(batch, response)
     within = travel <= band

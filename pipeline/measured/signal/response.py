@@ -34,7 +34,7 @@ class Response:
     position_start : float64
         First position, where the wall rests [m, rad].
     position_final_expected : float64
-        x_0 + F_0/K (6.1) [m, rad]; NaN where K <= 0.
+        x_0 + F_0/K (6.1) [m, rad]; NaN where K <= 0, and without a step.
     position_final_measured : float64
         Mean over the last tenth of the log [m, rad].
     sensor_quantum : float64
@@ -112,7 +112,7 @@ def find_response(batch: TrialBatch) -> Response:
     if batch.integrated is not None:
         quantum = np.where(batch.integrated, 0.0, quantum)
     with np.errstate(divide="ignore", invalid="ignore"):
-        travel = np.where(batch.stiffness > 0, batch.step / batch.stiffness, np.nan)
+        travel = np.where((batch.stiffness > 0) & (batch.step != 0), batch.step / batch.stiffness, np.nan)
     start = batch.position[:, :1].reshape(-1)
     reason = tuple(
         "; ".join(part for part in (text, "" if k > 0 else _no_final(k)) if part)

@@ -7,12 +7,13 @@ With K = 0 the position runs away at constant force, and the trial is stable if 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pipeline.measured.signal.edge import BENT, external_force, first_step_alone
 from pipeline.measured.signal.modes import FEWEST_SAMPLES, NARROW, WIDE, fastest_growth
+from pipeline.measured.signal.release import at_rest_before, find_release
 from pipeline.measured.signal.response import Response, find_response
 from pipeline.measured.signal.sensor import NOISE_FACTOR
 from pipeline.measured.student import SIGMAS
@@ -86,30 +87,76 @@ def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
     A growth rate that is `SIGMAS` standard errors from zero decides. What comes down to the floor of the sensor from
     far above it is stable, a limit cycle of quantum size included, unless a mode grows in what is left. An oscillation
     that lasts above `REST_FLOORS` floors while the command stands at a limit is unstable. What neither grows nor decays
-    by more than its standard errors, a motion that hardly exceeds the floor, one shorter than `FEWEST_SAMPLES` or still
-    in its first swing, and a trial without a step (F_0 = 0) cannot be judged; of several steps the response to the
-    first is.
+    by more than its standard errors, a motion that hardly exceeds the floor, and one shorter than `FEWEST_SAMPLES` or
+    still in its first swing cannot be judged; of several steps the response to the first is. A trial without a step is judged by its free motion, as `release.find_release` finds it: a growth rate needs
+    no step. What else moves a device without one, such as a trajectory, says nothing of the loop.
 
     Source: Hulin 2017, sec. 3.3 (stability), eq. 3.25 (K = 0) and sec. 6.1.1 (procedure).
     """
     response = find_response(batch) if response is None else response
-    parts = [_judge(part, response.select(some)) for some, part in batch.portions()]
+    parts = [_judge(part, response.select(some), _stepped(part)) for some, part in batch.portions()]
     verdict = np.concatenate([part.verdict for part in parts] or [np.empty(0, dtype="<U9")])
     growth = np.concatenate([part.growth_per_s for part in parts] or [np.empty(0)])
     reason = [text for part in parts for text in part.reason]
-    # what moves a device without a step says nothing of the loop: a hand, a trajectory
-    for i in np.flatnonzero(batch.step == 0):
-        verdict[i], growth[i], reason[i] = "undecided", np.nan, response.edge_reason[i]
+    some = np.flatnonzero(batch.step == 0)
+    if len(some):
+        released = _judge_released(batch.select(some), response.select(some))
+        verdict[some], growth[some] = released.verdict, released.growth_per_s
+        for i, text in zip(some.tolist(), released.reason, strict=True):
+            reason[i] = text
     for i in np.flatnonzero(response.steps > 1):
         alone = judge(first_step_alone(batch.select(slice(i, i + 1))))
         verdict[i], growth[i], reason[i] = alone.verdict[0], alone.growth_per_s[0], alone.reason[0]
     return Verdicts(verdict, growth, tuple(reason))
 
 
-def _judge(batch: TrialBatch, response: Response) -> Verdicts:
+@dataclass(frozen=True, eq=False)
+class _Excitation:
+    """What set each trial in motion, shape (n,): row from which on it acts no more, size of its force, direction."""
+
+    free: Integers | None
+    size: Floats
+    way: Floats
+
+
+def _stepped(batch: TrialBatch) -> _Excitation:
+    return _Excitation(None, np.abs(batch.step), np.sign(batch.step))
+
+
+def _judge_released(batch: TrialBatch, response: Response) -> Verdicts:
+    """Judge trials without a step by their free motion."""
+    found = find_release(batch)
+    verdict = np.full(len(batch), "undecided", dtype="<U9")
+    growth = np.full(len(batch), np.nan)
+    reason = [f"{no_step}; {why}" for no_step, why in zip(response.edge_reason, found.reason, strict=True)]
+    some = np.flatnonzero(found.free >= 0)
+    if len(some):
+        batch, response = batch.select(some), response.select(some)
+        floor, noise = at_rest_before(batch, found.begin[some])
+        begun = np.take_along_axis(np.nan_to_num(batch.displacement), found.free[some, None], axis=1)[:, 0]
+        level = found.level[some]
+        final = np.divide(level, batch.stiffness, out=np.full(len(some), np.nan), where=batch.stiffness > 0)
+        final[level == 0] = np.nan
+        response = replace(
+            response,
+            edge_row=found.begin[some],
+            floor=floor,
+            sensor_noise=noise,
+            position_final_expected=response.position_start + final,
+        )
+        way = np.where(level != 0, np.sign(level), np.sign(begun))
+        cause = _Excitation(found.free[some], found.size[some], way)
+        judged = _judge(replace(batch, step=level), response, cause)
+        verdict[some], growth[some] = judged.verdict, judged.growth_per_s
+        for i, text in zip(some.tolist(), judged.reason, strict=True):
+            reason[i] = text
+    return Verdicts(verdict, growth, tuple(reason))
+
+
+def _judge(batch: TrialBatch, response: Response, cause: _Excitation) -> Verdicts:
     floor, wall = response.floor, batch.stiffness != 0
     rounding = ROUNDING * np.nanmax(np.abs(batch.position), axis=1, initial=0.0)
-    signal, start, count = _free_motion(batch, response)
+    signal, start, count = _free_motion(batch, response, cause.free)
     size = np.abs(signal)
     peak = size.max(axis=1, initial=0.0)
     rest = np.where(floor > 0, floor, np.maximum(1e-9 * peak, rounding))
@@ -134,8 +181,8 @@ def _judge(batch: TrialBatch, response: Response) -> Verdicts:
     falls, grows = slope < -SIGMAS * scatter, slope > change
     # a growing mode shows once the others have died away: what fades to its end is braked
     rises = np.where(sized, grows, (rate > SIGMAS * error) & (clean | ~fades))
-    lasts = _bent(batch, start, count) & ~falls & wall
-    early = wall & _in_first_swing(batch, response) & ~falls & ~left
+    lasts = _bent(batch, start, count, cause.size) & ~falls & wall
+    early = wall & _in_first_swing(batch, response, cause.way) & ~falls & ~left
     rises = (rises | lasts) & enough & ~left & ~early
     sinks = (np.where(sized, slope < -change, rate < -SIGMAS * error) & ~lasts) | left
     sinks &= above & enough & ~rises & ~early
@@ -172,18 +219,20 @@ def _undecided(visible: bool, early: bool, samples: int, left: float, hidden: fl
     return f"at the limit: an amplitude of {left:.3g} is left that neither grows nor decays for sure{told}"
 
 
-def _free_motion(batch: TrialBatch, response: Response) -> tuple[Floats, Integers, Integers]:
+def _free_motion(
+    batch: TrialBatch, response: Response, free: Integers | None
+) -> tuple[Floats, Integers, Integers]:
     """Return the free motion without a constant part, its first row, and its number of samples.
 
-    The input is constant and the delay line filled by it: the first movement after the edge shows one delay; after
-    another one the past before the step is forgotten. Behind a wall it is the change from sample to sample; with K = 0
+    The input is constant, from ``free`` on where that is not the edge, and the delay line filled by it: the first
+    movement after the edge shows one delay; after another one the past before the step is forgotten. Behind a wall it is the change from sample to sample; with K = 0
     the second difference over a third of the motion, in which the uniform motion leaves nothing.
     """
     edge = np.maximum(response.edge_row, 0)
     column = np.arange(batch.position.shape[1])[None, :]
     moved = (np.abs(np.nan_to_num(batch.displacement)) > response.floor[:, None]) & (column > edge[:, None])
     onset = np.where(moved.any(axis=1), np.argmax(moved, axis=1), edge)
-    start = 2 * onset - edge
+    start = 2 * onset - edge if free is None else free + 2 * (onset - edge)
     wall = batch.stiffness != 0
     # without a wall the fast modes of the delay line are forgotten after some more delays
     extra = np.minimum(3 * np.maximum(start - edge, 2), (batch.rows - start) // 4)
@@ -211,7 +260,7 @@ def _growth(signal: Floats, length: Integers, noise: Floats) -> tuple[Floats, Fl
     views = [fastest_growth(signal, length, noise, part) for part in (WIDE, NARROW)]
     errors = []
     for view in views:
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             middle = view.amplitude * np.exp(np.minimum(-view.per_sample * length / 2, 300.0))
             white = np.sqrt(6 / np.maximum(length, 1)) * np.minimum(view.noise, 3 * noise)
             unexplained = np.sqrt(np.maximum(view.noise**2 - (3 * noise) ** 2, 0.0))
@@ -238,7 +287,7 @@ def _hidden(signal: Floats, count: Integers, noise: Floats, response: Response) 
         for part in (WIDE, NARROW):
             view = fastest_growth(motion, n, more * noise, part, 0.0)
             rate = view.per_sample
-            with np.errstate(over="ignore", invalid="ignore"):
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 error = np.sqrt(6) * view.noise / (view.amplitude * np.exp(-rate * n / 2) * n**1.5)
                 told = (rate > SIGMAS * error) & (-view.amplitude * np.expm1(-rate * n) > more * pattern)
             views.append(np.where(told, rate, np.nan))
@@ -265,7 +314,7 @@ def _slope(signal: Floats, length: Integers, noise: Floats) -> tuple[Floats, Flo
     return slope / step, np.sqrt((rest**2).sum(axis=0) / (BLOCKS - 2) / square) / step, fades
 
 
-def _bent(batch: TrialBatch, start: Integers, count: Integers) -> Booleans:
+def _bent(batch: TrialBatch, start: Integers, count: Integers, size: Floats) -> Booleans:
     """Return whether the command stands at a limit, or at the step alone, late in the motion, shape (n,).
 
     It does so in two rows or more of the last quarter although the wall law asks for more: it is clipped, or the wall
@@ -275,7 +324,7 @@ def _bent(batch: TrialBatch, start: Integers, count: Integers) -> Booleans:
     after = batch.valid & (column >= 0)
     step = batch.step[:, None]
     off = after & (column >= (0.75 * count)[:, None])
-    off &= np.abs(np.nan_to_num(external_force(batch) - step)) > BENT * np.abs(step)
+    off &= np.abs(np.nan_to_num(external_force(batch) - step)) > BENT * size[:, None]
     lowest = np.where(after, batch.command, np.inf).min(axis=1, initial=np.inf)
     highest = np.where(after, batch.command, -np.inf).max(axis=1, initial=-np.inf)
     bent = np.zeros(len(batch), dtype=np.bool_)
@@ -304,9 +353,9 @@ def _half_range(batch: TrialBatch, start: Integers, count: Integers, since: floa
     return result
 
 
-def _in_first_swing(batch: TrialBatch, response: Response) -> Booleans:
+def _in_first_swing(batch: TrialBatch, response: Response, way: Floats) -> Booleans:
     """Return which motions have neither turned nor passed their final position: behind any wall these speed up."""
-    way, floor = np.sign(batch.step)[:, None], response.floor[:, None]
+    way, floor = way[:, None], response.floor[:, None]
     travel = np.abs(response.position_final_expected - response.position_start)[:, None]
     moved = np.nan_to_num(batch.displacement) * way
     turns = (np.nan_to_num(np.diff(batch.position, axis=1)) * way < -floor).any(axis=1)
