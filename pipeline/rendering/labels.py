@@ -145,9 +145,31 @@ def significant(value: float, digits: int) -> str:
 
 
 def at_least(value: float) -> str:
-    """Return two digits of a positive number that is a lower bound: they are never above it."""
-    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return significant(math.floor(value / unit * (1 + 1e-12)) * unit, 2)
+    """Return two digits of a number that is a lower bound: they are never above it.
+
+    >>> at_least(2.057), at_least(0.0999), at_least(0.0)
+    ('2.0', '0.099', '0')
+    """
+    return significant(_towards(value, 2, math.floor), 2)
+
+
+def at_most(value: float) -> str:
+    """Return three digits of a number that is an upper bound: they are never below it.
+
+    >>> at_most(2.0531), at_most(18.6), at_most(0.0)
+    ('2.06', '18.6', '0')
+    """
+    return significant(_towards(value, DIGITS, math.ceil), DIGITS)
+
+
+def _towards(value: float, digits: int, whole: Callable[[float], int]) -> float:
+    """Return a number rounded to significant digits in one direction; rounding errors are no digits."""
+    if value == 0 or not math.isfinite(value):
+        return value
+    unit = 10.0 ** (math.floor(math.log10(abs(value))) - digits + 1)
+    share = value / unit
+    nearest = round(share)
+    return (nearest if abs(share - nearest) <= 1e-9 * abs(share) else whole(share)) * unit
 
 
 def stiffness_text(value: float) -> str:
@@ -214,7 +236,10 @@ def share_text(value: float, places: int = 1) -> str:
 
 
 def estimate_texts(estimate: Estimate | AnswerEstimate) -> tuple[str, str, str]:
-    """Return value and both ends of the interval, to two digits of its half width; empty where missing."""
+    """Return value and both ends of the interval, to two digits of its half width; empty where missing.
+
+    A bound on one side is rounded to the safe side: a lower one down, an upper one up.
+    """
     given = (estimate.value, estimate.low, estimate.high)
     largest = max((abs(x) for x in given if x is not None), default=0.0)
     half = 0.0 if estimate.low is None or estimate.high is None else 0.5 * (estimate.high - estimate.low)
@@ -223,6 +248,10 @@ def estimate_texts(estimate: Estimate | AnswerEstimate) -> tuple[str, str, str]:
         told = math.floor(math.log10(largest)) - math.floor(math.log10(half)) + 2
         digits = min(max(told, DIGITS), MOST_DIGITS)
     texts = ["" if x is None else significant(x, digits) for x in given]
+    if estimate.low is None and estimate.high is not None:
+        texts[2] = significant(_towards(estimate.high, digits, math.ceil), digits)
+    if estimate.high is None and estimate.low is not None:
+        texts[1] = significant(_towards(estimate.low, digits, math.floor), digits)
     if any("." in text for text in texts):  # beside decimals, a whole number shows that it has as many digits
         texts = [t if x is None else _with_zeros(x, t, digits) for x, t in zip(given, texts, strict=True)]
     value, low, high = texts

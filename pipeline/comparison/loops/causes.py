@@ -125,12 +125,13 @@ def _parts(shown: Shown) -> Iterator[Candidate]:
         return
     fitted, values = found.fitted, found.fitted.values
     force = fitted.parameter("constant_force")
-    beside = ["force"] if force is not None and force.low * force.high > 0 else []
+    known = force is not None and not fitted.why_unknown("constant_force")
+    beside = ["force"] if force is not None and known and force.low * force.high > 0 else []
     stable = shown.stages.column("response", "stiffness")[shown.stages.verdicts.verdict == "stable"]
     least = {"step": abs(shown.trial.step) or np.inf, "wall": float(stable[stable > 0].min(initial=np.inf)), "": np.inf}
     for name in dict.fromkeys([*fitted.parts, *beside]):
         kind, _, at = name.partition(" ")
-        if (part := PARTS.get(kind)) is None:
+        if (part := PARTS.get(kind)) is None or fitted.why_unknown(part.number):
             continue
         number, rest = fitted.with_interval(part.number), abs(values[part.number]) / least[part.over]
         left = {key: value for key, value in values.items() if kind != "mode" or key != "far_mass"}

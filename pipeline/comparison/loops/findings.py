@@ -25,7 +25,7 @@ from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Parameter
 from pipeline.records.loop_parts import LoopParts
-from pipeline.records.models import Device
+from pipeline.records.models import Device, Experiment
 from pipeline.records.results import LIMITS_WITHIN, ExperimentResult, LoopFindings, LoopResult, WallReplay
 from pipeline.rendering.labels import Units, significant
 
@@ -36,6 +36,11 @@ NOTHING = "no device was found in the logs, since mass, damping or delay are not
 HELD = (
     "a spring holds the device, perhaps a hand: how much of the damping is the device's own is not known, and a wall "
     "is passive by that alone; a device file, or trials without it, would tell"
+)
+GRIPPED = (
+    "a hand was on the device (grip {}), whose damping is gone when it lets go, and how much of the damping is the "
+    "device's own is not known: provide a device file with the hand as its operator, or record trials without it "
+    "(grip none)"
 )
 
 JITTERS = (
@@ -88,7 +93,7 @@ def loop_findings(
     parts = device.loop_of(of) if device is not None and of is not None else None
     causes = causes_of(shown)
     adequate = told is not None and replay is not None and replay.is_right
-    reason = untold or (NOTHING if told is None else _reason(told, replay, refused, parts))
+    reason = untold or (NOTHING if told is None else _reason(told, replay, refused, parts, walls=bool(result.boundary)))
     record = _record(result, told, velocity, parts, adequate=adequate, reason=reason)
     findings = LoopFindings(loop=record, replay=replay, causes=causes)
     if told is None:
@@ -98,9 +103,16 @@ def loop_findings(
         return findings.model_copy(update={"passive_reason": f"needs an adequate loop, and this one is not: {reason}"})
     held = told.stated is None and found is not None and "spring" in found.fitted.parts
     # a hand that is let go of takes its damping with it
-    refused = HELD if held else JITTERS if trial.jitter else ""
+    grips = _grips(stages, of) if parts is None or parts.operator is None else []
+    refused = GRIPPED.format(listed(grips)) if grips else HELD if held else JITTERS if trial.jitter else ""
     wall, none = (None, refused) if refused else passive_wall(told, result)
     return findings.model_copy(update={"passive": wall, "passive_reason": none})
+
+
+def _grips(stages: ExperimentStages, of: Experiment | None) -> list[str]:
+    """Return how a hand was on the device, by the logs and by the device file; empty where none was."""
+    grips = {*stages.trials.column("grip").to_pylist(), *([of.grip] if of is not None else [])}
+    return sorted(grip for grip in grips if grip and grip != "none")
 
 
 def _judged(
@@ -139,8 +151,12 @@ def _record(
     )
 
 
-def _reason(told: ToldLoop, replay: WallReplay | None, refused: str, parts: LoopParts | None) -> str:
-    """Return what the replay says of a loop, and what the loop is."""
+def _reason(
+    told: ToldLoop, replay: WallReplay | None, refused: str, parts: LoopParts | None, *, walls: bool
+) -> str:
+    """Return what the replay shows of a loop, and what the loop is; ``walls`` where any was tried."""
+    if not walls:
+        return "no wall was tried (K > 0), so that the loop was compared with no verdict"
     if replay is None or replay.verdicts_same is None:
         return (
             "no wall outside the interval of a measured limit is decided, so that the found device is held against none"

@@ -71,9 +71,9 @@ def region_to_use(result: ExperimentResult, stages: ExperimentStages) -> tuple[U
     """
     # a limit that nothing bounds from below is none to keep away from: those beside it are
     limits = measured_limits([p for p in result.boundary if p.low is None or p.low > 0])
-    if not limits.known.any():
-        return None, "no stability limit is known"
     K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
+    if not limits.known.any():
+        return None, _no_limit(K, stages)
     stable = (stages.verdicts.verdict == "stable") & (K > 0)
     over = stages.sure_cost("overshoot") if "overshoot" in result.optimum else np.zeros_like(K)
     usable = stable & ~(over > CALM)
@@ -93,6 +93,19 @@ def region_to_use(result: ExperimentResult, stages: ExperimentStages) -> tuple[U
         if region is None:
             return None, f"{why}; fewer than {FEWEST} stable neighbours lie at half the limit or below"
     return _described(criterion, tested, region, limits, result, stages), why
+
+
+def _no_limit(stiffness: Floats, stages: ExperimentStages) -> str:
+    """Return why no stability limit is known, with the remedy."""
+    wall = stiffness > 0
+    if not wall.any():
+        return "no wall was tried: record trials with K > 0"
+    verdict = stages.verdicts.verdict[wall]
+    if (verdict == "undecided").all():
+        return "no stability limit is known, since no trial is decided: record longer logs with larger steps"
+    if not (verdict == "stable").any():
+        return "no stability limit is known, since no trial was stable: record softer walls"
+    return "no stability limit is known"
 
 
 def _above_undecided(stiffness: Floats, damping: Floats, undecided: Booleans) -> Booleans:

@@ -114,10 +114,13 @@ def _estimates(result: ExperimentResult, units: Units, *, limit: bool) -> tuple[
         if estimate is None:
             continue
         estimate = result.delay if name == "delay_samples" else estimate.by_method.get("model", estimate)
-        if estimate.value is not None or (name == "friction" and estimate.high is not None and not doubt):
+        unknown = estimate.reason if (estimate.reason or "").startswith("not identifiable") else None
+        bounded = name == "friction" and estimate.high is not None and not doubt
+        if estimate.value is not None or bounded or unknown:
             ends = (None, None) if doubt else (estimate.low, estimate.high)
             unit = estimate.unit.replace("^2", "²")
-            found.append(AnswerEstimate(name=name, value=estimate.value, low=ends[0], high=ends[1], unit=unit))
+            about = {"unit": unit, "reason": unknown if estimate.value is None and not bounded else None}
+            found.append(AnswerEstimate(name=name, value=estimate.value, low=ends[0], high=ends[1], **about))
     point = result.stiffest
     if point is not None and limit:
         found.append(
@@ -156,7 +159,7 @@ def _doubt(result: ExperimentResult) -> str:
         return f"No interval where one model does not hold for all trials: {listed(drifting)} drift with the wall."
     if all(result.estimates[name].value is None for name in NEEDED):
         why = result.estimates["mass"].reason or "no usable trial"
-        return f"{why[0].upper()}{why[1:]}."
+        return f"{why[0].upper()}{why[1:].rstrip('.')}."
     loop, fitted = result.loop, "model" in result.estimates["delay_samples"].by_method
     if loop is None or loop.adequate or fitted:
         return ""

@@ -62,11 +62,29 @@ def _of_trials(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator
     kinds = {
         "few_trials": [r.experiment for r in results if r.trials < FEW_TRIALS],
         "edge": [r.experiment for r in results if any(o.censored for o in r.optimum.values())],
-        "open_end": [r.experiment for r in results if any(p.censored for p in r.boundary)],
+        "open_end": [r.experiment for r in results if any(p.censored and p.stable is not None for p in r.boundary)],
+        "undecided": [r.experiment for r in results if any(p.censored and p.stable is None for p in r.boundary)],
     }
     yield from ({"code": code, "experiments": names, "few": FEW_TRIALS} for code, names in kinds.items() if names)
+    for result, stages in zip(results, data.experiments, strict=False):
+        if walls := contradictory_walls(stages):
+            yield {"code": "contradictory", "experiments": [result.experiment], "walls": walls}
     if parts := list(_extrapolated(data, results)):
         yield {"code": "extrapolated", "parts": parts}
+
+
+def contradictory_walls(stages: ExperimentStages) -> list[tuple[float, list[float]]]:
+    """Return the dampings at which a wall was both stable and unstable, with its stiffnesses [N/m, Nm/rad]."""
+    K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
+    verdict = stages.verdicts.verdict
+    stable, unstable = (
+        set(zip(B[chosen].tolist(), K[chosen].tolist(), strict=True))
+        for chosen in ((K > 0) & (verdict == said) for said in ("stable", "unstable"))
+    )
+    found: dict[float, list[float]] = {}
+    for damping, stiffness in sorted(stable & unstable):
+        found.setdefault(damping, []).append(stiffness)
+    return list(found.items())
 
 
 def _extrapolated(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator[tuple[str, int, float]]:
@@ -134,7 +152,7 @@ def _of_estimates(results: Sequence[ExperimentResult]) -> Iterator[dict[str, Any
                 for key, value in (("quantities", quantity), ("experiments", result.experiment), ("texts", others)):
                     doubt[key] += [value] if value not in doubt[key] else []
     for (quantity, reason), names in missing.items():
-        yield {"code": "missing", "quantity": quantity, "reason": reason, "experiments": names}
+        yield {"code": "missing", "quantity": quantity, "reason": reason.rstrip("."), "experiments": names}
     if drifts:
         yield {"code": "drifts", "drifts": drifts}
     for doubt in doubts.values():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import inf
 
 import numpy as np
 
@@ -33,6 +34,22 @@ NAMES = {
 
 PARTS = {"stiffness": "spring", "mode": "mode at the motor"}
 """Parts of a fitted device by those of the model, where these have other names."""
+
+FORCES = {"coulomb": "step", "constant_force": "step", "force_limit": "command"}
+"""Numbers that are forces, and the largest of what they are known by: one that is known to no better is not known."""
+
+SIGNED = ("stiffness", "constant_force")
+"""Numbers that may be negative: a device about to tip over has a stiffness below 0. No other one is, at either end."""
+
+NOT_IDENTIFIABLE = "not identifiable: {}. Record {}"
+"""Reason of a number that logs leave open, with the remedy."""
+
+ANY_FORCE = "its 95 % interval is wider than the largest {}, {:.3g}, since other parts of the device act alike"
+ANY_SPRING = "any spring that is too soft to be seen in these motions explains them as well"
+OPEN = "other parts of the device explain these logs as well"
+
+MORE = "more logs of several sizes and directions"
+"""Remedy where no better one is known."""
 
 FEWEST_LOGS = 3
 """Logs below which what they show is an accident."""
@@ -71,6 +88,11 @@ class FittedDevice:
         Standard deviation of the delay within a trial [samples], and the error of it.
     fit_percent : float or None
         Median fit of its free runs to logs that it was not fitted to.
+    command, step, travel : float
+        Largest command and largest step [N, Nm], and range of the positions [m, rad] of its logs; infinite and 0 where
+        not known.
+    remedy : str
+        What to record so that parts which act alike are separated.
     """
 
     parts: tuple[str, ...]
@@ -85,6 +107,10 @@ class FittedDevice:
     bounds: Mapping[str, float] = field(default_factory=dict)
     jitter: tuple[float, float] = (0.0, 0.0)
     fit_percent: float | None = None
+    command: float = inf
+    step: float = inf
+    travel: float = 0.0
+    remedy: str = MORE
 
     @property
     def tells(self) -> bool:
@@ -100,18 +126,36 @@ class FittedDevice:
         value = self.values[name]
         reach = NORMAL_95 * float(np.sqrt(self.covariance[(place := list(self.values).index(name)), place]))
         end = self.bounds.get(name, value)
-        return Parameter(value=value, low=min(value, end) - reach, high=max(value, end) + reach)
+        low, high = min(value, end) - reach, max(value, end) + reach
+        if name not in SIGNED and value >= 0:
+            low = max(low, 0.0)
+        return Parameter(value=value, low=low, high=high)
+
+    def why_unknown(self, name: str) -> str:
+        """Return why a number, or the bound of one that it does not have, means nothing, with the remedy; else ''."""
+        number = self.parameter(name)
+        if number is None:
+            wide = self.bounds.get(name, 0.0)
+        else:
+            wide = 0.5 * (number.high - number.low)
+        if name in FORCES and not wide <= (most := getattr(self, FORCES[name])):
+            return NOT_IDENTIFIABLE.format(ANY_FORCE.format(FORCES[name], most), self.remedy)
+        if name == "stiffness" and not wide * self.travel <= self.command:
+            return NOT_IDENTIFIABLE.format(ANY_SPRING, "larger motions, or " + self.remedy)
+        return ""
 
     def estimate(self, name: str, unit: str) -> Estimate:
         """Return one of its numbers as an estimate; of one that it does not have at most a bound."""
         number, count = self.parameter(name), len(self.trials)
+        if why := self.why_unknown(name):
+            return Estimate(value=None, unit=unit, method=METHOD, reason=why, trials=count)
         if number is None:
             high = self.bounds.get(name)
             low, reason = None if high is None else 0.0, "the logs are explained as well without it"
             return Estimate(value=None, low=low, high=high, unit=unit, method=METHOD, reason=reason, trials=count)
         found = number.model_dump()
         if name in self.open:
-            found |= {"value": None, "low": max(number.low, 0.0), "reason": "the logs leave it open"}
+            found |= {"value": None, "reason": NOT_IDENTIFIABLE.format(OPEN, self.remedy)}
         elif (hidden := number.value - self.bounds.get(name, number.value)) > 0:
             found["warning"] = f"up to {hidden:.2g} {unit} of it may be a lag of the drive: logs do not tell which"
         return Estimate(**found, unit=unit, method=METHOD, trials=count)
@@ -135,4 +179,8 @@ def fitted_device(of: Stored) -> FittedDevice | None:
         numbers["bounds"],
         tuple(numbers["jitter"]),
         numbers["fit_percent"],
+        numbers["command"],
+        numbers["step"],
+        numbers["travel"],
+        numbers["remedy"],
     )

@@ -33,7 +33,7 @@ WITHOUT = {"command_shifted", "sampling_period"}
 """Departures from the wall law by which a logged command is not the one that drives the device at that time, or the
 time is not known."""
 
-NOT_TOLD = "the logs do not tell the mass from the force on the device; record {}, or walls"
+NOT_TOLD = "mass and force on the device cannot be separated in these logs; record {}, or walls"
 
 OTHER_WALLS = (
     "the command of most logs is not that of their stated wall and time, so that these are left out, and the others do "
@@ -42,7 +42,7 @@ OTHER_WALLS = (
 
 
 def found_device(of: Experiment) -> tuple[Identified | None, str]:
-    """Return the likeliest device of all logs of an experiment, or None and why."""
+    """Return the likeliest device of all logs of an experiment and what to record for more, or None and why."""
     codes = [set(filter(None, text.split(","))) for text in of.texts("wall_law", "law_codes")]
     stiffness = of.column("response", "stiffness")
     usable = np.array([each.isdisjoint(WITHOUT) for each in codes])
@@ -60,18 +60,19 @@ def found_device(of: Experiment) -> tuple[Identified | None, str]:
         device = identified(found)
     except ParameterError as error:
         return None, str(error)
+    remedy = Recorded.of(found).remedy()
     if "mass" not in device.untold:
-        return device, ""
+        return device, remedy
     # logs that obey another wall than stated are the reason, whatever the others lack
-    why = NOT_TOLD.format(Recorded.of(found).remedy()) if usable.mean() > MOST else OTHER_WALLS
+    why = NOT_TOLD.format(remedy) if usable.mean() > MOST else OTHER_WALLS
     return None, why
 
 
 def device(of: Experiment) -> Columns:
     """Return the one row of the stage `device`."""
-    found, reason = of.once(found_device)
-    numbers = {"names": []} if found is None else _numbers(found, of)
-    return {"numbers": [json.dumps(numbers)], "reason": [reason or None]}
+    found, words = of.once(found_device)
+    numbers = {"names": []} if found is None else _numbers(found, of) | {"remedy": words}
+    return {"numbers": [json.dumps(numbers)], "reason": [words if found is None else None]}
 
 
 def model(of: Experiment) -> Columns:
@@ -129,6 +130,9 @@ def _numbers(found: Identified, of: Experiment) -> dict[str, Any]:
         "explained": found.explained,
         "fit_percent": float(np.median(fits)) if len(fits) else None,
         "saturated": _saturated(of, values.get("force_limit", np.inf)),
+        "command": found.scales.command,
+        "step": float(np.abs(of.samples.of_trials("step")).max(initial=0.0)) or found.scales.command,
+        "travel": found.scales.position,
     }
 
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import io
 import re
+import unicodedata
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -68,6 +70,9 @@ RC: Any = {
     "legend.frameon": False,
     **dict.fromkeys(("axes.edgecolor", "axes.labelcolor", "text.color", "xtick.color", "ytick.color"), INK),
 }
+
+MISSING_GLYPH = r"Glyph \d+ .* missing from font"
+"""Warning of matplotlib of a character that its font does not have."""
 
 LARGER = 1.4
 """Text in print and on a phone, whose style sheets enlarge it, relative to that of the drawing: legends leave room."""
@@ -206,9 +211,34 @@ def svg_of(drawing: Drawing, identifier: str, title: str, words: str) -> str:
     import matplotlib
 
     stream = io.StringIO()
-    with matplotlib.rc_context({"svg.hashsalt": identifier}):
+    with matplotlib.rc_context({"svg.hashsalt": identifier}), warnings.catch_warnings():
+        # text stays text in the file, and whoever shows it has fonts for it
+        warnings.filterwarnings("ignore", MISSING_GLYPH, UserWarning)
         drawing.savefig(stream, format="svg", metadata={"Date": None})
     return _for_page(stream.getvalue(), identifier, title, words)
+
+
+def spell_missing_glyphs(drawing: Drawing) -> None:
+    """Replace the characters that the font of a drawing lacks by their code points, as in ``[U+673A]``.
+
+    For formats that hold glyphs and no text: a box would be the same for all of them. Marks that combine with others
+    are left out.
+    """
+    from matplotlib.font_manager import findfont, get_font
+    from matplotlib.text import Text
+
+    texts = [each for each in drawing.findobj(Text) if not (each.get_text().isascii() and each.get_text().isprintable())]
+    known = get_font(findfont("DejaVu Sans")).get_charmap() if texts else {}
+    for text in texts:
+        spelt = "".join(each if ord(each) in known else _code_point(each) for each in text.get_text())
+        if spelt != text.get_text():
+            text.set_text(spelt)
+
+
+def _code_point(character: str) -> str:
+    if unicodedata.category(character) == "Cc":
+        return "\n" if character == "\n" else " "
+    return "" if unicodedata.category(character) in ("Mn", "Me", "Cf") else f"[U+{ord(character):04X}]"
 
 
 def write_figures(figures: Sequence[Figure], folder: Path) -> tuple[Path, ...]:
@@ -221,6 +251,7 @@ def write_figures(figures: Sequence[Figure], folder: Path) -> tuple[Path, ...]:
         for index, (_, drawing) in enumerate(_drawings(figure)):
             path = folder / f"{figure.identifier}-{index}"
             stream = io.BytesIO()
+            spell_missing_glyphs(drawing)
             # no time, no name: the same report gives the same file
             drawing.savefig(stream, format="pdf", metadata={"CreationDate": None, "Creator": None, "Producer": None})
             for ending, content in ((".svg", standalone(svgs[index]).encode()), (".pdf", stream.getvalue())):

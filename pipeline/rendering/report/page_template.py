@@ -27,6 +27,7 @@ FILTERS = {
     "damping": labels.damping_text,
     "digits": labels.significant,
     "at_least": labels.at_least,
+    "at_most": labels.at_most,
     "capitalised": lambda text: text[:1].upper() + text[1:],
     "size": labels.size_text,
     "cost": lambda cost, criterion: labels.cost_range_text(criterion, cost, cost),
