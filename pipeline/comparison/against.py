@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot
 from pathlib import Path
 from typing import Any
@@ -13,15 +13,20 @@ import numpy as np
 
 from pipeline.base.errors import UsageError
 from pipeline.base.provenance import __version__, code_digest
+from pipeline.base.wording import listed
 from pipeline.comparison.experiment_result import estimated_theories, experiment_result, nominal_theories
 from pipeline.comparison.figures.responses import trials_of
 from pipeline.comparison.scene.origin import excluded_trials
 from pipeline.comparison.scene.scene import SceneData, open_scene
 from pipeline.comparison.scores.scores import add_scores
+from pipeline.loop.loop import wall_units
+from pipeline.measured.experiment.boundary import boundary_area
+from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.student import NORMAL_95
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.records.findings import BoundaryPoint, ExcludedTrial, Note
+from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import Motion
 from pipeline.records.results import (
     AgainstResult,
@@ -51,6 +56,12 @@ Trials = Mapping[str, tuple[Floats, Floats, Floats]]
 
 Scale = tuple[float, float]
 """Units of stiffness m/T^2 and damping m/T, by which walls become alpha and beta."""
+
+AREA = "boundary_area"
+"""Estimate that is an area over dampings: only over those that both sides cover can it be compared."""
+
+SAME_DAMPING = 1e-9
+"""Relative difference of dampings that is rounding."""
 
 _SCORES = {"region": ("overlap", "covered", "area_ratio"), "distance": ("median",), "verdicts": ("agreement",)}
 """Scores that are compared."""
@@ -82,9 +93,11 @@ def compare_pair(
     boundary, reason = compare_boundaries(one, other, *(scales or ((1.0, 1.0), (1.0, 1.0))))
     values = [list(_values(*each)) for each in zip(documents, (wall, wall), scales or (None, None), strict=True)]
     joined = compare_values(*values)
+    area = _area_difference((one, other), scales or ((1.0, 1.0), (1.0, 1.0)), "1" if scales else None)
     if scales:
         doubt = {"difference": None, "low": None, "high": None, "significant": None, "reason": "devices differ"}
         joined = [v.model_copy(update=doubt) if v.part == "estimates" else v for v in joined]
+    joined = [area(v) if v.name == AREA else v for v in joined]
     parts: dict[str, Any] = {
         part: tuple(v for v in joined if v.part == part) for part in ("estimates", "optima", "scores")
     }
@@ -99,6 +112,59 @@ def compare_pair(
         sentences=(),
     )
     return pair.model_copy(update={"sentences": sentences_of(pair)})
+
+
+def _area_difference(
+    sides: tuple[Sequence[BoundaryPoint], Sequence[BoundaryPoint]], scales: tuple[Scale, Scale], unit: str | None
+) -> Callable[[ValueDifference], ValueDifference]:
+    """Return what replaces a difference of areas: that over the dampings that both boundaries cover."""
+    scaled = [[_scaled(point, scale) for point in points] for points, scale in zip(sides, scales, strict=True)]
+    first, last = ([end(point.damping for point in points) for points in scaled if points] for end in (min, max))
+    low, high = (max(first), min(last)) if len(first) == 2 else (0.0, 0.0)
+
+    def of_both(value: ValueDifference) -> ValueDifference:
+        named = value.unit if unit is None else unit
+        if not low < high:
+            nothing = {"first": None, "second": None, "difference": None, "low": None, "high": None}
+            why = "the boundaries cover no common range of dampings"
+            return value.model_copy(update={**nothing, "significant": None, "unit": named, "reason": why})
+        rows = []
+        for points in scaled:
+            found = boundary_area(_between(points, low, high), named)
+            row = {key: getattr(found, key) for key in ("unit", "value", "low", "high", "reason")}
+            rows.append({"part": value.part, "name": value.name, **row})
+        return _difference(*rows)
+
+    return of_both
+
+
+def _scaled(point: BoundaryPoint, scale: Scale) -> BoundaryPoint:
+    """Return a point of a boundary in the units of a plane."""
+    stiffness = ("stable", "unstable", "estimate", "low", "high", "stiffness_large_motion", "truth")
+    values = {name: value / scale[0] for name in stiffness if (value := getattr(point, name)) is not None}
+    return point.model_copy(update=values | {"damping": point.damping / scale[1]})
+
+
+def _between(points: Sequence[BoundaryPoint], low: float, high: float) -> list[BoundaryPoint]:
+    """Return the part of a boundary between two dampings, straight between its points; those at its ends are added."""
+    ordered = sorted(points, key=lambda point: point.damping)
+    damping = [point.damping for point in ordered]
+    ends = [_at(ordered, B) for B in (low, high) if not np.isclose(damping, B, rtol=SAME_DAMPING, atol=0.0).any()]
+    reach = SAME_DAMPING * max(abs(low), abs(high))
+    inside = [point for point in ordered if low - reach <= point.damping <= high + reach]
+    return sorted([*inside, *ends], key=lambda point: point.damping)
+
+
+def _at(ordered: Sequence[BoundaryPoint], damping: float) -> BoundaryPoint:
+    """Return a boundary between two of its points; what one of them lacks is unknown there."""
+    place = int(np.searchsorted([point.damping for point in ordered], damping))
+    before, behind = ordered[place - 1], ordered[place]
+    share = (damping - before.damping) / (behind.damping - before.damping)
+    values: dict[str, float | None] = {}
+    for name in ("stable", "unstable", "estimate", "low", "high"):
+        ends = getattr(before, name), getattr(behind, name)
+        values[name] = None if None in ends else (1 - share) * ends[0] + share * ends[1]
+    return BoundaryPoint(damping=damping, censored=before.censored or behind.censored, **values)
 
 
 def _point(values: Mapping[str, Any]) -> BoundaryPoint:
@@ -171,8 +237,11 @@ def compare_boundaries(
     points, which are lower bounds, are left out. Between its dampings the second boundary is taken as straight.
     """
     a, b = (_limits(points, scale) for points, scale in ((first, first_scale), (second, second_scale)))
-    if len(a) < 1 or len(b) < 2:
-        return None, "one of them has no limits: its tested ranges ended before a trial was unstable"
+    for which, side, limits in (("first", first, a), ("second", second, b)):
+        if not len(limits):
+            return None, f"the {which} one has no limits: {_without_limits(side)}"
+    if len(b) < 2:
+        return None, "the second one has a limit at a single damping, and two are needed to compare between them"
     a = a[(a[:, 0] >= b[0, 0]) & (a[:, 0] <= b[-1, 0]) & (a[:, 1] > 0)]
     if not len(a):
         return None, "they cover no common damping"
@@ -197,6 +266,17 @@ def compare_boundaries(
         interpolated=not bool(np.isin(a[:, 0], b[:, 0]).all()),
         points=points,
     ), None
+
+
+def _without_limits(points: Sequence[BoundaryPoint]) -> str:
+    """Return why a boundary has no limits."""
+    if not points:
+        return "no wall was tried (K > 0)"
+    if all(point.stable is None and point.unstable is None for point in points):
+        return "no trial is decided"
+    if all(point.unstable is None for point in points):
+        return "its tested ranges ended before a trial was unstable"
+    return "at no damping is one trial surely stable and another one unstable"
 
 
 def _limits(points: Sequence[BoundaryPoint], scale: Scale) -> Floats:
@@ -287,8 +367,12 @@ def against_experiments(
     scales = None if first[0] == second[0] else (one.scale, other.scale)
     documents = one.result.model_dump(mode="json"), other.result.model_dump(mode="json")
     pair = compare_pair((one.side, other.side), documents, motion, scales, (one.trials, other.trials))
-    if scales is None or one.theory is None or other.theory is None:
+    if scales is None:
         figure = _overlay(labels, [result.boundary for result in results], motion)
+    elif one.theory is None or other.theory is None:
+        both = zip(results, scales, strict=True)
+        limits = [[_scaled(point, scale) for point in result.boundary] for result, scale in both]
+        figure = _overlay(labels, limits, motion, names=("α = K T²/m", "β = B T/m"))
     else:
         figure = plane_figure([(labels[0], results[0], one.theory, 0), (labels[1], results[1], other.theory, 1)])
     return AgainstPage(AgainstResult(title=" against ".join(labels), pairs=(pair,)), (figure,), motion)
@@ -371,13 +455,25 @@ class _Gathered:
 
     @property
     def scale(self) -> Scale:
-        """Units of stiffness and damping that alpha and beta of 1 stand for."""
-        if self.theory is None:
+        """Units of stiffness and damping that alpha and beta of 1 stand for.
+
+        They need mass and sampling period alone: of the device file, else as estimated, whether or not the loop has a
+        theory (friction has none).
+        """
+        if self.theory is not None:
+            return self.theory.units.stiffness, self.theory.units.damping
+        stages = self.data.experiments[0]
+        fitted = stages.once(fitted_device)
+        mass = fitted.estimate("mass", "kg").value if fitted is not None else None
+        if mass is None or not mass > 0:
+            why = self.result.estimates["mass"].reason or "its logs leave the mass open"
             raise UsageError(
                 f"device {self.side.device!r}, experiment {self.side.experiment!r}: two devices are compared in the "
-                "plane of alpha and beta, which needs a mass: there is no device file, and the logs give no estimate."
+                "plane of alpha and beta, which needs a mass. There is no device file with this experiment, and the "
+                f"logs give no estimate: {why.rstrip('.')}."
             )
-        return self.theory.units.stiffness, self.theory.units.damping
+        units = wall_units(mass, stages.sampling_period_s, LoopParts())
+        return units.stiffness, units.damping
 
 
 def _gathered(data: SceneData, notes: Sequence[Note]) -> _Gathered:
@@ -415,9 +511,16 @@ def _side(of: Document, experiment: Document) -> Side:
 
 
 def _overlay(
-    labels: Sequence[str], limits: Sequence[Sequence[BoundaryPoint]], motion: Motion, suffix: str = ""
+    labels: Sequence[str],
+    limits: Sequence[Sequence[BoundaryPoint]],
+    motion: Motion,
+    suffix: str = "",
+    names: tuple[str, str] | None = None,
 ) -> Figure:
     both = enumerate(zip(limits, labels, strict=True))
     series = [s for number, (points, label) in both for s in measured(points, label, number)]
+    panel = limits_panel("", series, motion, names)
+    if names is not None:
+        panel = replace(panel, words=f"Stability limits in the normalised plane: {listed(labels)}.")
     title, caption = f"Boundaries of {labels[0]} and {labels[1]}", "Last stable stiffness at each damping."
-    return limits_figure(title, caption, [limits_panel("", series, motion)], f"boundaries-against{suffix}")
+    return limits_figure(title, caption, [panel], f"boundaries-against{suffix}")

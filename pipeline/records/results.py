@@ -360,8 +360,8 @@ class UseRegion(Record):
 class AnswerEstimate(Record):
     """A quantity of the first screen with its 95 % interval; an end is null where nothing bounds it.
 
-    The value is null for friction that was not found: ``high`` is the most that the logs leave open. Where not even that
-    is known, ``reason`` says why, and what to record.
+    The value is null for friction that was not found: ``high`` is the most that the logs leave open. Where not even
+    that is known, ``reason`` says why, and what to record.
     ``large_motion`` is the linear limit of a device with friction, from which on a harder push is unstable. Of the
     replay, the value is the share of verdicts that it has right behind walls that it was not fitted to, and
     ``limits_off_percent`` the median error of its limits; where measured ones are known less well,

@@ -250,9 +250,7 @@ class _Experiment:
         return f"{cost_text(criterion, cost)}{told}"
 
 
-def _alone(
-    point: LoopPoint, batch: TrialBatch, edge_row: Integers, usual: Trial
-) -> Iterator[tuple[int, int, Floats]]:
+def _alone(point: LoopPoint, batch: TrialBatch, edge_row: Integers, usual: Trial) -> Iterator[tuple[int, int, Floats]]:
     """Yield of each trial with a step its place, its edge, and how a device alone moves from there on [m, rad].
 
     The motion of a linear device is that of the usual step times the size; friction and a constant force take another

@@ -151,9 +151,7 @@ def _record(
     )
 
 
-def _reason(
-    told: ToldLoop, replay: WallReplay | None, refused: str, parts: LoopParts | None, *, walls: bool
-) -> str:
+def _reason(told: ToldLoop, replay: WallReplay | None, refused: str, parts: LoopParts | None, *, walls: bool) -> str:
     """Return what the replay shows of a loop, and what the loop is; ``walls`` where any was tried."""
     if not walls:
         return "no wall was tried (K > 0), so that the loop was compared with no verdict"

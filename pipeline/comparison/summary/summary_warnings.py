@@ -11,6 +11,7 @@ import numpy as np
 
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.loop.loop import LARGEST_DELAY
+from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.criteria import ENERGY, members
 from pipeline.records.findings import DRIFTS
 from pipeline.records.models import Device

@@ -134,10 +134,7 @@ class FittedDevice:
     def why_unknown(self, name: str) -> str:
         """Return why a number, or the bound of one that it does not have, means nothing, with the remedy; else ''."""
         number = self.parameter(name)
-        if number is None:
-            wide = self.bounds.get(name, 0.0)
-        else:
-            wide = 0.5 * (number.high - number.low)
+        wide = self.bounds.get(name, 0.0) if number is None else 0.5 * (number.high - number.low)
         if name in FORCES and not wide <= (most := getattr(self, FORCES[name])):
             return NOT_IDENTIFIABLE.format(ANY_FORCE.format(FORCES[name], most), self.remedy)
         if name == "stiffness" and not wide * self.travel <= self.command:

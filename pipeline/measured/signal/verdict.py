@@ -88,8 +88,8 @@ def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
     far above it is stable, a limit cycle of quantum size included, unless a mode grows in what is left. An oscillation
     that lasts above `REST_FLOORS` floors while the command stands at a limit is unstable. What neither grows nor decays
     by more than its standard errors, a motion that hardly exceeds the floor, and one shorter than `FEWEST_SAMPLES` or
-    still in its first swing cannot be judged; of several steps the response to the first is. A trial without a step is judged by its free motion, as `release.find_release` finds it: a growth rate needs
-    no step. What else moves a device without one, such as a trajectory, says nothing of the loop.
+    still in its first swing cannot be judged; of several steps the response to the first is. A trial without a step is
+    judged by its free motion, as `release.find_release` finds it: a growth rate needs no step. What else moves a device without one, such as a trajectory, says nothing of the loop.
 
     Source: Hulin 2017, sec. 3.3 (stability), eq. 3.25 (K = 0) and sec. 6.1.1 (procedure).
     """
@@ -102,8 +102,8 @@ def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
     if len(some):
         released = _judge_released(batch.select(some), response.select(some))
         verdict[some], growth[some] = released.verdict, released.growth_per_s
-        for i, text in zip(some.tolist(), released.reason, strict=True):
-            reason[i] = text
+        for place, text in zip(some.tolist(), released.reason, strict=True):
+            reason[place] = text
     for i in np.flatnonzero(response.steps > 1):
         alone = judge(first_step_alone(batch.select(slice(i, i + 1))))
         verdict[i], growth[i], reason[i] = alone.verdict[0], alone.growth_per_s[0], alone.reason[0]
@@ -219,14 +219,13 @@ def _undecided(visible: bool, early: bool, samples: int, left: float, hidden: fl
     return f"at the limit: an amplitude of {left:.3g} is left that neither grows nor decays for sure{told}"
 
 
-def _free_motion(
-    batch: TrialBatch, response: Response, free: Integers | None
-) -> tuple[Floats, Integers, Integers]:
+def _free_motion(batch: TrialBatch, response: Response, free: Integers | None) -> tuple[Floats, Integers, Integers]:
     """Return the free motion without a constant part, its first row, and its number of samples.
 
     The input is constant, from ``free`` on where that is not the edge, and the delay line filled by it: the first
-    movement after the edge shows one delay; after another one the past before the step is forgotten. Behind a wall it is the change from sample to sample; with K = 0
-    the second difference over a third of the motion, in which the uniform motion leaves nothing.
+    movement after the edge shows one delay; after another one the past before the step is forgotten. Behind a wall it is
+    the change from sample to sample; with K = 0 the second difference over a third of the motion, in which the uniform
+    motion leaves nothing.
     """
     edge = np.maximum(response.edge_row, 0)
     column = np.arange(batch.position.shape[1])[None, :]

@@ -227,7 +227,9 @@ def spell_missing_glyphs(drawing: Drawing) -> None:
     from matplotlib.font_manager import findfont, get_font
     from matplotlib.text import Text
 
-    texts = [each for each in drawing.findobj(Text) if not (each.get_text().isascii() and each.get_text().isprintable())]
+    texts = [
+        each for each in drawing.findobj(Text) if not (each.get_text().isascii() and each.get_text().isprintable())
+    ]
     known = get_font(findfont("DejaVu Sans")).get_charmap() if texts else {}
     for text in texts:
         spelt = "".join(each if ord(each) in known else _code_point(each) for each in text.get_text())
