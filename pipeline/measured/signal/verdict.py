@@ -89,7 +89,8 @@ def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
     that lasts above `REST_FLOORS` floors while the command stands at a limit is unstable. What neither grows nor decays
     by more than its standard errors, a motion that hardly exceeds the floor, and one shorter than `FEWEST_SAMPLES` or
     still in its first swing cannot be judged; of several steps the response to the first is. A trial without a step is
-    judged by its free motion, as `release.find_release` finds it: a growth rate needs no step. What else moves a device without one, such as a trajectory, says nothing of the loop.
+    judged by its free motion, as `release.find_release` finds it: a growth rate needs no step. What else moves a device
+    without one, such as a trajectory, says nothing of the loop.
 
     Source: Hulin 2017, sec. 3.3 (stability), eq. 3.25 (K = 0) and sec. 6.1.1 (procedure).
     """
@@ -223,9 +224,9 @@ def _free_motion(batch: TrialBatch, response: Response, free: Integers | None) -
     """Return the free motion without a constant part, its first row, and its number of samples.
 
     The input is constant, from ``free`` on where that is not the edge, and the delay line filled by it: the first
-    movement after the edge shows one delay; after another one the past before the step is forgotten. Behind a wall it is
-    the change from sample to sample; with K = 0 the second difference over a third of the motion, in which the uniform
-    motion leaves nothing.
+    movement after the edge shows one delay; after another one the past before the step is forgotten. Behind a wall it
+    is the change from sample to sample; with K = 0 the second difference over a third of the motion, in which the
+    uniform motion leaves nothing.
     """
     edge = np.maximum(response.edge_row, 0)
     column = np.arange(batch.position.shape[1])[None, :]

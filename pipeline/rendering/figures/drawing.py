@@ -227,11 +227,8 @@ def spell_missing_glyphs(drawing: Drawing) -> None:
     from matplotlib.font_manager import findfont, get_font
     from matplotlib.text import Text
 
-    texts = [
-        each for each in drawing.findobj(Text) if not (each.get_text().isascii() and each.get_text().isprintable())
-    ]
-    known = get_font(findfont("DejaVu Sans")).get_charmap() if texts else {}
-    for text in texts:
+    known = get_font(findfont("DejaVu Sans")).get_charmap()
+    for text in drawing.findobj(Text):
         spelt = "".join(each if ord(each) in known else _code_point(each) for each in text.get_text())
         if spelt != text.get_text():
             text.set_text(spelt)
