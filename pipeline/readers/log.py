@@ -22,6 +22,12 @@ missing values (1e20, 3.4e38) or numbers in another unit; one such cell would sp
 LARGEST_CONDITION = 1e12
 """Largest stiffness, damping and step [SI]: steel of a metre has 1e11 N/m."""
 
+SMALLEST_CONDITION = 1e-30
+"""Smallest stiffness, damping and step [SI] that is not 0: far below any, and its square can still be computed."""
+
+PERIODS = (1e-9, 1e6)
+"""Shortest and longest sampling period [s]: a gigahertz, and ten days."""
+
 _LARGE = "Does it mean a missing value (then declare it by `sentinels`), or is the unit another? Else repair the row."
 
 OUTSIDE = 20
@@ -98,8 +104,8 @@ def check_samples(
     Raises
     ------
     LogError
-        If there are fewer than two samples, a step of 0 is said to be in some row, a value is not finite or lies out
-        of the range of readings (`LARGEST`, `stray`), or time does not increase strictly or pauses for `LONGEST_PAUSE`.
+        If there are fewer than two samples, a step of 0 is said to be in some row, a condition or the sampling period
+        is out of its range, a value is not finite or lies out of that of readings (`LARGEST`, `stray`), or time does not increase strictly or pauses for `LONGEST_PAUSE`.
     """
 
     def refused(code: str, at: int, found: str, expected: str = "", cure: str = "") -> LogError:
@@ -119,6 +125,12 @@ def check_samples(
         if abs(value := getattr(header, name)) > LARGEST_CONDITION:
             expected = f"at most {LARGEST_CONDITION:g} [SI]"
             raise refusal("out-of-range", "", f"{name} is {value:.6g}", expected, "Correct its number or unit.")
+        if 0 < abs(value) < SMALLEST_CONDITION:
+            expected = f"0, or at least {SMALLEST_CONDITION:g} [SI]"
+            raise refusal("out-of-range", "", f"{name} is {value:.6g}", expected, "Correct its number or unit.")
+    if not PERIODS[0] <= header.sampling_period_s <= PERIODS[1]:
+        found, expected = f"sampling_period_s is {header.sampling_period_s:.6g}", "{:g} to {:g} s".format(*PERIODS)
+        raise refusal("out-of-range", "", found, expected, "Correct its number or unit.")
     columns = {"time": time, "command": command, "position": position, "force": force, "velocity": velocity}
     travel = abs(header.step) / header.stiffness if header.stiffness > 0 else 0.0
     for name, values in columns.items():

@@ -76,6 +76,8 @@ def cost_start(
             reasons.append(f"no start of the response: {response.edge_reason[i]}")
         elif k <= 0:
             reasons.append(f"no final position: x_0 + F_0/K needs K > 0, found K = {k:g}")
+        elif response.position_final_expected[i] == response.position_start[i]:
+            reasons.append(f"no final displacement: F_0/K = {batch.step[i] / k:.3g} is below the rounding of positions")
         elif start >= rows:
             reasons.append(f"the log of {rows} rows ends before the command takes effect in row {start}")
         else:

@@ -129,8 +129,10 @@ def _half(size: Floats, digits: int) -> Floats:
 
 def _on_grid(size: Floats, decimals: Floats | int) -> Booleans:
     """Return which numbers have so many decimals, up to rounding."""
-    scaled = size * 10.0 ** np.asarray(decimals, dtype=np.float64)
-    result: Booleans = np.abs(scaled - np.rint(scaled)) <= ROUNDED * _EPS * scaled
+    # what overflows lies on no grid
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = size * 10.0 ** np.asarray(decimals, dtype=np.float64)
+        result: Booleans = np.abs(scaled - np.rint(scaled)) <= ROUNDED * _EPS * scaled
     return result
 
 

@@ -13,7 +13,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.measured.experiment.fitted_device import MOST, NAMES, PARTS
 from pipeline.measured.experiment.stored import Experiment
 from pipeline.measured.model.identified import Identified, identified, own_numbers
-from pipeline.measured.model.recordings import GAP, Recording
+from pipeline.measured.model.recordings import GAP, SHORTEST, Recording
 from pipeline.measured.model.scatter import FEWEST
 from pipeline.measured.model.told import Recorded
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
@@ -56,6 +56,8 @@ def found_device(of: Experiment) -> tuple[Identified | None, str]:
     found = sorted((one for part in parts for one in part), key=lambda one: rank[one.name])
     if not found:
         return None, "no log's command is that of its wall and time"
+    # a log that is too short to show motion costs itself alone
+    found = [one for one in found if len(one.time) >= SHORTEST] or found
     try:
         device = identified(found)
     except ParameterError as error:

@@ -1,0 +1,65 @@
+"""Small experiments for tests of what is degenerate: trials simulated, written as native logs, ingested and compared."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.comparison.compare import compare
+from pipeline.intake.ingest import ingest
+from pipeline.loop.motion import Mechanism
+from pipeline.records.batch import TrialBatch
+from pipeline.records.loop_parts import Friction, LoopParts
+from pipeline.records.native import NativeHeader, format_header
+from pipeline.records.results import ComparisonResult
+from pipeline.simulation.setup import Setup
+from pipeline.simulation.simulate import simulate
+
+
+def trials(K, B, *, mass=0.5, damping=3.0, coulomb=0.0, steps=4.0, rows=200, period=1e-3, **more) -> TrialBatch:
+    """One trial for each wall; ``steps`` is the step of all, or of each."""
+    K, B, steps = np.broadcast_arrays(np.asarray(K, float), np.asarray(B, float), np.asarray(steps, float))
+    plant = Mechanism.of(mass, damping, 0.0, LoopParts(friction=Friction(coulomb=coulomb) if coulomb else None))
+    parts = []
+    for i, (k, b, step) in enumerate(zip(K, B, steps, strict=True)):
+        about = {"edge_row": 20, "delay_samples": 2.0, "travel": 0.3, "quantum": 1e-6} | more
+        setup = Setup(plant=plant, sampling_period_s=period, step=float(step), rows=rows, **about)
+        parts.append(simulate(setup, np.array([k]), np.array([b]), seed=i))
+    return TrialBatch.joined(parts)
+
+
+def write_logs(
+    folder: Path, batch: TrialBatch, *, device="dev", experiment="1", step: float | None = None, prefix="", **header
+) -> Path:
+    """Write native logs; ``step`` replaces the one that the header states."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for i in range(len(batch)):
+        rows = int(batch.rows[i])
+        stated = float(batch.step[i]) if step is None else step
+        walls = float(batch.stiffness[i]), float(batch.damping[i])
+        head = format_header(
+            NativeHeader(device, experiment, *walls, stated, float(batch.sampling_period_s[i]), **header)
+        )
+        cells = np.stack([batch.time[i, :rows], batch.command[i, :rows], batch.position[i, :rows]], axis=1)
+        text = head + "".join("{:.17g},{:.17g},{:.17g}\n".format(*row) for row in cells.tolist())
+        (folder / f"{prefix}{i:03d}.csv").write_text(text, encoding="utf-8")
+    return folder
+
+
+def compared(raw: Path, processed: Path, *, device="dev", report: Path | None = None, **options) -> ComparisonResult:
+    """Ingest logs and compare them."""
+    found = ingest([raw], processed)
+    assert found.ingested == found.found
+    result = compare(device, processed, report=report, **options).result
+    assert result is not None
+    return result
+
+
+def compared_trials(folder: Path, batch: TrialBatch | Sequence[TrialBatch], **options) -> ComparisonResult:
+    """Write, ingest and compare trials; the report is written too, so that its figures are drawn."""
+    for number, each in enumerate([batch] if isinstance(batch, TrialBatch) else batch):
+        header = {name: options.pop(name) for name in ("step", "grip", "experiment") if name in options}
+        write_logs(folder / "raw", each, prefix=f"{number}-", **header)
+    return compared(folder / "raw", folder / "processed", report=folder / "report.html", **options)
