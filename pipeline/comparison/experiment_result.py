@@ -24,7 +24,7 @@ from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.records.findings import Estimate
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import Experiment
-from pipeline.records.results import ExperimentResult, LoopFindings, TheoryParameters
+from pipeline.records.results import NOT_ADEQUATE, ExperimentResult, LoopFindings, TheoryParameters
 from pipeline.rendering.labels import Units
 from pipeline.store.storage import stage_folder
 from pipeline.theory.predictions import Theory
@@ -156,7 +156,7 @@ def _findings(data: SceneData, stages: ExperimentStages, result: ExperimentResul
 def _doubted(estimate: Estimate) -> Estimate:
     if estimate.value is None:
         return estimate
-    doubt = "its loop is not adequate, so that its interval may be too narrow"
+    doubt = f"{NOT_ADEQUATE}, so that its interval may be too narrow"
     return estimate.model_copy(update={"warning": "; ".join(filter(None, [estimate.warning, doubt]))})
 
 

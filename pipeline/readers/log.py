@@ -105,7 +105,8 @@ def check_samples(
     ------
     LogError
         If there are fewer than two samples, a step of 0 is said to be in some row, a condition or the sampling period
-        is out of its range, a value is not finite or lies out of that of readings (`LARGEST`, `stray`), or time does not increase strictly or pauses for `LONGEST_PAUSE`.
+        is out of its range, a value is not finite or lies out of that of readings (`LARGEST`, `stray`), or time does
+        not increase strictly or pauses for `LONGEST_PAUSE`.
     """
 
     def refused(code: str, at: int, found: str, expected: str = "", cure: str = "") -> LogError:

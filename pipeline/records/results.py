@@ -172,6 +172,10 @@ VERDICTS_RIGHT = 0.95
 """Share of the verdicts that a device must predict."""
 
 
+NOT_ADEQUATE = "its loop is not adequate"
+"""Begin of a warning about an estimate that holds as far as its loop does."""
+
+
 class LoopResult(Record):
     """The loop that theory and all statements about an experiment rest on, and whether it may bear them.
 
@@ -486,11 +490,14 @@ class ExperimentResult(Record):
 
     @property
     def delay(self) -> Estimate:
-        """The delay that logs tell: of an adequate loop as it was fitted, else the integer factor (6.3)."""
+        """The delay by the logs: as fitted where walls do not speak against the loop, else the integer factor (6.3)."""
         factor = self.estimates["delay_samples"]
         fitted = factor.by_method.get("model")
-        told = self.loop is not None and self.loop.adequate and fitted is not None and fitted.value is not None
-        return fitted if fitted is not None and told else factor
+        if fitted is None or fitted.value is None or self.loop is None:
+            return factor
+        judged = self.replay is not None and self.replay.verdicts_same is not None
+        doubted = factor.warning is not None and NOT_ADEQUATE in factor.warning
+        return fitted if self.loop.adequate or not (judged or doubted) else factor
 
 
 class LogList(Record):

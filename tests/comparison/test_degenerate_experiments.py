@@ -47,7 +47,8 @@ def test_no_wall_limit_with_friction_or_jitter(walls, device, tmp_path):
     steps = np.array([0.8, -0.8, 1.2, -1.2, 2.0, -2.0])
     result = compared_trials(tmp_path, trials(*walls, steps=steps, **device))
     (of,) = result.experiments
-    assert of.boundary == () and of.estimates["mass"].value == pytest.approx(0.5, rel=0.05)
+    assert of.boundary == ()
+    assert of.estimates["mass"].value == pytest.approx(0.5, rel=0.05)
     assert of.use_reason == "no wall was tried: record trials with K > 0"
     assert "no wall was tried" in of.loop.reason
     assert result.answer.wall is None
@@ -59,7 +60,8 @@ def test_an_experiment_without_a_wall_leaves_the_others_their_report(course, tmp
     write_logs(tmp_path / "raw", free, experiment="free", prefix="f")
     result = compared(tmp_path / "raw", tmp_path / "processed")
     found = {of.experiment: of for of in result.experiments}
-    assert found["free"].boundary == () and found["walls"].stiffest is not None
+    assert found["free"].boundary == ()
+    assert found["walls"].stiffest is not None
     page = against_experiments(tmp_path / "processed", ("dev", "walls"), ("dev", "free"))
     assert page.result.pairs[0].boundary_reason == "the second one has no limits: no wall was tried (K > 0)"
 
@@ -71,7 +73,7 @@ def test_an_experiment_without_a_wall_leaves_the_others_their_report(course, tmp
 @pytest.mark.parametrize("count", [1, 3])
 @pytest.mark.parametrize("edge", ["first", "last"])
 def test_groups_of_very_short_logs(rows, count, edge, tmp_path):
-    batch = trials([300.0] * count, 5.0, rows=rows, edge_row=0 if edge == "first" else rows - 1)
+    batch = trials(300.0 + 100.0 * np.arange(count), 5.0, rows=rows, edge_row=0 if edge == "first" else rows - 1)
     result = compared_trials(tmp_path, batch)
     assert result.experiments[0].verdicts == {"undecided": count}
     assert without_reasons(result) == []
@@ -112,12 +114,14 @@ def test_the_example_log_of_the_readme(tmp_path):
 
 
 def test_as_many_negative_as_positive_steps(course, tmp_path):
-    one_way = course.select(np.arange(len(course)))
     sides = {"both": course}
-    mirrored = [trials([k], [b], coulomb=0.3, steps=4.0, rows=260) for k, b in zip(course.stiffness, course.damping)]
+    mirrored = [
+        trials([k], [b], coulomb=0.3, steps=4.0, rows=260)
+        for k, b in zip(course.stiffness, course.damping, strict=True)
+    ]
     sides["one"] = TrialBatch.joined(mirrored)
     found = {name: compared_trials(tmp_path / name, batch).experiments[0] for name, batch in sides.items()}
-    assert np.median(one_way.step) in (-4.0, 4.0) and np.abs(one_way.step.sum()) == 4.0
+    assert sorted(set(course.step)) == [-4.0, 4.0]
     for of in found.values():
         assert of.loop.adequate
         assert "coulomb_friction" in {cause.code for cause in of.causes}
@@ -141,13 +145,16 @@ def test_replay_of_steps_of_several_sizes(sizes, tmp_path):
 @pytest.mark.parametrize("walls", [(1000.0,), (1000.0, 4000.0)])
 def test_contradicting_verdicts_widen_the_bracket_and_are_named(walls, tmp_path):
     """The same walls once on the device, and once on another one that they make unstable."""
-    on_device, on_other = trials(walls, 15.0), trials(walls, 15.0, delay_samples=12.0)
+    on_device, on_other = trials(walls, 15.0), trials(walls, 15.0, delay_samples=30.0)
     result = compared_trials(tmp_path, [on_device, on_other])
     (point,) = result.experiments[0].boundary
     assert result.experiments[0].verdicts == {"stable": len(walls), "unstable": len(walls)}
-    assert point.stable is None and point.low == 0 and point.high is None
+    assert point.stable is None
+    assert point.low == 0
+    assert point.high is None
     text = next(text for text in result.warnings if "contradict" in text)
-    assert "B = 15" in text and all(f"{wall:.0f}" in text for wall in walls)
+    assert "B = 15" in text
+    assert all(f"{wall:.0f}" in text for wall in walls)
 
 
 @pytest.mark.parametrize("stiffness", [300.0, 1500.0, 4000.0])
@@ -168,7 +175,8 @@ def test_no_bound_of_friction_exceeds_the_step(step, B, tmp_path):
     result = compared_trials(tmp_path, trials(np.zeros(3), B, steps=step, rows=200))
     friction = result.experiments[0].estimates["friction"]
     if friction.high is None:
-        assert friction.reason.startswith("not identifiable") and "ecord" in friction.reason
+        assert friction.reason.startswith("not identifiable")
+        assert "ecord" in friction.reason
         (shown,) = [each for each in result.answer.estimates if each.name == "friction"] or [None]
         assert shown is None or shown.reason == friction.reason
     else:
@@ -192,16 +200,18 @@ def test_a_position_that_never_changes(tmp_path):
     result = compared_trials(tmp_path, still)
     assert without_reasons(result) == []
     text = result.answer.estimates_reason
-    assert text.endswith("motion.") and not text.endswith("..")
+    assert text.endswith("motion.")
+    assert not text.endswith("..")
     assert not any(each.name == "replay" for each in result.answer.estimates)
     assert not any(".)" in warning for warning in result.warnings)
 
 
 def test_whatever_is_missing_is_null_in_the_document(tmp_path):
-    compared_trials(tmp_path, trials([500.0] * 2, 5.0, rows=5, edge_row=1))
+    compared_trials(tmp_path, trials([500.0, 600.0], 5.0, rows=5, edge_row=1))
     document = json.loads((tmp_path / "report.json").read_text("utf-8"))
     mass = document["experiments"][0]["estimates"]["mass"]
-    assert mass["value"] is None and mass["reason"]
+    assert mass["value"] is None
+    assert mass["reason"]
 
 
 # names in any script
@@ -215,7 +225,7 @@ def test_names_in_any_script_give_no_warning_and_stay_text(name, tmp_path):
         tmp_path / "raw", tmp_path / "processed", report=report, figures=tmp_path / "figures", criteria=["rise_time"]
     )
     assert name in report.read_text("utf-8")
-    assert list((tmp_path / "figures").glob("*.pdf"))
+    assert list((tmp_path / "f").glob("*.pdf"))
 
 
 # a hand on the device
@@ -229,8 +239,12 @@ def test_no_passive_wall_by_logs_with_a_hand_alone(grip, tmp_path):
     batch = trials(K, B, damping=12.0, mass=0.6, rows=260)
     free = compared_trials(tmp_path / "none", batch).experiments[0]
     held = compared_trials(tmp_path / grip, batch, grip=grip).experiments[0]
-    assert free.passive is not None and free.loop.adequate and held.loop.adequate
-    assert held.passive is None and grip in held.passive_reason and "operator" in held.passive_reason
+    assert free.passive is not None
+    assert free.loop.adequate
+    assert held.loop.adequate
+    assert held.passive is None
+    assert grip in held.passive_reason
+    assert "operator" in held.passive_reason
 
 
 # two devices
@@ -257,7 +271,7 @@ def test_a_comparison_of_devices_names_the_true_reason(tmp_path):
     for name, rows in (("A", 200), ("C", 4)):
         write_logs(tmp_path / "raw", trials([300.0, 900.0], 10.0, rows=rows, edge_row=1), device=name, prefix=name)
     compared(tmp_path / "raw", tmp_path / "processed", device="A")
-    with pytest.raises(Exception, match="device 'C'.*usable rows"):
+    with pytest.raises(Exception, match=r"device 'C'.*usable rows"):
         against_experiments(tmp_path / "processed", ("A", "1"), ("C", "1"))
 
 

@@ -1,4 +1,4 @@
-"""Small experiments for tests of what is degenerate: trials simulated, written as native logs, ingested and compared."""
+"""Small experiments for tests of degenerate ones: simulated, written as native logs, ingested and compared."""
 
 from __future__ import annotations
 

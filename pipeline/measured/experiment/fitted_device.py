@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.measured.experiment.stored import Stored
 from pipeline.measured.student import NORMAL_95
 from pipeline.records.batch import Floats
-from pipeline.records.findings import Estimate, Parameter
+from pipeline.records.findings import ROUNDING, Estimate, Parameter
 
 METHOD = "one device, the likeliest of all trials"
 
@@ -126,6 +126,8 @@ class FittedDevice:
         value = self.values[name]
         reach = NORMAL_95 * float(np.sqrt(self.covariance[(place := list(self.values).index(name)), place]))
         end = self.bounds.get(name, value)
+        if self.trials:  # no number of a fit is known better than it is computed
+            reach = max(reach, ROUNDING * abs(value))
         low, high = min(value, end) - reach, max(value, end) + reach
         if name not in SIGNED and value >= 0:
             low = max(low, 0.0)

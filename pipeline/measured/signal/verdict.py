@@ -134,7 +134,9 @@ def _judge_released(batch: TrialBatch, response: Response) -> Verdicts:
     if len(some):
         batch, response = batch.select(some), response.select(some)
         floor, noise = at_rest_before(batch, found.begin[some])
-        begun = np.take_along_axis(np.nan_to_num(batch.displacement), found.free[some, None], axis=1)[:, 0]
+        displacement = np.nan_to_num(batch.displacement)
+        onset = np.argmax(np.abs(displacement) > floor[:, None], axis=1)
+        begun = np.take_along_axis(displacement, onset[:, None], axis=1)[:, 0]
         level = found.level[some]
         final = np.divide(level, batch.stiffness, out=np.full(len(some), np.nan), where=batch.stiffness > 0)
         final[level == 0] = np.nan
