@@ -41,6 +41,7 @@ def course():
 # no wall limit with friction or jitter
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("walls", [FREE, (np.array([-80.0, -50.0, 0.0, 0.0, 0.0, 0.0]), FREE[1])])
 @pytest.mark.parametrize("device", [{"coulomb": 0.3}, {"jitter_samples": (1, 2, 3)}])
 def test_no_wall_limit_with_friction_or_jitter(walls, device, tmp_path):
@@ -69,6 +70,7 @@ def test_an_experiment_without_a_wall_leaves_the_others_their_report(course, tmp
 # logs of two or three rows, steps at the first and last rows
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("rows", [2, 3, 4])
 @pytest.mark.parametrize("count", [1, 3])
 @pytest.mark.parametrize("edge", ["first", "last"])
@@ -81,6 +83,7 @@ def test_groups_of_very_short_logs(rows, count, edge, tmp_path):
     assert any("No trial is decided" in text for text in result.warnings)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("rows", [[2, 200], [3, 200, 200], [2, 3, 150]])
 def test_short_logs_among_long_ones_cost_themselves_alone(rows, tmp_path):
     parts = [trials([k], 15.0, rows=r, edge_row=1) for k, r in zip((500.0, 900.0, 1500.0), rows, strict=False)]
@@ -91,6 +94,7 @@ def test_short_logs_among_long_ones_cost_themselves_alone(rows, tmp_path):
     }
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("edge_row", [0, 195, 198, 199])
 def test_a_step_in_the_first_or_the_last_rows(edge_row, tmp_path):
     result = compared_trials(tmp_path, trials([500.0, 1500.0, 300.0], 10.0, edge_row=edge_row))
@@ -130,6 +134,7 @@ def test_as_many_negative_as_positive_steps(course, tmp_path):
     np.testing.assert_allclose(*limits, rtol=0.05)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("sizes", [(4.0, -4.0), (2.0, -2.0, 6.0, -6.0), (-3.0,), (1.5, -4.5)])
 def test_replay_of_steps_of_several_sizes(sizes, tmp_path):
     K, B = np.tile([300.0, 900.0, 1500.0, 20000.0], 2), np.repeat([10.0, 20.0], 4)
@@ -142,6 +147,7 @@ def test_replay_of_steps_of_several_sizes(sizes, tmp_path):
 # contradicting and undecided trials
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("walls", [(1000.0,), (1000.0, 4000.0)])
 def test_contradicting_verdicts_widen_the_bracket_and_are_named(walls, tmp_path):
     """The same walls once on the device, and once on another one that they make unstable."""
@@ -157,6 +163,7 @@ def test_contradicting_verdicts_widen_the_bracket_and_are_named(walls, tmp_path)
     assert all(f"{wall:.0f}" in text for wall in walls)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("stiffness", [300.0, 1500.0, 4000.0])
 def test_one_undecided_trial_gives_no_limit(stiffness, tmp_path):
     result = compared_trials(tmp_path, trials([stiffness], 15.0, rows=24))
@@ -169,6 +176,7 @@ def test_one_undecided_trial_gives_no_limit(stiffness, tmp_path):
 # bounds without meaning
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("step", [0.5, 1.0, 3.0])
 @pytest.mark.parametrize("B", [[0.0, -1.0, -3.0], [-10.0, 0.0, 5.0]])
 def test_no_bound_of_friction_exceeds_the_step(step, B, tmp_path):
@@ -217,6 +225,7 @@ def test_whatever_is_missing_is_null_in_the_document(tmp_path):
 # names in any script
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", ["机器人", "تجربة", "🤖", "e\u0301x\u0336", "हिन्दी", "ก\u0e33"])
 def test_names_in_any_script_give_no_warning_and_stay_text(name, tmp_path):
     write_logs(tmp_path / "raw", trials([300.0, 20000.0], 15.0), experiment=name)
@@ -231,6 +240,7 @@ def test_names_in_any_script_give_no_warning_and_stay_text(name, tmp_path):
 # a hand on the device
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("grip", ["comfortable", "firm"])
 def test_no_passive_wall_by_logs_with_a_hand_alone(grip, tmp_path):
     """The mass and damping of the hand are in the logs; what the device has without it is not known."""
@@ -250,6 +260,7 @@ def test_no_passive_wall_by_logs_with_a_hand_alone(grip, tmp_path):
 # two devices
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("coulomb", [0.0, 0.3])
 def test_two_devices_without_files_are_compared_by_their_masses(coulomb, tmp_path):
     K = np.tile([300.0, 900.0, 1500.0, 5000.0, 20000.0], 3)
@@ -278,6 +289,7 @@ def test_a_comparison_of_devices_names_the_true_reason(tmp_path):
 # periods and positions beyond all bounds
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("period", [1e-300, 1e-9, 10.0, 1e300])
 def test_periods_beyond_all_bounds(period, tmp_path):
     batch = trials([300.0, 900.0], 10.0)
@@ -290,6 +302,7 @@ def test_periods_beyond_all_bounds(period, tmp_path):
         assert compare("dev", tmp_path / "processed", report=tmp_path / "r.html").result is not None
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("step", "position"), [(1e-300, 1.0), (4.0, 1e300), (1e300, 1e-300)])
 def test_steps_and_positions_beyond_all_bounds(step, position, tmp_path):
     batch = trials([300.0, 900.0], 10.0)
