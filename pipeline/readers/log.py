@@ -129,9 +129,6 @@ def check_samples(
         if 0 < abs(value) < SMALLEST_CONDITION:
             expected = f"0, or at least {SMALLEST_CONDITION:g} [SI]"
             raise refusal("out-of-range", "", f"{name} is {value:.6g}", expected, "Correct its number or unit.")
-    if not PERIODS[0] <= header.sampling_period_s <= PERIODS[1]:
-        found, expected = f"sampling_period_s is {header.sampling_period_s:.6g}", "{:g} to {:g} s".format(*PERIODS)
-        raise refusal("out-of-range", "", found, expected, "Correct its number or unit.")
     columns = {"time": time, "command": command, "position": position, "force": force, "velocity": velocity}
     travel = abs(header.step) / header.stiffness if header.stiffness > 0 else 0.0
     for name, values in columns.items():
@@ -157,6 +154,9 @@ def check_samples(
     if not period / LONGEST_PAUSE <= steps[at - 1] <= period * LONGEST_PAUSE:
         found = f"time is {time[at]:.9g} s after {time[at - 1]:.9g} s, and sampling_period_s {period:.9g} s"
         raise refused("time-wrong", at, f"{found}: no response is sampled so")
+    if not PERIODS[0] <= header.sampling_period_s <= PERIODS[1]:
+        found, expected = f"sampling_period_s is {header.sampling_period_s:.6g}", "{:g} to {:g} s".format(*PERIODS)
+        raise refusal("out-of-range", "", found, expected, "Correct its number or unit.")
     return Log(header, time, command, position, force, velocity)
 
 

@@ -228,13 +228,13 @@ def test_whatever_is_missing_is_null_in_the_document(tmp_path):
 @pytest.mark.sampled
 @pytest.mark.parametrize("name", ["机器人", "تجربة", "🤖", "e\u0301x\u0336", "हिन्दी", "ก\u0e33"])
 def test_names_in_any_script_give_no_warning_and_stay_text(name, tmp_path):
-    write_logs(tmp_path / "raw", trials([300.0, 20000.0], 15.0), experiment=name)
+    write_logs(tmp_path / "raw", trials([300.0, 20000.0] * 2, [10.0, 10.0, 20.0, 20.0]), experiment=name)
     report = tmp_path / "report.html"
     compared(
         tmp_path / "raw", tmp_path / "processed", report=report, figures=tmp_path / "figures", criteria=["rise_time"]
     )
     assert name in report.read_text("utf-8")
-    assert list((tmp_path / "f").glob("*.pdf"))
+    assert list((tmp_path / "figures").glob("*.pdf"))
 
 
 # a hand on the device

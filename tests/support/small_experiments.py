@@ -58,7 +58,8 @@ def compared(raw: Path, processed: Path, *, device="dev", report: Path | None = 
 
 
 def compared_trials(folder: Path, batch: TrialBatch | Sequence[TrialBatch], **options) -> ComparisonResult:
-    """Write, ingest and compare trials; the report is written too, so that its figures are drawn."""
+    """Write, ingest and compare trials by one cost; the report is written too, so that its figures are drawn."""
+    options.setdefault("criteria", ["settle_2pct"])
     for number, each in enumerate([batch] if isinstance(batch, TrialBatch) else batch):
         header = {name: options.pop(name) for name in ("step", "grip", "experiment") if name in options}
         write_logs(folder / "raw", each, prefix=f"{number}-", **header)
