@@ -54,7 +54,7 @@ def _estimate(recordings: Sequence[Recording], known: float) -> tuple[float, flo
     size = np.sqrt((columns**2).sum(axis=0))
     used = size > 1e-12 * size.max(initial=0.0)
     columns, size = columns[:, used], size[used]
-    if not used[:2].all() or len(moved) < 2 * BLOCKS or np.linalg.matrix_rank(columns / size) < len(size):
+    if not used[0] or len(moved) < 2 * BLOCKS or np.linalg.matrix_rank(columns / size) < len(size):
         return None
 
     def fitted(inside: Booleans) -> Floats:
@@ -63,7 +63,9 @@ def _estimate(recordings: Sequence[Recording], known: float) -> tuple[float, flo
     found = fitted(np.ones(len(moved), dtype=bool))
     left = float(((moved - columns @ found) ** 2).sum())
     period = float(np.median([each.period for each in recordings]))
-    if found[0] <= 0 or left > (1 - EXPLAINS) * float((moved**2).sum()) or -found[1] > FASTEST * period * found[0]:
+    if found[0] <= 0 or left > (1 - EXPLAINS) * float((moved**2).sum()):
+        return None
+    if used[1] and abs(found[1]) > FASTEST * period * found[0]:
         return None
     block = np.arange(len(moved)) * BLOCKS // len(moved)
     without = np.array([fitted(block != number)[0] for number in range(BLOCKS)])

@@ -24,6 +24,10 @@ STEADY = 1e-14
 """Change of a filter's variance in a doubling, relative to it, that is rounding."""
 
 
+FORGETS = 1e-6
+"""By how much the largest eigenvalue of a filter's errors may exceed 1 by rounding: a filter forgets its start."""
+
+
 @dataclass(frozen=True)
 class Noise:
     """Beside that of the readings: a random force, and a delay that jitters.
@@ -229,8 +233,12 @@ class Filter:
             if np.abs(more).max() <= STEADY * np.abs(h).max():
                 break
         variance = 1.0 + float(sensor @ h @ sensor)
-        variance = variance if variance >= 1.0 else np.nan
-        return cls((h @ sensor / variance)[None, None], np.full((1, 1), np.sqrt(variance)))
+        gain = h @ sensor / variance
+        errors = moved @ (np.eye(len(moved)) - np.outer(gain, sensor))
+        computed = variance >= 1.0 and np.isfinite(errors).all()
+        if not computed or np.abs(np.linalg.eigvals(errors)).max() > 1.0 + FORGETS:
+            gain, variance = np.full_like(gain, np.nan), np.nan
+        return cls(gain[None, None], np.full((1, 1), np.sqrt(variance)))
 
 
 def passed(passage: Passage, found: Filter, columns: Sequence[Column]) -> list[Floats]:
