@@ -17,7 +17,8 @@ from pydantic import ValidationError
 
 from pipeline.base.errors import DeviceError
 from pipeline.base.provenance import USER_FOLDER_VARIABLE, digest, schema_folder, user_device_folder
-from pipeline.records.models import Device, Experiment
+from pipeline.records.loop_parts import LARGEST, SMALLEST
+from pipeline.records.models import STATED, Device, Experiment
 
 _FORMER_FILTER = (
     "velocity_filter_s has been replaced: write the filter into [loop], as velocity = "
@@ -150,7 +151,7 @@ def read_device(path: Path) -> Device:
         raise DeviceError(f"{path}: device file is not valid TOML in UTF-8: {error}.") from error
     try:
         # by way of JSON: strict validation refuses mass = "0.58" and mass = true, yet takes arrays for tuples
-        return Device.model_validate_json(json.dumps(data, default=str), strict=True)
+        return Device.model_validate_json(json.dumps(data, default=str), strict=True, context=STATED)
     except ValidationError as error:
         details = error.errors(include_url=False)
         places = [detail["loc"] for detail in details]
@@ -176,8 +177,11 @@ def _completed(data: dict[str, Any], name: str) -> dict[str, Any]:
         own = [key for key in Experiment.model_fields if key in full and key not in Device.model_fields]
         full["experiment"] = [{"name": "1", **{key: full.pop(key) for key in own}}]
     period = full.get("sampling_period_s")
-    if isinstance(period, float):
-        full = {"duration_s": SAMPLES * period, "baseline_s": SAMPLES_OF_REST * period, **full}
+    # TOML reads 1 as a whole number; what is no period is refused by its own name, not by what follows from it
+    unit = 1.0
+    if isinstance(period, (int, float)) and not isinstance(period, bool) and SMALLEST <= period <= LARGEST / SAMPLES:
+        unit = period
+    full = {"duration_s": SAMPLES * unit, "baseline_s": SAMPLES_OF_REST * unit, **full}
     return full
 
 

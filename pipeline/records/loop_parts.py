@@ -8,10 +8,26 @@ from __future__ import annotations
 from math import sqrt
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
+SMALLEST, LARGEST = 1e-30, 1e30
+"""Sizes of numbers in SI, zero apart: products of the few that meet in a formula neither overflow nor vanish."""
+
+
+LIGHTEST_LOAD, LEAST_LOSS = 1e-6, 1e-9
+"""Load of a mode, as a share of the whole mass, and its damping ratio, below which, both, doubles cannot tell its
+crossings of the unit circle apart."""
+
+
+def _of_a_size(value: float) -> float:
+    if value and not SMALLEST <= abs(value) <= LARGEST:
+        raise ValueError(f"must be 0 or of a size from {SMALLEST:g} to {LARGEST:g}")
+    return value
+
+
+Number = Annotated[float, AfterValidator(_of_a_size)]
+Positive = Annotated[float, Field(gt=0), AfterValidator(_of_a_size)]
+NonNegative = Annotated[float, Field(ge=0), AfterValidator(_of_a_size)]
 
 
 class Part(BaseModel):
@@ -39,8 +55,8 @@ class Coefficients(Part):
     """Filter b(z)/a(z) of (x_k - x_{k-1})/T in powers of 1/z; stable, with a gain of its own at rest."""
 
     kind: Literal["coefficients"]
-    b: Annotated[tuple[float, ...], Field(min_length=1, max_length=64)]
-    a: Annotated[tuple[float, ...], Field(min_length=1, max_length=64)]
+    b: Annotated[tuple[Number, ...], Field(min_length=1, max_length=64)]
+    a: Annotated[tuple[Number, ...], Field(min_length=1, max_length=64)]
 
     @model_validator(mode="after")
     def _is_stable(self) -> Self:
@@ -224,11 +240,25 @@ class LoopParts(Part):
         found = []
         if self.mode is not None and self.mode.mass >= mass:
             found.append(f"loop.mode.mass: found {self.mode.mass:g}; must be below the mass of both sides, {mass:g}")
+        if self.mode is not None and self.mode.mass < LIGHTEST_LOAD * mass and self.mode.damping_ratio < LEAST_LOSS:
+            found.append(
+                f"loop.mode.mass: found {self.mode.mass:g}, below {LIGHTEST_LOAD:g} of the mass of both sides, with a "
+                f"damping_ratio below {LEAST_LOSS:g}: too light for its effect to be computed; leave the mode out"
+            )
         if self.mode is not None and self.mode.load_damping > damping:
             found.append(
                 f"loop.mode.load_damping: found {self.mode.load_damping:g}; must be at most the damping of both sides, "
                 f"{damping:g}"
             )
+        if isinstance(self.velocity, Kalman):
+            try:
+                self.velocity.coefficients(sampling_period_s)
+            except ValidationError:
+                index = self.velocity.acceleration * sampling_period_s**2 / self.velocity.noise
+                found.append(
+                    f"loop.velocity: found a tracking index acceleration T^2/noise of {index:.3g}; the filter's poles "
+                    "would lie on the unit circle"
+                )
         nyquist = 0.5 / sampling_period_s
         if isinstance(self.velocity, Butterworth) and self.velocity.cutoff_hz >= nyquist:
             found.append(
@@ -250,8 +280,8 @@ Deviation = Annotated[float, Field(ge=-0.5, le=0.5)]
 class LaterStep(Part):
     """A further step of the external force [N, Nm], added from a time [s] of the log on."""
 
-    time_s: Annotated[float, Field(gt=0)]
-    size: float
+    time_s: Positive
+    size: Number
 
 
 class SimulationParts(Part):
@@ -284,7 +314,7 @@ class SimulationParts(Part):
     """
 
     one_sided_wall: bool = False
-    constant_force: float = 0.0
+    constant_force: Number = 0.0
     gain_error: Deviation = 0.0
     clock_error: Deviation = 0.0
     clipped_command_logged: bool = False

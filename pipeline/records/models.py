@@ -9,16 +9,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, ValidationInfo, model_validator
 
 from pipeline.records.criteria import MEASURED, REPORTED, SETTLING_BANDS
-from pipeline.records.findings import BoundaryPoint, Estimate, NonNegative, Record
+from pipeline.records.findings import BoundaryPoint, Estimate, Record
 from pipeline.records.findings import Grip as Grip
 from pipeline.records.findings import Motion as Motion
 from pipeline.records.findings import Name as Name
-from pipeline.records.loop_parts import LoopParts, SimulationParts
+from pipeline.records.loop_parts import LoopParts, NonNegative, Number, Positive, SimulationParts
 
-Positive = Annotated[float, Field(gt=0)]
+STATED = "stated"
+"""Context of validation in which a delay beside its jitter is somebody's statement, which must not contradict it."""
 
 
 class Sensor(Record):
@@ -38,7 +39,9 @@ class Limits(Record):
 class Experiment(Record):
     """One course of measurements: configuration, plant as published, and the grid of (K, B) that is tested.
 
-    A grid that is left out is laid over the walls that theory calls stable (`theory.cases.tested_grid`).
+    A grid that is left out is laid over the walls that theory calls stable (`theory.cases.tested_grid`). Where each
+    command draws its delay from ``jitter_samples``, ``delay_samples`` is the mean of these; a file may state any delay
+    between the smallest and the largest.
     """
 
     name: Name
@@ -50,8 +53,8 @@ class Experiment(Record):
     delay_samples: NonNegative
     added_delay_samples: Annotated[int, Field(ge=0)] = 0
     jitter_samples: tuple[Annotated[int, Field(ge=0)], ...] = ()
-    damping_first: float = 0.0
-    damping_last: float | None = None
+    damping_first: Number = 0.0
+    damping_last: Number | None = None
     damping_step: Positive | None = None
     stiffness_step: Positive | None = None
     loop: LoopParts = LoopParts()
@@ -62,6 +65,25 @@ class Experiment(Record):
         if self.damping_last is not None and self.damping_last < self.damping_first:
             raise ValueError(f"damping_last ({self.damping_last}) is below damping_first ({self.damping_first})")
         return self
+
+    @model_validator(mode="after")
+    def _delay_is_that_of_its_jitter(self, info: ValidationInfo) -> Self:
+        if self.jitter_samples:
+            low, high = self.delay_range
+            if info.context == STATED and not low <= self.delay_samples <= high:
+                raise ValueError(
+                    f"delay_samples ({self.delay_samples:g}) lies outside of jitter_samples, {low:g} to {high:g}: "
+                    "state their mean, or leave out the jitter"
+                )
+            # a frozen record, on its way to be one
+            object.__setattr__(self, "delay_samples", sum(self.jitter_samples) / len(self.jitter_samples))
+        return self
+
+    @property
+    def delay_range(self) -> tuple[float, float]:
+        """Shortest and longest delay [samples]; both ``delay_samples`` where it does not jitter."""
+        drawn = self.jitter_samples or (self.delay_samples,)
+        return float(min(drawn)), float(max(drawn))
 
 
 class TableLayout(Record):
@@ -93,7 +115,7 @@ class Device(Record):
     motion: Motion = "translation"
     sampling_period_s: Positive
     step: Positive = 1.0
-    centre: float = 0.0
+    centre: Number = 0.0
     duration_s: Positive
     baseline_s: Positive
     sensor: Sensor = Sensor()
@@ -108,6 +130,11 @@ class Device(Record):
     def loop_of(self, experiment: Experiment) -> LoopParts:
         """Return the parts of an experiment's loop: its own, and the device's where it names none."""
         return experiment.loop.over(self.loop)
+
+    def left_out(self, experiment: Experiment) -> list[str]:
+        """Return the names of what linear theory cannot include of an experiment: some parts, and jitter."""
+        low, high = experiment.delay_range
+        return self.loop_of(experiment).left_out + ["jitter"] * (low < high)
 
     def simulation_of(self, experiment: Experiment) -> SimulationParts:
         """Return what only the simulator knows of an experiment: its own, and the device's where it names none."""

@@ -270,7 +270,7 @@ def _earlier_logs(target: Path, overwrite: bool) -> set[str]:
 
 def _truth(course: Course) -> dict[str, Any]:
     setup, experiment, batch = course.setup, course.experiment, course.batch
-    parts = course.device.loop_of(experiment)
+    parts, drawn = course.device.loop_of(experiment), setup.jitter_samples or (setup.delay_samples,)
     radius = spectral_radius(setup.plant, setup, batch.stiffness, batch.damping)
     rows = zip(batch.trial_id, batch.stiffness, batch.damping, course.verdict, radius, batch.rows, strict=True)
     return {
@@ -279,7 +279,9 @@ def _truth(course: Course) -> dict[str, Any]:
         "package_version": __version__,
         "seed": course.seed,
         "plant": {"mass": experiment.mass, "damping": experiment.damping, "stiffness": experiment.stiffness},
-        "delay_samples": setup.delay_samples,
+        "delay_samples": setup.mean_delay_samples,
+        "delay_samples_low": float(min(drawn)),
+        "delay_samples_high": float(max(drawn)),
         "jitter_samples": list(setup.jitter_samples),
         "quantum": setup.quantum,
         "noise": setup.noise,

@@ -22,6 +22,9 @@ from pipeline.records.models import Device, Experiment
 
 _WORD = 2**32 - 1
 
+MOST_ROWS = 10_000_000
+"""Samples of a trial, with which it takes some GB."""
+
 NOTHING_HIDDEN = SimulationParts()
 """All as stated and complete."""
 
@@ -91,6 +94,12 @@ class Setup:
             raise ParameterError(f"quantum {self.quantum} and noise {self.noise} must be finite and not negative.")
 
     @property
+    def mean_delay_samples(self) -> float:
+        """Delay of a command, where it jitters the mean of those that are drawn [samples]."""
+        drawn = self.jitter_samples or (self.delay_samples,)
+        return sum(drawn) / len(drawn)
+
+    @property
     def true_period_s(self) -> float:
         """Sampling period by which the device moves between two rows [s]."""
         return self.sampling_period_s * (1 + self.hidden.clock_error)
@@ -102,8 +111,19 @@ class Setup:
 
 
 def setup_of(device: Device, experiment: Experiment) -> Setup:
-    """Return the setup of an experiment as its device file describes it."""
+    """Return the setup of an experiment as its device file describes it.
+
+    Raises
+    ------
+    ParameterError
+        If a trial would have more samples than `MOST_ROWS`.
+    """
     period, parts = device.sampling_period_s, device.loop_of(experiment)
+    if device.duration_s / period > MOST_ROWS:
+        raise ParameterError(
+            f"device {device.name!r}: duration_s = {device.duration_s:g} has {device.duration_s / period:.3g} sampling "
+            f"periods of {period:g} s; expected at most {MOST_ROWS:g}."
+        )
     return Setup(
         plant=Mechanism.of(experiment.mass, experiment.damping, experiment.stiffness, parts),
         sampling_period_s=period,
