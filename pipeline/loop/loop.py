@@ -35,6 +35,14 @@ LARGEST_DELAY = 256
 LARGEST_FILTER = 96
 """Samples that a velocity filter remembers; beyond it boundaries and modes take seconds."""
 
+SMALLEST, LARGEST = 1e-60, 1e60
+"""Sizes of a mass per unit of command, and of a sampling period: their units of stiffness and damping neither overflow
+nor vanish. Each number of a device is narrower (`records.loop_parts`)."""
+
+LEAST_RATIO = 1e-12
+"""Damping ratio of a mode without any: without loss the device's zeros lie on the unit circle, and the crossings beside
+them are closer than doubles tell apart. It moves a limit by less than 1e-9 of it, a pole by less than its rounding."""
+
 LARGEST_RATE = 1e7
 """Largest entry of the device's normalised matrix; a lag of 1e-7 samples is none."""
 
@@ -62,6 +70,8 @@ class Normalised:
         for name, value in (("mass", self.mass), ("sampling_period_s", self.sampling_period_s)):
             if not (math.isfinite(value) and value > 0):
                 raise ParameterError(f"{name} = {value}: expected a positive, finite number.")
+            if not SMALLEST <= value <= LARGEST:
+                raise ParameterError(f"{name} = {value}: expected a number from {SMALLEST:g} to {LARGEST:g}.")
 
     @property
     def stiffness(self) -> float:
@@ -464,7 +474,7 @@ def loop_of(
         vibration = Vibration(
             mode.mass / everything,
             reduced * turn**2,
-            2 * mode.damping_ratio * turn * reduced,
+            2 * max(mode.damping_ratio, LEAST_RATIO) * turn * reduced,
             mode.sensor == "load",
             mode.load_damping * sampling_period_s / everything,
         )

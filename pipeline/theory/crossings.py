@@ -16,7 +16,7 @@ from itertools import accumulate, pairwise
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polydiv, polyval
 
-from pipeline.loop.loop import Loop
+from pipeline.loop.loop import LEAST_RATIO, Loop
 from pipeline.loop.many_digits import (
     Digits,
     as_exact,
@@ -166,6 +166,11 @@ _FARTHEST = Decimal("1e-4")
 
 _NEXT = 1 + Decimal("1e-20")
 """Factor to a place beside another, to see whether beta rises."""
+
+
+_NO_WALL = 1e-8
+"""Largest alpha and beta that the least loss of a mode may keep stable, however light its near side; far below those of
+any wall."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -397,9 +402,17 @@ def counted_stretches(loop: Loop, b: Branches, beta: Floats) -> Stretches:
     total_jump = np.cumsum(jump)
     last = np.searchsorted(i, everyone, side="right") - 1
     above = ends(loop).unstable - (total_jump[last][i] - total_jump)
+    if _has_no_loss(loop):  # what the least loss of a mode keeps stable is none
+        a = np.where((a > 0) & (a < _NO_WALL) & (np.abs(beta[i]) < _NO_WALL), 0.0, a)
     stable = np.flatnonzero((above[:-1] == 0) & (i[1:] == i[:-1]) & (a[1:] > a[:-1]))
     outline = source[stable] * (len(b.turn) + 1 + len(lines.alpha)) + source[stable + 1]
     return Stretches(i[stable], a[stable], a[stable + 1], at[stable], at[stable + 1], outline)
+
+
+def _has_no_loss(loop: Loop) -> bool:
+    """Return whether nothing damps a loop's mode but the wall."""
+    mode = loop.mode
+    return mode is not None and loop.delta == 0 and mode.damping <= 2 * LEAST_RATIO * mode.stiffness**0.5
 
 
 def polished(loop: Loop, beta: Floats, place: Floats) -> Floats:
