@@ -282,7 +282,7 @@ def _along(first: FirstBranch, points: int) -> Boundary:
 def _over_dampings(loop: Loop, points: int) -> Boundary:
     found = outline(loop, points, -loop.gamma)
     if not len(found.beta):
-        raise ParameterError(f"{loop}: no damping stabilises a soft wall. Check delay, lag and velocity filter.")
+        raise ParameterError("no damping stabilises a soft wall. Check delay, lag and velocity filter.")
     at, levels, known = found.islands[:, 0], found.beta, found.limits
     if len(at):
         levels = np.unique(np.concatenate([levels, found.tried, np.linspace(at.min(), at.max(), points)]))
@@ -536,11 +536,22 @@ def step_limits(loop: Loop, beta: Floats, share: float) -> Floats:
     return result
 
 
-def quantum_limit(coulomb: float, quantum: float) -> float:
-    """Return the stiffness up to which a quantum causes no limit cycle: 2 f_c/quantum, in SI.
+def quantum_limit(coulomb: float, quantum: float, force_gain: float = 1.0) -> float:
+    """Return the stiffness up to which a quantum causes no limit cycle: 2 f_c/(g quantum), in SI.
 
+    Parameters
+    ----------
+    coulomb : float
+        Coulomb friction f_c of the device [N, Nm].
+    quantum : float
+        Of the sensor [m, rad], > 0.
+    force_gain : float
+        Force over command, g.
+
+    Notes
+    -----
     Sufficient, not necessary: nothing is said of stiffer walls.
 
     Source: Diolaiti et al. 2006; Abbott and Okamura 2005.
     """
-    return 2 * coulomb / quantum
+    return 2 * coulomb / (force_gain * quantum)

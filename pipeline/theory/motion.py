@@ -346,7 +346,7 @@ def response(loop: Loop, alpha: float, beta: float, signal: str, samples: int, p
     Raises
     ------
     ParameterError
-        For another signal, or sizes out of range.
+        For another signal, sizes out of range, or a motion that grows beyond all numbers.
 
     Source: Hulin 2017, secs. 3.1.5 and 5.2.
     """
@@ -366,9 +366,16 @@ def response(loop: Loop, alpha: float, beta: float, signal: str, samples: int, p
     pushed, state = np.zeros(loop.states), loop.starts(wall[0], "impulse")[0] * (1 - step)
     pushed[:p] = step * as_floats(np.sum(loop.pushes[1], axis=0))
     found = [loop.device[2] @ state[:p]]
-    for _ in range(samples):
-        seen = loop.seen(law, state[None, :, None])[0, :, 0]
-        seen[p:] += step
-        found.append(places @ seen)
-        state = turn @ state + pushed
-    return np.hstack(found)
+    with np.errstate(over="ignore", invalid="ignore"):  # what grows beyond numbers is refused below
+        for _ in range(samples):
+            seen = loop.seen(law, state[None, :, None])[0, :, 0]
+            seen[p:] += step
+            found.append(places @ seen)
+            state = turn @ state + pushed
+    result = np.hstack(found)
+    if not np.isfinite(result).all():
+        last = int(np.argmin(np.isfinite(result))) // per_sample
+        raise ParameterError(
+            f"this wall is unstable: after {last} samples its motion is beyond all numbers; ask for fewer."
+        )
+    return result

@@ -278,7 +278,7 @@ def _settling_region(loop: Loop, band: float, criterion: str) -> OptimalPoint:
     tried = where_stable(loop, settling(loop, criterion, longest))(alpha, beta, longest)
     index = int(np.argmin(tried))
     if not np.isfinite(tried[index]):
-        raise ParameterError(f"{loop}: no response settles into a band of {band} within {longest} samples.")
+        raise ParameterError(f"no response settles into a band of {band} within {longest} samples.")
     samples = int(tried[index])
     point = OptimalPoint(float(alpha[index]), float(beta[index]), float(samples))
     while samples > 1:  # ends: each round that goes on needs a sample less
@@ -391,7 +391,7 @@ def _stiffest(loop: Loop, criterion: str) -> OptimalPoint:
     """
     base = criterion_of(criterion)
     continuous, at_all = criterion == base.name, base.optimum_only
-    _, high = box(loop)
+    low, high = box(loop)
     name = "overshoot" if continuous else "overshoot_discrete"
 
     def clean(alpha: Floats, beta: Floats, _: float) -> Floats:
@@ -417,33 +417,50 @@ def _stiffest(loop: Loop, criterion: str) -> OptimalPoint:
             upper = np.where(last < 0, lower, alpha[row, np.minimum(last + 1, 24)])
         return lower
 
-    betas = np.linspace(0.0, high[1], 61)[1:]
-    for share in _FLOORS:
-        lowest = share * high[0] - (1 - share) * loop.gamma
-        edges = edge(betas, np.full(60, lowest), np.full(60, high[0]), 2)
-        highest = float(edges.max())
-        if highest > lowest:
-            break
-    else:
-        raise ParameterError(f"{loop}: no point without overshoot was found.")
-    ridge = betas[np.argmax(edges)] + np.linspace(-3, 3, _RIDGE) * (betas[1] - betas[0])
-    edges = edge(ridge, np.full(_RIDGE, 0.8 * highest), np.full(_RIDGE, min(1.1 * highest, high[0])), 3)
-    tips = _local_maxima(edges)[:_TIPS]
-    alpha, beta = edges[tips], ridge[tips]
-    half, width = 1.5 * (ridge[1] - ridge[0]), 0.01 * highest
-    for _ in range(_CLIMBS):
-        window = beta[:, None] + half * np.linspace(-1, 1, 19)
-        middle = np.repeat(alpha, 19)
-        values = edge(window.ravel(), middle - width, middle + width, 2).reshape(window.shape)
-        peak, tip = values.argmax(axis=1), np.arange(len(alpha))
-        better = values[tip, peak] > alpha
-        alpha = np.where(better, values[tip, peak], alpha)
-        beta = np.where(better, window[tip, peak], beta)
-        half, width = half * 0.4, width * 0.35
-    # tips of practically equal stiffness: the least damping is reported, so that rounding cannot decide between them
-    equal = np.flatnonzero(alpha >= alpha.max() * (1 - _EQUAL))
-    best = equal[np.argmin(beta[equal])]
-    return OptimalPoint(float(alpha[best]), float(beta[best]), 0.0)
+    soft, stiff = -loop.gamma, float(high[0]) + loop.gamma
+
+    def top(betas: Floats) -> OptimalPoint | None:
+        """Stiffest point between dampings, in order; None where none is without overshoot."""
+        count = len(betas)
+        for share in _FLOORS:
+            lowest = share * stiff + soft
+            edges = edge(betas, np.full(count, lowest), np.full(count, high[0]), 2)
+            highest = float(edges.max()) - soft
+            if highest > share * stiff:
+                break
+        else:
+            return None
+        ridge = betas[np.argmax(edges)] + np.linspace(-3, 3, _RIDGE) * (betas[1] - betas[0])
+        floor, ceiling = 0.8 * highest + soft, min(1.1 * highest, stiff) + soft
+        edges = edge(ridge, np.full(_RIDGE, floor), np.full(_RIDGE, ceiling), 3)
+        tips = _local_maxima(edges)[:_TIPS]
+        alpha, beta = edges[tips], ridge[tips]
+        half, width = 1.5 * (ridge[1] - ridge[0]), 0.01 * highest
+        for _ in range(_CLIMBS):
+            window = beta[:, None] + half * np.linspace(-1, 1, 19)
+            middle = np.repeat(alpha, 19)
+            values = edge(window.ravel(), middle - width, middle + width, 2).reshape(window.shape)
+            peak, tip = values.argmax(axis=1), np.arange(len(alpha))
+            better = values[tip, peak] > alpha
+            alpha = np.where(better, values[tip, peak], alpha)
+            beta = np.where(better, window[tip, peak], beta)
+            half, width = half * 0.4, width * 0.35
+        # tips of practically equal stiffness: the least damping is reported, so that rounding cannot decide
+        known = np.isfinite(guarded(alpha, beta, np.inf))  # a floor stands for no edge
+        if not known.any():
+            return None
+        alpha, beta = alpha[known], beta[known]
+        equal = np.flatnonzero(alpha - soft >= (alpha - soft).max() * (1 - _EQUAL))
+        best = equal[np.argmin(beta[equal])]
+        return OptimalPoint(float(alpha[best]), float(beta[best]), 0.0)
+
+    # the spring of a device may be damped best by a negative damping
+    sides = [np.linspace(0.0, high[1], 61)[1:]]
+    sides += [np.linspace(low[1], 0.0, 61)] if loop.gamma > 0 else []
+    found = [point for point in map(top, sides) if point is not None]
+    if not found:
+        raise ParameterError("no point without overshoot was found.")
+    return max(found, key=lambda point: point.alpha)
 
 
 def _local_maxima(values: Floats) -> list[int]:

@@ -120,7 +120,7 @@ def _found(loop: Loop, criterion: str) -> Found:
     try:
         return optimal_point(loop, criterion)
     except ParameterError as error:
-        return str(error).removeprefix(f"{loop}: ").rstrip(".")
+        return str(error).rstrip(".")
 
 
 @dataclass

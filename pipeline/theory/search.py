@@ -193,7 +193,7 @@ def search(loop: Loop, cost: Cost, grids: Grids = JUMPING, bounds: tuple[Floats,
                 np.abs(second - second[index]) > 3 * cell[1]
             )
     if not begun:
-        raise ParameterError(f"{loop}: no point of the stable region has this cost.")
+        raise ParameterError("no point of the stable region has this cost.")
     first, value = found.place[begun], found.cost[begun]
     way, half, each = second[begun], np.tile(cell, (len(begun), 1)), np.arange(len(begun))
     for _ in range(grids.closer):  # of all places together
@@ -216,7 +216,7 @@ def search(loop: Loop, cost: Cost, grids: Grids = JUMPING, bounds: tuple[Floats,
                 grids.fine,
                 LEVELS_IN_PLANE - int(np.log(half[i, 0] / cell[0]) / np.log(SHRINK)),
             )
-            for i in each[value <= _NEAR_BEST * value.min()]
+            for i in each[value <= max(_NEAR_BEST * value.min(), value.min())]
         ),
         key=lambda point: point.cost,
     )
