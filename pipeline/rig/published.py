@@ -12,6 +12,7 @@ import pandas as pd
 from pipeline.base.errors import ParameterError
 from pipeline.records.batch import Floats
 from pipeline.surface.physical_loop import Loop
+from pipeline.theory.boundary import quantum_limit
 
 _ANGLES = 4000
 """Angles at which (4.6) is looked at; between them the limit is at most 1e-7 lower."""
@@ -41,19 +42,18 @@ def _late(loop: Loop) -> float:
     return (loop.delay_samples + 0.5) * loop.sampling_period_s
 
 
-def _held(loop: Loop) -> tuple[float, float]:
-    """Damping and stiffness that the wall feels, with those of a hand [Ns/m, N/m or Nms/rad, Nm/rad]."""
-    hand = {name: value for name, value in (loop.operator or {}).items() if isinstance(value, (int, float))}
-    return loop.damping + hand.get("damping", 0.0), loop.stiffness + hand.get("stiffness", 0.0)
+def _passive_damping(loop: Loop) -> float:
+    """Damping of the device per unit of command; nan where the position is sensed beyond a mode: no wall is passive."""
+    return np.nan if (loop.mode or {}).get("sensor") == "load" else loop.passive_damping
 
 
-def _minsky(loop: Loop, _: Sensor, B: Floats) -> Floats:
-    b, k = _held(loop)
+def _minsky(loop: Loop, sensor: Sensor, B: Floats) -> Floats:
+    _mass, b, k = loop.apparent
     return (b + B) / _late(loop) - k
 
 
 def _linear(loop: Loop, _: Sensor, B: Floats) -> Floats:
-    return (_held(loop)[0] + B) / _late(loop)
+    return (loop.apparent[1] + B) / _late(loop)
 
 
 def _gil(loop: Loop, sensor: Sensor, B: Floats) -> Floats:
@@ -61,16 +61,16 @@ def _gil(loop: Loop, sensor: Sensor, B: Floats) -> Floats:
 
 
 def _colgate(loop: Loop, _: Sensor, B: Floats) -> Floats:
-    return 2 * (loop.damping - np.abs(B)) / loop.sampling_period_s
+    return 2 * (_passive_damping(loop) - np.abs(B)) / loop.sampling_period_s
 
 
 def _salcudean(loop: Loop, _: Sensor, B: Floats) -> Floats:
-    return np.asarray(Loop(loop.mass, 0.0, loop.sampling_period_s, 1.0).limits(B)["stiffness"])
+    return np.asarray(Loop(loop.apparent[0], 0.0, loop.sampling_period_s, 1.0).limits(B)["stiffness"])
 
 
 def _abbott(loop: Loop, sensor: Sensor, B: Floats) -> Floats:
-    held = 2 * sensor.coulomb / sensor.quantum if sensor.quantum > 0 else np.nan
-    return np.where(B == 0, np.minimum(2 * loop.damping / loop.sampling_period_s, held), np.nan)
+    by_friction = quantum_limit(sensor.coulomb, sensor.quantum, loop.force_gain) if sensor.quantum > 0 else np.nan
+    return np.where(B == 0, np.minimum(2 * _passive_damping(loop) / loop.sampling_period_s, by_friction), np.nan)
 
 
 def _hulin(loop: Loop, _: Sensor, B: Floats) -> Floats:
@@ -78,8 +78,8 @@ def _hulin(loop: Loop, _: Sensor, B: Floats) -> Floats:
     angle = np.linspace(0, np.pi / (d + 1), _ANGLES + 1)[1:]
     # (4.6), whose sums of cosines are products: b >= K T sin((d + 1/2) w)/(2 sin(w/2)) - B cos((d + 1) w)
     room = np.append(1 / (d + 0.5), 2 * np.sin(angle / 2) / np.sin((d + 0.5) * angle)) / loop.sampling_period_s
-    held = loop.damping + np.outer(B, np.cos((d + 1) * np.append(0.0, angle)))
-    return np.asarray((held * room).min(axis=1))
+    left = _passive_damping(loop) + np.outer(B, np.cos((d + 1) * np.append(0.0, angle)))
+    return np.asarray((left * room).min(axis=1))
 
 
 CONDITIONS = (
@@ -141,7 +141,9 @@ def published_limits(loop: Loop, damping: object, *, coulomb: float = 0.0, quant
     Parameters
     ----------
     loop : Loop
-        Filter, lag and mode are in the exact limit alone: no condition knows them.
+        Conditions take its mass, damping and stiffness per unit of command, those of an operator where the condition
+        has a hand, and for passivity the damping without that of a mode's load. Filter, lag and the mode itself are in
+        the exact limit alone: no condition knows them.
     damping : array of float
         B of the wall [Ns/m, Nms/rad].
     coulomb, quantum : float

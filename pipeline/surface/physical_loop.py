@@ -31,6 +31,10 @@ if TYPE_CHECKING:  # takes longer to load than most answers to compute
     from scipy.signal import StateSpace
 
 
+_ROUNDING = 1e-15
+"""Share of the device's own stiffness that is rounding in a limit."""
+
+
 @dataclass(frozen=True)
 class LoopOptimum:
     """Best virtual wall of a loop by a criterion.
@@ -79,6 +83,9 @@ class Loop:
         ``sensor`` (``motor`` or ``load``).
     operator : mapping, optional
         What holds the device rigidly: ``mass``, ``damping``, ``stiffness``, beside those of the device.
+    left_out : sequence of str
+        Names of what acts in the device beside this linear loop, such as ``friction`` and ``jitter`` of a device file
+        (`loop_of_device`); ``attrs`` of data frames repeat them.
 
     Raises
     ------
@@ -114,10 +121,11 @@ class Loop:
     force_gain: float = field(default=1.0, kw_only=True)
     mode: Mapping[str, object] | None = field(default=None, kw_only=True, hash=False)
     operator: Mapping[str, object] | None = field(default=None, kw_only=True, hash=False)
+    left_out: Sequence[str] = field(default=(), kw_only=True, compare=False)
 
     def __post_init__(self) -> None:
         for name in ("damping", "stiffness", "delay_samples"):
-            value = getattr(self, name)
+            value = _as_number(getattr(self, name))
             if not math.isfinite(value) or value < 0:
                 raise ParameterError(f"{name} = {value}: expected a finite number that is not negative.")
         self._scale, self._normalised  # noqa: B018 - a parameter out of range is told now and not with the first result
@@ -139,7 +147,8 @@ class Loop:
 
     @cached_property
     def _scale(self) -> normalised.Normalised:
-        normalised.Normalised(self.mass, self.sampling_period_s)  # refuses both by their own names
+        # refuses both by their own names
+        normalised.Normalised(_as_number(self.mass), _as_number(self.sampling_period_s))
         return wall_units(self.mass, self.sampling_period_s, self._parts)
 
     @cached_property
@@ -147,6 +156,17 @@ class Loop:
         """The one place where the parameters in SI become a loop of the theory."""
         device = self.mass, self.damping, self.stiffness, self.delay_samples, self.sampling_period_s
         return loop_of(*device, self._parts)
+
+    @property
+    def apparent(self) -> tuple[float, float, float]:
+        """Mass, damping and stiffness that the wall feels, operator included, per unit of command."""
+        mass, damping, stiffness, _ = self._parts.felt(self.mass, self.damping, self.stiffness)
+        return mass, damping, stiffness
+
+    @property
+    def passive_damping(self) -> float:
+        """Damping of the device that makes walls passive, per unit of command: neither an operator's nor a load's."""
+        return (self.damping - self._parts.load_damping) / self.force_gain
 
     def boundary(self, points: int = 400) -> pd.DataFrame:
         """Return the stability boundary.
@@ -218,8 +238,10 @@ class Loop:
         It is the largest K from which all softer walls of that damping are stable, exact to 1e-9.
         """
         B = np.atleast_1d(np.asarray(damping, dtype=np.float64))
-        K = stiffness_limit(self._normalised, B / self._scale.damping) * self._scale.stiffness
-        return self._frame({"damping": B, "stiffness": np.where(K > 0, K, np.nan)})
+        loop = self._normalised
+        alpha = stiffness_limit(loop, B / self._scale.damping)
+        some = alpha > _ROUNDING * loop.gamma
+        return self._frame({"damping": B, "stiffness": np.where(some, alpha * self._scale.stiffness, np.nan)})
 
     def optimum(self, criterion: str) -> LoopOptimum:
         """Return the best wall by a criterion, such as ``settle_2pct`` or ``energy_step_w1_discrete``.
@@ -284,7 +306,7 @@ class Loop:
 
         Source: Hulin 2017, ch. 4; for delays that are no whole number of samples docs/definitions.md.
         """
-        loop, delta = self._normalised, (self.damping - self._parts.load_damping) / self._scale.damping
+        loop, delta = self._normalised, self.passive_damping / self._scale.damping
         alpha, beta = passive_outline(loop, delta)
         best = stiffest_passive(loop, delta) if delta > 0 else (0.0, 0.0)
         closed = {"damping": np.append(beta, beta[0]), "stiffness": np.append(alpha, alpha[0])}
@@ -428,16 +450,26 @@ class Loop:
         physical = units_of(("stiffness", "damping"), {self.motion})
         settling = {name: "samples" for name in columns if name.startswith("settle")}
         frame.attrs["units"] = physical | settling
+        if self.left_out:
+            frame.attrs["left_out"] = list(self.left_out)
         return frame
 
 
 def loop_of_device(device: Device, experiment: Experiment) -> Loop:
-    """Return the loop of an experiment of a device, without what linear theory leaves out."""
+    """Return the loop of an experiment of a device; what linear theory leaves out is named in `Loop.left_out`."""
     parts = device.loop_of(experiment)
     given = parts.model_dump(exclude={"friction", *parts.left_out})
     e = experiment
     numbers = e.mass, e.damping, device.sampling_period_s, e.delay_samples, e.stiffness
-    return Loop(*numbers, motion=device.motion, **given)
+    return Loop(*numbers, motion=device.motion, left_out=tuple(device.left_out(e)), **given)
+
+
+def _as_number(value: float) -> float:
+    """Return a number as a float, infinite where it is a whole one beyond all floats."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
 
 
 def _as_walls(stiffness: object, damping: object) -> tuple[Floats, Floats]:

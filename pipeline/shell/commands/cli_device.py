@@ -188,8 +188,10 @@ def design(
     coulomb = parts.friction.coulomb if parts.friction is not None else 0.0
     rows = published_limits(loop, answer.wall["damping"] or 0.0, coulomb=coulomb, quantum=quantum)
     document = {"device": known.name, "experiment": conditions.name, "hand": hand, **answer.document()}
-    document["left_out"] = parts.left_out
-    document["quantum"] = _quantum(coulomb, quantum, wanted)
+    low, high = conditions.delay_range
+    document |= {"delay_samples": conditions.delay_samples, "delay_samples_low": low, "delay_samples_high": high}
+    document["left_out"] = list(loop.left_out)
+    document["quantum"] = _quantum(coulomb / loop.force_gain, quantum, wanted)
     document["published"] = rows.astype(object).where(rows.notna(), None).to_dict("records")
     console.tell(document, _design_lines(document, loop))
 
@@ -230,7 +232,10 @@ def _held(device: Device, conditions: Any, hand: str | None) -> Loop:
 
 
 def _quantum(coulomb: float, quantum: float, stiffness: float | None) -> dict[str, Any] | None:
-    """Return up to which stiffness the sensor's quantum causes no limit cycle, and the quantum that K asks for."""
+    """Return up to which stiffness the sensor's quantum causes no limit cycle, and the quantum that K asks for.
+
+    Friction is per unit of command.
+    """
     from pipeline.theory.boundary import quantum_limit
 
     if not (coulomb > 0 and quantum > 0):
@@ -270,11 +275,13 @@ def _design_lines(document: dict[str, Any], loop: Loop) -> Iterator[str]:
     yield from ("", f"Published limits of K [{k}] at B = {document['wall']['damping']:.4g} {b}:")
     told = [row for row in document["published"] if row["stiffness"] is not None]
     yield from console.table(told, ("stiffness", "promises", "condition", "assumes"))
+    if (low := document["delay_samples_low"]) < (high := document["delay_samples_high"]):
+        yield f"Delay {document['delay_samples']:.4g} samples, the mean of one that jitters from {low:g} to {high:g}."
     if document["left_out"]:
         yield f"Left out of linear theory: {', '.join(document['left_out'])}."
     if document["quantum"] is not None:
         limit = document["quantum"]["stiffness"]
-        yield f"No limit cycle by the sensor's quantum up to K = 2 f_c/quantum = {limit:.5g} {k}."
+        yield f"No limit cycle by the sensor's quantum up to K = 2 f_c/(g quantum) = {limit:.5g} {k}."
 
 
 def _wall(wall: dict[str, float | None], k: str, b: str) -> str:
