@@ -10,9 +10,12 @@ from itertools import product
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.loop import loop as normalised
 from pipeline.records.batch import Floats
 from pipeline.rig.quantities import with_damping
 from pipeline.surface.physical_loop import Loop
+from pipeline.theory.boundary import stiffness_limit
+from pipeline.theory.circle import first_branch
 from pipeline.theory.poles import spectral_radius
 from pipeline.theory.settling_overshoot import transient_costs
 
@@ -28,6 +31,12 @@ _NARROWER = 2
 
 _ASIDE, _BESIDE = 2.0, 97
 """Factor of damping to either side within which the quickest wall is looked for, and walls that are tried."""
+
+_SOFTEST, _SOFTER = 1e-3, 16
+"""Softest of the walls that are looked at below one, as a share of it, and how many."""
+
+_NARROW = 1e-6
+"""Room that an unstable stretch lacks which is narrower than the steps between them."""
 
 _NOTHING = -10.0
 """Room of a stable wall that settles too late to be told; its negative is that of one without a bound."""
@@ -90,7 +99,8 @@ def best_wall(loop: Loop, wish: Wish, *, enough: bool = False) -> Best:
     """Return the wall that has most room to a wish; or, if that is ``enough``, any that fulfils it.
 
     The room of a wall is the smallest of -ln of the spectral radius (behind ``margin``), ln of the settling time that
-    is allowed over its own, and the overshoot that is allowed less its own.
+    is allowed over its own, and the overshoot that is allowed less its own. A wall counts as stable only if all softer
+    ones of its damping are, too: a device that meets the wall passes through them.
     """
     rigs = _corners(loop, wish.tolerance)
     K, B = _first_look(loop, wish)
@@ -133,7 +143,7 @@ def decay(loop: Loop, wish: Wish) -> float:
 def _first_look(loop: Loop, wish: Wish) -> tuple[Floats, Floats]:
     """Return stiffness and damping of the walls that are looked at first."""
     longest = loop.delay_samples + loop.actuator_lag_s / loop.sampling_period_s
-    largest = 2.5 * loop.mass / loop.sampling_period_s / (0.5 + longest)
+    largest = 2.5 * loop.apparent[0] / loop.sampling_period_s / (0.5 + longest)
     B = np.append(0.0, np.geomspace(1e-3 * largest, largest, _DAMPINGS))
     if wish.stiffness is not None:
         return np.array([wish.stiffness]), B
@@ -166,12 +176,28 @@ def _room(rigs: Sequence[Loop], wish: Wish, walls: Floats, above: float) -> Floa
         alpha, beta = walls.T / [[unit.stiffness], [unit.damping]]
         with np.errstate(divide="ignore"):
             left = -np.log(spectral_radius(loop, wish.margin * alpha, beta))
+        left = _softer(loop, wish.margin * alpha, beta, left)
         if wish.settling_s is not None or wish.overshoot is not None:
             stable = left > 0
             left = np.where(stable, -_NOTHING, left + 2 * _NOTHING)  # whatever is stable comes before what is not
             left[stable] = np.minimum(left[stable], _spare(rig, wish, alpha[stable], beta[stable], above))
         room = np.minimum(room, left)
     return room
+
+
+def _softer(loop: normalised.Loop, alpha: Floats, beta: Floats, left: Floats) -> Floats:
+    """Return the least that walls and those softer ones that are unstable leave of -ln of the spectral radius, (n,)."""
+    if first_branch(loop) is not None:  # softer walls are stable
+        return left
+    share = np.geomspace(_SOFTEST, 1.0, _SOFTER, endpoint=False)
+    with np.errstate(divide="ignore"):
+        softer = -np.log(spectral_radius(loop, np.outer(alpha, share).ravel(), np.repeat(beta, _SOFTER)))
+    least = softer.reshape(len(alpha), _SOFTER).min(axis=1)
+    result = np.where(least < 0, np.minimum(left, least), left)
+    # an unstable stretch may be narrower than the steps between softer walls
+    levels, of = np.unique(beta, return_inverse=True)
+    island = (result > 0) & (alpha > stiffness_limit(loop, levels)[of])
+    return np.where(island, -_NARROW, result)
 
 
 def _spare(rig: Loop, wish: Wish, alpha: Floats, beta: Floats, above: float) -> Floats:
