@@ -18,7 +18,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, Normalised, loop_of, wall_units
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, with_discrete
-from pipeline.theory.boundary import boundary, has_islands, outline
+from pipeline.theory.boundary import boundary, has_islands, is_well_inside, outline
 from pipeline.theory.costs import check_criteria, point_costs_by_name
 from pipeline.theory.optimum import POINT_CRITERIA, marked_point, optimal_point
 from pipeline.theory.poles import spectral_radius, stable_by_radius
@@ -47,6 +47,8 @@ _ISLANDS = (
     "not searched: walls beyond an unstable stretch (at their damping, softer ones are unstable), which exist for this "
     "loop and may cost less"
 )
+
+_NEGATIVE = "the stiffness is negative: the device's own spring, or that of an operator, is stiffer than is best"
 
 LARGEST = 1e200
 """Largest alpha and beta, far above any limit; the matrices of larger ones overflow."""
@@ -90,14 +92,17 @@ class Case:
 
 
 def case_of(device: Device, experiment: Experiment) -> Case:
-    """Return the loop of a device's experiment."""
+    """Return the loop of a device's experiment; where its delay jitters at the mean, with the range in `Case.names`."""
     e, parts, period = experiment, device.loop_of(experiment), device.sampling_period_s
+    low, high = e.delay_range
     names = {
         "device": device.name,
         "experiment": e.name,
         "delay_samples": e.delay_samples,
+        "delay_samples_low": low,
+        "delay_samples_high": high,
         "parts": parts.model_dump(mode="json", exclude_defaults=True, exclude={"friction"}),
-        "left_out": parts.left_out,
+        "left_out": device.left_out(e),
     }
     loop = loop_of(e.mass, e.damping, e.stiffness, e.delay_samples, period, parts)
     return Case(loop, wall_units(e.mass, period, parts), names)
@@ -263,6 +268,10 @@ def point_documents(case: Case, walls: Floats, criteria: Sequence[str] = POINT_C
     Points with alpha + gamma <= 0 have no final position, a real pole z >= 1, and are not stable.
     """
     check_criteria(criteria)
+    for name, values, scale in zip(case.axes, walls.T, case.scale, strict=False):
+        largest = min(LARGEST * scale, np.finfo(np.float64).max)
+        if (np.abs(values) > largest).any():
+            raise ParameterError(f"{name}: expected at most {largest:g}, found {np.abs(values).max():g}.")
     loop, (alpha, beta) = case.loop, walls[:, :2].T / np.array(case.scale)[:, None]
     radius = spectral_radius(loop, alpha, beta)
     stable = stable_by_radius(loop, alpha, radius)
@@ -346,6 +355,18 @@ def islands_in_si(islands: Floats, units: Normalised) -> list[dict[str, float]]:
     ]
 
 
+def _unstable_rule(loop: Loop, alpha: float, beta: float) -> str | None:
+    """Return what is wrong with the wall of a tuning rule; None where it and all softer ones are stable."""
+    radius = float(spectral_radius(loop, alpha, beta)[0])
+    if not stable_by_radius(loop, np.array([alpha]), np.array([radius]))[0]:
+        return (
+            f"this tuning is unstable here: spectral radius {radius:.6g}; the rule assumes a device without these parts"
+        )
+    if not is_well_inside(loop, np.array([alpha]), np.array([beta]), islands=False)[0]:
+        return "softer walls at the damping of this tuning are unstable here"
+    return None
+
+
 def optimum_document(case: Case, criterion: str, signal: str | None = None) -> dict[str, Any]:
     """Return the optimal point of a criterion as the document that `theory optimum` prints.
 
@@ -378,15 +399,25 @@ def optimum_document(case: Case, criterion: str, signal: str | None = None) -> d
         rule = criterion == "ziegler_nichols"
         reason = "a tuning rule has no cost" if rule else "a point of the stability boundary has no cost"
         wall = {stiffness: mark.alpha * k, damping: mark.beta * b}
-        return {"criterion": criterion, **case.said, **wall, "cost": None, "reason": reason}
+        document = {"criterion": criterion, **case.said, **wall, "cost": None, "reason": reason}
+        note = _unstable_rule(loop, mark.alpha, mark.beta) if rule else None
+        return document | ({"note": note} if note else {})
     # criteria of the poles have no sampled response
     name = sampled if signal == "discrete" and (sampled := f"{criterion}{DISCRETE}") in known else criterion
     point = optimal_point(loop, name)
     document = {"criterion": name, **case.said, stiffness: point.alpha * k, damping: point.beta * b, "cost": point.cost}
     if not point.attained:
         document["reason"] = "a limit at the edge of the stable region, which no stable point reaches"
-    if has_islands(loop):
-        document["note"] = _ISLANDS
+    elif float(spectral_radius(loop, point.alpha, point.beta)[0]) >= 1 - MARGINAL:
+        document["cost"] = None
+        document["reason"] = (
+            f"spectral radius within {MARGINAL:g} of 1 wherever it is stable: costs would be rounding errors"
+        )
+    notes = [_ISLANDS] if has_islands(loop) else []
+    if point.alpha < 0:
+        notes.append(_NEGATIVE)
+    if notes:
+        document["note"] = "; ".join(notes)
     if point.box is not None:
         ends = [f"{axis}_{end}" for axis in case.axes for end in ("low", "high")]
         document["box"] = dict(

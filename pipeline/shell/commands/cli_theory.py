@@ -38,13 +38,15 @@ def points(
 
     names = tuple(criteria or theory.POINT_COSTS)
     columns = theory.CASE_COLUMNS if device is None else theory.WALL_COLUMNS
-    found = theory.read_cases(cases, columns)
+    found, said = theory.read_cases(cases, columns), {}
     if device is None:
         documents = theory.case_documents(found, names)
     else:
-        documents = theory.point_documents(_case(None, 0.0, 0.0, device, experiment), found.values, names)
+        case = _case(None, 0.0, 0.0, device, experiment)
+        documents, said = theory.point_documents(case, found.values, names), case.said
     shown = names if criteria else ("settle_2pct", "overshoot", "energy_step_w0")
-    console.tell(documents, console.table(documents, (*columns, "stable", "spectral_radius", *shown, "reason")))
+    lines = console.table(documents, (*columns, "stable", "spectral_radius", *shown, "reason"))
+    console.tell(documents, [*lines, *_beside(said)])
 
 
 def boundary(
@@ -73,9 +75,17 @@ def _boundary_lines(document: dict[str, Any], axes: tuple[str, str]) -> Iterator
             yield f"largest {first} {most:.6g} at {second} {document[f'{second}_at_{first}_max']:.6g}"
     if document.get("islands"):
         yield f"stable stretches beyond the limit: {len(document['islands'])}"
+    yield from _beside(document)
+    yield f"({len(document[axes[0]])} points along the boundary: --json)"
+
+
+def _beside(document: dict[str, Any]) -> Iterator[str]:
+    """Yield what a document of a device says beside its numbers: a delay that jitters, and what is left out."""
+    if document.get("delay_samples_low") != document.get("delay_samples_high"):
+        low, high = document["delay_samples_low"], document["delay_samples_high"]
+        yield f"delay {document['delay_samples']:.4g} samples, the mean of one that jitters from {low:g} to {high:g}"
     if document.get("left_out"):
         yield f"left out of linear theory: {', '.join(document['left_out'])}"
-    yield f"({len(document[axes[0]])} points along the boundary: --json)"
 
 
 def optimum(
@@ -97,7 +107,8 @@ def optimum(
     document = optimum_document(case, criterion, signal)
     cost = "" if document["cost"] is None else f", cost {document['cost']:.6g}"
     wall = ", ".join(f"{name} {document[name]:.6g}" for name in case.axes)
-    console.tell(document, [f"{document['criterion']}: {wall}{cost}"])
+    words = [document[name] for name in ("reason", "note") if document.get(name)]
+    console.tell(document, [f"{document['criterion']}: {wall}{cost}", *words, *_beside(document)])
 
 
 def cost_map(
