@@ -37,6 +37,12 @@ the step doubles a limit."""
 WALLS, ROUNDS = 17, 3
 """Walls of a round between a stable and an unstable one; three rounds tell a limit to 1/2700 of the largest."""
 
+DIRECTIONS = 24
+"""Random directions in which a wide range of devices is searched for its lowest limit, in addition to its axes."""
+
+NARROW = 0.2
+"""Half width of a limit's interval, relative to it, up to which the interval is taken as linear in the numbers."""
+
 OUTLINE = 60
 """Points of an outline by which the damping of the stiffest wall is found: the limit is flat there."""
 
@@ -122,6 +128,8 @@ class LoopPoint:
             wall is unstable up to `BEYOND` times the largest linear limit above the linear one, and where the softest
             one is already. Friction can but raise a limit; jitter moves it either way.
         """
+        if not len(damping):
+            return np.empty(0), np.empty(0)
         linear = self.limit(damping)
         if not len(damping):
             return linear, linear
@@ -155,11 +163,20 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class FoundDevice:
-    """A device fitted to logs, with the filter of their wall law."""
+    """A device fitted to logs, with the filter of their wall law.
+
+    ``directions`` is the number of directions in which it moves in these logs, 1 or 2.
+    """
 
     fitted: FittedDevice
     sampling_period_s: float
     velocity: VelocityFilter | None = None
+    directions: int = 2
+
+    @property
+    def may_rub(self) -> bool:
+        """Whether it has friction, or friction cannot be excluded."""
+        return "coulomb" in self.fitted.values
 
     def at(self, values: Mapping[str, float]) -> LoopPoint:
         """Return the device with other numbers; see `FittedDevice.values`."""
@@ -194,20 +211,50 @@ class FoundDevice:
         that its delay may hold; none where these are exact."""
         if not self.fitted.covariance.any():
             return ()
-        now, scale = np.array(list(self.fitted.values.values())), np.sqrt(np.diag(self.fitted.covariance))
-        size = np.where(scale > 0, scale, 1.0)
-        variance, axes = np.linalg.eigh(self.fitted.covariance / np.outer(size, size))
-        positive = np.isin(list(self.fitted.values), ("mass", "frequency_hz"))
-        found = []
-        for square, axis in zip(variance, axes.T, strict=True):
-            step = NORMAL_95 * np.sqrt(max(float(square), 0.0)) * axis * size
-            both = [np.where(positive, np.maximum(now + end, SMALLEST * now), now + end) for end in (-step, step)]
-            low, high = (self.at(dict(zip(self.fitted.values, end.tolist(), strict=True))) for end in both)
-            found.append((low, high))
+        found = [(self._shifted(-step), self._shifted(step)) for step in self._axes]
         if lag := self.fitted.bounds.get("actuator_lag_s", 0.0):
             late = self.fitted.values["delay_samples"] - lag / self.sampling_period_s
             found.append((self.point, self.at(self.fitted.values | {"delay_samples": late, "actuator_lag_s": lag})))
         return tuple(found)
+
+    @cached_property
+    def _axes(self) -> Floats:
+        """Half axes of the 95 % range of the numbers, a row each, shape (P, P)."""
+        scale = np.sqrt(np.maximum(np.diag(self.fitted.covariance), 0.0))
+        size = np.where(scale > 0, scale, 1.0)
+        variance, axes = np.linalg.eigh(self.fitted.covariance / np.outer(size, size))
+        return np.asarray(NORMAL_95 * np.sqrt(np.maximum(variance, 0.0))[:, None] * axes.T * size)
+
+    def _shifted(self, step: Floats) -> LoopPoint:
+        """Return the device with other numbers, whose mass and frequency stay positive."""
+        now = np.array(list(self.fitted.values.values()))
+        positive = np.isin(list(self.fitted.values), ("mass", "frequency_hz"))
+        moved = np.where(positive, np.maximum(now + step, SMALLEST * now), now + step)
+        return self.at(dict(zip(self.fitted.values, moved.tolist(), strict=True)))
+
+    def lowest(self, wall_damping: Floats) -> Floats:
+        """Return the lowest linear limit at dampings B of all devices that the logs allow, 95 %, (n,) [N/m, Nm/rad].
+
+        Notes
+        -----
+        The least limit on the ellipsoid of the numbers whose projections are their 95 % intervals. For a limit that is
+        linear in the numbers it is the lower end of the limit's interval. Where the interval is wide, limits are
+        computed along the axes, along the steepest descent at each damping, and along random directions.
+        """
+        limit = self.point.limit(wall_damping)
+        if not self.ends:
+            return limit
+        ends = np.array([[end.limit(wall_damping) for end in both] for both in self.ends])
+        reach = np.sqrt(np.sum(np.square(np.abs(ends - limit).max(axis=1)), axis=0))
+        if (reach <= NARROW * limit).all():
+            return np.asarray(np.minimum(limit - reach, ends.min(axis=(0, 1))))
+        axes = self._axes
+        slope = 0.5 * (ends[: len(axes), 0] - ends[: len(axes), 1])
+        steepest = (slope / np.maximum(np.sqrt(np.sum(slope**2, axis=0)), 1e-300)).T
+        random = np.random.default_rng(0).standard_normal((DIRECTIONS, len(axes)))
+        random /= np.sqrt(np.sum(random**2, axis=1, keepdims=True))
+        others = [self._shifted(weights @ axes).limit(wall_damping) for weights in np.concatenate([steepest, random])]
+        return np.asarray(np.minimum(limit, np.minimum(ends.min(axis=(0, 1)), np.min(others, axis=0))))
 
     def limits(
         self, wall_damping: Floats, trial: Trial | None = None, softest: Floats | float = 0.0
