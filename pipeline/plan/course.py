@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import inf
+from math import floor, inf, log10
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from pipeline.base.errors import DeviceError, UsageError
+from pipeline.base.errors import DeviceError, ParameterError, UsageError
 from pipeline.device_data.devices import declared_spring, find_experiment, known_devices, read_device
 from pipeline.measured.experiment.boundary import spread_over_plane
 from pipeline.measured.experiment.fitted_device import NAMES, PARTS, FittedDevice
@@ -18,12 +18,12 @@ from pipeline.measured.law.wall_law import wall_law
 from pipeline.measured.model.intervals import BOUNDED, NEEDED, Errors, physical
 from pipeline.measured.model.parts import Choice, again
 from pipeline.measured.model.parts import chosen as look_at_once
-from pipeline.measured.model.recordings import Recording
-from pipeline.measured.model.told import is_told
+from pipeline.measured.model.recordings import SHORTEST, Recording
+from pipeline.measured.model.told import Recorded, is_told
 from pipeline.measured.signal.response import Response, find_response
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.measured.student import NORMAL_95
-from pipeline.plan.found_device import FoundDevice, Trial, stated_device
+from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial, stated_device
 from pipeline.plan.next_wall import Forecast, Tried
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.models import Device, Experiment
@@ -37,6 +37,19 @@ DAMPINGS = 12
 TRIALS, ROWS, AHEAD = 16, 300, 10
 """Logs that a device is fitted to, their rows from the step on, and those before it: a number known to 1 % from one log
 is known to 0.3 % from these, and a log waits for it."""
+
+FEW = 3
+"""Logs below which a device with friction is not identified for sure: they may be explained by another delay."""
+
+UNSURE = 0.5
+"""Lowest largest limit of the devices that the logs allow, relative to that of the likeliest, below which the device
+counts as unknown."""
+
+USABLE_ROWS = 4 * SHORTEST
+"""Rows of all logs that a device is identified from at least, in logs of `SHORTEST` rows or more."""
+
+RANGE = 1.5
+"""Largest damping where none is named, relative to that of the stiffest wall."""
 
 AGAIN = 3
 """Parts of a device are looked for anew when there are so many times as many logs."""
@@ -52,6 +65,9 @@ AS_SET = 0.25
 
 START_ERROR = 0.1
 """Error of limits by the parameters of a device file, relative to the largest."""
+
+NOT_IDENTIFIED = "the logs do not identify a device. Record longer logs, larger steps, or steps in both directions."
+"""Reason where logs are usable."""
 
 RANGE_NEEDED = (
     "a range to start from is needed: a device file with mass, delay_samples, damping_first and damping_last "
@@ -103,7 +119,9 @@ class Wish:
 class Course:
     """Trials of one experiment so far, and where it started: the file's experiment where there is one.
 
-    ``found`` is the device that its logs show, with what was ``learnt`` for the next one.
+    ``found`` is the device that its logs show, with what was ``learnt`` for the next one; without one ``unknown`` is
+    the reason. ``undecided`` has the reason of each trial whose verdict is undecided. ``free`` is the number of trials
+    without a wall (K <= 0).
     """
 
     name: str
@@ -117,6 +135,22 @@ class Course:
     rotation: bool
     found: FoundDevice | None = None
     learnt: Learnt | None = None
+    unknown: str = ""
+    undecided: tuple[str, ...] = ()
+    free: int = 0
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the logs identify a device, and exclude friction or show enough of it."""
+        if self.found is None:
+            return False
+        return not self.found.may_rub or (not self.few and self.found.directions > 1)
+
+    @property
+    def few(self) -> bool:
+        """Whether there are fewer than `FEW` logs."""
+        logs = self.found.fitted.trials if self.found is not None else ()
+        return (len(logs) or len(self.tried) + self.free) < FEW
 
 
 def open_course(
@@ -161,12 +195,14 @@ def open_course(
             force[rows] = np.nanmax(np.abs(batch.command), axis=1)
     course = course_of(stages, device, of_file, wish, force)
     K, B = (trials.column(key).to_numpy() for key in ("stiffness", "damping"))
-    places = spread_over_plane(K, B, K > 0, TRIALS)
-    if len(places):
-        batch = TrialBatch.joined(list(load_groups(processed, trials.take(places)).parts))
-        known = learn(batch, int((K > 0).sum()), known, look)
+    # a device without a wall may end somewhere: such logs count where there are no others
+    counted = (K > 0) | (not (K > 0).any())
+    places = spread_over_plane(K, B, counted, TRIALS)
+    batch = TrialBatch.joined(list(load_groups(processed, trials.take(places)).parts))
+    known = learn(batch, int(counted.sum()), known, look)
     found = known.device if known else None
-    return replace(course, found=found, learnt=known)
+    unknown = "" if found is not None else unusable(recordings_of(batch, find_response(batch))) or NOT_IDENTIFIED
+    return replace(course, found=found, learnt=known, unknown=unknown)
 
 
 def course_of(
@@ -187,16 +223,20 @@ def course_of(
     K, B, growth = columns
     tried = Tried(K, B, stages.verdicts.verdict, growth, nothing if force is None else force, cost)
     period = float(np.median(trials.column("sampling_period_s").to_numpy()))
+    walls = (K > 0) & (B >= 0)
+    reasons = stages.verdicts.reason
     return Course(
         stages.device,
         stages.experiment,
-        tried.select((K > 0) & (B >= 0)),
+        tried.select(walls),
         device,
         of_file,
         period,
         float(np.median(trials.column("rows").to_numpy())) * period,
         float(np.max(np.abs(trials.column("step").to_numpy()))),
         "rotation" in trials.column("motion").to_pylist(),
+        undecided=tuple(reasons[i] for i in np.flatnonzero(walls & (tried.verdict == "undecided"))),
+        free=int((~walls).sum()),
     )
 
 
@@ -227,12 +267,26 @@ def wanted_dampings(course: Course, wish: Wish) -> tuple[float, ...]:
         wanted = as_set(np.unique(np.maximum(grid.damping_first + steps * grid.damping_step, 0.0)), tried)
     elif len(tried) > DAMPINGS:
         wanted = tried[np.unique(np.round(np.linspace(0, len(tried) - 1, DAMPINGS)).astype(np.int64))]
+    elif not len(tried) and course.found is not None:
+        wanted = damping_range(course.found.point)
     else:
         wanted = tried
+    if not len(wanted):
+        reason = course.unknown or "its logs have no wall"
+        raise UsageError(f"device {course.name!r}: {reason.rstrip('.')}; {RANGE_NEEDED}.")
     wanted = wanted[wanted <= wish.largest_damping]
     if not len(wanted):
         raise UsageError(f"device {course.name!r}: no damping is left to try. Name some (--dampings 0,20,40).")
     return tuple(wanted.tolist())
+
+
+def damping_range(point: LoopPoint) -> Floats:
+    """Return dampings over the range of a device [Ns/m, Nms/rad], up to `RANGE` times that of its stiffest wall."""
+    last = RANGE * point.damping_of_stiffest
+    if not last > 0:
+        return np.empty(0)
+    unit = 10.0 ** floor(log10(last / DAMPINGS))
+    return np.arange(DAMPINGS, dtype=np.float64) * unit * max(round(last / (DAMPINGS - 1) / unit), 1)
 
 
 def as_set(wanted: Floats, tried: Floats) -> Floats:
@@ -252,22 +306,51 @@ def snapped(tried: Tried, dampings: Sequence[float]) -> Tried:
 
 
 def foretold(course: Course, dampings: Sequence[float]) -> Forecast | None:
-    """Return the limits by the device that the logs show, for the step, else by its file; None without both."""
+    """Return the limits by the device that the logs show, for the step, else by its file.
+
+    None without both, and where the devices that the logs allow have limits too different to count as one.
+    """
     wall = np.array(dampings)
     if course.found is not None:
-        step = Trial(course.step, round(course.trial_s / course.sampling_period_s))
-        limit, reach = course.found.limits(wall, step)
-        linear, linear_reach = course.found.limits(wall)
-        known = np.isfinite(limit)
-        return Forecast(np.where(known, limit, linear), np.where(known, reach, linear_reach) / NORMAL_95)
+        return _by_logs(course, course.found, wall)
     if course.device is None or course.of_file is None:
         return None
     point = stated_device(course.device, course.of_file).point
     limit = point.limit(wall)
+    if course.of_file.jitter_samples:
+        # theory counts the delay at its mean
+        mean = float(np.mean(course.of_file.jitter_samples))
+        limit = np.minimum(limit, replace(point, delay_samples=max(mean, point.delay_samples)).limit(wall))
     largest = float(limit.max()) or float(point.limit(np.array([point.damping_of_stiffest]))[0])
     if not largest > 0:
         raise DeviceError(f"device {course.name!r}: by its file no wall is stable; {RANGE_NEEDED}.")
-    return Forecast(limit, np.full(len(limit), START_ERROR * largest))
+    error = np.full(len(limit), START_ERROR * largest)
+    # the first wall is a share of the limit itself
+    low = np.maximum(limit - NORMAL_95 * error, 0.0) if len(course.tried) else limit
+    return Forecast(limit, error, low=low, scale=largest)
+
+
+def _by_logs(course: Course, found: FoundDevice, wall: Floats) -> Forecast | None:
+    step = Trial(course.step, round(course.trial_s / course.sampling_period_s))
+    limit, reach = found.limits(wall, step)
+    linear, linear_reach = found.limits(wall)
+    # the step that walls will have is not known as long as no trial had one
+    known = np.isfinite(limit) & (len(course.tried) > 0 or not course.free)
+    limit, reach = np.where(known, limit, linear), np.where(known, reach, linear_reach)
+    lowest, best = found.lowest(wall), int(np.argmax(linear))
+    unsure = bool(lowest[best] < UNSURE * linear[best])
+    if unsure and len(course.tried):
+        return None
+    if course.is_sure and not unsure:
+        # friction raises the limit for the step, as far as it is known
+        by_friction = np.sqrt(np.maximum(reach**2 - linear_reach**2, 0.0))
+        lowest = np.maximum(limit - np.hypot(linear - lowest, by_friction), lowest)
+    scale = float(limit.max())
+    if not scale > 0 and not len(course.tried):
+        scale = float(found.point.limit(np.array([found.point.damping_of_stiffest]))[0])
+        if not scale > 0:
+            raise DeviceError(f"device {course.name!r}: by the device of its logs no wall is stable; {RANGE_NEEDED}.")
+    return Forecast(limit, reach / NORMAL_95, low=np.minimum(lowest, limit), scale=scale)
 
 
 def learn(batch: TrialBatch, count: int, known: Learnt | None, look: Look) -> Learnt | None:
@@ -276,7 +359,7 @@ def learn(batch: TrialBatch, count: int, known: Learnt | None, look: Look) -> Le
     Parameters
     ----------
     batch : TrialBatch
-        Trials with K > 0: all, or `TRIALS` that are spread over the walls.
+        Trials with K > 0, else without a wall: all, or `TRIALS` that are spread over the walls.
     count : int
         Number of all.
     known : Learnt or None
@@ -288,16 +371,20 @@ def learn(batch: TrialBatch, count: int, known: Learnt | None, look: Look) -> Le
     part = batch.select(some)
     response = find_response(part)
     recordings = recordings_of(part, response)
-    if not any(np.ptp(each.position) > 0 for each in recordings):
+    if unusable(recordings):
         return known
     choice, looked = (None, 0) if known is None else (known.choice, known.looked)
-    if count >= AGAIN * looked and (found := look(recordings)) is not None:
-        choice, looked = found, count
-    elif choice is not None:
-        choice = again(choice, recordings)
+    try:
+        if count >= AGAIN * looked and (found := look(recordings)) is not None:
+            choice, looked = found, count
+        elif choice is not None:
+            choice = again(choice, recordings)
+        fitted = None if choice is None else fitted_of(choice)
+    except (ParameterError, np.linalg.LinAlgError):
+        # a device that cannot be fitted is none
+        return known
     if choice is None:
         return None
-    fitted = fitted_of(choice)
     if fitted is None:
         return Learnt(choice, None, looked)
     # a filter shows most where there is most damping
@@ -306,7 +393,24 @@ def learn(batch: TrialBatch, count: int, known: Learnt | None, look: Look) -> Le
     if velocity is None:
         departures = wall_law(part.select(most), response.select(most)).departures[0]
         velocity = next((each.filter.declared for each in departures if each.filter is not None), None)
-    return Learnt(choice, FoundDevice(fitted, float(np.median(batch.sampling_period_s)), velocity), looked)
+    fitted = replace(fitted, explained=len(recordings), trials=tuple(each.name for each in recordings))
+    period, directions = float(np.median(batch.sampling_period_s)), Recorded.of(recordings).directions
+    return Learnt(choice, FoundDevice(fitted, period, velocity, directions), looked)
+
+
+def unusable(recordings: Sequence[Recording]) -> str:
+    """Return why no device can be identified from recordings, and what to record; empty where one can.
+
+    The checks are those of `measured.model.identified.identified`.
+    """
+    rows = sum(len(each.time) for each in recordings if len(each.time) >= SHORTEST)
+    if rows < USABLE_ROWS:
+        return f"the logs have {rows} usable rows; expected at least {USABLE_ROWS}. Record longer ones."
+    if not any(np.ptp(each.position) > 0 for each in recordings):
+        return "the position does not change in any log; expected a device in motion. Record larger steps."
+    if not any(np.any(each.command != 0) for each in recordings):
+        return "the command is 0 in all rows. Record steps of the command."
+    return ""
 
 
 def recordings_of(batch: TrialBatch, response: Response) -> list[Recording]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from math import inf
+from typing import Literal
 
 import numpy as np
 from scipy.special import ndtr
@@ -41,6 +42,19 @@ limit may be wrong, and the largest limit is not known to the last."""
 
 START = 0.5
 """Stiffest first wall, relative to the limit that a device file predicts: a file may state half the true delay."""
+
+BOLDER, GENTLER = 2.0, 1.3
+"""Stiffest wall to try, relative to the stiffest stable one, as long as no device is identified for sure; and where a
+rig is to be spared."""
+
+APART = 0.7
+"""Stiffness of a wall that is asked for below undecided ones, relative to the softest of these."""
+
+SOFT = 0.1
+"""Stiffness, relative to the stiffest stable wall, that counts as stable at any damping."""
+
+SOFTEST = 1e-3
+"""Stiffness, relative to the largest limit, that is tried where a file predicts no stable wall."""
 
 HIGHER = 1.3
 """How far above the largest limit known a limit is looked for, relative to it."""
@@ -97,6 +111,8 @@ class Bracket:
         Stiffest stable and softest unstable wall that enclose it [N/m, Nm/rad]; None where none was tried.
     again : tuple of float
         Stiffness of walls whose verdicts contradict others and that must be tried again, those of fewest trials first.
+    even : tuple of float
+        Stiffness of the walls among these with as many stable as unstable trials.
     lasting : bool
         Whether stable walls lie above unstable ones although each was tried `VOTES` times.
     trials : int
@@ -107,6 +123,7 @@ class Bracket:
     again: tuple[float, ...] = ()
     lasting: bool = False
     trials: int = 0
+    even: tuple[float, ...] = ()
 
     @property
     def bottom(self) -> float:
@@ -131,42 +148,52 @@ def bracket(stiffness: Floats, verdict: np.ndarray, width: float = 0.0) -> Brack
 
     Notes
     -----
-    A wall counts as what most of its trials say, and not at all where they are even or undecided. Where a stable wall
-    lies above an unstable one, low and high enclose both, until each of them was tried `VOTES` times. What contradicts
-    itself then has several limits (a mode, friction), of which the lowest counts.
+    A wall counts as what most of its trials say, and not at all where they are undecided. With as many stable as
+    unstable trials it counts as neither, and low and high enclose it; after twice `VOTES` trials it counts as unstable.
+    Where a stable wall lies above an unstable one, low and high enclose both, until each of them was tried `VOTES`
+    times. What contradicts itself then has several limits (a mode, friction), of which the lowest counts.
 
     Examples
     --------
     >>> bracket(np.array([1000.0, 2000.0, 3000.0]), np.array(["stable", "undecided", "unstable"]))
-    Bracket(low=1000.0, high=3000.0, again=(), lasting=False, trials=3)
+    Bracket(low=1000.0, high=3000.0, again=(), lasting=False, trials=3, even=())
     >>> bracket(np.array([1000.0, 2000.0, 3000.0]), np.array(["stable", "unstable", "stable"])).again
     (2000.0, 3000.0)
+    >>> bracket(np.array([1000.0, 2000.0, 2000.0, 3000.0]), np.array(["stable", "stable", "unstable", "unstable"]))
+    Bracket(low=1000.0, high=3000.0, again=(2000.0,), lasting=False, trials=4, even=(2000.0,))
     """
     walls, column = np.unique(stiffness, return_inverse=True)
     votes = np.zeros(len(walls))
     tried = np.zeros(len(walls), dtype=np.int64)
     np.add.at(votes, column, np.where(verdict == "unstable", 1.0, np.where(verdict == "stable", -1.0, 0.0)))
     np.add.at(tried, column, 1)
+    even = (votes == 0) & np.isin(walls, stiffness[verdict == "stable"])
+    votes[even & (tried >= 2 * VOTES)] = 1.0
     stable, unstable = walls[votes < 0], walls[votes > 0]
     low, high = stable.max(initial=-inf), unstable.min(initial=inf)
-    again: tuple[float, ...] = ()
+    again = np.zeros(len(walls), dtype=np.bool_)
     lasting = False
     if low > high:
-        doubtful = (walls >= high) & (walls <= low) & (tried < VOTES)
-        if low - high > width and doubtful.any():
-            order = np.flatnonzero(doubtful)[np.argsort(tried[doubtful], kind="stable")]
-            again = tuple(walls[order].tolist())
-        lasting = low - high > width and not again
-        if lasting:
-            low = stable[stable < high].max(initial=-inf)
-        else:
-            low, high = stable[stable < high].max(initial=-inf), unstable[unstable > low].min(initial=inf)
+        if low - high > width:
+            again = (walls >= high) & (walls <= low) & (tried < VOTES)
+            lasting = not again.any()
+        below = stable[stable < high].max(initial=-inf)
+        if not lasting:
+            high = unstable[unstable > low].min(initial=inf)
+        low = below
+    even &= (votes == 0) & (walls < high)
+    if even.any():
+        low = min(low, stable[stable < walls[even].min()].max(initial=-inf))
+        even &= high - low > width
+        again |= even
+    repeated = np.flatnonzero(again)[np.argsort(tried[again], kind="stable")]
     return Bracket(
         low=float(low) if np.isfinite(low) else None,
         high=float(high) if np.isfinite(high) else None,
-        again=again,
+        again=tuple(walls[repeated].tolist()),
         lasting=lasting,
         trials=len(stiffness),
+        even=tuple(walls[even].tolist()),
     )
 
 
@@ -186,6 +213,10 @@ class Aim:
         Smallest and largest K that may be tried [N/m, Nm/rad].
     force : float
         Largest command that a trial may have shown [N, Nm]; no stiffer wall is tried at its damping.
+    bold : float
+        Stiffest wall to try, relative to the stiffest stable one; infinite where a device is identified for sure.
+    few : bool
+        Whether so few logs do not identify it that a rig is spared all walls that may be unstable.
     """
 
     dampings: tuple[float, ...]
@@ -194,6 +225,8 @@ class Aim:
     lowest: float = 0.0
     highest: float = inf
     force: float = inf
+    bold: float = inf
+    few: bool = False
 
     @property
     def start(self) -> float:
@@ -206,11 +239,19 @@ class Forecast:
     """Limit at each damping before it is measured: value and standard error [N/m, Nm/rad], both of shape (n,).
 
     NaN where nothing foretells it. ``misfit`` is the error, relative to the largest limit, where limits are known.
+    ``low`` is the lowest limit of all devices that the logs allow; by default the limit itself. ``scale`` is the
+    largest limit at any damping, 0 where it is not known.
     """
 
     limit: Floats
     error: Floats
     misfit: float = MISFIT
+    low: Floats = field(default_factory=lambda: np.empty(0))
+    scale: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not len(self.low):
+            object.__setattr__(self, "low", self.limit)
 
     @classmethod
     def none(cls, count: int) -> Forecast:
@@ -231,7 +272,8 @@ class Split:
 class Column:
     """One damping: what verdicts and forecast say of its limit, and the wall to try; None where it is done.
 
-    ``estimate`` is None where nothing tells it, ``split`` None where a wall is tried again.
+    ``estimate`` is None where nothing tells it, ``split`` None where a wall is tried again. ``most`` is the stiffest
+    wall that may be tried now.
     """
 
     damping: float
@@ -240,6 +282,7 @@ class Column:
     split: Split | None = None
     wall: float | None = None
     note: str = ""
+    most: float = inf
 
     @property
     def left(self) -> float:
@@ -278,20 +321,59 @@ def state(tried: Tried, aim: Aim, by: Forecast | None = None, trial_s: float = i
     found = [bracket(own.stiffness, own.verdict) for own in rows]
     ends = np.array([(of.bottom, of.top) for of in found])
     ahead = corrected(by, ends, np.array(aim.dampings)) if by is not None else Forecast.none(len(found))
-    largest = _largest(ahead.limit, ends, aim.accuracy * float(tried.stiffness.max(initial=0.0)))
+    known = len(tried) and (ends[:, 0].any() or np.isfinite(ends[:, 1]).any() or np.isfinite(ahead.limit).any())
+    least = (aim.accuracy if known else 1.0) * float(tried.stiffness.max(initial=0.0))
+    largest = _largest(ahead.limit, ends, least)
+    largest = largest or (by.scale if by is not None else 0.0) or 1.0  # any size where nothing is stable
     width = CLOSE * aim.accuracy * largest
     columns = []
     for i, own in enumerate(rows):
         of = bracket(own.stiffness, own.verdict, width)
-        task = Task(aim, largest, trial_s, float(ahead.limit[i]), float(ahead.error[i]))
-        column = _wall_to_try(aim.dampings[i], of, own, task, holds=ahead.misfit <= aim.accuracy)
-        if len(tried) and not len(own) and task.limit <= 0 and task.error <= width:
+        stable = stiffest_stable(tried, aim.dampings[i])
+        task = Task(aim, largest, trial_s, float(ahead.limit[i]), float(ahead.error[i]), float(ahead.low[i]), stable)
+        column = _wall_to_try(aim.dampings[i], of, own, task, tried.stiffness, holds=ahead.misfit <= aim.accuracy)
+        if len(tried) and not len(own) and aim.bold == inf and task.limit <= 0 and task.error <= width:
             # a verdict there changes no map: it is known closely enough that nothing is stable
             column = Column(aim.dampings[i], of, 0.0, note="no stable wall")
-        if not len(tried) and column.wall is not None:
-            column = replace(column, wall=min(column.wall, aim.start * max(task.limit, task.half)))
+        if by is not None and not len(tried) and column.wall is not None:
+            limit = by.low[i] if by.low[i] > 0 else SOFT * by.limit[i]
+            most = aim.start * float(limit if limit > 0 else SOFTEST * max(by.scale, largest))
+            column = replace(column, wall=min(column.wall, most), most=most)
         columns.append(column)
     return State(tuple(columns), largest, ahead)
+
+
+def stiffest_stable(tried: Tried, damping: float) -> float:
+    """Return the stiffness up to which walls at a damping count as stable by the stable walls at any damping.
+
+    Notes
+    -----
+    A stable wall counts as stable with more damping. With less damping its stiffness is reduced in proportion, as the
+    stable region is convex next to K = B = 0, and `SOFT` of the stiffest counts at any damping. Stable walls above an
+    unstable one are left out. Without a stable wall, half of the softest wall counts, and a quarter where that is
+    unstable. Infinite without trials.
+
+    Examples
+    --------
+    >>> tried = Tried(np.array([2000.0]), np.array([10.0]), np.array(["stable"]), np.array([-9.0]))
+    >>> [stiffest_stable(tried, damping) for damping in (0.0, 5.0, 20.0)]
+    [200.0, 1000.0, 2000.0]
+    """
+    if not len(tried):
+        return inf
+    unstable = tried.select(tried.verdict == "unstable")
+    below = np.array(
+        [
+            k < unstable.stiffness[unstable.damping == b].min(initial=inf)
+            for k, b in zip(tried.stiffness, tried.damping, strict=True)
+        ]
+    )
+    stable = tried.select((tried.verdict == "stable") & below)
+    if not len(stable):
+        first = np.argmin(tried.stiffness)
+        return float(tried.stiffness[first]) * (0.25 if tried.verdict[first] == "unstable" else 0.5)
+    share = np.where(stable.damping > damping, damping / np.maximum(stable.damping, 1e-300), 1.0)
+    return float(max((share * stable.stiffness).max(), SOFT * stable.stiffness.max()))
 
 
 def corrected(by: Forecast, ends: Floats, dampings: Floats) -> Forecast:
@@ -307,13 +389,15 @@ def corrected(by: Forecast, ends: Floats, dampings: Floats) -> Forecast:
     misfit = float(np.hypot(MISFIT, np.sqrt(np.mean(missed[tried] ** 2)) if tried.any() else 0.0))
     size = np.hypot(misfit, by.error / largest)
     if not known.any():
-        return Forecast(by.limit, largest * size, misfit)
+        return Forecast(by.limit, largest * size, misfit, by.low)
     apart = (dampings[:, None] - dampings[known]) / (SMOOTH * float(np.ptp(dampings) or 1.0))
     toward = np.exp(-0.5 * apart**2) * size[:, None] * size[known]
     noise = (high - low)[known] / largest / np.sqrt(12)
     gain = np.linalg.solve(toward[known] + np.diag(noise**2 + 1e-8), toward.T).T
     limit = np.maximum(by.limit + largest * (gain @ missed[known]), 0.0)
-    return Forecast(limit, largest * np.sqrt(np.maximum(size**2 - (gain * toward).sum(axis=1), 1e-6)), misfit)
+    error = largest * np.sqrt(np.maximum(size**2 - (gain * toward).sum(axis=1), 1e-6))
+    low = np.maximum(limit - (by.limit - by.low) * error / (largest * size), 0.0)
+    return Forecast(limit, error, misfit, low)
 
 
 def _largest(limit: Floats, ends: Floats, least: float) -> float:
@@ -329,14 +413,16 @@ def _largest(limit: Floats, ends: Floats, least: float) -> float:
 
 @dataclass(frozen=True)
 class Task:
-    """What is to be known, the largest limit, how long a log goes on [s], and what is expected of one damping: limit
-    and standard error [N/m, Nm/rad]."""
+    """What is to be known, the largest limit, how long a log goes on [s], and what is expected of one damping: limit,
+    standard error, lowest limit that is allowed, and stiffness that counts as stable [N/m, Nm/rad]."""
 
     aim: Aim
     largest: float
     trial_s: float
     limit: float
     error: float
+    low: float
+    stable: float
 
     @property
     def half(self) -> float:
@@ -349,10 +435,11 @@ class Task:
         return CLOSE * self.half
 
 
-def _wall_to_try(damping: float, of: Bracket, own: Tried, task: Task, *, holds: bool) -> Column:
+def _wall_to_try(damping: float, of: Bracket, own: Tried, task: Task, everywhere: Floats, *, holds: bool) -> Column:
     aim, half, width = task.aim, task.half, task.width
     top = min(of.top, aim.highest, own.stiffness[own.force > aim.force].min(initial=inf))
-    far = top if np.isfinite(top) else max(2 * of.bottom, HIGHER * task.largest, width)
+    bold = aim.bold * task.stable if aim.bold < inf else 0.0
+    far = top if np.isfinite(top) else max(2 * of.bottom, HIGHER * task.largest, width, bold)
     value = 0.5 * (of.bottom + far) if np.isnan(task.limit) else float(np.clip(task.limit, of.bottom, far))
     if of.again:
         return Column(damping, of, value, None, of.again[0], "contradiction")
@@ -361,28 +448,87 @@ def _wall_to_try(damping: float, of: Bracket, own: Tried, task: Task, *, holds: 
             return Column(damping, replace(of, again=weak), value, None, weak[0], "weak")
         return Column(damping, of, float(np.clip(value, of.high - half, of.bottom + half)))
     inside = own.select((own.stiffness > of.bottom) & (own.stiffness < of.top) & (own.verdict == "undecided"))
-    if len(inside) >= VOTES:
+    blind, often = of.low is None and of.high is None, len(inside) >= VOTES
+    if len(inside) and blind and (aim.bold < inf or len(inside) >= 2 * VOTES):
+        return _longer(damping, of, inside)
+    if often and of.low is None and (blind or len(inside) < 2 * VOTES) and inside.stiffness.min() > aim.lowest:
+        # what is undecided is near the limit: a verdict farther from it encloses it
+        wall = max(APART * float(inside.stiffness.min()), aim.lowest)
+        return Column(
+            damping, of, value, Split(0, 0.0, 1.0), min(wall, max(_most(of, task, inside), aim.lowest)), most=wall
+        )
+    if often and (of.high is not None or aim.gentle):
         return Column(damping, of, None, note="undecided")
     if of.bottom >= 0.99 * top or top <= aim.lowest:
         return Column(damping, of, value, note="limit of the tests")
-    if repeats(own, of):
-        return Column(damping, of, value, note="step of the rig")
+    answer = answers(own, of, everywhere, gentle=aim.gentle)
+    if answer == "step of the rig":
+        return Column(damping, of, value, note=answer)
     if aim.gentle and holds and of.low is not None and abs(task.limit - of.low) + task.error <= half:
         return Column(damping, of, value, note="from below")
-    edges = walls(max(of.bottom, aim.lowest), far, value, task.error, width)
+    repeated = answer == "middle" and len(np.unique(own.stiffness)) > 1
+    most = _most(of, task, inside, repeated=repeated)
+    if most <= of.bottom or answer == "softer":
+        return _softer(damping, of, own, value)
+    limit, error = task.limit, task.error
+    if aim.gentle and of.high is not None and limit - SAFE * error > of.high:
+        # an unstable wall refutes the forecast: it would be asked for next to that again and again
+        limit = error = np.nan
+    edges = walls(max(of.bottom, aim.lowest), far, value, error, width)
     # no walls next to undecided ones
     kept = np.asarray((np.abs(edges[:, None] - inside.stiffness) > 0.25 * width).all(axis=1))
     kept[[0, -1]] = True
     edges = edges[kept]
-    split = best_split(edges, chances(edges, task.limit, task.error), width, PRICE if aim.gentle else 1.0)
+    if edges[0] < most < edges[-1]:
+        edges = np.unique(np.append(edges, most))
+    chance = chances(edges, limit, error)
+    split = best_split(edges, chance, width, PRICE if aim.gentle else 1.0, most)
+    if split is None and len(inside):
+        return Column(damping, of, None, note="undecided") if of.high is not None else _longer(damping, of, inside)
     if split is None:
-        return Column(damping, of, value, note="step of the rig")
+        split = Split(0, 0.5, 1.0)
+        return Column(damping, of, value, split, min(max(0.5 * (of.bottom + far), aim.lowest), max(most, aim.lowest)))
     wall = float(edges[split.place])
-    if aim.gentle and not np.isnan(task.limit):
-        safe = max(task.limit - SAFE * task.error, BOLD * task.limit)
+    if answer == "middle":
+        wall = 0.5 * (of.bottom + min(far, most))
+    elif aim.gentle and not np.isnan(limit):
+        safe = max(limit - SAFE * error, BOLD * limit)
         if safe > of.bottom + 0.2 * half:
             wall = safe if holds else min(wall, safe)
-    return Column(damping, of, value, split, wall)
+    wall = min(wall, max(most, aim.lowest))
+    unstable = np.interp(wall, edges, np.concatenate([[0.0], np.cumsum(chance)])) / chance.sum()
+    split = replace(split, unstable=float(unstable))
+    return Column(damping, of, value, split, wall, most=most)
+
+
+def _most(of: Bracket, task: Task, inside: Tried, *, repeated: bool = False) -> float:
+    """Return the stiffest wall that may be tried now; no more than the bracket's lower end where none may be.
+
+    It is never above the lowest limit that the logs allow as long as no wall near that was stable, or undecided inside
+    the bracket, or ``repeated`` shows that the rig sets none there. Else only a wall above it closes the bracket.
+    """
+    aim = task.aim
+    most = aim.bold * task.stable
+    low = min(task.low, task.limit - min(SAFE * task.error, task.half))
+    near = max(of.bottom, 0.0 if aim.gentle else inside.stiffness.max(initial=0.0))
+    if low > near + task.half and (aim.gentle or not repeated):
+        return min(most, low)
+    if aim.gentle and aim.few:
+        return of.bottom if of.bottom > 0 else 0.5 * min(most, task.stable)
+    return min(most, GENTLER * task.stable) if aim.gentle and aim.bold < inf else most
+
+
+def _longer(damping: float, of: Bracket, inside: Tried) -> Column:
+    """Return that the softest of some undecided walls is to be tried again with a longer log."""
+    return Column(damping, of, None, None, float(inside.stiffness.min()), "longer")
+
+
+def _softer(damping: float, of: Bracket, own: Tried, value: float) -> Column:
+    """Return a wall in the largest gap between those tried, up to the stiffest stable one: to learn the device."""
+    ends = np.unique(np.append(0.0, own.stiffness[own.stiffness <= of.bottom]))
+    widest = int(np.argmax(np.diff(ends)))
+    wall = 0.5 * float(ends[widest] + ends[widest + 1])
+    return Column(damping, of, value, Split(0, 0.0, 1.0), wall, "softer", of.bottom)
 
 
 def doubtful_ends(own: Tried, of: Bracket, trial_s: float, *, gentle: bool) -> tuple[float, ...]:
@@ -399,16 +545,49 @@ def doubtful_ends(own: Tried, of: Bracket, trial_s: float, *, gentle: bool) -> t
     return tuple(ends)
 
 
-def repeats(own: Tried, of: Bracket) -> bool:
-    """Return whether a rig answers by an end of the bracket each time: it sets no wall inside.
+def answers(
+    own: Tried, of: Bracket, everywhere: Floats, *, gentle: bool = False
+) -> Literal["", "middle", "softer", "step of the rig"]:
+    """Return how a rig seems to answer that was asked for walls inside a bracket.
 
-    An end is then tried `VOTES` times more than walls usually are, though no verdict contradicts another.
+    Parameters
+    ----------
+    own : Tried
+        Trials at the damping.
+    of : Bracket
+        Its bracket, whose ends are walls of these trials.
+    everywhere : float64, shape (n,)
+        Stiffness of the walls tried at all dampings [N/m, Nm/rad].
+    gentle : bool
+        Whether walls stay below a limit, so that a rig that rounds them down answers by a softer one than its stiffest.
+
+    Returns
+    -------
+    str
+        ``step of the rig`` where it sets no wall inside: an end was tried `VOTES` times more than the other walls, and
+        no two walls at any damping are closer than the bracket is wide; or twice as often. Without an unstable wall
+        the end must be the stiffest wall at all dampings, without a stable one the softest, and tried twice as often.
+        ``middle`` where the middle of the bracket is to be asked for, as an end was repeated as often, but other walls
+        inside may be set. ``softer`` where all trials have one wall, so that a softer one shows whether the rig sets
+        what it is asked for. Else empty, as where verdicts contradict each other.
     """
+    own = own.select(own.verdict != "undecided")
     walls, place, count = np.unique(own.stiffness, return_inverse=True, return_counts=True)
-    grew, fell = (np.bincount(place, own.verdict == said, len(walls)) for said in ("unstable", "stable"))
     ends = np.isin(walls, [end for end in (of.low, of.high) if end is not None])
-    usual = np.median(count[~ends]) if not ends.all() else 1.0
-    return bool(count[ends].max(initial=0) >= usual + VOTES and not (grew * fell).any())
+    grew, fell = (np.bincount(place, own.verdict == verdict, len(walls)) for verdict in ("unstable", "stable"))
+    if not ends.any() or (grew * fell).any():
+        return ""
+    repeated = int(np.argmax(np.where(ends, count, 0)))
+    more = count[repeated] - (np.median(np.delete(count, repeated)) if len(walls) > 1 else 1)
+    if len(walls) == 1 and of.low is not None and count[0] % (2 * VOTES) == 0:
+        return "softer"
+    if more < VOTES:
+        return ""
+    if of.low is not None and of.high is not None:
+        fits = bool(np.diff(np.unique(everywhere)).min() >= 0.99 * (of.high - of.low))
+        return "step of the rig" if fits or more >= 2 * VOTES else "middle"
+    last = gentle or walls[repeated] == (everywhere.max() if of.high is None else everywhere.min())
+    return "step of the rig" if len(walls) > 1 and last and more >= 2 * VOTES else "middle"
 
 
 def walls(bottom: float, far: float, value: float, error: float, width: float) -> Floats:
@@ -434,7 +613,7 @@ def chances(edges: Floats, limit: float, error: float) -> Floats:
     return np.asarray((1 - DOUBT) * by / max(by.sum(), 1e-12) + DOUBT * anywhere)
 
 
-def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0) -> Split | None:
+def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0, most: float = inf) -> Split | None:
     """Return where a trial shortens the search most.
 
     Parameters
@@ -447,6 +626,8 @@ def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0) 
         The search ends when the limit is known to lie between walls no further apart.
     price : float
         What an unstable trial costs, in stable ones: above 1 the limit is approached from below.
+    most : float
+        Stiffest wall of this trial; later ones may be stiffer.
 
     Returns
     -------
@@ -481,10 +662,12 @@ def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0) 
         k = i + 1 + best
         place[i, j], cost[i, j] = k, options[np.arange(len(i)), best]
         trials[i, j] = trials[i, k] + trials[k, j] + total[j] - total[i]
-    first = int(place[0, n])
-    if first == 0:  # two edges, too far apart
+    allowed = np.flatnonzero(edges[1:n] <= most) + 1
+    if not len(allowed):  # two edges, too far apart, or no wall that may be tried
         return None
-    return Split(first, float(total[first] / total[n]), float(trials[0, n] / total[n]))
+    first = min(int(place[0, n]), int(allowed[-1]))
+    needed = trials[0, first] + trials[first, n] + total[n]
+    return Split(first, float(total[first] / total[n]), float(needed / total[n]))
 
 
 def order(columns: tuple[Column, ...]) -> list[int]:

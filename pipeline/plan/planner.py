@@ -9,21 +9,41 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.base.errors import UsageError
+from pipeline.base.errors import DeviceError, UsageError
+from pipeline.base.wording import commonest, counted, listed
 from pipeline.plan.cost_search import Search, Target, look_for
-from pipeline.plan.course import Course, Wish, foretold, open_course, snapped, wanted_dampings
+from pipeline.plan.course import RANGE_NEEDED, Course, Wish, foretold, open_course, snapped, wanted_dampings
 from pipeline.plan.found_device import stated_device
-from pipeline.plan.next_wall import Aim, Column, State, order, state
+from pipeline.plan.next_wall import BOLDER, GENTLER, Aim, Column, Forecast, State, order, state
 from pipeline.records.findings import Record
 
 NOTES = {
-    "undecided": "not told: verdicts stay undecided between low and high",
+    "undecided": "verdicts stay undecided above the stiffest stable wall: record longer logs there",
     "limit of the tests": "the walls that may be tried end there",
     "step of the rig": "the rig sets no wall between low and high: it answers by these each time",
+    "stiffest of the rig": "the rig sets no wall above low: it answers by that wall each time",
+    "softest of the rig": "the rig sets no wall below high: it answers by that wall each time",
     "no stable wall": "by the device that the logs show nothing is stable there",
-    "from below": "told by the stable walls next to it and by the device that all logs show",
+    "from below": "estimated from the stable walls next to it and the device that all logs show",
+    "longer": "no verdict yet: record longer logs, or larger steps",
 }
-"""What is said of a damping that is done for a reason of its own."""
+"""Why a damping is done, or has no estimate."""
+
+REMEDIES = (
+    ("no visible motion", "Record longer logs after the step, or larger steps."),
+    ("the log ends before", "Record longer logs after the step."),
+    ("at the limit", "Record longer logs, or walls farther from the limit."),
+    ("a mode grows", "Record longer logs."),
+)
+"""What to record for a verdict, by the beginning of the reason why there is none."""
+
+RECORD = "Record steps from rest, and longer logs."
+"""What to record where the reason is another."""
+
+BOTH_DIRECTIONS = (
+    "friction cannot be separated from the device by {}: the next wall is at most twice as stiff as the stable ones. "
+    "Record {}"
+)
 
 OPTIMUM_ACCURACY = 0.05
 """By which the best trial may be worse than the best wall, relative."""
@@ -32,12 +52,15 @@ SURE = 0.75
 """Chance from which on a verdict is expected."""
 
 
+Expected = Literal["stable", "unstable", "undecided"]
+
+
 class Next(Record):
     """A wall to try: K [N/m, Nm/rad], B [Ns/m, Nms/rad], what it is expected to show, and why it is asked for."""
 
     stiffness: float
     damping: float
-    expected: Literal["stable", "unstable", "undecided"]
+    expected: Expected
     why: str
 
 
@@ -45,7 +68,8 @@ class Limit(Record):
     """Limit of stability at a damping [N/m, Nm/rad].
 
     ``low`` and ``high`` are the stiffest stable and the softest unstable wall by verdicts, None where there is none;
-    ``estimate`` lies between them; None where verdicts do not tell it. ``note`` says what is special of it.
+    ``estimate`` lies between them; None without a stable or unstable trial there, and where verdicts do not tell it.
+    ``note`` says what is special of it.
     """
 
     damping: float
@@ -119,33 +143,52 @@ def plan_of(course: Course, wish: Wish) -> Plan:
     """Return which walls to try next, from trials that are in memory."""
     dampings, used = wanted_dampings(course, wish), len(course.tried)
     course = replace(course, tried=snapped(course.tried, dampings))
-    aim = aim_of(course, wish, dampings)
-    found = state(course.tried, aim, foretold(course, dampings), course.trial_s)
-    done, best, left = found.done, None, ceil(sum(column.left for column in found.columns))
-    if wish.goal == "optimum":
-        search = _search(course, wish, found, aim)
-        done, best, left = search.done, _best(search, course, wish), len(search.walls)
+    forecast = foretold(course, dampings)
+    if forecast is None and not used:
+        raise DeviceError(f"device {course.name!r}: {course.unknown.rstrip('.') or 'no log of it'}; {RANGE_NEEDED}.")
+    aim = aim_of(course, wish, dampings, forecast)
+    found = state(course.tried, aim, forecast, course.trial_s)
+    done, best, more = found.done, None, ceil(sum(column.left for column in found.columns))
+    left = order(found.columns)
+    if not used:
+        # where nothing is predicted to be stable a wall waits for the device that logs of other dampings show
+        left = [i for i in left if found.forecast.limit[i] > 0] or left
+    following = [_next(found.columns[i], found, aim, course) for i in left[: wish.count]]
+    if wish.goal == "optimum" and (search := _search(course, wish, found, aim)) is not None:
+        done, best, more = search.done, _best(search, course, wish), len(search.walls)
         following = _walls_of(search, course, wish, found, aim)
-    else:
-        following = [_next(found.columns[i], found, aim, course) for i in order(found.columns)[: wish.count]]
     return Plan(
         next=() if done else tuple(following),
         done=done,
-        boundary=tuple(_limit(column) for column in found.columns),
+        boundary=tuple(_limit(column, blind=found.forecast.misfit == inf) for column in found.columns),
         trials_used=used,
-        trials_expected=used + (0 if done else left),
+        trials_expected=used + (0 if done else more),
         remarks=_remarks(course, found, aim),
         optimum=best,
     )
 
 
-def _limit(column: Column) -> Limit:
-    ends, note = column.bracket, NOTES.get(column.note, "")
-    return Limit(damping=column.damping, estimate=column.estimate, low=ends.low, high=ends.high, note=note)
+def _limit(column: Column, *, blind: bool) -> Limit:
+    """Return what is known of a limit; ``blind`` without a device that predicts it, so that it needs two ends."""
+    ends, estimate = column.bracket, column.estimate
+    verdicts = (ends.low is not None) + (ends.high is not None)
+    if column.note != "no stable wall" and (verdicts == 0 or (verdicts == 1 and blind and column.wall is not None)):
+        estimate = None
+    key = column.note
+    if key == "step of the rig" and (ends.high is None or ends.low is None):
+        key = "stiffest of the rig" if ends.high is None else "softest of the rig"
+    note = NOTES.get(key, "") if column.wall is None or column.note == "longer" else ""
+    return Limit(damping=column.damping, estimate=estimate, low=ends.low, high=ends.high, note=note)
 
 
-def aim_of(course: Course, wish: Wish, dampings: tuple[float, ...]) -> Aim:
-    """Return what is to be known within what limits; errors as of `plan`."""
+def aim_of(course: Course, wish: Wish, dampings: tuple[float, ...], forecast: Forecast | None = None) -> Aim:
+    """Return what is to be known within what limits; errors as of `plan`.
+
+    As long as the logs do not identify a device for sure, walls are at most a few times as stiff as stable ones.
+    """
+    bold = inf if not len(course.tried) or (forecast is not None and course.is_sure) else BOLDER
+    if bold < inf and forecast is None and wish.gentle:
+        bold = GENTLER
     aim = Aim(
         dampings,
         wish.accuracy,
@@ -153,6 +196,8 @@ def aim_of(course: Course, wish: Wish, dampings: tuple[float, ...]) -> Aim:
         lowest=0.0 if wish.travel == inf else course.step / wish.travel,
         highest=wish.largest_stiffness,
         force=wish.largest_force,
+        bold=bold,
+        few=bold < inf and course.few,
     )
     if aim.lowest >= aim.highest:
         raise UsageError(
@@ -169,13 +214,49 @@ def _remarks(course: Course, found: State, aim: Aim) -> tuple[str, ...]:
         for c in found.columns
         if c.bracket.lasting
     ]
+    said += _missing(course, aim)
     misfit, point = found.forecast.misfit, course.found.point if course.found is not None else None
     if len(course.tried) and not misfit <= aim.accuracy:
         off = f"limits lie off those of the found device by {misfit:.0%} of the largest"
-        said.append(f"{off if misfit < inf else 'no device is found'}: each damping is finished by its verdicts")
+        said.append(f"{off if misfit < inf else 'no device is identified'}: each damping is finished by its verdicts")
     if point is not None and point.coulomb:
         said.append(OF_THE_STEP.format(course.step, "Nm" if course.rotation else "N"))
     return tuple(said)
+
+
+def _missing(course: Course, aim: Aim) -> list[str]:
+    """Return what the logs lack, and what to record."""
+    said = []
+    if course.undecided:
+        reason = commonest(course.undecided)
+        remedy = next((text for begins, text in REMEDIES if reason.startswith(begins)), RECORD)
+        count = f"{len(course.undecided)} of {counted(len(course.tried), 'trial')}"
+        said.append(f"no verdict in {count}: {reason}. {remedy}")
+    if course.free and not len(course.tried) and course.found is not None:
+        said.append(f"{counted(course.free, 'trial')} without a wall identify the device; no wall was tried yet")
+    if course.unknown:
+        said.append(course.unknown[:1].upper() + course.unknown[1:])
+    elif course.found is not None and aim.bold < inf and course.found.may_rub:
+        few, one = course.few, course.found.directions < 2
+        by = listed([*(["so few logs"] if few else []), *(["motion in one direction"] if one else [])])
+        record = listed([*(["steps in both directions"] if one else []), *(["more logs"] if few else [])])
+        if by:
+            said.append(BOTH_DIRECTIONS.format(by, record) + ".")
+    return said
+
+
+def rounded_down(value: float, width: float) -> float:
+    """Return a stiffness with no more digits than its purpose needs, and never above it.
+
+    Examples
+    --------
+    >>> rounded_down(12347.678, 500.0), rounded_down(3.29, 500.0)
+    (12340.0, 3.2)
+    """
+    if not value > 0:
+        return value
+    unit = 10.0 ** floor(log10(max(min(width, value), 1e-300) / 20))
+    return float(f"{floor(value / unit * (1 + 1e-12)) * unit:.12g}")
 
 
 def rounded(wall: float, width: float) -> float:
@@ -193,18 +274,26 @@ def rounded(wall: float, width: float) -> float:
 def _next(column: Column, found: State, aim: Aim, course: Course) -> Next:
     assert column.wall is not None, "what is done is not asked for"
     bracket = column.bracket
-    wall = column.wall if bracket.again else rounded(column.wall, aim.accuracy * found.largest)
+    wall = column.wall if column.split is None else rounded_down(column.wall, aim.accuracy * found.largest)
     wall = min(max(wall, aim.lowest), aim.highest)
     K, B = ("Nm/rad", "Nms/rad") if course.rotation else ("N/m", "Ns/m")
     at = f"B = {column.damping:g} {B}"
     if bracket.again:
         said = ", ".join(f"{value:g}" for value in bracket.again)
-        why = (
-            f"the verdict at {said} {K} hardly stands out from the noise"
-            if column.note == "weak"
-            else f"logs contradict each other at {at}: stable above unstable between {min(bracket.again):g} and "
-            f"{max(bracket.again):g} {K}; measured again first"
-        )
+        if column.note == "weak":
+            why = f"the verdict at {said} {K} hardly stands out from the noise"
+        elif bracket.even:
+            even = ", ".join(f"{value:g}" for value in bracket.even)
+            why = f"logs contradict each other at {at}: as many stable as unstable trials at {even} {K}; "
+            why += "measured again first"
+        else:
+            why = f"logs contradict each other at {at}: stable above unstable between {min(bracket.again):g} and "
+            why += f"{max(bracket.again):g} {K}; measured again first"
+        return Next(stiffness=wall, damping=column.damping, expected="undecided", why=why)
+    if column.note == "longer":
+        still = course.unknown.startswith("the position does not change")
+        remedy = "with a larger step" if still else f"longer than {course.trial_s:.2g} s, or with a larger step"
+        why = f"no verdict at this damping yet: record this wall again, {remedy}"
         return Next(stiffness=wall, damping=column.damping, expected="undecided", why=why)
     assert column.split is not None, "a wall comes from a split"
     chance = column.split.unstable
@@ -212,31 +301,41 @@ def _next(column: Column, found: State, aim: Aim, course: Course) -> Next:
     if bracket.low is not None or bracket.high is not None:
         known = f"stable at {bracket.low:g} {K}" if bracket.low is not None else "no stable wall yet"
         known += f", unstable at {bracket.high:g} {K}" if bracket.high is not None else ", no unstable wall yet"
-    basis = "bisection alone: no device foretells the limit"
+    basis = "bisection alone: no device predicts the limit"
     if found.forecast.misfit < inf and column.estimate is not None and column.estimate <= 0:
-        basis = "the found device has no stable wall there"
+        basis, chance = "the found device has no stable wall there", 1.0
     elif found.forecast.misfit < inf and column.estimate is not None:
-        basis = f"limit expected at {rounded(column.estimate, aim.accuracy * found.largest):g} {K}"
+        basis = f"limit expected at {rounded_down(column.estimate, aim.accuracy * found.largest):g} {K}"
     lasting = "; stable walls lie above unstable ones, the lowest limit counts" if bracket.lasting else ""
-    expected = "unstable" if chance > SURE else "stable" if chance < 1 - SURE else "undecided"
-    if aim.gentle and wall < (column.estimate or 0):
+    expected: Expected = "unstable" if chance > SURE else "stable" if chance < 1 - SURE else "undecided"
+    if column.note == "softer":
+        basis = "too few logs for a stiffer wall: record this one"
+        expected = "stable"
+    elif aim.bold < inf and found.forecast.misfit == inf:
+        basis = "no device is identified: " + (
+            f"at most {aim.bold:g} times the stiffest stable wall" if bracket.low is not None else "near what was tried"
+        )
+    if aim.gentle and wall < (column.estimate or 0) and found.forecast.misfit <= aim.accuracy:
         expected = "stable"
     return Next(stiffness=wall, damping=column.damping, expected=expected, why=f"{known}; {basis}{lasting}")
 
 
-def _search(course: Course, wish: Wish, found: State, aim: Aim) -> Search:
-    """Return the search for the best cost within the limits that are expected."""
+def _search(course: Course, wish: Wish, found: State, aim: Aim) -> Search | None:
+    """Return the search for the best cost within the limits that are expected; None where no limit is known yet."""
+    if found.forecast.misfit == inf and all(column.bracket.low is None for column in found.columns):
+        return None
     point, holds = None, found.forecast.misfit <= aim.accuracy
-    if course.found is not None:
+    if course.found is not None and found.forecast.misfit < inf:
         point, holds = course.found.point, holds and not course.found.point.coulomb
     elif course.device is not None and course.of_file is not None:
         point = stated_device(course.device, course.of_file).point
     ends = [(column.bracket.bottom, min(column.bracket.top, aim.highest)) for column in found.columns]
     limits = np.clip([column.estimate or 0.0 for column in found.columns], *np.array(ends).T)
+    limits = np.minimum(limits, [max(column.most, column.bracket.bottom) for column in found.columns])
     if not limits.max() > aim.lowest:
+        if not found.done:
+            return None
         raise UsageError(f"device {course.name!r}: no wall is expected to be stable, so that none has a cost.")
-    if not len(course.tried):
-        limits *= aim.start
     target = Target(wish.criterion, np.array(aim.dampings), limits, point, holds)
     return look_for(course.tried, target, OPTIMUM_ACCURACY, wish.count)
 
@@ -245,9 +344,11 @@ def _walls_of(search: Search, course: Course, wish: Wish, found: State, aim: Aim
     so_far = "no cost yet" if search.best is None else f"best {wish.criterion} {course.tried.cost[search.best]:.4g}"
     walls: dict[tuple[float, float], Next] = {}
     for K, B, cost in search.walls:
-        stiffness = min(max(rounded(K, aim.accuracy * found.largest), aim.lowest), aim.highest)
+        stiffness = min(max(rounded_down(K, aim.accuracy * found.largest), aim.lowest), aim.highest)
         damping = rounded(B, 0.02 * aim.dampings[-1])
         why = f"{so_far}, {cost:.4g} expected here, {search.least:.4g} at the least"
+        if search.region is None:
+            why = f"{so_far}; no device predicts costs"
         # neighbours may be one wall to all digits that are told
         walls.setdefault((stiffness, damping), Next(stiffness=stiffness, damping=damping, expected="stable", why=why))
     return [*walls.values()]
