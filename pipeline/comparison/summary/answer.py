@@ -18,9 +18,12 @@ from pipeline.comparison.loops.told_loop import found_device
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import FEWEST_COMPARISONS, boundary_distance
 from pipeline.comparison.summary.summary_warnings import NEEDED
+from pipeline.measured.experiment.boundary import spread_over_plane
+from pipeline.measured.model.told import Recorded
+from pipeline.measured.stages.stage_device import recordings
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.plan.course import Wish, course_of
-from pipeline.plan.planner import plan_of
+from pipeline.plan.course import TRIALS, Wish, course_of
+from pipeline.plan.planner import NOTES, plan_of
 from pipeline.records.findings import DRIFTS, MATTERS
 from pipeline.records.models import ComparisonRow, Experiment
 from pipeline.records.results import (
@@ -254,12 +257,28 @@ def _next(
     try:
         # limits alone need no device
         found = found_device(result, stages) if result.loop is not None else None
+        if found is not None and found.may_rub:
+            found = replace(found, directions=_directions(stages))
         plan = plan_of(replace(course_of(stages, data.device, of_file, wish), found=found), wish)
     except (DeviceError, UsageError) as error:
         return {"next_reason": str(error).rstrip(".")}
     if not plan.next:
-        told = sum(limit.estimate is not None for limit in plan.boundary)
-        return {"limits_told": told, "limits_wanted": len(plan.boundary)}
+        unmeasured = [limit for limit in plan.boundary if limit.note and limit.note != NOTES["no stable wall"]]
+        measured, wanted = len(plan.boundary) - len(unmeasured), len(plan.boundary)
+        if all(limit.note == NOTES["undecided"] for limit in unmeasured):
+            return {"limits_told": measured, "limits_wanted": wanted}
+        others = "; ".join(f"B = {limit.damping:g}: {limit.note}" for limit in unmeasured)
+        reason = f"Nothing: verdicts give the limits at {measured} of {counted(wanted, 'damping')}. {others}"
+        return {"next_reason": reason, "limits_told": measured, "limits_wanted": wanted}
     wall = plan.next[0]
     command = f"pipeline plan --device {shlex.quote(data.scene.device)} --experiment {shlex.quote(name)}"
     return {"next": NextWall(stiffness=wall.stiffness, damping=wall.damping, why=wall.why, command=command)}
+
+
+def _directions(stages: ExperimentStages) -> int:
+    """Return in how many directions the device moves in logs that are spread over the walls."""
+    stiffness, damping = (stages.column("response", name) for name in ("stiffness", "damping"))
+    places = spread_over_plane(stiffness, damping, np.ones(len(stiffness), dtype=np.bool_), TRIALS)
+    ids = stages.texts("response", "trial_id")
+    parts = stages.of_each(recordings, chosen=[ids[i] for i in places])
+    return Recorded.of([recording for part in parts for recording in part]).directions
