@@ -326,11 +326,13 @@ def state(tried: Tried, aim: Aim, by: Forecast | None = None, trial_s: float = i
     largest = _largest(ahead.limit, ends, least)
     largest = largest or (by.scale if by is not None else 0.0) or 1.0  # any size where nothing is stable
     width = CLOSE * aim.accuracy * largest
-    columns = []
+    columns, decided = [], bool((tried.verdict != "undecided").any())
     for i, own in enumerate(rows):
         of = bracket(own.stiffness, own.verdict, width)
         stable = stiffest_stable(tried, aim.dampings[i])
-        task = Task(aim, largest, trial_s, float(ahead.limit[i]), float(ahead.error[i]), float(ahead.low[i]), stable)
+        task = Task(
+            aim, largest, trial_s, float(ahead.limit[i]), float(ahead.error[i]), float(ahead.low[i]), stable, decided
+        )
         column = _wall_to_try(aim.dampings[i], of, own, task, tried.stiffness, holds=ahead.misfit <= aim.accuracy)
         if len(tried) and not len(own) and aim.bold == inf and task.limit <= 0 and task.error <= width:
             # a verdict there changes no map: it is known closely enough that nothing is stable
@@ -414,7 +416,8 @@ def _largest(limit: Floats, ends: Floats, least: float) -> float:
 @dataclass(frozen=True)
 class Task:
     """What is to be known, the largest limit, how long a log goes on [s], and what is expected of one damping: limit,
-    standard error, lowest limit that is allowed, and stiffness that counts as stable [N/m, Nm/rad]."""
+    standard error, lowest limit that is allowed, and stiffness that counts as stable [N/m, Nm/rad]; and whether trials
+    at any damping have a verdict."""
 
     aim: Aim
     largest: float
@@ -423,6 +426,7 @@ class Task:
     error: float
     low: float
     stable: float
+    decided: bool
 
     @property
     def half(self) -> float:
@@ -450,13 +454,17 @@ def _wall_to_try(damping: float, of: Bracket, own: Tried, task: Task, everywhere
     inside = own.select((own.stiffness > of.bottom) & (own.stiffness < of.top) & (own.verdict == "undecided"))
     blind, often = of.low is None and of.high is None, len(inside) >= VOTES
     if len(inside) and blind and (aim.bold < inf or len(inside) >= 2 * VOTES):
+        if aim.bold == inf and task.decided and len(inside) >= 3 * VOTES:
+            return Column(damping, of, None, note="undecided")
         return _longer(damping, of, inside)
-    if often and of.low is None and (blind or len(inside) < 2 * VOTES) and inside.stiffness.min() > aim.lowest:
-        # what is undecided is near the limit: a verdict farther from it encloses it
-        wall = max(APART * float(inside.stiffness.min()), aim.lowest)
-        return Column(
-            damping, of, value, Split(0, 0.0, 1.0), min(wall, max(_most(of, task, inside), aim.lowest)), most=wall
-        )
+    if often and of.low is None and len(inside) < 2 * VOTES:
+        # what is undecided is near the limit: verdicts farther from it enclose it
+        softer = APART * float(inside.stiffness.min())
+        stiffer = blind and not aim.gentle and len(inside) == 2 * VOTES - 1
+        wall = float(inside.stiffness.max()) / APART if stiffer else softer
+        if wall > aim.lowest:
+            most = max(_most(of, task, inside), aim.lowest)
+            return Column(damping, of, value, Split(0, float(stiffer), 1.0), min(wall, most), most=most)
     if often and (of.high is not None or aim.gentle):
         return Column(damping, of, None, note="undecided")
     if of.bottom >= 0.99 * top or top <= aim.lowest:
@@ -674,13 +682,16 @@ def order(columns: tuple[Column, ...]) -> list[int]:
     """Return places of dampings that are left, in the order in which to try them.
 
     Contradictions first; then dampings that were begun, the nearest to its end first; then those farthest from all
-    that were tried, where the device is learnt best.
+    that were tried, where the device is learnt best. Undecided walls that need longer logs are last, unless no trial
+    has a verdict yet.
     """
     left = [i for i, column in enumerate(columns) if column.wall is not None]
     begun = sorted(
-        (i for i in left if columns[i].bracket.trials), key=lambda i: (not columns[i].bracket.again, columns[i].left)
+        (i for i in left if columns[i].bracket.trials and columns[i].note != "longer"),
+        key=lambda i: (not columns[i].bracket.again, columns[i].left),
     )
-    new, last = [i for i in left if i not in begun], len(columns) - 1
+    longer = [i for i in left if columns[i].note == "longer"]
+    new, last = [i for i in left if i not in begun + longer], len(columns) - 1
     known = [i for i in range(len(columns)) if i not in new]
     ordered: list[int] = []
     while new:
@@ -688,4 +699,5 @@ def order(columns: tuple[Column, ...]) -> list[int]:
         new.remove(pick)
         known.append(pick)
         ordered.append(pick)
-    return begun + ordered
+    decided = any(column.bracket.low is not None or column.bracket.high is not None for column in columns)
+    return [*begun, *ordered, *longer] if decided else [*begun, *longer, *ordered]

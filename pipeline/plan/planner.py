@@ -18,7 +18,7 @@ from pipeline.plan.next_wall import BOLDER, GENTLER, Aim, Column, Forecast, Stat
 from pipeline.records.findings import Record
 
 NOTES = {
-    "undecided": "verdicts stay undecided above the stiffest stable wall: record longer logs there",
+    "undecided": "verdicts stay undecided next to the limit: record longer logs there",
     "limit of the tests": "the walls that may be tried end there",
     "step of the rig": "the rig sets no wall between low and high: it answers by these each time",
     "stiffest of the rig": "the rig sets no wall above low: it answers by that wall each time",

@@ -312,8 +312,19 @@ def test_undecided_walls_near_the_limit_are_enclosed_from_farther_away():
     ends = [(3400.0, "stable"), (5400.0, "unstable")]
     (column,) = state(walls_at(*undecided, *ends), Aim((15.0,)), by).columns
     assert (column.wall, column.estimate, column.note) == (None, None, "undecided")
+    twice = walls_at(*undecided, *undecided[:2])
+    stiffer, softer = (state(twice, Aim((15.0,), gentle=gentle), by).columns[0].wall for gentle in (False, True))
+    assert softer < 4900.0 < 5000.0 < stiffer
     often = walls_at(*undecided, *undecided)
     assert state(often, Aim((15.0,)), by).columns[0].wall == 4900.0, "with a longer log"
+    # that ends where others have verdicts, and never without one
+    lasting = [walls_at(*undecided * count) for count in (2, 3)]
+    other = Tried(*(np.array([each]) for each in (1000.0, 9.0, "stable", -9.0)))
+    for trials, done in zip(lasting, (False, True), strict=True):
+        with_other = Tried(*(np.append(getattr(trials, name), getattr(other, name))
+                             for name in ("stiffness", "damping", "verdict", "growth")))  # fmt: skip
+        assert state(with_other, Aim((15.0,)), by).done is done
+        assert not state(trials, Aim((15.0,)), by).done
 
 
 HANDS = [(20.0, 1.0, 3.0), (1000.0, 1.0, 3.0), (20.0, 0.0, 0.0), (3.0, 0.2, 0.5)]
