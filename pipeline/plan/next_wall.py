@@ -334,8 +334,8 @@ def state(tried: Tried, aim: Aim, by: Forecast | None = None, trial_s: float = i
             aim, largest, trial_s, float(ahead.limit[i]), float(ahead.error[i]), float(ahead.low[i]), stable, decided
         )
         column = _wall_to_try(aim.dampings[i], of, own, task, tried.stiffness, holds=ahead.misfit <= aim.accuracy)
-        if len(tried) and not len(own) and aim.bold == inf and task.limit <= 0 and task.error <= width:
-            # a verdict there changes no map: it is known closely enough that nothing is stable
+        if len(tried) and not len(own) and aim.bold == inf and task.limit <= 0 and (task.error <= width or aim.gentle):
+            # a verdict there changes no map: it is known closely enough that nothing is stable; a rig is spared it
             column = Column(aim.dampings[i], of, 0.0, note="no stable wall")
         if by is not None and not len(tried) and column.wall is not None:
             limit = by.low[i] if by.low[i] > 0 else SOFT * by.limit[i]

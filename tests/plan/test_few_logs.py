@@ -416,3 +416,13 @@ def test_bounds_are_rounded_to_the_safe_side():
         assert 0.89 * value < down <= value
     assert rounded_down(800.0, 13_000.0) == 800.0
     assert Bracket().bottom == 0.0
+
+
+def test_a_rig_is_spared_walls_where_the_device_has_no_stable_one():
+    by = Forecast(np.array([9000.0, 0.0]), np.array([900.0, 900.0]))
+    trials = Tried(
+        np.array([8900.0, 9100.0]), np.full(2, 60.0), np.array(["stable", "unstable"]), np.array([-9.0, 9.0])
+    )
+    plain, gentle = (state(trials, Aim((60.0, 120.0), gentle=gentle), by).columns[1] for gentle in (False, True))
+    assert (gentle.wall, gentle.note) == (None, "no stable wall")
+    assert plain.wall is not None
