@@ -148,7 +148,7 @@ def at_least(value: float) -> str:
     """Return two digits of a number that is a lower bound: they are never above it.
 
     >>> at_least(2.057), at_least(0.0999), at_least(0.0)
-    ('2.0', '0.099', '0')
+    ('2', '0.099', '0')
     """
     return significant(_towards(value, 2, math.floor), 2)
 

@@ -14,7 +14,7 @@ from pipeline.simulation.simulate import coefficients
 
 
 def spectral_radius(plant: Mechanism, setup: Setup, stiffness: Floats, damping: Floats) -> Floats:
-    """Return the spectral radius of the linear loop (constant delay, the mean of one that jitters), shape (n,).
+    """Return the spectral radius of the linear loop (constant delay ``setup.delay_samples``), shape (n,).
 
     Parameters
     ----------
@@ -38,8 +38,8 @@ def spectral_radius(plant: Mechanism, setup: Setup, stiffness: Floats, damping: 
     Source: Hulin 2017, eq. 3.18, in physical units and with a fractional delay.
     """
     T, trials = setup.true_period_s, len(stiffness)
-    whole = floor(setup.mean_delay_samples)
-    part = setup.mean_delay_samples - whole
+    whole = floor(setup.delay_samples)
+    part = setup.delay_samples - whole
     (early, early_gain), (late, late_gain) = (_transition(plant, time) for time in (part * T, (1 - part) * T))
     b, a = coefficients(setup.velocity, setup.sampling_period_s)
     taps = np.convolve(b, [1.0, -1.0]) / setup.sampling_period_s  # of x_k, x_{k-1}, ...

@@ -121,7 +121,7 @@ class Loop:
     force_gain: float = field(default=1.0, kw_only=True)
     mode: Mapping[str, object] | None = field(default=None, kw_only=True, hash=False)
     operator: Mapping[str, object] | None = field(default=None, kw_only=True, hash=False)
-    left_out: Sequence[str] = field(default=(), kw_only=True, compare=False)
+    left_out: Sequence[str] = field(default=(), init=False, compare=False)
 
     def __post_init__(self) -> None:
         for name in ("damping", "stiffness", "delay_samples"):
@@ -461,7 +461,9 @@ def loop_of_device(device: Device, experiment: Experiment) -> Loop:
     given = parts.model_dump(exclude={"friction", *parts.left_out})
     e = experiment
     numbers = e.mass, e.damping, device.sampling_period_s, e.delay_samples, e.stiffness
-    return Loop(*numbers, motion=device.motion, left_out=tuple(device.left_out(e)), **given)
+    loop = Loop(*numbers, motion=device.motion, **given)
+    object.__setattr__(loop, "left_out", tuple(device.left_out(e)))
+    return loop
 
 
 def _as_number(value: float) -> float:
