@@ -55,6 +55,10 @@ SURE = 0.75
 Expected = Literal["stable", "unstable", "undecided"]
 
 
+MOST_MISFIT = 0.2
+"""Error of the predicted limits, relative to the largest, above which no wall is expected to be stable by them."""
+
+
 class Next(Record):
     """A wall to try: K [N/m, Nm/rad], B [Ns/m, Nms/rad], what it is expected to show, and why it is asked for."""
 
@@ -308,6 +312,8 @@ def _next(column: Column, found: State, aim: Aim, course: Course) -> Next:
         basis = f"limit expected at {rounded_down(column.estimate, aim.accuracy * found.largest):g} {K}"
     lasting = "; stable walls lie above unstable ones, the lowest limit counts" if bracket.lasting else ""
     expected: Expected = "unstable" if chance > SURE else "stable" if chance < 1 - SURE else "undecided"
+    if expected == "stable" and wall > bracket.bottom and not found.forecast.misfit <= MOST_MISFIT:
+        expected = "undecided"  # above what was stable nothing predicts a verdict
     if column.note == "softer":
         basis = "too few logs for a stiffer wall: record this one"
         expected = "stable"

@@ -100,6 +100,14 @@ def fastest_growth(
     return Growth(per_sample, amplitude, left_over, clean)
 
 
+def _solved(vectors: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return the amounts of eigenvectors in some columns; the smallest where two of a trial's vectors are the same."""
+    try:
+        return np.linalg.solve(vectors, right)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(vectors) @ right)
+
+
 def _grow(
     signal: Floats, length: Integers, noise: Floats, points: int, window_part: int, least_part: float
 ) -> tuple[Floats, Floats, Floats, Booleans]:
@@ -137,7 +145,7 @@ def _grow(
         since = int(np.argmax(late.any(axis=0)))
         late = late[:, since:]
         course = hankel[index, since:] @ basis
-        parts = np.swapaxes(np.linalg.solve(vectors, np.swapaxes(course, 1, 2).astype(np.complex128)), 1, 2)
+        parts = np.swapaxes(_solved(vectors, np.swapaxes(course, 1, 2).astype(np.complex128)), 1, 2)
         first_point = (basis[:, :1] @ vectors)[:, 0, :]
         squares = np.where(late[:, :, None], np.abs(parts * first_point[:, None, :]) ** 2, 0.0)
         at_row = np.sqrt(squares.sum(axis=1) / late.sum(axis=1)[:, None])
