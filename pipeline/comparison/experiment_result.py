@@ -51,7 +51,7 @@ def nominal_theories(data: SceneData) -> dict[str, Theory]:
                 sampling_period_s=device.sampling_period_s,
                 delay_samples=e.delay_samples,
                 loop=device.loop_of(e),
-                source=f"device file {device.name}{_with(device.loop_of(e))}",
+                source=f"device file {device.name}{_with(device.loop_of(e), device.left_out(e))}",
             )
         )
         for e in device.experiments
@@ -60,9 +60,9 @@ def nominal_theories(data: SceneData) -> dict[str, Theory]:
     return {name: theory for name, theory in found.items() if theory.stabilised}
 
 
-def _with(parts: LoopParts) -> str:
+def _with(parts: LoopParts, left_out: Sequence[str]) -> str:
     text = f", with {parts.words()}" if parts.words() else ""
-    return f"{text}; without {', '.join(parts.left_out)}" if parts.left_out else text
+    return f"{text}; without {', '.join(left_out)}" if left_out else text
 
 
 def estimated_theories(results: Sequence[ExperimentResult], data: SceneData) -> dict[str, Theory]:

@@ -28,7 +28,7 @@ from pipeline.records.native import NativeHeader, format_header
 from pipeline.simulation.procedure import Climb, Strings
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
-from pipeline.simulation.simulate import simulate
+from pipeline.simulation.simulate import age_in_force, simulate
 from pipeline.store.names import place_of
 from pipeline.theory.cases import tested_grid
 
@@ -282,6 +282,7 @@ def _truth(course: Course) -> dict[str, Any]:
         "delay_samples": setup.mean_delay_samples,
         "delay_samples_low": float(min(drawn)),
         "delay_samples_high": float(max(drawn)),
+        "applied_delay_samples": age_in_force(setup.jitter_samples)[0] if setup.jitter_samples else setup.delay_samples,
         "jitter_samples": list(setup.jitter_samples),
         "quantum": setup.quantum,
         "noise": setup.noise,
