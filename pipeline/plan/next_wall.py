@@ -461,10 +461,13 @@ def _wall_to_try(damping: float, of: Bracket, own: Tried, task: Task, everywhere
         # what is undecided is near the limit: verdicts farther from it enclose it
         softer = APART * float(inside.stiffness.min())
         stiffer = blind and not aim.gentle and len(inside) == 2 * VOTES - 1
-        wall = float(inside.stiffness.max()) / APART if stiffer else softer
+        lowest = task.low if task.low > aim.lowest else inf
+        wall = float(inside.stiffness.max()) / APART if stiffer else min(softer, lowest)
         if wall > aim.lowest:
             most = max(_most(of, task, inside), aim.lowest)
-            return Column(damping, of, value, Split(0, float(stiffer), 1.0), min(wall, most), most=most)
+            wall = min(wall, most)
+            unstable = 0.5 if np.isnan(task.limit) else float(ndtr((wall - task.limit) / max(task.error, 1e-300)))
+            return Column(damping, of, value, Split(0, max(unstable, float(stiffer)), 1.0), wall, most=most)
     if often and (of.high is not None or aim.gentle):
         return Column(damping, of, None, note="undecided")
     if of.bottom >= 0.99 * top or top <= aim.lowest:
