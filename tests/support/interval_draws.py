@@ -1,4 +1,4 @@
-"""Intervals of randomly drawn experiments and whether they contain the truth; run as a script it stores them anew.
+"""Intervals of randomly drawn experiments and whether they contain the truth; as a script it prints the rows to store.
 
     python tests/support/interval_draws.py FIRST COUNT > rows.csv
 

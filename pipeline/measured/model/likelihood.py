@@ -138,7 +138,7 @@ SMALLEST_SHARE = 1e-6
 
 VISIBLE = 4.0
 """Squares of a segment's deviations from a straight line, in those of its noise, from which on its motion is visible:
-a plateau at constant speed says nothing of a mass, however long it is."""
+a plateau at constant speed has no information on the mass, however long it is."""
 
 RESTING = (
     "the position changes in no part of a log that is long enough: static friction or a stop may fix the device. "
@@ -279,7 +279,7 @@ class Starts:
     def of(cls, held: Stretches, device: Device, errors: list[Floats]) -> Starts:
         """Return the estimates by whitened columns (N, S) of the unknowns, in the order of the states.
 
-        ``held`` are the segments that tell the variance of a reading and the range of the positions.
+        ``held`` are all segments: they give the variance of a reading and the range of the positions.
         """
         # third differences of logs without noise are those of the motion
         gain, shape, variance = abs(device.numbers["gain"]), device.shape, min(held.white, device.reading)
@@ -423,7 +423,7 @@ def refined(
 
 
 def climbed(held: Stretches, device: Device, trials: int, steps: int = STEPS) -> Device:
-    """Return the likeliest device near one for its noise as it is, without scatter between trials."""
+    """Return the local optimum of the likelihood near a device, with its noise fixed and no scatter between trials."""
     return _climbed(_fit(held, device, trials, np.empty(0, dtype=np.int64)), held, trials, steps).device
 
 

@@ -186,7 +186,7 @@ def reasons(
     if "mass" not in names:
         both = f"Friction and a constant force cannot be separated from these logs. Record {recorded.remedy()}."
         result |= dict.fromkeys(names & {"friction", "constant_force"}, both)
-        little = "What damps or holds the device is hidden by its inertia. Record longer motion, or at several speeds."
+        little = "The inertia hides damping and stiffness in these logs. Record longer motions, at several speeds."
         result |= dict.fromkeys(names & {"damping", "stiffness", "load_damping"}, little)
     return result
 
