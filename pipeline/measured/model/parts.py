@@ -214,7 +214,8 @@ def _spanned(held: Stretches, fit: Fit, trials: int, lead: int) -> Fit:
     fits = [fit, *(refined(held, each, trials, LAST_STEPS, far=False, noisy=False) for each in climbs)]
     best = max(fits, key=lambda each: each.likelihood)
     best = fit if best.likelihood < fit.likelihood + DONE else ended(held, best.device, trials)
-    near = [each for each in fits if each.likelihood > best.likelihood - BESIDE * best.alike]
+    # the last climb may go beyond all others
+    near = [best, *(each for each in fits if each.likelihood > best.likelihood - BESIDE * best.alike)]
     steps = [np.array(list(each.device.numbers.values())) - list(best.device.numbers.values()) for each in near]
     return replace(best, optima=np.stack(steps))
 
