@@ -143,6 +143,62 @@ class Optimum(Record):
     censored: bool = False
 
 
+FindingCode = Literal[
+    "sampling_period",
+    "missing_rows",
+    "repeated_rows",
+    "frozen_position",
+    "interpolated_rows",
+    "noncausal",
+    "wrapped_angle",
+    "travel_stop",
+    "wrong_sign",
+    "constant_position",
+    "constant_command",
+    "too_few_rows",
+    "coarse_sensor",
+    "same_samples",
+]
+
+Severity = Literal["note", "repaired", "cut", "unsafe", "unusable"]
+"""What a finding means for numbers. ``note``: they stay, their intervals may be wider; ``repaired``: they are those of
+the repaired log; ``cut``: rows from the first one on are left out; ``unsafe``: the log gives no delay and no limit of
+a wall; ``unusable``: it gives nothing."""
+
+
+class Finding(Record):
+    """A fault of a recording: what it is, where, what shows it, and what to do.
+
+    Parameters
+    ----------
+    code : str
+    first_row : int or None
+        First row concerned, counted from 0; None where it is all of them.
+    rows : int
+        Number of rows concerned.
+    evidence, remedy : str
+        Sentences with a full stop; the first one with numbers in SI.
+    severity : str
+    """
+
+    code: FindingCode
+    first_row: int | None
+    rows: int
+    evidence: str
+    remedy: str
+    severity: Severity
+
+    @property
+    def sentence(self) -> str:
+        """What every surface shows."""
+        return f"{self.evidence} {self.remedy}"
+
+    @property
+    def is_unsafe(self) -> bool:
+        """Whether the log gives no delay and no limit."""
+        return self.severity in {"unsafe", "unusable"}
+
+
 class Note(Record):
     """What people wrote on an experiment, or on one of its trials: a text, and short words."""
 
