@@ -11,6 +11,7 @@ from pipeline.base.provenance import code_digest, digest
 from pipeline.comparison.loops.departures import SHORT as OTHER_WALL
 from pipeline.comparison.loops.departures import law_departures, other_gains, untimed
 from pipeline.comparison.loops.findings import loop_findings
+from pipeline.comparison.loops.recording_faults import cause_of, recording_faults, unsafe_recording, words_of
 from pipeline.comparison.loops.told_loop import adequate_theory
 from pipeline.comparison.loops.wall_replay import with_large_motion
 from pipeline.comparison.scene.origin import header_lines
@@ -21,7 +22,7 @@ from pipeline.measured.experiment.boundary import boundary_area
 from pipeline.measured.experiment.estimates import by_model
 from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
-from pipeline.records.findings import Estimate
+from pipeline.records.findings import BoundaryPoint, Estimate
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import Experiment
 from pipeline.records.results import NOT_ADEQUATE, ExperimentResult, LoopFindings, TheoryParameters
@@ -96,22 +97,32 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
         outcomes=dict(Counter(stages.texts("outcome", "outcome"))) if "outcome" in needed else {},
         model_check=stages.model_check if "model" in needed else None,
         estimates=_estimates(stages, needed, units),
-        boundary=stages.boundary_points,
+        boundary=_known_points(stages),
         optimum=optimum,
         missing=missing,
         theory=theory.parameters if theory else None,
         header=header_lines(stages),
+        recording=stages.once(recording_faults),
     )
-    gains = stages.once(other_gains)
-    if gains is not None and gains.most:
-        why = OTHER_WALL
+    gains, fault = stages.once(other_gains), stages.once(unsafe_recording)
+    if fault is not None or (gains is not None and gains.most):
+        why = words_of(fault) if fault is not None else OTHER_WALL
         result = result.model_copy(update={"optimum": {}, "missing": dict.fromkeys(data.scene.criteria, why)})
         use = None
     else:
         use, why = region_to_use(result, stages)
-    causes = () if gains is None or gains.few else (gains.cause,)
-    result = result.model_copy(update={"use": use, "use_reason": why or None, "causes": causes})
+    causes = [cause_of(each) for each in result.recording if each.is_unsafe]
+    causes += [] if gains is None or gains.few else [gains.cause]
+    result = result.model_copy(update={"use": use, "use_reason": why or None, "causes": tuple(causes)})
     return _with_loop(data, stages, result, units) if "device" in needed else result
+
+
+def _known_points(stages: ExperimentStages) -> tuple[BoundaryPoint, ...]:
+    """Return the measured boundary; without limits where the recordings allow none."""
+    if stages.once(unsafe_recording) is None:
+        return stages.boundary_points
+    nothing = {"estimate": None, "low": None, "high": None, "stable": None, "unstable": None, "censored": True}
+    return tuple(point.model_copy(update=nothing) for point in stages.boundary_points)
 
 
 _OF_A_LOOP = ("delay_samples", "mass", "damping", "device_stiffness")
@@ -120,7 +131,11 @@ _OF_A_LOOP = ("delay_samples", "mass", "damping", "device_stiffness")
 
 def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResult, units: Units) -> ExperimentResult:
     """Add the loop and what follows from it, and leave out or doubt what needs a better one."""
-    if reason := untimed(law_departures(stages)):
+    fault = stages.once(unsafe_recording)
+    if fault is not None:
+        nothing = {name: _without(each.unit, words_of(fault)) for name, each in result.estimates.items()}
+        result = result.model_copy(update={"estimates": nothing})
+    elif reason := untimed(law_departures(stages)):
         kept = {"boundary_area": result.estimates["boundary_area"]}
         others = {name: _without(each.unit, reason) for name, each in result.estimates.items()}
         result = result.model_copy(update={"estimates": others | kept})

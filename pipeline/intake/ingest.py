@@ -39,7 +39,7 @@ from pipeline.intake.sources import Read, Source, check_places, find_sources, is
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
-from pipeline.records.findings import Motion, Record
+from pipeline.records.findings import Finding, Motion, Record
 from pipeline.store.batch_files import Key, merge_small, remove_incomplete, store, tidy
 from pipeline.store.corrections import carry
 from pipeline.store.objects import publish, renewed
@@ -61,10 +61,12 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True)
 class LogWarning:
-    """What was accepted in a source and should be known."""
+    """What was accepted in a source and should be known; of a fault of its recording also its code and severity."""
 
     path: str
     warning: str
+    code: str | None = None
+    severity: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -440,10 +442,14 @@ class _Run:
         told = (row["source_sha256"], row["profile_sha256"], row["profile"])
         self.stored.taken[source.key] = StoredSource(*told, source.size, source.mtime_ns, devices, ids)
         self.places |= dict.fromkeys(ids, source.key)
-        texts = dict.fromkeys(text for one in accepted for text in one.log.warnings)
+        texts: dict[str, Finding | None] = dict.fromkeys(text for one in accepted for text in one.log.warnings)
+        texts |= {finding.sentence: finding for one in accepted for finding in one.log.findings}
         if not self._deleted.isdisjoint(ids):
             texts["was deleted by hand, and is in the bin: `pipeline delete ... --undo` takes it out."] = None
-        self.warnings += [LogWarning(path=source.shown, warning=storable(text)) for text in texts]
+        self.warnings += [
+            LogWarning(source.shown, storable(text), *((found.code, found.severity) if found else (None, None)))
+            for text, found in texts.items()
+        ]
         reason, present = "new", tuple[str, ...]()
         if former is None:
             if source.profile is not None and source.profile.reads_names and (gone := self._gone.get(told[:2])):

@@ -29,7 +29,7 @@ from pipeline.intake.sources import ENDINGS, Source, motion_of
 from pipeline.readers import Log
 from pipeline.readers.log import step_flags
 from pipeline.readers.obeyed import other_gains
-from pipeline.records.findings import Motion, Record
+from pipeline.records.findings import FINDINGS, Motion, Record
 from pipeline.records.table_files import open_table
 from pipeline.records.tables import COLUMNS, to_arrow
 from pipeline.store.batch_files import GROUP_BYTES, GROUP_TRIALS, Key, Place
@@ -231,7 +231,9 @@ def accepted_logs(
     found = []
     for log in logs:
         row = common | {"motion": motion_of(log, known), "label": log.label, "rows": len(log.time)}
-        if (text := other_gains(source.profile, log)) is not None:
+        # what a wrong recording makes of the command is no other wall
+        is_safe = not any(finding.is_unsafe for finding in log.findings)
+        if is_safe and (text := other_gains(source.profile, log)) is not None:
             header = replace(log.header, extra=log.header.extra | {OTHER_GAINS: text})
             log = replace(log, header=header, warnings=(*log.warnings, text))
         row |= {name: getattr(log.header, name) for name in (*_CONDITIONS, "added_delay_samples")}
@@ -263,7 +265,10 @@ def _table(members: Sequence[Accepted]) -> pa.Table:
     rows = np.array([len(log.time) for log in logs], dtype=np.int64)
     flags = step_flags(np.concatenate([log.time for log in logs]), rows, period)
     columns: dict[str, Any] = {name: [member.row[name] for member in members] for name in members[0].row}
-    columns["time_quality"] = [json.dumps({**flag, **log.counts}) for flag, log in zip(flags, logs, strict=True)]
+    columns["time_quality"] = [
+        json.dumps({**flag, **log.counts} | ({FINDINGS: [each.model_dump() for each in log.findings]}))
+        for flag, log in zip(flags, logs, strict=True)
+    ]
     samples: dict[str, list[Any]] = {"time_s": [log.time for log in logs]}
     samples |= {name: [getattr(log, name) for log in logs] for name in ("command", "position", "force", "velocity")}
     for name, kind in (("raw_time", "f"), ("raw_count", "i")):  # stamps of the file with a fraction, and whole ones

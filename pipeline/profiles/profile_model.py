@@ -239,9 +239,13 @@ class PositionSource(ColumnSource):
         ``"difference"``: each velocity is the way since the row before over the time since then, as drives compute it
         from an encoder; the integral is exactly what the encoder read. ``"trapezoid"``: it is the velocity in the
         moment of its row, as of a tachometer, and changes evenly from row to row.
+    unwrap : bool or float, optional
+        Whether an angle that starts again after a turn is joined: where that is clear for a rotation (default), always
+        where jumps show a modulus (true), never (false); or the modulus, in the unit of the column.
     """
 
     integrate: Literal["difference", "trapezoid"] | None = None
+    unwrap: bool | Annotated[Number, Field(gt=0)] | None = None
 
 
 class Fraction(Record):

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from pipeline.base.errors import LogError, refusal
+from pipeline.recording.check import check_recording
+from pipeline.recording.samples import Samples
+from pipeline.recording.wrapping import unwrapped
 from pipeline.records.batch import Booleans, Floats, Integers
+from pipeline.records.findings import Finding
 from pipeline.records.native import NativeHeader
 
 GAP = 30.0
@@ -68,6 +73,8 @@ class Log:
         What was accepted and should be known.
     label : str, optional
         Which trial of its file it is, where the file holds several.
+    repairs : tuple of Finding
+        What was wrong with the recording and has been repaired in the samples.
     """
 
     header: NativeHeader
@@ -80,6 +87,18 @@ class Log:
     counts: Mapping[str, int] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     label: str | None = None
+    repairs: tuple[Finding, ...] = ()
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is wrong with the recording: what was repaired, and what remains."""
+        header = self.header
+        row = header.extra.get("step_row")
+        samples = Samples(
+            *(self.time, self.command, self.position, header.sampling_period_s),
+            *(header.stiffness, header.damping, header.step, None if row is None else int(row)),
+        )
+        return (*self.repairs, *check_recording(samples))
 
 
 def check_samples(
@@ -90,6 +109,7 @@ def check_samples(
     row: int | Integers,
     force: Floats | None = None,
     velocity: Floats | None = None,
+    unwrap: bool | float | None = None,
 ) -> Log:
     """Return the log if its samples can be a step response.
 
@@ -100,6 +120,8 @@ def check_samples(
     row : int or int64, shape (rows,)
         Where each sample stands in the file, counted from 1; one number where each sample is one line, of the first.
     force, velocity : float64, shape (rows,), optional
+    unwrap : bool or float, optional
+        As `recording.wrapping.unwrapped` takes it [m, rad]; by default only a rotation is unwrapped.
 
     Raises
     ------
@@ -157,7 +179,9 @@ def check_samples(
     if not PERIODS[0] <= header.sampling_period_s <= PERIODS[1]:
         found, expected = f"sampling_period_s is {header.sampling_period_s:.6g}", "{:g} to {:g} s".format(*PERIODS)
         raise refusal("out-of-range", "", found, expected, "Correct its number or unit.")
-    return Log(header, time, command, position, force, velocity)
+    rule = False if unwrap is None and header.motion == "translation" else unwrap
+    position, wrapped = unwrapped(position, rule)
+    return Log(header, time, command, position, force, velocity, repairs=() if wrapped is None else (wrapped,))
 
 
 def stray(readings: Floats, scale: float) -> int | None:

@@ -249,16 +249,15 @@ def _log(
         columns["position"] = _integral(where, rule, table, columns["velocity"], period)
     header = header_of(profile, where, given, extra)
     try:
-        log = check_samples(header, time=time, row=row, **columns)
+        modulus = None if not isinstance(position, PositionSource) else position.unwrap
+        if modulus is not None and not isinstance(modulus, bool):
+            modulus *= abs(factors["position"])
+        log = check_samples(header, time=time, row=row, unwrap=modulus, **columns)
     except LogError as error:
         raise error.reworded(f"{where}: {error.reason}") from error
     outside = {"outside_window": cut} if (cut := len(whole["time"]) - len(time)) else {}
-    warnings, median = list(frame.warnings), float(np.median(np.diff(time)))
-    if not period / PACE < median < period * PACE:
-        text = f"rows are {median:.3g} s apart in the median, but sampling_period_s is {period:.3g} s"
-        warnings.append(f"{text}; check the unit of time and the sampling period")
     raw = table.get("raw_time")
-    return replace(log, raw_time=raw, counts=counts | outside, warnings=tuple(warnings), label=label)
+    return replace(log, raw_time=raw, counts=counts | outside, warnings=tuple(frame.warnings), label=label)
 
 
 def _integral(where: str, rule: str, table: Table, velocity: Floats, period: float) -> Floats:

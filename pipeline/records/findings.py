@@ -166,6 +166,17 @@ the repaired log; ``cut``: rows from the first one on are left out; ``unsafe``: 
 a wall; ``unusable``: it gives nothing."""
 
 
+MOST_UNSAFE = 0.2
+"""Share of logs with an unsafe finding above which the others are not trusted either: a rig records alike."""
+
+FINDINGS = "findings"
+"""Key of the findings of a trial in its stored `time_quality`."""
+
+
+UNSAFE = frozenset({"unsafe", "unusable"})
+"""Severities of a log that gives no delay and no limit."""
+
+
 class Finding(Record):
     """A fault of a recording: what it is, where, what shows it, and what to do.
 
@@ -196,7 +207,7 @@ class Finding(Record):
     @property
     def is_unsafe(self) -> bool:
         """Whether the log gives no delay and no limit."""
-        return self.severity in {"unsafe", "unusable"}
+        return self.severity in UNSAFE
 
 
 class Note(Record):

@@ -10,14 +10,17 @@ from typing import Any, Literal
 from pydantic import Field
 
 from pipeline.records.findings import (
+    UNSAFE,
     BoundaryPoint,
     Estimate,
     ExcludedTrial,
+    FindingCode,
     ModelCheck,
     Note,
     Optimum,
     Parameter,
     Record,
+    Severity,
 )
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import ComparisonRow, Motion
@@ -256,9 +259,29 @@ class PassiveWall(Record):
 class Cause(Record):
     """Why an experiment deviates from the ideal loop: a code of the contract, a sentence, and what shows it."""
 
-    code: CauseCode
+    code: CauseCode | FindingCode
     sentence: str
     evidence: str
+
+
+class RecordingFault(Record):
+    """A fault of the recordings of an experiment: in how many trials, what the first one shows, and what to do.
+
+    ``logs`` has the names of the first ones.
+    """
+
+    code: FindingCode
+    severity: Severity
+    trials: int
+    of: int
+    sentence: str
+    remedy: str
+    logs: tuple[str, ...]
+
+    @property
+    def is_unsafe(self) -> bool:
+        """Whether these trials give no delay and no limit."""
+        return self.severity in UNSAFE
 
 
 class LoopFindings(Record):
@@ -475,6 +498,7 @@ class ExperimentResult(Record):
     passive_reason: str | None = None
     replay: WallReplay | None = None
     causes: tuple[Cause, ...] = ()
+    recording: tuple[RecordingFault, ...] = ()
     header: tuple[HeaderLine, ...] = ()
     sampling_period_s: float | None = None
     use: UseRegion | None = None

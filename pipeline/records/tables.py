@@ -125,6 +125,9 @@ COLUMNS: dict[str, Column] = {
     "outcome_row": _same(_I, "", "first row of the evidence, counted from 0", True),
     "band": Column(_F, "m", "rad", "half width of the band about the final position that was used", True),
     "amplitude_end": Column(_F, "m", "rad", "half of peak to peak over the last fifth of the log", True),
+    "findings": _same(
+        _S, "", "faults of the recording: code, rows, evidence, remedy and severity of each, as JSON", True
+    ),
     # model, delay and mass stages
     "first_change_samples": _same(_I, "samples", "integer delay factor by the first position change (6.2, 6.3)", True),
     "model_mass": Column(
@@ -172,7 +175,7 @@ _NAMES = {
     "corrections": """trial_id label device experiment source_path source_sha256 exclusion_reason excluded_since
         moved_device moved_experiment deleted corrected_ns""",
     "response": f"""{_TRIAL} verdict reason growth_per_s edge_row position_start
-        position_final_expected position_final_measured sensor_quantum sensor_noise""",
+        position_final_expected position_final_measured sensor_quantum sensor_noise findings""",
     "wall_law": f"""{_TRIAL} law_residual law_rounding law_codes law_evidence law_rows
         obeyed_stiffness obeyed_damping obeyed_step velocity_filter""",
     "outcome": f"{_TRIAL} outcome evidence outcome_row band amplitude_end",

@@ -26,6 +26,7 @@ from pipeline.base.provenance import digest
 from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.measured.stages.stages import ExperimentStages, cost_column
 from pipeline.records.criteria import REPORTED
+from pipeline.records.findings import FINDINGS, Finding
 from pipeline.records.tables import LOCATION
 from pipeline.service.database import Database, connected
 from pipeline.store.names import name_of_folder
@@ -47,12 +48,24 @@ LOOK_S = 0.5
 KEPT = 64
 """Answers that are kept of a state: readers turn pages, and look at the same."""
 
+NO_FINDINGS = f'"{FINDINGS}": []'
+"""What the time quality of a trial holds whose recording is good."""
+
 EXCLUDED = "excluded"
 """What stands in place of the verdict of a trial that is excluded by hand: no number rests on it."""
 
 WORDS = ("device", "experiment", "verdict", "outcome")
 _STORED = ("trial_id", "device", "experiment", "motion", "grip", "stiffness", "damping")
-_READ = (*_STORED, "source_path", "source_mtime_ns", "source_sha256", "profile_sha256", "label", *LOCATION)
+_READ = (
+    *_STORED,
+    "time_quality",
+    "source_path",
+    "source_mtime_ns",
+    "source_sha256",
+    "profile_sha256",
+    "label",
+    *LOCATION,
+)
 COSTS = {
     f"{c}{end}": (cost_column(c)[0], f"{cost_column(c)[1]}{end}") for c in REPORTED for end in ("", "_low", "_high")
 }
@@ -61,9 +74,9 @@ SORTS = ("id", *WORDS, "stiffness", "damping", "recorded", "uploader", *REPORTED
 SORTED = (*SORTS, *(f"-{name}" for name in SORTS))
 """Orders of trials: rising, and falling."""
 
-_PLAIN = ("id", *_STORED[1:], "verdict", "outcome", "excluded", "source", "recorded", "uploader")
+_PLAIN = ("id", *_STORED[1:], "verdict", "outcome", "excluded", "source", "recorded", "uploader", "findings")
 COLUMNS = (*_PLAIN, *LOCATION, *COSTS)
-_TEXTS = {"id", *WORDS, "motion", "grip", "excluded", "source", "uploader", "sample_file"}
+_TEXTS = {"id", *WORDS, "motion", "grip", "excluded", "source", "uploader", "findings", "sample_file"}
 
 _SCHEMA = f"""
 CREATE TABLE trials ({", ".join(f"{c} {'TEXT' if c in _TEXTS else 'REAL'}" for c in COLUMNS)}, said TEXT,
@@ -273,6 +286,7 @@ class Catalogue:
             ends = {c: (row[c], row[f"{c}_low"], row[f"{c}_high"]) for c in REPORTED if row[c] is not None}
             costs = {c: dict(zip(("value", "low", "high"), own, strict=True)) for c, own in ends.items()}
             plain = {name: row[name] for name in _PLAIN}
+            plain["findings"] = json.loads(plain["findings"])
             found.append({**plain, "tags": tags.get(row["id"], []), "costs": costs})
         return found
 
@@ -344,11 +358,20 @@ class Catalogue:
             "source": [came[path][0] if path in came else path for path in paths],
             "recorded": [1e-9 * at for at in stored.column("source_mtime_ns").to_pylist()],
             "uploader": [came[path][1] if path in came else None for path in paths],
+            "findings": [_findings(text) for text in stored.column("time_quality").to_pylist()],
             **{name: _joined(ids, found.get(stage), column) for name, (stage, column) in COSTS.items()},
         }
         searched = zip(*(columns[name] for name in _SEARCHED), strict=True)
         said = ["\n".join(filter(None, words)).casefold() for words in searched]
         return list(zip(*(columns[name] for name in COLUMNS), said, strict=True)), ""
+
+
+def _findings(time_quality: str) -> str:
+    """Return the findings of a recording, each with its sentence, as JSON."""
+    if NO_FINDINGS in time_quality or FINDINGS not in time_quality:  # as of nearly all trials
+        return "[]"
+    found = [Finding.model_validate(each) for each in json.loads(time_quality).get(FINDINGS, ())]
+    return json.dumps([{**each.model_dump(), "sentence": each.sentence} for each in found])
 
 
 def _joined(ids: Sequence[str], stage: pa.Table | None, column: str) -> list[Any]:

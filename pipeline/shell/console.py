@@ -166,6 +166,16 @@ def grouped(told: Iterable[tuple[str, str]]) -> Iterator[str]:
         yield f"{places[0] if len(places) == 1 else f'{len(places)} logs, first {places[0]}'}: {text}"
 
 
+def warned(warnings: Iterable[tuple[str, str, str | None]]) -> Iterator[str]:
+    """Yield warnings of logs, (log, text, code or None): those of one code, or one text, as one line with the first."""
+    groups: dict[str, list[tuple[str, str]]] = {}
+    for log, text, code in warnings:
+        groups.setdefault(code or text, []).append((log, text))
+    for members in groups.values():
+        log, text = members[0]
+        yield f"{log if len(members) == 1 else f'{len(members)} logs, first {log}'}: {text}"
+
+
 def draft_hint(log: str) -> str:
     """Return what to do about a log of other columns than any profile reads."""
     return f"Other columns? pipeline profile draft {shlex.quote(log)}"

@@ -16,6 +16,7 @@ import numpy as np
 
 from pipeline.base.disk import write_text
 from pipeline.base.errors import LogError, ParameterError, UsageError
+from pipeline.base.wording import counted
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.sources import Source, find_sources, load_source, motion_of
 from pipeline.loop.loop import loop_of, wall_units
@@ -25,6 +26,7 @@ from pipeline.measured.model.intervals import Interval
 from pipeline.measured.model.recordings import Recording
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.readers import Log, RawLog, reader_of
+from pipeline.records.findings import MOST_UNSAFE
 from pipeline.records.loop_parts import LoopParts, Mode
 from pipeline.records.models import Motion
 from pipeline.rendering.frames import frame_of
@@ -53,6 +55,9 @@ UNITS: dict[str, tuple[str, str]] = {
     "force": ("N", "Nm"),
 }
 """Units of parameters and combinations, for translation and rotation."""
+
+NO_LOG = "no-profile"
+"""Code of the reason of a file that no profile reads."""
 
 FOLLOWS = 50.0
 """Fit of free runs [%] below which a model does not predict its device: half of the motion is left."""
@@ -85,6 +90,11 @@ class Identified:
     def replay(self) -> pd.DataFrame:
         """Fit of free runs to held-out logs."""
         return frame_of("log fit_percent", self.document["replay"]["logs"], {})
+
+    @property
+    def findings(self) -> pd.DataFrame:
+        """Faults of the recordings: what each is, where, what shows it, and what to do."""
+        return frame_of("log code severity first_row rows evidence remedy", self.document["findings"], {})
 
     @cached_property
     def loop(self) -> Loop | None:
@@ -128,9 +138,9 @@ def identify(
     Raises
     ------
     LogError
-        If a log is refused, with path and row.
+        If every log is refused, with path and row; a bad one among others is listed in the document.
     ParameterError
-        If the logs hold no motion, no command or too few rows, or a value is out of range.
+        If the logs hold no motion, no command or too few rows, a value is out of range, or most were recorded wrongly.
     UsageError
         If a path does not exist, or no log is found.
     """
@@ -145,7 +155,7 @@ def identified_device(
     """Return the document that `pipeline identify --json` prints; parameters and errors as of `identify`."""
     given = None if profile is None else load_profile(profile)
     sources = find_sources(paths, shipped_profiles() if given is None else (given,))
-    read = [(source, log) for source in sources for log in _logs(source)]
+    read, refused = _read(sources)
     if not read:
         raise UsageError(f"{', '.join(map(str, paths))}: no log found. Give logs, or folders with logs.")
     # neighbours are left out together, so that what the model lacks behind alike walls widens intervals
@@ -153,19 +163,66 @@ def identified_device(
     motions = {motion_of(log, {name: device.motion for name, device in known_devices().items()}) for _, log in read}
     if len(motions) > 1:
         raise ParameterError("some logs are of a translation, some of a rotation. Give the logs of one device.")
-    recordings = [
-        Recording(
-            source.shown if log.label is None else f"{source.shown}: {log.label}",
-            log.time,
-            log.command,
-            log.position,
-            log.header.sampling_period_s,
-            int(log.header.extra["step_row"]) if "step_row" in log.header.extra else None,
-        )
-        for source, log in read
-    ]
+    recordings = usable_recordings(read)
     found, walls = identified(recordings), any(log.header.stiffness > 0 for _, log in read)
-    return _document(found, recordings, motions.pop(), walls, period, delay)
+    document = _document(found, recordings, motions.pop(), walls, period, delay)
+    rows = [
+        {"log": name, **each.model_dump(), "sentence": each.sentence} for name, log in read for each in log.findings
+    ]
+    return document | {"findings": rows, "refused": refused}
+
+
+def _read(sources: Sequence[Source]) -> tuple[list[tuple[str, Log]], list[dict[str, Any]]]:
+    """Return the logs of sources with their names, and those that are refused; files that are no logs are neither.
+
+    Raises
+    ------
+    LogError
+        If all are refused.
+    """
+    read: list[tuple[str, Log]] = []
+    errors: list[tuple[Source, LogError]] = []
+    for source in sources:
+        try:
+            logs = _logs(source)
+        except LogError as error:
+            errors.append((source, error))
+            continue
+        read += [(source.shown if log.label is None else f"{source.shown}: {log.label}", log) for log in logs]
+    if errors and not read:
+        raise next((error for _, error in errors if error.code != NO_LOG), errors[0][1])
+    refused = [
+        {"path": source.shown, "reason": error.reason, "row": error.row}
+        for source, error in errors
+        if error.code != NO_LOG
+    ]
+    return read, refused
+
+
+def usable_recordings(read: Sequence[tuple[str, Log]]) -> list[Recording]:
+    """Return the logs that a device can be identified from, each up to its travel stop.
+
+    Raises
+    ------
+    ParameterError
+        If the recording of most logs is at fault, so that no delay and no limit follows from them.
+    """
+    unsafe = [(name, each) for name, log in read for each in log.findings if each.is_unsafe]
+    names = {name for name, _ in unsafe}
+    if len(names) > MOST_UNSAFE * len(read):
+        name, first = unsafe[0]
+        others = f" ({len(names)} of {counted(len(read), 'log')} are at fault.)" if len(read) > 1 else ""
+        raise ParameterError(f"{name}: {first.sentence}{others}")
+    found = []
+    for name, log in read:
+        if name in names:
+            continue
+        end = min((each.first_row or 0 for each in log.findings if each.severity == "cut"), default=len(log.time))
+        row = log.header.extra.get("step_row")
+        edge = int(row) if row is not None and int(row) < end else None
+        columns = (log.time[:end], log.command[:end], log.position[:end])
+        found.append(Recording(name, *columns, log.header.sampling_period_s, edge))
+    return found
 
 
 def _logs(source: Source) -> tuple[Log, ...]:

@@ -85,7 +85,8 @@ def read_log(path: Place, profile: Place | None = None, label: str | None = None
         ``time_s`` [s], ``command`` [N, Nm] (before any delay), ``position`` [m, rad], ``force`` [N, Nm] and
         ``velocity`` [m/s, rad/s] (NaN where the log has none), a row a sample. ``attrs``: ``units``, and ``device``,
         ``experiment``, ``stiffness``, ``damping``, ``step``, ``sampling_period_s``, ``added_delay_samples``, ``grip``,
-        ``motion``, ``simulated``, ``label``, ``warnings``.
+        ``motion``, ``simulated``, ``label``, ``warnings``, ``findings`` (faults of the recording, each with ``code``,
+        ``first_row``, ``rows``, ``evidence``, ``remedy``, ``severity``).
 
     Raises
     ------
@@ -111,7 +112,7 @@ def read_log(path: Place, profile: Place | None = None, label: str | None = None
     return response_frame(
         {column: getattr(log, name) for column, name in names.items()},
         motion,
-        {**conditions, "label": log.label, "warnings": log.warnings},
+        {**conditions, "label": log.label, "warnings": log.warnings, "findings": log.findings},
     )
 
 

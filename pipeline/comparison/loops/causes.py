@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.base.wording import counted
 from pipeline.comparison.loops.departures import SENTENCES, CourseFilter, LawDeparture, OtherGains
+from pipeline.comparison.loops.recording_faults import cause_of
 from pipeline.comparison.loops.wall_replay import LOW, coarse
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
@@ -59,7 +60,8 @@ class Shown:
 def causes_of(shown: Shown) -> tuple[Cause, ...]:
     """Return the causes that change a result by more than `MATTERS`: departures in the order of their logs, then parts
     of the device by what they change, then what the course itself leaves open; empty for an ideal loop."""
-    first = [] if shown.gains is None or shown.gains.few else [shown.gains.cause]
+    first = [cause_of(each) for each in shown.result.recording if each.is_unsafe]
+    first += [] if shown.gains is None or shown.gains.few else [shown.gains.cause]
     found = [*_departures(shown), *sorted(_parts(shown), key=lambda each: -each.effect), *_course(shown)]
     told: dict[str, Cause] = {cause.code: cause for cause in first}
     for each in found:

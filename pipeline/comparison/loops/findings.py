@@ -10,6 +10,7 @@ from pipeline.base.wording import listed
 from pipeline.comparison.loops.causes import Shown, causes_of
 from pipeline.comparison.loops.departures import CourseFilter, course_filter, law_departures, other_gains, untimed
 from pipeline.comparison.loops.passive_wall import passive_wall
+from pipeline.comparison.loops.recording_faults import unsafe_recording, words_of
 from pipeline.comparison.loops.told_loop import ToldLoop, found_device, loop_numbers, told_loop
 from pipeline.comparison.loops.wall_replay import (
     limits_off,
@@ -73,7 +74,8 @@ def loop_findings(
     departures = [] if misled else law_departures(stages)
     velocity = None if misled else stages.once(course_filter)
     untold = f"{gains.cause.sentence.rstrip('.')}; what would help: {OTHER_WALL}" if misled and gains else ""
-    untold = untold or untimed(departures)
+    fault = stages.once(unsafe_recording)
+    untold = words_of(fault) if fault is not None else untold or untimed(departures)
     found = None if untold else found_device(result, stages)
     of = next((each for each in device.experiments if each.name == stages.experiment), None) if device else None
     told = None if untold else told_loop(found, device, of)

@@ -14,6 +14,7 @@ from pipeline.base.errors import DeviceError, UsageError
 from pipeline.base.wording import counted, first_clause, listed
 from pipeline.comparison.limits import measured_limits
 from pipeline.comparison.loops.departures import other_gains
+from pipeline.comparison.loops.recording_faults import unsafe_recording, words_of
 from pipeline.comparison.loops.told_loop import found_device
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import FEWEST_COMPARISONS, boundary_distance
@@ -48,6 +49,9 @@ DRIFTING = 3
 """Parameters that drift with the wall from which on none has an interval: of six tests at 5 % one may be chance, and a
 small drift is seen in many trials; mass, damping and delay of a wrong device drift all."""
 
+OTHER_GAINS = "the command obeys another wall than the headers state"
+"""Why a limit in the units of the headers says nothing."""
+
 WELL = 0.9
 """Overlap of the regions from which on theory predicts a boundary: an error of 5 % in both K and B."""
 
@@ -71,7 +75,9 @@ def answer(data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[
     known = data.device.experiments if data.device else ()
     of_file = next((each for each in known if each.name == result.experiment), None)
     gains = stages.once(other_gains)
-    misled = gains is not None and gains.most
+    fault = stages.once(unsafe_recording)
+    misled = fault is not None or (gains is not None and gains.most)
+    first = f"Correct the recording first: {fault.remedy}".rstrip(".") if fault else "Correct the headers first"
     told = [*result.causes, *_other_parameters(result, of_file, data.units)]
     wall = result.use.point if result.use else None
     return Answer(
@@ -81,9 +87,9 @@ def answer(data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[
         spacing_percent=_spacing(result, rows, stages),
         estimates=_estimates(result, data.units, limit=not misled),
         estimates_reason=_doubt(result),
-        predicts=_prediction(result, rows, misled),
+        predicts=_prediction(result, rows, "" if not misled else words_of(fault) if fault else OTHER_GAINS),
         causes=tuple(told[:MOST_CAUSES]),
-        **({"next_reason": "Correct the headers first"} if misled else _next(data, result, of_file, stages)),
+        **({"next_reason": first} if misled else _next(data, result, of_file, stages)),
     )
 
 
@@ -197,14 +203,17 @@ def _other_parameters(result: ExperimentResult, of_file: Experiment | None, unit
     return [Cause(code="parameter_range", sentence=sentence, evidence="; ".join(off))] if off else []
 
 
-def _prediction(result: ExperimentResult, rows: Sequence[ComparisonRow], misled: bool) -> Prediction:
-    """Does theory predict the device: limits of the leading experiment, costs of all."""
+def _prediction(result: ExperimentResult, rows: Sequence[ComparisonRow], misled: str) -> Prediction:
+    """Does theory predict the device: limits of the leading experiment, costs of all.
+
+    ``misled`` is why the logs tell no limit, empty where they do.
+    """
     region = result.scores[0].region if result.scores else None
     distance = result.scores[0].distance if result.scores else None
     if not misled and region is None and (rubbed := _with_friction(result)) is not None:
         return Prediction(code="with_friction", percent_with_friction=_percent(rubbed), limits=rubbed.dampings)
     if misled or region is None or distance is None:
-        why = "the command obeys another wall than the headers state" if misled else "no theory to compare limits with"
+        why = misled.rstrip(".") or "no theory to compare limits with"
         return Prediction(code="unknown", reason=why)
     if not _known(result):
         why = (

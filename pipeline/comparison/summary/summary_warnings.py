@@ -54,6 +54,9 @@ def _of_trials(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator
         names = sorted({one.experiment for one in data.excluded}, key=natural_key)
         yield {"code": "excluded", "trials": len(data.excluded), "experiments": names}
     for r in results:
+        for fault in r.recording:
+            if fault.severity != "note":
+                yield {"code": "recording", "experiments": [r.experiment], "fault": fault}
         check = r.model_check
         if check is not None and check.trials and check.trials - check.explained >= BAD_FITS * check.trials:
             left_out = r.theory.loop.left_out if r.theory else []

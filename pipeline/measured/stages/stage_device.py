@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.base.wording import counted
 from pipeline.measured.experiment.fitted_device import MOST, NAMES, PARTS
 from pipeline.measured.experiment.stored import Experiment
 from pipeline.measured.model.identified import Identified, identified, own_numbers
@@ -18,6 +19,7 @@ from pipeline.measured.model.scatter import FEWEST
 from pipeline.measured.model.told import Recorded
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 from pipeline.records.batch import TrialBatch
+from pipeline.records.findings import MOST_UNSAFE, Finding
 from pipeline.records.tables import TABLES
 
 MOST_ROWS = 600
@@ -52,6 +54,12 @@ def found_device(of: Experiment) -> tuple[Identified | None, str]:
     # without a wall a device ends somewhere, and says less of what the walls of the others do
     usable &= (stiffness > 0) | (stiffness <= 0).all()
     usable &= np.isnan(of.column("wall_law", "obeyed_stiffness"))
+    findings = of.once(recording_findings)
+    unsafe = np.array([any(each.is_unsafe for each in found) for found in findings])
+    if unsafe.mean() > MOST_UNSAFE:
+        first = next(each for found in findings for each in found if each.is_unsafe)
+        return None, f"{int(unsafe.sum())} of {counted(len(unsafe), 'log')}: {first.sentence}"
+    usable &= ~unsafe
     ids = of.texts("response", "trial_id")
     parts = of.of_each(recordings, chosen=[ids[i] for i in np.flatnonzero(usable)])
     order = np.lexsort((np.array(ids), stiffness, of.column("response", "damping")))
@@ -73,6 +81,14 @@ def found_device(of: Experiment) -> tuple[Identified | None, str]:
     # logs that obey another wall than stated are the reason, whatever the others lack
     why = NOT_TOLD.format(remedy) if usable.mean() > MOST else OTHER_WALLS
     return None, why
+
+
+def recording_findings(of: Experiment) -> list[list[Finding]]:
+    """Return what is wrong with the recording of each trial, as the stage `response` has it."""
+    return [
+        [Finding.model_validate(each) for each in json.loads(text)] if text else []
+        for text in of.texts("response", "findings")
+    ]
 
 
 def device(of: Experiment) -> Columns:
@@ -164,7 +180,8 @@ def recordings(group: TrialGroup, given: Mapping[str, Any]) -> list[Recording]:
         edge = max(int(group.found.edge_row[i]), 0)
         declared = batch.step_row is not None and int(batch.step_row[i]) >= 0
         first = max(edge - AHEAD, 0)
-        rows = _complete(batch, i, slice(first, min(int(batch.rows[i]), first + MOST_ROWS)))
+        stops = [each.first_row or 0 for each in group.findings[i] if each.severity == "cut"]
+        rows = _complete(batch, i, slice(first, min(int(batch.rows[i]), first + MOST_ROWS, *stops)))
         found.append(
             Recording(
                 batch.trial_id[i],

@@ -17,7 +17,9 @@ from pipeline.measured.law.stamps import even
 from pipeline.measured.law.wall_law import OtherWalls, WallLaw, other_walls, wall_law
 from pipeline.measured.signal.response import NO_ROW, Response, declare_edge, find_response
 from pipeline.measured.signal.verdict import Verdicts
+from pipeline.recording.check import check_trial
 from pipeline.records.batch import Booleans, TrialBatch
+from pipeline.records.findings import Finding
 
 Given = Mapping[str, Any]
 """Values of the whole experiment by name, as JSON holds them."""
@@ -86,13 +88,24 @@ class TrialGroup:
         """Which commands obey another wall than their headers state."""
         return other_walls(self.law)
 
+    @cached_property
+    def findings(self) -> tuple[tuple[Finding, ...], ...]:
+        """What is wrong with the recording of each trial."""
+        return tuple(check_trial(self.logged, trial) for trial in range(len(self.logged)))
+
+    @cached_property
+    def unsafe(self) -> tuple[str, ...]:
+        """Why each trial says nothing of its wall: its recording, or another wall than stated; empty where it does."""
+        first = [next((each.sentence for each in found if each.is_unsafe), "") for found in self.findings]
+        return tuple(own or other for own, other in zip(first, self.other_walls.reason, strict=True))
+
     def held_by(self, spring: float) -> TrialGroup:
         """Return the trials as costs see them where a spring k holds the device; the group itself where it is the same.
 
-        It rests at x_0 + F_0/(K + k), and the wall that stores the energy has K + k (5.7). A log whose command obeys
-        another wall than stated has no start of a response by which costs in these units would count.
+        It rests at x_0 + F_0/(K + k), and the wall that stores the energy has K + k (5.7). A log that is
+        unsafe has no start of a response by which costs in these units would count.
         """
-        other, found, logged = self.other_walls.reason, self.found, self.logged
+        other, found, logged = self.unsafe, self.found, self.logged
         if not spring and not any(other):
             return self
         if spring:
@@ -125,7 +138,7 @@ class TrialGroup:
 
     def _of(self, batch: TrialBatch) -> TrialGroup:
         group = TrialGroup(batch, self.verdicts)
-        group.found, group.other_walls = self.grid.response, self.other_walls
+        group.found, group.other_walls, group.findings = self.grid.response, self.other_walls, self.findings
         return group
 
     @cached_property

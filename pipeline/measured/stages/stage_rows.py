@@ -76,12 +76,15 @@ def _has(source: object, name: str) -> bool:
 def response(of: TrialGroup, given: Given) -> Sources:
     """Return edge, final position, resolution and verdict of each trial."""
     judged = verdict.judge(of.batch, of.found)
-    # whatever it shows, it shows of another wall
-    other = np.array([bool(text) for text in of.other_walls.reason])
+    # whatever it shows, it shows of another wall, or of a wrong recording
+    other = np.array([bool(text) for text in of.unsafe])
     told = {
         "verdict": np.where(other, "undecided", judged.verdict).tolist(),
-        "reason": joined(of.other_walls.reason, judged.reason, of.found.reason),
+        "reason": joined(of.unsafe, judged.reason, of.found.reason),
         "growth_per_s": np.where(other, np.nan, judged.growth_per_s),
+        "findings": tuple(
+            json.dumps([finding.model_dump() for finding in found]) if found else "" for found in of.findings
+        ),
     }
     return told, of.found
 

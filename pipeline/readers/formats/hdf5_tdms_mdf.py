@@ -2,8 +2,9 @@
 
 HDF5: datasets by path (``/arm/q``), fields of compound datasets (``/log.t``), elements (``/arm/q[3]``); values in
 other files are not opened. TDMS: channels as ``/group/channel``; ``@time`` is the time [s] that the waveform properties
-of the wanted channels imply, row times ``wf_increment`` plus ``wf_start_offset``; stamps are whole nanoseconds since
-1970. MDF: channels as ``0/name`` by the number of their group, time ``0/@time`` [s].
+of the wanted channels imply, row times ``wf_increment`` plus ``wf_start_offset``, where they are the same for all of
+them; stamps are whole nanoseconds since 1970. MDF: channels as ``0/name`` by the number of their group, time
+``0/@time`` [s].
 """
 
 from __future__ import annotations
@@ -15,11 +16,15 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import refusal
+from pipeline.base.wording import listed
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.frame import Array, Contents, library
 
 TIME = "@time"
 _HINTS = ("unit", "units", "Unit", "Units", "unit_string", "description", "long_name")
+_WAVEFORM: dict[str, Any] = {"wf_increment": None, "wf_start_offset": 0.0, "wf_start_time": None}
+"""Properties by which the samples of a TDMS channel are timed, and their defaults."""
+
 _EPOCH_S = 2_082_844_800
 """Seconds from the start of 1904, where TDMS counts from, to that of 1970."""
 
@@ -67,19 +72,25 @@ def read_tdms(path: Path, settings: Profile, contents: Contents) -> None:
     if contents.wanted and TIME not in contents.wanted:
         return
     names = [key for key in contents.wanted if key != TIME] or list(contents.columns)
-    told = {
-        key: (contents.attributes.get(f"{key}@wf_increment"), contents.attributes.get(f"{key}@wf_start_offset", 0.0))
+    waveforms = {
+        key: tuple(contents.attributes.get(f"{key}@{name}", default) for name, default in _WAVEFORM.items())
         for key in names
         if key in contents.columns and (contents.wanted or f"{key}@wf_increment" in contents.attributes)
     }
-    if len(set(told.values())) == 1 and None not in (waveform := next(iter(told.values()))):
-        increment, offset = map(float, waveform)  # type: ignore[arg-type]
-        rows = contents.columns[next(iter(told))].size
+    waveform = next(iter(waveforms.values()), (None,))
+    if len(set(waveforms.values())) == 1 and waveform[0] is not None:
+        increment, offset = float(waveform[0]), float(waveform[1])
+        rows = contents.columns[next(iter(waveforms))].size
         contents.add(TIME, offset + np.arange(rows) * increment, "s", "s")
     elif contents.wanted:
-        listing = ", ".join(f"{key!r}: {increment}" for key, (increment, _) in list(told.items())[:10])
-        text = f"{TIME!r} needs one wf_increment and wf_start_offset for all wanted channels, found {listing or 'none'}"
-        raise refusal("time-wrong", contents.name, text, cure="Name a channel of times in columns.time.name instead.")
+        differ = [i for i in range(len(_WAVEFORM)) if len({each[i] for each in waveforms.values()}) > 1] or [0]
+        listing = ", ".join(
+            f"{key!r}: {', '.join(f'{list(_WAVEFORM)[i]} {each[i]}' for i in differ)}"
+            for key, each in list(waveforms.items())[:10]
+        )
+        found = f"{TIME!r} needs the same {listed(list(_WAVEFORM))} in all wanted channels, found {listing or 'none'}"
+        cure = "Record the channels in one task; or export them with a channel of times, and name that in columns.time."
+        raise refusal("time-wrong", contents.name, found, cure=cure)
 
 
 def read_mdf(path: Path, settings: Profile, contents: Contents) -> None:

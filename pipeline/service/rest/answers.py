@@ -65,6 +65,18 @@ class Cost(Answer):
     high: float | None
 
 
+class RecordingFinding(Answer):
+    """A fault of the recording of a trial: what, where, what shows it, what to do, and the sentence of every page."""
+
+    code: str
+    first_row: int | None
+    rows: int
+    evidence: str
+    remedy: str
+    severity: str
+    sentence: str
+
+
 class Trial(Answer):
     """A trial; stiffness and damping in SI. One that is ``excluded`` by hand (why) has that word for a verdict."""
 
@@ -82,6 +94,7 @@ class Trial(Answer):
     source: str
     recorded: float
     uploader: str | None
+    findings: list[RecordingFinding]
     tags: list[str]
 
 

@@ -8,7 +8,7 @@ from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pipeline.base.errors import UsageError
+from pipeline.base.errors import EXIT_QUARANTINED, UsageError
 from pipeline.base.paths import check_output
 from pipeline.base.process import Ended
 from pipeline.shell import console
@@ -105,9 +105,16 @@ def identify(
         check_output(out, "--out")
     document = identified_device(paths, profile, period, delay)
     console.tell(document, _identified(document))
+    for line in console.warned((each["log"], each["sentence"], each["code"]) for each in document["findings"]):
+        console.note(f"Warning: {line}")
+    for each in document["refused"]:
+        row = "" if each["row"] is None else f", row {each['row']}"
+        console.note(f"Refused: {each['path']}{row}: {each['reason']}")
     if out is not None:
         write_text(out, device_text(document, out.stem))
         console.note(f"wrote {out}")
+    if document["refused"]:
+        raise SystemExit(EXIT_QUARANTINED)
 
 
 def _identified(document: dict[str, Any]) -> Iterator[str]:

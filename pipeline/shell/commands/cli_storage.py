@@ -80,7 +80,8 @@ def _ingest_lines(report: Mapping[str, Any], hint: bool) -> Iterable[str]:
     for (action, reason), paths in sorted(plan.items(), key=lambda group: -len(group[1])):
         yield from _listed(f"{action} ({reason})", paths)
     yield from refusals(report["quarantined"])
-    yield from (f"warning: {warning['path']}: {warning['warning']}" for warning in report["warnings"])
+    warnings = ((each["path"], each["warning"], each["code"]) for each in report["warnings"])
+    yield from (f"warning: {line}" for line in console.warned(warnings))
     yield from (f"changed: {source['path']}: {source['outcome']}" for source in report["changed"])
     yield from _listed("removed, its trials stay stored", report["removed"])
     yield from _listed("waiting, modified a moment ago", report["waiting"])

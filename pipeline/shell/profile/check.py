@@ -106,7 +106,13 @@ def _trial(profile: Profile, name: str, log: Log, motion: Motion) -> Checked:
         "step_row": step_row,
         "step": step,
         "other_gains": other_gains(profile, log),
-        "warnings": [*log.warnings, *filter(None, (c.pop("fault") for c in conditions)), *_other_step(log, step_row)],
+        "findings": [{**finding.model_dump(), "sentence": finding.sentence} for finding in log.findings],
+        "warnings": [
+            *log.warnings,
+            *(each.sentence for each in log.findings),
+            *filter(None, (c.pop("fault") for c in conditions)),
+            *_other_step(log, step_row),
+        ],
     }
 
 
@@ -285,7 +291,7 @@ def _drawn(log: Log, motion: Motion) -> tuple[str, tuple[RecordedColumn, ...], l
     )
     said = f"step in row {row}" if row is not None else "no step is known"
     title = f"trial {log.label}" if log.label else f"K = {log.header.stiffness:g}, B = {log.header.damping:g}"
-    return title, columns, [f"{said} ({how})", *log.warnings]
+    return title, columns, [f"{said} ({how})", *log.warnings, *(each.sentence for each in log.findings)]
 
 
 def _as_it_stands(log: Path) -> tuple[str, tuple[RecordedColumn, ...]]:

@@ -1,0 +1,63 @@
+"""What is wrong with the recordings of an experiment, and whether any delay or limit follows from them."""
+
+from __future__ import annotations
+
+from pathlib import PurePath
+
+from pipeline.base.wording import counted
+from pipeline.measured.stages.stage_device import recording_findings
+from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.records.findings import MOST_UNSAFE, Finding
+from pipeline.records.results import Cause, RecordingFault
+
+NAMED = 10
+"""Logs that are named of a fault."""
+
+
+def recording_faults(stages: ExperimentStages) -> tuple[RecordingFault, ...]:
+    """Return the faults of the recordings of an experiment by their codes, unsafe ones first, then the most frequent.
+
+    The sentence is that of the first log that has it.
+    """
+    sources = dict(zip(*(stages.trials.column(name).to_pylist() for name in ("trial_id", "source_path")), strict=True))
+    logs = [PurePath(sources[trial]).name for trial in stages.texts("response", "trial_id")]
+    found: dict[str, list[tuple[str, Finding]]] = {}
+    for log, findings in zip(logs, stages.once(recording_findings), strict=True):
+        for finding in findings:
+            found.setdefault(finding.code, []).append((log, finding))
+    faults = [
+        RecordingFault(
+            code=some[0][1].code,
+            severity=some[0][1].severity,
+            trials=len(some),
+            of=len(logs),
+            sentence=some[0][1].sentence,
+            remedy=some[0][1].remedy,
+            logs=tuple(log for log, _ in some[:NAMED]),
+        )
+        for some in found.values()
+    ]
+    return tuple(sorted(faults, key=lambda fault: (not fault.is_unsafe, -fault.trials)))
+
+
+def unsafe_recording(stages: ExperimentStages) -> RecordingFault | None:
+    """Return the fault by which no delay and no limit follows from an experiment: that of more than a few logs."""
+    unsafe = [any(finding.is_unsafe for finding in found) for found in stages.once(recording_findings)]
+    if not unsafe or sum(unsafe) <= MOST_UNSAFE * len(unsafe):
+        return None
+    return next(fault for fault in stages.once(recording_faults) if fault.is_unsafe)
+
+
+def words_of(fault: RecordingFault) -> str:
+    """Return a fault as a reason: how many logs have it, and its sentence."""
+    return f"{fault.trials} of {counted(fault.of, 'log')}: {fault.sentence}"
+
+
+def cause_of(fault: RecordingFault) -> Cause:
+    """Return a fault as a cause."""
+    more = f", and {fault.trials - len(fault.logs)} more" if fault.trials > len(fault.logs) else ""
+    return Cause(
+        code=fault.code,
+        sentence=fault.sentence,
+        evidence=f"{fault.trials} of {counted(fault.of, 'log')}: {', '.join(fault.logs)}{more}",
+    )

@@ -1,0 +1,1 @@
+"""One check of a recorded log, before anything is computed from it."""

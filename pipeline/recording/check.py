@@ -1,0 +1,71 @@
+"""All checks of one log: what is wrong with the recording itself, before anything is computed from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from pipeline.recording.causality import interpolated_command, moves_before_command
+from pipeline.recording.rows import frozen_position, interpolated_position, repeated_rows
+from pipeline.recording.samples import Samples
+from pipeline.recording.signals import coarse_sensor, unusable_signal, wrong_sign
+from pipeline.recording.timing import missing_rows, sampling_period
+from pipeline.recording.travel import travel_stop
+from pipeline.recording.wrapping import wrapped_position
+from pipeline.records.batch import NO_STEP_ROW, TrialBatch
+from pipeline.records.findings import Finding
+
+CHECKS: tuple[Callable[[Samples], Finding | None], ...] = (
+    sampling_period,
+    missing_rows,
+    wrapped_position,
+    repeated_rows,
+    frozen_position,
+    interpolated_position,
+    travel_stop,
+    interpolated_command,
+    moves_before_command,
+    wrong_sign,
+    coarse_sensor,
+)
+"""Checks of a log in which something moves, in the order in which their findings are shown."""
+
+
+def check_recording(samples: Samples) -> tuple[Finding, ...]:
+    """Return what is wrong with the recording of a log; empty for a good one.
+
+    Parameters
+    ----------
+    samples : Samples
+
+    Notes
+    -----
+    A log in which nothing moves, or that is too short for any model, has that finding alone. A position that lies on
+    straight lines between fewer readings moves before its command and changes its speed at once, which are then no
+    findings of their own.
+    """
+    nothing = unusable_signal(samples)
+    return (nothing,) if nothing is not None else tuple(_found(samples))
+
+
+def check_trial(batch: TrialBatch, trial: int) -> tuple[Finding, ...]:
+    """Return what is wrong with the recording of one trial of a batch, as `check_recording`."""
+    rows = slice(0, int(batch.rows[trial]))
+    declared = NO_STEP_ROW if batch.step_row is None else int(batch.step_row[trial])
+    samples = Samples(
+        *(batch.time[trial, rows], batch.command[trial, rows], batch.position[trial, rows]),
+        float(batch.sampling_period_s[trial]),
+        *(float(batch.stiffness[trial]), float(batch.damping[trial]), float(batch.step[trial])),
+        None if declared == NO_STEP_ROW else declared,
+    )
+    return check_recording(samples)
+
+
+def _found(samples: Samples) -> Iterator[Finding]:
+    codes = set[str]()
+    for check in CHECKS:
+        if "interpolated_rows" in codes and check in (travel_stop, moves_before_command):
+            continue
+        finding = check(samples)
+        if finding is not None:
+            codes.add(finding.code)
+            yield finding

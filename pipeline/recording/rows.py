@@ -1,0 +1,148 @@
+"""Rows that are no reading of their own: repeated ones, a frozen position, and points between fewer readings."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.recording.samples import Samples
+from pipeline.records.batch import Booleans, Floats, Integers
+from pipeline.records.findings import Finding
+
+MOVES = 3.0
+"""Steps of the sensor that a position changes by before and behind a row that repeats the one before."""
+
+CLEAR = 8.0
+"""The same in standard deviations of the noise of a reading."""
+
+NOISY = 3.0
+"""Standard deviation of the noise in steps of the sensor from which on equal readings are no chance."""
+
+MADE_UP = 1.3
+"""Change behind a repeated reading relative to the one before it: it makes up for two rows."""
+
+JUMPS = 5.0
+"""Change behind frozen rows relative to the usual one there, and to the last one before."""
+
+FEWEST = 3
+"""Repeated rows that are no accident of a motion that turns."""
+
+FROZEN = 10
+"""Rows without any change that a position takes from moving to frozen."""
+
+FEWEST_KNOTS = 8
+"""Bends of a position, or a command, that show a grid of fewer readings."""
+
+STRAIGHT = 0.4
+"""Share of the moving rows that lie on a straight line with their neighbours where a position is interpolated."""
+
+BEND = 1e-6
+"""Second difference, relative to the largest change, up to which three rows lie on a line."""
+
+
+def repeated_rows(samples: Samples) -> Finding | None:
+    """Return the rows that repeat the reading before while the device moves.
+
+    Where the noise is finer than the sensor's step, equal readings in sequence are those of one reading; else a
+    position that moves by several steps a row does not rest for one of them, and make up for it in the next.
+    """
+    size, still = samples.size, samples.change == 0
+    if not still.any():
+        return None
+    single = np.zeros(len(size), dtype=np.bool_)
+    single[1:-1] = still[1:-1] & ~still[:-2] & ~still[2:]
+    if samples.noise > NOISY * samples.least_change:
+        by_chance = len(size) * samples.least_change / samples.noise
+        rows = np.flatnonzero(single) + 1
+        if len(rows) < FEWEST + by_chance + 5 * np.sqrt(by_chance):
+            return None
+    else:
+        inside, moves = np.zeros(len(size), dtype=np.bool_), size >= MOVES * samples.least_change
+        inside[1:-1] = single[1:-1] & moves[:-2] & moves[2:] & (samples.change[2:] * samples.change[:-2] > 0)
+        inside[1:-1] &= (size[2:] > MADE_UP * size[:-2]) & (size[2:] > CLEAR * samples.noise)
+        rows = np.flatnonzero(inside) + 1
+    if len(rows) < FEWEST:
+        return None
+    both = int(np.sum(samples.jumps[rows - 1] == 0))
+    what = "rows repeat the one before" if both > len(rows) / 2 else "readings of the position repeat the one before"
+    return Finding(
+        code="repeated_rows",
+        first_row=int(rows[0]),
+        rows=len(rows),
+        evidence=f"{len(rows)} of {len(samples)} {what} while the device moves, first row {rows[0]}.",
+        remedy="Read the sensor in every sample, or log at the rate at which it is read.",
+        severity="note",
+    )
+
+
+def frozen_position(samples: Samples) -> Finding | None:
+    """Return the rows in which the position stays the same, and behind which it has jumped: no force moves it so."""
+    size = samples.size
+    for first, behind in _runs(samples.change == 0, FROZEN):
+        if first == 0 or behind + 2 >= len(size):
+            continue
+        jump, usual = size[behind], float(np.median(size[behind + 1 : behind + 1 + FROZEN]))
+        least = max(JUMPS * usual, CLEAR * samples.noise, MOVES * samples.least_change)
+        if jump > least and jump > JUMPS * size[first - 1] + CLEAR * samples.noise:
+            return Finding(
+                code="frozen_position",
+                first_row=first + 1,
+                rows=behind - first,
+                evidence=f"The position is frozen in rows {first + 1} to {behind} while the device moves, and then "
+                f"jumps by {jump:.4g}.",
+                remedy="Check the sensor and its cable, and record again.",
+                severity="unsafe",
+            )
+    return None
+
+
+def interpolated_position(samples: Samples) -> Finding | None:
+    """Return whether most positions lie on straight lines between fewer readings, as joined rates leave them."""
+    change, size = samples.change, samples.size
+    if len(size) < 4 * FEWEST_KNOTS:
+        return None
+    bend = np.abs(change[1:] - change[:-1])
+    level = max(BEND * float(size.max()), 4 * _last_digit(samples.position))
+    moving = (size[1:] > 8 * level) & (size[:-1] > 8 * level)
+    bent = bend > level
+    if int(np.sum(moving & ~bent)) < STRAIGHT * max(int(np.sum(moving)), 1):
+        return None
+    factor = spacing(np.flatnonzero(bent) + 1)
+    if factor < 2 or np.sum(bent) < FEWEST_KNOTS:
+        return None
+    return Finding(
+        code="interpolated_rows",
+        first_row=None,
+        rows=int(np.sum(moving & ~bent)),
+        evidence=f"The positions lie on straight lines between every {_ordinal(factor)} row: the others are "
+        "interpolated, and move before their commands.",
+        remedy="Export the position without interpolation, or at the rate at which it was read.",
+        severity="unsafe",
+    )
+
+
+def spacing(rows: Integers) -> int:
+    """Return the greatest common divisor of the distances between rows; 0 for fewer than two rows."""
+    return int(np.gcd.reduce(np.diff(rows))) if len(rows) > 1 else 0
+
+
+def _last_digit(values: Floats) -> float:
+    """Return the smallest decimal unit, from 1e-3 to 1e-12, in which all values are printed; 0 where there is none."""
+    largest = float(np.abs(values).max())
+    for decimals in range(3, 13):
+        unit = 10.0**-decimals
+        scaled = values / unit
+        if np.abs(scaled - np.rint(scaled)).max() <= 1e-15 * largest / unit + 1e-6:
+            return unit
+    return 0.0
+
+
+def _runs(of: Booleans, least: int) -> list[tuple[int, int]]:
+    """Return first and behind-the-last index of each run of at least so many true values."""
+    if not of.any():
+        return []
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], of, [False]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in zip(ends[::2], ends[1::2], strict=True) if b - a >= least]
+
+
+def _ordinal(number: int) -> str:
+    return {2: "2nd", 3: "3rd"}.get(number, f"{number}th")

@@ -1,0 +1,126 @@
+"""The samples of one log with the conditions that its checks need, and what several checks take from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from statistics import NormalDist
+
+import numpy as np
+
+from pipeline.records.batch import Floats, Integers
+
+NOISE_GAIN = 6.0
+"""Variance of the second difference of white noise relative to its own: 1 + 4 + 1."""
+
+THIRD_GAIN = 20.0
+"""The same of the third difference: 1 + 9 + 9 + 1."""
+
+NORMAL_QUARTILE = NormalDist().inv_cdf(0.75)
+"""Median of the absolute value of a standard normal variable."""
+
+FINE = 1e-6
+"""Step of a sensor relative to the range of the position below which it is none, but that of the digits."""
+
+SMALLEST_STEP = 1e-9
+"""Smallest change of the position, relative to its range, that a sensor's step makes; smaller ones are arithmetic."""
+
+QUIET = 0.15
+"""Part of the step by which the command of a wall may differ from 0 before it, and from the step in its first row."""
+
+LARGE_JUMP = 0.3
+"""Smallest change of a command between two rows, relative to its range, that is an edge."""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """One log in SI.
+
+    Parameters
+    ----------
+    time, command, position : float64, shape (rows,)
+        Time stamps [s], total commanded force [N, Nm], measured position [m, rad]; all finite.
+    period : float
+        Stated sampling period T [s].
+    stiffness, damping, step : float
+        Virtual wall K [N/m, Nm/rad] and B [Ns/m, Nms/rad], external step F_0 [N, Nm]; all 0 for a free motion.
+    step_row : int, optional
+        Declared row of the step, counted from 0.
+    """
+
+    time: Floats
+    command: Floats
+    position: Floats
+    period: float
+    stiffness: float = 0.0
+    damping: float = 0.0
+    step: float = 0.0
+    step_row: int | None = None
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    @property
+    def is_free(self) -> bool:
+        """Whether no wall is rendered, so that the command does not depend on the position."""
+        return self.stiffness == 0.0 and self.damping == 0.0
+
+    @cached_property
+    def steps(self) -> Floats:
+        """Time between two rows [s], shape (rows - 1,)."""
+        return self.time[1:] - self.time[:-1]
+
+    @cached_property
+    def change(self) -> Floats:
+        """Change of the position from row to row, shape (rows - 1,)."""
+        return self.position[1:] - self.position[:-1]
+
+    @cached_property
+    def size(self) -> Floats:
+        """Size of `change`."""
+        return np.abs(self.change)
+
+    @cached_property
+    def range(self) -> float:
+        """Largest minus smallest position."""
+        return float(self.position.max() - self.position.min())
+
+    @cached_property
+    def jumps(self) -> Floats:
+        """Change of the command from row to row, shape (rows - 1,)."""
+        return self.command[1:] - self.command[:-1]
+
+    @cached_property
+    def least_change(self) -> float:
+        """Smallest change of the position that is none of arithmetic: at least the step of a sensor; 0 if it rests."""
+        seen = self.size[self.size > SMALLEST_STEP * self.range]
+        return float(seen.min()) if len(seen) else 0.0
+
+    @cached_property
+    def noise(self) -> float:
+        """Standard deviation of a reading: of third differences, which motion hardly has, and of rounding."""
+        third = np.abs(np.diff(self.change, 2))
+        of_readings = float(np.median(third)) / (NORMAL_QUARTILE * np.sqrt(THIRD_GAIN)) if len(third) else 0.0
+        steps = self.least_change / np.sqrt(12.0) if self.least_change > FINE * self.range else 0.0
+        return max(of_readings, steps)
+
+    @cached_property
+    def edges(self) -> Integers:
+        """Rows in which the command of a free motion jumps: the first row of each new level."""
+        size = np.abs(self.jumps)
+        span = float(self.command.max() - self.command.min())
+        found = np.flatnonzero(size > LARGE_JUMP * span) if span > 0 else np.zeros(0, dtype=np.int64)
+        return np.asarray(found + 1, dtype=np.int64)
+
+    @cached_property
+    def wall_edge(self) -> int:
+        """Row in which the command of a wall steps from about 0 by about the stated step; 0 where it does not."""
+        if self.step_row is not None and self.step_row > 0:
+            return self.step_row
+        if self.step == 0:
+            return 0
+        near = QUIET * abs(self.step)
+        before, behind = np.abs(self.command[:-1]) <= near, np.abs(self.command[1:] - self.step) <= near
+        found = int(np.argmax(before & behind))
+        # a wall that answers noise by more than that has no edge in its command alone
+        return found + 1 if before[found] and behind[found] and before[:found].all() else 0

@@ -1,0 +1,114 @@
+"""Signals that are missing or constant, logs too short for any model, a coarse sensor, and a sign that is reversed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.recording.motion import LARGEST_SHIFT, free_response
+from pipeline.recording.samples import Samples
+from pipeline.records.findings import Finding
+
+FEWEST_ROWS = 8
+"""Rows below which no model of a device has more equations than numbers."""
+
+COARSE = 0.05
+"""Step of the sensor relative to the range of the position from which on it is coarse."""
+
+CLEAR = 8.0
+"""Standard deviations of noise, and steps of the sensor, by which a first motion is clear."""
+
+OTHER_SIGN = 2.0
+"""Residual with the sign of the log relative to that with the other one from which on the other one is right."""
+
+BASELINE = 5
+"""Fewest rows at rest before a step that show noise."""
+
+
+def unusable_signal(samples: Samples) -> Finding | None:
+    """Return why nothing can be computed from a log: too few rows, no motion, or no command."""
+    rows = len(samples)
+    if rows < FEWEST_ROWS:
+        return Finding(
+            code="too_few_rows",
+            first_row=None,
+            rows=rows,
+            evidence=f"The log has {rows} rows; a model needs at least {FEWEST_ROWS}.",
+            remedy="Record longer.",
+            severity="unusable",
+        )
+    if samples.range == 0:
+        return Finding(
+            code="constant_position",
+            first_row=None,
+            rows=rows,
+            evidence=f"The position is {samples.position[0]:.6g} in all {rows} rows.",
+            remedy="Record larger steps, with a finer sensor, or name the column of the position in the profile.",
+            severity="unusable",
+        )
+    if samples.step != 0 and not samples.command.any():
+        return Finding(
+            code="constant_command",
+            first_row=None,
+            rows=rows,
+            evidence=f"The command is 0 in all {rows} rows, and a step of {samples.step:.6g} is stated.",
+            remedy="Name the column of the command in the profile (columns.command).",
+            severity="unsafe",
+        )
+    return None
+
+
+def coarse_sensor(samples: Samples) -> Finding | None:
+    """Return whether the position takes so few values that its resolution is a large part of the motion."""
+    # values of a fine sensor differ; as many equal ones as steps in the range are those of a coarse one
+    if samples.least_change <= COARSE * samples.range:
+        return None
+    values = len(np.unique(np.round(samples.position / samples.least_change * 64)))
+    return Finding(
+        code="coarse_sensor",
+        first_row=None,
+        rows=len(samples),
+        evidence=f"The position takes {values} values in a range of {samples.range:.4g}, {samples.least_change:.4g} "
+        "apart.",
+        remedy="Record larger steps, or with a finer sensor.",
+        severity="note",
+    )
+
+
+def wrong_sign(samples: Samples) -> Finding | None:
+    """Return whether the position moves against its command.
+
+    In free motion by the response to all commands; behind a wall by the first motion from rest after the step.
+    """
+    if samples.is_free:
+        response = free_response(samples)
+        if response is None or not response.is_driven or response.gain >= 0:
+            return None
+        if response.left_same_sign <= OTHER_SIGN * response.left or abs(response.delay) > LARGEST_SHIFT / 2:
+            return None
+        evidence = "The position moves against the command: its acceleration has the other sign in all of the log."
+    else:
+        row = _first_motion_against(samples)
+        if row is None:
+            return None
+        evidence = f"The position moves against the step of the command, first in row {row}."
+    return Finding(
+        code="wrong_sign",
+        first_row=None,
+        rows=len(samples),
+        evidence=evidence,
+        remedy="Set the other sign of the command or of the position in the profile (sign = -1).",
+        severity="unsafe",
+    )
+
+
+def _first_motion_against(samples: Samples) -> int | None:
+    """Return the row in which the position first leaves its rest, where that is against the step."""
+    edge, x = samples.wall_edge, samples.position
+    if edge < BASELINE:
+        return None
+    rest, noise = float(np.median(x[:edge])), float(x[:edge].max() - x[:edge].min())
+    clear = CLEAR * max(noise, samples.least_change)
+    away = np.flatnonzero(np.abs(x[edge:] - rest) > clear)
+    if not len(away) or (x[edge + away[0]] - rest) * samples.jumps[edge - 1] > 0:
+        return None
+    return edge + int(away[0])

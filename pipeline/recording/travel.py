@@ -1,0 +1,65 @@
+"""Travel stops: the position is stopped at an extreme that it reached at speed, or bounces off it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.recording.samples import Samples
+from pipeline.records.findings import Finding
+
+AT_EXTREME = 0.02
+"""Distance from the largest or smallest position, relative to the range, within which rows are at it."""
+
+IMPACT = 3.0
+"""Change of the velocity at a stop relative to the largest one in the rows before."""
+
+BEFORE = 10
+"""Rows before an impact in which the device moves freely."""
+
+SLOWER = 1.5
+"""Speed before a stop relative to that behind it: a free motion turns as fast as it came."""
+
+STEPS = 8.0
+"""Change of the velocity at a stop in steps of the sensor a row."""
+
+ANSWERED = 40
+"""Rows behind a jump of the command in which a change of the velocity may be the answer to it."""
+
+
+def travel_stop(samples: Samples) -> Finding | None:
+    """Return from which row on a travel stop moves the device.
+
+    At a stop the velocity changes within two rows by several times as much as in the rows before, at the largest or
+    smallest position of the log, and the device leaves it more slowly than it came.
+    """
+    x, change = samples.position, samples.change
+    if len(x) < 2 * BEFORE:
+        return None
+    near = np.minimum(x.max() - x, x - x.min())[2:-2] <= AT_EXTREME * samples.range
+    before, after = change[:-3], change[3:]
+    hit = np.abs(after - before)
+    abrupt = near & (np.abs(before) > SLOWER * np.abs(after)) & (np.abs(before) > STEPS * samples.least_change)
+    abrupt &= hit > 0.1 * float(samples.size.max())
+    for row in (np.flatnonzero(abrupt) + 2).tolist():
+        if row < BEFORE:
+            continue
+        brake = np.abs(np.diff(change[row - BEFORE : row - 1]))
+        outwards = (x[row] - 0.5 * (x.max() + x.min())) * change[row - 2] > 0
+        if not outwards or hit[row - 2] <= IMPACT * 2 * float(brake.max()) or _is_answer(samples, row):
+            continue
+        return Finding(
+            code="travel_stop",
+            first_row=row,
+            rows=len(x) - row,
+            evidence=f"The position is stopped at {x[row]:.5g} in row {row}, which it reached at a speed of "
+            f"{abs(change[row - 2]) / samples.period:.3g} per second: a travel stop.",
+            remedy="Rows from there on are left out. Record smaller or shorter steps, away from the stop.",
+            severity="cut",
+        )
+    return None
+
+
+def _is_answer(samples: Samples, row: int) -> bool:
+    """Return whether a command jumped shortly before, which may brake as much."""
+    edges = samples.edges
+    return bool(((edges <= row) & (edges > row - ANSWERED)).any()) and samples.is_free

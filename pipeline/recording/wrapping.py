@@ -1,0 +1,143 @@
+"""Angles that start again after a turn, or after another modulus, of an encoder: found, and joined."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.recording.samples import Samples
+from pipeline.records.batch import Floats, Integers
+from pipeline.records.findings import Finding
+
+JUMP = 0.5
+"""Change from row to row, relative to the range of the position, that may be one over the end of a modulus."""
+
+SLOW = 0.4
+"""Largest other change from row to row, relative to the modulus, up to which its direction is known."""
+
+SMOOTH = 0.2
+"""Largest difference of the changes on both sides of a jump, relative to the modulus: the motion goes on."""
+
+ALIKE = 0.05
+"""Largest difference of the jumps of a log, without the motion meanwhile, relative to the modulus."""
+
+SURE = 4.0
+"""Standard errors of the modulus by which a turn may differ from it and be it."""
+
+UNSEEN = 1e-4
+"""Error of a modulus, relative to it, that its own jumps may not show."""
+
+FEWEST_STEPS = 16
+"""Steps of the sensor in a modulus: a sensor at rest between two values jumps as well."""
+
+MODULI = (2 * np.pi, np.pi, 4 * np.pi, 8 * np.pi, 25.0)
+"""Moduli that encoders have [rad]: turns, half and several ones, and +-12.5 rad."""
+
+SMALL_DOUBT = 3.0
+"""Doubt of another modulus, in errors of a reading, up to which it may be taken as its jumps show it."""
+
+LEAST_ROWS = 3
+"""Rows behind a jump that show that the motion goes on."""
+
+REMEDY = "Set unwrap = {modulus} in [columns.position] of the profile to confirm it."
+
+
+def unwrapped(position: Floats, rule: bool | float | None = None) -> tuple[Floats, Finding | None]:
+    """Return a position without jumps over the end of its modulus, and the finding that says so.
+
+    Parameters
+    ----------
+    position : float64, shape (rows,)
+    rule : bool or float, optional
+        A modulus in the unit of the position; False to leave it as it is; else jumps are looked for.
+
+    Notes
+    -----
+    A modulus is found where every jump leads from near one end of the range to near the other, all jumps are equal but
+    for the motion meanwhile, and the motion is slow enough that its direction is known. Jumps of which that is not sure
+    are left, and the log then gives no limit.
+    """
+    if rule is False or len(position) < 2 * LEAST_ROWS:
+        return position, None
+    change = position[1:] - position[:-1]
+    reach = float(position.max() - position.min())
+    if rule is not None and rule is not True:
+        turns = np.rint(change / rule)
+        return _joined(position, turns, float(rule), np.flatnonzero(turns))
+    jumps = np.flatnonzero(np.abs(change) > JUMP * reach)
+    if not len(jumps) or reach == 0:
+        return position, None
+    found = _modulus(position, change, jumps)
+    if found is None or not found[1]:
+        return position, None
+    return _joined(position, np.sign(change) * np.isin(np.arange(len(change)), jumps), found[0], jumps)
+
+
+def _joined(position: Floats, turns: Floats, modulus: float, jumps: Integers) -> tuple[Floats, Finding | None]:
+    if not len(jumps):
+        return position, None
+    joined = position.copy()
+    joined[1:] -= modulus * np.cumsum(turns)
+    name = "2 pi" if modulus == 2 * np.pi else f"{modulus:.8g}"
+    return joined, Finding(
+        code="wrapped_angle",
+        first_row=int(jumps[0]) + 1,
+        rows=len(jumps),
+        evidence=f"The position starts again after {name} in {len(jumps)} rows, first in row {jumps[0] + 1}; it was "
+        "unwrapped.",
+        remedy=REMEDY.format(modulus=f"{modulus:.10g}"),
+        severity="repaired",
+    )
+
+
+def _modulus(position: Floats, change: Floats, jumps: Integers) -> tuple[float, bool] | None:
+    """Return the modulus that explains all jumps, and whether it is sure; None where none does."""
+    is_jump = np.zeros(len(change), dtype=np.bool_)
+    is_jump[jumps] = True
+    others = np.flatnonzero(~is_jump)
+    if jumps[-1] + LEAST_ROWS > len(change) or len(others) < LEAST_ROWS:
+        return None
+    # the motion meanwhile: by the nearest changes that are no jump, two on each side
+    place = np.searchsorted(others, jumps)
+    near_by = [change[others[np.clip(place + offset, 0, len(others) - 1)]] for offset in (-2, -1, 0, 1)]
+    before, behind = near_by[1], near_by[2]
+    size = np.abs(change[jumps] - (4 * (before + behind) - near_by[0] - near_by[3]) / 6)
+    modulus = float(np.median(size))
+    step = float(np.min(np.abs(change[change != 0])))
+    if modulus < FEWEST_STEPS * step:
+        return None
+    doubt = float(np.median(np.abs(size - modulus))) + SURE * float(size.std()) / np.sqrt(len(size))
+    doubt += 2 * step if step > 1e-6 * modulus else UNSEEN * modulus
+    known = [each for each in MODULI if abs(modulus - each) <= doubt]
+    fastest = float(np.abs(change[others]).max())
+    ends = np.minimum(position.max() - position, position - position.min())
+    near = 1.5 * fastest + ALIKE * modulus
+    at_ends = (ends[jumps] <= near).all() and (ends[jumps + 1] <= near).all()
+    alike = (np.abs(size - modulus) <= ALIKE * modulus).all()
+    smooth = (np.abs(behind - before) <= SMOOTH * modulus).all()
+    inside = float(position.max() - position.min()) <= 1.02 * modulus + fastest
+    if not (at_ends and alike and smooth and inside):
+        return None
+    # a single row at the other end may be a wrong reading of any size
+    if not known and len(jumps) > 1 and (np.diff(jumps) == 1).all():
+        return None
+    reading = step if step > 1e-6 * modulus else 0.0
+    reading = max(reading, float(np.median(np.abs(np.diff(change[others], 2)))) / (0.6745 * np.sqrt(20.0)))
+    is_clear = len(known) == 1 or (not known and doubt <= SMALL_DOUBT * max(reading, UNSEEN * modulus))
+    return (known[0] if known else modulus), is_clear and fastest <= SLOW * modulus
+
+
+def wrapped_position(samples: Samples) -> Finding | None:
+    """Return that the position still jumps as an angle that starts again: by an unsure modulus, or too fast."""
+    jumps = np.flatnonzero(samples.size > JUMP * samples.range)
+    found = _modulus(samples.position, samples.change, jumps) if len(jumps) else None
+    if found is None:
+        return None
+    return Finding(
+        code="wrapped_angle",
+        first_row=int(jumps[0]) + 1,
+        rows=len(jumps),
+        evidence=f"The position jumps by about {found[0]:.5g} in {len(jumps)} rows, first in row {jumps[0] + 1}, as an "
+        "angle that starts again does.",
+        remedy="Set unwrap to its modulus in [columns.position] of the profile, or record at a higher rate.",
+        severity="unsafe",
+    )
