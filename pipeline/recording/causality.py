@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.recording.motion import free_response, left_with_kicks
 from pipeline.recording.rows import spacing
-from pipeline.recording.samples import NOISE_GAIN, Samples
+from pipeline.recording.samples import NOISE_GAIN, Samples, middle
 from pipeline.records.findings import Finding
 
 BASELINE = 8
@@ -110,12 +110,14 @@ def _leaves_rest(samples: Samples) -> tuple[int, int] | None:
         return None
     x = samples.position
     half = edge // 2
-    rest = float(np.median(x[:half]))
+    rest = middle(x[:half])
     away = np.abs(x[: edge + 1] - rest)
-    first_half, largest = float(away[:half].max()), float(away[half:].max())
-    second = x[2 : edge + 1] - 2 * x[1:edge] + x[: edge - 1]
-    noise = float(np.sqrt(np.mean(second * second) / NOISE_GAIN))
-    clear = max(CLEAR * noise, 1.5 * samples.least_change, 1e-9 * samples.range)
+    largest = float(away[half:].max())
+    if largest <= 1.5 * samples.least_change:
+        return None
+    first_half, second = float(away[:half].max()), samples.bend[: edge - 1]
+    noise = (float(second @ second) / len(second) / NOISE_GAIN) ** 0.5
+    clear = max(CLEAR * noise, 1.5 * samples.least_change)
     if largest <= max(clear, CONVEX * first_half):
         return None
     # the response goes on behind the edge, and is larger there
@@ -166,17 +168,17 @@ def _late_command(samples: Samples) -> int | None:
     """
     if samples.is_free:
         return None
+    per_row, jumps = samples.damping / samples.period, samples.jumps
     force = samples.stiffness * samples.change
-    force[1:] += samples.damping / samples.period * (samples.change[1:] - samples.change[:-1])
-    force[0] += samples.damping / samples.period * samples.change[0]
-    jumps = samples.jumps
+    force[1:] += per_row * samples.bend
+    force[0] += per_row * samples.change[0]
 
     def left(shift: int) -> float:
         """Return the root mean square that the law leaves of the changes of the command, but for that of the step."""
         rest = (jumps[shift:] + force[: len(force) - shift]) ** 2
-        return float(np.sqrt((rest.sum() - rest.max()) / len(rest)))
+        return float(np.sqrt(max(float(rest.sum() - rest.max()) / len(rest), 0.0)))
 
-    now, size = left(0), float(np.sqrt(np.mean(force * force)))
+    now, size = left(0), (float(force @ force) / len(force)) ** 0.5
     if now <= LAW_LEFT * size:
         return None
     shifts = range(1, min(MOST_LATE, len(samples) // 4) + 1)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.recording.samples import Samples
-from pipeline.records.batch import Booleans, Floats, Integers
+from pipeline.recording.samples import Samples, middle
+from pipeline.records.batch import Floats, Integers
 from pipeline.records.findings import Finding
 
 MOVES = 3.0
@@ -35,6 +35,9 @@ FEWEST_KNOTS = 8
 STRAIGHT = 0.4
 """Share of the moving rows that lie on a straight line with their neighbours where a position is interpolated."""
 
+NEARLY_STRAIGHT = 0.02
+"""Second difference, relative to the change, below which rows may lie on a line."""
+
 BEND = 1e-6
 """Second difference, relative to the largest change, up to which three rows lie on a line."""
 
@@ -45,21 +48,20 @@ def repeated_rows(samples: Samples) -> Finding | None:
     Where the noise is finer than the sensor's step, equal readings in sequence are those of one reading; else a
     position that moves by several steps a row does not rest for one of them, and make up for it in the next.
     """
-    size, still = samples.size, samples.change == 0
-    if not still.any():
+    size, still = samples.size, samples.rests
+    single = np.flatnonzero(still[1:-1] & ~(still[:-2] | still[2:])) + 1
+    if len(single) < FEWEST:
         return None
-    single = np.zeros(len(size), dtype=np.bool_)
-    single[1:-1] = still[1:-1] & ~still[:-2] & ~still[2:]
     if samples.noise > NOISY * samples.least_change:
         by_chance = len(size) * samples.least_change / samples.noise
-        rows = np.flatnonzero(single) + 1
+        rows = single + 1
         if len(rows) < FEWEST + by_chance + 5 * np.sqrt(by_chance):
             return None
     else:
-        inside, moves = np.zeros(len(size), dtype=np.bool_), size >= MOVES * samples.least_change
-        inside[1:-1] = single[1:-1] & moves[:-2] & moves[2:] & (samples.change[2:] * samples.change[:-2] > 0)
-        inside[1:-1] &= (size[2:] > MADE_UP * size[:-2]) & (size[2:] > CLEAR * samples.noise)
-        rows = np.flatnonzero(inside) + 1
+        before, behind = samples.change[single - 1], samples.change[single + 1]
+        goes_on = (before * behind > 0) & (np.abs(before) >= MOVES * samples.least_change)
+        least = np.maximum(MADE_UP * np.abs(before), CLEAR * samples.noise)
+        rows = single[goes_on & (np.abs(behind) > least)] + 1
     if len(rows) < FEWEST:
         return None
     both = int(np.sum(samples.jumps[rows - 1] == 0))
@@ -76,13 +78,17 @@ def repeated_rows(samples: Samples) -> Finding | None:
 
 def frozen_position(samples: Samples) -> Finding | None:
     """Return the rows in which the position stays the same, and behind which it has jumped: no force moves it so."""
-    size = samples.size
-    for first, behind in _runs(samples.change == 0, FROZEN):
-        if first == 0 or behind + 2 >= len(size):
+    size, rests = samples.size, samples.rests
+    least = MOVES * samples.least_change
+    for behind in (np.flatnonzero(rests[:-1] & (size[1:] > least)) + 1).tolist():
+        if behind <= FROZEN or behind + 2 >= len(size) or not rests[behind - FROZEN : behind].all():
             continue
-        jump, usual = size[behind], float(np.median(size[behind + 1 : behind + 1 + FROZEN]))
-        least = max(JUMPS * usual, CLEAR * samples.noise, MOVES * samples.least_change)
-        if jump > least and jump > JUMPS * size[first - 1] + CLEAR * samples.noise:
+        moved = np.flatnonzero(~rests[:behind])
+        if not len(moved):
+            continue
+        first = int(moved[-1]) + 1
+        jump, usual = size[behind], middle(size[behind + 1 : behind + 1 + FROZEN])
+        if jump > max(JUMPS * usual, CLEAR * samples.noise) and jump > JUMPS * size[first - 1] + CLEAR * samples.noise:
             return Finding(
                 code="frozen_position",
                 first_row=first + 1,
@@ -97,11 +103,15 @@ def frozen_position(samples: Samples) -> Finding | None:
 
 def interpolated_position(samples: Samples) -> Finding | None:
     """Return whether most positions lie on straight lines between fewer readings, as joined rates leave them."""
-    change, size = samples.change, samples.size
+    size = samples.size
     if len(size) < 4 * FEWEST_KNOTS:
         return None
-    bend = np.abs(change[1:] - change[:-1])
-    level = max(BEND * float(size.max()), 4 * _last_digit(samples.position))
+    bend = np.abs(samples.bend)
+    # most rows of a motion bend by more than a small part of their way
+    moves = int(np.count_nonzero(size > 8 * BEND * samples.fastest))
+    if int(np.count_nonzero(bend <= NEARLY_STRAIGHT * size[1:])) - (len(size) - moves) < 0.5 * STRAIGHT * moves:
+        return None
+    level = max(BEND * samples.fastest, 4 * _last_digit(samples.position))
     moving = (size[1:] > 8 * level) & (size[:-1] > 8 * level)
     bent = bend > level
     if int(np.sum(moving & ~bent)) < STRAIGHT * max(int(np.sum(moving)), 1):
@@ -134,14 +144,6 @@ def _last_digit(values: Floats) -> float:
         if np.abs(scaled - np.rint(scaled)).max() <= 1e-15 * largest / unit + 1e-6:
             return unit
     return 0.0
-
-
-def _runs(of: Booleans, least: int) -> list[tuple[int, int]]:
-    """Return first and behind-the-last index of each run of at least so many true values."""
-    if not of.any():
-        return []
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], of, [False]]).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in zip(ends[::2], ends[1::2], strict=True) if b - a >= least]
 
 
 def _ordinal(number: int) -> str:

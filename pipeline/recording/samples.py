@@ -8,7 +8,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from pipeline.records.batch import Floats, Integers
+from pipeline.records.batch import Booleans, Floats, Integers
 
 NOISE_GAIN = 6.0
 """Variance of the second difference of white noise relative to its own: 1 + 4 + 1."""
@@ -30,6 +30,12 @@ QUIET = 0.15
 
 LARGE_JUMP = 0.3
 """Smallest change of a command between two rows, relative to its range, that is an edge."""
+
+
+def middle(values: Floats) -> float:
+    """Return the median of values, of two the larger one, at least one."""
+    place = len(values) // 2
+    return float(np.partition(values, place)[place])
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +87,21 @@ class Samples:
         return np.abs(self.change)
 
     @cached_property
+    def bend(self) -> Floats:
+        """Change of `change` from row to row, shape (rows - 2,)."""
+        return self.change[1:] - self.change[:-1]
+
+    @cached_property
+    def fastest(self) -> float:
+        """Largest change of the position from row to row."""
+        return float(self.size.max())
+
+    @cached_property
+    def rests(self) -> Booleans:
+        """Where the position does not change, shape (rows - 1,)."""
+        return np.asarray(self.change == 0)
+
+    @cached_property
     def range(self) -> float:
         """Largest minus smallest position."""
         return float(self.position.max() - self.position.min())
@@ -99,9 +120,9 @@ class Samples:
     @cached_property
     def noise(self) -> float:
         """Standard deviation of a reading: of third differences, which motion hardly has, and of rounding."""
-        third = np.abs(np.diff(self.change, 2))
-        of_readings = float(np.median(third)) / (NORMAL_QUARTILE * np.sqrt(THIRD_GAIN)) if len(third) else 0.0
-        steps = self.least_change / np.sqrt(12.0) if self.least_change > FINE * self.range else 0.0
+        third = np.abs(self.bend[1:] - self.bend[:-1])
+        of_readings = middle(third) / (NORMAL_QUARTILE * THIRD_GAIN**0.5) if len(third) else 0.0
+        steps = self.least_change / 12.0**0.5 if self.least_change > FINE * self.range else 0.0
         return max(of_readings, steps)
 
     @cached_property

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.recording.motion import LARGEST_SHIFT, free_response
-from pipeline.recording.samples import Samples
+from pipeline.recording.samples import Samples, middle
 from pipeline.records.findings import Finding
 
 FEWEST_ROWS = 8
@@ -106,9 +106,8 @@ def _first_motion_against(samples: Samples) -> int | None:
     edge, x = samples.wall_edge, samples.position
     if edge < BASELINE:
         return None
-    rest, noise = float(np.median(x[:edge])), float(x[:edge].max() - x[:edge].min())
-    clear = CLEAR * max(noise, samples.least_change)
-    away = np.flatnonzero(np.abs(x[edge:] - rest) > clear)
+    rest, noise = middle(x[:edge]), float(x[:edge].max() - x[:edge].min())
+    away = np.flatnonzero(np.abs(x[edge:] - rest) > CLEAR * max(noise, samples.least_change))[:1]
     if not len(away) or (x[edge + away[0]] - rest) * samples.jumps[edge - 1] > 0:
         return None
     return edge + int(away[0])

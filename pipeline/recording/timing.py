@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.recording.samples import Samples
+from pipeline.recording.samples import Samples, middle
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Finding
 
@@ -94,7 +94,7 @@ def _size(values: Floats) -> float:
 def missing_rows(samples: Samples) -> Finding | None:
     """Return the rows that the time stamps skip."""
     steps, period = samples.steps, samples.period
-    if steps.max() <= MISSING * period or float(np.median(steps)) > MISSING * period:
+    if steps.max() <= MISSING * period or middle(steps) > MISSING * period:
         return None
     gaps = np.flatnonzero(steps > MISSING * period)
     lost = int(np.sum(np.rint(steps[gaps] / period) - 1))

@@ -19,6 +19,9 @@ BEFORE = 10
 SLOWER = 1.5
 """Speed before a stop relative to that behind it: a free motion turns as fast as it came."""
 
+FAST = 0.05
+"""Speed at a stop relative to the largest one."""
+
 STEPS = 8.0
 """Change of the velocity at a stop in steps of the sensor a row."""
 
@@ -35,17 +38,16 @@ def travel_stop(samples: Samples) -> Finding | None:
     x, change = samples.position, samples.change
     if len(x) < 2 * BEFORE:
         return None
-    near = np.minimum(x.max() - x, x - x.min())[2:-2] <= AT_EXTREME * samples.range
-    before, after = change[:-3], change[3:]
-    hit = np.abs(after - before)
-    abrupt = near & (np.abs(before) > SLOWER * np.abs(after)) & (np.abs(before) > STEPS * samples.least_change)
-    abrupt &= hit > 0.1 * float(samples.size.max())
-    for row in (np.flatnonzero(abrupt) + 2).tolist():
-        if row < BEFORE:
-            continue
+    size, low, high = samples.size, float(x.min()), float(x.max())
+    fast = size[:-3] > np.maximum(SLOWER * size[3:], max(STEPS * samples.least_change, FAST * samples.fastest))
+    rows = np.flatnonzero(fast) + 2
+    near = AT_EXTREME * samples.range
+    rows = rows[(rows >= BEFORE) & ((x[rows] >= high - near) | (x[rows] <= low + near))]
+    for row in rows.tolist():
+        hit = abs(change[row + 1] - change[row - 2])
         brake = np.abs(np.diff(change[row - BEFORE : row - 1]))
-        outwards = (x[row] - 0.5 * (x.max() + x.min())) * change[row - 2] > 0
-        if not outwards or hit[row - 2] <= IMPACT * 2 * float(brake.max()) or _is_answer(samples, row):
+        outwards = (x[row] - 0.5 * (high + low)) * change[row - 2] > 0
+        if not outwards or hit <= IMPACT * 2 * float(brake.max()) or _is_answer(samples, row):
             continue
         return Finding(
             code="travel_stop",
