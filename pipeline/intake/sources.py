@@ -22,10 +22,10 @@ from itertools import islice
 from pathlib import Path
 
 from pipeline.base.disk import READABLE, shared_mode
-from pipeline.base.errors import LogError, UsageError, refusal
+from pipeline.base.errors import LogError, ParameterError, UsageError, refusal
 from pipeline.base.paths import open_regular, path_text, storable
 from pipeline.profiles.profile_files import claim
-from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile, find_groups
+from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile, conditions_in_name, number_in_name
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.readers.frame import LARGEST_LOG
 from pipeline.records.findings import Motion
@@ -120,10 +120,13 @@ class Source:
         profile, name = self.profile, storable(self.path.name)
         if profile is None or not profile.reads_names:
             return None
-        told = (find_groups(profile.name_pattern, name) if profile.name_pattern else None) or {}
+        try:
+            told = (conditions_in_name(profile.name_pattern, name) if profile.name_pattern else None) or {}
+        except ParameterError:  # it is refused where it is read
+            told = {}
         for key in told.keys() & CONDITION_QUANTITIES:
             with suppress(ValueError):
-                told[key] = str(float(told[key]))
+                told[key] = str(number_in_name(told[key], profile.decimal_sign))
         entries = [entry.match for entry in profile.file if fnmatchcase(name.lower(), entry.match.lower())]
         return json.dumps([told, entries], sort_keys=True)
 
@@ -351,12 +354,16 @@ def load_source(source: Source) -> tuple[RawLog, str, Source]:
         if (before.st_size, before.st_mtime_ns) != (len(data[-1]), after.st_mtime_ns):
             raise refusal("changed-while-read", "", "file changed while it was read", "a finished recording")
         size, mtime_ns = size + after.st_size, max(mtime_ns, after.st_mtime_ns)
-    hashes = [hashlib.sha256(part).hexdigest() for part in data]
-    sha256 = hashes[0] if len(hashes) == 1 else hashlib.sha256("".join(hashes).encode()).hexdigest()
+    sha256 = content_hash([hashlib.sha256(part).hexdigest() for part in data])
     raw = RawLog(tuple(storable(file.name) for file in source.files), tuple(data))
     if (size, mtime_ns) != (source.size, source.mtime_ns):
         source = replace(source, size=size, mtime_ns=mtime_ns)
     return raw, sha256, source
+
+
+def content_hash(hashes: Sequence[str]) -> str:
+    """Return the SHA-256 of a log from those of its files, in their order."""
+    return hashes[0] if len(hashes) == 1 else hashlib.sha256("".join(hashes).encode()).hexdigest()
 
 
 def motion_of(log: Log, known: Mapping[str, Motion]) -> Motion:

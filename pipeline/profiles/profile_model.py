@@ -57,6 +57,16 @@ _NEGATED = {
 """Where the sign of each column is -1."""
 
 
+NUMBERS_IN_NAMES = frozenset({"stiffness", "damping", "step", "sampling_period_s", "added_delay_samples"})
+"""Conditions that are numbers."""
+
+_DECIMAL_COMMA = re.compile(r"(?<=[0-9]),(?=[0-9])")
+_CUT_BEHIND = re.compile(r",[0-9](?:[0-9.,]*[0-9])?")
+_CUT_BEFORE = re.compile(r"[0-9](?:[0-9.,]*[0-9])?,$")
+_THREE_DIGITS = re.compile(r"[+-]?[1-9][0-9]{0,2}![0-9]{3}")
+_THOUSANDS = "{} may separate thousands. Write the number without them, with one decimal sign"
+
+
 @cache
 def _compiled(pattern: str) -> Any:
     # Python's own engine tries every way to divide a text: ^(a+)+$ takes years for a file name of sixty letters
@@ -72,6 +82,91 @@ def find_groups(pattern: str, text: str) -> dict[str, str] | None:
     """
     match = _compiled(pattern).search(text)
     return None if match is None else {key: value for key, value in match.groupdict().items() if value is not None}
+
+
+def conditions_in_name(pattern: str, name: str) -> dict[str, str] | None:
+    """Return the conditions that a pattern takes from a file name, None where it does not fit.
+
+    A pattern that does not fit is tried with points for the commas between digits. A number is returned whole: if the
+    pattern ends it at a comma between digits, the rest of the number is added. A comma that the pattern itself asks for
+    is a separator.
+
+    Raises
+    ------
+    ParameterError
+        If the pattern begins a number behind a comma that it does not ask for.
+
+    Examples
+    --------
+    >>> conditions_in_name("K(?P<stiffness>[0-9.]+)_B(?P<damping>[0-9.]+)", "K300_B2.csv")
+    {'stiffness': '300', 'damping': '2'}
+    >>> conditions_in_name("K(?P<stiffness>[0-9.]+)", "K2,5.csv")
+    {'stiffness': '2,5'}
+    >>> conditions_in_name("K(?P<stiffness>[0-9.]+),(?P<damping>[0-9.]+)", "K300,2.csv")
+    {'stiffness': '300', 'damping': '2'}
+    """
+    for text in (name, _DECIMAL_COMMA.sub(".", name)):
+        if (match := _compiled(pattern).search(text)) is not None:
+            break
+    else:
+        return None
+    found: dict[str, str] = {}
+    for key, group in _compiled(pattern).groupindex.items():
+        begin, end = match.span(group)
+        if match[group] is None:
+            continue
+        found[key] = name[begin:end]
+        if key not in NUMBERS_IN_NAMES:
+            continue
+        before = _CUT_BEFORE.search(name[:begin]) if found[key][:1].isdigit() else None
+        if before is not None and not _asks_for(pattern, text, begin - 1, group):
+            raise ParameterError(
+                f"name_pattern takes {found[key]!r} as the {key} and leaves out {before[0]!r} before it. Is the comma "
+                "a decimal sign? Put it into the group, or in front of it"
+            )
+        behind = _CUT_BEHIND.match(name[end:]) if found[key][-1:].isdigit() else None
+        if behind is not None and not _asks_for(pattern, text, end, group):
+            found[key] += behind[0]
+        found[key] = found[key].strip().rstrip(".,")
+    return found
+
+
+def _asks_for(pattern: str, text: str, comma: int, group: int) -> bool:
+    """Return whether a pattern asks for a comma of a text: with another sign in its place the group is another one."""
+    spans = []
+    for tried in (text, f"{text[:comma]}\x01{text[comma + 1 :]}"):
+        match = _compiled(pattern).search(tried)
+        spans.append(None if match is None else match.span(group))
+    return spans[0] != spans[1]
+
+
+def number_in_name(text: str, decimal: str = ".") -> float:
+    """Return a number of a file name, in which a point or a comma is the decimal sign.
+
+    Parameters
+    ----------
+    text : str
+    decimal : {".", ","}
+        Decimal sign of the profile, which decides where three digits follow.
+
+    Raises
+    ------
+    ParameterError
+        If a point or comma might separate thousands.
+    ValueError
+        If it is no number.
+
+    Examples
+    --------
+    >>> number_in_name("2,5"), number_in_name("-0,125"), number_in_name("1.250"), number_in_name("300")
+    (2.5, -0.125, 1.25, 300.0)
+    """
+    other = "," if decimal == "." else "."
+    if text.count(",") + text.count(".") > 1:
+        raise ParameterError(_THOUSANDS.format("points and commas"))
+    if _THREE_DIGITS.fullmatch(text.replace(other, "!")):
+        raise ParameterError(_THOUSANDS.format("the comma" if other == "," else "the point"))
+    return float(text.replace(",", ".").replace("_", "?"))
 
 
 def group_names(pattern: str) -> frozenset[str]:

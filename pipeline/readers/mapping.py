@@ -29,7 +29,8 @@ from pipeline.profiles.profile_model import (
     StepEntry,
     StepTime,
     Window,
-    find_groups,
+    conditions_in_name,
+    number_in_name,
 )
 from pipeline.readers.formats import refuse_other_kind
 from pipeline.readers.frame import KEPT_ATTRIBUTES, LONGEST_ATTRIBUTE, Contents, Scalar
@@ -345,7 +346,10 @@ def statements(profile: Profile, name: str, part: Part) -> dict[str, tuple[str, 
     """
     entry, step = part
     found = {key: ("constants", value) for key, value in profile.constants.given().items()}
-    told = {} if profile.name_pattern is None else find_groups(profile.name_pattern, name)
+    try:
+        told = {} if profile.name_pattern is None else conditions_in_name(profile.name_pattern, name)
+    except ParameterError as error:
+        raise refusal("condition-wrong", "", f"file name {name!r}: {error}") from error
     if told is None:
         text = f"file name {name!r} does not fit name_pattern {profile.name_pattern!r} of {profile.name}"
         raise refusal("profile-wrong", "", text)
@@ -459,7 +463,10 @@ def _in_si(profile: Profile, where: str, key: str, value: Scalar, inside: bool =
         found = f"{said}, but the decimal sign is ',': the point may part thousands"
         raise refusal("condition-wrong", where, found)
     try:
-        magnitude = float(number.replace(profile.decimal_sign, ".").replace("_", "?"))
+        if inside:
+            magnitude = float(number.replace(profile.decimal_sign, ".").replace("_", "?"))
+        else:
+            magnitude = number_in_name(number, profile.decimal_sign)
         unit = unit.strip()
         stated = factor_to_si(unit, (CONDITION_QUANTITIES[key][profile.constants.motion],)) if unit else factor
     except ParameterError as error:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from itertools import permutations
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,7 +21,16 @@ import numpy as np
 from pipeline.base.errors import LogError, ProfileError, UsageError, refusal
 from pipeline.base.units import UNITS, find_unit, unit_between, unit_in_heading
 from pipeline.profiles.profile_files import QUESTION
-from pipeline.profiles.profile_model import CONDITION_QUANTITIES, QUANTITIES, Format, Profile, find_groups, si_unit
+from pipeline.profiles.profile_model import (
+    CONDITION_QUANTITIES,
+    QUANTITIES,
+    Format,
+    Profile,
+    conditions_in_name,
+    find_groups,
+    number_in_name,
+    si_unit,
+)
 from pipeline.readers.formats import format_of
 from pipeline.readers.formats.delimited import Layout, text_layout, unpacked
 from pipeline.readers.frame import Contents
@@ -89,7 +99,7 @@ _ROLES = {
         0.8,
     ),
 }
-_NAMED_WALL = re.compile(r"(?<![A-Za-z])([KB])([_=]?)(-?)\d+\.?\d*", re.IGNORECASE)
+_NAMED_WALL = re.compile(r"(?<![A-Za-z])([KB])([_=]?)(-?)\d+[.,]?\d*", re.IGNORECASE)
 """Stiffness or damping in the name of a file."""
 
 _SPEEDS = frozenset(QUANTITIES["velocity"].values())
@@ -190,7 +200,7 @@ def _lines(sample: Sample, path: Path, others: Sequence[Path]) -> Iterator[str]:
         yield from (f"{QUESTION} {key}: {words}", f"# {key} = {_toml(',' if key == 'decimal' else 'latin-1')}")
     law, table = _law(sample), ""
     keys = KEYS | _of_columns(sample, law) | _of_names(path, others, law)
-    keys |= _of_law(law, keys, path.name) if law else {}
+    keys |= _of_law(law, keys, sample) if law else {}
     for place, (value, question) in keys.items():
         above, _, key = place.rpartition(".")
         if value is None:
@@ -319,7 +329,7 @@ def _of_names(path: Path, others: Sequence[Path], law: _Law | None) -> Keys:
     return keys
 
 
-def _of_law(law: _Law, keys: Keys, name: str) -> Keys:
+def _of_law(law: _Law, keys: Keys, sample: Sample) -> Keys:
     """Return the keys that the law of the command tells."""
     motion: Motion = "rotation" if UNITS[law.units["position"][0]].quantity == "angle" else "translation"
     found: Keys = {
@@ -334,16 +344,26 @@ def _of_law(law: _Law, keys: Keys, name: str) -> Keys:
         float(f"{law.period_s:.9g}"),
         "" if sure else KEYS["constants.sampling_period_s"][1],
     )
-    named = find_groups(keys["name_pattern"][0] or "", name) or {}
+    named = _numbers_in_name(keys["name_pattern"][0] or "", sample)
     for key in ("stiffness", "damping"):
         value = abs(law.in_si[key])
         if key not in named:
             found[f"constants.{key}"] = value, KEYS[f"constants.{key}"][1]
-        elif value and float(named[key]):
+        elif value and named[key]:
             # the command obeys the number in the file name in this unit
-            unit = unit_between(si_unit(CONDITION_QUANTITIES[key][motion]), value / abs(float(named[key])), SAME)
+            unit = unit_between(si_unit(CONDITION_QUANTITIES[key][motion]), value / abs(named[key]), SAME)
             found |= {f"units.{key}": ("N/mm" if unit == "kN/m" else unit, "")} if unit else {}
     return found
+
+
+def _numbers_in_name(pattern: str, sample: Sample) -> dict[str, float]:
+    """Return the numbers that a pattern takes from the name of a sample; 0 for one that cannot be read."""
+    numbers = dict.fromkeys(find_groups(pattern, sample.name) or (), 0.0)
+    decimal = str(sample.layout.keys.get("decimal", "."))
+    with suppress(ValueError):
+        texts = conditions_in_name(pattern, sample.name) or {}
+        numbers |= {key: number_in_name(text, decimal) for key, text in texts.items()}
+    return numbers
 
 
 def _files(name: str) -> str:
@@ -362,7 +382,7 @@ def _wall_in_name(stem: str) -> str:
     groups = {"K": "stiffness", "B": "damping"}
     # a dash behind both letters parts them from their numbers; behind one alone it is its sign
     dash = "-" if len(found) > 1 and all(minus for *_, minus in found) else ""
-    return ".*".join(f"{k}{sign}{dash}(?P<{groups[k.upper()]}>-?[0-9]+[.]?[0-9]*)" for k, sign, _ in found)
+    return ".*".join(f"{k}{sign}{dash}(?P<{groups[k.upper()]}>-?[0-9]+[.,]?[0-9]*)" for k, sign, _ in found)
 
 
 def _toml(value: object) -> str:
