@@ -405,7 +405,7 @@ class _Run:
             return
         rival = former if again else None if twin is None else self.stored.get(twin)
         outcome = self._outcome(rival, accepted)
-        if twin is not None and outcome is None:
+        if twin is not None and outcome is None and not is_gone(path_of_text(twin)):
             self._known(source, former, again, twin)  # another version of the profile read the other one
             return
         if twin is not None and rival is not None:

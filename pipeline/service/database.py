@@ -325,6 +325,10 @@ class Database:
         given = (time.time(), who, did, json.dumps(what))
         self.run("INSERT INTO audit (time, who, did, what) VALUES (?, ?, ?, ?)", *given)
 
+    def has_noted(self, did: str, what: object) -> bool:
+        """Return whether an action with these details is in the audit, whoever did it."""
+        return bool(self.run("SELECT 1 FROM audit WHERE did = ? AND what = ? LIMIT 1", did, json.dumps(what)))
+
     def audit(self, before: int, limit: int) -> tuple[list[dict[str, Any]], int | None]:
         """Return who did what as `latest` does."""
         rows, last = self.latest("audit", before, limit)

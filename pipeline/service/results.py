@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
@@ -21,6 +22,7 @@ from pipeline.comparison.scene.scene import needed_stages, open_scene
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.intake.ingest import ingest
+from pipeline.intake.kept import StoredSources
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.plan.course import Wish
 from pipeline.plan.planner import plan
@@ -77,12 +79,31 @@ def run_upload(settings: Settings, database: Database, request: dict[str, Any], 
             wait_s=LONGEST_S,
         )
         result = _named(report.model_dump(mode="json", exclude={"plan"}), folder.parent, database)
+        _note_versions(settings, database, request)
     result["found"] += skipped
     result["skipped"] += skipped
     for place in _newest_first(settings.processed, begun):
         _computed(settings, place, {}, verdicts=True)
     database.add_job("stages", {}, "stages")
     return result
+
+
+READ_AGAIN = "read logs again by a changed profile"
+"""Words of the audit entry of an upload."""
+
+
+def _note_versions(settings: Settings, database: Database, request: dict[str, Any]) -> None:
+    """Add to the audit how many logs of an upload another version of their profile read before; once for a job."""
+    before: dict[str, str] = request.get("versions", {})
+    stored = StoredSources(settings.processed, "", {}) if before else None
+    logs = Counter[tuple[str, str, str]]()
+    for path, former in before.items():
+        if stored is not None and (now := stored.get(path)) is not None and now.profile_sha256 != former:
+            logs[now.profile, former, now.profile_sha256] += 1
+    for (profile, former, present), count in sorted(logs.items()):
+        what = {"profile": profile, "before": former, "now": present, "logs": count, "job": request["folder"]}
+        if not database.has_noted(READ_AGAIN, what):  # a job that was interrupted runs twice
+            database.note(request["author"], READ_AGAIN, what)
 
 
 def _named(value: Any, folder: Path, database: Database) -> Any:

@@ -10,7 +10,7 @@ import hashlib
 import os
 import secrets
 import shutil
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,8 +23,8 @@ from starlette.requests import Request
 
 from pipeline.base.disk import each, make_folder, sync_folder
 from pipeline.base.paths import path_of_text, path_text
-from pipeline.intake.kept import list_quarantine
-from pipeline.intake.sources import find_sources
+from pipeline.intake.kept import StoredSource, StoredSources, list_quarantine, trial_id
+from pipeline.intake.sources import Source, content_hash, find_sources
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.service.database import Database
 from pipeline.service.problems import Problem
@@ -59,6 +59,25 @@ class _Part:
     path: Path
     size: int
     sha256: str
+
+
+@dataclass(frozen=True)
+class _Earlier:
+    """Part of an upload that the service already has.
+
+    Parameters
+    ----------
+    files : set of Path
+        Files of the request that are not stored a second time.
+    again : dict of str to set of Path
+        Stored path of each log that is read again, and the files of the request that are this log.
+    versions : dict of str to str
+        Hash of the profile that read each of these logs before; refused logs have none.
+    """
+
+    files: set[Path]
+    again: dict[str, set[Path]]
+    versions: dict[str, str]
 
 
 class Upload:
@@ -139,62 +158,73 @@ class Upload:
         """Sync all that is new and queue its job; what was uploaded before is left out."""
         profile = self.fields.get("profile", "")
         own = profile_path(self.settings, profile)
-        known, again = self._known(database, profile, own)
-        listed, new, refused = [], [], set[str]()
+        earlier = self._earlier(database, profile, own)
+        queued = set[Path]().union(*earlier.again.values())
+        listed, new = [], []
         for part in self.files:
-            if part.path in known:
+            if part.path in earlier.files:
                 part.path.unlink()
             else:
                 new.append(part)
-            refused |= {again[part.path]} if part.path in again else set()
-            state = "skipped" if part.path in known - again.keys() else "queued"
+            state = "skipped" if part.path in earlier.files - queued else "queued"
             listed.append({"name": part.name, "size": part.size, "sha256": part.sha256, "state": state})
         self._sync([part.path for part in new])
         with database.transaction():
-            for path in refused:  # it is this profile's now
+            for path in earlier.again:  # a refused log belongs to this profile from now on
                 database.run("UPDATE uploads SET profile = ? WHERE path = ?", profile, path)
             for part in new:
                 place = (self.name, str(part.path), part.name)
                 database.run("INSERT INTO uploads VALUES (?, ?, ?, ?, ?)", part.sha256, profile, *place)
             skipped = sum(file["state"] == "skipped" for file in listed)
-            request = {"folder": self.name, "profile": profile, "skipped": skipped, "again": sorted(refused)}
+            request = {"folder": self.name, "profile": profile, "skipped": skipped, "again": sorted(earlier.again)}
+            request |= {"versions": earlier.versions, "author": author}
             job = database.add_job("upload", request, job=self.name, author=author)
         return {"job": job, "files": listed}
 
-    def _known(self, database: Database, profile: str, own: str | Path | None) -> tuple[set[Path], dict[Path, str]]:
-        """Return the files that lie here from before, and of those that were refused the path of the log they are.
+    def _earlier(self, database: Database, profile: str, own: str | Path | None) -> _Earlier:
+        """Return the files of this request that the service already has, and the logs that an ingest has to read again.
 
-        What is read of a log depends on the name and on the files beside it, too: known is a log all of whose files
-        were uploaded together under these names.
+        The name and the neighbouring files decide how a log is read. A log is therefore known if all of its files were
+        uploaded together under these names. A log with the same content that an earlier version of its profile read is
+        known under any path.
         """
-        known: set[Path] = set()
-        again: dict[Path, str] = {}
+        earlier = _Earlier(set(), {}, {})
         parts = {part.path: part for part in self.files}
         refused = {record.path for record in list_quarantine(self.settings.processed, {})}
-        held = {Path(path).parent for path in map(path_of_text, refused)}
+        refused_folders = {Path(path).parent for path in map(path_of_text, refused)}
+        stored = StoredSources(self.settings.processed, "", {})
+        trial_paths = stored.places(set())
         seen = set[tuple[tuple[str, str], ...]]()
         for source in find_sources([self.folder], shipped_profiles() if own is None else (load_profile(own),)):
             files = [file for file in source.files if file in parts]
             names = tuple((file.name, parts[file].sha256) for file in files)
-            places = [self._places(database, sha256, profile, name, held) for name, sha256 in names]
-            before = sorted(set.intersection(*places)) if places else []
-            if names in seen or before:
-                known.update(files)
+            places = [self._places(database, sha256, profile, name, refused_folders) for name, sha256 in names]
+            # a bag is a folder, any other log a file in it
+            inside = () if source.path in {file.parent for file in files} else (source.path.name,)
+            folders = sorted(set.intersection(*places)) if places else []
+            former = [path_text(os.path.abspath(folder.joinpath(*inside))) for folder in folders]
+            twin = _twin(source, [sha256 for _, sha256 in names], trial_paths)
+            again = {path for path in former if path in refused or not _is_current(stored.get(path), source, twin)}
+            if twin is not None and _is_outdated(stored.get(twin), source, twin):
+                again.add(twin)
+            if names in seen or former or again:
+                earlier.files.update(files)
+            if names not in seen:
+                earlier.again.update({path: earlier.again.get(path, set()) | {*files} for path in again})
             seen.add(names)
-            for folder in before:
-                if (log := path_text(os.path.abspath(folder / source.path.name))) in refused:
-                    again |= dict.fromkeys(files, log)
-        return known, again
+        versions = {path: stored.get(path) for path in earlier.again}
+        earlier.versions.update({path: one.profile_sha256 for path, one in versions.items() if one is not None})
+        return earlier
 
-    def _places(self, database: Database, sha256: str, profile: str, name: str, held: set[Path]) -> set[Path]:
-        """Return the folders with a content under a name, uploaded for the same profile, or those of refused logs."""
+    def _places(self, database: Database, sha256: str, profile: str, name: str, refused: set[Path]) -> set[Path]:
+        """Return the folders that have a content under a name, uploaded for the same profile or with refused logs."""
         rows = database.run(
             "SELECT path, job, profile FROM uploads JOIN jobs ON jobs.id = uploads.job WHERE sha256 = ? "
             "AND state NOT IN ('cancelled', 'failed')",
             sha256,
         )
         same = {self._path(row["job"], row["path"]): row["profile"] == profile for row in rows}
-        usable = [path for path, own in same.items() if own or path.absolute().parent in held]
+        usable = [path for path, own in same.items() if own or path.absolute().parent in refused]
         return {path.parent for path in usable if path.name == name and path.is_file()}
 
     def _path(self, job: str, path: str) -> Path:
@@ -206,6 +236,30 @@ class Upload:
         folders = {parent for file in files for parent in file.parents if self.folder in (parent, *parent.parents)}
         each(_sync_file, files)
         each(sync_folder, [*folders, self.folder.parent] if files else [])
+
+
+def _twin(source: Source, hashes: list[str], trial_paths: Mapping[str, str]) -> str | None:
+    """Return the path under which a log of this content is stored; None without one."""
+    if source.profile is None or not hashes:
+        return None
+    return trial_paths.get(trial_id(content_hash(hashes), None, source.told))
+
+
+def _is_current(stored: StoredSource | None, source: Source, twin: str | None) -> bool:
+    """Return whether a log is stored as its profile reads it now, here or, if not here, under another path."""
+    if stored is None:
+        return twin is not None
+    return stored.whole and stored.profile_sha256 == source.profile_sha256
+
+
+def _is_outdated(stored: StoredSource | None, source: Source, path: str) -> bool:
+    """Return whether another version of the same profile read a log whose files are still those that were read."""
+    if stored is None or source.profile is None or stored.profile != source.profile.name:
+        return False
+    if stored.profile_sha256 == source.profile_sha256:
+        return False
+    now = find_sources([place], (source.profile,)) if (place := path_of_text(path)).exists() else []
+    return [(one.size, one.mtime_ns) for one in now] == [(stored.size, stored.mtime_ns)]
 
 
 @asynccontextmanager
