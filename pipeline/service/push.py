@@ -15,6 +15,8 @@ from urllib.parse import quote, urlsplit
 from urllib.request import Request, urlopen
 
 from pipeline.base.errors import UsageError
+from pipeline.base.paths import path_text
+from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import read_profile
 
 AT_A_TIME, BYTES = 200, 64 << 20
@@ -31,7 +33,7 @@ def push(folder: Path, to: str, profile: str | None, token: str | None, advance:
     Raises
     ------
     UsageError
-        If there are no logs, the server cannot be reached, or it refuses; what it took before stays there.
+        If there are no logs, the folder does not exist, the server cannot be reached, or it refuses; what it took before stays there.
     """
     files = [folder] if folder.is_file() else sorted(_logs(folder))
     if not files:
@@ -39,7 +41,10 @@ def push(folder: Path, to: str, profile: str | None, token: str | None, advance:
     server = _Server(to, token)
     if profile is not None and profile.endswith(".toml"):
         profile = server.keep(Path(profile))
-    total: dict[str, Any] = {"found": 0, "ingested": 0, "skipped": 0, "quarantined": [], "warnings": [], "damaged": []}
+    notices = list[tuple[Path, str]]()
+    find_sources([folder], (), None, notices)
+    total: dict[str, Any] = {"found": 0, "ingested": 0, "skipped": 0, "quarantined": [], "warnings": [], "changed": []}
+    total |= {"damaged": []}
     jobs = []
     sent = 0
     for group in _groups(files):
@@ -50,6 +55,8 @@ def push(folder: Path, to: str, profile: str | None, token: str | None, advance:
         result = server.wait(job)
         for name, value in total.items():
             total[name] = value + result.get(name, type(value)())
+    total["warnings"] += [{"path": path_text(path), "warning": text} for path, text in notices]
+    total["warnings"].sort(key=lambda warning: warning["path"])
     return total
 
 

@@ -112,10 +112,12 @@ def _named(value: Any, folder: Path, database: Database) -> Any:
         return {name: _named(part, folder, database) for name, part in value.items()}
     if isinstance(value, (list, tuple)):
         return [_named(part, folder, database) for part in value]
-    if isinstance(value, str) and value.startswith(str(folder)):
-        rows = database.run("SELECT name FROM uploads WHERE path = ?", value)
-        return rows[0]["name"] if rows else Path(value).name
-    return value
+    if not isinstance(value, str) or str(folder) not in value:
+        return value
+    rows = database.run("SELECT path, name FROM uploads WHERE instr(?, path) ORDER BY length(path) DESC", value)
+    for row in rows:
+        value = value.replace(row["path"], row["name"])
+    return Path(value).name if value.startswith(str(folder)) else value
 
 
 def run_stages(settings: Settings, database: Database, _request: dict[str, Any], progress: Progress) -> Any:

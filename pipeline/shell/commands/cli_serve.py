@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, UsageError
 from pipeline.shell import console
-from pipeline.shell.commands.cli_storage import counts_of, refusals
+from pipeline.shell.commands.cli_storage import counts_of, refusals, warnings_of
 from pipeline.shell.commands.options import Processed, ProfileFile, Reports
 from pipeline.shell.console import argument, option
 
@@ -91,7 +91,7 @@ def push(
     """Upload logs to a server; run again to resume.
 
     A profile file is kept on the server. A token is taken from the variable PIPELINE_TOKEN. Exit status 3 where a log
-    was refused.
+    was refused. Warnings are those of `pipeline ingest`, on stderr.
 
     Example: pipeline push raw --to http://127.0.0.1:8000
     """
@@ -99,6 +99,8 @@ def push(
 
     with console.progress("push", "logs") as advance:
         report = push_logs(folder, to, profile, os.environ.get(TOKEN_VARIABLE), advance)
+    for line in warnings_of(report):
+        console.step(line)
     console.tell(report, _push_lines(report))
     return EXIT_ERROR if report["damaged"] else EXIT_QUARANTINED if report["quarantined"] else EXIT_OK
 

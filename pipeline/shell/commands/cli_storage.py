@@ -71,6 +71,13 @@ def refusals(refused: Iterable[Mapping[str, Any]]) -> Iterable[str]:
     return console.grouped((f"{one['path']}{row}", one["reason"]) for one, row in rows)
 
 
+def warnings_of(report: Mapping[str, Any]) -> Iterable[str]:
+    """Yield the warnings of an ingest, those of one kind as one line, and the logs whose stored trials changed."""
+    warnings = ((each["path"], each["warning"], each.get("code")) for each in report["warnings"])
+    yield from (f"warning: {line}" for line in console.warned(warnings))
+    yield from (f"changed: {source['path']}: {source['outcome']}" for source in report["changed"])
+
+
 def _ingest_lines(report: Mapping[str, Any], hint: bool) -> Iterable[str]:
     yield from counts_of(report)
     plan: dict[tuple[str, str], list[str]] = {}
@@ -80,9 +87,7 @@ def _ingest_lines(report: Mapping[str, Any], hint: bool) -> Iterable[str]:
     for (action, reason), paths in sorted(plan.items(), key=lambda group: -len(group[1])):
         yield from _listed(f"{action} ({reason})", paths)
     yield from refusals(report["quarantined"])
-    warnings = ((each["path"], each["warning"], each["code"]) for each in report["warnings"])
-    yield from (f"warning: {line}" for line in console.warned(warnings))
-    yield from (f"changed: {source['path']}: {source['outcome']}" for source in report["changed"])
+    yield from warnings_of(report)
     yield from _listed("removed, its trials stay stored", report["removed"])
     yield from _listed("waiting, modified a moment ago", report["waiting"])
     yield from _listed("damaged", report["damaged"])
