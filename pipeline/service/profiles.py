@@ -13,13 +13,15 @@ import sys
 import threading
 import time
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pipeline.base.disk import make_folder, write_text
 from pipeline.base.errors import ProfileError
 from pipeline.base.provenance import schema_folder
+from pipeline.base.wording import counted
 from pipeline.profiles.profile_files import find_questions, read_profile, shipped_profiles
 from pipeline.service.problems import Problem
 from pipeline.service.settings import Settings
@@ -30,6 +32,12 @@ LONGEST = 100_000
 
 WAIT_S, DRAFT_S = 30.0, 86400.0
 """Longest time of a draft or preview, and for which samples are kept [s]."""
+
+_WALL = ("stiffness", "damping", "step")
+"""Conditions that the wall law contains."""
+
+_REMARKS = 5
+"""Contradictions that are listed in a profile."""
 
 _AT_WORK = threading.Lock()
 
@@ -58,8 +66,14 @@ def text_of(settings: Settings, name: str) -> str:
     raise Problem(404, "There is no such profile.", where="name", found=name)
 
 
-def keep(settings: Settings, name: str, text: str) -> None:
-    """Keep a profile of the lab under a name, which becomes its own, in place of an earlier one of that name."""
+def checked_text(settings: Settings, name: str, text: str) -> tuple[str, str]:
+    """Return a profile under the name that it gets, and its hash.
+
+    Raises
+    ------
+    Problem
+        If a shipped profile has the name, or the profile is wrong.
+    """
     if name in {profile.name for profile in shipped_profiles()}:
         raise Problem(409, "A shipped profile has this name. Choose another one.", where="name", found=name)
     folder = settings.data / "profiles"
@@ -68,12 +82,81 @@ def keep(settings: Settings, name: str, text: str) -> None:
     text = re.sub(r"(?m)^name *=.*$", f'name = "{name}"', text, count=1)
     write_text(trial, text)
     try:
-        read_profile(trial)
+        return text, read_profile(trial).digest
     except ProfileError as error:
         raise Problem(422, str(error).replace(str(trial), f"{name}.toml"), where="profile") from error
     finally:
         trial.unlink(missing_ok=True)
-    write_text(folder / f"{name}.toml", text)
+
+
+def keep(settings: Settings, name: str, text: str) -> None:
+    """Keep a profile that was checked, in place of an earlier one of its name."""
+    write_text(settings.data / "profiles" / f"{name}.toml", text)
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """A sample log whose command obeys another wall than a profile states.
+
+    Parameters
+    ----------
+    where : str
+        The log, with its trial where it has several.
+    expected : str
+        Stiffness, damping and step that the profile states, with units.
+    found : str
+        What the command obeys, and how to correct the profile.
+    """
+
+    where: str
+    expected: str
+    found: str
+
+
+def contradictions(samples: Sequence[Mapping[str, Any]]) -> list[Contradiction]:
+    """Return the contradictions in a preview."""
+    found = []
+    for sample in samples:
+        for trial in sample["trials"]:
+            if not trial["other_gains"]:
+                continue
+            where = sample["path"] if trial["label"] is None else f"{sample['path']}, trial {trial['label']}"
+            stated = {c["name"]: f"{c['value']:.6g} {c['unit']}" for c in trial["conditions"] if c["name"] in _WALL}
+            expected = ", ".join(f"{name} {stated[name]}" for name in _WALL if name in stated)
+            found.append(Contradiction(where, expected, trial["other_gains"]))
+    return found
+
+
+def refuse_contradictions(found: Sequence[Contradiction]) -> None:
+    """Refuse a profile whose sample contradicts it.
+
+    Raises
+    ------
+    Problem
+        If there is a contradiction: the logs, the wall that the profile states, and what the command obeys.
+    """
+    if not found:
+        return
+    count = len(found)
+    raise Problem(
+        422,
+        f"The profile is not kept: the command of {counted(count, 'sample log')} contradicts the wall that the profile "
+        f"states. {found[0].where}: the profile states {found[0].expected}, but {found[0].found}. Correct the profile, "
+        "or confirm in words why it is right.",
+        where=", ".join(one.where for one in found),
+        expected=[one.expected for one in found],
+        found=[one.found for one in found],
+    )  # fmt: skip
+
+
+def with_confirmation(text: str, words: str, who: str, found: Sequence[Contradiction]) -> str:
+    """Return a profile with remarks: who confirmed the contradictions of its sample, when, and in which words."""
+    lines = [f"CONFIRMED by {who or 'unknown'} on {time.strftime('%Y-%m-%d')}: {words}"]
+    lines += [f"contradiction, {one.where}: {one.found}" for one in found[:_REMARKS]]
+    lines += [f"contradictions in {counted(len(found) - _REMARKS, 'other log')}"] if len(found) > _REMARKS else []
+    # a line break or another control sign would end the remark
+    plain = ("".join(sign if sign.isprintable() else " " for sign in line) for line in lines)
+    return text.rstrip("\n") + "\n" + "".join(f"# {line}\n" for line in plain)
 
 
 def samples_folder(settings: Settings, sample: str) -> Path:

@@ -33,7 +33,7 @@ def push(folder: Path, to: str, profile: str | None, token: str | None, advance:
     Raises
     ------
     UsageError
-        If there are no logs, the folder does not exist, the server cannot be reached, or it refuses; what it took before stays there.
+        If there are no logs, the server cannot be reached, or it refuses; what it took before stays there.
     """
     files = [folder] if folder.is_file() else sorted(_logs(folder))
     if not files:

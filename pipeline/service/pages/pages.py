@@ -224,28 +224,42 @@ async def receive(service: Shared, request: Request) -> Response:
 async def draft(service: Shared, request: Request) -> Response:
     """Draft a profile for a sample, and show it with its questions."""
     found = await lab.drafted(service, request, lambda fields: check(service, request, fields.get("form", "")))
-    return page_of(service, request, "profile.html.j2", **found, name="", checked=None, problem="")
+    return page_of(service, request, "profile.html.j2", **found, name="", checked=None, problem="", unclear="",
+                   confirmation="")  # fmt: skip
 
 
 @pages.post("/profile")
 def profile(service: Shared, request: Request, who: Who, fields: Fields) -> Response:
     """Try a profile on its sample, or keep it."""
     answers = {int(key[7:]): value for key, (value, *_) in fields.items() if re.fullmatch(r"answer-\d+", key)}
-    given = {name: fields.get(name, [""])[0] for name in ("profile", "sample", "name", "act")}
+    given = {name: fields.get(name, [""])[0] for name in ("profile", "sample", "name", "act", "confirmation")}
     text = profiles.answered(given["profile"].replace("\r\n", "\n"), answers)
-    asked = lab.Tried(profile=text, sample=given["sample"])
-    checked, problem, name = None, "", given["name"].strip()
+    words = given["confirmation"].strip()
+    asked = lab.KeptProfile(profile=text, sample=given["sample"], confirmation=words)
+    checked, problem, unclear, name = None, "", "", given["name"].strip()
     try:
         if given["act"] == "keep":
             lab.put_profile(service, who, lab.NamedProfile(name=name).name, asked)
             return RedirectResponse(f"/upload?profile={name}", 303)
-        checked = lab.preview(service, asked)
+        checked = lab.preview(service, lab.Tried(profile=text, sample=given["sample"]))
     except Problem as error:
-        problem = str(error)
+        problem, unclear = str(error), _unclear(error)
+    if checked and profiles.contradictions(checked):
+        unclear = "The command of a sample log contradicts the wall that the profile states."
     return page_of(
-        service, request, "profile.html.j2", profile=text, sample=asked.sample, name=name, checked=checked,
-        questions=profiles.questions(text), problem=problem,
+        service, request, "profile.html.j2", profile=text, sample=given["sample"], name=name, checked=checked,
+        questions=profiles.questions(text), problem=problem, unclear=unclear, confirmation=words,
     )  # fmt: skip
+
+
+def _unclear(problem: Problem) -> str:
+    """Return why a profile is kept only if it is confirmed in words; empty where words do not help."""
+    about = problem.document
+    if problem.status == 404 and about.get("where") == "sample":
+        return "The sample is not kept any more, so that the profile cannot be tried on it."
+    if problem.status in (503, 504):
+        return "The profile could not be tried on the sample in time."
+    return "The command of a sample log contradicts the wall that the profile states." if "expected" in about else ""
 
 
 @pages.get("/jobs")

@@ -39,6 +39,17 @@ class Tried(ProfileText):
     sample: Annotated[str, Field(pattern="^[0-9a-f]{16}$")]
 
 
+class KeptProfile(ProfileText):
+    """A profile, and the sample of a draft that it is to agree with.
+
+    The command of a sample may obey another stiffness, damping or step than the profile states. The profile is then
+    kept only with a confirmation: why it is right nevertheless, in words.
+    """
+
+    sample: Annotated[str, Field(pattern="^[0-9a-f]{16}$")] | None = None
+    confirmation: Annotated[str, Field(max_length=1000)] = ""
+
+
 class NamedProfile(Form):
     """The name of a profile of the lab."""
 
@@ -63,12 +74,31 @@ def profile(service: Shared, name: ProfileName) -> dict[str, str]:
     return {"profile": profiles.text_of(service.settings, name)}
 
 
-@lab.put("/profiles/{name}", response_model=ProfileText)
-def put_profile(service: Shared, who: Who, name: ProfileName, asked: ProfileText) -> dict[str, str]:
-    """Keep a profile of the lab, in place of an earlier one of its name."""
-    profiles.keep(service.settings, name, asked.profile)
-    service.database.note(who, "kept a profile", {"name": name})
-    return {"profile": asked.profile}
+@lab.put("/profiles/{name}", response_model=ProfileText, responses=answers.problems(404, 409, 422, 504))
+def put_profile(service: Shared, who: Who, name: ProfileName, asked: KeptProfile) -> dict[str, str]:
+    """Keep a profile of the lab, in place of an earlier one of its name; a sample must not contradict it."""
+    text, version = profiles.checked_text(service.settings, name, asked.profile)
+    action: dict[str, Any] = {"name": name, "version": version}
+    if asked.sample is not None:
+        words, found = asked.confirmation.strip(), _contradictions(service, asked)
+        if not words:
+            profiles.refuse_contradictions(found)
+        elif found:
+            text = profiles.with_confirmation(text, words, who, found)
+            action |= {"confirmed": words, "contradictions": [f"{one.where}: {one.found}" for one in found]}
+    profiles.keep(service.settings, name, text)
+    service.database.note(who, "kept a profile", action)
+    return {"profile": asked.profile if "confirmed" not in action else text}
+
+
+def _contradictions(service: Service, asked: KeptProfile) -> list[profiles.Contradiction]:
+    """Return where the sample of a profile contradicts it; with a confirmation also that it cannot be tried."""
+    try:
+        return profiles.contradictions(preview(service, Tried(profile=asked.profile, sample=asked.sample or "")))
+    except Problem as problem:
+        if not asked.confirmation.strip():
+            raise
+        return [profiles.Contradiction("sample", "", f"The profile was not tried: {problem}")]
 
 
 @lab.post("/profiles/draft", response_model=answers.Draft, openapi_extra=files_of(),
