@@ -66,13 +66,14 @@ def test_a_trial_page_draws_theory_and_fits_once(served):
     first = page(served, f"/trials/{trial}")
     assert "<svg" not in first
     job = re.search(r'href="/jobs/(\w+)"', first)[1]
-    assert 'http-equiv="refresh"' in first
+    assert '<meta name="reload"' in first
+    assert 'http-equiv="refresh"' not in first, "it would drop unsaved notes"
     assert served.done(job)["problem"] is None
     drawn = page(served, f"/trials/{trial}")
     assert drawn.count("<svg") == 2
     for word in ("theory", "fitted loop", "residual [", "simulated"):
         assert word in drawn, word
-    assert "refresh" not in drawn
+    assert '<meta name="reload"' not in drawn
     assert "style=" not in drawn
     page(served, f"/trials/{trial}")
     assert served.get("jobs?limit=1").content["items"][0]["id"] == job

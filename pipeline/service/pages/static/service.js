@@ -1,6 +1,6 @@
 "use strict";
 /* Upload with progress and by drag and drop; without this script the forms send themselves. */
-for (const form of document.querySelectorAll("form[enctype]")) {
+const prepareUpload = (form) => {
   const input = form.querySelector("input[type=file]"), drop = form.querySelector(".drop");
   const bar = form.querySelector("progress"), told = form.querySelector("[role=status]");
   let paths = null;
@@ -55,4 +55,71 @@ for (const form of document.querySelectorAll("form[enctype]")) {
     files.forEach((file, at) => data.append("files", file, paths ? paths[at] : file.name));
     request.send(data);
   });
-}
+};
+const prepareUploads = () => document.querySelectorAll("form[enctype]").forEach(prepareUpload);
+prepareUploads();
+
+/* Fields that differ from what the server sent. */
+const TEXT = "textarea, input:not([type=hidden], [type=checkbox], [type=radio], [type=file], [type=submit], [type=button])";
+const differs = (field) => {
+  if (field.type === "file") return field.files.length > 0;
+  if (field.type === "checkbox" || field.type === "radio") return field.checked !== field.defaultChecked;
+  if (field.options) {
+    const chosen = [...field.options].findIndex((option) => option.defaultSelected);
+    return field.selectedIndex !== Math.max(chosen, 0);
+  }
+  return field.value !== field.defaultValue;
+};
+const changed = (root, which) => [...root.querySelectorAll(which)].some(differs);
+const isInUse = () => {
+  const field = document.activeElement;
+  return changed(document, `${TEXT}, select, input`) || Boolean(field && field.matches(`${TEXT}, select`));
+};
+
+/* A page that waits for a result is replaced in place: between the look at its forms and the new content no key is lost. */
+const RELOAD = "meta[name=reload]";
+let timer = 0;
+const notice = () => {
+  let line = document.getElementById("reload-notice");
+  if (!line) {
+    line = document.createElement("p");
+    line.id = "reload-notice";
+    line.className = "banner";
+    line.setAttribute("role", "status");
+    line.textContent = "A form on this page is in use. The page loads itself again once its text is saved or removed.";
+    document.getElementById("main").prepend(line);
+  }
+};
+const reload = async () => {
+  if (isInUse()) { notice(); return wait(1); }
+  let fresh = null;
+  try {
+    const answer = await fetch(location.href, { headers: { Accept: "text/html" }, cache: "no-store" });
+    const isPage = answer.status < 500 && answer.status !== 429;
+    if (isPage && !answer.redirected) fresh = new DOMParser().parseFromString(await answer.text(), "text/html");
+    else if (answer.redirected && !isInUse()) return location.reload();
+  } catch { /* the server is away: again later */ }
+  if (!fresh || !fresh.getElementById("main")) return wait(3);
+  if (isInUse()) { notice(); return wait(1); }
+  const open = [...document.querySelectorAll("details")].map((part) => part.open);
+  document.title = fresh.title;
+  document.body.replaceWith(document.adoptNode(fresh.body));
+  const parts = [...document.querySelectorAll("details")];
+  if (parts.length === open.length) parts.forEach((part, at) => { part.open = open[at]; });
+  prepareUploads();
+  const next = fresh.querySelector(RELOAD);
+  if (next) wait(Number(next.content));
+};
+const wait = (seconds) => { clearTimeout(timer); timer = setTimeout(reload, 1000 * seconds); };
+const first = document.querySelector(RELOAD);
+if (first) wait(Number(first.content));
+
+/* Another form of the page is sent, or the page is left: the browser asks before it drops text. */
+let sent = null;
+document.addEventListener("submit", (event) => { sent = event.target; });
+addEventListener("pageshow", () => { sent = null; });
+addEventListener("beforeunload", (event) => {
+  const forms = [...document.querySelectorAll("form[method=post]")].filter((form) => form !== sent);
+  if (forms.some((form) => changed(form, TEXT))) event.preventDefault();
+  sent = null;
+});
