@@ -116,10 +116,13 @@ if (first) wait(Number(first.content));
 
 /* Another form of the page is sent, or the page is left: the browser asks before it drops text. */
 let sent = null;
-document.addEventListener("submit", (event) => { sent = event.target; });
-addEventListener("pageshow", () => { sent = null; });
-addEventListener("beforeunload", (event) => {
-  const forms = [...document.querySelectorAll("form[method=post]")].filter((form) => form !== sent);
-  if (forms.some((form) => changed(form, TEXT))) event.preventDefault();
+const unsaved = () => [...document.querySelectorAll("form[method=post]")].filter((form) => changed(form, TEXT));
+const ask = (event) => {
+  if (unsaved().some((form) => form !== sent)) event.preventDefault();
   sent = null;
-});
+};
+/* only while there is text: a page that always listens is left more slowly */
+const listen = () => (unsaved().length ? addEventListener : removeEventListener)("beforeunload", ask);
+document.addEventListener("submit", (event) => { sent = event.target; });
+document.addEventListener("input", listen);
+addEventListener("pageshow", () => { sent = null; listen(); });
