@@ -111,7 +111,7 @@ def conditions_in_name(pattern: str, name: str) -> dict[str, str] | None:
     else:
         return None
     found: dict[str, str] = {}
-    for key, group in _compiled(pattern).groupindex.items():
+    for key, group in sorted(_compiled(pattern).groupindex.items(), key=lambda named: named[1]):
         begin, end = match.span(group)
         if match[group] is None:
             continue
