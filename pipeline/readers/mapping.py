@@ -53,10 +53,6 @@ MOST_STEPS = 24
 SHORTEST_STEP = 12
 """Rows between two changes from which on a step has a response."""
 
-PACE = 10.0
-"""Ratio of the median step between rows to the sampling period, or the reverse, from which on a log is warned of: units
-of time differ by 60 at least, a log that drops half of its samples has a ratio of 2."""
-
 LONGEST_STEP = 1.5
 """Time between rows in sampling periods from which on a row is missing: a velocity says nothing of it."""
 

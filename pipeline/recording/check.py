@@ -39,12 +39,15 @@ def check_recording(samples: Samples) -> tuple[Finding, ...]:
 
     Notes
     -----
-    A log in which nothing moves, or that is too short for any model, has that finding alone. A position that lies on
-    straight lines between fewer readings moves before its command and changes its speed at once, which are then no
+    A log in which nothing moves, or that is too short for any model, has that finding, and perhaps that of its period.
+    A position that lies on straight lines between fewer readings moves before its command and changes its speed at once, which are then no
     findings of their own.
     """
     nothing = unusable_signal(samples)
-    return (nothing,) if nothing is not None else tuple(_found(samples))
+    if nothing is None:
+        return tuple(_found(samples))
+    period = sampling_period(samples)
+    return (nothing,) if period is None else (nothing, period)
 
 
 def check_trial(batch: TrialBatch, trial: int) -> tuple[Finding, ...]:

@@ -105,7 +105,9 @@ def test_check_shows_what_ingest_stores(call, lab):
     for column in trial["columns"]:
         values = getattr(batch, column["column"])[0]
         assert (values[0], values[-1]) == (column["first"], column["last"])
-    assert json.loads(row["time_quality"]) == trial["time"]
+    quality = json.loads(row["time_quality"])
+    assert [each["code"] for each in quality.pop("findings")] == [each["code"] for each in trial["findings"]]
+    assert quality == trial["time"]
 
 
 @pytest.mark.parametrize(

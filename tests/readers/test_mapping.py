@@ -73,7 +73,8 @@ class Lab:
         report = self.ingest(toml, {name: text})
         assert not report.quarantined, report.quarantined[0].reason
         (trial,) = self.trials
-        return trial, self.samples(trial), [warning.warning for warning in report.warnings]
+        # of a log of a few rows the check of its recording says that it is short
+        return trial, self.samples(trial), [one.warning for one in report.warnings if one.code is None]
 
     def refused(self, toml: str, text: str | bytes, name: str = "run.txt"):
         (refusal,) = self.ingest(toml, {name: text}).quarantined
@@ -160,7 +161,7 @@ def test_a_terminal_log_with_banner_labels_and_a_cut_last_line(lab):
 
     (lab.logs / "run.txt").unlink()
     report = lab.ingest(toml, {"cut.txt": text[:-6]})
-    assert [w.warning for w in report.warnings] == [
+    assert [w.warning for w in report.warnings if w.code is None] == [
         "last row is cut: '3, ' (line 11) was left out and is kept verbatim"
     ]
     trial = next(trial for trial in lab.trials if trial["rows"] == 3)

@@ -83,12 +83,10 @@ def read_tdms(path: Path, settings: Profile, contents: Contents) -> None:
         rows = contents.columns[next(iter(waveforms))].size
         contents.add(TIME, offset + np.arange(rows) * increment, "s", "s")
     elif contents.wanted:
-        differ = [i for i in range(len(_WAVEFORM)) if len({each[i] for each in waveforms.values()}) > 1] or [0]
-        listing = ", ".join(
-            f"{key!r}: {', '.join(f'{list(_WAVEFORM)[i]} {each[i]}' for i in differ)}"
-            for key, each in list(waveforms.items())[:10]
-        )
-        found = f"{TIME!r} needs the same {listed(list(_WAVEFORM))} in all wanted channels, found {listing or 'none'}"
+        differ = next((i for i in range(len(_WAVEFORM)) if len({each[i] for each in waveforms.values()}) > 1), 0)
+        named = f"{list(_WAVEFORM)[differ]} " if differ else ""
+        listing = ", ".join(f"{key!r}: {named}{each[differ]}" for key, each in list(waveforms.items())[:10])
+        found = f"{TIME!r} needs one {listed(list(_WAVEFORM))} for all wanted channels, found {listing or 'none'}"
         cure = "Record the channels in one task; or export them with a channel of times, and name that in columns.time."
         raise refusal("time-wrong", contents.name, found, cure=cure)
 

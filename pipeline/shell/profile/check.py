@@ -38,10 +38,6 @@ from pipeline.shell.profile.draft import open_sample
 NOTHING = 1e-15
 """Size [SI] up to which a number is what rounding leaves of 0."""
 
-FIRST_MOTION = 0.05
-"""Part of the largest excursion from which on the first motion after the step counts: above the quantum of coarse
-sensors, below the first swing."""
-
 STEP_ROWS, STEP_TOLERANCE = 3, 0.1
 """Rows from the step on whose median is its size: one may flicker, and later ones may bear the filter of a velocity;
 and part of the step by which it may differ: a round number stands for what the controller commands."""
@@ -166,7 +162,7 @@ def step_of(log: Log) -> tuple[int | None, str]:
 
 
 def _other_step(log: Log, step_row: int | None) -> Iterator[str]:
-    """Yield where the command jumps by another step, or the position goes against it; rows are counted from 0."""
+    """Yield where the command jumps by another step; rows are counted from 0."""
     step = log.header.step
     if step_row is None or step == 0:
         return
@@ -175,12 +171,6 @@ def _other_step(log: Log, step_row: int | None) -> Iterator[str]:
     # chatter before the step, fed through a filter of the velocity, shows how well the jump is known
     if abs(jump - step) > STEP_TOLERANCE * abs(step) + float(np.ptp(before)):
         yield f"the command jumps by {jump:.4g} in row {step_row}, but the step is {step:.4g}: which is right?"
-    moved = (log.position[step_row:] - log.position[step_row]) * np.sign(step)
-    # noise is seen before the step; a first motion that stands out of it tells the direction
-    noise = float(np.ptp(log.position[: step_row + 1]))
-    clear = np.flatnonzero(np.abs(moved) > max(2 * noise, FIRST_MOTION * float(np.abs(moved).max(initial=0.0))))
-    if len(clear) and moved[clear[0]] < 0:
-        yield "the position moves against the step at first: check the signs of command, position and step"
 
 
 def check_lines(samples: Sequence[Checked]) -> list[str]:
