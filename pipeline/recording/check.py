@@ -40,8 +40,8 @@ def check_recording(samples: Samples) -> tuple[Finding, ...]:
     Notes
     -----
     A log in which nothing moves, or that is too short for any model, has that finding, and perhaps that of its period.
-    A position that lies on straight lines between fewer readings moves before its command and changes its speed at once, which are then no
-    findings of their own.
+    A position that lies on straight lines between fewer readings moves before its command and changes its speed at
+    once, which are then no findings of their own.
     """
     nothing = unusable_signal(samples)
     if nothing is None:

@@ -107,7 +107,11 @@ def _first_motion_against(samples: Samples) -> int | None:
     if edge < BASELINE:
         return None
     rest, noise = middle(x[:edge]), float(x[:edge].max() - x[:edge].min())
-    away = np.flatnonzero(np.abs(x[edge:] - rest) > CLEAR * max(noise, samples.least_change))[:1]
-    if not len(away) or (x[edge + away[0]] - rest) * samples.jumps[edge - 1] > 0:
+    moved = x[edge:] - rest
+    clear = np.flatnonzero(np.abs(moved) > CLEAR * max(noise, samples.least_change))[:1]
+    # behind a stiff wall a coarse sensor sees the first motion in its first steps, and later any
+    first = np.flatnonzero(np.abs(moved) > max(2 * noise, 0.5 * samples.least_change))[:1]
+    towards = samples.jumps[edge - 1]
+    if not len(clear) or moved[clear[0]] * towards > 0 or moved[first[0]] * towards > 0:
         return None
-    return edge + int(away[0])
+    return edge + int(clear[0])

@@ -11,10 +11,10 @@ AT_EXTREME = 0.02
 """Distance from the largest or smallest position, relative to the range, within which rows are at it."""
 
 IMPACT = 3.0
-"""Change of the velocity at a stop relative to the largest one in the rows before."""
+"""Change of the velocity at a stop relative to the largest one behind it; before it to twice that."""
 
-BEFORE = 10
-"""Rows before an impact in which the device moves freely."""
+BEFORE, BEHIND = 10, 5
+"""Rows before and behind an impact in which the device moves freely."""
 
 SLOWER = 1.5
 """Speed before a stop relative to that behind it: a free motion turns as fast as it came."""
@@ -45,9 +45,11 @@ def travel_stop(samples: Samples) -> Finding | None:
     rows = rows[(rows >= BEFORE) & ((x[rows] >= high - near) | (x[rows] <= low + near))]
     for row in rows.tolist():
         hit = abs(change[row + 1] - change[row - 2])
-        brake = np.abs(np.diff(change[row - BEFORE : row - 1]))
+        brake = np.abs(samples.bend[row - BEFORE : row - 2])
+        free = np.abs(samples.bend[row + 1 : row + BEHIND])
         outwards = (x[row] - 0.5 * (high + low)) * change[row - 2] > 0
-        if not outwards or hit <= IMPACT * 2 * float(brake.max()) or _is_answer(samples, row):
+        is_blow = hit > 2 * IMPACT * float(brake.max()) and hit > IMPACT * float(free.max(initial=0.0))
+        if not outwards or not is_blow or _is_answer(samples, row):
             continue
         return Finding(
             code="travel_stop",

@@ -90,7 +90,7 @@ class Scales:
 class Stretches:
     """S stretches of at most N rows, in the units of `Scales`; `lead` rows of commands stand before the readings.
 
-    ``distinct`` (S,) is the number of readings that differ from the one before, ``least`` (S,) the variance that
+    ``distinct`` (S,) is the number of readings that say something of their own, ``least`` (S,) the variance that
     rounding alone leaves of a reading.
 
     ``time`` (lead + N + 1, S), ``command`` and ``acts`` (lead + N, S): whether the force of a row acts on the device,
@@ -332,6 +332,17 @@ def _edge(each: Recording, seen: Motion, first: int, moves: int, lead: int) -> i
     return edge if edge - begin >= 2 else None
 
 
+def _distinct(position: Floats, rounding: float) -> int:
+    """Return the number of readings that say something of their own.
+
+    One that repeats the one before says nothing new; nor does, of a sensor with steps, one of a motion by as many steps
+    as in the row before: its rounding is the same.
+    """
+    changes = np.diff(position)
+    bends = np.abs(np.diff(changes)) > 0.1 * np.sqrt(12.0) * rounding if rounding > 0 else np.ones(len(changes))
+    return 1 + int(min(np.count_nonzero(changes), np.count_nonzero(bends) + 1))
+
+
 def _padded(recordings: list[Recording], even: list[Floats], cuts: list[_Cut], scales: Scales, lead: int) -> Stretches:
     n, count = max((cut.behind - cut.first for cut in cuts), default=1), len(cuts)
     time = np.zeros((lead + n + 1, count))
@@ -349,7 +360,7 @@ def _padded(recordings: list[Recording], even: list[Floats], cuts: list[_Cut], s
         command[:, s] = each.command[inside] / scales.command
         here = cut.behind - cut.first
         position[:here, s] = (each.position[cut.first : cut.behind] - scales.origin) / scales.position
-        distinct[s] = 1 + np.count_nonzero(np.diff(each.position[cut.first : cut.behind]))
+        distinct[s] = _distinct(each.position[cut.first : cut.behind], each.rounding)
         if cut.edge is not None:
             acts[:, s] = rows >= cut.edge
     regular = bool(count) and bool(np.abs(np.diff(time, axis=0) - 1).max() < 1e-6)

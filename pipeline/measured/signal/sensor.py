@@ -35,6 +35,22 @@ FEWEST_ON_GRID = 12
 """Changes that must lie on such a grid, of a command too: those of a continuous signal all do with a chance of
 0.3^12 = 5e-7."""
 
+DIGITS, CHANGE_DIGITS = 8.0, 2.5
+"""Changes of fewer digits than the first are those of print; and the error of a second difference in digits: each of
+four readings is off by half of one."""
+
+BY_CHANCE, FEWEST_COARSE = 14.5, 4
+"""Logarithm of the inverse chance that changes lie on a grid by accident, that of `FEWEST_ON_GRID`; fewest of them."""
+
+MOST_DECIMALS = 12
+"""Decimals that a position may be printed with and still be seen to be."""
+
+ON_DIGIT = 1e-4
+"""Distance from a whole number of digits, in digits, that conversions leave."""
+
+COARSE_MULTIPLES = 1e3
+"""Largest multiple that tests a grid among printed positions."""
+
 ROUNDING_UNITS = 64.0
 """Changes below this many units of rounding are arithmetic, not the sensor."""
 
@@ -77,12 +93,39 @@ def position_quantum(position: Floats) -> Floats:
     above = np.where(ratio[trial, gap] > STORED_GAP, size[trial, gap + 1], np.inf)
     finite = np.where(np.isfinite(size), size, 0.0)
     stored = _grid(finite, above, STORED_TOLERANCE, STORED_MULTIPLES, FEWEST_ON_GRID)
-    return np.asarray(np.where(stored > STORED_GAP * exact, stored, exact))
+    found = np.where(stored > STORED_GAP * exact, stored, exact)
+    # on the grid of its digits a fast motion has few changes, each of which is known to a few of them
+    digit = np.where(exact > 0, exact, _last_digit(position))
+    tested = np.isfinite(size) & (size > DIGITS * digit[:, None]) & (digit > 0)[:, None]
+    above = np.min(size, axis=1, initial=np.inf, where=tested)
+    tolerance = np.clip(CHANGE_DIGITS * digit / above, GRID_TOLERANCE, STORED_TOLERANCE)
+    fewest = np.maximum(np.ceil(BY_CHANCE / np.log(0.5 / tolerance)), FEWEST_COARSE)
+    usable = np.isfinite(above) & (tolerance < STORED_TOLERANCE)
+    changes = np.where(tested, size, 0.0)
+    coarse = _grid(changes, np.where(usable, above, np.inf), tolerance, COARSE_MULTIPLES, fewest)
+    return np.asarray(np.where(coarse > found, coarse, found))
 
 
-def _grid(size: Floats, smallest: Floats, tolerance: float, most: float, fewest: int) -> Floats:
+def _last_digit(position: Floats) -> Floats:
+    """Return the decimal unit in which all positions of a trial are printed, shape (n,); 0 where there is none."""
+    result = np.zeros(len(position))
+    open_ = np.arange(len(position))
+    # what is on no fine grid is on no coarser one
+    for decimals in range(MOST_DECIMALS, 0, -1):
+        scaled = np.nan_to_num(position[open_]) * 10.0**decimals
+        off = np.abs(scaled - np.rint(scaled)).max(axis=1, initial=0.0)
+        fits = off <= ON_DIGIT + 4 * np.finfo(np.float64).eps * np.abs(scaled).max(axis=1, initial=0.0)
+        open_ = open_[fits]
+        if not len(open_):
+            break
+        result[open_] = 10.0**-decimals
+    return result
+
+
+def _grid(size: Floats, smallest: Floats, tolerance: float | Floats, most: float, fewest: int | Floats) -> Floats:
     """Step of the grid on which changes of up to ``most`` steps lie, ``fewest`` at least; 0 for none."""
     result = np.zeros(len(size))
+    tolerance, fewest = (np.broadcast_to(each, (len(size),)) for each in (tolerance, fewest))
     # no single change may have been one step: then the smallest is two or three of them
     for parts in (1, 2, 3):
         open_ = np.flatnonzero(np.isfinite(smallest) & (result == 0))
@@ -100,7 +143,7 @@ def _grid(size: Floats, smallest: Floats, tolerance: float, most: float, fewest:
         multiple = np.round(own / grid[:, None])
         error = np.where(multiple <= most, np.abs(own / grid[:, None] - multiple), 0.0).max(axis=1, initial=0.0)
         number = ((multiple >= 1) & (multiple <= most)).sum(axis=1)
-        found = np.isfinite(grid) & (error < tolerance) & (number >= fewest)
+        found = np.isfinite(grid) & (error < tolerance[open_]) & (number >= fewest[open_])
         result[open_] = np.where(found, grid, 0.0)
     return result
 
