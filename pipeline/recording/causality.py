@@ -20,6 +20,9 @@ CLEAR = 8.0
 CONVEX = 4.0
 """Way in the second half of the rows before an edge relative to that in the first: a drift is as fast in both."""
 
+FASTER = 3.0
+"""Acceleration just before an edge relative to the largest one in the first half of the rows before it."""
+
 GOES_ON = 1.5
 """Largest way from rest behind the edge relative to that before it."""
 
@@ -118,15 +121,28 @@ def _leaves_rest(samples: Samples) -> tuple[int, int] | None:
     first_half, second = float(away[:half].max()), samples.bend[: edge - 1]
     noise = (float(second @ second) / len(second) / NOISE_GAIN) ** 0.5
     clear = max(CLEAR * noise, 1.5 * samples.least_change)
-    if largest <= max(clear, CONVEX * first_half):
+    if largest <= clear or (largest <= CONVEX * first_half and not _speeds_up(samples, edge, noise)):
         return None
     # the response goes on behind the edge, and is larger there
     ahead = x[edge : edge + 4 * half]
     if float(np.abs(ahead - rest).max()) < GOES_ON * largest:
         return None
-    still = np.flatnonzero(away <= max(clear, first_half))
-    row = int(still[still < half + int(away[half:].argmax())][-1]) + 1
+    still = np.flatnonzero(away[: half + int(away[half:].argmax())] <= clear)
+    row = int(still[-1]) + 1 if len(still) else 0
     return (edge, row) if row < edge else None
+
+
+def _speeds_up(samples: Samples, edge: int, noise: float) -> bool:
+    """Return whether the acceleration grows towards an edge: what is left of an earlier motion only decays.
+
+    A filter of both directions spreads a response over all rows before it.
+    """
+    width = max(edge // 8, 2)
+    x = samples.position[: edge + 1]
+    bend = np.abs(x[2 * width :] - 2 * x[width:-width] + x[: -2 * width])
+    last = float(bend[-max(width // 2, 1) :].max())
+    least = max(CLEAR * NOISE_GAIN**0.5 * noise, FASTER * samples.least_change)
+    return last > least and last > FASTER * float(bend[: len(bend) // 2].max())
 
 
 def _first_edge(samples: Samples) -> int:

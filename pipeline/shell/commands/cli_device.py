@@ -106,7 +106,7 @@ def identify(
     document = identified_device(paths, profile, period, delay)
     console.tell(document, _identified(document))
     for line in console.warned((each["log"], each["sentence"], each["code"]) for each in document["findings"]):
-        console.note(f"Warning: {line}")
+        console.note(f"warning: {line}")
     for each in document["refused"]:
         row = "" if each["row"] is None else f", row {each['row']}"
         console.note(f"Refused: {each['path']}{row}: {each['reason']}")
