@@ -137,7 +137,7 @@ class Search:
     region: tuple[float, float, float, float] | None
 
 
-def look_for(tried: Tried, target: Target, accuracy: float, count: int) -> Search:
+def look_for(tried: Tried, target: Target, accuracy: float, count: int, unset: Floats | None = None) -> Search:
     """Return walls to try and whether the best cost is found.
 
     Parameters
@@ -148,6 +148,8 @@ def look_for(tried: Tried, target: Target, accuracy: float, count: int) -> Searc
     accuracy : float
         By which the best trial may be worse than the best wall, relative.
     count : int
+    unset : float64, shape (n, 2), optional
+        K and B of walls in whose place the rig set others: they are not asked for again.
 
     Notes
     -----
@@ -163,6 +165,9 @@ def look_for(tried: Tried, target: Target, accuracy: float, count: int) -> Searc
     place, seen = np.column_stack([B, K]) / target.scale, seen / target.scale
     tests = np.column_stack([tried.damping, tried.stiffness]) / target.scale
     often = ((np.abs(place[:, None] - tests) <= SAME).all(axis=2)).sum(axis=1) >= VOTES
+    if unset is not None and len(unset):
+        others = unset[:, ::-1] / target.scale
+        often |= np.any((np.abs(place[:, None] - others) <= SAME).all(axis=2), axis=1)
     walls: list[tuple[float, float, float]] = []
     first = mean, spread = _expected(seen, value, place, ahead, target)
     for _ in range(count):

@@ -25,6 +25,7 @@ from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.measured.student import NORMAL_95
 from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial, stated_device
 from pipeline.plan.next_wall import Forecast, Tried
+from pipeline.plan.requests import Answer, stored_requests
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.models import Device, Experiment
 from pipeline.store.samples import load_groups
@@ -121,7 +122,7 @@ class Course:
 
     ``found`` is the device that its logs show, with what was ``learnt`` for the next one; without one ``unknown`` is
     the reason. ``undecided`` has the reason of each trial whose verdict is undecided. ``free`` is the number of trials
-    without a wall (K <= 0).
+    without a wall (K <= 0). ``walls`` are K and B of all trials, ``answers`` those that the rig set when it was asked.
     """
 
     name: str
@@ -138,6 +139,8 @@ class Course:
     unknown: str = ""
     undecided: tuple[str, ...] = ()
     free: int = 0
+    walls: tuple[tuple[float, float], ...] = ()
+    answers: tuple[Answer, ...] = ()
 
     @property
     def is_sure(self) -> bool:
@@ -202,7 +205,9 @@ def open_course(
     known = learn(batch, int(counted.sum()), known, look)
     found = known.device if known else None
     unknown = "" if found is not None else unusable(recordings_of(batch, find_response(batch))) or NOT_IDENTIFIED
-    return replace(course, found=found, learnt=known, unknown=unknown)
+    walls = tuple(zip(K.tolist(), B.tolist(), strict=True))
+    answers = stored_requests(processed, name, chosen).answered(walls)
+    return replace(course, found=found, learnt=known, unknown=unknown, walls=walls, answers=answers)
 
 
 def course_of(
@@ -253,7 +258,8 @@ def _experiment(name: str, asked: str | None, stored: Sequence[str], device: Dev
 def wanted_dampings(course: Course, wish: Wish) -> tuple[float, ...]:
     """Return the dampings at which limits are looked for: those named, else even ones of the range, or those tried.
 
-    Even ones are moved to dampings that the file's steps reach, or that were tried, where those are near.
+    Even ones are moved to dampings that the file's steps reach, or that were tried, where those are near. For one that
+    the rig answered by another damping that counts.
     """
     tried = np.unique(course.tried.damping)
     of_file = course.of_file
@@ -274,6 +280,7 @@ def wanted_dampings(course: Course, wish: Wish) -> tuple[float, ...]:
     if not len(wanted):
         reason = course.unknown or "its logs have no wall"
         raise UsageError(f"device {course.name!r}: {reason.rstrip('.')}; {RANGE_NEEDED}.")
+    wanted = _as_answered(wanted, course.answers)
     wanted = wanted[wanted <= wish.largest_damping]
     if not len(wanted):
         raise UsageError(f"device {course.name!r}: no damping is left to try. Name some (--dampings 0,20,40).")
@@ -295,6 +302,17 @@ def as_set(wanted: Floats, tried: Floats) -> Floats:
         return wanted
     nearest = tried[np.argmin(np.abs(tried[:, None] - wanted), axis=0)]
     return np.unique(np.where(np.abs(nearest - wanted) <= AS_SET * np.diff(wanted).min(), nearest, wanted))
+
+
+def _as_answered(wanted: Floats, answers: Sequence[Answer]) -> Floats:
+    """Return dampings, in place of those for which a rig set another that one, where it is near or was set twice."""
+    near = 0.5 * float(np.diff(wanted).min()) if len(wanted) > 1 else AS_SET * float(wanted.max(initial=0.0))
+    result = wanted.copy()
+    for place, damping in enumerate(wanted.tolist()):
+        got = [answer.got[1] for answer in answers if answer.damping_off and answer.asked[1] == damping]
+        if got and (abs(got[-1] - damping) <= near or got.count(got[-1]) > 1):
+            result[place] = got[-1]
+    return np.unique(result)
 
 
 def snapped(tried: Tried, dampings: Sequence[float]) -> Tried:

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from pipeline.base.errors import ParameterError
+from pipeline.plan.requests import RigRange
 from pipeline.records.batch import Booleans, Floats
 
 VOTES = 3
@@ -304,7 +305,9 @@ class State:
         return all(column.wall is None for column in self.columns)
 
 
-def state(tried: Tried, aim: Aim, by: Forecast | None = None, trial_s: float = inf) -> State:
+def state(
+    tried: Tried, aim: Aim, by: Forecast | None = None, trial_s: float = inf, rig: RigRange | None = None
+) -> State:
     """Return what is known and left to do at each damping.
 
     Parameters
@@ -316,6 +319,8 @@ def state(tried: Tried, aim: Aim, by: Forecast | None = None, trial_s: float = i
         Limits by the device that the logs show, else by its file; without one verdicts are bisected.
     trial_s : float
         How long a log goes on after its step [s].
+    rig : RigRange, optional
+        What the rig sets instead of walls that it is asked for; by default the walls themselves.
     """
     rows = [tried.select(tried.damping == b) for b in aim.dampings]
     found = [bracket(own.stiffness, own.verdict) for own in rows]
@@ -337,12 +342,28 @@ def state(tried: Tried, aim: Aim, by: Forecast | None = None, trial_s: float = i
         if len(tried) and not len(own) and aim.bold == inf and task.limit <= 0 and (task.error <= width or aim.gentle):
             # a verdict there changes no map: it is known closely enough that nothing is stable; a rig is spared it
             column = Column(aim.dampings[i], of, 0.0, note="no stable wall")
+        if rig is not None:
+            column = _as_set(column, rig, aim)
         if by is not None and not len(tried) and column.wall is not None:
             limit = by.low[i] if by.low[i] > 0 else SOFT * by.limit[i]
             most = aim.start * float(limit if limit > 0 else SOFTEST * max(by.scale, largest))
             column = replace(column, wall=min(column.wall, most), most=most)
         columns.append(column)
     return State(tuple(columns), largest, ahead)
+
+
+def _as_set(column: Column, rig: RigRange, aim: Aim) -> Column:
+    """Return a column with a wall that the rig sets; without one where it sets none inside the bracket."""
+    of = column.bracket
+    if column.note == "limit of the tests" and (aim.highest == rig.highest or 0 < aim.lowest == rig.lowest):
+        return replace(column, note="step of the rig")
+    if column.wall is None or column.split is None:
+        return column
+    low, high = (0.0, of.bottom) if column.note == "softer" else (of.bottom, of.top)
+    wall = rig.wall(column.wall, low, high, max(min(column.most, aim.highest), column.wall))
+    if wall is not None:
+        return replace(column, wall=wall)
+    return column if column.note == "softer" else replace(column, wall=None, split=None, note="step of the rig")
 
 
 def stiffest_stable(tried: Tried, damping: float) -> float:

@@ -15,6 +15,7 @@ from pipeline.plan.cost_search import Search, Target, look_for
 from pipeline.plan.course import RANGE_NEEDED, Course, Wish, foretold, open_course, snapped, wanted_dampings
 from pipeline.plan.found_device import stated_device
 from pipeline.plan.next_wall import BOLDER, GENTLER, Aim, Column, Forecast, State, order, state
+from pipeline.plan.requests import RigRange, range_of, store_requests
 from pipeline.records.findings import Record
 
 NOTES = {
@@ -113,7 +114,9 @@ class Plan(Record):
     optimum: Best | None = None
 
 
-def plan(name: str, processed: Path, experiment: str | None = None, wish: Wish | None = None) -> Plan:
+def plan(
+    name: str, processed: Path, experiment: str | None = None, wish: Wish | None = None, *, remembered: bool = False
+) -> Plan:
     """Return which walls to try next.
 
     Parameters
@@ -125,6 +128,8 @@ def plan(name: str, processed: Path, experiment: str | None = None, wish: Wish |
     experiment : str, optional
         By default the only one that is stored, else the first of the device file.
     wish : Wish, optional
+    remembered : bool
+        Whether the walls are stored, so that the next plan compares with them what the rig set.
 
     Raises
     ------
@@ -134,7 +139,18 @@ def plan(name: str, processed: Path, experiment: str | None = None, wish: Wish |
         If several experiments are stored and none is named, or a limit leaves nothing to try.
     """
     wish = wish or Wish()
-    return plan_of(open_course(name, processed, experiment, wish), wish)
+    course = open_course(name, processed, experiment, wish)
+    answer = plan_of(course, wish)
+    if remembered:
+        remember(answer, course, processed)
+    return answer
+
+
+def remember(answer: Plan, course: Course, processed: Path) -> None:
+    """Store the walls that are asked for next to the results of an experiment that has trials."""
+    if len(course.tried) or course.free:
+        asked = [(wall.stiffness, wall.damping) for wall in answer.next]
+        store_requests(processed, course.name, course.experiment, asked, course.walls, course.answers)
 
 
 OF_THE_STEP = (
@@ -150,24 +166,25 @@ def plan_of(course: Course, wish: Wish) -> Plan:
     forecast = foretold(course, dampings)
     if forecast is None and not used:
         raise DeviceError(f"device {course.name!r}: {course.unknown.rstrip('.') or 'no log of it'}; {RANGE_NEEDED}.")
-    aim = aim_of(course, wish, dampings, forecast)
-    found = state(course.tried, aim, forecast, course.trial_s)
+    rig = range_of(course.answers)
+    aim = aim_of(course, wish, dampings, forecast, rig)
+    found = state(course.tried, aim, forecast, course.trial_s, rig)
     done, best, more = found.done, None, ceil(sum(column.left for column in found.columns))
     left = order(found.columns)
     if not used:
         # where nothing is predicted to be stable a wall waits for the device that logs of other dampings show
         left = [i for i in left if found.forecast.limit[i] > 0] or left
-    following = [_next(found.columns[i], found, aim, course) for i in left[: wish.count]]
+    following = [_next(found.columns[i], found, aim, course, rig) for i in left[: wish.count]]
     if wish.goal == "optimum" and (search := _search(course, wish, found, aim)) is not None:
         done, best, more = search.done, _best(search, course, wish), len(search.walls)
-        following = _walls_of(search, course, wish, found, aim)
+        following = _walls_of(search, course, wish, found, aim, rig)
     return Plan(
         next=() if done else tuple(following),
         done=done,
         boundary=tuple(_limit(column, blind=found.forecast.misfit == inf) for column in found.columns),
         trials_used=used,
         trials_expected=used + (0 if done else more),
-        remarks=_remarks(course, found, aim),
+        remarks=(*_remarks(course, found, aim), *_answered(course, rig)),
         optimum=best,
     )
 
@@ -185,7 +202,13 @@ def _limit(column: Column, *, blind: bool) -> Limit:
     return Limit(damping=column.damping, estimate=estimate, low=ends.low, high=ends.high, note=note)
 
 
-def aim_of(course: Course, wish: Wish, dampings: tuple[float, ...], forecast: Forecast | None = None) -> Aim:
+def aim_of(
+    course: Course,
+    wish: Wish,
+    dampings: tuple[float, ...],
+    forecast: Forecast | None = None,
+    rig: RigRange | None = None,
+) -> Aim:
     """Return what is to be known within what limits; errors as of `plan`.
 
     As long as the logs do not identify a device for sure, walls are at most a few times as stiff as stable ones.
@@ -197,8 +220,8 @@ def aim_of(course: Course, wish: Wish, dampings: tuple[float, ...], forecast: Fo
         dampings,
         wish.accuracy,
         wish.gentle,
-        lowest=0.0 if wish.travel == inf else course.step / wish.travel,
-        highest=wish.largest_stiffness,
+        lowest=max(0.0 if wish.travel == inf else course.step / wish.travel, rig.lowest if rig else 0.0),
+        highest=min(wish.largest_stiffness, rig.highest if rig else inf),
         force=wish.largest_force,
         bold=bold,
         few=bold < inf and course.few,
@@ -249,6 +272,35 @@ def _missing(course: Course, aim: Aim) -> list[str]:
     return said
 
 
+def _answered(course: Course, rig: RigRange | None) -> list[str]:
+    """Return what the rig set last in place of a wall, and how the next walls follow from it."""
+    off = [answer for answer in course.answers if answer.stiffness_off or answer.damping_off]
+    if not off:
+        return []
+    K, B = ("Nm/rad", "Nms/rad") if course.rotation else ("N/m", "Ns/m")
+    last, count = off[-1], f"{len(off)} of {counted(len(course.answers), 'wall')} so far"
+    sets = {
+        "K": (last.stiffness_off, f"{last.asked[0]:g} {K}", f"{last.got[0]:g} {K}"),
+        "B": (last.damping_off, f"{last.asked[1]:g} {B}", f"{last.got[1]:g} {B}"),
+    }
+    asked = ", ".join(f"{name} = {one}" for name, (_, one, _) in sets.items())
+    got = ", ".join(f"{name} = {other}" for name, (differs, _, other) in sets.items() if differs)
+    said = [f"asked for {asked}, the rig set {got} (others than asked for: {count})"]
+    if rig is None:
+        return said
+    steps = sorted({grid.step for grid in rig.grids})
+    if steps:
+        least = f"multiples of {steps[0]:g} {K}"
+        said.append(f"the rig sets {least}" + (", or of more" if len(steps) > 1 else "") + ": next walls are such")
+    if rig.factor != 1:
+        said.append(f"the rig sets {rig.factor:g} times the K that it is asked for: next walls are divided by it")
+    if rig.highest < inf:
+        said.append(f"the rig sets no K above {rig.highest:g} {K}")
+    if rig.lowest > 0:
+        said.append(f"the rig sets no K below {rig.lowest:g} {K}")
+    return said
+
+
 def rounded_down(value: float, width: float) -> float:
     """Return a stiffness with no more digits than its purpose needs, and never above it.
 
@@ -275,11 +327,17 @@ def rounded(wall: float, width: float) -> float:
     return float(f"{round(wall / unit) * unit:.12g}")
 
 
-def _next(column: Column, found: State, aim: Aim, course: Course) -> Next:
+def _next(column: Column, found: State, aim: Aim, course: Course, rig: RigRange | None) -> Next:
     assert column.wall is not None, "what is done is not asked for"
     bracket = column.bracket
-    wall = column.wall if column.split is None else rounded_down(column.wall, aim.accuracy * found.largest)
-    wall = min(max(wall, aim.lowest), aim.highest)
+    if rig is not None:
+        wall = rig.repeated(column.wall) if column.split is None else column.wall
+        if not any(grid.holds(wall) for grid in rig.grids):
+            # what a rig sets otherwise lies between digits
+            wall = rounded_down(wall, 0.01 * aim.accuracy * found.largest)
+    else:
+        wall = column.wall if column.split is None else rounded_down(column.wall, aim.accuracy * found.largest)
+        wall = min(max(wall, aim.lowest), aim.highest)
     K, B = ("Nm/rad", "Nms/rad") if course.rotation else ("N/m", "Ns/m")
     at = f"B = {column.damping:g} {B}"
     if bracket.again:
@@ -343,15 +401,18 @@ def _search(course: Course, wish: Wish, found: State, aim: Aim) -> Search | None
             return None
         raise UsageError(f"device {course.name!r}: no wall is expected to be stable, so that none has a cost.")
     target = Target(wish.criterion, np.array(aim.dampings), limits, point, holds)
-    return look_for(course.tried, target, OPTIMUM_ACCURACY, wish.count)
+    off = [answer.asked for answer in course.answers if answer.stiffness_off or answer.damping_off]
+    return look_for(course.tried, target, OPTIMUM_ACCURACY, wish.count, np.array(off).reshape(-1, 2))
 
 
-def _walls_of(search: Search, course: Course, wish: Wish, found: State, aim: Aim) -> list[Next]:
+def _walls_of(search: Search, course: Course, wish: Wish, found: State, aim: Aim, rig: RigRange | None) -> list[Next]:
     so_far = "no cost yet" if search.best is None else f"best {wish.criterion} {course.tried.cost[search.best]:.4g}"
     walls: dict[tuple[float, float], Next] = {}
     for K, B, cost in search.walls:
         stiffness = min(max(rounded_down(K, aim.accuracy * found.largest), aim.lowest), aim.highest)
         damping = rounded(B, 0.02 * aim.dampings[-1])
+        if rig is not None:
+            stiffness = rig.wall(stiffness, 0.0, inf, aim.highest) or stiffness
         why = f"{so_far}, {cost:.4g} expected here, {search.least:.4g} at the least"
         if search.region is None:
             why = f"{so_far}; no device predicts costs"

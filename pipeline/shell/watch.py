@@ -296,7 +296,7 @@ def plan_beside(
     from pipeline.measured.model.parts import Choice, chosen
     from pipeline.measured.model.recordings import Recording
     from pipeline.plan.course import open_course
-    from pipeline.plan.planner import plan_of
+    from pipeline.plan.planner import plan_of, remember
 
     told, running = set[tuple[str, str]](), list["Future[Choice]"]()
 
@@ -326,6 +326,7 @@ def plan_beside(
                 told.add((path, reason))
             course = open_course(name, processed, experiment, wish, known, parts)
             known, first, answer = course.learnt, False, plan_of(course, wish)
+            remember(answer, course, processed)
             yield answer
             if answer.done:
                 return

@@ -342,7 +342,7 @@ def plan(
     goal = goal if goal == "boundary" else "optimum"
     wish = Wish(goal, criterion, count, walls, gentle=gentle, **bounds)  # type: ignore[arg-type]
     if not watch:
-        answer = plan_stored(device, processed, experiment, wish)
+        answer = plan_stored(device, processed, experiment, wish, remembered=True)
         console.tell(answer.model_dump(mode="json"), plan_lines(answer))
         return
     from pipeline.shell.watch import plan_beside
