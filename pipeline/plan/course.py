@@ -67,8 +67,11 @@ AS_SET = 0.25
 START_ERROR = 0.1
 """Error of limits by the parameters of a device file, relative to the largest."""
 
-NOT_IDENTIFIED = "the logs do not identify a device. Record longer logs, larger steps, or steps in both directions."
-"""Reason where logs are usable."""
+NOT_IDENTIFIED = (
+    "the logs do not identify a device: mass and force on it cannot be separated. Record the next wall, longer logs, "
+    "or {}."
+)
+"""Reason where logs are usable, with what separates these."""
 
 RANGE_NEEDED = (
     "a range to start from is needed: a device file with mass, delay_samples, damping_first and damping_last "
@@ -204,7 +207,10 @@ def open_course(
     batch = TrialBatch.joined(list(load_groups(processed, trials.take(places)).parts))
     known = learn(batch, int(counted.sum()), known, look)
     found = known.device if known else None
-    unknown = "" if found is not None else unusable(recordings_of(batch, find_response(batch))) or NOT_IDENTIFIED
+    unknown = ""
+    if found is None:
+        recordings = recordings_of(batch, find_response(batch))
+        unknown = unusable(recordings) or NOT_IDENTIFIED.format(Recorded.of(recordings).remedy())
     walls = tuple(zip(K.tolist(), B.tolist(), strict=True))
     answers = stored_requests(processed, name, chosen).answered(walls)
     return replace(course, found=found, learnt=known, unknown=unknown, walls=walls, answers=answers)

@@ -102,7 +102,8 @@ class Best(Record):
 class Plan(Record):
     """What to try next, whether that is all, what is known, and how many trials it took and will take.
 
-    ``remarks`` are sentences on what the plan rests on.
+    ``remarks`` are sentences on what the plan rests on. ``left_out`` names parts of the device file that the limits
+    leave out, as long as these come from it.
     """
 
     next: tuple[Next, ...]
@@ -112,6 +113,7 @@ class Plan(Record):
     trials_expected: int
     remarks: tuple[str, ...] = ()
     optimum: Best | None = None
+    left_out: tuple[str, ...] = ()
 
 
 def plan(
@@ -186,7 +188,15 @@ def plan_of(course: Course, wish: Wish) -> Plan:
         trials_expected=used + (0 if done else more),
         remarks=(*_remarks(course, found, aim), *_answered(course, rig)),
         optimum=best,
+        left_out=_left_out(course),
     )
+
+
+def _left_out(course: Course) -> tuple[str, ...]:
+    """Return parts that the file's limits leave out; none where logs identify a device."""
+    if course.found is not None or course.device is None or course.of_file is None:
+        return ()
+    return tuple(course.device.left_out(course.of_file))
 
 
 def _limit(column: Column, *, blind: bool) -> Limit:

@@ -108,9 +108,10 @@ class ModelCheck(Record):
 class BoundaryPoint(Record):
     """Stability limit at one damping: largest stable stiffness below the smallest unstable one.
 
-    ``undecided`` trials lie below the largest stable one: worth a look, no evidence against it. Where friction was
-    found, all of it holds for the step that was used; ``stiffness_large_motion`` is the linear limit of the found
-    device, from which on a harder push is unstable.
+    ``trials`` is the number of trials with K > 0 at that damping, ``undecided`` that of the undecided ones of them
+    below the largest stable stiffness: worth a look, no evidence against it. Other undecided ones, and all where
+    ``stable`` is null, are not in it. Where friction was found, all of it holds for the step that was used;
+    ``stiffness_large_motion`` is the linear limit of the found device, from which on a harder push is unstable.
 
     ``estimate`` is the limit by the growth rates with its 95 % interval; a censored point has ``low`` alone,
     one without a stable trial an upper end ``high`` above a ``low`` of 0, and no estimate. ``truth`` is the limit of a

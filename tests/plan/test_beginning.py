@@ -13,6 +13,7 @@ from pipeline.loop.loop import Normalised, loop_of, wall_units
 from pipeline.plan.course import Wish, foretold, open_course, wanted_dampings
 from pipeline.plan.planner import plan, plan_of
 from pipeline.records.loop_parts import LoopParts
+from pipeline.shell.commands.cli_device import plan_lines
 from pipeline.theory.boundary import limits
 from pipeline.theory.optimum import optimal_point
 
@@ -48,6 +49,16 @@ def test_a_declared_lag_lowers_the_first_wall(begun):
     wish = Wish(dampings=(80.0,))
     ideal, lagging = (plan_of(begun(**parts), wish).next[0].stiffness for parts in ({}, {"actuator_lag_s": 0.004}))
     assert lagging < 0.9 * ideal
+
+
+@pytest.mark.parametrize(
+    ("name", "parts"), [("falcon-real", ("friction", "jitter")), ("falcon", ("jitter",)), ("lwr", ())]
+)
+def test_parts_that_limits_of_a_file_leave_out_are_named_in_words_as_in_json(tmp_path, name, parts):
+    answer = plan(name, tmp_path)
+    assert answer.left_out == parts
+    lines = [line for line in plan_lines(answer) if line.startswith("left out of linear theory")]
+    assert lines == ([f"left out of linear theory: {', '.join(parts)}"] if parts else [])
 
 
 def test_no_device_and_no_log_says_what_is_needed_by_example(tmp_path):

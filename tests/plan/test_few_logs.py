@@ -105,10 +105,10 @@ class Body:
 
 
 def store(folder: Path, body: Body, trials, step=4.0, rows=321, edge=20, still=False) -> Path:
-    """Write the logs of trials (K, B, perhaps another step) and take them in."""
+    """Write the logs of trials (K, B, perhaps another step) and take them in, with those that are there."""
     logs = folder / "logs"
-    logs.mkdir()
-    for number, (K, B, *own) in enumerate(trials):
+    logs.mkdir(exist_ok=True)
+    for number, (K, B, *own) in enumerate(trials, len(list(logs.iterdir()))):
         force = own[0] if own else step
         command, position = body.move(K, B, force, rows, edge)
         position = 0 * position if still else position
@@ -155,6 +155,25 @@ def test_same_wall_plan_done(tmp_path, count):
     (asked,) = answer.next
     assert asked.stiffness != 1500.0
     assert asked.stiffness < body.limit(15.0)
+
+
+@pytest.mark.parametrize("step", [250.0, 1000.0])
+def test_a_plan_names_what_a_rig_set_in_place_of_the_wall_that_was_stored_as_asked(tmp_path, step):
+    body, wall = Body(0.5, 3.0, 2.4), (1500.0, 15.0)
+    processed = store(tmp_path, body, [wall] * 2)
+    before = sorted(processed.rglob("*"))
+    plan("dev", processed)
+    assert not list(processed.rglob("asked-*")), "a plan in Python stores nothing"
+    asked = plan("dev", processed, remembered=True).next[0]
+    assert len(list(processed.rglob("asked-*"))) == 1
+    assert set(before) <= set(processed.rglob("*"))
+    got = step * (asked.stiffness // step)
+    store(tmp_path, body, [(got, 15.0)])
+    for _ in range(2):  # asked once more without new logs it says the same
+        remarks = plan("dev", processed, remembered=True).remarks
+        said = f"asked for K = {asked.stiffness:g} N/m, B = 15 Ns/m, the rig set K = {got:g} N/m "
+        said += "(others than asked for: 1 of 1 wall so far)"
+        assert (said in remarks) is (got != asked.stiffness)
 
 
 @pytest.mark.parametrize("verdict", ["stable", "unstable"])

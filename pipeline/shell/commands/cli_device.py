@@ -368,6 +368,8 @@ def plan_lines(answer: Plan) -> Iterator[str]:
     for wall in answer.next:
         yield f"K = {wall.stiffness:g}, B = {wall.damping:g}: expected {wall.expected}. {wall.why}"
     yield from answer.remarks
+    if answer.left_out:
+        yield f"left out of linear theory: {', '.join(answer.left_out)}"
     if (best := answer.optimum) is not None:
         least = "" if best.expected_cost is None else f"; {best.expected_cost:.4g} expected at the least"
         place = f"K = {best.stiffness:g}, B = {best.damping:g}"
