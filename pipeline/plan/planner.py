@@ -299,7 +299,7 @@ def _answered(course: Course, rig: RigRange | None) -> list[str]:
     if rig is None:
         return said
     steps = sorted({grid.step for grid in rig.grids})
-    if steps:
+    if steps and rig.several:
         least = f"multiples of {steps[0]:g} {K}"
         said.append(f"the rig sets {least}" + (", or of more" if len(steps) > 1 else "") + ": next walls are such")
     if rig.factor != 1:

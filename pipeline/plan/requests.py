@@ -184,9 +184,9 @@ class RigRange:
     exact: bool = False
 
     @property
-    def known(self) -> bool:
-        """Whether a step, factor or range explains all answers."""
-        return self.exact or bool(self.grids) or self.factor != 1
+    def several(self) -> bool:
+        """Whether walls of several stiffnesses were answered, so that these tell a step."""
+        return len(np.unique(self.asked)) >= TWICE
 
     def wall(self, wanted: float, low: float, high: float, most: float) -> float | None:
         """Return the stiffness to ask for so that a wall between two others is set; None where the rig sets none.
@@ -204,7 +204,7 @@ class RigRange:
             return wanted
         if self.factor != 1:
             return wanted / self.factor
-        if not self.grids or len(np.unique(self.asked)) < TWICE:
+        if not self.grids or not self.several:
             return self._between(wanted, low, high)
         top, most = min(high, self.highest * (1 + 2 * EXACT)), most * (1 + 2 * EXACT)
         # what was answered by the end of the range is so again
