@@ -11,22 +11,27 @@ from typing import Literal
 import numpy as np
 
 from pipeline.base.errors import DeviceError, ParameterError, UsageError
+from pipeline.base.wording import counted
 from pipeline.device_data.devices import declared_spring, find_experiment, known_devices, read_device
 from pipeline.measured.experiment.boundary import spread_over_plane
 from pipeline.measured.experiment.fitted_device import NAMES, PARTS, FittedDevice
 from pipeline.measured.law.wall_law import wall_law
+from pipeline.measured.model.identified import check_recordings
 from pipeline.measured.model.intervals import BOUNDED, NEEDED, Errors, physical
 from pipeline.measured.model.parts import Choice, again
 from pipeline.measured.model.parts import chosen as look_at_once
 from pipeline.measured.model.recordings import SHORTEST, Recording
 from pipeline.measured.model.told import Recorded, is_told
 from pipeline.measured.signal.response import Response, find_response
+from pipeline.measured.stages.stage_device import recording_findings
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.measured.student import NORMAL_95
 from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial, stated_device
 from pipeline.plan.next_wall import Forecast, Tried
 from pipeline.plan.requests import Answer, stored_requests
+from pipeline.recording.check import check_trial
 from pipeline.records.batch import Floats, TrialBatch
+from pipeline.records.findings import MOST_UNSAFE
 from pipeline.records.models import Device, Experiment
 from pipeline.store.samples import load_groups
 from pipeline.store.storage import list_experiments, read_trials
@@ -45,9 +50,6 @@ FEW = 3
 UNSURE = 0.5
 """Lowest largest limit of the devices that the logs allow, relative to that of the likeliest, below which the device
 counts as unknown."""
-
-USABLE_ROWS = 4 * SHORTEST
-"""Rows of all logs that a device is identified from at least, in logs of `SHORTEST` rows or more."""
 
 RANGE = 1.5
 """Largest damping where none is named, relative to that of the stiffest wall."""
@@ -201,11 +203,18 @@ def open_course(
             force[rows] = np.nanmax(np.abs(batch.command), axis=1)
     course = course_of(stages, device, of_file, wish, force)
     K, B = (trials.column(key).to_numpy() for key in ("stiffness", "damping"))
+    findings = recording_findings(stages)
+    unsafe = np.array([any(each.is_unsafe for each in some) for some in findings], dtype=np.bool_)
+    if unsafe.mean() > MOST_UNSAFE:
+        first = next(each for some in findings for each in some if each.is_unsafe)
+        where = f"device {name!r}, experiment {chosen!r}: {int(unsafe.sum())} of {counted(len(unsafe), 'log')}"
+        raise ParameterError(f"{where}: {first.sentence}")
     # a device without a wall may end somewhere: such logs count where there are no others
-    counted = (K > 0) | (not (K > 0).any())
-    places = spread_over_plane(K, B, counted, TRIALS)
+    fitted = ~unsafe & ((K > 0) | (not (K > 0).any()))
+    fitted = fitted if fitted.any() else ~unsafe
+    places = spread_over_plane(K, B, fitted, TRIALS)
     batch = TrialBatch.joined(list(load_groups(processed, trials.take(places)).parts))
-    known = learn(batch, int(counted.sum()), known, look)
+    known = learn(batch, int(fitted.sum()), known, look)
     found = known.device if known else None
     unknown = ""
     if found is None:
@@ -422,30 +431,33 @@ def learn(batch: TrialBatch, count: int, known: Learnt | None, look: Look) -> Le
     return Learnt(choice, FoundDevice(fitted, period, velocity, directions), looked)
 
 
-def unusable(recordings: Sequence[Recording]) -> str:
-    """Return why no device can be identified from recordings, and what to record; empty where one can.
-
-    The checks are those of `measured.model.identified.identified`.
-    """
-    rows = sum(len(each.time) for each in recordings if len(each.time) >= SHORTEST)
-    if rows < USABLE_ROWS:
-        return f"the logs have {rows} usable rows; expected at least {USABLE_ROWS}. Record longer ones."
-    if not any(np.ptp(each.position) > 0 for each in recordings):
-        return "the position does not change in any log; expected a device in motion. Record larger steps."
-    if not any(np.any(each.command != 0) for each in recordings):
-        return "the command is 0 in all rows. Record steps of the command."
+def unusable(recordings: list[Recording]) -> str:
+    """Return why no device can be identified from recordings, and what to record; empty where one can."""
+    try:
+        check_recordings(recordings)
+    except ParameterError as error:
+        return str(error)
     return ""
 
 
 def recordings_of(batch: TrialBatch, response: Response) -> list[Recording]:
-    """Return trials from shortly before the step on, as the model takes them."""
+    """Return trials from shortly before the step on up to a travel stop, as the model takes them.
+
+    Logs that are too short or were recorded wrongly are left out, where there are others.
+    """
     found = []
     for i in range(len(batch)):
-        edge = max(int(response.edge_row[i]), 0)
-        rows = slice(max(edge - AHEAD, 0), min(int(batch.rows[i]), edge + ROWS))
+        findings = check_trial(batch, i)
+        edge = int(response.edge_row[i])
+        stops = [each.first_row or 0 for each in findings if each.severity == "cut"]
+        rows = slice(max(edge - AHEAD, 0), min(int(batch.rows[i]), max(edge, 0) + ROWS, *stops))
         logged = (batch.time[i, rows], batch.command[i, rows], batch.position[i, rows])
-        found.append(Recording(str(i), *logged, float(batch.sampling_period_s[i]), edge - rows.start))
-    return found
+        one = Recording(
+            str(i), *logged, float(batch.sampling_period_s[i]), edge - rows.start if edge >= rows.start else None
+        )
+        found.append((one, len(one.time) >= SHORTEST and not any(each.leaves_out for each in findings)))
+    usable = [one for one, is_usable in found if is_usable]
+    return usable or [one for one, _ in found]
 
 
 def fitted_of(choice: Choice) -> FittedDevice | None:

@@ -52,7 +52,7 @@ def unusable_signal(samples: Samples) -> Finding | None:
             rows=rows,
             evidence=f"The command is 0 in all {rows} rows, and a step of {samples.step:.6g} is stated.",
             remedy="Name the column of the command in the profile (columns.command).",
-            severity="unsafe",
+            severity="unusable",
         )
     return None
 

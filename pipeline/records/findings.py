@@ -174,10 +174,6 @@ FINDINGS = "findings"
 """Key of the findings of a trial in its stored `time_quality`."""
 
 
-UNSAFE = frozenset({"unsafe", "unusable"})
-"""Severities of a log that gives no delay and no limit."""
-
-
 class Finding(Record):
     """A fault of a recording: what it is, where, what shows it, and what to do.
 
@@ -207,8 +203,13 @@ class Finding(Record):
 
     @property
     def is_unsafe(self) -> bool:
-        """Whether the log gives no delay and no limit."""
-        return self.severity in UNSAFE
+        """Whether the log gives no delay and no limit, though it seems to."""
+        return self.severity == "unsafe"
+
+    @property
+    def leaves_out(self) -> bool:
+        """Whether nothing is fitted to the log."""
+        return self.severity in {"unsafe", "unusable"}
 
 
 class Note(Record):

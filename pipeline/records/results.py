@@ -10,7 +10,6 @@ from typing import Any, Literal
 from pydantic import Field
 
 from pipeline.records.findings import (
-    UNSAFE,
     BoundaryPoint,
     Estimate,
     ExcludedTrial,
@@ -281,7 +280,7 @@ class RecordingFault(Record):
     @property
     def is_unsafe(self) -> bool:
         """Whether these trials give no delay and no limit."""
-        return self.severity in UNSAFE
+        return self.severity == "unsafe"
 
 
 class LoopFindings(Record):

@@ -215,14 +215,19 @@ def usable_recordings(read: Sequence[tuple[str, Log]]) -> list[Recording]:
         raise ParameterError(f"{name}: {first.sentence}{others}")
     found = []
     for name, log in read:
-        if name in names:
+        if any(each.leaves_out for each in log.findings):
             continue
         end = min((each.first_row or 0 for each in log.findings if each.severity == "cut"), default=len(log.time))
         row = log.header.extra.get("step_row")
         edge = int(row) if row is not None and int(row) < end else None
         columns = (log.time[:end], log.command[:end], log.position[:end])
         found.append(Recording(name, *columns, log.header.sampling_period_s, edge))
-    return found
+    if found:
+        return found
+    name, log = read[0]
+    finding = next(each for each in log.findings if each.leaves_out)
+    others = f" (So is it with all {len(read)} logs.)" if len(read) > 1 else ""
+    raise ParameterError(f"{name}: {finding.sentence}{others}")
 
 
 def _logs(source: Source) -> tuple[Log, ...]:

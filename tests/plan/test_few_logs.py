@@ -38,15 +38,19 @@ class Body:
     delay: float
     friction: float = 0.0
 
-    def move(self, K, B, step, rows, edge=20, resolution=1e-6):
-        """Return command and position of a trial whose step is in a row, by exact motion over parts of a sample."""
+    def move(self, K, B, step, rows, edge=20, resolution=1e-6, seed=None):
+        """Return command and position of a trial whose step is in a row, by exact motion over parts of a sample.
+
+        With a seed readings have noise of 0.4 of their resolution.
+        """
+        noise = np.zeros(rows) if seed is None else np.random.default_rng(seed).normal(0, 0.4 * resolution, rows)
         x = v = 0.0
         position, command = np.zeros(rows), np.zeros(rows)
         dt = T / SUBSTEPS
         late = ceil(self.delay * SUBSTEPS)
         decay = exp(-self.damping * dt / self.mass)
         for k in range(rows):
-            position[k] = round(x / resolution) * resolution if resolution else x
+            position[k] = round((x + noise[k]) / resolution) * resolution if resolution else x
             speed = (position[k] - position[k - 1]) / T if k else 0.0
             command[k] = (step if k >= edge else 0.0) - K * position[k] - B * speed
             for part in range(SUBSTEPS):
@@ -104,13 +108,13 @@ class Body:
         return low
 
 
-def store(folder: Path, body: Body, trials, step=4.0, rows=321, edge=20, still=False) -> Path:
+def store(folder: Path, body: Body, trials, step=4.0, rows=321, edge=20, still=False, noisy=False) -> Path:
     """Write the logs of trials (K, B, perhaps another step) and take them in, with those that are there."""
     logs = folder / "logs"
     logs.mkdir(exist_ok=True)
     for number, (K, B, *own) in enumerate(trials, len(list(logs.iterdir()))):
         force = own[0] if own else step
-        command, position = body.move(K, B, force, rows, edge)
+        command, position = body.move(K, B, force, rows, edge, seed=number if noisy else None)
         position = 0 * position if still else position
         # a copy of a log is no second trial
         command[0] = number * 1e-9
@@ -155,6 +159,31 @@ def test_same_wall_plan_done(tmp_path, count):
     (asked,) = answer.next
     assert asked.stiffness != 1500.0
     assert asked.stiffness < body.limit(15.0)
+
+
+SAME_WALL = [
+    (Body(0.5, 3.0, 2.4), (1500.0, 15.0), 4.0, 5),
+    (Body(0.5, 3.0, 2.4, 0.3), (1500.0, 15.0), 4.0, 5),
+    (Body(2.0, 5.0, 4.6, 0.5), (1200.0, 40.0), 8.0, 5),
+    (Body(0.05, 0.3, 1.6, 0.02), (300.0, 2.0), 1.0, 2),
+    (Body(0.5, 3.0, 2.4), (1500.0, 50.0), 4.0, 2),
+    (Body(0.5, 3.0, 2.4, 0.2), (3000.0, 30.0), 4.0, 3),
+]
+
+
+@pytest.mark.parametrize(
+    ("body", "wall", "step", "count"),
+    SAME_WALL[:2] + [pytest.param(*each, marks=pytest.mark.slow) for each in SAME_WALL[2:]],
+)
+def test_same_wall_plan_done_identifies_the_device(tmp_path, body, wall, step, count):
+    course = open_course("dev", store(tmp_path, body, [wall] * count, step, noisy=True), None, Wish())
+    assert course.found is not None, course.unknown
+    assert course.found.point.mass == pytest.approx(body.mass, rel=0.03)
+    dampings = np.array([wall[1], 2 * wall[1]])
+    assert course.found.point.limit(dampings) == pytest.approx([body.limit(B) for B in dampings], rel=0.05)
+    (asked,) = plan_of(course, Wish()).next
+    assert (asked.damping, asked.stiffness > wall[0]) == (wall[1], True)
+    assert not body.is_unstable(asked.stiffness, asked.damping, step)
 
 
 @pytest.mark.parametrize("step", [250.0, 1000.0])

@@ -91,7 +91,7 @@ def identified(recordings: list[Recording]) -> Identified:
     ParameterError
         If nothing moves in them, no command is given, or they are too short.
     """
-    _check(recordings)
+    check_recordings(recordings)
     choice = chosen(recordings)
     errors = Errors.of(choice.fit)
     quantities = physical(choice.scales)
@@ -174,13 +174,22 @@ def _held_before(parameters: dict[str, Interval], command: float) -> dict[str, I
     return result
 
 
-def _check(recordings: list[Recording]) -> None:
+def check_recordings(recordings: list[Recording]) -> None:
+    """Refuse recordings from which no device can be identified.
+
+    Raises
+    ------
+    ParameterError
+        As `identified`: too few rows, several sampling periods, no motion, no command, or numbers in no unit.
+    """
     rows = sum(len(each.time) for each in recordings if len(each.time) >= SHORTEST)
     if rows < 4 * SHORTEST:
         raise ParameterError(f"the logs have {rows} usable rows; expected at least {4 * SHORTEST}. Record longer ones.")
     _check_periods(recordings)
     if not any(np.ptp(each.position) > 0 for each in recordings):
-        raise ParameterError("the position does not change in any log; expected a device in motion.")
+        raise ParameterError(
+            "the position does not change in any log; expected a device in motion. Record larger steps."
+        )
     if not any(np.any(each.command != 0) for each in recordings):
         raise ParameterError(
             "the command is 0 in all rows; a motion without a force tells no mass. Record steps of the command, or "

@@ -46,6 +46,9 @@ NUMBERS = {
 SHORTER = (150,)
 """Rows of the short segments by which a search starts, too: about ten time constants of a fast motor at 1 kHz."""
 
+STARTS = 2
+"""Devices from which a search of whole segments starts: with a spring, and without."""
+
 FOLDS = 5
 
 MOST_TRIALS = 100
@@ -268,18 +271,16 @@ def _first(
     if "coulomb" in begin[0].numbers and len(held := stretches(recordings, scales, lead, True)):
         whole = _searched(held, begin, trials)
         bounds = {name: _upper(whole, name, scales) for name in ("friction", "stiffness")}
-        fit, parts = _worth(held, whole, trials)
+        fit, parts = _worth(held, whole, trials, begin[0])
         gain, numbers = _loss(fit, "coulomb"), fit.device.numbers
         rubs = gain > WORTH and numbers["coulomb"] / numbers["gain"] > SLIGHT
         if rubs or _upper(fit, "friction", scales) >= OPEN * scales.command:
             return fit, held, {"friction": gain if rubs else 0.0} | parts, bounds
     held = stretches(recordings, scales, lead, False)
-    starts = begin if fit is None else [fit.device]
-    slides = [{name: value for name, value in each.numbers.items() if name != "coulomb"} for each in starts]
-    starts = [Device({"gamma": 0.0} | numbers, each.noise) for each, numbers in zip(starts, slides, strict=True)]
-    fit = refined(held, starts[0], trials, far=False) if fit is not None else _searched(held, starts, trials)
+    starts = [_sliding(each) for each in begin]
+    fit = refined(held, _sliding(fit.device), trials, far=False) if fit is not None else _searched(held, starts, trials)
     bounds["stiffness"] = _upper(fit, "stiffness", scales)
-    fit, parts = _worth(held, fit, trials)
+    fit, parts = _worth(held, fit, trials, starts[0])
     return fit, held, parts, bounds
 
 
@@ -288,14 +289,28 @@ def _upper(fit: Fit, name: str, scales: Scales) -> float:
     return Errors.of(fit).interval(physical(scales)[name], bounded=True).high
 
 
-def _worth(held: Stretches, fit: Fit, trials: int) -> tuple[Fit, dict[str, float]]:
-    """Return the fit with its spring where there is one, else without."""
+def _worth(held: Stretches, fit: Fit, trials: int, begin: Device) -> tuple[Fit, dict[str, float]]:
+    """Return the fit with its spring where there is one, else without.
+
+    Where there seems to be one the search climbs without it, too, from where it began: behind one wall a spring may
+    stand for the command.
+    """
     gain, numbers = _loss(fit, "gamma"), fit.device.numbers
     # in units of the largest command, at the largest displacement
     if gain > WORTH and abs(numbers["gamma"] / numbers["gain"]) > SLIGHT:
-        return fit, {"stiffness": gain}
-    left = {name: value for name, value in fit.device.numbers.items() if name != "gamma"}
-    return refined(held, Device(left, fit.device.noise), trials, far=False, noisy=False), {}
+        free = refined(held, _springless(begin), trials)
+        return (free, {}) if free.likelihood > fit.likelihood - WORTH else (fit, {"stiffness": gain})
+    return refined(held, _springless(fit.device), trials, far=False, noisy=False), {}
+
+
+def _springless(device: Device) -> Device:
+    return Device({name: value for name, value in device.numbers.items() if name != "gamma"}, device.noise)
+
+
+def _sliding(device: Device) -> Device:
+    """Return a device without friction, with a spring."""
+    numbers = {name: value for name, value in device.numbers.items() if name != "coulomb"}
+    return Device({"gamma": 0.0} | numbers, device.noise)
 
 
 def _base(recordings: list[Recording]) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -331,7 +346,23 @@ def _begin(recordings: list[Recording], scales: Scales, base: tuple[str, ...], l
             "logs, with the step nearer to their begin"
         )
     parts = [held, *(held.shorter(rows) for rows in SHORTER if held.rows.max() > 2 * rows)]
-    return [first_guess(part, names, lead) for part in parts]
+    return [device for part in parts for device in _first_devices(part, names, lead, len(recordings))]
+
+
+def _first_devices(held: Stretches, names: tuple[str, ...], lead: int, trials: int) -> list[Device]:
+    """Return two devices from which a search starts, the likelier first: by the balance with a spring, and without.
+
+    Behind one wall the command is a spring and a damper of its own: but for the delay, a device with these and no gain
+    moves alike, and the errors of readings decide between the two.
+    """
+    found = first_guess(held, names, lead)
+    try:
+        free = first_guess(held, tuple(name for name in names if name != "gamma"), lead)
+    except ParameterError:
+        return [found]
+    free = replace(free, numbers={name: free.numbers.get(name, 0.0) for name in names})
+    some = _some(held)
+    return sorted((found, free), key=lambda device: -_likelihood(some, device, trials))
 
 
 def _searched(held: Stretches, begin: list[Device], trials: int) -> Fit:
@@ -341,12 +372,15 @@ def _searched(held: Stretches, begin: list[Device], trials: int) -> Fit:
     before the search ends may replace friction, a delay, or a fast motion.
     """
     fit = refined(held, begin[0], trials)
-    if fit.device.noise == WHITE or (len(begin) == 1 and trials >= FEWEST):
+    if trials < FEWEST and len(begin) > 1:
+        fit = max(fit, refined(held, begin[1], trials), key=lambda each: each.likelihood)
+    if fit.device.noise == WHITE or (len(begin) <= STARTS and trials >= FEWEST):
         return fit
     some = _some(held)
     climbs = [climbed(some, device, trials) for device in begin]
-    best = max(climbs, key=lambda device: _likelihood(some, device, trials))
-    other = refined(some, best, trials, far=False)
+    if trials >= FEWEST:
+        climbs = [max(climbs, key=lambda device: _likelihood(some, device, trials))]
+    other = max((refined(some, each, trials, far=False) for each in climbs), key=lambda each: each.likelihood)
     if len(some) < len(held):
         whole = refined(some, replace(fit.device, effects=None), trials, far=False)
         if other.likelihood <= whole.likelihood + WORTH:

@@ -59,14 +59,15 @@ def found_device(of: Experiment) -> tuple[Identified | None, str]:
     if unsafe.mean() > MOST_UNSAFE:
         first = next(each for found in findings for each in found if each.is_unsafe)
         return None, f"{int(unsafe.sum())} of {counted(len(unsafe), 'log')}: {first.sentence}"
-    usable &= ~unsafe
+    usable &= ~np.array([any(each.leaves_out for each in found) for found in findings])
     ids = of.texts("response", "trial_id")
     parts = of.of_each(recordings, chosen=[ids[i] for i in np.flatnonzero(usable)])
     order = np.lexsort((np.array(ids), stiffness, of.column("response", "damping")))
     rank = {ids[i]: number for number, i in enumerate(order.tolist())}
     found = sorted((one for part in parts for one in part), key=lambda one: rank[one.name])
     if not found:
-        return None, "no log's command is that of its wall and time"
+        fault = next((each for some in findings for each in some if each.leaves_out), None)
+        return None, fault.sentence if fault is not None else "no log's command is that of its wall and time"
     # a log that is too short to show motion costs itself alone
     found = [one for one in found if len(one.time) >= SHORTEST] or found
     try:
