@@ -52,7 +52,7 @@ def digest_all(parts: Iterable[str]) -> str:
 
 
 CODE = {
-    "stages": ("base", "records", "store", "loop", "measured"),
+    "stages": ("base", "records", "store", "loop", "recording", "measured"),
     "theory": ("base", "records", "loop", "theory"),
     "report": (".",),
 }

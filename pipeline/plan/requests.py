@@ -255,7 +255,7 @@ def range_of(answers: Sequence[Answer]) -> RigRange | None:
     Grid(step=1000.0, rounding='nearest')
     >>> rig((2930.0, 2930.0), (6200.0, 5000.0), (7000.0, 5000.0)).highest
     5000.0
-    >>> rig((2000.0, 2200.0), (3000.0, 3300.0)).factor
+    >>> rig((2000.0, 2200.0), (3000.0, 3300.0), (4100.0, 4510.0)).factor
     1.1
     """
     if not any(answer.stiffness_off for answer in answers):
