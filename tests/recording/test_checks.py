@@ -1,0 +1,147 @@
+"""Single facts of the checks of a recording, on motions that are known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.recording.check import check_recording
+from pipeline.recording.motion import free_response
+from pipeline.recording.samples import Samples
+from pipeline.recording.wrapping import unwrapped
+
+PERIOD = 1e-3
+
+
+def motor(delay: float, *, late: int = 0, rows: int = 800, noise: float = 0.0, sign: float = 1.0) -> Samples:
+    """Log of a mass of 2 kg without damping under steps of force, exact; the command is logged some rows late."""
+    k = np.arange(rows)
+    command = np.where(k < 50, 0.0, np.where((k - 50) // 150 % 2 == 0, 3.0, -2.0))
+    t = np.maximum(k[:, None] - delay - np.arange(rows)[None, :], 0.0) * PERIOD
+    change = np.diff(command, prepend=0.0)
+    position = 0.5 * t**2 @ change / 2.0 + noise * np.random.default_rng(0).standard_normal(rows)
+    logged = np.concatenate([np.zeros(late), command[: rows - late]])
+    return Samples(PERIOD * k, logged, sign * position, PERIOD)
+
+
+def codes(samples):
+    return [finding.code for finding in check_recording(samples)]
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.4, 2.0, 3.7])
+def test_the_delay_of_a_free_motion_is_fitted(delay):
+    response = free_response(motor(delay))
+    assert response.delay == pytest.approx(delay, abs=0.02)
+    assert codes(motor(delay)) == []
+
+
+@pytest.mark.parametrize(("delay", "late"), [(0.0, 1), (2.0, 4), (2.5, 20), (0.3, 60)])
+def test_a_late_command_is_found_with_its_rows(delay, late):
+    (finding,) = check_recording(motor(delay, late=late, noise=1e-8))
+    assert (finding.code, finding.severity) == ("noncausal", "unsafe")
+    assert f"responds {late - delay:.3g} rows before" in finding.evidence
+
+
+def test_a_command_that_is_late_by_less_than_the_delay_shortens_it():
+    assert free_response(motor(4.0, late=3)).delay == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_reversed_sign_is_found():
+    assert codes(motor(2.0, sign=-1.0)) == ["wrong_sign"]
+
+
+def test_a_step_from_rest_may_not_be_answered_before_it():
+    x = np.concatenate([np.zeros(30), 1e-3 * np.arange(1.0, 71.0) ** 2])
+    command = np.where(np.arange(100) < 40, 0.0, 5.0)
+    (finding,) = check_recording(Samples(PERIOD * np.arange(100), command, x, PERIOD, 100.0, 1.0, 5.0))
+    assert finding.code == "noncausal"
+    assert finding.first_row in {30, 31}
+
+
+def test_a_motion_that_dies_out_before_the_step_is_no_response():
+    k = np.arange(300)
+    still = 0.01 * np.exp(-k / 15.0)
+    answer = 1e-6 * np.maximum(k - 62, 0) ** 2
+    command = np.where(k < 60, 0.0, 5.0)
+    assert "noncausal" not in codes(Samples(PERIOD * k, command, still + answer, PERIOD))
+
+
+@pytest.mark.parametrize("factor", [0.125, 0.5, 0.9, 1.1, 2.0, 3.0])
+def test_another_period_than_stated_names_both(factor):
+    log = motor(2.0)
+    (finding,) = check_recording(Samples(log.time, log.command, log.position, PERIOD * factor))
+    assert finding.code == "sampling_period"
+    assert "0.001 s apart" in finding.evidence
+    assert f"{PERIOD * factor:.4g} s" in finding.evidence
+
+
+def test_a_clock_that_drifts_by_a_permille_is_no_other_period():
+    log = motor(2.0)
+    assert codes(Samples(1.001 * log.time, log.command, log.position, PERIOD)) == []
+
+
+def test_lost_rows_are_counted():
+    log, kept = motor(2.0), np.ones(800, dtype=bool)
+    kept[[100, 101, 400]] = False
+    (finding,) = check_recording(Samples(log.time[kept], log.command[kept], log.position[kept], PERIOD))
+    assert (finding.code, finding.first_row, finding.rows) == ("missing_rows", 99, 3)
+
+
+@pytest.mark.parametrize("modulus", [2 * np.pi, np.pi, 25.0, 3.3])
+@pytest.mark.parametrize("offset", [0.0, 0.5])
+def test_an_angle_that_starts_again_is_joined(modulus, offset):
+    turned = 4 * modulus * np.sin(np.linspace(0, 7, 2000)) + 0.2
+    read = np.mod(turned + offset * modulus, modulus) - offset * modulus
+    joined, finding = unwrapped(read)
+    assert np.ptp(joined - turned) < 1e-3 * modulus
+    assert (finding.code, finding.severity) == ("wrapped_angle", "repaired")
+    assert finding.rows == np.sum(np.abs(np.diff(read)) > 0.5 * modulus)
+
+
+def test_a_stated_modulus_is_taken_and_false_leaves_the_angle():
+    read = np.mod(np.linspace(0, 30, 200), 5.0)
+    assert np.ptp(unwrapped(read, 5.0)[0] - np.linspace(0, 30, 200)) < 1e-12
+    assert unwrapped(read, False) == (pytest.approx(read), None)
+
+
+def test_a_growing_oscillation_is_no_wrapped_angle():
+    k = np.arange(120)
+    assert unwrapped(1e-6 * np.exp(k / 10.0) * np.sin(k * 1.3))[1] is None
+
+
+@pytest.mark.parametrize("bounce", [0.0, 0.4])
+def test_rows_behind_a_travel_stop_are_cut(bounce):
+    k = np.arange(200)
+    free = np.where(k < 20, 0.0, 1e-4 * (k - 20.0) ** 2)
+    first = int(np.argmax(free > 1.0))
+    speed = free[first] - free[first - 1]
+    x = np.where(k < first, free, 1.0 - bounce * speed * np.clip(k - first, 0, 20))
+    command = np.where(k < 20, 0.0, 5.0)
+    (finding,) = check_recording(Samples(PERIOD * k, command, x, PERIOD))
+    assert (finding.code, finding.severity) == ("travel_stop", "cut")
+    assert abs(finding.first_row - first) <= 2
+
+
+def test_a_brake_by_the_command_is_no_travel_stop():
+    log = motor(0.0)
+    assert codes(Samples(log.time, np.sign(log.command) * 50, 25 * log.position, PERIOD)) == []
+
+
+def test_readings_between_fewer_are_found():
+    log, k = motor(2.0), np.arange(800)
+    joined = np.interp(k, k[::5], log.position[::5])
+    assert codes(Samples(log.time, log.command, joined, PERIOD)) == ["interpolated_rows"]
+
+
+def test_a_ramp_that_was_commanded_is_no_interpolation():
+    k = np.arange(900)
+    command = np.interp(k, [0, 100, 200, 400, 500, 700, 899], [0, 0, 3, 3, -2, -2, 1.0])
+    velocity = np.concatenate([[0.0], np.cumsum(command)[:-1]])
+    position = np.concatenate([[0.0], np.cumsum(velocity + 0.5 * command)[:-1]]) * PERIOD**2 / 2
+    assert codes(Samples(PERIOD * k, command, position, PERIOD)) == []
+
+
+def test_a_short_log_has_that_finding_alone():
+    log = motor(2.0, rows=60)
+    few = Samples(log.time[:6], log.command[:6], log.position[:6], PERIOD)
+    assert codes(few) == ["too_few_rows"]
