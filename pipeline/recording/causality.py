@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.recording.motion import free_response, left_with_kicks
 from pipeline.recording.rows import spacing
-from pipeline.recording.samples import NOISE_GAIN, Samples, middle
+from pipeline.recording.samples import LAW_LEFT, NOISE_GAIN, Samples, middle
 from pipeline.records.findings import Finding
 
 BASELINE = 8
@@ -51,9 +51,6 @@ OWN_STEPS = 1.25
 MOST_RAMPS = 40
 """Ramps of a command that are taken for steps one by one."""
 
-LAW_LEFT = 0.02
-"""Part of a command that the wall law leaves where it is the stated one, rounding and the sensor included."""
-
 CLEARLY_LATE = 5.0
 """What the law leaves with the rows as they are relative to that with the command some rows earlier."""
 
@@ -70,8 +67,11 @@ def moves_before_command(samples: Samples) -> Finding | None:
     """Return whether the position responds before its command, and by how many rows.
 
     From rest the position may not leave its baseline before the edge of the command. In free motion the delay that
-    explains the whole log best, a negative one included, may not be negative.
+    explains the whole log best, a negative one included, may not be negative. A wall whose command is that of the
+    position in its row acted on that very reading.
     """
+    if samples.obeys_wall:
+        return None
     rows = _negative_delay(samples)
     if rows is not None:
         found = (
@@ -182,23 +182,12 @@ def _late_command(samples: Samples) -> int | None:
     Of a controller that applies the wall law u_k = F - K (x_k - x_0) - B (x_k - x_(k-1))/T the command of a row is that
     of its position. A filter, a clipped or other wall leaves more at any shift.
     """
-    if samples.is_free:
+    if samples.is_free or samples.obeys_wall:
         return None
-    per_row, jumps = samples.damping / samples.period, samples.jumps
-    force = samples.stiffness * samples.change
-    force[1:] += per_row * samples.bend
-    force[0] += per_row * samples.change[0]
-
-    def left(shift: int) -> float:
-        """Return the root mean square that the law leaves of the changes of the command, but for that of the step."""
-        rest = (jumps[shift:] + force[: len(force) - shift]) ** 2
-        return float(np.sqrt(max(float(rest.sum() - rest.max()) / len(rest), 0.0)))
-
-    now, size = left(0), (float(force @ force) / len(force)) ** 0.5
-    if now <= LAW_LEFT * size:
-        return None
+    force, now = samples.wall_steps, samples.left_by_wall(0)
+    size = float(np.sqrt(np.mean(force * force)))
     shifts = range(1, min(MOST_LATE, len(samples) // 4) + 1)
-    rest = [left(shift) for shift in shifts]
+    rest = [samples.left_by_wall(shift) for shift in shifts]
     best = int(np.argmin(rest))
     return shifts[best] if rest[best] <= LAW_LEFT * size and CLEARLY_LATE * rest[best] < now else None
 

@@ -17,6 +17,9 @@ CLEAR = 8.0
 NOISY = 3.0
 """Standard deviation of the noise in steps of the sensor from which on equal readings are no chance."""
 
+RARE = 0.15
+"""Share of equal readings in sequence, at most, where the noise is so large."""
+
 MADE_UP = 1.3
 """Change behind a repeated reading relative to the one before it: it makes up for two rows."""
 
@@ -52,7 +55,8 @@ def repeated_rows(samples: Samples) -> Finding | None:
     single = np.flatnonzero(still[1:-1] & ~(still[:-2] | still[2:])) + 1
     if len(single) < FEWEST:
         return None
-    if samples.noise > NOISY * samples.least_change:
+    # where noise is that much larger than a step, equal readings are rare
+    if len(single) < RARE * len(size) and samples.noise > NOISY * samples.least_change:
         by_chance = len(size) * samples.least_change / samples.noise
         rows = single + 1
         if len(rows) < FEWEST + by_chance + 5 * np.sqrt(by_chance):
@@ -60,8 +64,10 @@ def repeated_rows(samples: Samples) -> Finding | None:
     else:
         before, behind = samples.change[single - 1], samples.change[single + 1]
         goes_on = (before * behind > 0) & (np.abs(before) >= MOVES * samples.least_change)
-        least = np.maximum(MADE_UP * np.abs(before), CLEAR * samples.noise)
-        rows = single[goes_on & (np.abs(behind) > least)] + 1
+        goes_on &= np.abs(behind) > MADE_UP * np.abs(before)
+        rows = single[goes_on] + 1
+        if len(rows) >= FEWEST:
+            rows = rows[np.abs(behind[goes_on]) > CLEAR * samples.noise]
     if len(rows) < FEWEST:
         return None
     both = int(np.sum(samples.jumps[rows - 1] == 0))
@@ -104,7 +110,7 @@ def frozen_position(samples: Samples) -> Finding | None:
 def interpolated_position(samples: Samples) -> Finding | None:
     """Return whether most positions lie on straight lines between fewer readings, as joined rates leave them."""
     size = samples.size
-    if len(size) < 4 * FEWEST_KNOTS:
+    if samples.obeys_wall or len(size) < 4 * FEWEST_KNOTS:
         return None
     bend = np.abs(samples.bend)
     # most rows of a motion bend by more than a small part of their way

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from math import sqrt
 from statistics import NormalDist
 
 import numpy as np
@@ -24,6 +25,9 @@ FINE = 1e-6
 
 SMALLEST_STEP = 1e-9
 """Smallest change of the position, relative to its range, that a sensor's step makes; smaller ones are arithmetic."""
+
+LAW_LEFT = 0.02
+"""Part of the changes of a wall's command that the stated law leaves, rounding and the sensor included."""
 
 QUIET = 0.15
 """Part of the step by which the command of a wall may differ from 0 before it, and from the step in its first row."""
@@ -63,6 +67,30 @@ class Samples:
     step: float = 0.0
     step_row: int | None = None
 
+    change: Floats = field(init=False, repr=False)
+    """Change of the position from row to row, shape (rows - 1,)."""
+    size: Floats = field(init=False, repr=False)
+    """Size of `change`."""
+    rests: Booleans = field(init=False, repr=False)
+    """Where the position does not change, shape (rows - 1,)."""
+    range: float = field(init=False, repr=False)
+    """Largest minus smallest position."""
+    fastest: float = field(init=False, repr=False)
+    """Largest change of the position from row to row."""
+    least_change: float = field(init=False, repr=False)
+    """Smallest change of the position that is none of arithmetic: at least the step of a sensor; 0 if it rests."""
+
+    def __post_init__(self) -> None:
+        x = self.position
+        change = x[1:] - x[:-1]
+        size = np.abs(change)
+        reach = float(x.max() - x.min())
+        seen = size[size > SMALLEST_STEP * reach]
+        made = {"change": change, "size": size, "rests": change == 0, "range": reach}
+        made |= {"fastest": float(size.max(initial=0.0)), "least_change": float(seen.min()) if len(seen) else 0.0}
+        for name, value in made.items():
+            object.__setattr__(self, name, value)
+
     def __len__(self) -> int:
         return len(self.position)
 
@@ -77,45 +105,14 @@ class Samples:
         return self.time[1:] - self.time[:-1]
 
     @cached_property
-    def change(self) -> Floats:
-        """Change of the position from row to row, shape (rows - 1,)."""
-        return self.position[1:] - self.position[:-1]
-
-    @cached_property
-    def size(self) -> Floats:
-        """Size of `change`."""
-        return np.abs(self.change)
-
-    @cached_property
     def bend(self) -> Floats:
         """Change of `change` from row to row, shape (rows - 2,)."""
         return self.change[1:] - self.change[:-1]
 
     @cached_property
-    def fastest(self) -> float:
-        """Largest change of the position from row to row."""
-        return float(self.size.max())
-
-    @cached_property
-    def rests(self) -> Booleans:
-        """Where the position does not change, shape (rows - 1,)."""
-        return np.asarray(self.change == 0)
-
-    @cached_property
-    def range(self) -> float:
-        """Largest minus smallest position."""
-        return float(self.position.max() - self.position.min())
-
-    @cached_property
     def jumps(self) -> Floats:
         """Change of the command from row to row, shape (rows - 1,)."""
         return self.command[1:] - self.command[:-1]
-
-    @cached_property
-    def least_change(self) -> float:
-        """Smallest change of the position that is none of arithmetic: at least the step of a sensor; 0 if it rests."""
-        seen = self.size[self.size > SMALLEST_STEP * self.range]
-        return float(seen.min()) if len(seen) else 0.0
 
     @cached_property
     def noise(self) -> float:
@@ -124,6 +121,29 @@ class Samples:
         of_readings = middle(third) / (NORMAL_QUARTILE * THIRD_GAIN**0.5) if len(third) else 0.0
         steps = self.least_change / 12.0**0.5 if self.least_change > FINE * self.range else 0.0
         return max(of_readings, steps)
+
+    @cached_property
+    def wall_steps(self) -> Floats:
+        """Change of the wall force K x + B dx/T from row to row [N, Nm], shape (rows - 1,)."""
+        per_row = self.damping / self.period
+        force = (self.stiffness + per_row) * self.change
+        force[1:] -= per_row * self.change[:-1]
+        return force
+
+    def left_by_wall(self, rows: int) -> float:
+        """Return what the stated wall leaves of the changes of the command some rows later (rms), but for the step."""
+        rest = self.jumps[rows:] + self.wall_steps[: len(self.jumps) - rows]
+        size = np.abs(rest)
+        largest = float(size.max())
+        return sqrt(max(float(rest @ rest) - largest * largest, 0.0) / len(rest))
+
+    @cached_property
+    def obeys_wall(self) -> bool:
+        """Whether the command is that of the stated wall with the position of its row, which then is the reading."""
+        if self.is_free:
+            return False
+        force = self.wall_steps
+        return self.left_by_wall(0) <= LAW_LEFT * sqrt(float(force @ force) / len(force))
 
     @cached_property
     def edges(self) -> Integers:

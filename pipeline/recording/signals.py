@@ -79,6 +79,8 @@ def wrong_sign(samples: Samples) -> Finding | None:
 
     In free motion by the response to all commands; behind a wall by the first motion from rest after the step.
     """
+    if samples.obeys_wall:
+        return None
     if samples.is_free:
         response = free_response(samples)
         if response is None or not response.is_driven or response.gain >= 0:

@@ -39,10 +39,10 @@ def travel_stop(samples: Samples) -> Finding | None:
     if len(x) < 2 * BEFORE:
         return None
     size, low, high = samples.size, float(x.min()), float(x.max())
-    fast = size[:-3] > np.maximum(SLOWER * size[3:], max(STEPS * samples.least_change, FAST * samples.fastest))
-    rows = np.flatnonzero(fast) + 2
-    near = AT_EXTREME * samples.range
-    rows = rows[(rows >= BEFORE) & ((x[rows] >= high - near) | (x[rows] <= low + near))]
+    near = AT_EXTREME * (high - low)
+    rows = np.flatnonzero((x[BEFORE:-2] >= high - near) | (x[BEFORE:-2] <= low + near)) + BEFORE
+    least = max(STEPS * samples.least_change, FAST * samples.fastest)
+    rows = rows[(size[rows - 2] > least) & (size[rows - 2] > SLOWER * size[rows + 1])]
     for row in rows.tolist():
         hit = abs(change[row + 1] - change[row - 2])
         brake = np.abs(samples.bend[row - BEFORE : row - 2])

@@ -94,6 +94,10 @@ def keep(settings: Settings, name: str, text: str) -> None:
     write_text(settings.data / "profiles" / f"{name}.toml", text)
 
 
+_OF_A_PROFILE = {"sampling_period", "wrong_sign"}
+"""Findings of a recording that a wrong profile makes."""
+
+
 @dataclass(frozen=True)
 class Contradiction:
     """A sample log whose command obeys another wall than a profile states.
@@ -118,12 +122,15 @@ def contradictions(samples: Sequence[Mapping[str, Any]]) -> list[Contradiction]:
     found = []
     for sample in samples:
         for trial in sample["trials"]:
-            if not trial["other_gains"]:
+            faults = (each["sentence"] for each in trial["findings"] if each["code"] in _OF_A_PROFILE)
+            why = trial["other_gains"] or next(faults, None)
+            if not why:
                 continue
             where = sample["path"] if trial["label"] is None else f"{sample['path']}, trial {trial['label']}"
-            stated = {c["name"]: f"{c['value']:.6g} {c['unit']}" for c in trial["conditions"] if c["name"] in _WALL}
-            expected = ", ".join(f"{name} {stated[name]}" for name in _WALL if name in stated)
-            found.append(Contradiction(where, expected, trial["other_gains"]))
+            named = _WALL if trial["other_gains"] else (*_WALL, "sampling_period_s")
+            stated = {c["name"]: f"{c['value']:.6g} {c['unit']}" for c in trial["conditions"] if c["name"] in named}
+            expected = ", ".join(f"{name} {stated[name]}" for name in named if name in stated)
+            found.append(Contradiction(where, expected, why))
     return found
 
 

@@ -164,7 +164,11 @@ def identified_device(
     if len(motions) > 1:
         raise ParameterError("some logs are of a translation, some of a rotation. Give the logs of one device.")
     recordings = usable_recordings(read)
-    found, walls = identified(recordings), any(log.header.stiffness > 0 for _, log in read)
+    try:
+        found = identified(recordings)
+    except ParameterError as error:
+        raise ParameterError(" ".join([str(error), *_first_findings(read)])) from error
+    walls = any(log.header.stiffness > 0 for _, log in read)
     document = _document(found, recordings, motions.pop(), walls, period, delay)
     rows = [
         {"log": name, **each.model_dump(), "sentence": each.sentence} for name, log in read for each in log.findings
@@ -197,6 +201,15 @@ def _read(sources: Sequence[Source]) -> tuple[list[tuple[str, Log]], list[dict[s
         if error.code != NO_LOG
     ]
     return read, refused
+
+
+def _first_findings(read: Sequence[tuple[str, Log]]) -> list[str]:
+    """Return the first finding of each kind, with its log."""
+    found: dict[str, str] = {}
+    for name, log in read:
+        for each in log.findings:
+            found.setdefault(each.code, f"{name}: {each.sentence}")
+    return list(found.values())
 
 
 def usable_recordings(read: Sequence[tuple[str, Log]]) -> list[Recording]:

@@ -157,6 +157,8 @@ def _offset(log: LogRows) -> tuple[Departure, ...] | None:
 def _constant(log: LogRows, rows: Booleans | slice) -> float | None:
     """Return the constant that a residual is in some rows, None where it is none."""
     residual, rounding = log.residual[rows], log.rounding[rows]
+    if not len(residual):
+        return None
     low, high = (residual - rounding).max(initial=-np.inf), (residual + rounding).min(initial=np.inf)
     return float(low + high) / 2 if low <= high else None
 
