@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.recording.motion import free_response, left_with_kicks
 from pipeline.recording.rows import spacing
 from pipeline.recording.samples import LAW_LEFT, NOISE_GAIN, Samples, middle
-from pipeline.records.findings import Finding
+from pipeline.records.findings import Finding, FindingCode
 
 BASELINE = 8
 """Fewest rows at rest before an edge that show whether the position leaves its rest too early."""
@@ -78,15 +78,15 @@ def moves_before_command(samples: Samples) -> Finding | None:
             f"The position responds {rows:.3g} rows before the command: the delay that explains the log is negative."
         )
         return _noncausal(samples, found, f"at least {max(int(np.ceil(rows)), 1)} rows earlier", None)
-    rows = _late_command(samples)
-    if rows is not None:
-        found = f"The command obeys the wall with the position {rows:.0f} rows before: it was logged that much late."
-        return _noncausal(samples, found, f"{rows:.0f} rows earlier", None)
-    early = _leaves_rest(samples)
+    early, late = _leaves_rest(samples), _late_command(samples)
+    shift = None if late is None else f"{late} rows earlier"
     if early is not None:
         edge, row = early
         found = f"The position leaves its rest in row {row}, {edge - row} rows before the command changes (row {edge})."
-        return _noncausal(samples, found, f"at least {edge - row} rows earlier", row)
+        return _noncausal(samples, found, shift or f"at least {edge - row} rows earlier", row)
+    if shift is not None:
+        found = f"The command obeys the wall with the position {late} rows before: it was logged that much late."
+        return _noncausal(samples, found, shift, None, "command_shifted")
     if _follows_the_future(samples):
         found = (
             "Commands of later rows explain the motion better than those of the past alone: the position was filtered."
@@ -95,9 +95,11 @@ def moves_before_command(samples: Samples) -> Finding | None:
     return None
 
 
-def _noncausal(samples: Samples, evidence: str, shift: str, row: int | None) -> Finding:
+def _noncausal(
+    samples: Samples, evidence: str, shift: str, row: int | None, code: FindingCode = "noncausal"
+) -> Finding:
     return Finding(
-        code="noncausal",
+        code=code,
         first_row=row,
         rows=len(samples),
         evidence=evidence,

@@ -151,6 +151,7 @@ FindingCode = Literal[
     "frozen_position",
     "interpolated_rows",
     "noncausal",
+    "command_shifted",
     "wrapped_angle",
     "travel_stop",
     "wrong_sign",
