@@ -10,7 +10,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -39,6 +39,7 @@ from pipeline.intake.sources import Read, Source, check_places, find_sources, is
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
+from pipeline.recording.signals import same_samples
 from pipeline.records.findings import Finding, Motion, Record
 from pipeline.store.batch_files import Key, merge_small, remove_incomplete, store, tidy
 from pipeline.store.corrections import carry
@@ -235,6 +236,8 @@ class _Run:
         """Id of each trial whose log was renamed, and the one that it has now."""
         self.pending, self.pending_bytes, self.dropped, self.outdated = list[Accepted](), 0, set[Key](), set[Key]()
         """Trials that are not visible yet, and those that give way to them: of any, and of older content."""
+        self.seen = dict[str, str]()
+        """First source with each hash of samples."""
         self.folders = set[Path]()
         self.refusals, self.warnings, self.changed = list[Refusal](), list[LogWarning](), list[ChangedSource]()
         self.waiting, self.plan = list[PlannedSource](), list[PlannedSource]()
@@ -396,7 +399,7 @@ class _Run:
         again = former is not None and former.sha256 == sha256
         accepted: list[Accepted] = []
         if logs is not None:
-            apart = [self.periods.apart(log) for log in logs]
+            apart = [self._noted(source, self.periods.apart(log)) for log in logs]
             accepted = accepted_logs(source, sha256, apart, self._motions, self.claims)
             paths = {self.places.get(one.trial) for one in accepted}
             twin = None if again else (paths.pop() if len(paths) == 1 else None) or twin
@@ -411,6 +414,11 @@ class _Run:
         if twin is not None and rival is not None:
             self._drop(source.shown, twin, rival, outcome)
         self._take(source, accepted, outcome)
+
+    def _noted(self, source: Source, log: Log) -> Log:
+        """Return a log, noted where its samples are those of a source before."""
+        other = self.seen.setdefault(log.samples_sha256, source.shown)
+        return log if other == source.shown else replace(log, noted=(*log.noted, same_samples(len(log.time), other)))
 
     def _outcome(self, rival: StoredSource | None, accepted: Sequence[Accepted]) -> str | None:
         """Return what becomes of trials of the same content that another profile or device has; None where none has.

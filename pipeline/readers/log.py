@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from hashlib import sha256
 
 import numpy as np
 
@@ -73,8 +74,8 @@ class Log:
         What was accepted and should be known.
     label : str, optional
         Which trial of its file it is, where the file holds several.
-    repairs : tuple of Finding
-        What was wrong with the recording and has been repaired in the samples.
+    noted : tuple of Finding
+        What is known of the recording beforehand: what was repaired in the samples, and where else they are.
     """
 
     header: NativeHeader
@@ -87,18 +88,26 @@ class Log:
     counts: Mapping[str, int] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     label: str | None = None
-    repairs: tuple[Finding, ...] = ()
+    noted: tuple[Finding, ...] = ()
+
+    @cached_property
+    def samples_sha256(self) -> str:
+        """Hash of commands and positions, whatever header and stamps say."""
+        joined = sha256()
+        for values in (self.command, self.position):
+            joined.update(np.ascontiguousarray(values).data)
+        return joined.hexdigest()
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """What is wrong with the recording: what was repaired, and what remains."""
+        """What is wrong with the recording: what is known beforehand, and what its samples show."""
         header = self.header
         row = header.extra.get("step_row")
         samples = Samples(
             *(self.time, self.command, self.position, header.sampling_period_s),
             *(header.stiffness, header.damping, header.step, None if row is None else int(row)),
         )
-        return (*self.repairs, *check_recording(samples))
+        return (*self.noted, *check_recording(samples))
 
 
 def check_samples(
@@ -181,7 +190,7 @@ def check_samples(
         raise refusal("out-of-range", "", found, expected, "Correct its number or unit.")
     rule = False if unwrap is None and header.motion == "translation" else unwrap
     position, wrapped = unwrapped(position, rule)
-    return Log(header, time, command, position, force, velocity, repairs=() if wrapped is None else (wrapped,))
+    return Log(header, time, command, position, force, velocity, noted=() if wrapped is None else (wrapped,))
 
 
 def stray(readings: Floats, scale: float) -> int | None:

@@ -57,6 +57,18 @@ def unusable_signal(samples: Samples) -> Finding | None:
     return None
 
 
+def same_samples(rows: int, other: str) -> Finding:
+    """Return that all samples of a log are those of another one."""
+    return Finding(
+        code="same_samples",
+        first_row=None,
+        rows=rows,
+        evidence=f"Each sample is that of {other}: a copy under another name or header, or a simulation without noise.",
+        remedy="Remove the one that is wrong; two copies count twice.",
+        severity="note",
+    )
+
+
 def coarse_sensor(samples: Samples) -> Finding | None:
     """Return whether the position takes so few values that its resolution is a large part of the motion."""
     # values of a fine sensor differ; as many equal ones as steps in the range are those of a coarse one

@@ -26,6 +26,7 @@ from pipeline.measured.model.intervals import Interval
 from pipeline.measured.model.recordings import Recording
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.readers import Log, RawLog, reader_of
+from pipeline.recording.signals import same_samples
 from pipeline.records.findings import MOST_UNSAFE
 from pipeline.records.loop_parts import LoopParts, Mode
 from pipeline.records.models import Motion
@@ -186,13 +187,18 @@ def _read(sources: Sequence[Source]) -> tuple[list[tuple[str, Log]], list[dict[s
     """
     read: list[tuple[str, Log]] = []
     errors: list[tuple[Source, LogError]] = []
+    seen: dict[str, str] = {}
     for source in sources:
         try:
             logs = _logs(source)
         except LogError as error:
             errors.append((source, error))
             continue
-        read += [(source.shown if log.label is None else f"{source.shown}: {log.label}", log) for log in logs]
+        for log in logs:
+            name = source.shown if log.label is None else f"{source.shown}: {log.label}"
+            other = seen.setdefault(log.samples_sha256, name)
+            noted = log.noted if other == name else (*log.noted, same_samples(len(log.time), other))
+            read.append((name, replace(log, noted=noted)))
     if errors and not read:
         raise next((error for _, error in errors if error.code != NO_LOG), errors[0][1])
     refused = [

@@ -194,3 +194,13 @@ def test_a_profile_states_the_modulus_of_an_angle(text, tmp_path):
     log = pipeline.read_log(tmp_path / "K0_B0.csv", profile=tmp_path / "lab.toml")
     assert log["position"].to_numpy() == pytest.approx(np.deg2rad(turned), abs=1e-9)
     assert [each.code for each in log.attrs["findings"]] == ["wrapped_angle"]
+
+
+def test_the_same_samples_under_another_header_are_noted(tmp_path):
+    native, _ = logs_with("none", tmp_path)
+    (native / "copy.csv").write_text((native / "1.csv").read_text().replace("stiffness: 1500.0", "stiffness: 1501.0"))
+    warnings = document("ingest", native, "--processed", tmp_path / "processed")["warnings"]
+    (warning,) = [each for each in warnings if each["code"] == "same_samples"]
+    assert Path(warning["path"]).name == "copy.csv"
+    assert "1.csv" in warning["warning"]
+    assert [each["code"] for each in document("identify", native)["findings"]] == ["same_samples"]
