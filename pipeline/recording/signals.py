@@ -74,7 +74,7 @@ def coarse_sensor(samples: Samples) -> Finding | None:
     # values of a fine sensor differ; as many equal ones as steps in the range are those of a coarse one
     if samples.least_change <= COARSE * samples.range:
         return None
-    values = len(np.unique(np.round(samples.position / samples.least_change * 64)))
+    values = 1 + np.count_nonzero(np.diff(np.sort(np.round(samples.position / samples.least_change * 64))))
     return Finding(
         code="coarse_sensor",
         first_row=None,

@@ -34,8 +34,8 @@ def sampling_period(samples: Samples) -> Finding | None:
     mean = float(samples.time[-1] - samples.time[0]) / len(steps)
     if abs(mean / period - 1) <= EVEN:
         return None
-    usual = float(np.median(steps))
-    scatter = float(np.median(np.abs(steps - usual))) / period
+    usual = middle(steps)
+    scatter = middle(np.abs(steps - usual)) / period
     off = usual / period - 1
     if abs(off) <= EVEN + SURE * scatter / np.sqrt(len(steps)) or (off > 0) != (mean > period):
         return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.recording.samples import Samples
+from pipeline.recording.samples import NORMAL_QUARTILE, THIRD_GAIN, Samples, middle
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.findings import Finding
 
@@ -101,11 +101,11 @@ def _modulus(position: Floats, change: Floats, jumps: Integers) -> tuple[float, 
     near_by = [change[others[np.clip(place + offset, 0, len(others) - 1)]] for offset in (-2, -1, 0, 1)]
     before, behind = near_by[1], near_by[2]
     size = np.abs(change[jumps] - (4 * (before + behind) - near_by[0] - near_by[3]) / 6)
-    modulus = float(np.median(size))
+    modulus = middle(size)
     step = float(np.min(np.abs(change[change != 0])))
     if modulus < FEWEST_STEPS * step:
         return None
-    doubt = float(np.median(np.abs(size - modulus))) + SURE * float(size.std()) / np.sqrt(len(size))
+    doubt = middle(np.abs(size - modulus)) + SURE * float(size.std()) / np.sqrt(len(size))
     doubt += 2 * step if step > 1e-6 * modulus else UNSEEN * modulus
     known = [each for each in MODULI if abs(modulus - each) <= doubt]
     fastest = float(np.abs(change[others]).max())
@@ -121,7 +121,7 @@ def _modulus(position: Floats, change: Floats, jumps: Integers) -> tuple[float, 
     if not known and len(jumps) > 1 and (np.diff(jumps) == 1).all():
         return None
     reading = step if step > 1e-6 * modulus else 0.0
-    reading = max(reading, float(np.median(np.abs(np.diff(change[others], 2)))) / (0.6745 * np.sqrt(20.0)))
+    reading = max(reading, middle(np.abs(np.diff(change[others], 2))) / (NORMAL_QUARTILE * np.sqrt(THIRD_GAIN)))
     is_clear = len(known) == 1 or (not known and doubt <= SMALL_DOUBT * max(reading, UNSEEN * modulus))
     return (known[0] if known else modulus), is_clear and fastest <= SLOW * modulus
 
