@@ -51,6 +51,8 @@ def repeated_rows(samples: Samples) -> Finding | None:
     Where the noise is finer than the sensor's step, equal readings in sequence are those of one reading; else a
     position that moves by several steps a row does not rest for one of them, and make up for it in the next.
     """
+    if samples.resting < FEWEST:
+        return None
     size, still = samples.size, samples.rests
     single = np.flatnonzero(still[1:-1] & ~(still[:-2] | still[2:])) + 1
     if len(single) < FEWEST:
@@ -84,6 +86,8 @@ def repeated_rows(samples: Samples) -> Finding | None:
 
 def frozen_position(samples: Samples) -> Finding | None:
     """Return the rows in which the position stays the same, and behind which it has jumped: no force moves it so."""
+    if samples.resting < FROZEN:
+        return None
     size, rests = samples.size, samples.rests
     least = MOVES * samples.least_change
     for behind in (np.flatnonzero(rests[:-1] & (size[1:] > least)) + 1).tolist():

@@ -73,6 +73,8 @@ class Samples:
     """Size of `change`."""
     rests: Booleans = field(init=False, repr=False)
     """Where the position does not change, shape (rows - 1,)."""
+    resting: int = field(init=False, repr=False)
+    """Number of rows in which it does not change."""
     range: float = field(init=False, repr=False)
     """Largest minus smallest position."""
     fastest: float = field(init=False, repr=False)
@@ -86,7 +88,8 @@ class Samples:
         size = np.abs(change)
         reach = float(x.max() - x.min())
         seen = size[size > SMALLEST_STEP * reach]
-        made = {"change": change, "size": size, "rests": change == 0, "range": reach}
+        rests = change == 0
+        made = {"change": change, "size": size, "rests": rests, "resting": int(np.count_nonzero(rests)), "range": reach}
         made |= {"fastest": float(size.max(initial=0.0)), "least_change": float(seen.min()) if len(seen) else 0.0}
         for name, value in made.items():
             object.__setattr__(self, name, value)

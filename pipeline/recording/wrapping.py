@@ -58,8 +58,7 @@ def unwrapped(position: Floats, rule: bool | float | None = None) -> tuple[Float
     """
     if rule is False or len(position) < 2 * LEAST_ROWS:
         return position, None
-    change = position[1:] - position[:-1]
-    reach = float(position.max() - position.min())
+    change, reach = position[1:] - position[:-1], float(position.max() - position.min())
     if rule is not None and rule is not True:
         turns = np.rint(change / rule)
         return _joined(position, turns, float(rule), np.flatnonzero(turns))
@@ -128,8 +127,10 @@ def _modulus(position: Floats, change: Floats, jumps: Integers) -> tuple[float, 
 
 def wrapped_position(samples: Samples) -> Finding | None:
     """Return that the position still jumps as an angle that starts again: by an unsure modulus, or too fast."""
+    if samples.fastest <= JUMP * samples.range:
+        return None
     jumps = np.flatnonzero(samples.size > JUMP * samples.range)
-    found = _modulus(samples.position, samples.change, jumps) if len(jumps) else None
+    found = _modulus(samples.position, samples.change, jumps)
     if found is None:
         return None
     return Finding(
