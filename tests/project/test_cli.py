@@ -53,7 +53,7 @@ def test_help_tells_in_a_short_line_then_every_option_in_full(call, words, comma
         assert "".join((parameter.help or "").split()) in shown, parameter.name
 
 
-HEAVY = ["pandas", "scipy", "pydantic", "matplotlib", "jinja2", "rich.progress", "numpy.ma", "pyarrow.dataset"]
+HEAVY = ["pandas", "scipy", "pydantic", "matplotlib", "jinja2", "rich.progress", "numpy.ma", "pyarrow.dataset", "numba"]
 """What takes longer to load than a short command to run."""
 
 INGEST = {"pydantic", "numpy", "pyarrow", "pyarrow.parquet"}

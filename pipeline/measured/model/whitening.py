@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pipeline.measured.model.kalman import filter_gains, prediction_errors
 from pipeline.measured.model.motion import SMALL, Physics, Pieces, at_times, pieces
 from pipeline.measured.model.recordings import Stretches
 from pipeline.records.batch import Floats, Integers
@@ -129,6 +130,14 @@ class Passage:
         start[:, -1] = force
         return replace(column, start=start if column.start is None else start + column.start)
 
+    def plain(self, kind: type[float] | type[complex]) -> tuple[Floats, Floats, Floats]:
+        """Return transitions, what a force over a whole interval adds, and the sensor's row, as compiled loops take
+        them."""
+        transition, disturbed, sensor = (
+            np.ascontiguousarray(each, kind) for each in (self.transition, self.disturbed, self.sensor)
+        )
+        return transition, disturbed, sensor
+
     @property
     def _column(self) -> Integers:
         return np.arange(len(self.held))[None, :]
@@ -185,33 +194,15 @@ class Filter:
         if passage.held.regular and noise.late == 0:
             return cls._steady(passage, noise.force)
         rows, count = passage.held.position.shape
-        forces, ageing, groups = NONE, NONE[0], passage.transition.shape[1]
+        forces, ageing, chances = np.empty((rows, count, 0)), NONE[0], np.empty(0)
         if noise.late:
-            forces, ageing, groups = np.sqrt(noise.late) * passage.commands, passage.pieces.ageing, count
-        more = len(ageing)
-        transition = np.broadcast_to(passage.transition, (rows, groups, n, n))
-        disturbed = np.broadcast_to(passage.disturbed, (rows, groups, n))
-        gain, spread = np.zeros((rows, groups, n + more)), np.ones((rows, groups))
-        known, sensor = np.zeros((groups, n + more, n + more)), np.append(passage.sensor, np.zeros(more))
-        moved, pushed = np.zeros_like(known), np.zeros_like(known)
-        if more:
-            # which age is in force, less how likely it is
+            forces, ageing = np.sqrt(noise.late) * passage.commands, passage.pieces.ageing
             chances = passage.pieces.chances
-            known[:, n:, n:] = np.diag(chances) - np.outer(chances, chances)
-            moved[:, n:, n:] = ageing.T
-            pushed[:, n:, n:] = known[:, n:, n:] - ageing.T @ known[:, n:, n:] @ ageing
-        for k in range(rows):
-            seen = known @ sensor
-            # what is known becomes no less certain than a reading's own noise but by rounding
-            variance = np.maximum(1.0 + seen @ sensor, 1.0)
-            spread[k] = np.sqrt(variance)
-            gain[k] = seen / variance[:, None]
-            known = known - gain[k][:, :, None] * seen[:, None, :]
-            moved[:, :n, :n] = transition[k]
-            if more:
-                moved[:, :n, n:] = disturbed[k][:, :, None] * forces[k][:, None, :]
-            pushed[:, :n, :n] = noise.force * disturbed[k][:, :, None] * disturbed[k][:, None, :]
-            known = moved @ known @ moved.transpose(0, 2, 1) + pushed
+        # of which age is in force, less how likely it is
+        spread_of_ages = np.diag(chances) - np.outer(chances, chances)
+        gain, spread = filter_gains(
+            *passage.plain(float), forces, ageing, spread_of_ages, noise.force, passage.held.rows
+        )
         return cls(gain, spread, forces, ageing)
 
     @classmethod
@@ -341,32 +332,17 @@ def _recursion(passage: Passage, found: Filter, columns: Sequence[Column]) -> li
 
 def _by_rows(passage: Passage, found: Filter, columns: Sequence[Column]) -> list[Floats]:
     """Return the errors of a filter whose gain, or whose rows, change."""
-    (rows, count), n, size = passage.held.position.shape, passage.states, found.gain.shape[2]
-    kind = passage.shape.kind
-    errors, at = np.zeros((rows, count, len(columns)), kind), np.zeros((count, len(columns), size), kind)
-    entering = np.zeros((rows, count, len(columns), n), kind)
+    (rows, count), n, kind = passage.held.position.shape, passage.states, passage.shape.kind
+    readings, start = np.zeros((len(columns), rows, count), kind), np.zeros((len(columns), count, n), kind)
+    entering = np.zeros((len(columns), rows, count, n), kind)
     for place, column in enumerate(columns):
         if column.readings is not None:
-            errors[:, :, place] = column.readings
+            readings[place] = column.readings
         if column.start is not None:
-            at[:, place, :n] = column.start
+            start[place] = column.start
         for piece, of, force in passage.forces(column):
-            entering[:, :, place] += force[..., None] * passage.gains[piece, :, :, :, of]
-    groups = passage.transition.shape[1]
-    turned = np.zeros((*passage.transition.shape[:2], size, size), kind)
-    turned[..., :n, :n] = passage.transition.swapaxes(-1, -2)
-    turned[..., n:, n:] = found.ageing
-    gain, turned, disturbed = (
-        np.broadcast_to(each, (rows, *each.shape[1:])) for each in (found.gain, turned, passage.disturbed)
+            entering[place] += force[..., None] * passage.gains[piece, :, :, :, of]
+    device = passage.plain(kind)
+    return list(
+        prediction_errors(readings, entering, start, *device, found.gain, found.forces, found.ageing, passage.held.rows)
     )
-    corrects = found.gain.any()
-    for k in range(rows):
-        errors[k] -= at[..., :n] @ passage.sensor
-        if corrects:
-            at += errors[k][..., None] * gain[k][:, None, :]
-        if size > n:
-            pushed = np.einsum("sca,sa->sc", at[..., n:], found.forces[k])
-            entering[k] += pushed[..., None] * disturbed[k][:, None, :]
-        at = (at.reshape(groups, -1, size) @ turned[k]).reshape(at.shape)
-        at[..., :n] += entering[k]
-    return [np.ascontiguousarray(errors[:, :, place]) for place in range(len(columns))]

@@ -1,0 +1,129 @@
+"""Loops that numba compiles: when they are first called, kept on disk for the next process.
+
+A command that calls none of them does not import numba. With ``NUMBA_DISABLE_JIT=1`` the Python functions run
+themselves, slowly and with the same numbers, as a debugger needs them. Machine code is kept in the folder that
+``NUMBA_CACHE_DIR`` names, else in the user's folder for caches; where that cannot be written it is made in each process
+anew. Several processes that index the same folder would damage it (numba's issue 4807), so that one compiles or loads
+at a time.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache, wraps
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+WAIT_S = 60.0
+"""How long to wait for another process that compiles [s]: behind it, compile without a folder."""
+
+_ONE_THREAD = threading.Lock()
+"""Held while numba's folder is set to that of this package."""
+
+
+def compiled(*signatures: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Return a decorator that compiles a function to some signatures, such as ``"f8(f8[::1])"``, when it is called.
+
+    The function itself stays as ``__wrapped__``. It takes arrays of the signatures' types only, and calls no other
+    compiled one. Divisions by zero give infinity or NaN, as those of numpy.
+
+    Examples
+    --------
+    >>> @compiled("f8(f8[::1])")
+    ... def largest(values):
+    ...     found = values[0]
+    ...     for each in values:
+    ...         found = max(found, each)
+    ...     return found
+    >>> import numpy as np
+    >>> largest(np.array([1.0, 3.0, 2.0]))
+    3.0
+    """
+
+    def decorated(function: Callable[P, R]) -> Callable[P, R]:
+        @cache
+        def machine_code() -> Callable[P, R]:
+            return _machine_code(function, signatures)
+
+        @wraps(function)
+        def called(*args: P.args, **kwargs: P.kwargs) -> R:
+            return machine_code()(*args, **kwargs)
+
+        return called
+
+    return decorated
+
+
+def _machine_code(function: Callable[P, R], signatures: tuple[str, ...]) -> Callable[P, R]:
+    """Return a function as machine code, from disk where another process left it there."""
+    import numba
+
+    options: dict[str, Any] = {"signature_or_function": list(signatures), "error_model": "numpy"}
+    config: Any = numba.config
+    if config.DISABLE_JIT:
+        return function
+    with _ONE_THREAD:
+        try:
+            folder = cache_folder()
+            with _one_process(folder), _numba_folder(config, folder):
+                kept: Callable[P, R] = numba.njit(cache=True, **options)(function)
+                return kept
+        except Exception:  # a full disk, a file that is no machine code, a folder of another user: all numba lets pass
+            made: Callable[P, R] = numba.njit(**options)(function)
+            return made
+
+
+def cache_folder() -> Path:
+    """Return the folder that machine code is kept in, and make it.
+
+    Raises
+    ------
+    OSError
+        If it cannot be made.
+    RuntimeError
+        If the user has no home.
+    """
+    own = os.environ.get("NUMBA_CACHE_DIR")
+    if own:
+        folder = Path(own)
+    else:
+        variable = "LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME"
+        usual = Path("Library", "Caches") if sys.platform == "darwin" else Path(".cache")
+        folder = Path(os.environ.get(variable) or Path.home() / usual, "haptic-pipeline")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+@contextmanager
+def _one_process(folder: Path) -> Iterator[None]:
+    """Keep other processes out of a folder; the lock goes with its holder."""
+    from filelock import lock_descriptor
+
+    file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o600)
+    try:
+        until = time.monotonic() + WAIT_S
+        while not lock_descriptor(file, blocking=False):
+            if time.monotonic() > until:
+                raise TimeoutError(f"{folder}: another process compiles")
+            time.sleep(0.01)
+        yield
+    finally:
+        os.close(file)
+
+
+@contextmanager
+def _numba_folder(config: Any, folder: Path) -> Iterator[None]:
+    """Let numba look for machine code in a folder; what others compile in this process stays in theirs."""
+    former, config.CACHE_DIR = config.CACHE_DIR, os.fspath(folder)
+    try:
+        yield
+    finally:
+        config.CACHE_DIR = former
