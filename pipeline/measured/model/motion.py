@@ -110,11 +110,16 @@ def transitions(matrix: Floats, inputs: Floats, times: Floats) -> tuple[Floats, 
 
 def at_times(matrix: Floats, inputs: Floats, times: Floats) -> tuple[Floats, Floats]:
     """Return `transitions` at times of any shape, each distinct one (to 1e-9) made once."""
+    moved, gained, place = _distinct(matrix, inputs, times)
+    return moved[place], gained[place]
+
+
+def _distinct(matrix: Floats, inputs: Floats, times: Floats) -> tuple[Floats, Floats, Integers]:
+    """Return `transitions` at each distinct time, and the place among them of each."""
     alike = np.round(times.real, 9) + (1j * times.imag if np.iscomplexobj(times) else 0.0)
     _, first, place = np.unique(alike, return_index=True, return_inverse=True)
     moved, gained = transitions(matrix, inputs, times.ravel()[first])
-    place = place.reshape(times.shape)
-    return moved[place], gained[place]
+    return moved, gained, place.reshape(times.shape)
 
 
 OFF_BY_ONE = 0.7
@@ -179,8 +184,13 @@ class Pieces:
 
     def gains(self, matrix: Floats, inputs: Floats) -> Floats:
         """Return what unit inputs over each piece add to the state at the interval's end, (P, N or 1, S or 1, n, i)."""
-        whole = at_times(matrix, inputs, self.begins)[1] - at_times(matrix, inputs, self.ends)[1]
-        return np.asarray(whole * self.chances[self.age][:, None, None, None, None])
+        # most intervals have fewer pieces than the longest
+        used = self.begins != self.ends
+        _, gained, place = _distinct(matrix, inputs, np.stack([self.begins[used], self.ends[used]]))
+        whole = np.zeros((*used.shape, *inputs.shape), gained.dtype)
+        whole[used] = gained[place[0]] - gained[place[1]]
+        whole *= self.chances[self.age][:, None, None, None, None]
+        return whole
 
 
 def pieces(time: Floats, lead: int, delay: float, regular: bool, jitter: float = 0.0) -> Pieces:
