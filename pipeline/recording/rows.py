@@ -53,8 +53,8 @@ def repeated_rows(samples: Samples) -> Finding | None:
     """
     if samples.resting < FEWEST:
         return None
-    size, still = samples.size, samples.rests
-    single = np.flatnonzero(still[1:-1] & ~(still[:-2] | still[2:])) + 1
+    size = samples.size
+    single = samples.moves[:-1][samples.pauses == 1] + 1
     if len(single) < FEWEST:
         return None
     # where noise is that much larger than a step, equal readings are rare
@@ -88,15 +88,11 @@ def frozen_position(samples: Samples) -> Finding | None:
     """Return the rows in which the position stays the same, and behind which it has jumped: no force moves it so."""
     if samples.resting < FROZEN:
         return None
-    size, rests = samples.size, samples.rests
-    least = MOVES * samples.least_change
-    for behind in (np.flatnonzero(rests[:-1] & (size[1:] > least)) + 1).tolist():
-        if behind <= FROZEN or behind + 2 >= len(size) or not rests[behind - FROZEN : behind].all():
+    size, least = samples.size, MOVES * samples.least_change
+    for place in np.flatnonzero(samples.pauses >= FROZEN).tolist():
+        first, behind = int(samples.moves[place]) + 1, int(samples.moves[place + 1])
+        if behind + 2 >= len(size) or size[behind] <= least:
             continue
-        moved = np.flatnonzero(~rests[:behind])
-        if not len(moved):
-            continue
-        first = int(moved[-1]) + 1
         jump, usual = size[behind], middle(size[behind + 1 : behind + 1 + FROZEN])
         if jump > max(JUMPS * usual, CLEAR * samples.noise) and jump > JUMPS * size[first - 1] + CLEAR * samples.noise:
             return Finding(

@@ -9,7 +9,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from pipeline.records.batch import Booleans, Floats, Integers
+from pipeline.records.batch import Floats, Integers
 
 NOISE_GAIN = 6.0
 """Variance of the second difference of white noise relative to its own: 1 + 4 + 1."""
@@ -71,10 +71,8 @@ class Samples:
     """Change of the position from row to row, shape (rows - 1,)."""
     size: Floats = field(init=False, repr=False)
     """Size of `change`."""
-    rests: Booleans = field(init=False, repr=False)
-    """Where the position does not change, shape (rows - 1,)."""
-    resting: int = field(init=False, repr=False)
-    """Number of rows in which it does not change."""
+    moves: Integers = field(init=False, repr=False)
+    """Where in `change` the position changes."""
     range: float = field(init=False, repr=False)
     """Largest minus smallest position."""
     fastest: float = field(init=False, repr=False)
@@ -87,15 +85,28 @@ class Samples:
         change = x[1:] - x[:-1]
         size = np.abs(change)
         reach = float(x.max() - x.min())
-        seen = size[size > SMALLEST_STEP * reach]
-        rests = change == 0
-        made = {"change": change, "size": size, "rests": rests, "resting": int(np.count_nonzero(rests)), "range": reach}
-        made |= {"fastest": float(size.max(initial=0.0)), "least_change": float(seen.min()) if len(seen) else 0.0}
+        moves = np.flatnonzero(change)
+        seen = size[moves]
+        least = float(seen.min()) if len(seen) else 0.0
+        if least <= SMALLEST_STEP * reach:
+            least = float(seen[seen > SMALLEST_STEP * reach].min(initial=np.inf)) if len(seen) else 0.0
+        made = {"change": change, "size": size, "moves": moves, "range": reach}
+        made |= {"fastest": float(seen.max()) if len(seen) else 0.0, "least_change": least if least < np.inf else 0.0}
         for name, value in made.items():
             object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
         return len(self.position)
+
+    @property
+    def resting(self) -> int:
+        """Number of rows in which the position does not change."""
+        return len(self.change) - len(self.moves)
+
+    @cached_property
+    def pauses(self) -> Integers:
+        """Rows without a change behind each change but the last, shape of ``moves`` less one."""
+        return np.asarray(self.moves[1:] - self.moves[:-1] - 1)
 
     @property
     def is_free(self) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pipeline.base.wording import counted
 from pipeline.recording.samples import NORMAL_QUARTILE, THIRD_GAIN, Samples, middle
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.findings import Finding
@@ -81,8 +82,8 @@ def _joined(position: Floats, turns: Floats, modulus: float, jumps: Integers) ->
         code="wrapped_angle",
         first_row=int(jumps[0]) + 1,
         rows=len(jumps),
-        evidence=f"The position starts again after {name} in {len(jumps)} rows, first in row {jumps[0] + 1}; it was "
-        "unwrapped.",
+        evidence=f"The position starts again after {name} in {counted(len(jumps), 'row')}, first in row "
+        f"{jumps[0] + 1}; it was unwrapped.",
         remedy=REMEDY.format(modulus=f"{modulus:.10g}"),
         severity="repaired",
     )
@@ -137,8 +138,8 @@ def wrapped_position(samples: Samples) -> Finding | None:
         code="wrapped_angle",
         first_row=int(jumps[0]) + 1,
         rows=len(jumps),
-        evidence=f"The position jumps by about {found[0]:.5g} in {len(jumps)} rows, first in row {jumps[0] + 1}, as an "
-        "angle that starts again does.",
+        evidence=f"The position jumps by about {found[0]:.5g} in {counted(len(jumps), 'row')}, first in row "
+        f"{jumps[0] + 1}, as an angle that starts again does.",
         remedy="Set unwrap to its modulus in [columns.position] of the profile, or record at a higher rate.",
         severity="unsafe",
     )
