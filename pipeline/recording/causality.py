@@ -113,6 +113,8 @@ def _leaves_rest(samples: Samples) -> tuple[int, int] | None:
     edge = _first_edge(samples)
     if edge < BASELINE or edge >= len(samples) - 2:
         return None
+    if samples.is_free and samples.command[0] != 0:  # which moves the device from the first row on
+        return None
     x = samples.position
     half = edge // 2
     rest = middle(x[:half])

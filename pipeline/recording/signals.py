@@ -99,18 +99,18 @@ def wrong_sign(samples: Samples) -> Finding | None:
             return None
         if response.left_same_sign <= OTHER_SIGN * response.left or abs(response.delay) > LARGEST_SHIFT / 2:
             return None
-        evidence = "The position moves against the command: its acceleration has the other sign in all of the log."
+        evidence = "The position moves against its command: its acceleration has the other sign in all of the log."
     else:
         row = _first_motion_against(samples)
         if row is None:
             return None
-        evidence = f"The position moves against the step of the command, first in row {row}."
+        evidence = f"The position moves against its command, first in row {row} after the step."
     return Finding(
         code="wrong_sign",
         first_row=None,
         rows=len(samples),
         evidence=evidence,
-        remedy="Set the other sign of the command or of the position in the profile (sign = -1).",
+        remedy="Set the other `sign` of the command or of the position in the profile.",
         severity="unsafe",
     )
 

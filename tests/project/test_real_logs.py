@@ -118,7 +118,9 @@ def stored(tmp_path_factory):
     """All folders, ingested by the shipped profiles."""
     folder = tmp_path_factory.mktemp("real")
     report = ingest([REAL], folder)
-    assert report.quarantined == report.warnings == ()
+    assert report.quarantined == ()
+    # uneven stamps of the servo, few values of the heater: worth a word, and no more
+    assert {warning.severity for warning in report.warnings} <= {"note"}
     assert (report.found, report.ingested) == (4, 4)
     return folder
 

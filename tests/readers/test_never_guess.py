@@ -275,7 +275,7 @@ def test_a_check_warns_of_another_unit_or_step_and_of_a_motion_against_it(tmp_pa
     (warning,) = checked(tmp_path, TOML.replace("step = 8", "step = 9"), rows)
     assert warning == "the command jumps by 8 in row 5, but the step is 9: which is right?"
     (warning,) = checked(tmp_path, TOML.replace('"mm", sign = 1', '"mm", sign = -1'), rows)
-    assert warning.startswith("The position moves against the step of the command, first in row")
+    assert warning.startswith("The position moves against its command, first in row")
 
 
 def test_units_of_a_unit_line_are_known_in_their_brackets(tmp_path):
