@@ -380,8 +380,11 @@ def _next(column: Column, found: State, aim: Aim, course: Course, rig: RigRange 
         basis = f"limit expected at {rounded_down(column.estimate, aim.accuracy * found.largest):g} {K}"
     lasting = "; stable walls lie above unstable ones, the lowest limit counts" if bracket.lasting else ""
     expected: Expected = "unstable" if chance > SURE else "stable" if chance < 1 - SURE else "undecided"
-    if expected == "stable" and wall > bracket.bottom and not found.forecast.misfit <= MOST_MISFIT:
-        expected = "undecided"  # above what was stable nothing predicts a verdict
+    # above what was stable a verdict is predicted by all devices that the logs allow, or by none
+    lowest = float(found.forecast.low[[each.damping for each in found.columns].index(column.damping)])
+    if expected == "stable" and wall > bracket.bottom:
+        is_predicted = found.forecast.misfit <= MOST_MISFIT and wall <= lowest
+        expected = "stable" if is_predicted else "undecided"
     if column.note == "softer":
         basis = "too few logs for a stiffer wall: record this one"
         expected = "stable"
@@ -389,7 +392,7 @@ def _next(column: Column, found: State, aim: Aim, course: Course, rig: RigRange 
         basis = "no device is identified: " + (
             f"at most {aim.bold:g} times the stiffest stable wall" if bracket.low is not None else "near what was tried"
         )
-    if aim.gentle and wall < (column.estimate or 0) and found.forecast.misfit <= aim.accuracy:
+    if aim.gentle and wall < min(column.estimate or 0, lowest) and found.forecast.misfit <= aim.accuracy:
         expected = "stable"
     return Next(stiffness=wall, damping=column.damping, expected=expected, why=f"{known}; {basis}{lasting}")
 
