@@ -49,8 +49,9 @@ def unsafe_recording(stages: ExperimentStages) -> RecordingFault | None:
 
 
 def words_of(fault: RecordingFault) -> str:
-    """Return a fault as a reason: how many logs have it, and its sentence."""
-    return f"{fault.trials} of {counted(fault.of, 'log')}: {fault.sentence}"
+    """Return a fault as a reason: what shows it, and how many logs have it."""
+    evidence = fault.sentence.removesuffix(fault.remedy).strip().rstrip(".")
+    return f"{evidence[0].lower()}{evidence[1:]} ({fault.trials} of {counted(fault.of, 'log')})"
 
 
 def cause_of(fault: RecordingFault) -> Cause:

@@ -14,7 +14,7 @@ from pipeline.base.errors import DeviceError, UsageError
 from pipeline.base.wording import counted, first_clause, listed
 from pipeline.comparison.limits import measured_limits
 from pipeline.comparison.loops.departures import other_gains
-from pipeline.comparison.loops.recording_faults import unsafe_recording, words_of
+from pipeline.comparison.loops.recording_faults import unsafe_recording
 from pipeline.comparison.loops.told_loop import found_device
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import FEWEST_COMPARISONS, boundary_distance
@@ -48,6 +48,9 @@ MOST_CAUSES = 2
 DRIFTING = 3
 """Parameters that drift with the wall from which on none has an interval: of six tests at 5 % one may be chance, and a
 small drift is seen in many trials; mass, damping and delay of a wrong device drift all."""
+
+WRONG_RECORDING = "the logs were not recorded as they must be for that"
+"""Why no limit is compared."""
 
 OTHER_GAINS = "the command obeys another wall than the headers state"
 """Why a limit in the units of the headers says nothing."""
@@ -87,7 +90,7 @@ def answer(data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[
         spacing_percent=_spacing(result, rows, stages),
         estimates=_estimates(result, data.units, limit=not misled),
         estimates_reason=_doubt(result),
-        predicts=_prediction(result, rows, "" if not misled else words_of(fault) if fault else OTHER_GAINS),
+        predicts=_prediction(result, rows, "" if not misled else WRONG_RECORDING if fault else OTHER_GAINS),
         causes=tuple(told[:MOST_CAUSES]),
         **({"next_reason": first} if misled else _next(data, result, of_file, stages)),
     )

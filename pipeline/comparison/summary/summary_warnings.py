@@ -57,7 +57,7 @@ def _of_trials(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator
         for fault in r.recording:
             if fault.severity != "note":
                 yield {"code": "recording", "experiments": [r.experiment], "fault": fault}
-        check = r.model_check
+        check = r.model_check if not any(fault.is_unsafe for fault in r.recording) else None
         if check is not None and check.trials and check.trials - check.explained >= BAD_FITS * check.trials:
             left_out = r.theory.loop.left_out if r.theory else []
             unexplained = check.trials - check.explained
@@ -141,6 +141,10 @@ def _of_estimates(results: Sequence[ExperimentResult]) -> Iterator[dict[str, Any
     drifts: dict[str, list[str]] = {}
     doubts: dict[str, dict[str, Any]] = {}
     for result in results:
+        if any(fault.is_unsafe for fault in result.recording) and all(
+            each.value is None for each in result.estimates.values()
+        ):
+            continue  # the fault is a warning of its own
         for name, estimate in result.estimates.items():
             quantity, reason = quantity_name(name), estimate.reason or ""
             if estimate.value is None and name in NEEDED and "left out" not in reason:
