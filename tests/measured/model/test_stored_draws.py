@@ -20,7 +20,7 @@ def misses(rows: pd.DataFrame) -> float:
 
 
 def test_intervals_miss_the_truth_in_at_most_eight_percent_of_the_draws():
-    assert len(DRAWS) > 500
+    assert len(DRAWS) >= 2000
     assert misses(DRAWS) <= 0.08
 
 
