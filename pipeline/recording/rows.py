@@ -20,6 +20,9 @@ NOISY = 3.0
 RARE = 0.15
 """Share of equal readings in sequence, at most, where the noise is so large."""
 
+EQUAL = 0.3
+"""Chance of two equal readings in sequence, relative to the sensor's step over the standard deviation of the noise."""
+
 MADE_UP = 1.3
 """Change behind a repeated reading relative to the one before it: it makes up for two rows."""
 
@@ -57,13 +60,11 @@ def repeated_rows(samples: Samples) -> Finding | None:
     single = samples.moves[:-1][samples.pauses == 1] + 1
     if len(single) < FEWEST:
         return None
+    rows = single + 1
     # where noise is that much larger than a step, equal readings are rare
-    if len(single) < RARE * len(size) and samples.noise > NOISY * samples.least_change:
-        by_chance = len(size) * samples.least_change / samples.noise
-        rows = single + 1
-        if len(rows) < FEWEST + by_chance + 5 * np.sqrt(by_chance):
-            return None
-    else:
+    noisy = len(single) < RARE * len(size) and samples.noise > NOISY * samples.least_change
+    by_chance = EQUAL * len(size) * samples.least_change / samples.noise if noisy else np.inf
+    if len(rows) < FEWEST + by_chance + 5 * np.sqrt(by_chance):
         before, behind = samples.change[single - 1], samples.change[single + 1]
         goes_on = (before * behind > 0) & (np.abs(before) >= MOVES * samples.least_change)
         goes_on &= np.abs(behind) > MADE_UP * np.abs(before)

@@ -49,7 +49,7 @@ def travel_stop(samples: Samples) -> Finding | None:
         free = np.abs(samples.bend[row + 1 : row + BEHIND])
         outwards = (x[row] - 0.5 * (high + low)) * change[row - 2] > 0
         is_blow = hit > 2 * IMPACT * float(brake.max()) and hit > IMPACT * float(free.max(initial=0.0))
-        if not outwards or not is_blow or _is_answer(samples, row):
+        if not outwards or not is_blow or _is_answer(samples, row, float(hit)):
             continue
         return Finding(
             code="travel_stop",
@@ -63,7 +63,11 @@ def travel_stop(samples: Samples) -> Finding | None:
     return None
 
 
-def _is_answer(samples: Samples, row: int) -> bool:
-    """Return whether a command jumped shortly before, which may brake as much."""
+def _is_answer(samples: Samples, row: int, hit: float) -> bool:
+    """Return whether a command jumped shortly before, which may brake as much as another jump of it did elsewhere."""
     edges = samples.edges
-    return bool(((edges <= row) & (edges > row - ANSWERED)).any()) and samples.is_free
+    if not samples.is_free or not ((edges <= row) & (edges > row - ANSWERED)).any():
+        return False
+    over_three = np.abs(samples.change[3:] - samples.change[:-3])
+    elsewhere = np.concatenate([over_three[: max(row - BEFORE, 0)], over_three[row + BEFORE :]])
+    return hit <= IMPACT * float(elsewhere.max(initial=0.0))
