@@ -41,6 +41,9 @@ FEWEST_KNOTS = 8
 STRAIGHT = 0.4
 """Share of the moving rows that lie on a straight line with their neighbours where a position is interpolated."""
 
+MOVING = 2.0
+"""Change of a row in such bends from which on the position moves in it."""
+
 NEARLY_STRAIGHT = 0.02
 """Second difference, relative to the change, below which rows may lie on a line."""
 
@@ -115,11 +118,12 @@ def interpolated_position(samples: Samples) -> Finding | None:
         return None
     bend = np.abs(samples.bend)
     # most rows of a motion bend by more than a small part of their way
-    moves = int(np.count_nonzero(size > 8 * BEND * samples.fastest))
+    moves = int(np.count_nonzero(size > MOVING * BEND * samples.fastest))
     if int(np.count_nonzero(bend <= NEARLY_STRAIGHT * size[1:])) - (len(size) - moves) < 0.5 * STRAIGHT * moves:
         return None
-    level = max(BEND * samples.fastest, 4 * _last_digit(samples.position))
-    moving = (size[1:] > 8 * level) & (size[:-1] > 8 * level)
+    # a line between printed readings bends by two digits at most
+    level = max(BEND * samples.fastest, 2.1 * _last_digit(samples.position))
+    moving = (size[1:] > MOVING * level) & (size[:-1] > MOVING * level)
     bent = bend > level
     if int(np.sum(moving & ~bent)) < STRAIGHT * max(int(np.sum(moving)), 1):
         return None
