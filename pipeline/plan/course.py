@@ -31,7 +31,7 @@ from pipeline.plan.next_wall import Forecast, Tried
 from pipeline.plan.requests import Answer, stored_requests
 from pipeline.recording.check import check_trial
 from pipeline.records.batch import Floats, TrialBatch
-from pipeline.records.findings import MOST_UNSAFE
+from pipeline.records.findings import are_unsafe
 from pipeline.records.models import Device, Experiment
 from pipeline.store.samples import load_groups
 from pipeline.store.storage import list_experiments, read_trials
@@ -205,7 +205,7 @@ def open_course(
     K, B = (trials.column(key).to_numpy() for key in ("stiffness", "damping"))
     findings = recording_findings(stages)
     unsafe = np.array([any(each.is_unsafe for each in some) for some in findings], dtype=np.bool_)
-    if unsafe.mean() > MOST_UNSAFE:
+    if are_unsafe(findings):
         first = next(each for some in findings for each in some if each.is_unsafe)
         where = f"device {name!r}, experiment {chosen!r}: {int(unsafe.sum())} of {counted(len(unsafe), 'log')}"
         raise ParameterError(f"{where}: {first.sentence}")

@@ -6,6 +6,7 @@ the motion of the device as in `models`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -171,6 +172,9 @@ a wall; ``unusable``: it gives nothing."""
 MOST_UNSAFE = 0.2
 """Share of logs with an unsafe finding above which the others are not trusted either: a rig records alike."""
 
+OF_ONE_LOG = frozenset({"frozen_position", "wrapped_angle"})
+"""Unsafe findings that say nothing of other logs."""
+
 FINDINGS = "findings"
 """Key of the findings of a trial in its stored `time_quality`."""
 
@@ -211,6 +215,16 @@ class Finding(Record):
     def leaves_out(self) -> bool:
         """Whether nothing is fitted to the log."""
         return self.severity in {"unsafe", "unusable"}
+
+
+def are_unsafe(findings: Sequence[Sequence[Finding]]) -> bool:
+    """Return whether no delay and no limit follows from logs together, by the findings of each.
+
+    So it is where all are unsafe, and where more than `MOST_UNSAFE` of them have a fault that their rig makes.
+    """
+    unsafe = [any(each.is_unsafe for each in found) for found in findings]
+    of_rig = [any(each.is_unsafe and each.code not in OF_ONE_LOG for each in found) for found in findings]
+    return bool(unsafe) and (all(unsafe) or sum(of_rig) > MOST_UNSAFE * len(of_rig))
 
 
 class Note(Record):

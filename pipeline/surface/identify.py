@@ -27,7 +27,7 @@ from pipeline.measured.model.recordings import Recording
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.recording.signals import same_samples
-from pipeline.records.findings import MOST_UNSAFE
+from pipeline.records.findings import are_unsafe
 from pipeline.records.loop_parts import LoopParts, Mode
 from pipeline.records.models import Motion
 from pipeline.rendering.frames import frame_of
@@ -228,7 +228,7 @@ def usable_recordings(read: Sequence[tuple[str, Log]]) -> list[Recording]:
     """
     unsafe = [(name, each) for name, log in read for each in log.findings if each.is_unsafe]
     names = {name for name, _ in unsafe}
-    if len(names) > MOST_UNSAFE * len(read):
+    if are_unsafe([log.findings for _, log in read]):
         name, first = unsafe[0]
         others = f" ({len(names)} of {counted(len(read), 'log')} are at fault.)" if len(read) > 1 else ""
         raise ParameterError(f"{name}: {first.sentence}{others}")

@@ -7,7 +7,7 @@ from pathlib import PurePath
 from pipeline.base.wording import counted
 from pipeline.measured.stages.stage_device import recording_findings
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.findings import MOST_UNSAFE, Finding
+from pipeline.records.findings import Finding, are_unsafe
 from pipeline.records.results import Cause, RecordingFault
 
 NAMED = 10
@@ -42,8 +42,7 @@ def recording_faults(stages: ExperimentStages) -> tuple[RecordingFault, ...]:
 
 def unsafe_recording(stages: ExperimentStages) -> RecordingFault | None:
     """Return the fault by which no delay and no limit follows from an experiment: that of more than a few logs."""
-    unsafe = [any(finding.is_unsafe for finding in found) for found in stages.once(recording_findings)]
-    if not unsafe or sum(unsafe) <= MOST_UNSAFE * len(unsafe):
+    if not are_unsafe(stages.once(recording_findings)):
         return None
     return next(fault for fault in stages.once(recording_faults) if fault.is_unsafe)
 

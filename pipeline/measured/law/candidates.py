@@ -284,7 +284,7 @@ def _adaptive(log: LogRows) -> tuple[Departure, ...] | None:
     moves = log.kept & (np.abs(output) > tolerance)
     if not fits.any(axis=0)[log.kept].all() or (~fits[0, moves]).sum() <= ADAPTS * moves.sum():
         return None
-    longest = int(np.argmax(fits[:, log.kept], axis=0).max()) + 1
+    longest = int(np.argmax(fits[:, log.kept], axis=0).max(initial=0)) + 1
     text = f"the velocity of the wall law is taken over 1 to {longest} samples, over others from row to row"
     return (Departure("adaptive_velocity", text, len(output)),)
 

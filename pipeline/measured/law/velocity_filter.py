@@ -113,6 +113,8 @@ def _recursive(change: Floats, output: Floats, known: Booleans, tolerance: Float
             return None
         # a row says as much as its digits do
         fitted = rows[rows >= np.argmax(change != 0)][:FITTED_ROWS]
+        if not len(fitted):  # what is known all lies before the motion
+            return None
         weighed = terms[fitted] / tolerance[fitted, None]
         scale = np.abs(weighed).max(axis=0)
         scale[scale == 0] = 1.0
@@ -125,7 +127,7 @@ def _recursive(change: Floats, output: Floats, known: Booleans, tolerance: Float
         allowed = abs(b[0]) * tolerance + sum(
             (abs(a[i]) * (i < len(a)) + abs(b[i]) * (i > 0)) * _delayed(tolerance, i) for i in (0, *back)
         )
-        if (error <= allowed)[rows].all() and np.abs(np.roots(a)).max() < 1:
+        if (error <= allowed)[rows].all() and np.abs(np.roots(a)).max(initial=0.0) < 1:
             return VelocityFilterFound(b, a)
     return None
 
@@ -151,7 +153,7 @@ def _butterworth(
 
     def error(logarithm: float, order: int) -> float:
         b, a = butter(order, min(np.exp(logarithm), 1 - 1e-9))
-        return float((np.abs(lfilter(b, a, change) - output) / tolerance)[rows].max())
+        return float((np.abs(lfilter(b, a, change) - output) / tolerance)[rows].max(initial=0.0))
 
     for order in range(len(near.a) - 1, HIGHEST_ORDER + 1):
         width = np.log(2.0)

@@ -181,7 +181,8 @@ def _departures(of: Account, log: LogRows) -> Iterator[Departure]:
         yield from (each for each in (*_repeated(log, of.repeated), *of.departures) if each.code not in codes)
         return
     off = of.log.kept & (np.abs(of.log.residual) > of.log.rounding)
-    text = f"the logged command departs from the wall law by up to {np.abs(of.log.residual[of.log.kept]).max():.3g}"
+    largest = np.abs(of.log.residual[of.log.kept]).max(initial=0.0)
+    text = f"the logged command departs from the wall law by up to {largest:.3g}"
     yield Departure("unknown", f"{text}, in {int(off.sum())} of {len(off)} rows", int(off.sum()))
 
 

@@ -19,7 +19,7 @@ from pipeline.measured.model.scatter import FEWEST
 from pipeline.measured.model.told import Recorded
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 from pipeline.records.batch import TrialBatch
-from pipeline.records.findings import MOST_UNSAFE, Finding
+from pipeline.records.findings import Finding, are_unsafe
 from pipeline.records.tables import TABLES
 
 MOST_ROWS = 600
@@ -55,10 +55,9 @@ def found_device(of: Experiment) -> tuple[Identified | None, str]:
     usable &= (stiffness > 0) | (stiffness <= 0).all()
     usable &= np.isnan(of.column("wall_law", "obeyed_stiffness"))
     findings = of.once(recording_findings)
-    unsafe = np.array([any(each.is_unsafe for each in found) for found in findings])
-    if unsafe.mean() > MOST_UNSAFE:
-        first = next(each for found in findings for each in found if each.is_unsafe)
-        return None, f"{int(unsafe.sum())} of {counted(len(unsafe), 'log')}: {first.sentence}"
+    if are_unsafe(findings):
+        unsafe = [each for each in (next((one for one in some if one.is_unsafe), None) for some in findings) if each]
+        return None, f"{len(unsafe)} of {counted(len(findings), 'log')}: {unsafe[0].sentence}"
     usable &= ~np.array([any(each.leaves_out for each in found) for found in findings])
     ids = of.texts("response", "trial_id")
     parts = of.of_each(recordings, chosen=[ids[i] for i in np.flatnonzero(usable)])
