@@ -3,7 +3,7 @@
 A command that calls none of them does not import numba. With ``NUMBA_DISABLE_JIT=1`` the Python functions run
 themselves, slowly and with the same numbers, as a debugger needs them. Machine code is kept in the folder that
 ``NUMBA_CACHE_DIR`` names, else in the user's folder for caches; where that cannot be written it is made in each process
-anew. Several processes that index the same folder would damage it (numba's issue 4807), so that one compiles or loads
+again. Several processes that index the same folder would damage it (numba's issue 4807), so that one compiles or loads
 at a time.
 """
 

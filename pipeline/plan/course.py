@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 
 from pipeline.base.errors import DeviceError, ParameterError, UsageError
-from pipeline.base.wording import counted
 from pipeline.device_data.devices import declared_spring, find_experiment, known_devices, read_device
 from pipeline.measured.experiment.boundary import spread_over_plane
 from pipeline.measured.experiment.fitted_device import NAMES, PARTS, FittedDevice
@@ -31,7 +30,7 @@ from pipeline.plan.next_wall import Forecast, Tried
 from pipeline.plan.requests import Answer, stored_requests
 from pipeline.recording.check import check_trial
 from pipeline.records.batch import Floats, TrialBatch
-from pipeline.records.findings import are_unsafe
+from pipeline.records.findings import unsafe_reason
 from pipeline.records.models import Device, Experiment
 from pipeline.store.samples import load_groups
 from pipeline.store.storage import list_experiments, read_trials
@@ -205,10 +204,8 @@ def open_course(
     K, B = (trials.column(key).to_numpy() for key in ("stiffness", "damping"))
     findings = recording_findings(stages)
     unsafe = np.array([any(each.is_unsafe for each in some) for some in findings], dtype=np.bool_)
-    if are_unsafe(findings):
-        first = next(each for some in findings for each in some if each.is_unsafe)
-        where = f"device {name!r}, experiment {chosen!r}: {int(unsafe.sum())} of {counted(len(unsafe), 'log')}"
-        raise ParameterError(f"{where}: {first.sentence}")
+    if reason := unsafe_reason(findings):
+        raise ParameterError(f"device {name!r}, experiment {chosen!r}: {reason}")
     # a device without a wall may end somewhere: such logs count where there are no others
     fitted = ~unsafe & ((K > 0) | (not (K > 0).any()))
     fitted = fitted if fitted.any() else ~unsafe

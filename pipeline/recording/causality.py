@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.recording.motion import free_response, left_with_kicks
-from pipeline.recording.rows import spacing
-from pipeline.recording.samples import LAW_LEFT, NOISE_GAIN, Samples, middle
+from pipeline.recording.motion import free_response, residual_with_impulses
+from pipeline.recording.rows import ordinal, spacing
+from pipeline.recording.samples import LAW_RESIDUAL, NOISE_GAIN, Samples, middle
 from pipeline.records.findings import Finding, FindingCode
 
 BASELINE = 8
@@ -36,13 +36,13 @@ parts of the device are."""
 BY_CHANCE = 20.0
 """Logarithm of the ratio of both likelihoods that is no chance."""
 
-MOST_LEFT = 0.06
+MOST_RESIDUAL = 0.06
 """Largest part of the motion that the best delay may leave: of more, parts of the device may look like a delay."""
 
 AHEAD = 3.2
 """Residual without the commands of the future relative to that with them from which on they move the device."""
 
-LEAST_LEFT = 3e-3
+LEAST_RESIDUAL = 3e-3
 """Part of the motion below which a residual is that of the regression itself."""
 
 OWN_STEPS = 1.25
@@ -98,14 +98,7 @@ def moves_before_command(samples: Samples) -> Finding | None:
 def _noncausal(
     samples: Samples, evidence: str, shift: str, row: int | None, code: FindingCode = "noncausal"
 ) -> Finding:
-    return Finding(
-        code=code,
-        first_row=row,
-        rows=len(samples),
-        evidence=evidence,
-        remedy=REMEDY.format(shift=shift),
-        severity="unsafe",
-    )
+    return samples.finding(code, "unsafe", evidence, REMEDY.format(shift=shift), first_row=row)
 
 
 def _leaves_rest(samples: Samples) -> tuple[int, int] | None:
@@ -162,12 +155,12 @@ def _negative_delay(samples: Samples) -> float | None:
     response = free_response(samples)
     if response is None or not response.is_driven or response.gain <= 0 or response.delay > -EARLY:
         return None
-    ratio = response.left_causal / max(response.left, 1e-12 * response.motion)
+    ratio = response.residual_causal / max(response.residual, 1e-12 * response.motion)
     if response.rows * np.log(ratio) < BY_CHANCE:
         return None
     if response.is_at_noise:
         return -response.delay if ratio >= CLEARLY[0] else None
-    return -response.delay if ratio >= CLEARLY[1] and response.left <= MOST_LEFT * response.motion else None
+    return -response.delay if ratio >= CLEARLY[1] and response.residual <= MOST_RESIDUAL * response.motion else None
 
 
 def _follows_the_future(samples: Samples) -> bool:
@@ -175,9 +168,9 @@ def _follows_the_future(samples: Samples) -> bool:
     response = free_response(samples)
     if response is None or not response.is_driven:
         return False
-    past, future = response.left_past, max(response.left_future, 1e-12 * response.motion)
-    seen = past > max(LEAST_LEFT * response.motion, response.noise)
-    return seen and past >= AHEAD * future and future <= MOST_LEFT * response.motion
+    past, future = response.residual_past, max(response.residual_future, 1e-12 * response.motion)
+    seen = past > max(LEAST_RESIDUAL * response.motion, response.noise)
+    return seen and past >= AHEAD * future and future <= MOST_RESIDUAL * response.motion
 
 
 def _late_command(samples: Samples) -> int | None:
@@ -188,12 +181,12 @@ def _late_command(samples: Samples) -> int | None:
     """
     if samples.is_free or samples.obeys_wall:
         return None
-    force, now = samples.wall_steps, samples.left_by_wall(0)
+    force, now = samples.wall_steps, samples.wall_residual(0)
     size = float(np.sqrt(np.mean(force * force)))
     shifts = range(1, min(MOST_LATE, len(samples) // 4) + 1)
-    rest = [samples.left_by_wall(shift) for shift in shifts]
+    rest = [samples.wall_residual(shift) for shift in shifts]
     best = int(np.argmin(rest))
-    return shifts[best] if rest[best] <= LAW_LEFT * size and CLEARLY_LATE * rest[best] < now else None
+    return shifts[best] if rest[best] <= LAW_RESIDUAL * size and CLEARLY_LATE * rest[best] < now else None
 
 
 def interpolated_command(samples: Samples) -> Finding | None:
@@ -213,32 +206,32 @@ def interpolated_command(samples: Samples) -> Finding | None:
     logged = free_response(samples)
     if logged is None or logged.is_at_noise:
         return None
-    if logged.left <= OWN_STEPS * min(_left_held(samples, int(bends[0]), factor), _left_at_own_times(samples, factor)):
+    if logged.residual <= OWN_STEPS * min(
+        _residual_held(samples, int(bends[0]), factor), _residual_of_steps(samples, factor)
+    ):
         return None
-    return Finding(
-        code="interpolated_rows",
-        first_row=None,
-        rows=len(samples),
-        evidence=f"The command lies on straight lines between every {factor}th row, and steps inside them explain the "
+    return samples.finding(
+        "interpolated_rows",
+        "unsafe",
+        f"The command lies on straight lines between every {ordinal(factor)} row, and steps inside them explain the "
         "motion better: it was interpolated, and begins before its steps.",
-        remedy="Export the command as it was sent (held, not interpolated), at the rate of the controller.",
-        severity="unsafe",
+        "Export the command as it was sent (held, not interpolated), at the rate of the controller.",
     )
 
 
-def _left_held(samples: Samples, first: int, factor: int) -> float:
+def _residual_held(samples: Samples, first: int, factor: int) -> float:
     """Return what is left where every n-th command is held up to the next one, at the best delay."""
     knots = np.arange(first % factor, len(samples), factor)
     place = np.clip(np.searchsorted(knots, np.arange(len(samples)), side="right") - 1, 0, len(knots) - 1)
     held = free_response(replace(samples, command=samples.command[knots][place]))
-    return np.inf if held is None else held.left
+    return np.inf if held is None else held.residual
 
 
-def _left_at_own_times(samples: Samples, factor: int) -> float:
-    """Return what is left where each ramp of the command between two levels is a step at a time of its own."""
+def _residual_of_steps(samples: Samples, factor: int) -> float:
+    """Return what is left where each ramp of the command between two levels is a step at a free time."""
     moves = samples.jumps != 0
     starts = np.flatnonzero(moves & ~np.concatenate([[False], moves[:-1]]))
     ends = np.flatnonzero(moves & ~np.concatenate([moves[1:], [False]])) + 1
     if not 2 <= len(starts) <= MOST_RAMPS or (ends - starts != factor).any():
         return np.inf
-    return left_with_kicks(samples, starts + factor // 2)
+    return residual_with_impulses(samples, starts + factor // 2)

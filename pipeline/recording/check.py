@@ -41,7 +41,7 @@ def check_recording(samples: Samples) -> tuple[Finding, ...]:
     -----
     A log in which nothing moves, or that is too short for any model, has that finding, and perhaps that of its period.
     A position that lies on straight lines between fewer readings moves before its command and changes its speed at
-    once, which are then no findings of their own.
+    once: these are then no further findings.
     """
     nothing = unusable_signal(samples)
     if nothing is None:

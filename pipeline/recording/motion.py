@@ -17,7 +17,7 @@ from pipeline.recording.samples import Samples
 from pipeline.records.batch import Floats, Integers
 
 BLOCK = 512
-"""Rows with a start of their own: over more of them friction and other unmodelled forces add up."""
+"""Rows of a block, each with its start: over more of them friction and other unmodelled forces add up."""
 
 MOST_ROWS = 4096
 """Rows that are used, from shortly before the first change of the command on."""
@@ -53,18 +53,18 @@ class FreeResponse:
         Delay of the best fit [rows]; negative where the position comes first.
     gain : float
         Acceleration a unit of command gives [position/row^2]; negative where the signs differ.
-    left : float
+    residual : float
         Root mean square of the residual of the best fit.
-    left_causal : float
+    residual_causal : float
         The same for the best delay of 0 and more.
-    left_past : float
+    residual_past : float
         The same with the means of the command over windows of the past, up to 63 rows back, as more regressors: what
         lags, filters and short vibrations make of a command.
-    left_future : float
-        The same with as many windows of the future besides.
-    left_same_sign : float
+    residual_future : float
+        The same with as many windows of the future, too.
+    residual_same_sign : float
         The same for the best delay at which the position follows the command in its direction.
-    left_without : float
+    residual_undriven : float
         The same without any command: of a motion that starts by itself.
     motion : float
         Root mean square of the motion apart from the polynomial of its start.
@@ -75,12 +75,12 @@ class FreeResponse:
 
     delay: float
     gain: float
-    left: float
-    left_causal: float
-    left_past: float
-    left_future: float
-    left_same_sign: float
-    left_without: float
+    residual: float
+    residual_causal: float
+    residual_past: float
+    residual_future: float
+    residual_same_sign: float
+    residual_undriven: float
     motion: float
     noise: float
     rows: int
@@ -88,15 +88,15 @@ class FreeResponse:
     @property
     def is_at_noise(self) -> bool:
         """Whether nothing but noise is left, so that the device has no part that the regression does not."""
-        return self.left <= AT_NOISE * self.noise
+        return self.residual <= AT_NOISE * self.noise
 
     @property
     def is_driven(self) -> bool:
         """Whether the motion is seen to be that of the command."""
-        return self.left_without > BY_COMMAND * self.left > ARITHMETIC * self.motion
+        return self.residual_undriven > BY_COMMAND * self.residual > ARITHMETIC * self.motion
 
 
-def left_with_kicks(samples: Samples, rows: Integers) -> float:
+def residual_with_impulses(samples: Samples, rows: Integers) -> float:
     """Return the root mean square that is left where the velocity may also change freely at some rows.
 
     Parameters
@@ -111,7 +111,7 @@ def left_with_kicks(samples: Samples, rows: Integers) -> float:
     assert prepared is not None, "a log with a response has a regression"
     assert response is not None, "a log with a response has a regression"
     fit, first = prepared
-    return fit.with_kicks(response.delay, rows - first)
+    return fit.with_impulses(response.delay, rows - first)
 
 
 @lru_cache(maxsize=4)
@@ -229,15 +229,15 @@ class _Regression:
         driven = self._driven(at)[0]
         past = np.stack([driven, *(mean(1 - b, 1 - a) for a, b in pairwise(WINDOWS))], axis=1)
         future = np.stack([mean(1 + a, 1 + b) for a, b in pairwise(WINDOWS)], axis=1)
-        return self._left(past), self._left(np.concatenate([past, future], axis=1))
+        return self._residual(past), self._residual(np.concatenate([past, future], axis=1))
 
-    def with_kicks(self, delay: float, rows: Integers) -> float:
+    def with_impulses(self, delay: float, rows: Integers) -> float:
         """Return what is left at a delay where the velocity may change freely at some rows."""
         index = np.arange(self.count, dtype=np.float64)
-        kicks = [_without_start(np.maximum(index - row, 0.0), self.polynomial) for row in rows.tolist()]
-        return self._left(np.stack([self._driven(self.index[None] - delay)[0], *kicks], axis=1))
+        impulses = [_without_start(np.maximum(index - row, 0.0), self.polynomial) for row in rows.tolist()]
+        return self._residual(np.stack([self._driven(self.index[None] - delay)[0], *impulses], axis=1))
 
-    def _left(self, columns: Floats) -> float:
+    def _residual(self, columns: Floats) -> float:
         """Return what is left of the motion with some columns, (count, numbers), as more regressors."""
         columns = columns - self.basis @ (self.basis.T @ columns)
         norm = np.linalg.norm(columns, axis=0)

@@ -1,11 +1,11 @@
-"""Rows that are no reading of their own: repeated ones, a frozen position, and points between fewer readings."""
+"""Rows that are no readings: repeated ones, a frozen position, and points between fewer readings."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from pipeline.recording.samples import Samples, middle
-from pipeline.records.batch import Floats, Integers
+from pipeline.recording.samples import Samples, last_digit, middle
+from pipeline.records.batch import Integers
 from pipeline.records.findings import Finding
 
 MOVES = 3.0
@@ -78,13 +78,13 @@ def repeated_rows(samples: Samples) -> Finding | None:
         return None
     both = int(np.sum(samples.jumps[rows - 1] == 0))
     what = "rows repeat the one before" if both > len(rows) / 2 else "readings of the position repeat the one before"
-    return Finding(
-        code="repeated_rows",
+    return samples.finding(
+        "repeated_rows",
+        "note",
+        f"{len(rows)} of {len(samples)} {what} while the device moves, first row {rows[0]}.",
+        "Read the sensor in every sample, or log at the rate at which it is read.",
         first_row=int(rows[0]),
         rows=len(rows),
-        evidence=f"{len(rows)} of {len(samples)} {what} while the device moves, first row {rows[0]}.",
-        remedy="Read the sensor in every sample, or log at the rate at which it is read.",
-        severity="note",
     )
 
 
@@ -99,14 +99,14 @@ def frozen_position(samples: Samples) -> Finding | None:
             continue
         jump, usual = size[behind], middle(size[behind + 1 : behind + 1 + FROZEN])
         if jump > max(JUMPS * usual, CLEAR * samples.noise) and jump > JUMPS * size[first - 1] + CLEAR * samples.noise:
-            return Finding(
-                code="frozen_position",
+            return samples.finding(
+                "frozen_position",
+                "unsafe",
+                f"The position is frozen in rows {first + 1} to {behind} while the device moves, and then "
+                f"jumps by {jump:.4g}.",
+                "Check the sensor and its cable, and record again.",
                 first_row=first + 1,
                 rows=behind - first,
-                evidence=f"The position is frozen in rows {first + 1} to {behind} while the device moves, and then "
-                f"jumps by {jump:.4g}.",
-                remedy="Check the sensor and its cable, and record again.",
-                severity="unsafe",
             )
     return None
 
@@ -122,7 +122,7 @@ def interpolated_position(samples: Samples) -> Finding | None:
     if int(np.count_nonzero(bend <= NEARLY_STRAIGHT * size[1:])) - (len(size) - moves) < 0.5 * STRAIGHT * moves:
         return None
     # a line between printed readings bends by two digits at most
-    level = max(BEND * samples.fastest, 2.1 * _last_digit(samples.position))
+    level = max(BEND * samples.fastest, 2.1 * float(last_digit(samples.position[None])[0]))
     moving = (size[1:] > MOVING * level) & (size[:-1] > MOVING * level)
     bent = bend > level
     if int(np.sum(moving & ~bent)) < STRAIGHT * max(int(np.sum(moving)), 1):
@@ -130,14 +130,13 @@ def interpolated_position(samples: Samples) -> Finding | None:
     factor = spacing(np.flatnonzero(bent) + 1)
     if factor < 2 or np.sum(bent) < FEWEST_KNOTS:
         return None
-    return Finding(
-        code="interpolated_rows",
-        first_row=None,
-        rows=int(np.sum(moving & ~bent)),
-        evidence=f"The positions lie on straight lines between every {_ordinal(factor)} row: the others are "
+    return samples.finding(
+        "interpolated_rows",
+        "unsafe",
+        f"The positions lie on straight lines between every {ordinal(factor)} row: the others are "
         "interpolated, and move before their commands.",
-        remedy="Export the position without interpolation, or at the rate at which it was read.",
-        severity="unsafe",
+        "Export the position without interpolation, or at the rate at which it was read.",
+        rows=int(np.sum(moving & ~bent)),
     )
 
 
@@ -146,16 +145,6 @@ def spacing(rows: Integers) -> int:
     return int(np.gcd.reduce(np.diff(rows))) if len(rows) > 1 else 0
 
 
-def _last_digit(values: Floats) -> float:
-    """Return the smallest decimal unit, from 1e-3 to 1e-12, in which all values are printed; 0 where there is none."""
-    largest = float(np.abs(values).max())
-    for decimals in range(3, 13):
-        unit = 10.0**-decimals
-        scaled = values / unit
-        if np.abs(scaled - np.rint(scaled)).max() <= 1e-15 * largest / unit + 1e-6:
-            return unit
-    return 0.0
-
-
-def _ordinal(number: int) -> str:
+def ordinal(number: int) -> str:
+    """Return a number as a word of order: ``2nd``."""
     return {2: "2nd", 3: "3rd"}.get(number, f"{number}th")

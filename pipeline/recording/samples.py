@@ -10,6 +10,7 @@ from statistics import NormalDist
 import numpy as np
 
 from pipeline.records.batch import Floats, Integers
+from pipeline.records.findings import Finding, FindingCode, Severity
 
 NOISE_GAIN = 6.0
 """Variance of the second difference of white noise relative to its own: 1 + 4 + 1."""
@@ -26,8 +27,14 @@ FINE = 1e-6
 SMALLEST_STEP = 1e-9
 """Smallest change of the position, relative to its range, that a sensor's step makes; smaller ones are arithmetic."""
 
-LAW_LEFT = 0.02
+LAW_RESIDUAL = 0.02
 """Part of the changes of a wall's command that the stated law leaves, rounding and the sensor included."""
+
+MOST_DECIMALS = 12
+"""Decimals that a position may be printed with and still be seen to be."""
+
+ON_DIGIT = 1e-4
+"""Distance from a whole number of digits, in digits, that conversions leave."""
 
 QUIET = 0.15
 """Part of the step by which the command of a wall may differ from 0 before it, and from the step in its first row."""
@@ -40,6 +47,22 @@ def middle(values: Floats) -> float:
     """Return the median of values, of two the larger one, at least one."""
     place = len(values) // 2
     return float(np.partition(values, place)[place])
+
+
+def last_digit(position: Floats) -> Floats:
+    """Return the decimal unit in which all positions (n, N) of a log are printed, shape (n,); 0 where there is none."""
+    result = np.zeros(len(position))
+    open_ = np.arange(len(position))
+    # what is on no fine grid is on no coarser one
+    for decimals in range(MOST_DECIMALS, 0, -1):
+        scaled = np.nan_to_num(position[open_]) * 10.0**decimals
+        off = np.abs(scaled - np.rint(scaled)).max(axis=1, initial=0.0)
+        fits = off <= ON_DIGIT + 4 * np.finfo(np.float64).eps * np.abs(scaled).max(axis=1, initial=0.0)
+        open_ = open_[fits]
+        if not len(open_):
+            break
+        result[open_] = 10.0**-decimals
+    return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +136,19 @@ class Samples:
         """Whether no wall is rendered, so that the command does not depend on the position."""
         return self.stiffness == 0.0 and self.damping == 0.0
 
+    def finding(
+        self,
+        code: FindingCode,
+        severity: Severity,
+        evidence: str,
+        remedy: str,
+        first_row: int | None = None,
+        rows: int | None = None,
+    ) -> Finding:
+        """Return a finding of this log, by default of all of its rows."""
+        count = len(self) if rows is None else rows
+        return Finding(code=code, severity=severity, evidence=evidence, remedy=remedy, first_row=first_row, rows=count)
+
     @cached_property
     def steps(self) -> Floats:
         """Time between two rows [s], shape (rows - 1,)."""
@@ -144,7 +180,7 @@ class Samples:
         force[1:] -= per_row * self.change[:-1]
         return force
 
-    def left_by_wall(self, rows: int) -> float:
+    def wall_residual(self, rows: int) -> float:
         """Return what the stated wall leaves of the changes of the command some rows later (rms), but for the step."""
         rest = self.jumps[rows:] + self.wall_steps[: len(self.jumps) - rows]
         size = np.abs(rest)
@@ -157,7 +193,7 @@ class Samples:
         if self.is_free:
             return False
         force = self.wall_steps
-        return self.left_by_wall(0) <= LAW_LEFT * sqrt(float(force @ force) / len(force))
+        return self.wall_residual(0) <= LAW_RESIDUAL * sqrt(float(force @ force) / len(force))
 
     @cached_property
     def edges(self) -> Integers:

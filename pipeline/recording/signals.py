@@ -28,31 +28,25 @@ def unusable_signal(samples: Samples) -> Finding | None:
     """Return why nothing can be computed from a log: too few rows, no motion, or no command."""
     rows = len(samples)
     if rows < FEWEST_ROWS:
-        return Finding(
-            code="too_few_rows",
-            first_row=None,
-            rows=rows,
-            evidence=f"The log has {rows} rows; a model needs at least {FEWEST_ROWS}.",
-            remedy="Record longer.",
-            severity="unusable",
+        return samples.finding(
+            "too_few_rows",
+            "unusable",
+            f"The log has {rows} rows; a model needs at least {FEWEST_ROWS}.",
+            "Record longer.",
         )
     if samples.range == 0:
-        return Finding(
-            code="constant_position",
-            first_row=None,
-            rows=rows,
-            evidence=f"The position is {samples.position[0]:.6g} in all {rows} rows.",
-            remedy="Record larger steps, with a finer sensor, or name the column of the position in the profile.",
-            severity="unusable",
+        return samples.finding(
+            "constant_position",
+            "unusable",
+            f"The position is {samples.position[0]:.6g} in all {rows} rows.",
+            "Record larger steps, with a finer sensor, or name the column of the position in the profile.",
         )
     if samples.step != 0 and not samples.command.any():
-        return Finding(
-            code="constant_command",
-            first_row=None,
-            rows=rows,
-            evidence=f"The command is 0 in all {rows} rows, and a step of {samples.step:.6g} is stated.",
-            remedy="Name the column of the command in the profile (columns.command).",
-            severity="unusable",
+        return samples.finding(
+            "constant_command",
+            "unusable",
+            f"The command is 0 in all {rows} rows, and a step of {samples.step:.6g} is stated.",
+            "Name the column of the command in the profile (columns.command).",
         )
     return None
 
@@ -75,14 +69,11 @@ def coarse_sensor(samples: Samples) -> Finding | None:
     if samples.least_change <= COARSE * samples.range:
         return None
     values = 1 + np.count_nonzero(np.diff(np.sort(np.round(samples.position / samples.least_change * 64))))
-    return Finding(
-        code="coarse_sensor",
-        first_row=None,
-        rows=len(samples),
-        evidence=f"The position takes {values} values in a range of {samples.range:.4g}, {samples.least_change:.4g} "
-        "apart.",
-        remedy="Record larger steps, or with a finer sensor.",
-        severity="note",
+    return samples.finding(
+        "coarse_sensor",
+        "note",
+        f"The position takes {values} values in a range of {samples.range:.4g}, {samples.least_change:.4g} apart.",
+        "Record larger steps, or with a finer sensor.",
     )
 
 
@@ -97,7 +88,7 @@ def wrong_sign(samples: Samples) -> Finding | None:
         response = free_response(samples)
         if response is None or not response.is_driven or response.gain >= 0:
             return None
-        if response.left_same_sign <= OTHER_SIGN * response.left or abs(response.delay) > LARGEST_SHIFT / 2:
+        if response.residual_same_sign <= OTHER_SIGN * response.residual or abs(response.delay) > LARGEST_SHIFT / 2:
             return None
         evidence = "The position moves against its command: its acceleration has the other sign in all of the log."
     else:
@@ -105,13 +96,8 @@ def wrong_sign(samples: Samples) -> Finding | None:
         if row is None:
             return None
         evidence = f"The position moves against its command, first in row {row} after the step."
-    return Finding(
-        code="wrong_sign",
-        first_row=None,
-        rows=len(samples),
-        evidence=evidence,
-        remedy="Set the other `sign` of the command or of the position in the profile.",
-        severity="unsafe",
+    return samples.finding(
+        "wrong_sign", "unsafe", evidence, "Set the other `sign` of the command or of the position in the profile."
     )
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.recording.samples import Samples, middle
-from pipeline.records.batch import Floats
+from pipeline.recording.samples import LAW_RESIDUAL, Samples, middle
 from pipeline.records.findings import Finding
 
 EVEN = 0.02
@@ -19,9 +18,6 @@ UNEVEN, MOST_EVEN = 0.05, 0.1
 
 MISSING = 1.5
 """Distance of two rows in periods from which on rows are missing between them."""
-
-LAW_LEFT = 0.02
-"""Part of the command that the wall law leaves unexplained where its sampling period is the stated one."""
 
 
 def sampling_period(samples: Samples) -> Finding | None:
@@ -44,51 +40,33 @@ def sampling_period(samples: Samples) -> Finding | None:
     evidence = f"Rows are {usual:.4g} s apart by their time stamps, the stated sampling period is {period:.4g} s: "
     uneven = float(np.mean(np.abs(steps - usual) > UNEVEN * usual)) > MOST_EVEN
     if uneven:
-        return Finding(
-            code="sampling_period",
-            first_row=None,
-            rows=len(samples),
-            evidence=f"{evidence}{times}, and unevenly.",
-            remedy="Record at an even rate; a delay counts from the time stamps.",
-            severity="note",
+        return samples.finding(
+            "sampling_period",
+            "note",
+            f"{evidence}{times}, and unevenly.",
+            "Record at an even rate; a delay counts from the time stamps.",
         )
-    if _obeys(samples, period):
-        return Finding(
-            code="sampling_period",
-            first_row=None,
-            rows=len(samples),
-            evidence=f"{evidence}{times}, and the command obeys the stated one.",
-            remedy="Correct the unit of the time stamps in the profile.",
-            severity="note",
+    if _shows_period(samples):
+        return samples.finding(
+            "sampling_period",
+            "note",
+            f"{evidence}{times}, and the command obeys the stated one.",
+            "Correct the unit of the time stamps in the profile.",
         )
-    return Finding(
-        code="sampling_period",
-        first_row=None,
-        rows=len(samples),
-        evidence=f"{evidence}{times}.",
-        remedy=(
-            f"State {usual:.4g} s (sampling_period_s) if the controller runs at the rate of the rows; correct the unit "
-            "of the time stamps if these are wrong; record every sample if rows were left out."
-        ),
-        severity="unsafe",
+    return samples.finding(
+        "sampling_period",
+        "unsafe",
+        f"{evidence}{times}.",
+        f"State {usual:.4g} s (sampling_period_s) if the controller runs at the rate of the rows; correct the unit "
+        "of the time stamps if these are wrong; record every sample if rows were left out.",
     )
 
 
-def _obeys(samples: Samples, period: float) -> bool:
-    """Return whether the command is that of the stated wall at a sampling period; False where its damping is unseen."""
-    if samples.damping == 0 or not samples.wall_edge:
-        return False
-    wall = samples.stiffness * (samples.position - samples.position[0])
-    damper = np.zeros(len(samples))
-    damper[1:] = samples.damping * samples.change / period
-    external = np.where(np.arange(len(samples)) >= samples.wall_edge, samples.step, 0.0)
-    rest = samples.command + wall + damper - external
-    largest = _size(samples.command)
-    return _size(damper) > LAW_LEFT * largest and _size(rest) <= LAW_LEFT * largest
-
-
-def _size(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values * values)))
+def _shows_period(samples: Samples) -> bool:
+    """Return whether the command is that of the stated wall, and its damping is seen, which depends on the period."""
+    damper, jumps = samples.damping / samples.period * samples.bend, samples.jumps
+    is_seen = float(damper @ damper) > LAW_RESIDUAL**2 * float(jumps @ jumps)
+    return is_seen and samples.obeys_wall
 
 
 def missing_rows(samples: Samples) -> Finding | None:
@@ -101,14 +79,12 @@ def missing_rows(samples: Samples) -> Finding | None:
     if not lost:
         return None
     longest = int(np.rint(steps[gaps].max() / period)) - 1
-    return Finding(
-        code="missing_rows",
+    return samples.finding(
+        "missing_rows",
+        "note",
+        f"{lost} of {len(samples) + lost} rows are missing by the time stamps, first after row {gaps[0]}, "
+        f"{longest} of them in sequence.",
+        "Record without lost rows: a faster disk, a larger buffer or a lower rate.",
         first_row=int(gaps[0]),
         rows=lost,
-        evidence=(
-            f"{lost} of {len(samples) + lost} rows are missing by the time stamps, first after row {gaps[0]}, "
-            f"{longest} of them in sequence."
-        ),
-        remedy="Record without lost rows: a faster disk, a larger buffer or a lower rate.",
-        severity="note",
     )

@@ -51,14 +51,14 @@ def travel_stop(samples: Samples) -> Finding | None:
         is_blow = hit > 2 * IMPACT * float(brake.max()) and hit > IMPACT * float(free.max(initial=0.0))
         if not outwards or not is_blow or _is_answer(samples, row, float(hit)):
             continue
-        return Finding(
-            code="travel_stop",
+        return samples.finding(
+            "travel_stop",
+            "cut",
+            f"The position is stopped at {x[row]:.5g} in row {row}, which it reached at a speed of "
+            f"{abs(change[row - 2]) / samples.period:.3g} per second: a travel stop.",
+            "Rows from there on are left out. Record smaller or shorter steps, away from the stop.",
             first_row=row,
             rows=len(x) - row,
-            evidence=f"The position is stopped at {x[row]:.5g} in row {row}, which it reached at a speed of "
-            f"{abs(change[row - 2]) / samples.period:.3g} per second: a travel stop.",
-            remedy="Rows from there on are left out. Record smaller or shorter steps, away from the stop.",
-            severity="cut",
         )
     return None
 

@@ -39,7 +39,7 @@ SMALL_DOUBT = 3.0
 LEAST_ROWS = 3
 """Rows behind a jump that show that the motion goes on."""
 
-REMEDY = "Set unwrap = {modulus} in [columns.position] of the profile to confirm it."
+REMEDY = "Set unwrap = true in [columns.position] of the profile to confirm it."
 
 
 def unwrapped(position: Floats, rule: bool | float | None = None) -> tuple[Floats, Finding | None]:
@@ -55,7 +55,7 @@ def unwrapped(position: Floats, rule: bool | float | None = None) -> tuple[Float
     -----
     A modulus is found where every jump leads from near one end of the range to near the other, all jumps are equal but
     for the motion meanwhile, and the motion is slow enough that its direction is known. Jumps of which that is not sure
-    are left, and the log then gives no limit.
+    are left: see `wrapped_position`.
     """
     if rule is False or len(position) < 2 * LEAST_ROWS:
         return position, None
@@ -84,7 +84,7 @@ def _joined(position: Floats, turns: Floats, modulus: float, jumps: Integers) ->
         rows=len(jumps),
         evidence=f"The position starts again after {name} in {counted(len(jumps), 'row')}, first in row "
         f"{jumps[0] + 1}; it was unwrapped.",
-        remedy=REMEDY.format(modulus=f"{modulus:.10g}"),
+        remedy=REMEDY,
         severity="repaired",
     )
 
@@ -134,12 +134,12 @@ def wrapped_position(samples: Samples) -> Finding | None:
     found = _modulus(samples.position, samples.change, jumps)
     if found is None:
         return None
-    return Finding(
-        code="wrapped_angle",
+    return samples.finding(
+        "wrapped_angle",
+        "unsafe",
+        f"The position jumps by about {found[0]:.5g} in {counted(len(jumps), 'row')}, first in row "
+        f"{jumps[0] + 1}, as an angle that starts again does.",
+        "Set unwrap to its modulus in [columns.position] of the profile, or record at a higher rate.",
         first_row=int(jumps[0]) + 1,
         rows=len(jumps),
-        evidence=f"The position jumps by about {found[0]:.5g} in {counted(len(jumps), 'row')}, first in row "
-        f"{jumps[0] + 1}, as an angle that starts again does.",
-        remedy="Set unwrap to its modulus in [columns.position] of the profile, or record at a higher rate.",
-        severity="unsafe",
     )

@@ -7,9 +7,11 @@ the motion of the device as in `models`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from pipeline.base.wording import counted
 
 Motion = Literal["translation", "rotation"]
 Grip = Literal["none", "comfortable", "firm"]
@@ -207,6 +209,11 @@ class Finding(Record):
         return f"{self.evidence} {self.remedy}"
 
     @property
+    def document(self) -> dict[str, Any]:
+        """The finding as JSON values, with its sentence."""
+        return {**self.model_dump(), "sentence": self.sentence}
+
+    @property
     def is_unsafe(self) -> bool:
         """Whether the log gives no delay and no limit, though it seems to."""
         return self.severity == "unsafe"
@@ -225,6 +232,14 @@ def are_unsafe(findings: Sequence[Sequence[Finding]]) -> bool:
     unsafe = [any(each.is_unsafe for each in found) for found in findings]
     of_rig = [any(each.is_unsafe and each.code not in OF_ONE_LOG for each in found) for found in findings]
     return bool(unsafe) and (all(unsafe) or sum(of_rig) > MOST_UNSAFE * len(of_rig))
+
+
+def unsafe_reason(findings: Sequence[Sequence[Finding]]) -> str:
+    """Return why no delay and no limit follows from logs together: the first finding; empty where they may."""
+    if not are_unsafe(findings):
+        return ""
+    unsafe = [each for found in findings if (each := next((one for one in found if one.is_unsafe), None))]
+    return f"{len(unsafe)} of {counted(len(findings), 'log')}: {unsafe[0].sentence}"
 
 
 class Note(Record):

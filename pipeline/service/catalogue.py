@@ -371,7 +371,7 @@ def _findings(time_quality: str) -> str:
     if NO_FINDINGS in time_quality or FINDINGS not in time_quality:  # as of nearly all trials
         return "[]"
     found = [Finding.model_validate(each) for each in json.loads(time_quality).get(FINDINGS, ())]
-    return json.dumps([{**each.model_dump(), "sentence": each.sentence} for each in found])
+    return json.dumps([each.document for each in found])
 
 
 def _joined(ids: Sequence[str], stage: pa.Table | None, column: str) -> list[Any]:

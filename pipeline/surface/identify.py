@@ -171,9 +171,7 @@ def identified_device(
         raise ParameterError(" ".join([str(error), *_first_findings(read)])) from error
     walls = any(log.header.stiffness > 0 for _, log in read)
     document = _document(found, recordings, motions.pop(), walls, period, delay)
-    rows = [
-        {"log": name, **each.model_dump(), "sentence": each.sentence} for name, log in read for each in log.findings
-    ]
+    rows = [{"log": name, **each.document} for name, log in read for each in log.findings]
     return document | {"findings": rows, "refused": refused}
 
 

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.base.errors import ParameterError
 from pipeline.base.wording import counted
-from pipeline.measured.signal.sensor import NOISE_GAIN
 from pipeline.measured.student import NORMAL_95, NORMAL_QUARTILE, SIGMAS, SMALLEST, student_95
+from pipeline.recording.samples import NOISE_GAIN
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.findings import BoundaryPoint, Estimate
 

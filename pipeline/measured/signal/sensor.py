@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from pipeline.recording.samples import NOISE_GAIN, last_digit
 from pipeline.records.batch import Booleans, Floats, TrialBatch
 
 BASELINE_SAMPLES = 5
 """Fewest baseline rows for the noise, whose own error then is 60 % (25 % for 20 rows); none would be zero."""
-
-NOISE_GAIN = 6.0
-"""Variance of the second difference of white noise relative to its own: 1 + 4 + 1."""
 
 NOISE_FACTOR = 6.0
 """Four standard deviations (2 % chance in 400 samples) of the difference of two readings, 4 sqrt 2 and more."""
@@ -41,12 +39,6 @@ four readings is off by half of one."""
 
 BY_CHANCE, FEWEST_COARSE = 14.5, 4
 """Logarithm of the inverse chance that changes lie on a grid by accident, that of `FEWEST_ON_GRID`; fewest of them."""
-
-MOST_DECIMALS = 12
-"""Decimals that a position may be printed with and still be seen to be."""
-
-ON_DIGIT = 1e-4
-"""Distance from a whole number of digits, in digits, that conversions leave."""
 
 COARSE_MULTIPLES = 1e3
 """Largest multiple that tests a grid among printed positions."""
@@ -95,7 +87,7 @@ def position_quantum(position: Floats) -> Floats:
     stored = _grid(finite, above, STORED_TOLERANCE, STORED_MULTIPLES, FEWEST_ON_GRID)
     found = np.where(stored > STORED_GAP * exact, stored, exact)
     # on the grid of its digits a fast motion has few changes, each of which is known to a few of them
-    digit = np.where(exact > 0, exact, _last_digit(position))
+    digit = np.where(exact > 0, exact, last_digit(position))
     tested = np.isfinite(size) & (size > DIGITS * digit[:, None]) & (digit > 0)[:, None]
     above = np.min(size, axis=1, initial=np.inf, where=tested)
     tolerance = np.clip(CHANGE_DIGITS * digit / above, GRID_TOLERANCE, STORED_TOLERANCE)
@@ -104,22 +96,6 @@ def position_quantum(position: Floats) -> Floats:
     changes = np.where(tested, size, 0.0)
     coarse = _grid(changes, np.where(usable, above, np.inf), tolerance, COARSE_MULTIPLES, fewest)
     return np.asarray(np.where(coarse > found, coarse, found))
-
-
-def _last_digit(position: Floats) -> Floats:
-    """Return the decimal unit in which all positions of a trial are printed, shape (n,); 0 where there is none."""
-    result = np.zeros(len(position))
-    open_ = np.arange(len(position))
-    # what is on no fine grid is on no coarser one
-    for decimals in range(MOST_DECIMALS, 0, -1):
-        scaled = np.nan_to_num(position[open_]) * 10.0**decimals
-        off = np.abs(scaled - np.rint(scaled)).max(axis=1, initial=0.0)
-        fits = off <= ON_DIGIT + 4 * np.finfo(np.float64).eps * np.abs(scaled).max(axis=1, initial=0.0)
-        open_ = open_[fits]
-        if not len(open_):
-            break
-        result[open_] = 10.0**-decimals
-    return result
 
 
 def _grid(size: Floats, smallest: Floats, tolerance: float | Floats, most: float, fewest: int | Floats) -> Floats:

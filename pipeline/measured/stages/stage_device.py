@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.base.wording import counted
 from pipeline.measured.experiment.fitted_device import MOST, NAMES, PARTS
 from pipeline.measured.experiment.stored import Experiment
 from pipeline.measured.model.identified import Identified, identified, own_numbers
@@ -19,7 +18,7 @@ from pipeline.measured.model.scatter import FEWEST
 from pipeline.measured.model.told import Recorded
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 from pipeline.records.batch import TrialBatch
-from pipeline.records.findings import Finding, are_unsafe
+from pipeline.records.findings import Finding, unsafe_reason
 from pipeline.records.tables import TABLES
 
 MOST_ROWS = 600
@@ -55,9 +54,8 @@ def found_device(of: Experiment) -> tuple[Identified | None, str]:
     usable &= (stiffness > 0) | (stiffness <= 0).all()
     usable &= np.isnan(of.column("wall_law", "obeyed_stiffness"))
     findings = of.once(recording_findings)
-    if are_unsafe(findings):
-        unsafe = [each for each in (next((one for one in some if one.is_unsafe), None) for some in findings) if each]
-        return None, f"{len(unsafe)} of {counted(len(findings), 'log')}: {unsafe[0].sentence}"
+    if reason := unsafe_reason(findings):
+        return None, reason
     usable &= ~np.array([any(each.leaves_out for each in found) for found in findings])
     ids = of.texts("response", "trial_id")
     parts = of.of_each(recordings, chosen=[ids[i] for i in np.flatnonzero(usable)])

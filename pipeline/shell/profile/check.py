@@ -102,7 +102,7 @@ def _trial(profile: Profile, name: str, log: Log, motion: Motion) -> Checked:
         "step_row": step_row,
         "step": step,
         "other_gains": other_gains(profile, log),
-        "findings": [{**finding.model_dump(), "sentence": finding.sentence} for finding in log.findings],
+        "findings": [finding.document for finding in log.findings],
         "warnings": [
             *log.warnings,
             *(each.sentence for each in log.findings),
