@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow.parquet as pq
 from timing import fastest, run
 
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.theory.boundary import boundary, stiffness_limit
 from pipeline.theory.circle import first_branch
 from pipeline.theory.costs import bounding_box
@@ -37,7 +37,7 @@ class Row:
     difference: float
 
 
-def bisected_limits(loop: Loop, beta: np.ndarray, largest: float, tolerance: float) -> np.ndarray:
+def bisected_limits(loop: NormalisedLoop, beta: np.ndarray, largest: float, tolerance: float) -> np.ndarray:
     """Return the stability limit of alpha at each beta: batched eigenvalues and bisection between 0 and ``largest``."""
     low, high = np.zeros(len(beta)), np.full(len(beta), largest)
     while high[0] - low[0] > tolerance:
@@ -51,15 +51,15 @@ def boundary_of_five_delays() -> Row:
     """251 values of beta for d = 0, 1, 2, 4, 8: bisection to 1e-8 and the closed form, nothing kept between runs."""
     cases = []
     for d in (0, 1, 2, 4, 8):
-        border = boundary(Loop(0.0, 0.0, d))
-        cases.append((Loop(0.0, 0.0, d), np.linspace(0.001, 0.999, 251) * border.beta_max, 1.5 * border.alpha_max))
+        border = boundary(NormalisedLoop.ideal(0.0, 0.0, d))
+        cases.append((NormalisedLoop.ideal(0.0, 0.0, d), np.linspace(0.001, 0.999, 251) * border.beta_max, 1.5 * border.alpha_max))
 
     def other() -> list[np.ndarray]:
         return [bisected_limits(loop, beta, top, 1e-8) for loop, beta, top in cases]
 
     def ours() -> list[np.ndarray]:
         first_branch.cache_clear()
-        return [stiffness_limit(Loop(0.0, 0.0, loop.delay), beta) for loop, beta, _ in cases]
+        return [stiffness_limit(NormalisedLoop.ideal(0.0, 0.0, loop.delay), beta) for loop, beta, _ in cases]
 
     difference = max(float(np.abs(a - b).max()) for a, b in zip(other(), ours(), strict=True))
     return Row("boundary, five delays", fastest(other, 2), fastest(ours), 20, difference)
@@ -71,7 +71,7 @@ def map_as_a_process() -> Row:
     Ours follows the motion between samples without a horizon; the peer samples 512 steps. The difference is that of the
     sampled energies, w = 0, over points of which the peer's sum has ended.
     """
-    box = bounding_box(Loop(0.0, 0.0, 4))
+    box = bounding_box(NormalisedLoop.ideal(0.0, 0.0, 4))
     energy = "energy_step_w0_discrete"
     with tempfile.TemporaryDirectory() as folder:
         peer, table = Path(folder) / "peer.npz", Path(folder) / "map.parquet"

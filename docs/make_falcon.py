@@ -25,7 +25,7 @@ from pipeline.device_data.devices import load_device
 from pipeline.device_data.published import find
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.batch import Floats
-from pipeline.records.loop_parts import LoopParts, Mode
+from pipeline.device.parts import LoopParts, Mode
 from pipeline.records.models import Device
 from pipeline.simulation.course import Course, run_course
 from pipeline.simulation.setup import setup_of

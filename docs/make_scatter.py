@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.loop.motion import Mechanism
 from pipeline.measured.model.identified import identified
 from pipeline.measured.model.recordings import Recording
-from pipeline.records.loop_parts import Friction
+from pipeline.device.parts import Friction
 
 FILE = Path(__file__).parent / "img" / "scatter.svg"
 T, ROWS, EDGE, DELAY, NOISE = 1e-3, 300, 20, 2, 2e-4

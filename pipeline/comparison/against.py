@@ -19,14 +19,14 @@ from pipeline.comparison.figures.responses import trials_of
 from pipeline.comparison.scene.origin import excluded_trials
 from pipeline.comparison.scene.scene import SceneData, open_scene
 from pipeline.comparison.scores.scores import add_scores
-from pipeline.loop.loop import wall_units
+from pipeline.device.parts import LoopParts
+from pipeline.loop.normalised_loop import wall_units
 from pipeline.measured.experiment.boundary import boundary_area
 from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.student import NORMAL_95
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.records.findings import BoundaryPoint, ExcludedTrial, Note
-from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import Motion
 from pipeline.records.results import (
     AgainstResult,

@@ -17,13 +17,13 @@ from pipeline.comparison.loops.wall_replay import with_large_motion
 from pipeline.comparison.scene.origin import header_lines
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.comparison.summary.advice import region_to_use
-from pipeline.loop.loop import LARGEST_DELAY
+from pipeline.device.parts import LoopParts
+from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.experiment.boundary import boundary_area
 from pipeline.measured.experiment.estimates import by_model
 from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.records.findings import BoundaryPoint, Estimate
-from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import Experiment
 from pipeline.records.results import NOT_ADEQUATE, ExperimentResult, LoopFindings, TheoryParameters
 from pipeline.rendering.labels import Units

@@ -15,9 +15,9 @@ import numpy as np
 from pydantic import ValidationError
 
 from pipeline.base.errors import ParameterError
+from pipeline.device.parts import LoopParts
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.findings import BoundaryPoint, Estimate, holds
-from pipeline.records.loop_parts import LoopParts
 from pipeline.records.results import ExperimentResult, TheoryParameters, Truth, TruthHeld
 from pipeline.simulation.simulate import age_in_force
 from pipeline.theory.boundary import stiffness_limit

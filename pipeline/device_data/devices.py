@@ -17,7 +17,7 @@ from pydantic import ValidationError
 
 from pipeline.base.errors import DeviceError
 from pipeline.base.provenance import USER_FOLDER_VARIABLE, digest, schema_folder, user_device_folder
-from pipeline.records.loop_parts import LARGEST, SMALLEST
+from pipeline.device.parts import LARGEST, SMALLEST
 from pipeline.records.models import STATED, Device, Experiment
 
 _FORMER_FILTER = (

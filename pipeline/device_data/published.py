@@ -19,8 +19,8 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from pipeline.base.errors import ParameterError, StoreError
 from pipeline.base.provenance import schema_folder
+from pipeline.device.parts import Positive
 from pipeline.records.findings import NonNegative, Record
-from pipeline.records.loop_parts import Positive
 from pipeline.records.models import Name
 
 _FILE, _THEORY, _ARMS = "hulin-2017.csv", "hulin-2017-theory.csv", "hulin-2017-human-arm.csv"

@@ -15,8 +15,8 @@ from math import factorial, inf, pi
 import numpy as np
 from scipy.linalg import expm
 
+from pipeline.device.parts import Friction, LoopParts
 from pipeline.records.batch import Booleans, Floats, Integers
-from pipeline.records.loop_parts import Friction, LoopParts
 
 STICK, CREEP, SLIDE = 0, 1, 2
 """Regions of friction. Without a Stribeck effect there is no `SLIDE`: every motion is a `CREEP` at constant force."""

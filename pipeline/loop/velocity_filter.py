@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.loop.many_digits import Digits, as_exact, bilinear, shifted
 
 if TYPE_CHECKING:  # its classes take longer to load than a short command to run
-    from pipeline.records.loop_parts import LinearFilter, VelocityFilter
+    from pipeline.device.parts import LinearFilter, VelocityFilter
 
 
 def filter_order(velocity: VelocityFilter | None) -> int:

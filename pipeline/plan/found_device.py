@@ -8,13 +8,13 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.loop.loop import LARGEST_DELAY, Loop, Normalised, loop_of, wall_units
+from pipeline.device.parts import Friction, LoopParts, Mode, VelocityFilter
 from pipeline.loop.motion import Mechanism
+from pipeline.loop.normalised_loop import LARGEST_DELAY, LoopUnits, NormalisedLoop, loop_of, wall_units
 from pipeline.measured.experiment.fitted_device import FittedDevice
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.student import NORMAL_95
 from pipeline.records.batch import Floats, TrialBatch
-from pipeline.records.loop_parts import Friction, LoopParts, Mode, VelocityFilter
 from pipeline.records.models import Device, Experiment
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import delays_of, simulate
@@ -66,14 +66,14 @@ class LoopPoint:
     force: float = 0.0
 
     @property
-    def loop(self) -> Loop:
-        """Normalised; a damping, delay or stiffness below zero counts as zero."""
+    def loop(self) -> NormalisedLoop:
+        """LoopUnits; a damping, delay or stiffness below zero counts as zero."""
         damping, stiffness = max(self.damping, 0.0), max(self.stiffness, 0.0)
         delay = min(max(self.delay_samples, 0.0), LARGEST_DELAY)
         return loop_of(self.mass, damping, stiffness, delay, self.sampling_period_s, self.parts)
 
     @property
-    def units(self) -> Normalised:
+    def units(self) -> LoopUnits:
         """Units of its walls."""
         return wall_units(self.mass, self.sampling_period_s, self.parts)
 

@@ -11,22 +11,17 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import ConfigDict, Field, ValidationInfo, model_validator
 
+from pipeline.base.errors import ParameterError
+from pipeline.device.loop import Loop
+from pipeline.device.parts import LoopTable, NonNegative, Number, Positive, Sensor, SimulationParts
 from pipeline.records.criteria import MEASURED, REPORTED, SETTLING_BANDS
 from pipeline.records.findings import BoundaryPoint, Estimate, Record
 from pipeline.records.findings import Grip as Grip
 from pipeline.records.findings import Motion as Motion
 from pipeline.records.findings import Name as Name
-from pipeline.records.loop_parts import LoopParts, NonNegative, Number, Positive, SimulationParts
 
 STATED = "stated"
 """Context of validation in which a delay beside its jitter is somebody's statement, which must not contradict it."""
-
-
-class Sensor(Record):
-    """Position sensor: quantisation step and standard deviation of white noise before it, in m or rad."""
-
-    quantum: NonNegative = 0.0
-    noise: NonNegative = 0.0
 
 
 class Limits(Record):
@@ -57,7 +52,7 @@ class Experiment(Record):
     damping_last: Number | None = None
     damping_step: Positive | None = None
     stiffness_step: Positive | None = None
-    loop: LoopParts = LoopParts()
+    loop: LoopTable = LoopTable()
     simulation: SimulationParts = SimulationParts()
 
     @model_validator(mode="after")
@@ -69,7 +64,7 @@ class Experiment(Record):
     @model_validator(mode="after")
     def _delay_is_that_of_its_jitter(self, info: ValidationInfo) -> Self:
         if self.jitter_samples:
-            low, high = self.delay_range
+            low, high = min(self.jitter_samples), max(self.jitter_samples)
             if info.context == STATED and not low <= self.delay_samples <= high:
                 raise ValueError(
                     f"delay_samples ({self.delay_samples:g}) lies outside of jitter_samples, {low:g} to {high:g}: "
@@ -78,12 +73,6 @@ class Experiment(Record):
             # a frozen record, on its way to be one
             object.__setattr__(self, "delay_samples", sum(self.jitter_samples) / len(self.jitter_samples))
         return self
-
-    @property
-    def delay_range(self) -> tuple[float, float]:
-        """Shortest and longest delay [samples]; both ``delay_samples`` where it does not jitter."""
-        drawn = self.jitter_samples or (self.delay_samples,)
-        return float(min(drawn)), float(max(drawn))
 
 
 class TableLayout(Record):
@@ -120,21 +109,37 @@ class Device(Record):
     baseline_s: Positive
     sensor: Sensor = Sensor()
     limits: Limits = Limits()
-    loop: LoopParts = LoopParts()
+    loop: LoopTable = LoopTable()
     simulation: SimulationParts = SimulationParts()
     experiments: tuple[Experiment, ...] = Field(alias="experiment", min_length=1)
     tables: tuple[TableLayout, ...] = Field(default=(), alias="table")
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_by_name=True)
 
-    def loop_of(self, experiment: Experiment) -> LoopParts:
-        """Return the parts of an experiment's loop: its own, and the device's where it names none."""
+    def loop_table(self, experiment: Experiment) -> LoopTable:
+        """Return the ``[loop]`` table of an experiment: its own entries, and the device's where it names none."""
         return experiment.loop.over(self.loop)
 
-    def left_out(self, experiment: Experiment) -> list[str]:
-        """Return the names of what linear theory cannot include of an experiment: some parts, and jitter."""
-        low, high = experiment.delay_range
-        return self.loop_of(experiment).left_out + ["jitter"] * (low < high)
+    def loop_for(self, experiment: Experiment) -> Loop:
+        """Return the loop of an experiment.
+
+        Raises
+        ------
+        ParameterError
+            If its numbers contradict each other.
+        """
+        return Loop(
+            mass=experiment.mass,
+            damping=experiment.damping,
+            stiffness=experiment.stiffness,
+            sampling_period_s=self.sampling_period_s,
+            delay_samples=experiment.delay_samples,
+            motion=self.motion,
+            jitter_samples=experiment.jitter_samples,
+            sensor=self.sensor,
+            force_limit=self.limits.force,
+            **dict(self.loop_table(experiment)),
+        )
 
     def simulation_of(self, experiment: Experiment) -> SimulationParts:
         """Return what only the simulator knows of an experiment: its own, and the device's where it names none."""
@@ -142,16 +147,16 @@ class Device(Record):
 
     @model_validator(mode="after")
     def _loops_are_possible(self) -> Self:
-        found = [
-            f"experiment {experiment.name!r}: {mistake}"
-            for experiment in self.experiments
-            for mistake in (
-                *self.loop_of(experiment).mistakes(experiment.mass, experiment.damping, self.sampling_period_s),
-                *self.simulation_of(experiment).mistakes(self.duration_s, self.limits.force),
-            )
-        ]
-        if found:
-            raise ValueError("; ".join(found))
+        mistakes = []
+        for experiment in self.experiments:
+            of_experiment = self.simulation_of(experiment).mistakes(self.duration_s, self.limits.force)
+            try:
+                self.loop_for(experiment)
+            except ParameterError as error:
+                of_experiment.insert(0, str(error))
+            mistakes += [f"experiment {experiment.name!r}: {mistake}" for mistake in of_experiment]
+        if mistakes:
+            raise ValueError("; ".join(mistakes))
         return self
 
     @model_validator(mode="after")

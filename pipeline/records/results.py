@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_serializer, model_validator
 
+from pipeline.device.loop import Loop
+from pipeline.device.parts import LoopTable
 from pipeline.records.findings import (
     BoundaryPoint,
     Estimate,
@@ -21,23 +23,36 @@ from pipeline.records.findings import (
     Record,
     Severity,
 )
-from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import ComparisonRow, Motion
 
+LOOP_NUMBERS = ("mass", "damping", "stiffness", "sampling_period_s", "delay_samples")
+"""Numbers of a loop that do not stand in the `LoopTable`."""
 
-class TheoryParameters(Record):
-    """Parameters of a theoretical curve or map: m [kg, kg m^2], b, k, T [s], d and where they come from.
 
-    ``loop`` are the parts that leave the loop not ideal; mass, damping and stiffness are then the device's alone.
+class SourcedLoop(Record):
+    """A loop and where its numbers come from.
+
+    As JSON it is flat: ``mass``, ``damping``, ``stiffness``, ``sampling_period_s`` and ``delay_samples`` of the device
+    alone, ``source``, and in ``loop`` its parts, with the keys of a device file.
     """
 
-    mass: float
-    damping: float
-    stiffness: float
-    sampling_period_s: float
-    delay_samples: float
+    loop: Loop
     source: str
-    loop: LoopParts = LoopParts()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_flat(cls, given: Any) -> Any:
+        if not isinstance(given, dict) or isinstance(given.get("loop"), Loop):
+            return given
+        numbers = {name: value for name, value in given.items() if name not in ("loop", "source")}
+        return {"loop": Loop(**numbers, **dict(LoopTable.model_validate(given["loop"]))), "source": given["source"]}
+
+    @model_serializer
+    def _flat(self) -> dict[str, Any]:
+        loop = self.loop
+        numbers = {name: getattr(loop, name) for name in LOOP_NUMBERS}
+        parts = LoopTable(**{name: getattr(loop, name) for name in LoopTable.model_fields})
+        return {**numbers, "source": self.source, "loop": parts.model_dump(mode="json")}
 
 
 class RegionScore(Record):
@@ -126,7 +141,7 @@ class StiffnessScore(Record):
 class Scores(Record):
     """Scores of one experiment against one theory; what could not be had is None, with its reason in ``missing``."""
 
-    parameters: TheoryParameters
+    parameters: SourcedLoop
     basis: Literal["device file", "estimates"]
     region: RegionScore | None = None
     distance: DistanceScore | None = None
@@ -301,7 +316,7 @@ class Truth(Record):
     ``limit_reason`` says why the limits of the loop are not known.
     """
 
-    loop: TheoryParameters
+    loop: SourcedLoop
     jitter_samples: float
     constant_force: float
     limit_reason: str | None = None
@@ -489,7 +504,7 @@ class ExperimentResult(Record):
     boundary: tuple[BoundaryPoint, ...]
     optimum: dict[str, Optimum]
     missing: dict[str, str] = Field(default_factory=dict)
-    theory: TheoryParameters | None = None
+    theory: SourcedLoop | None = None
     scores: tuple[Scores, ...] = ()
     loop: LoopResult | None = None
     loop_boundary: tuple[LoopLimit, ...] | None = None

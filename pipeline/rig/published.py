@@ -44,16 +44,16 @@ def _late(loop: Loop) -> float:
 
 def _passive_damping(loop: Loop) -> float:
     """Damping of the device per unit of command; nan where the position is sensed beyond a mode: no wall is passive."""
-    return np.nan if (loop.mode or {}).get("sensor") == "load" else loop.passive_damping
+    return np.nan if loop.mode and loop.mode.sensor == "load" else loop.passive_damping
 
 
 def _minsky(loop: Loop, sensor: Sensor, B: Floats) -> Floats:
-    _mass, b, k = loop.apparent
-    return (b + B) / _late(loop) - k
+    device = loop.apparent()
+    return (device.damping + B) / _late(loop) - device.stiffness
 
 
 def _linear(loop: Loop, _: Sensor, B: Floats) -> Floats:
-    return (loop.apparent[1] + B) / _late(loop)
+    return (loop.apparent().damping + B) / _late(loop)
 
 
 def _gil(loop: Loop, sensor: Sensor, B: Floats) -> Floats:
@@ -65,7 +65,7 @@ def _colgate(loop: Loop, _: Sensor, B: Floats) -> Floats:
 
 
 def _salcudean(loop: Loop, _: Sensor, B: Floats) -> Floats:
-    return np.asarray(Loop(loop.apparent[0], 0.0, loop.sampling_period_s, 1.0).limits(B)["stiffness"])
+    return np.asarray(Loop(loop.apparent().mass, 0.0, loop.sampling_period_s, 1.0).limits(B)["stiffness"])
 
 
 def _abbott(loop: Loop, sensor: Sensor, B: Floats) -> Floats:

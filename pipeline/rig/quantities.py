@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import expm1
-from typing import Any
 
 from pipeline.base.errors import ParameterError
+from pipeline.device.parameters import PARAMETERS
 from pipeline.surface.physical_loop import Loop
 
 _SMALL = 1e-2
@@ -15,31 +15,29 @@ _SMALL = 1e-2
 
 @dataclass(frozen=True)
 class Quantity:
-    """One quantity: a field of `Loop`, its name in words, its units, and the factors it is changed by at most.
+    """One quantity: its name, its name in words, the factors it is changed by at most, and its name in `PARAMETERS`.
 
-    A change by x in ln leads from p to p + s (e^x - 1), s = p but for what is zero. ``units`` are those of a device
-    that moves straight and of one that turns; ``zero`` is s of what is zero, in m/T, 0 where that is not changed.
+    A change by x in ln leads from p to p + s (e^x - 1), s = p but for what is zero. ``zero`` is s of what is zero, in
+    m/T, 0 where that is not changed.
     """
 
     name: str
     label: str
-    units: tuple[str, str]
     factors: tuple[float, float] = (1 / 32, 32.0)
     zero: float = 0.0
+    parameter: str = ""
 
     def unit(self, loop: Loop) -> str:
         """Return the unit for a rig."""
-        return self.units[loop.motion != "translation"]
+        return PARAMETERS[self.parameter or self.name].unit(loop.motion)
 
     def read(self, loop: Loop) -> float | None:
         """Return the value of a rig, None where it has no such part."""
-        value: float | None = getattr(loop, self.name)
-        return value
+        return loop.value(self.parameter or self.name)
 
     def write(self, loop: Loop, value: float) -> Loop:
         """Return the rig with another value."""
-        changed: dict[str, Any] = {self.name: value}
-        return replace(loop, **changed)
+        return loop.replace({self.parameter or self.name: value})
 
     def scale(self, loop: Loop) -> float:
         """Return s; 0 where the rig has no such quantity to change."""
@@ -58,10 +56,10 @@ class Quantity:
 
 def with_damping(loop: Loop, value: float) -> Loop:
     """Return the rig with another damping [Ns/m, Nms/rad], of which the load of a mode bears the same share."""
-    mode = loop.mode
-    if mode and loop.damping > 0 and isinstance(of_load := mode.get("load_damping"), (int, float)):
-        mode = {**mode, "load_damping": min(of_load / loop.damping, 1.0) * value}
-    return replace(loop, damping=value, mode=mode)
+    changes: dict[str, float | None] = {"damping": value}
+    if loop.mode and loop.damping > 0:
+        changes["mode.load_damping"] = min(loop.load_damping / loop.damping, 1.0) * value
+    return loop.replace(changes)
 
 
 class _Damping(Quantity):
@@ -71,26 +69,15 @@ class _Damping(Quantity):
         return with_damping(loop, value)
 
 
-class _Cutoff(Quantity):
-    """The cut-off of the velocity filter."""
-
-    def read(self, loop: Loop) -> float | None:
-        value = (loop.velocity or {}).get("cutoff_hz")
-        return float(value) if isinstance(value, (int, float)) else None
-
-    def write(self, loop: Loop, value: float) -> Loop:
-        return replace(loop, velocity={**(loop.velocity or {}), "cutoff_hz": value})
-
-
 QUANTITIES = {
     quantity.name: quantity
     for quantity in (
-        Quantity("sampling_period_s", "sampling period T", ("s", "s")),
-        Quantity("delay_samples", "delay d", ("samples", "samples"), (1 / 32, 4.0)),
-        _Damping("damping", "damping b of the device", ("Ns/m", "Nms/rad"), zero=_SMALL),
-        Quantity("mass", "mass m", ("kg", "kg m^2")),
-        _Cutoff("velocity_cutoff_hz", "cut-off of the velocity filter", ("Hz", "Hz")),
-        Quantity("actuator_lag_s", "lag of the actuator", ("s", "s"), (1 / 32, 4.0)),
+        Quantity("sampling_period_s", "sampling period T"),
+        Quantity("delay_samples", "delay d", (1 / 32, 4.0)),
+        _Damping("damping", "damping b of the device", zero=_SMALL),
+        Quantity("mass", "mass m"),
+        Quantity("velocity_cutoff_hz", "cut-off of the velocity filter", parameter="velocity.cutoff_hz"),
+        Quantity("actuator_lag_s", "lag of the actuator", (1 / 32, 4.0)),
     )
 }
 """By name. The delay is in samples: a change of T alone keeps d and shortens the delay in seconds."""

@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop import loop as normalised
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.batch import Floats
 from pipeline.rig.quantities import with_damping
 from pipeline.surface.physical_loop import Loop
@@ -133,17 +133,17 @@ def decay(loop: Loop, wish: Wish) -> float:
 
     It is quicker to tell than the room, and where it is large walls settle early and overshoot little.
     """
-    unit = loop._scale
+    unit = loop.units
     K, B = np.array(list(product(*_first_look(loop, wish)))).T
     with np.errstate(divide="ignore"):
-        rates = -np.log(spectral_radius(loop._normalised, K / unit.stiffness, B / unit.damping))
+        rates = -np.log(spectral_radius(loop.normalised_loop, K / unit.stiffness, B / unit.damping))
     return float(rates.max()) / loop.sampling_period_s
 
 
 def _first_look(loop: Loop, wish: Wish) -> tuple[Floats, Floats]:
     """Return stiffness and damping of the walls that are looked at first."""
     longest = loop.delay_samples + loop.actuator_lag_s / loop.sampling_period_s
-    largest = 2.5 * loop.apparent[0] / loop.sampling_period_s / (0.5 + longest)
+    largest = 2.5 * loop.apparent().mass / loop.sampling_period_s / (0.5 + longest)
     B = np.append(0.0, np.geomspace(1e-3 * largest, largest, _DAMPINGS))
     if wish.stiffness is not None:
         return np.array([wish.stiffness]), B
@@ -172,7 +172,7 @@ def _room(rigs: Sequence[Loop], wish: Wish, walls: Floats, above: float) -> Floa
     """Return the room of each wall, shape (n,), in the worst of rigs; not exact where it is below ``above``."""
     room = np.full(len(walls), np.inf)
     for rig in rigs:
-        loop, unit = rig._normalised, rig._scale
+        loop, unit = rig.normalised_loop, rig.units
         alpha, beta = walls.T / [[unit.stiffness], [unit.damping]]
         with np.errstate(divide="ignore"):
             left = -np.log(spectral_radius(loop, wish.margin * alpha, beta))
@@ -185,7 +185,7 @@ def _room(rigs: Sequence[Loop], wish: Wish, walls: Floats, above: float) -> Floa
     return room
 
 
-def _softer(loop: normalised.Loop, alpha: Floats, beta: Floats, left: Floats) -> Floats:
+def _softer(loop: NormalisedLoop, alpha: Floats, beta: Floats, left: Floats) -> Floats:
     """Return the least that walls and those softer ones that are unstable leave of -ln of the spectral radius, (n,)."""
     if first_branch(loop) is not None:  # softer walls are stable
         return left
@@ -205,7 +205,7 @@ def _spare(rig: Loop, wish: Wish, alpha: Floats, beta: Floats, above: float) -> 
     bands, swings = (0.02,) * (wish.settling_s is not None), wish.overshoot is not None
     longest = (wish.settling_s or math.inf) / rig.sampling_period_s * math.exp(-max(above, _NOTHING))
     found = transient_costs(
-        rig._normalised, alpha, beta, bands, overshoot=swings, quiet=_FAINT * OVERSHOOT_SEEN, cutoff=1.01 * longest
+        rig.normalised_loop, alpha, beta, bands, overshoot=swings, quiet=_FAINT * OVERSHOOT_SEEN, cutoff=1.01 * longest
     )
     spare = np.full(len(alpha), np.inf)
     if wish.settling_s is not None:

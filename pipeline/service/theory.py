@@ -13,7 +13,7 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.device_data.devices import find_experiment, load_device
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.service.problems import Problem
 from pipeline.theory.cases import LARGEST, Case, boundary_document, case_of, optimum_document, point_documents
 
@@ -66,7 +66,7 @@ class Theory:
 def case_of_loop(of: Sequence[Any]) -> Case:
     """Return the loop of a device and experiment (None: its first), or of gamma, delta and delay."""
     if len(of) == 3:
-        return Case(Loop(*of))
+        return Case(NormalisedLoop.ideal(*of))
     device = load_device(of[0])
     return case_of(device, find_experiment(device, of[1]) if of[1] else device.experiments[0])
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.errors import ParameterError
+from pipeline.device.parts import SimulationParts, VelocityFilter
 from pipeline.loop.motion import Mechanism
 from pipeline.records.batch import Booleans, Floats, Integers
-from pipeline.records.loop_parts import SimulationParts, VelocityFilter
 from pipeline.records.models import Device, Experiment
 
 _WORD = 2**32 - 1

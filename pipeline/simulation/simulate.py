@@ -15,10 +15,10 @@ from math import floor, inf
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.device.parts import AdaptiveWindow, Difference, Levant, VelocityFilter
 from pipeline.loop.many_digits import as_floats, many_digits
 from pipeline.loop.velocity_filter import filter_in_z, per_sample
 from pipeline.records.batch import Floats, Integers, TrialBatch
-from pipeline.records.loop_parts import AdaptiveWindow, Difference, Levant, VelocityFilter
 from pipeline.simulation.setup import Chance, Setup, Streams, draw
 
 DIGITS = 40

@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pipeline.device_data.published import QUANTITIES, THEORY_TABLES, PrintedNumber, PublishedPoint, published_points
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.criteria import ENERGY, criterion_of
 from pipeline.theory.costs import point_costs_by_name
 from pipeline.theory.energy import energy_costs
@@ -116,14 +116,14 @@ def recompute(point: PublishedPoint) -> TheoryRow:
     ParameterError
         For a criterion that is not known.
     """
-    loop = Loop(point.gamma, point.delta, point.delay)
+    loop = NormalisedLoop.ideal(point.gamma, point.delta, point.delay)
     attained = True
     if point.criterion in POINT_CRITERIA:
         place = marked_point(loop, point.criterion)
         values = {"alpha": place.alpha, "beta": place.beta}
         if point.percent is not None:
             largest = "alpha" if point.criterion == "alpha_max" else "beta"
-            undelayed = marked_point(Loop(point.gamma, point.delta, 0.0), point.criterion)
+            undelayed = marked_point(NormalisedLoop.ideal(point.gamma, point.delta, 0.0), point.criterion)
             values["percent"] = 100 * values[largest] / getattr(undelayed, largest)
     else:
         optimum = optimal_point(loop, point.criterion)
@@ -157,7 +157,7 @@ def _entry(point: PublishedPoint, name: str, printed: PrintedNumber, values: dic
 
 def _flatness(point: PublishedPoint, optimal: float) -> str | None:
     """What is found among the points that round to the printed one, if it is the optimal cost to its printed digits."""
-    loop, printed = Loop(point.gamma, point.delta, point.delay), point.printed()
+    loop, printed = NormalisedLoop.ideal(point.gamma, point.delta, point.delay), point.printed()
     continuous = point.criterion == "pole_radius" or criterion_of(point.criterion).family is ENERGY
     if not continuous or not {"alpha", "beta", "cost"} <= set(printed):
         return None
@@ -178,7 +178,7 @@ def _distance(point: PublishedPoint, printed: PrintedNumber, values: dict[str, f
 
     ``factor`` is that between costs and the printed number: 1 for a cost.
     """
-    loop = Loop(point.gamma, point.delta, point.delay)
+    loop = NormalisedLoop.ideal(point.gamma, point.delta, point.delay)
     if not point.criterion.startswith("energy_impulse_w0"):
         return None
     beta = PrintedNumber(point.beta).value if point.beta else values["beta"]

@@ -17,9 +17,10 @@ import numpy as np
 from pipeline.base.disk import write_text
 from pipeline.base.errors import LogError, ParameterError, UsageError
 from pipeline.base.wording import counted
+from pipeline.device.parts import LoopParts, Mode
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.sources import Source, find_sources, load_source, motion_of
-from pipeline.loop.loop import loop_of, wall_units
+from pipeline.loop.normalised_loop import loop_of, wall_units
 from pipeline.measured.model.identified import Identified as Model
 from pipeline.measured.model.identified import identified
 from pipeline.measured.model.intervals import Interval
@@ -28,7 +29,6 @@ from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.recording.signals import same_samples
 from pipeline.records.findings import are_unsafe
-from pipeline.records.loop_parts import LoopParts, Mode
 from pipeline.records.models import Motion
 from pipeline.rendering.frames import frame_of
 from pipeline.theory.boundary import outline

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import ValidationError
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop import loop as normalised
-from pipeline.loop.loop import loop_of, wall_units
+from pipeline.device import loop as device_loop
+from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.records.batch import Floats
-from pipeline.records.loop_parts import LoopParts
-from pipeline.records.models import Device, Experiment, Motion
 from pipeline.rendering.frames import units_of
 from pipeline.theory.boundary import boundary, stiffness_limit
 from pipeline.theory.cases import POINT_COSTS, Case, islands_in_si, optimum_document, point_documents
@@ -55,7 +51,7 @@ class LoopOptimum:
 
 
 @dataclass(frozen=True)
-class Loop:
+class Loop(device_loop.Loop):
     """A device behind a delay, before a virtual wall of stiffness K and damping B.
 
     Parameters
@@ -79,13 +75,18 @@ class Loop:
     force_gain : float
         Force over command, > 0.
     mode : mapping, optional
-        Vibration mode: ``frequency_hz``, ``damping_ratio``, ``mass`` of the far side (part of the device's mass),
-        ``sensor`` (``motor`` or ``load``).
+        Vibration mode: ``frequency_hz``, ``damping_ratio``, ``mass`` of the load (part of the device's mass),
+        ``sensor`` (``motor`` or ``load``), ``load_damping`` (part of the device's damping).
     operator : mapping, optional
         What holds the device rigidly: ``mass``, ``damping``, ``stiffness``, beside those of the device.
-    left_out : sequence of str
-        Names of what acts in the device beside this linear loop, such as ``friction`` and ``jitter`` of a device file
-        (`loop_of_device`); ``attrs`` of data frames repeat them.
+    friction : mapping, optional
+        On the motor side: ``coulomb``, ``stiction``, ``stribeck_velocity``.
+    sensor : mapping, optional
+        ``quantum`` and ``noise`` of the position sensor [m, rad].
+    jitter_samples : sequence of int, optional
+        Delays from which each command draws its own; ``delay_samples`` is their mean.
+    constant_force, force_limit : float
+        Force beside the command, and command that is clipped beyond [N, Nm].
 
     Raises
     ------
@@ -94,6 +95,9 @@ class Loop:
 
     Notes
     -----
+    Theory is that of the linear loop. What it cannot include, an adaptive velocity filter, friction or jitter, is named
+    in ``left_out``, which ``attrs`` of data frames repeat.
+
     Source: Hulin 2017, Table 3.1 (normalisation), ch. 3 to 5; docs/definitions.md, "Devices that are not ideal".
 
     Examples
@@ -110,63 +114,24 @@ class Loop:
     True
     """
 
-    mass: float
-    damping: float
-    sampling_period_s: float
-    delay_samples: float
-    stiffness: float = 0.0
-    motion: Motion = field(default="translation", kw_only=True)
-    velocity: Mapping[str, object] | None = field(default=None, kw_only=True, hash=False)
-    actuator_lag_s: float = field(default=0.0, kw_only=True)
-    force_gain: float = field(default=1.0, kw_only=True)
-    mode: Mapping[str, object] | None = field(default=None, kw_only=True, hash=False)
-    operator: Mapping[str, object] | None = field(default=None, kw_only=True, hash=False)
-    left_out: Sequence[str] = field(default=(), init=False, compare=False)
-
     def __post_init__(self) -> None:
-        for name in ("damping", "stiffness", "delay_samples"):
-            value = _as_number(getattr(self, name))
-            if not math.isfinite(value) or value < 0:
-                raise ParameterError(f"{name} = {value}: expected a finite number that is not negative.")
-        self._scale, self._normalised  # noqa: B018 - a parameter out of range is told now and not with the first result
+        super().__post_init__()
+        self.units, self.normalised_loop  # noqa: B018 - a parameter out of range is refused now and not with a result
+
+    @classmethod
+    def of(cls, loop: device_loop.Loop) -> Loop:
+        """Return a loop of a device file, a simulation or logs with the methods of this class."""
+        return cls(**{each.name: getattr(loop, each.name) for each in fields(loop)})
 
     @cached_property
-    def _parts(self) -> LoopParts:
-        named = {name: getattr(self, name) for name in LoopParts.model_fields if hasattr(self, name)}
-        try:
-            parts = LoopParts.model_validate(named)
-        except ValidationError as error:
-            told = (f"{'.'.join(map(str, e['loc']))} = {e['input']!r}: {e['msg']}" for e in error.errors())
-            raise ParameterError(f"{'; '.join(told)}. The keys are those of a device file (docs/devices.md).") from None
-        if parts.left_out:
-            raise ParameterError(
-                f"velocity.kind = {parts.velocity.kind if parts.velocity else None}: no linear loop; expected "
-                "difference, butterworth, coefficients or kalman. Simulate it instead (pipeline simulate)."
-            )
-        return parts
+    def units(self) -> LoopUnits:
+        """Stiffness and damping that alpha = 1 and beta = 1 stand for."""
+        return LoopUnits.of(self)
 
     @cached_property
-    def _scale(self) -> normalised.Normalised:
-        # refuses both by their own names
-        normalised.Normalised(_as_number(self.mass), _as_number(self.sampling_period_s))
-        return wall_units(self.mass, self.sampling_period_s, self._parts)
-
-    @cached_property
-    def _normalised(self) -> normalised.Loop:
-        """The one place where the parameters in SI become a loop of the theory."""
-        device = self.mass, self.damping, self.stiffness, self.delay_samples, self.sampling_period_s
-        return loop_of(*device, self._parts)
-
-    @property
-    def apparent(self) -> tuple[float, float, float]:
-        """Mass, damping and stiffness that the wall feels, operator included, per unit of command."""
-        mass, damping, stiffness, _ = self._parts.felt(self.mass, self.damping, self.stiffness)
-        return mass, damping, stiffness
-
-    @property
-    def passive_damping(self) -> float:
-        """Damping of the device that makes walls passive, per unit of command: neither an operator's nor a load's."""
-        return (self.damping - self._parts.load_damping) / self.force_gain
+    def normalised_loop(self) -> NormalisedLoop:
+        """The loop of theory, in normalised parameters."""
+        return NormalisedLoop.of(self)
 
     def boundary(self, points: int = 400) -> pd.DataFrame:
         """Return the stability boundary.
@@ -192,16 +157,16 @@ class Loop:
 
         Source: Hulin 2017, sec. 3.4.
         """
-        border = boundary(self._normalised, points)
+        border = boundary(self.normalised_loop, points)
         frame = self._frame(
-            {"damping": border.beta * self._scale.damping, "stiffness": border.alpha * self._scale.stiffness}
+            {"damping": border.beta * self.units.damping, "stiffness": border.alpha * self.units.stiffness}
         )
         frame.attrs |= {
-            "stiffness_max": border.alpha_max * self._scale.stiffness,
-            "damping_at_stiffness_max": border.beta_at_alpha_max * self._scale.damping,
-            "damping_max": border.beta_max * self._scale.damping,
-            "stiffness_at_damping_max": border.alpha_at_beta_max * self._scale.stiffness,
-            "islands": islands_in_si(border.islands, self._scale),
+            "stiffness_max": border.alpha_max * self.units.stiffness,
+            "damping_at_stiffness_max": border.beta_at_alpha_max * self.units.damping,
+            "damping_max": border.beta_max * self.units.damping,
+            "stiffness_at_damping_max": border.alpha_at_beta_max * self.units.stiffness,
+            "islands": islands_in_si(border.islands, self.units),
         }
         return frame
 
@@ -227,7 +192,7 @@ class Loop:
             If lengths differ, a value is not finite, or a criterion is unknown.
         """
         K, B = _as_walls(stiffness, damping)
-        rows = point_documents(Case(self._normalised, self._scale), np.stack([K, B], axis=1), criteria)
+        rows = point_documents(Case(self.normalised_loop, self.units), np.stack([K, B], axis=1), criteria)
         kinds = {"stable": np.bool_, "reason": np.object_}
         names = ("stiffness", "damping", "stable", "spectral_radius", *criteria, "reason")
         return self._frame({name: np.array([row[name] for row in rows], kinds.get(name, np.float64)) for name in names})
@@ -238,10 +203,10 @@ class Loop:
         It is the largest K from which all softer walls of that damping are stable, exact to 1e-9.
         """
         B = np.atleast_1d(np.asarray(damping, dtype=np.float64))
-        loop = self._normalised
-        alpha = stiffness_limit(loop, B / self._scale.damping)
+        loop = self.normalised_loop
+        alpha = stiffness_limit(loop, B / self.units.damping)
         some = alpha > _ROUNDING * loop.gamma
-        return self._frame({"damping": B, "stiffness": np.where(some, alpha * self._scale.stiffness, np.nan)})
+        return self._frame({"damping": B, "stiffness": np.where(some, alpha * self.units.stiffness, np.nan)})
 
     def optimum(self, criterion: str) -> LoopOptimum:
         """Return the best wall by a criterion, such as ``settle_2pct`` or ``energy_step_w1_discrete``.
@@ -253,7 +218,7 @@ class Loop:
 
         Source: Hulin 2017, ch. 5.
         """
-        found = optimum_document(Case(self._normalised, self._scale), criterion)
+        found = optimum_document(Case(self.normalised_loop, self.units), criterion)
         box = tuple(found["box"].values()) if "box" in found else None
         return LoopOptimum(**{f.name: found.get(f.name) for f in fields(LoopOptimum)} | {"box": box})
 
@@ -281,13 +246,13 @@ class Loop:
         Source: Hulin 2017, secs. 5.1 and 5.2.
         """
         K = np.atleast_1d(np.asarray(stiffness, dtype=np.float64))
-        found = best_damping(self._normalised, criterion, K / self._scale.stiffness)
+        found = best_damping(self.normalised_loop, criterion, K / self.units.stiffness)
         return self._curve("stiffness", "damping", found)
 
     def best_stiffness(self, damping: object, criterion: str) -> pd.DataFrame:
         """Return the best stiffness for each damping; as `best_damping` with both exchanged."""
         B = np.atleast_1d(np.asarray(damping, dtype=np.float64))
-        found = best_stiffness(self._normalised, criterion, B / self._scale.damping)
+        found = best_stiffness(self.normalised_loop, criterion, B / self.units.damping)
         return self._curve("damping", "stiffness", found)
 
     def passive(self) -> pd.DataFrame:
@@ -306,13 +271,13 @@ class Loop:
 
         Source: Hulin 2017, ch. 4; for delays that are no whole number of samples docs/definitions.md.
         """
-        loop, delta = self._normalised, self.passive_damping / self._scale.damping
+        loop, delta = self.normalised_loop, self.passive_damping / self.units.damping
         alpha, beta = passive_outline(loop, delta)
         best = stiffest_passive(loop, delta) if delta > 0 else (0.0, 0.0)
         closed = {"damping": np.append(beta, beta[0]), "stiffness": np.append(alpha, alpha[0])}
-        frame = self._frame({name: values * getattr(self._scale, name) for name, values in closed.items()})
-        frame.attrs["stiffness_max"] = best[0] * self._scale.stiffness
-        frame.attrs["damping_at_stiffness_max"] = best[1] * self._scale.damping
+        frame = self._frame({name: values * getattr(self.units, name) for name, values in closed.items()})
+        frame.attrs["stiffness_max"] = best[0] * self.units.stiffness
+        frame.attrs["damping_at_stiffness_max"] = best[1] * self.units.damping
         return frame
 
     def response(
@@ -347,10 +312,10 @@ class Loop:
         ParameterError
             For another signal, or if sizes are out of range.
         """
-        alpha, beta = stiffness / self._scale.stiffness, damping / self._scale.damping
-        chi = response(self._normalised, alpha, beta, signal, samples, per_sample)
+        alpha, beta = stiffness / self.units.stiffness, damping / self.units.damping
+        chi = response(self.normalised_loop, alpha, beta, signal, samples, per_sample)
         # a hit moves the mass itself, a command what the gain makes of it
-        unit = self._scale.stiffness if signal == "step" else self._scale.damping * self._parts.force_gain
+        unit = self.units.stiffness if signal == "step" else self.units.damping * self.force_gain
         time = np.arange(len(chi)) * self.sampling_period_s / per_sample
         frame = pd.DataFrame({"time_s": time, "position": chi / unit})
         frame.attrs["units"] = units_of(("time_s", "position"), {self.motion})
@@ -376,7 +341,7 @@ class Loop:
         ParameterError
             If the wall is unstable.
         """
-        return margins(self._normalised, stiffness / self._scale.stiffness, damping / self._scale.damping)
+        return margins(self.normalised_loop, stiffness / self.units.stiffness, damping / self.units.damping)
 
     def to_state_space(self, stiffness: float = 0.0, damping: float = 0.0) -> StateSpace:
         """Return the loop as a discrete system of scipy, from a command [N, Nm] to the sensed position [m, rad].
@@ -394,9 +359,12 @@ class Loop:
         """
         from scipy.signal import StateSpace
 
-        loop, wall = self._normalised, np.array([[stiffness / self._scale.stiffness], [damping / self._scale.damping]])
+        loop, wall = (
+            self.normalised_loop,
+            np.array([[stiffness / self.units.stiffness], [damping / self.units.damping]]),
+        )
         _, push, position, _ = loop.open_loop
-        command = push[:, None] / self._scale.stiffness
+        command = push[:, None] / self.units.stiffness
         return StateSpace(loop.matrix(*wall)[0], command, position[None], 0.0, dt=self.sampling_period_s)
 
     def map(self, size: int = 251, criteria: Sequence[str] = MAP_DEFAULT) -> pd.DataFrame:
@@ -425,15 +393,15 @@ class Loop:
         """
         if isinstance(criteria, str):
             raise ParameterError(f"criteria = {criteria!r}: expected a list of names, such as [{criteria!r}].")
-        grid = CostMap(self._normalised, size, criteria)
+        grid = CostMap(self.normalised_loop, size, criteria)
         blocks = list(grid.blocks())
         costs = {name: np.concatenate([block.costs[name] for block in blocks]) for name in grid.names}
         if "damping" in costs:  # the name of the walls' own column
             costs["damping_ratio"] = costs.pop("damping")
         return self._frame(
             {
-                "stiffness": np.concatenate([block.alpha for block in blocks]) * self._scale.stiffness,
-                "damping": np.concatenate([block.beta for block in blocks]) * self._scale.damping,
+                "stiffness": np.concatenate([block.alpha for block in blocks]) * self.units.stiffness,
+                "damping": np.concatenate([block.beta for block in blocks]) * self.units.damping,
                 "stable": np.concatenate([block.stable for block in blocks]),
                 **costs,
             }
@@ -441,7 +409,7 @@ class Loop:
 
     def _curve(self, given: str, best: str, found: Curve) -> pd.DataFrame:
         """Return an optimal curve in SI."""
-        unit, columns = getattr(self._scale, best), {given: found.given * getattr(self._scale, given)}
+        unit, columns = getattr(self.units, best), {given: found.given * getattr(self.units, given)}
         columns |= {best: found.best * unit, "cost": found.cost}
         return self._frame({**columns, f"{best}_low": found.low * unit, f"{best}_high": found.high * unit})
 
@@ -453,25 +421,6 @@ class Loop:
         if self.left_out:
             frame.attrs["left_out"] = list(self.left_out)
         return frame
-
-
-def loop_of_device(device: Device, experiment: Experiment) -> Loop:
-    """Return the loop of an experiment of a device; what linear theory leaves out is named in `Loop.left_out`."""
-    parts = device.loop_of(experiment)
-    given = parts.model_dump(exclude={"friction", *parts.left_out})
-    e = experiment
-    numbers = e.mass, e.damping, device.sampling_period_s, e.delay_samples, e.stiffness
-    loop = Loop(*numbers, motion=device.motion, **given)
-    object.__setattr__(loop, "left_out", tuple(device.left_out(e)))
-    return loop
-
-
-def _as_number(value: float) -> float:
-    """Return a number as a float, infinite where it is a whole one beyond all floats."""
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf
 
 
 def _as_walls(stiffness: object, damping: object) -> tuple[Floats, Floats]:

@@ -7,13 +7,13 @@ unstable gap, or where soft walls are not, is an island.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache, partial
 
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop, as_points
+from pipeline.loop.normalised_loop import NormalisedLoop, as_points
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.theory.circle import FirstBranch, angle_of, bisect, circle_points, first_branch, place_of
 from pipeline.theory.crossings import polished, stretches, turning_dampings
@@ -92,12 +92,12 @@ class Outline:
         return self.limits.alpha
 
 
-def limits(loop: Loop, beta: Floats, *, exact: bool = True, floor: float = 0.0) -> Limits:
+def limits(loop: NormalisedLoop, beta: Floats, *, exact: bool = True, floor: float = 0.0) -> Limits:
     """Return the limit of walls at each beta.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     beta : float64, shape (n,)
     exact : bool
         Whether crossings are polished in many digits; those of doubles else.
@@ -119,12 +119,12 @@ def limits(loop: Loop, beta: Floats, *, exact: bool = True, floor: float = 0.0) 
     return Limits(ends[0], ends[1], ends[2], ends[3], np.stack([beta[index], low, high], axis=1)[~soft])
 
 
-def outline(loop: Loop, points: int = 400, floor: float = 0.0) -> Outline:
+def outline(loop: NormalisedLoop, points: int = 400, floor: float = 0.0) -> Outline:
     """Return the limit of walls over all dampings at which there is one.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     points : int
         Number of dampings of the outline, >= 8, spread over its parts and denser towards their ends; both sides of
         every corner and jump come beside these.
@@ -167,7 +167,7 @@ def outline(loop: Loop, points: int = 400, floor: float = 0.0) -> Outline:
     return Outline(beta, found, part, islands, levels, peak, at, (float(low[0]), float(high[-1])))
 
 
-def _corners(loop: Loop, levels: Floats) -> Floats:
+def _corners(loop: NormalisedLoop, levels: Floats) -> Floats:
     """Return both sides of each damping between levels, in order, at which other branches begin to bound."""
     known = _bounds(loop, levels)
     low, high, left, right = levels[:-1], levels[1:], known[:-1], known[1:]
@@ -183,11 +183,11 @@ def _corners(loop: Loop, levels: Floats) -> Floats:
     return np.concatenate(corners)
 
 
-def _are_bounded(loop: Loop, by: Integers, beta: Floats) -> Booleans:
+def _are_bounded(loop: NormalisedLoop, by: Integers, beta: Floats) -> Booleans:
     return np.asarray(_bounds(loop, beta) == by)
 
 
-def _bounds(loop: Loop, beta: Floats) -> Integers:
+def _bounds(loop: NormalisedLoop, beta: Floats) -> Integers:
     """Return a number for the branches that bound what is stable at each beta."""
     found, result = stretches(loop, beta), np.zeros(len(beta), np.intp)
     np.add.at(result, found.index, (found.outline + 1) ** 2)
@@ -229,12 +229,12 @@ class Boundary:
 
 
 @lru_cache(maxsize=64)
-def boundary(loop: Loop, points: int = 400) -> Boundary:
+def boundary(loop: NormalisedLoop, points: int = 400) -> Boundary:
     """Return the boundary of the stable region.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     points : int
         About how many, >= 8.
 
@@ -257,12 +257,12 @@ def boundary(loop: Loop, points: int = 400) -> Boundary:
     return _along(first, points) if first is not None else _over_dampings(loop, points)
 
 
-def has_islands(loop: Loop) -> bool:
+def has_islands(loop: NormalisedLoop) -> bool:
     """Return whether walls are stable somewhere beyond an unstable stretch of softer ones, down to alpha -> 0."""
     return first_branch(loop) is None and len(outline(loop, _FEWEST).islands) > 0
 
 
-def stabilises(loop: Loop) -> bool:
+def stabilises(loop: NormalisedLoop) -> bool:
     """Return whether any damping stabilises a soft wall."""
     return first_branch(loop) is not None or len(outline(loop, _FEWEST).beta) > 0
 
@@ -279,7 +279,7 @@ def _along(first: FirstBranch, points: int) -> Boundary:
     return Boundary(p.alpha, p.beta, angle_of(place), float(peak.alpha[0]), float(peak.beta[0]), *ends)
 
 
-def _over_dampings(loop: Loop, points: int) -> Boundary:
+def _over_dampings(loop: NormalisedLoop, points: int) -> Boundary:
     found = outline(loop, points, -loop.gamma)
     if not len(found.beta):
         raise ParameterError("no damping stabilises a soft wall. Check delay, lag and velocity filter.")
@@ -338,12 +338,12 @@ def _edges(rows: Floats, level: Integers, line: float) -> Floats:
     return np.concatenate(found[2:])
 
 
-def is_inside(loop: Loop, alpha: object, beta: object) -> Booleans:
+def is_inside(loop: NormalisedLoop, alpha: object, beta: object) -> Booleans:
     """Return which points are stable: all poles inside the unit circle.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     alpha, beta : array_like, shape (n,)
         Normalised virtual stiffness and damping.
 
@@ -356,7 +356,9 @@ def is_inside(loop: Loop, alpha: object, beta: object) -> Booleans:
     return np.asarray(_margins(loop, *as_points(alpha, beta)) > 0)
 
 
-def is_well_inside(loop: Loop, alpha: Floats, beta: Floats, share: float = 1e-9, *, islands: bool = True) -> Booleans:
+def is_well_inside(
+    loop: NormalisedLoop, alpha: Floats, beta: Floats, share: float = 1e-9, *, islands: bool = True
+) -> Booleans:
     """Return where points are stable and stay so when alpha is moved either way by a share of alpha + gamma, (n,).
 
     Costs of points closer to the boundary are sums over billions of samples, and rounding errors. Without ``islands``
@@ -366,7 +368,7 @@ def is_well_inside(loop: Loop, alpha: Floats, beta: Floats, share: float = 1e-9,
     return np.asarray((away > 0) & (_margins(loop, alpha, beta, islands=islands) > away))
 
 
-def stiffness_limit(loop: Loop, beta: object) -> Floats:
+def stiffness_limit(loop: NormalisedLoop, beta: object) -> Floats:
     """Return the alpha up to which every softer wall is stable at each beta, down to alpha -> 0; both (n,).
 
     -inf where there is none. Errors as of `is_inside`.
@@ -381,7 +383,7 @@ def stiffness_limit(loop: Loop, beta: object) -> Floats:
     return result
 
 
-def _margins(loop: Loop, alpha: Floats, beta: Floats, *, islands: bool = True) -> Floats:
+def _margins(loop: NormalisedLoop, alpha: Floats, beta: Floats, *, islands: bool = True) -> Floats:
     """Return the distance of alpha to the nearer end of its stable interval, below zero where it is in none, (n,)."""
     levels, of = np.unique(beta, return_inverse=True)
     found = stretches(loop, levels)
@@ -458,7 +460,7 @@ def robust_limits(delta: float, delay: float, beta: object) -> tuple[Floats, Flo
         raise ParameterError(f"delta = {delta}: expected a finite number that is not negative.")
     largest = math.pi**2 + delta**2 / 4
     gamma = 0.5 * largest * (1 - np.cos(np.pi * np.linspace(0, 1, _STIFFNESSES)))
-    limits = np.stack([stiffness_limit(Loop(float(g), delta, delay), b) for g in gamma])
+    limits = np.stack([stiffness_limit(NormalisedLoop.ideal(float(g), delta, delay), b) for g in gamma])
     for _ in range(_ROUNDS):
         alive = np.flatnonzero((limits > 0).all(axis=0))
         worst = np.unique(np.argmin(limits[:, alive], axis=0)) if len(alive) else np.zeros(0, np.intp)
@@ -472,7 +474,7 @@ def robust_limits(delta: float, delay: float, beta: object) -> tuple[Floats, Flo
         for row, value in zip(rows, new, strict=True):  # each spring only for the beta whose worst one is next to it
             near = np.flatnonzero((limits > 0).all(axis=0) & (np.abs(value - nearest) <= _reach(gamma, value)))
             if len(near):
-                row[near] = stiffness_limit(Loop(float(value), delta, delay), b[near])
+                row[near] = stiffness_limit(NormalisedLoop.ideal(float(value), delta, delay), b[near])
         gamma, limits = np.concatenate([gamma, new]), np.concatenate([limits, rows])
         order = np.argsort(gamma)
         gamma, limits = gamma[order], limits[order]
@@ -496,12 +498,12 @@ _SEEN = 0.1
 """Limit, as a share of the largest, of the dampings that say which equivalent dampings to try."""
 
 
-def step_limits(loop: Loop, beta: Floats, share: float) -> Floats:
+def step_limits(loop: NormalisedLoop, beta: Floats, share: float) -> Floats:
     """Return the limit at dampings for oscillations as large as a step's way, F_0/(K + k); nan where not valid.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     beta : float64, shape (n,)
     share : float
         Friction over the step, f_c/F_0, > 0.
@@ -521,7 +523,7 @@ def step_limits(loop: Loop, beta: Floats, share: float) -> Floats:
     typical = 4 * share * (first.alpha + loop.gamma) / (np.pi * first.angle)
     typical = typical[first.alpha > _SEEN * np.nanmax(first.alpha)]
     more = np.geomspace(0.7 * typical.min(), 5 * typical.max(), _EQUIVALENTS)
-    each = [first] + [limits(replace(loop, delta=loop.delta + float(one)), beta, exact=False) for one in more]
+    each = [first] + [limits(loop.with_delta(loop.delta + float(one)), beta, exact=False) for one in more]
     added = np.append(0.0, more)[:, None]
     alpha, angle = np.array([one.alpha for one in each]), np.array([one.angle for one in each])
     shares = np.pi * angle * added / (4 * (alpha + loop.gamma))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop, Normalised, loop_of, wall_units
+from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, with_discrete
 from pipeline.theory.boundary import boundary, has_islands, is_well_inside, outline
@@ -63,15 +63,15 @@ class Case:
 
     Parameters
     ----------
-    loop : Loop
-    units : Normalised, optional
+    loop : NormalisedLoop
+    units : LoopUnits, optional
         Of the wall, where it is told in SI.
     names : dict
         What else is said of the loop; without units its normalised parameters.
     """
 
-    loop: Loop
-    units: Normalised | None = None
+    loop: NormalisedLoop
+    units: LoopUnits | None = None
     names: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -93,19 +93,18 @@ class Case:
 
 def case_of(device: Device, experiment: Experiment) -> Case:
     """Return the loop of a device's experiment; where its delay jitters at the mean, with the range in `Case.names`."""
-    e, parts, period = experiment, device.loop_of(experiment), device.sampling_period_s
-    low, high = e.delay_range
+    loop, table = device.loop_for(experiment), device.loop_table(experiment)
+    low, high = loop.delay_range
     names = {
         "device": device.name,
-        "experiment": e.name,
-        "delay_samples": e.delay_samples,
+        "experiment": experiment.name,
+        "delay_samples": loop.delay_samples,
         "delay_samples_low": low,
         "delay_samples_high": high,
-        "parts": parts.model_dump(mode="json", exclude_defaults=True, exclude={"friction"}),
-        "left_out": device.left_out(e),
+        "parts": table.model_dump(mode="json", exclude_defaults=True, exclude={"friction"}),
+        "left_out": list(loop.left_out),
     }
-    loop = loop_of(e.mass, e.damping, e.stiffness, e.delay_samples, period, parts)
-    return Case(loop, wall_units(e.mass, period, parts), names)
+    return Case(NormalisedLoop.of(loop), LoopUnits.of(loop), names)
 
 
 @dataclass(frozen=True)
@@ -232,7 +231,7 @@ def case_documents(cases: Cases, criteria: Sequence[str] = POINT_COSTS) -> list[
         members = np.flatnonzero(group.ravel() == number)
         try:
             gamma, delta, delay = map(float, plant)
-            loop = Loop(gamma, delta, delay)
+            loop = NormalisedLoop.ideal(gamma, delta, delay)
         except ParameterError as error:
             raise ParameterError(f"{cases.path}, row {cases.row[members[0]]}: {error}") from error
         for index, document in zip(members, point_documents(Case(loop), cases.values[members], criteria), strict=True):
@@ -291,7 +290,7 @@ def point_documents(case: Case, walls: Floats, criteria: Sequence[str] = POINT_C
     return result
 
 
-def _why_missing(loop: Loop, alpha: float, radius: float, missing: list[str]) -> str | None:
+def _why_missing(loop: NormalisedLoop, alpha: float, radius: float, missing: list[str]) -> str | None:
     """Return why a wall has no costs by some criteria, None where none is missing."""
     if alpha + loop.gamma <= 0:
         return "no final position: alpha + gamma <= 0"
@@ -305,7 +304,7 @@ def _why_missing(loop: Loop, alpha: float, radius: float, missing: list[str]) ->
 def boundary_document(case: Case, points: int = 400) -> dict[str, Any]:
     """Return the limit of walls with its extreme points, as the document that `theory boundary` prints.
 
-    Normalised it is the whole boundary; in SI that of walls with stiffness, over damping, with islands beside it; None
+    LoopUnits it is the whole boundary; in SI that of walls with stiffness, over damping, with islands beside it; None
     lies between separate regions.
 
     Raises
@@ -346,7 +345,7 @@ def _listed(values: Floats) -> list[float | None]:
     return [None if math.isnan(value) else value for value in values.tolist()]
 
 
-def islands_in_si(islands: Floats, units: Normalised) -> list[dict[str, float]]:
+def islands_in_si(islands: Floats, units: LoopUnits) -> list[dict[str, float]]:
     """Return stable intervals, shape (n, 3) as of `Limits`, by name."""
     k, b = units.stiffness, units.damping
     return [
@@ -355,7 +354,7 @@ def islands_in_si(islands: Floats, units: Normalised) -> list[dict[str, float]]:
     ]
 
 
-def _unstable_rule(loop: Loop, alpha: float, beta: float) -> str | None:
+def _unstable_rule(loop: NormalisedLoop, alpha: float, beta: float) -> str | None:
     """Return what is wrong with the wall of a tuning rule; None where it and all softer ones are stable."""
     radius = float(spectral_radius(loop, alpha, beta)[0])
     if not stable_by_radius(loop, np.array([alpha]), np.array([radius]))[0]:

@@ -1,7 +1,7 @@
 """The wall that puts a pole pair on the unit circle, over its angle, in doubles; with slopes, and solved for.
 
 Angles theta are told by their place ln s, s = tan^2(theta/2): both ends of the circle keep their digits. The transfer
-functions are ratios of polynomials in w = j sqrt(s), exact before they are rounded (`Loop.sampled`); above |w| = 1 in
+functions are ratios of polynomials in w = j sqrt(s), exact before they are rounded (`NormalisedLoop.sampled`); above |w| = 1 in
 powers of 1/w.
 
 Source: Hulin 2017, eqs. 3.9 to 3.11 on |z| = 1, in another form.
@@ -18,8 +18,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.loop.loop import Loop
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, many_digits, power, product, total
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.batch import Booleans, Floats, Integers
 
 _ITERATIONS = 120
@@ -62,7 +62,7 @@ def angle_of(place: Floats) -> Floats:
     return np.asarray(2 * np.arctan(np.exp(0.5 * place)))
 
 
-def inverse_and_rate(loop: Loop, place: Floats) -> NDArray[np.complex128]:
+def inverse_and_rate(loop: NormalisedLoop, place: Floats) -> NDArray[np.complex128]:
     """Return -1/G and N on the unit circle, and their slopes over the place, shape (2, 2, n): [value, slope]."""
     w = 1j * np.exp(0.5 * place)
     far = place > 0
@@ -82,7 +82,7 @@ def inverse_and_rate(loop: Loop, place: Floats) -> NDArray[np.complex128]:
     return np.array([[lever * motion, share * velocity], [0.5 * inverse_slope, 0.5 * rate_slope]])
 
 
-def circle_points(loop: Loop, place: Floats) -> CirclePoints:
+def circle_points(loop: NormalisedLoop, place: Floats) -> CirclePoints:
     """Return the walls at places."""
     (inverse, rate), (inverse_slope, rate_slope) = inverse_and_rate(loop, place)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # at poles of beta
@@ -92,7 +92,7 @@ def circle_points(loop: Loop, place: Floats) -> CirclePoints:
         return CirclePoints(inverse.real - beta * rate.real, beta, alpha_slope, slope)
 
 
-def solved(loop: Loop, cells: Cells, cell: Integers, beta: Floats) -> Floats:
+def solved(loop: NormalisedLoop, cells: Cells, cell: Integers, beta: Floats) -> Floats:
     """Return the places at which beta has values within cells.
 
     Newton's method from an interpolation in s; a step that leaves the bracket is replaced by halving.
@@ -140,7 +140,7 @@ def bisect(holds: Callable[[Floats], Booleans], good: Floats, bad: Floats, halvi
 
 
 @lru_cache(maxsize=512)
-def _rounded(loop: Loop) -> Floats:
+def _rounded(loop: NormalisedLoop) -> Floats:
     """Return the four polynomials and w times their derivatives, upwards and downwards, shape (2, 8, degree + 1)."""
     g = loop.sampled
     result = np.zeros((2, 8, max(len(part) for part in (g.motion, g.velocity))))
@@ -182,13 +182,13 @@ class Ends:
 
 
 @lru_cache(maxsize=512)
-def ends(loop: Loop) -> Ends:
+def ends(loop: NormalisedLoop) -> Ends:
     """Return what is known of both ends."""
     with many_digits(loop.digits):
         return Ends(_start(loop), *_at_minus_one(loop), _unstable_when_stiff(loop))
 
 
-def _start(loop: Loop) -> float:
+def _start(loop: NormalisedLoop) -> float:
     """-1/G is -(1 + 2 delay w) motion/force and N is 2 w velocity/filter, both up to w^2."""
     g = loop.sampled
     if not g.velocity[0]:
@@ -197,7 +197,7 @@ def _start(loop: Loop) -> float:
     return float(-turn * g.filter[0] / (2 * g.velocity[0]))
 
 
-def _at_minus_one(loop: Loop) -> tuple[float, float, tuple[float, float]]:
+def _at_minus_one(loop: NormalisedLoop) -> tuple[float, float, tuple[float, float]]:
     """Return value, slope and the two parts of the bend of the line on which a pole lies at z = -1.
 
     In u = 1/w, z^delay = (-1)^delay (1 + 2 delay u + ...), N = 2 velocity/((1 + u) filter), and z < -1 is u > 0.
@@ -221,7 +221,7 @@ def _slope(top: Digits, bottom: Digits) -> Decimal:
     return Decimal((top[1] * bottom[0] - top[0] * bottom[1]) / bottom[0] ** 2)
 
 
-def _unstable_when_stiff(loop: Loop) -> int:
+def _unstable_when_stiff(loop: NormalisedLoop) -> int:
     """Number of poles outside the circle, the right half of w, of an endlessly stiff wall without damping."""
     g = loop.sampled
     up, down = as_exact([1, 1]), as_exact([1, -1])
@@ -272,14 +272,14 @@ class FirstBranch:
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     cells : Cells
         Between its samples; it ends in the last one.
     turn : int
         Cell in which alpha is largest.
     """
 
-    loop: Loop
+    loop: NormalisedLoop
     cells: Cells
     turn: int
 
@@ -304,7 +304,7 @@ class FirstBranch:
         return float(bisect(lambda place: of(circle_points(self.loop, place)) > 0, low, high)[0][0])
 
 
-def is_sampled(loop: Loop) -> bool:
+def is_sampled(loop: NormalisedLoop) -> bool:
     """Return whether the branches of a loop are better known by samples than by their polynomials' roots.
 
     Beside a repeated zero of the filter on the circle, doubles know no branch.
@@ -313,19 +313,19 @@ def is_sampled(loop: Loop) -> bool:
 
 
 @lru_cache(maxsize=512)
-def _has_repeated_zeros(loop: Loop) -> bool:
+def _has_repeated_zeros(loop: NormalisedLoop) -> bool:
     zeros = np.roots(loop.filter_in_z[0])
     # at both ends of the circle, where those of Butterworth filters lie, there is no branch beside them
     zeros = zeros[(np.abs(np.abs(zeros) - 1) < _CLOSE) & (np.abs(zeros.imag) > _CLOSE)]
     return bool((np.abs(zeros[:, None] - zeros) < _CLOSE).sum() > len(zeros))
 
 
-def _is_smooth(loop: Loop) -> bool:
+def _is_smooth(loop: NormalisedLoop) -> bool:
     return len(loop.sampled.motion) <= 3 and len(loop.sampled.filter) == 1
 
 
 @lru_cache(maxsize=512)
-def first_branch(loop: Loop) -> FirstBranch | None:
+def first_branch(loop: NormalisedLoop) -> FirstBranch | None:
     """Return the first branch where it alone encloses what is stable.
 
     It does if beta grows along it, alpha has one maximum and returns to -gamma, all other branches, also where they
@@ -363,7 +363,7 @@ def first_branch(loop: Loop) -> FirstBranch | None:
     return FirstBranch(loop, Cells(edges[:-1], edges[1:], b[:-1], b[1:]), int(np.argmax(falls)))
 
 
-def sampled_cells(loop: Loop, breaks: Floats, free: dict[float, float]) -> tuple[Cells, Integers]:
+def sampled_cells(loop: NormalisedLoop, breaks: Floats, free: dict[float, float]) -> tuple[Cells, Integers]:
     """Return the cells of all branches, and unstable poles that alpha gains or loses by rising through each.
 
     ``breaks`` are the places, in order, at which beta is infinite; ``free`` those that are met at each beta, with the
@@ -382,7 +382,7 @@ def sampled_cells(loop: Loop, breaks: Floats, free: dict[float, float]) -> tuple
     return Cells(edges[:-1], edges[1:], low, high), np.where(rises == (rate > 0), 2, -2)
 
 
-def sampled_turns(loop: Loop, levels: list[float], breaks: Floats) -> Floats:
+def sampled_turns(loop: NormalisedLoop, levels: list[float], breaks: Floats) -> Floats:
     """Return beta where alpha has an extremum along a branch, or one of some values."""
     place = _places(loop)
     found = [_zeros(loop, place, breaks, lambda p: p.alpha_slope)]
@@ -394,7 +394,7 @@ def _above(level: float, p: CirclePoints) -> Floats:
     return p.alpha - level
 
 
-def _zeros(loop: Loop, place: Floats, breaks: Floats, of: Callable[[CirclePoints], Floats]) -> Floats:
+def _zeros(loop: NormalisedLoop, place: Floats, breaks: Floats, of: Callable[[CirclePoints], Floats]) -> Floats:
     place = np.unique(np.concatenate([place, breaks - _BESIDE, breaks + _BESIDE]))
     positive, part = of(circle_points(loop, place)) > 0, np.searchsorted(breaks, place)
     at = np.flatnonzero((positive[1:] != positive[:-1]) & (part[1:] == part[:-1]))
@@ -402,7 +402,7 @@ def _zeros(loop: Loop, place: Floats, breaks: Floats, of: Callable[[CirclePoints
     return np.asarray(0.5 * (low + high))
 
 
-def _places(loop: Loop) -> Floats:
+def _places(loop: NormalisedLoop) -> Floats:
     """Return places that sample all branches, in order: on the scale of a turn, and around all zeros and poles."""
     step = np.pi / int(_PER_TURN * (loop.delay + 1))
     b, a = (np.roots(part) for part in loop.filter_in_z)
@@ -426,7 +426,7 @@ def _passings(width: Floats, beta: Floats) -> Floats:
     return np.asarray(beta[at] + width[at] / (width[at] - width[at + 1]) * (beta[at + 1] - beta[at]))
 
 
-def _unstable_poles(loop: Loop, p: CirclePoints, index: int) -> int:
+def _unstable_poles(loop: NormalisedLoop, p: CirclePoints, index: int) -> int:
     """Count the unstable poles just left of a sampled point, by crossings to its right read from the samples."""
     known, alpha, beta = ends(loop), np.append(-loop.gamma, p.alpha), np.append(ends(loop).start, p.beta)
     level = p.beta[index] * (1 - 1e-9)

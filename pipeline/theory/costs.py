@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 from pipeline.base.disk import replacing
 from pipeline.base.errors import ParameterError, PipelineError
 from pipeline.base.provenance import stamp
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.criteria import (
     CRITERIA,
@@ -58,13 +57,13 @@ _FEWEST = 8
 
 
 def point_costs_by_name(
-    loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], longest: int
+    loop: NormalisedLoop, alpha: Floats, beta: Floats, names: Sequence[str], longest: int
 ) -> dict[str, Floats]:
     """Return costs of stable points by name, computing no more than what is asked for.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     alpha, beta : float64, shape (n,)
         Stable points with alpha + gamma > 0; of rise times it does not matter whether they are.
     names : sequence of str
@@ -81,7 +80,9 @@ def point_costs_by_name(
     return result
 
 
-def _together(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], longest: int) -> dict[str, Floats]:
+def _together(
+    loop: NormalisedLoop, alpha: Floats, beta: Floats, names: Sequence[str], longest: int
+) -> dict[str, Floats]:
     of = {name: criterion_of(name) for name in names}
     found: dict[str, Floats] = {}
     transient = [name for name in names if of[name].family in (SETTLING, OVERSHOOT)]
@@ -114,19 +115,19 @@ def check_criteria(names: Sequence[str]) -> None:
         )
 
 
-def cost_maps(loop: Loop, alpha: Floats, beta: Floats, criteria: Sequence[str]) -> dict[str, Floats]:
+def cost_maps(loop: NormalisedLoop, alpha: Floats, beta: Floats, criteria: Sequence[str]) -> dict[str, Floats]:
     """Return `costs_at` on a grid: axes of shapes (p,), (q,), costs of shape (q, p)."""
     grid_alpha, grid_beta = np.meshgrid(alpha, beta)
     found = costs_at(loop, grid_alpha.ravel(), grid_beta.ravel(), criteria)
     return {criterion: values.reshape(grid_alpha.shape) for criterion, values in found.items()}
 
 
-def costs_at(loop: Loop, alpha: Floats, beta: Floats, criteria: Sequence[str]) -> dict[str, Floats]:
+def costs_at(loop: NormalisedLoop, alpha: Floats, beta: Floats, criteria: Sequence[str]) -> dict[str, Floats]:
     """Return costs of the sampled step response, as of logs, by criteria that a log can be judged by.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     alpha, beta : float64, shape (n,)
         Normalised stiffness and damping of each point.
     criteria : sequence of str
@@ -143,7 +144,7 @@ def costs_at(loop: Loop, alpha: Floats, beta: Floats, criteria: Sequence[str]) -
 
 
 def costs_inside(
-    loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], longest: int = MAP_LONGEST
+    loop: NormalisedLoop, alpha: Floats, beta: Floats, names: Sequence[str], longest: int = MAP_LONGEST
 ) -> dict[str, Floats]:
     """Return costs of points by name, in the order of the names; shape (n,) each.
 
@@ -158,7 +159,7 @@ def costs_inside(
     return result
 
 
-def bounding_box(loop: Loop) -> tuple[float, float, float, float]:
+def bounding_box(loop: NormalisedLoop) -> tuple[float, float, float, float]:
     """Return alpha_low, alpha_high, beta_low, beta_high of the stable region."""
     border = boundary(loop, _FEWEST)  # its extremes are known whatever the points between
     return -loop.gamma, border.alpha_max, border.beta_min, border.beta_max
@@ -184,7 +185,7 @@ class CostMap:
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     size : int
         Grid points along each axis, 2 to 4001.
     criteria : sequence of str
@@ -204,7 +205,7 @@ class CostMap:
     Source: Hulin 2017, ch. 5, footnote 1 (grid of 251 x 251 points).
     """
 
-    loop: Loop
+    loop: NormalisedLoop
     size: int = 251
     criteria: Sequence[str] = MAP_DEFAULT
     longest: int = MAP_LONGEST
@@ -287,7 +288,7 @@ def map_schema(cost_map: CostMap) -> pa.Schema:
     fields = [pa.field(name, pa.float64(), False) for name in AXES]
     fields += [pa.field("stable", pa.bool_(), False)]
     fields += [pa.field(name, pa.float64(), metadata={"unit": "1", "meaning": meaning}) for name in cost_map.names]
-    plant = {field.name: repr(getattr(loop, field.name)) for field in dataclasses.fields(loop)}
+    plant = {name: repr(getattr(loop, name)) for name in ("gamma", "delta", "delay", "lag", "plant", "velocity")}
     return pa.schema(fields, metadata=dict(stamp(**plant, size=str(cost_map.size))))
 
 

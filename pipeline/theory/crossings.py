@@ -16,7 +16,6 @@ from itertools import accumulate, pairwise
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polydiv, polyval
 
-from pipeline.loop.loop import LEAST_RATIO, Loop
 from pipeline.loop.many_digits import (
     Digits,
     as_exact,
@@ -25,6 +24,8 @@ from pipeline.loop.many_digits import (
     product,
     total,
 )
+from pipeline.loop.normalised_loop import NormalisedLoop
+from pipeline.loop.state_space import LEAST_RATIO
 from pipeline.records.batch import Floats, Integers
 from pipeline.theory.circle import (
     Cells,
@@ -218,7 +219,7 @@ class OnCircle:
 
 
 @lru_cache(maxsize=64)
-def on_circle(loop: Loop) -> OnCircle:
+def on_circle(loop: NormalisedLoop) -> OnCircle:
     """Return a loop's condition on the unit circle."""
     g = loop.sampled
     with many_digits(loop.digits):
@@ -252,12 +253,12 @@ def _without_shared(first: Digits, second: Digits, digits: int) -> tuple[list[De
 
 
 @lru_cache(maxsize=64)
-def branches(loop: Loop) -> Branches:
+def branches(loop: NormalisedLoop) -> Branches:
     """Return what is known of a loop's crossings once."""
     return sampled_branches(loop) if is_sampled(loop) else exact_branches(loop)
 
 
-def sampled_branches(loop: Loop) -> Branches:
+def sampled_branches(loop: NormalisedLoop) -> Branches:
     """Return them by samples, of a loop whose polynomials are long."""
     c = on_circle(loop)
     with many_digits(loop.digits):
@@ -266,13 +267,13 @@ def sampled_branches(loop: Loop) -> Branches:
 
 
 @lru_cache(maxsize=64)
-def _poles(loop: Loop) -> dict[Decimal, int]:
+def _poles(loop: NormalisedLoop) -> dict[Decimal, int]:
     """Return the places s at which beta is infinite, in order, and their multiplicities."""
     with many_digits(loop.digits):
         return positive_roots(on_circle(loop).rate, loop.digits)
 
 
-def _breaks(loop: Loop) -> Floats:
+def _breaks(loop: NormalisedLoop) -> Floats:
     with many_digits(loop.digits):
         return np.array([float(root.ln()) for root in _poles(loop)])
 
@@ -283,7 +284,7 @@ def _beside(roots: list[Decimal], poles: dict[Decimal, int]) -> list[Decimal]:
 
 
 @lru_cache(maxsize=64)
-def _lines(loop: Loop) -> Lines:
+def _lines(loop: NormalisedLoop) -> Lines:
     """Return the lines of a loop: at z = -1, and where N and -1/G are both real."""
     known, c = ends(loop), on_circle(loop)
     with many_digits(loop.digits):
@@ -301,7 +302,7 @@ def _lines(loop: Loop) -> Lines:
     )
 
 
-def exact_branches(loop: Loop) -> Branches:
+def exact_branches(loop: NormalisedLoop) -> Branches:
     """Return them by real roots, of any loop."""
     c = on_circle(loop)
     with many_digits(loop.digits):
@@ -323,7 +324,7 @@ def exact_branches(loop: Loop) -> Branches:
 
 
 @lru_cache(maxsize=64)
-def turning_dampings(loop: Loop) -> Floats:
+def turning_dampings(loop: NormalisedLoop) -> Floats:
     """Return every beta, in order, at which stable stretches may begin or end, join, or their ends have an extremum.
 
     Between two of these each end of a stretch is monotone in beta, and soft walls (alpha -> 0 or -gamma) are all stable
@@ -338,7 +339,7 @@ def turning_dampings(loop: Loop) -> Floats:
     return np.unique(found[np.isfinite(found)])
 
 
-def _exact_turns(loop: Loop, levels: list[float]) -> Floats:
+def _exact_turns(loop: NormalisedLoop, levels: list[float]) -> Floats:
     c = on_circle(loop)
     with many_digits(loop.digits):
         whole = product(power(as_exact([1, 1]), c.delay), c.turn)
@@ -363,12 +364,12 @@ class Stretches:
     outline: Integers
 
 
-def stretches(loop: Loop, beta: Floats) -> Stretches:
+def stretches(loop: NormalisedLoop, beta: Floats) -> Stretches:
     """Return the stable intervals of alpha above -gamma at each beta, upwards; ends to some 11 digits.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     beta : float64, shape (n,)
     """
     first = first_branch(loop)
@@ -381,7 +382,7 @@ def stretches(loop: Loop, beta: Floats) -> Stretches:
     return counted_stretches(loop, branches(loop), beta)
 
 
-def counted_stretches(loop: Loop, b: Branches, beta: Floats) -> Stretches:
+def counted_stretches(loop: NormalisedLoop, b: Branches, beta: Floats) -> Stretches:
     """Return the same by counting the unstable poles over all crossings, downwards from an endlessly stiff wall."""
     lines, everyone = _lines(loop), np.arange(len(beta))
     below_low, below_high = (side[None, :] < beta[:, None] for side in (b.cells.beta_low, b.cells.beta_high))
@@ -409,13 +410,13 @@ def counted_stretches(loop: Loop, b: Branches, beta: Floats) -> Stretches:
     return Stretches(i[stable], a[stable], a[stable + 1], at[stable], at[stable + 1], outline)
 
 
-def _has_no_loss(loop: Loop) -> bool:
+def _has_no_loss(loop: NormalisedLoop) -> bool:
     """Return whether nothing damps a loop's mode but the wall."""
-    mode = loop.mode
-    return mode is not None and loop.delta == 0 and mode.damping <= 2 * LEAST_RATIO * mode.stiffness**0.5
+    plant = loop.plant
+    return plant.has_mode and loop.delta == 0 and plant.spring_damping <= 2 * LEAST_RATIO * plant.spring**0.5
 
 
-def polished(loop: Loop, beta: Floats, place: Floats) -> Floats:
+def polished(loop: NormalisedLoop, beta: Floats, place: Floats) -> Floats:
     """Return alpha of crossings at ln s near ``place``, shape (n,), to the last digit or two of a double."""
     c, result, lines = on_circle(loop), [], set(_lines(loop).place)
     with many_digits(loop.digits):
@@ -432,7 +433,7 @@ def polished(loop: Loop, beta: Floats, place: Floats) -> Floats:
     return np.array([float(a) for a in result])
 
 
-def _alpha(loop: Loop, place: Floats, beta: Floats) -> Floats:
+def _alpha(loop: NormalisedLoop, place: Floats, beta: Floats) -> Floats:
     inverse, rate = inverse_and_rate(loop, place)[0]
     return np.asarray(inverse.real - beta * rate.real)
 

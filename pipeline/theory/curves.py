@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.criteria import CRITERIA, DISCRETE, SETTLING_BANDS, criterion_of, with_discrete
 from pipeline.theory.boundary import boundary, stiffness_limit
@@ -71,12 +71,12 @@ class Curve:
     found: Booleans
 
 
-def best_damping(loop: Loop, criterion: str, alpha: object) -> Curve:
+def best_damping(loop: NormalisedLoop, criterion: str, alpha: object) -> Curve:
     """Return the best beta for each alpha.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     criterion : str
         One of `CURVE_CRITERIA`; those of a response also with ``_discrete`` appended.
     alpha : array_like, shape (n,)
@@ -96,7 +96,7 @@ def best_damping(loop: Loop, criterion: str, alpha: object) -> Curve:
     return _curve(loop, criterion, alpha, stiffness_given=True)
 
 
-def best_stiffness(loop: Loop, criterion: str, beta: object) -> Curve:
+def best_stiffness(loop: NormalisedLoop, criterion: str, beta: object) -> Curve:
     """Return the best alpha for each beta: the dashed curves of the thesis's figures.
 
     Parameters and errors are those of `best_damping`, with alpha and beta exchanged. Where the best stiffness is a
@@ -105,7 +105,7 @@ def best_stiffness(loop: Loop, criterion: str, beta: object) -> Curve:
     return _curve(loop, criterion, beta, stiffness_given=False)
 
 
-def _curve(loop: Loop, criterion: str, values: object, *, stiffness_given: bool) -> Curve:
+def _curve(loop: NormalisedLoop, criterion: str, values: object, *, stiffness_given: bool) -> Curve:
     given = np.atleast_1d(np.asarray(values, dtype=np.float64))
     if given.ndim != 1 or not np.isfinite(given).all():
         raise ParameterError("given values of a curve: expected a list of finite numbers.")
@@ -128,7 +128,7 @@ def _curve(loop: Loop, criterion: str, values: object, *, stiffness_given: bool)
 class _Lines:
     """Lines through the stable region: value of the given parameter, ends of the other."""
 
-    loop: Loop
+    loop: NormalisedLoop
     given: Floats
     low: Floats
     high: Floats
@@ -160,7 +160,7 @@ class _Lines:
         return self.cost(deviation, first)
 
 
-def _ends(loop: Loop, given: Floats, stiffness_given: bool) -> tuple[Floats, Floats]:
+def _ends(loop: NormalisedLoop, given: Floats, stiffness_given: bool) -> tuple[Floats, Floats]:
     """Ends of the line at each given value inside the stable region, a little widened; NaN where it misses it."""
     if stiffness_given:
         border, value = boundary(loop, _BOUNDARY_POINTS), given[:, None]

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop, as_points
 from pipeline.loop.many_digits import Digits, as_exact, bilinear, from_w, many_digits, total
+from pipeline.loop.normalised_loop import NormalisedLoop, as_points
 from pipeline.records.batch import Booleans, Floats
 from pipeline.theory.motion import WEIGHTS, energy_forms
 from pipeline.theory.poles import characteristic_parts
@@ -31,12 +31,12 @@ _ROUNDED, _ROUNDED_LONG = 1e-13, 2e-13
 """Share that rounding may have in a sum by its estimate, mostly right within a factor of three."""
 
 
-def energy_costs(loop: Loop, alpha: object, beta: object, signal: str = "step") -> dict[str, Floats]:
+def energy_costs(loop: NormalisedLoop, alpha: object, beta: object, signal: str = "step") -> dict[str, Floats]:
     """Return the continuous and discrete energy costs of stable points.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     alpha, beta : array_like, shape (n,)
         Normalised virtual stiffness and damping; every point must be stable, with alpha + gamma > 0.
     signal : {"step", "impulse"}
@@ -78,10 +78,10 @@ def energy_costs(loop: Loop, alpha: object, beta: object, signal: str = "step") 
     return dict(zip(names, costs, strict=True))
 
 
-def _sums(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> Floats:
-    """Return sum_k k^w g_k g_k' of what an interval sees (`Loop.seen`): pairs of its upper triangle, (3, pairs, n)."""
-    numbers = (len(loop.device[1]) + len(loop.segments)) * loop.states
-    pairs = len(np.triu_indices(len(loop.device[1]) + len(loop.segments))[0])
+def _sums(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str) -> Floats:
+    """Return sum_k k^w g_k g_k' of what an interval sees (`NormalisedLoop.seen`): pairs of its upper triangle, (3, pairs, n)."""
+    numbers = (len(loop.device.sensor) + len(loop.segments)) * loop.states
+    pairs = len(np.triu_indices(len(loop.device.sensor) + len(loop.segments))[0])
     result, left = np.full((len(WEIGHTS), pairs, len(alpha)), np.nan), np.arange(len(alpha))
     for kind in (np.float64, np.longdouble, np.object_):
         size, bad = max(1, _TOGETHER // numbers), left[:0]
@@ -95,7 +95,7 @@ def _sums(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> Floats:
     return result
 
 
-def _by_recursion(loop: Loop, alpha: Floats, beta: Floats, signal: str, kind: Any) -> tuple[Floats, Booleans]:
+def _by_recursion(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str, kind: Any) -> tuple[Floats, Booleans]:
     """Return the sums in a kind of numbers, and where they are good: of stable points, and nothing lost by rounding.
 
     With H the transform of a sequence h, sum_k k^w h_k^2 is the w-th derivative by s, at 0, of the sum of those of
@@ -172,7 +172,7 @@ def _ratio(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=64)
-def _transforms(loop: Loop, signal: str, kind: Any) -> tuple[np.ndarray, np.ndarray]:
+def _transforms(loop: NormalisedLoop, signal: str, kind: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return the transforms of what an interval sees as ratios of polynomials in w, by kind of numbers.
 
     The bottom, (3, 3, powers): value, first and half the second derivative by s; what is free, times alpha, and times
@@ -202,7 +202,7 @@ def _transforms(loop: Loop, signal: str, kind: Any) -> tuple[np.ndarray, np.ndar
         return np.concatenate([bottom, edge], axis=-1) + np.concatenate([edge, bottom], axis=-1), top
 
 
-def _tops(loop: Loop, parts: Digits, alpha: int, beta: int, signal: str) -> Digits:
+def _tops(loop: NormalisedLoop, parts: Digits, alpha: int, beta: int, signal: str) -> Digits:
     """Return the numerators of what an interval sees behind a wall, shape (q, powers of w)."""
     long, bottom = loop.oldest_force > _LONG, parts[0] + alpha * parts[1] + beta * parts[2]
     bottom = bottom if long else from_w(bottom)[::-1]
@@ -237,9 +237,9 @@ def _as(kind: Any, values: np.ndarray) -> np.ndarray:
     return found
 
 
-def _sequences(loop: Loop, alpha: int, beta: int, signal: str, count: int) -> Digits:
+def _sequences(loop: NormalisedLoop, alpha: int, beta: int, signal: str, count: int) -> Digits:
     """Return the first samples of what an interval sees, shape (count, q)."""
-    steps, p = loop.own, len(loop.device[1])
+    steps, p = loop.own, len(loop.device.sensor)
     start = as_exact(loop.starts(np.array([alpha]), signal)[0])
     state, forces = start[: len(steps.free)], list(start[len(steps.free) :][::-1])  # in order of time
     law, result = -(Decimal(alpha) * steps.position + Decimal(beta) * steps.velocity), []

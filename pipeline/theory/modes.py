@@ -17,8 +17,8 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 
-from pipeline.loop.loop import Loop
 from pipeline.loop.many_digits import as_exact, as_floats, many_digits, resolvent
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.theory.circle import bisect
 from pipeline.theory.motion import DEGREE, Motion, joined, pieces, starts
@@ -86,12 +86,12 @@ class Modes:
         return np.ascontiguousarray((self.state @ self.grown(sample)[:, :, None])[:, :, 0].real.T)
 
 
-def modes(loop: Loop, alpha: Floats, beta: Floats) -> Modes:
+def modes(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Modes:
     """Return the modes of step responses; those of the latest points are kept, as several costs ask for them.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     alpha, beta : float64, shape (n,)
 
     Returns
@@ -104,11 +104,11 @@ def modes(loop: Loop, alpha: Floats, beta: Floats) -> Modes:
 
 
 @lru_cache(maxsize=1)
-def _modes(loop: Loop, alpha: bytes, beta: bytes) -> Modes:
+def _modes(loop: NormalisedLoop, alpha: bytes, beta: bytes) -> Modes:
     return _fresh(loop, np.frombuffer(alpha), np.frombuffer(beta))
 
 
-def _fresh(loop: Loop, a: Floats, b: Floats) -> Modes:
+def _fresh(loop: NormalisedLoop, a: Floats, b: Floats) -> Modes:
     start, states = loop.starts(a, "step"), loop.states
     pole, state = np.empty((len(a), states), np.complex128), np.empty((len(a), states, states), np.complex128)
     rest = np.ones(len(a), np.bool_)
@@ -170,7 +170,7 @@ class _Resolvent:
 
 
 @lru_cache(maxsize=64)
-def _resolvent(loop: Loop) -> _Resolvent:
+def _resolvent(loop: NormalisedLoop) -> _Resolvent:
     steps, n = loop.own, len(loop.own.free)
     with many_digits(loop.digits):
         none = as_exact(np.zeros((1, n)))
@@ -183,7 +183,7 @@ def _resolvent(loop: Loop) -> _Resolvent:
         return _Resolvent(*map(as_floats, parts))
 
 
-def _poles(loop: Loop, alpha: Floats, beta: Floats) -> tuple[Complexes, Booleans]:
+def _poles(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> tuple[Complexes, Booleans]:
     """Return zeta of all poles, shape (modes, n), and of which points they are known."""
     centre = np.arange(0, len(alpha), _NEIGHBOURS)
     first = np.linalg.eigvals(loop.matrix(alpha[centre], beta[centre])).T - 1.0
@@ -203,7 +203,7 @@ def _poles(loop: Loop, alpha: Floats, beta: Floats) -> tuple[Complexes, Booleans
     return zeta, known
 
 
-def _step(loop: Loop, alpha: Floats, beta: Floats, zeta: Complexes) -> Complexes:
+def _step(loop: NormalisedLoop, alpha: Floats, beta: Floats, zeta: Complexes) -> Complexes:
     """Return steps of Ehrlich's and Aberth's iteration."""
     value, slope = _characteristic(loop, alpha, beta, zeta)
     others = np.zeros_like(zeta)
@@ -214,7 +214,7 @@ def _step(loop: Loop, alpha: Floats, beta: Floats, zeta: Complexes) -> Complexes
     return np.asarray(value / (slope - value * others))
 
 
-def _characteristic(loop: Loop, alpha: Floats, beta: Floats, zeta: Complexes) -> tuple[Complexes, Complexes]:
+def _characteristic(loop: NormalisedLoop, alpha: Floats, beta: Floats, zeta: Complexes) -> tuple[Complexes, Complexes]:
     """Return the characteristic equation and its slope."""
     r, delay = _resolvent(loop), loop.oldest_force
     top, top_slope = _value_and_slope(r.determinant, zeta)
@@ -231,7 +231,7 @@ def _value_and_slope(coefficients: Floats, place: Complexes) -> tuple[Complexes,
     return value, slope
 
 
-def _states(loop: Loop, alpha: Floats, beta: Floats, zeta: Complexes, start: Floats) -> Complexes:
+def _states(loop: NormalisedLoop, alpha: Floats, beta: Floats, zeta: Complexes, start: Floats) -> Complexes:
     """Return what each mode has of the states at sample 0, shape (n, states, modes), by right and left eigenvectors.
 
     With s the states without forces, G the gains of the oldest force and of z times the newer one: right ones are
@@ -428,8 +428,8 @@ def _placed(run: Motion, past: Modes, sample: Floats) -> Motion:
 
 
 @lru_cache(maxsize=64)
-def _bernstein(loop: Loop) -> Floats:
-    """Return the coefficients of the sensed position over all pieces as forms of `Loop.seen`, (13 pieces, q)."""
+def _bernstein(loop: NormalisedLoop) -> Floats:
+    """Return the coefficients of the sensed position over all pieces as forms of `NormalisedLoop.seen`, (13 pieces, q)."""
     change = [[comb(j, i) / comb(DEGREE, i) for i in range(DEGREE + 1)] for j in range(DEGREE + 1)]
     return np.concatenate(
         [np.array(change) @ piece.place @ given for piece, given in zip(pieces(loop), starts(loop), strict=True)]

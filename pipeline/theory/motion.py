@@ -15,8 +15,8 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, many_digits
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.batch import Booleans, Floats, Integers
 
 DEGREE = 12
@@ -65,7 +65,7 @@ class Piece:
 
 
 @lru_cache(maxsize=64)
-def pieces(loop: Loop) -> tuple[Piece, ...]:
+def pieces(loop: NormalisedLoop) -> tuple[Piece, ...]:
     """Return the pieces of a sampling interval in order."""
     result, offset = [], 0.0
     for segment in loop.segments:
@@ -81,15 +81,15 @@ def pieces(loop: Loop) -> tuple[Piece, ...]:
 
 
 @lru_cache(maxsize=64)
-def energy_forms(loop: Loop) -> Floats:
-    """Return what an interval adds to the sums of e^2 and of v^2, as forms of `Loop.seen`.
+def energy_forms(loop: NormalisedLoop) -> Floats:
+    """Return what an interval adds to the sums of e^2 and of v^2, as forms of `NormalisedLoop.seen`.
 
     Shape (2, 2, 3, q, q): position and velocity; integrals of tau^w over the interval, and for w = 0, 1, 2 the first
     sample, or the way to the next, with its weight 1^w.
     """
     nodes, weights = leggauss(_GAUSS)
     share, weights = 0.5 * (nodes + 1), 0.5 * weights
-    p, q = len(loop.device[1]), len(loop.device[1]) + len(loop.segments)
+    p, q = len(loop.device.sensor), len(loop.device.sensor) + len(loop.segments)
     forms = np.zeros((2, 2, len(WEIGHTS), q, q))
     for piece, given in zip(pieces(loop), starts(loop), strict=True):
         time = piece.start + piece.duration * share
@@ -97,19 +97,19 @@ def energy_forms(loop: Loop) -> Floats:
             rows = np.vander(share, len(part), increasing=True) @ part @ given
             for w in WEIGHTS:
                 form[0, w] += (piece.duration * weights * time**w * rows.T) @ rows
-    place = np.append(loop.device[2], np.zeros(q - p))
+    place = np.append(loop.device.sensor, np.zeros(q - p))
     with many_digits(loop.digits):
         whole, gains = loop.pushes
-        way = as_floats(as_exact(loop.device[2]) @ (np.column_stack([whole, *gains]) - as_exact(np.eye(p, q))))
+        way = as_floats(as_exact(loop.device.sensor) @ (np.column_stack([whole, *gains]) - as_exact(np.eye(p, q))))
     forms[0, 1, 0] = np.outer(place, place)
     forms[1, 1] = np.outer(way, way)
     return forms
 
 
 @lru_cache(maxsize=64)
-def starts(loop: Loop) -> tuple[Floats, ...]:
-    """Return the device's state at the start of each piece, and its input, from `Loop.seen`; (p + 1, q) each."""
-    p, q = len(loop.device[1]), len(loop.device[1]) + len(loop.segments)
+def starts(loop: NormalisedLoop) -> tuple[Floats, ...]:
+    """Return the device's state at the start of each piece, and its input, from `NormalisedLoop.seen`; (p + 1, q) each."""
+    p, q = len(loop.device.sensor), len(loop.device.sensor) + len(loop.segments)
     ages, start, result = [segment.age for segment in loop.segments], np.eye(p, q), []
     for piece in pieces(loop):
         given = np.vstack([start, np.eye(q)[p + ages.index(piece.age)]])
@@ -118,8 +118,8 @@ def starts(loop: Loop) -> tuple[Floats, ...]:
     return tuple(result)
 
 
-def _edges(loop: Loop, duration: float) -> Floats:
-    rates = np.linalg.eigvals(loop.device[0])
+def _edges(loop: NormalisedLoop, duration: float) -> Floats:
+    rates = np.linalg.eigvals(loop.device.matrix)
     turning = float(np.abs(rates[np.abs(rates.imag) > np.abs(rates.real)]).max(initial=0.0))
     settling = float(np.abs(rates[np.abs(rates.imag) <= np.abs(rates.real)]).max(initial=0.0))
     halvings = max(0, int(np.ceil(np.log2(settling * duration)))) if settling > 0 else 0
@@ -131,11 +131,11 @@ def _edges(loop: Loop, duration: float) -> Floats:
     return np.append(np.concatenate(fine), duration)
 
 
-def _motion(loop: Loop, duration: float) -> tuple[Digits, Digits, Floats]:
+def _motion(loop: NormalisedLoop, duration: float) -> tuple[Digits, Digits, Floats]:
     """Return transition, gain, and the coefficients of the polynomial through exact places."""
     with many_digits(loop.digits):
         transition, gain = loop.moved(duration / DEGREE)
-        sensor = as_exact(loop.device[2])
+        sensor = as_exact(loop.device.sensor)
         n = len(gain)
         whole, push, rows = as_exact(np.eye(n)), as_exact(np.zeros(n)), [np.append(sensor, as_exact([0]))]
         for _ in range(DEGREE):
@@ -162,14 +162,14 @@ def _through(values: Digits) -> Digits:
 
 
 @lru_cache(maxsize=64)
-def _interval(loop: Loop, between: bool) -> Floats:
+def _interval(loop: NormalisedLoop, between: bool) -> Floats:
     """Return what a sampling interval makes of what it starts with, shape (rows, columns).
 
     Columns: the loop's state but the forces of former samples, and the wall's force in each of `segments`. Rows: the
     same states at its end, and sensed position and velocity at the end of each piece; else that of the interval.
     """
     free, push, position, _ = loop.open_loop
-    own, p = loop.states - loop.oldest_force, len(loop.device[1])
+    own, p = loop.states - loop.oldest_force, len(loop.device.sensor)
     ages = [segment.age for segment in loop.segments]
     state = np.column_stack([free[:own, :own], *(free[:own, own - 1 + age] if age else push[:own] for age in ages)])
     if not between:
@@ -189,7 +189,7 @@ class Motion:
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     alpha, beta : float64, shape (n,)
     between : bool
         Whether the motion between samples is asked for.
@@ -202,7 +202,7 @@ class Motion:
 
     _OF_POINTS = ("index", "alpha", "beta", "sample", "since", "stop", "state", "begun", "scale")
 
-    def __init__(self, loop: Loop, alpha: Floats, beta: Floats, *, between: bool) -> None:
+    def __init__(self, loop: NormalisedLoop, alpha: Floats, beta: Floats, *, between: bool) -> None:
         self.loop, self.index, self.alpha, self.beta = loop, np.arange(len(alpha)), alpha, beta
         self.own = loop.states - loop.oldest_force
         self.rows = _interval(loop, between)
@@ -211,7 +211,7 @@ class Motion:
         self.scale = _levers(loop, alpha)
         self.sample = np.zeros(len(alpha))
         self.since, self.stop = np.full(len(alpha), np.inf), np.full(len(alpha), np.inf)
-        matrix, _, sensor = loop.device
+        matrix, sensor = loop.device.matrix, loop.device.sensor
         self.watched = np.zeros((2, self.own))
         self.watched[:, : len(sensor)] = sensor, sensor @ matrix
 
@@ -272,9 +272,9 @@ def joined(parts: list[Motion]) -> Motion:
     return result
 
 
-def within_pieces(loop: Loop, piece: Integers, given: Floats) -> Floats:
+def within_pieces(loop: NormalisedLoop, piece: Integers, given: Floats) -> Floats:
     """Return the coefficients of the sensed position over pieces, from what their intervals start with; (13, n)."""
-    result, p, own = np.empty((DEGREE + 1, len(piece))), len(loop.device[1]), loop.states - loop.oldest_force
+    result, p, own = np.empty((DEGREE + 1, len(piece))), len(loop.device.sensor), loop.states - loop.oldest_force
     for number, (of, start) in enumerate(zip(pieces(loop), starts(loop), strict=True)):
         some = np.flatnonzero(piece == number)
         result[:, some] = (of.place @ start) @ np.concatenate([given[:p, some], given[own:, some]])
@@ -307,14 +307,14 @@ def turning_share(motion: Floats) -> Floats:
     return result
 
 
-def _levers(loop: Loop, alpha: Floats) -> Floats:
+def _levers(loop: NormalisedLoop, alpha: Floats) -> Floats:
     """Return what each state of the device may do to the position, shape (states, n)."""
     lever = np.maximum(8 * (loop.delay + loop.lag + 1), 2 / np.sqrt(alpha + loop.gamma))
     rows = [np.ones_like(lever), lever]
-    if loop.mode is not None:
-        near = 1 - loop.mode.far_mass
-        turn = np.sqrt(loop.mode.stiffness * (1 / near + 1 / loop.mode.far_mass))
-        sensed = abs(loop.device[2][2])
+    if loop.plant.has_mode:
+        load = loop.plant.load_mass
+        turn = np.sqrt(loop.plant.spring * (1 / (1 - load) + 1 / load))
+        sensed = abs(loop.device.sensor[2])
         rows += [sensed * np.ones_like(lever), sensed * np.minimum(lever, 1 / turn)]
     if loop.lag > 0:
         rows.append(loop.lag * lever)
@@ -325,12 +325,14 @@ _MOST_POINTS = 1 << 22
 """Points of one response; more would take seconds and tell nothing."""
 
 
-def response(loop: Loop, alpha: float, beta: float, signal: str, samples: int, per_sample: int = 24) -> Floats:
+def response(
+    loop: NormalisedLoop, alpha: float, beta: float, signal: str, samples: int, per_sample: int = 24
+) -> Floats:
     """Return the sensed position after a unit step or impulse at time 0, shape (samples per_sample + 1,).
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     alpha, beta : float
         Normalised wall.
     signal : {"step", "impulse"}
@@ -356,7 +358,7 @@ def response(loop: Loop, alpha: float, beta: float, signal: str, samples: int, p
         raise ParameterError(
             f"samples = {samples}, per_sample = {per_sample}: expected 1 or more, together at most {_MOST_POINTS}."
         )
-    wall, step, p = (np.array([alpha]), np.array([beta])), float(signal == "step"), len(loop.device[1])
+    wall, step, p = (np.array([alpha]), np.array([beta])), float(signal == "step"), len(loop.device.sensor)
     law, turn, times = loop.law(*wall), loop.matrix(*wall)[0], np.arange(1, per_sample + 1) / per_sample
     places = np.empty((per_sample, p + len(loop.segments)))
     for piece, given in zip(pieces(loop), starts(loop), strict=True):
@@ -365,7 +367,7 @@ def response(loop: Loop, alpha: float, beta: float, signal: str, samples: int, p
         places[some] = np.vander(share[some], DEGREE + 1, increasing=True) @ piece.place @ given
     pushed, state = np.zeros(loop.states), loop.starts(wall[0], "impulse")[0] * (1 - step)
     pushed[:p] = step * as_floats(np.sum(loop.pushes[1], axis=0))
-    found = [loop.device[2] @ state[:p]]
+    found = [loop.device.sensor @ state[:p]]
     with np.errstate(over="ignore", invalid="ignore"):  # what grows beyond numbers is refused below
         for _ in range(samples):
             seen = loop.seen(law, state[None, :, None])[0, :, 0]

@@ -14,7 +14,7 @@ from functools import lru_cache, partial
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop, as_points
+from pipeline.loop.normalised_loop import NormalisedLoop, as_points
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.criteria import CRITERIA, DISCRETE, OVERSHOOT, SETTLING_BANDS, criterion_of, with_discrete
 from pipeline.theory.boundary import boundary, is_well_inside, stiffness_limit
@@ -67,12 +67,12 @@ _KINK_LEVELS = 16
 
 
 @lru_cache(maxsize=1024)
-def optimal_point(loop: Loop, criterion: str) -> OptimalPoint:
+def optimal_point(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
     """Return the optimal point of a criterion.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     criterion : str
         One of `records.criteria.CRITERIA`; those of a response also with ``_discrete`` appended for the costs of
         the sampled response.
@@ -105,7 +105,7 @@ def optimal_point(loop: Loop, criterion: str) -> OptimalPoint:
     return found if inside[0] else replace(found, attained=False)
 
 
-def _least(loop: Loop, criterion: str) -> OptimalPoint:
+def _least(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
     """Smallest cost inside the stable region or, as a limit, along its edge, where the cost must be continuous."""
     longest = int(_ENDLESS * (loop.delay + 1))
 
@@ -132,30 +132,30 @@ def _least(loop: Loop, criterion: str) -> OptimalPoint:
     return OptimalPoint(float(alpha[0]), float(beta[0]), float(edge.cost[0]), attained=False)
 
 
-def _best_poles(loop: Loop, criterion: str) -> OptimalPoint:
+def _best_poles(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
     return _smallest_radius(loop) if criterion == "pole_radius" else _most_damped(loop)
 
 
-def _least_energy(loop: Loop, criterion: str) -> OptimalPoint:
+def _least_energy(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
     base = criterion_of(criterion)
     if base.name == "energy_impulse_w0":
         return _least_impulse_energy(loop, criterion)
     return search(loop, energy(loop, criterion), SMOOTH, region() if base.signal == "step" else region(_IMPULSE_INSET))
 
 
-def energy(loop: Loop, criterion: str, lowest: float = -np.inf) -> Cost:
+def energy(loop: NormalisedLoop, criterion: str, lowest: float = -np.inf) -> Cost:
     """Return the energy cost of a search: infinity below an alpha, where a limit stands for it."""
     signal = criterion_of(criterion).signal
     return lambda a, b, _: np.where(a >= lowest, energy_costs(loop, a, b, signal)[criterion], np.inf)
 
 
-def _soonest_settled(loop: Loop, criterion: str) -> OptimalPoint:
+def _soonest_settled(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
     if criterion.endswith(DISCRETE):
         return _settling_region(loop, SETTLING_BANDS[criterion_of(criterion).name], criterion)
     return search(loop, settling(loop, criterion, int(_ENDLESS * (loop.delay + 1))))
 
 
-def settling(loop: Loop, criterion: str, longest: int) -> Cost:
+def settling(loop: NormalisedLoop, criterion: str, longest: int) -> Cost:
     """Return the settling time of a search, by responses that are followed for so many samples."""
     band, continuous = SETTLING_BANDS[criterion_of(criterion).name], not criterion.endswith(DISCRETE)
 
@@ -168,7 +168,7 @@ def settling(loop: Loop, criterion: str, longest: int) -> Cost:
     return cost
 
 
-def _smallest_radius(loop: Loop) -> OptimalPoint:
+def _smallest_radius(loop: NormalisedLoop) -> OptimalPoint:
     """Smallest pole modulus; where three real poles meet there, their place in closed form."""
     (low, high), place = region(inset=0.0), chart(loop)
     radius = where_stable(loop, lambda alpha, beta, _: spectral_radius(loop, alpha, beta))
@@ -182,7 +182,7 @@ def _smallest_radius(loop: Loop) -> OptimalPoint:
     return OptimalPoint(alpha, beta, cost)
 
 
-def _most_damped(loop: Loop) -> OptimalPoint:
+def _most_damped(loop: NormalisedLoop) -> OptimalPoint:
     """Largest damping ratio; among points without any oscillation the stiffest.
 
     With delay the best points lie next to the line alpha = -gamma and to beta = 0, so both are searched by orders of
@@ -218,7 +218,7 @@ def _most_damped(loop: Loop) -> OptimalPoint:
     return OptimalPoint(alpha, beta, 1.0)
 
 
-def _least_impulse_energy(loop: Loop, criterion: str) -> OptimalPoint:
+def _least_impulse_energy(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
     """Optimum of E_0 after an impulse: along the limit alpha -> -gamma, or inside where that should be less."""
     low, high = box(loop)
     # closer to the line the limit stands for the cost, which a search must not gain on by rounding
@@ -230,17 +230,17 @@ def _least_impulse_energy(loop: Loop, criterion: str) -> OptimalPoint:
     return inside
 
 
-def nearest_to_line(loop: Loop) -> float:
+def nearest_to_line(loop: NormalisedLoop) -> float:
     """Return the alpha below which the limit alpha -> -gamma stands for the impulse energy w = 0."""
     return _NEAR_LINE * (float(box(loop)[1][0]) + loop.gamma) - loop.gamma
 
 
-def impulse_energy_limit(loop: Loop, beta: Floats, criterion: str = "energy_impulse_w0") -> Floats:
+def impulse_energy_limit(loop: NormalisedLoop, beta: Floats, criterion: str = "energy_impulse_w0") -> Floats:
     """Return the limit of the impulse energy w = 0 for alpha -> -gamma from above; infinity where it is not stable.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     beta : float64, shape (n,)
     criterion : str
         ``energy_impulse_w0`` or ``energy_impulse_w0_discrete``.
@@ -262,7 +262,7 @@ def impulse_energy_limit(loop: Loop, beta: Floats, criterion: str = "energy_impu
     return result
 
 
-def _settling_region(loop: Loop, band: float, criterion: str) -> OptimalPoint:
+def _settling_region(loop: NormalisedLoop, band: float, criterion: str) -> OptimalPoint:
     """Smallest discrete settling time and the bounding box of all points that have it.
 
     A number of samples n can be reached where the largest deviation of samples n, n+1, ... can be brought into the
@@ -301,12 +301,12 @@ REFERENCE_DELAY = 8.0
 """Delay factor at which the scaling factors of Table 5.1 were taken."""
 
 
-def marked_point(loop: Loop, name: str) -> OptimalPoint:
+def marked_point(loop: NormalisedLoop, name: str) -> OptimalPoint:
     """Return the stable point of largest stiffness or damping, or the Ziegler-Nichols point; its cost is nan.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     name : {"alpha_max", "beta_max", "ziegler_nichols"}
 
     Raises
@@ -356,7 +356,7 @@ def scaling_factor(criterion: str, reference: float = REFERENCE_DELAY, gamma: fl
     """
     if criterion == "damping" or criterion_of(criterion).family is OVERSHOOT:
         raise ParameterError(f"criterion {criterion!r}: its optimal cost does not depend on delay (5.4.2).")
-    cost = optimal_point(Loop(gamma, delta, reference), criterion).cost
+    cost = optimal_point(NormalisedLoop.ideal(gamma, delta, reference), criterion).cost
     cost = float(pole_settling_time(cost)[0]) if criterion == "pole_radius" else cost
     return cost / (reference + 1) ** (criterion_of(criterion).weight + 1)
 
@@ -381,7 +381,7 @@ _EQUAL = 1e-4
 """Relative stiffness within which two tips count as equal; the thesis's tables print four digits."""
 
 
-def _stiffest(loop: Loop, criterion: str) -> OptimalPoint:
+def _stiffest(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
     """Return the stiffest point whose step response has no overshoot; its cost is 0.
 
     By the criterion the motion between samples counts or the samples only; and there may be none whatever its size
@@ -471,12 +471,12 @@ def _local_maxima(values: Floats) -> list[int]:
     return [int(i) for i in inner[np.argsort(values[inner])[::-1]]]
 
 
-def never_overshoots(loop: Loop, alpha: object, beta: object, *, continuous: bool = True) -> Booleans:
+def never_overshoots(loop: NormalisedLoop, alpha: object, beta: object, *, continuous: bool = True) -> Booleans:
     """Return where the step response has no overshoot at all, however small.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     alpha, beta : array_like, shape (n,)
         Normalised virtual stiffness and damping; stable, alpha + gamma > 0.
     continuous : bool

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.batch import Floats
 from pipeline.theory.search import search_lines
 
@@ -31,12 +31,12 @@ angle, is continued to 0 to 1e-9."""
 _DIRECTIONS = 181
 
 
-def required_damping(loop: Loop, alpha: Floats, beta: Floats) -> Floats:
+def required_damping(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Floats:
     """Return the normalised damping that walls need of the device's near side, shape (n,); 0 at least.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
         Its delay, lag and filter enter.
     alpha, beta : float64, shape (n,)
 
@@ -45,7 +45,7 @@ def required_damping(loop: Loop, alpha: Floats, beta: Floats) -> Floats:
     ParameterError
         If the position is sensed at the far mass: no damping of the near one makes such a wall passive.
     """
-    if loop.mode is not None and loop.mode.sensor_far:
+    if loop.plant.sensor_at_load:
         raise ParameterError("the position is sensed beyond the vibration mode: no wall is passive for every hand.")
     lowest = _NEAR_ZERO / (loop.delay + loop.lag + 1)
     found = search_lines(
@@ -57,12 +57,12 @@ def required_damping(loop: Loop, alpha: Floats, beta: Floats) -> Floats:
     return np.asarray(np.maximum(np.maximum(-found.cost, (4 * near - twice) / 3), 0.0))
 
 
-def passive_outline(loop: Loop, delta: float) -> tuple[Floats, Floats]:
+def passive_outline(loop: NormalisedLoop, delta: float) -> tuple[Floats, Floats]:
     """Return the outline of the passive region, alpha and beta, from (0, -delta) on; of zeros where delta is 0."""
     return _reached(loop, delta, np.linspace(-0.5 * np.pi, 0.5 * np.pi, _DIRECTIONS))
 
 
-def stiffest_passive(loop: Loop, delta: float) -> tuple[float, float]:
+def stiffest_passive(loop: NormalisedLoop, delta: float) -> tuple[float, float]:
     """Return alpha and beta of the stiffest passive wall; the region is convex, so that it has one peak."""
     best = search_lines(
         lambda _, angle, __: -_reached(loop, delta, angle)[0], np.array([-0.5 * np.pi]), np.array([0.5 * np.pi])
@@ -71,7 +71,7 @@ def stiffest_passive(loop: Loop, delta: float) -> tuple[float, float]:
     return float(alpha[0]), float(beta[0])
 
 
-def _reached(loop: Loop, delta: float, angle: Floats) -> tuple[Floats, Floats]:
+def _reached(loop: NormalisedLoop, delta: float, angle: Floats) -> tuple[Floats, Floats]:
     """Return the last passive walls in directions, of which 0 is that of alpha."""
     # dampings are wider than stiffnesses by about the delay: directions are even in alpha (delay + lag + 1/2), beta
     alpha, beta = np.cos(angle) / (loop.delay + loop.lag + 0.5), np.sin(angle)
@@ -79,7 +79,7 @@ def _reached(loop: Loop, delta: float, angle: Floats) -> tuple[Floats, Floats]:
     return alpha * reach, beta * reach
 
 
-def _needed(loop: Loop, alpha: Floats, beta: Floats, angle: Floats) -> Floats:
+def _needed(loop: NormalisedLoop, alpha: Floats, beta: Floats, angle: Floats) -> Floats:
     u = np.exp(-1j * angle)
     b, a = loop.filter_in_z
     rate = (1 - u) * np.polyval(b[::-1], u) / np.polyval(a[::-1], u)
@@ -89,7 +89,7 @@ def _needed(loop: Loop, alpha: Floats, beta: Floats, angle: Floats) -> Floats:
     return np.asarray(0.5 * (real + np.sqrt(real**2 + np.abs(y) ** 2 * np.maximum(s0 * s2 - np.abs(s1) ** 2, 0.0))))
 
 
-def _alias_sums(loop: Loop, angle: Floats) -> tuple[Floats, np.ndarray, Floats]:
+def _alias_sums(loop: NormalisedLoop, angle: Floats) -> tuple[Floats, np.ndarray, Floats]:
     """Return S0, S1, S2: sums over aliases as sums over samples of a ramp behind delay and lag (Poisson)."""
     u = np.exp(-1j * angle)
     first = int(np.ceil(loop.delay))

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop, as_points
 from pipeline.loop.many_digits import Digits, as_exact, many_digits, power, product, total
+from pipeline.loop.normalised_loop import NormalisedLoop, as_points
 from pipeline.records.batch import Booleans, Floats
 from pipeline.theory.circle import bisect, inverse_and_rate, place_of
 
@@ -23,7 +23,7 @@ _CHUNK = 8192
 """Points whose eigenvalues are computed at a time; bounds memory to about 40 MB at d = 16."""
 
 
-def poles(loop: Loop, alpha: object, beta: object) -> np.ndarray:
+def poles(loop: NormalisedLoop, alpha: object, beta: object) -> np.ndarray:
     """Return all poles z of each point, shape (n, states), complex, in no order."""
     a, b = as_points(alpha, beta)
     found = np.empty((len(a), loop.states), dtype=np.complex128)
@@ -33,12 +33,12 @@ def poles(loop: Loop, alpha: object, beta: object) -> np.ndarray:
     return found
 
 
-def spectral_radius(loop: Loop, alpha: object, beta: object) -> Floats:
+def spectral_radius(loop: NormalisedLoop, alpha: object, beta: object) -> Floats:
     """Return the largest pole modulus r = |z|_max of each point.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     alpha, beta : array_like, shape (n,)
         Normalised virtual stiffness and damping.
 
@@ -52,12 +52,12 @@ def spectral_radius(loop: Loop, alpha: object, beta: object) -> Floats:
     return radius
 
 
-def is_stable(loop: Loop, alpha: object, beta: object) -> Booleans:
+def is_stable(loop: NormalisedLoop, alpha: object, beta: object) -> Booleans:
     """Return where all poles lie inside the unit circle.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     alpha, beta : array_like, shape (n,)
         Normalised virtual stiffness and damping.
 
@@ -71,7 +71,7 @@ def is_stable(loop: Loop, alpha: object, beta: object) -> Booleans:
     return stable_by_radius(loop, a, spectral_radius(loop, a, b))
 
 
-def stable_by_radius(loop: Loop, alpha: Floats, radius: Floats) -> Booleans:
+def stable_by_radius(loop: NormalisedLoop, alpha: Floats, radius: Floats) -> Booleans:
     """Return where points of known alpha and spectral radius are stable, shape (n,) all.
 
     With alpha + gamma <= 0 there is a real pole at or above z = 1, whatever beta is, which rounding may show just below
@@ -120,12 +120,12 @@ def pole_settling_time(radius: object) -> Floats:
     return -_TIME_CONSTANTS / np.log(r)
 
 
-def damping_ratio(loop: Loop, alpha: object, beta: object) -> Floats:
+def damping_ratio(loop: NormalisedLoop, alpha: object, beta: object) -> Floats:
     """Return the damping ratio of each point: the smallest of -Re(ln z)/|ln z| over its poles z.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     alpha, beta : array_like, shape (n,)
         Normalised virtual stiffness and damping.
 
@@ -151,7 +151,7 @@ def damping_ratio(loop: Loop, alpha: object, beta: object) -> Floats:
     return np.asarray(ratio.min(axis=1))
 
 
-def threefold_pole(loop: Loop, near: float) -> tuple[float, float, float] | None:
+def threefold_pole(loop: NormalisedLoop, near: float) -> tuple[float, float, float] | None:
     """Return alpha, beta and z of the threefold real pole next to a modulus, or None if there is none within 4 %.
 
     Notes
@@ -181,7 +181,7 @@ def threefold_pole(loop: Loop, near: float) -> tuple[float, float, float] | None
         return float(alpha), float(beta), float(z)
 
 
-def characteristic_parts(loop: Loop) -> tuple[Digits, Digits, Digits]:
+def characteristic_parts(loop: NormalisedLoop) -> tuple[Digits, Digits, Digits]:
     """Return what the characteristic polynomial has without a wall, times alpha, and times beta."""
     g = loop.sampled
     up, down, two_w = as_exact([1, 1]), as_exact([1, -1]), as_exact([0, 2])
@@ -228,12 +228,12 @@ class Margins:
     bandwidth: float | None
 
 
-def margins(loop: Loop, alpha: float, beta: float) -> Margins:
+def margins(loop: NormalisedLoop, alpha: float, beta: float) -> Margins:
     """Return the margins of a stable wall.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     alpha, beta : float
         Normalised.
 
@@ -279,7 +279,7 @@ def _first(values: Floats, which: Callable[[Floats], float]) -> float | None:
     return float(which(values)) if len(values) else None
 
 
-def _angles(loop: Loop) -> Floats:
+def _angles(loop: NormalisedLoop) -> Floats:
     poles = np.linalg.eigvals(loop.open_loop[0])
     near = np.abs(np.angle(poles))[:, None] + (1 - np.abs(poles))[:, None] * np.sinh(np.linspace(-6, 6, 41))
     even = np.linspace(0, np.pi, int(64 * (loop.delay + 2)))
@@ -295,7 +295,7 @@ def _crossings(function: Callable[[Floats], Floats], angle: Floats) -> Floats:
     return np.asarray(bisect(lambda a: function(a) > 0, good, bad)[0])
 
 
-def _on_limit(loop: Loop, alpha: float, beta: float, factors: Floats) -> np.ndarray:
+def _on_limit(loop: NormalisedLoop, alpha: float, beta: float, factors: Floats) -> np.ndarray:
     """Return which factors put a pole on the unit circle: not changes of sign at poles of the response."""
     usable = np.isfinite(factors) & (factors > 0)
     poles = np.linalg.eigvals(loop.matrix(alpha * factors[usable], beta * factors[usable]))
@@ -304,7 +304,7 @@ def _on_limit(loop: Loop, alpha: float, beta: float, factors: Floats) -> np.ndar
     return result
 
 
-def _added_delay(loop: Loop, alpha: float, beta: float, expected: Floats) -> float | None:
+def _added_delay(loop: NormalisedLoop, alpha: float, beta: float, expected: Floats) -> float | None:
     """Return the smallest added delay [samples] that makes the loop unstable, next to what phases let expect."""
 
     def stable(delay: Floats) -> np.ndarray:

@@ -18,10 +18,11 @@ from pipeline.base.disk import if_writable, read_kept, write_kept
 from pipeline.base.errors import ParameterError
 from pipeline.base.process import process_pool
 from pipeline.base.provenance import code_digest, digest, sha256
-from pipeline.loop.loop import Loop, Normalised, loop_of, wall_units
+from pipeline.device.loop import Loop
+from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
-from pipeline.records.results import TheoryParameters
+from pipeline.records.results import SourcedLoop
 from pipeline.theory.boundary import Boundary, boundary, stabilises
 from pipeline.theory.costs import costs_at
 from pipeline.theory.optimum import optimal_point
@@ -47,50 +48,46 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Theory:
-    """The loop that belongs to a set of physical parameters."""
+    """The theory of a loop."""
 
-    parameters: TheoryParameters
+    described: SourcedLoop
 
-    @cached_property
-    def units(self) -> Normalised:
-        """Factors between physical and normalised parameters."""
-        p = self.parameters
-        return wall_units(p.mass, p.sampling_period_s, p.loop)
-
-    @cached_property
+    @property
     def loop(self) -> Loop:
-        """Normalised loop; a general one where the parts ask for it."""
-        p = self.parameters
-        return loop_of(p.mass, p.damping, p.stiffness, p.delay_samples, p.sampling_period_s, p.loop)
+        """The loop in SI."""
+        return self.described.loop
+
+    @property
+    def source(self) -> str:
+        """Where its numbers come from."""
+        return self.described.source
+
+    @cached_property
+    def units(self) -> LoopUnits:
+        """Factors between physical and normalised parameters."""
+        return LoopUnits.of(self.loop)
+
+    @cached_property
+    def normalised(self) -> NormalisedLoop:
+        """The loop in normalised parameters."""
+        return NormalisedLoop.of(self.loop)
 
     @cached_property
     def stabilised(self) -> bool:
         """Whether any damping stabilises a soft wall; there is neither boundary nor optimum otherwise."""
-        return stabilises(self.loop)
-
-    @property
-    def wall_damping(self) -> float:
-        """Viscous damping that the wall feels of device and operator, per unit of command [Ns/m, Nms/rad]."""
-        p, operator = self.parameters, self.parameters.loop.operator
-        return (p.damping + (operator.damping if operator else 0.0)) / p.loop.force_gain
+        return stabilises(self.normalised)
 
     @cached_property
     def passive_outline(self) -> tuple[Floats, Floats] | None:
         """Outline of the passive region, alpha and beta, that the device's own damping leaves; None without one."""
-        loop = self.loop
-        if self.parameters.damping <= 0 or (loop.mode is not None and loop.mode.sensor_far):
+        if self.loop.damping <= 0 or self.normalised.plant.sensor_at_load:
             return None
-        return passive_outline(loop, self._own_delta)
-
-    @property
-    def _own_delta(self) -> float:
-        p = self.parameters
-        return (p.damping - p.loop.load_damping) / p.loop.force_gain / self.units.damping
+        return passive_outline(self.normalised, self.loop.passive_damping / self.units.damping)
 
     @cached_property
     def boundary(self) -> Boundary:
         """Stability boundary, normalised."""
-        return boundary(self.loop, BOUNDARY_POINTS)
+        return boundary(self.normalised, BOUNDARY_POINTS)
 
     def physical(self, point: OptimalPoint) -> Prediction:
         """Return an optimal point in physical units."""
@@ -99,7 +96,7 @@ class Theory:
         return Prediction(point.alpha * k, point.beta * b, point.cost, region)
 
 
-Request = tuple[Loop, str]
+Request = tuple[NormalisedLoop, str]
 
 
 Found = OptimalPoint | str
@@ -115,7 +112,7 @@ class _Kept(BaseModel):
     model_config = ConfigDict(allow_inf_nan=False)
 
 
-def _found(loop: Loop, criterion: str) -> Found:
+def _found(loop: NormalisedLoop, criterion: str) -> Found:
     """Return an optimum, or why theory has none: one criterion without one ends no comparison."""
     try:
         return optimal_point(loop, criterion)
@@ -137,7 +134,7 @@ class Predictions:
     _known: dict[Request, Found] = field(default_factory=dict)
     _pending: dict[Request, Future[Found]] = field(default_factory=dict)
     _pool: ExitStack = field(default_factory=ExitStack)
-    _costs: dict[tuple[Loop, str, str], Floats] = field(default_factory=dict)
+    _costs: dict[tuple[NormalisedLoop, str, str], Floats] = field(default_factory=dict)
 
     def __enter__(self) -> Self:
         return self
@@ -159,10 +156,10 @@ class Predictions:
         """
         alpha, beta = stiffness / theory.units.stiffness, damping / theory.units.damping
         points = sha256(alpha.tobytes() + beta.tobytes())
-        new = [c for c in criteria if (theory.loop, points, c) not in self._costs]
-        found = costs_at(theory.loop, alpha, beta, new) if new else {}
-        self._costs |= {(theory.loop, points, c): cost for c, cost in found.items()}
-        return {c: self._costs[theory.loop, points, c] for c in criteria}
+        new = [c for c in criteria if (theory.normalised, points, c) not in self._costs]
+        found = costs_at(theory.normalised, alpha, beta, new) if new else {}
+        self._costs |= {(theory.normalised, points, c): cost for c, cost in found.items()}
+        return {c: self._costs[theory.normalised, points, c] for c in criteria}
 
     def missing(self, requests: Iterable[Request]) -> list[Request]:
         """Return the requests whose answer is not kept."""
@@ -196,15 +193,15 @@ class Predictions:
 
     def get(self, theory: Theory, criterion: str) -> Prediction | None:
         """Return an optimum that was asked for before, in physical units; None where theory has none."""
-        found = self._known[theory.loop, criterion]
+        found = self._known[theory.normalised, criterion]
         return None if isinstance(found, str) else theory.physical(found)
 
     def why(self, theory: Theory, criterion: str) -> str:
         """Return why theory has no optimum that was asked for before, empty where it has one."""
-        found = self._known[theory.loop, criterion]
+        found = self._known[theory.normalised, criterion]
         return found if isinstance(found, str) else ""
 
-    def cost(self, loop: Loop, criterion: str) -> float | None:
+    def cost(self, loop: NormalisedLoop, criterion: str) -> float | None:
         """Return the cost of an optimum that was asked for before; None where there is none."""
         found = self._known[loop, criterion]
         return None if isinstance(found, str) else found.cost
@@ -217,10 +214,10 @@ class Predictions:
             with if_writable():
                 write_kept(self.folder, self._key(loop), ".json", f"{kept.model_dump_json(indent=1)}\n".encode())
 
-    def _key(self, loop: Loop) -> str:
+    def _key(self, loop: NormalisedLoop) -> str:
         return digest([*(repr(getattr(loop, part.name)) for part in fields(loop)), code_digest("theory")])
 
-    def _read(self, loop: Loop) -> dict[str, Found]:
+    def _read(self, loop: NormalisedLoop) -> dict[str, Found]:
         data = read_kept(self.folder, self._key(loop), ".json")
         try:
             return {} if data is None else _Kept.model_validate_json(data).optima

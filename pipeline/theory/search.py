@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.batch import Floats, Integers
 from pipeline.theory.boundary import boundary, is_well_inside, limits
 from pipeline.theory.circle import bisect
@@ -83,7 +83,7 @@ _DEAR = 2.0
 """Cost, beside the least known, from which on the floor of a line need not be known."""
 
 
-def where_stable(loop: Loop, cost: Callable[..., Floats]) -> Callable[..., Floats]:
+def where_stable(loop: NormalisedLoop, cost: Callable[..., Floats]) -> Callable[..., Floats]:
     """Return the cost with infinity where the loop or a softer wall is unstable, or the cost is not defined.
 
     What follows the best cost known has a number for each point.
@@ -106,7 +106,7 @@ def grid(low: Floats, high: Floats, size: int) -> tuple[Floats, Floats]:
     return first.ravel(), second.ravel()
 
 
-def box(loop: Loop, inset: float = _INSET) -> tuple[Floats, Floats]:
+def box(loop: NormalisedLoop, inset: float = _INSET) -> tuple[Floats, Floats]:
     """Return the lower and upper corner (alpha, beta) of the stable region, a little inside the line alpha = -gamma."""
     border = boundary(loop)
     width = border.alpha_max + loop.gamma
@@ -121,7 +121,7 @@ def region(inset: float = _INSET) -> tuple[Floats, Floats]:
     return np.array([np.sqrt(inset), 0.0]), np.ones(2)
 
 
-def chart(loop: Loop) -> Chart:
+def chart(loop: NormalisedLoop) -> Chart:
     """Return the coordinates of a loop's searches.
 
     The root of the share of alpha's stable interval, from alpha = -gamma on where it begins there, which is even in the
@@ -145,12 +145,14 @@ def chart(loop: Loop) -> Chart:
     return place
 
 
-def search(loop: Loop, cost: Cost, grids: Grids = JUMPING, bounds: tuple[Floats, Floats] | None = None) -> OptimalPoint:
+def search(
+    loop: NormalisedLoop, cost: Cost, grids: Grids = JUMPING, bounds: tuple[Floats, Floats] | None = None
+) -> OptimalPoint:
     """Return the global minimum of a cost over the stable region.
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     cost : Cost
         Asked for stable points only.
     grids : Grids

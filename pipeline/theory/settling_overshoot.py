@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop, as_points
+from pipeline.loop.normalised_loop import NormalisedLoop, as_points
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.criteria import OVERSHOOT
 from pipeline.theory.modes import TOGETHER, WINDOW, earlier, outlooks
@@ -80,7 +80,7 @@ class _Asked:
 
 
 def transient_costs(
-    loop: Loop,
+    loop: NormalisedLoop,
     alpha: object,
     beta: object,
     bands: Sequence[float] = (0.01, 0.02, 0.05),
@@ -96,7 +96,7 @@ def transient_costs(
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     alpha, beta : array_like, shape (n,)
         Normalised virtual stiffness and damping; stable, alpha + gamma > 0.
     bands : sequence of float
@@ -141,7 +141,7 @@ def transient_costs(
     return found.costs()
 
 
-def late_deviation(loop: Loop, alpha: object, beta: object, first: object, longest: int) -> Floats:
+def late_deviation(loop: NormalisedLoop, alpha: object, beta: object, first: object, longest: int) -> Floats:
     """Return the largest deviation of the samples from ``first`` on, relative to the final displacement.
 
     A discrete settling time of at most ``first`` can be had where this lies inside the band; unlike the settling time
@@ -149,7 +149,7 @@ def late_deviation(loop: Loop, alpha: object, beta: object, first: object, longe
 
     Parameters
     ----------
-    loop : Loop
+    loop : NormalisedLoop
     alpha, beta : array_like, shape (n,)
         Normalised virtual stiffness and damping; stable, alpha + gamma > 0.
     first : array_like, shape (n,)
@@ -174,7 +174,7 @@ def late_deviation(loop: Loop, alpha: object, beta: object, first: object, longe
 
 
 def first_reached(
-    loop: Loop, alpha: Floats, beta: Floats, levels: Sequence[float], longest: int, between: bool
+    loop: NormalisedLoop, alpha: Floats, beta: Floats, levels: Sequence[float], longest: int, between: bool
 ) -> tuple[Floats, Floats]:
     """Return when a step's motion first reaches deviations below zero, shape (levels, n); nan where it does not.
 
@@ -239,7 +239,7 @@ class _Passing:
 class _Found:
     """What is known of each point."""
 
-    def __init__(self, loop: Loop, asked: _Asked, n: int) -> None:
+    def __init__(self, loop: NormalisedLoop, asked: _Asked, n: int) -> None:
         self.asked = asked
         self.peak, self.sampled_peak = np.zeros(n), np.zeros(n)
         self.settled = {band: np.zeros(n) for band in asked.bands}
@@ -432,7 +432,7 @@ def _note_first(run: Motion, level: float, first: _Passing) -> None:
     first.set(run, row[earliest], at[earliest], np.full(len(earliest), level))
 
 
-def _timing(loop: Loop) -> tuple[Floats, Floats]:
+def _timing(loop: NormalisedLoop) -> tuple[Floats, Floats]:
     """Return start and duration of each piece [T]."""
     start, duration = np.array([(piece.start, piece.duration) for piece in pieces(loop)]).T
     return start, duration

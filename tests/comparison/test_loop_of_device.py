@@ -2,8 +2,8 @@
 
 import pytest
 
-from pipeline.loop.loop import Loop
-from pipeline.records.loop_parts import LoopParts
+from pipeline.device.parts import LoopParts
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.results import TheoryParameters
 from pipeline.rendering.figures.boundaries import by_theory, conditions
 from pipeline.theory.optimum import optimal_point
@@ -29,7 +29,7 @@ def theory(parts: LoopParts = LoopParts()) -> Theory:  # noqa: B008
 
 def test_boundary_and_optimum_are_those_of_the_loop_with_its_parts():
     ideal, real = theory(), theory(PARTS)
-    assert (type(ideal.loop), type(real.loop)) == (Loop, Loop)
+    assert (type(ideal.loop), type(real.loop)) == (NormalisedLoop, NormalisedLoop)
     assert by_theory(real, "").x.max() < 0.6 * by_theory(ideal, "").x.max()
     best = [one.physical(optimal_point(one.loop, "energy_step_w0")) for one in (ideal, real)]
     assert best[1].stiffness < 0.8 * best[0].stiffness

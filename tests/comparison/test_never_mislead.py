@@ -11,9 +11,9 @@ import pytest
 import pipeline
 from pipeline.base.errors import ParameterError
 from pipeline.comparison.compare import compare
+from pipeline.device.parts import Friction, LoopParts
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
-from pipeline.records.loop_parts import Friction, LoopParts
 from pipeline.simulation.course import run_course, write_course
 from pipeline.theory import predictions
 from pipeline.theory.optimum import optimal_point

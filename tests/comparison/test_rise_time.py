@@ -11,7 +11,7 @@ from sensor_trials import DELAY, FEWEST, FREE, SENSORS, measured, trials, truth
 from simulated import simulate
 from typer.testing import CliRunner
 
-from pipeline.loop.loop import Loop, Normalised
+from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.measured.cost.costs import BY_FAMILY
 from pipeline.measured.cost.reading_error import reading_error
 from pipeline.measured.signal.response import find_response
@@ -25,7 +25,12 @@ from pipeline.theory.optimum import optimal_point
 from pipeline.theory.poles import spectral_radius
 
 NAMES = ("rise_time", "rise_time_discrete")
-LOOPS = [Loop(0, 0, 0), Loop(0.001, 0.02, 1.5), Loop(0, 0, 4), Loop(0.25, 1.0, 1)]
+LOOPS = [
+    NormalisedLoop.ideal(0, 0, 0),
+    NormalisedLoop.ideal(0.001, 0.02, 1.5),
+    NormalisedLoop.ideal(0, 0, 4),
+    NormalisedLoop.ideal(0.25, 1.0, 1),
+]
 
 
 def stable_points(loop, count=200):
@@ -60,7 +65,7 @@ def first_reached(share, level):
 def test_free_flight_before_the_wall_answers():
     """With a delay the first samples are a parabola, alpha t^2/2 of the way: known in closed form."""
     alpha = np.array([0.5, 0.8, 1.7])
-    found = point_costs_by_name(Loop(0, 0, 1), alpha, np.full(3, 0.3), NAMES, 100)
+    found = point_costs_by_name(NormalisedLoop.ideal(0, 0, 1), alpha, np.full(3, 0.3), NAMES, 100)
     np.testing.assert_allclose(found["rise_time"], (np.sqrt(1.8) - np.sqrt(0.2)) / np.sqrt(alpha), rtol=1e-13)
     expected = [
         first_reached(a * np.arange(3) ** 2 / 2, 0.9) - first_reached(a * np.arange(3) ** 2 / 2, 0.1) for a in alpha
@@ -87,7 +92,7 @@ def test_theory_is_that_of_the_motion_between_samples(loop):
 
 
 def test_a_response_that_does_not_rise_in_time_has_none():
-    found = point_costs_by_name(Loop(0, 0, 0), np.array([0.001, 0.4]), np.array([0.5, 0.6]), NAMES, 50)
+    found = point_costs_by_name(NormalisedLoop.ideal(0, 0, 0), np.array([0.001, 0.4]), np.array([0.5, 0.6]), NAMES, 50)
     for name in NAMES:
         assert np.isnan(found[name][0])
         assert np.isfinite(found[name][1])
@@ -131,7 +136,7 @@ def ideal():
 
 def test_ideal_logs_have_that_of_the_sampled_theory():
     found, _ = ideal()
-    (K, B), units = trials(), Normalised(FREE["mass"], 1e-3)
+    (K, B), units = trials(), LoopUnits(FREE["mass"], 1e-3)
     loop = units.loop(0.0, FREE["b"], DELAY)
     theory = point_costs_by_name(loop, K / units.stiffness, B / units.damping, NAMES, 3000)
     np.testing.assert_allclose(found["rise_time"], theory["rise_time_discrete"], atol=1e-7)
@@ -197,11 +202,11 @@ def test_commands_of_theory_know_it(tmp_path):
     cases.write_text("alpha,beta,gamma,delta,delay\n0.1,0.3,0,0,1\n", encoding="utf-8")
     run = CliRunner().invoke(app, ["theory", "points", str(cases), "--criteria", ",".join(NAMES), "--json"])
     (point,) = json.loads(run.stdout)
-    expected = point_costs_by_name(Loop(0, 0, 1), np.array([0.1]), np.array([0.3]), NAMES, 1000)
+    expected = point_costs_by_name(NormalisedLoop.ideal(0, 0, 1), np.array([0.1]), np.array([0.3]), NAMES, 1000)
     assert [point[name] for name in NAMES] == [float(expected[name][0]) for name in NAMES]
     assert "settle_2pct" not in point
     run = CliRunner().invoke(app, ["theory", "optimum", "--criterion", "rise_time", "--delay", "1", "--json"])
-    assert json.loads(run.stdout)["cost"] == optimal_point(Loop(0, 0, 1), "rise_time").cost
+    assert json.loads(run.stdout)["cost"] == optimal_point(NormalisedLoop.ideal(0, 0, 1), "rise_time").cost
     out = tmp_path / "m.parquet"
     options = ["--delay", "1", "--size", "9", "--criteria", "rise_time,rise_time_discrete", "--out", str(out), "--json"]
     run = CliRunner().invoke(app, ["theory", "map", *options])
@@ -210,7 +215,7 @@ def test_commands_of_theory_know_it(tmp_path):
 
 
 def test_drawn_maps_are_those_of_the_points():
-    loop, alpha, beta = Loop(0, 0, 2), np.linspace(0.005, 0.05, 5), np.linspace(0.05, 0.3, 4)
+    loop, alpha, beta = NormalisedLoop.ideal(0, 0, 2), np.linspace(0.005, 0.05, 5), np.linspace(0.05, 0.3, 4)
     found = cost_maps(loop, alpha, beta, ["rise_time"])["rise_time"]
     a, b = (axis.ravel() for axis in np.meshgrid(alpha, beta))
     inside = is_well_inside(loop, a, b)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import DeviceError, UsageError
+from pipeline.device.parts import LoopParts
 from pipeline.device_data.devices import load_device
-from pipeline.loop.loop import Normalised, loop_of, wall_units
+from pipeline.loop.normalised_loop import LoopUnits, loop_of, wall_units
 from pipeline.plan.course import Wish, foretold, open_course, wanted_dampings
 from pipeline.plan.planner import plan, plan_of
-from pipeline.records.loop_parts import LoopParts
 from pipeline.shell.commands.cli_device import plan_lines
 from pipeline.theory.boundary import limits
 from pipeline.theory.optimum import optimal_point
@@ -76,7 +76,7 @@ def test_the_first_wall_of_an_optimum_is_the_best_by_the_file(begun):
     assert not answer.done
     assert answer.optimum is None
     of = load_device("falcon").experiments[0]
-    units = Normalised(of.mass, 1e-3)
+    units = LoopUnits(of.mass, 1e-3)
     best = optimal_point(units.loop(of.stiffness, of.damping, of.delay_samples), "settle_2pct")
     assert answer.next[0].stiffness == pytest.approx(best.alpha * units.stiffness, rel=0.05)
     assert answer.next[0].damping == pytest.approx(best.beta * units.damping, rel=0.05)

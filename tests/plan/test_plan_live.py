@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pipeline.device_data.devices import load_device
-from pipeline.loop.loop import Normalised
+from pipeline.loop.normalised_loop import LoopUnits
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
@@ -43,7 +43,7 @@ def record(folder: Path, stiffness: float, damping: float, number: int) -> None:
 
 
 def true_limits() -> np.ndarray:
-    scale = Normalised(EXPERIMENT.mass, FALCON.sampling_period_s)
+    scale = LoopUnits(EXPERIMENT.mass, FALCON.sampling_period_s)
     loop = scale.loop(0.0, EXPERIMENT.damping, EXPERIMENT.delay_samples)
     curve = boundary(loop, 2000)
     rising = curve.beta.argmax() + 1

@@ -11,7 +11,7 @@ from places import ROOT
 from test_cli import document
 
 from pipeline.device_data.devices import load_device, read_device
-from pipeline.loop.loop import Normalised
+from pipeline.loop.normalised_loop import LoopUnits
 from pipeline.surface.physical_loop import loop_of_device
 from pipeline.theory.boundary import boundary
 
@@ -43,7 +43,7 @@ def test_boundary_of_the_page(call, arm):
 def test_an_ideal_device_has_the_boundary_of_its_normalised_loop(call):
     found = document(call("theory", "boundary", "--device", "falcon", "--experiment", "1", "--json"))
     entry, period = load_device("falcon").experiments[0], load_device("falcon").sampling_period_s
-    units = Normalised(entry.mass, period)
+    units = LoopUnits(entry.mass, period)
     border = boundary(units.loop(entry.stiffness, entry.damping, entry.delay_samples))
     assert found["stiffness_max"] == pytest.approx(border.alpha_max * units.stiffness, rel=1e-10)
     assert found["left_out"] == ["jitter"]

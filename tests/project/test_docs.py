@@ -163,7 +163,7 @@ def test_every_criterion_and_format_is_documented() -> None:
 
 
 def test_every_setting_is_documented() -> None:
-    from pipeline.records.loop_parts import LoopParts, SimulationParts
+    from pipeline.device.parts import LoopParts, SimulationParts
 
     page = read(ROOT / "docs" / "devices.md")
     keys = [key for model in (LoopParts, SimulationParts) for key in model.model_fields]

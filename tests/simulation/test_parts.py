@@ -9,8 +9,8 @@ import pytest
 from fine_loop import Body, run, velocity_filter
 from scipy.signal import butter
 
+from pipeline.device.parts import Butterworth, Difference, Friction, LaterStep, SimulationParts
 from pipeline.loop.motion import Mechanism
-from pipeline.records.loop_parts import Butterworth, Difference, Friction, LaterStep, SimulationParts
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import coefficients, external_force, simulate

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from pipeline.base.errors import ParameterError
+from pipeline.device.parts import SimulationParts
 from pipeline.device_data.devices import load_device
 from pipeline.loop.motion import Mechanism
 from pipeline.records.batch import Floats, Integers, TrialBatch
-from pipeline.records.loop_parts import SimulationParts
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
 from pipeline.simulation.simulate import age_in_force, delays_of, in_force, simulate

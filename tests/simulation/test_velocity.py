@@ -9,8 +9,8 @@ import pytest
 from scipy.linalg import expm, solve_discrete_are
 
 from pipeline import Loop, PipelineError
+from pipeline.device.parts import AdaptiveWindow, Kalman, Levant, LoopParts, VelocityFilter
 from pipeline.loop.motion import Mechanism
-from pipeline.records.loop_parts import AdaptiveWindow, Kalman, Levant, LoopParts, VelocityFilter
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import external_force, simulate, velocity_of
 

@@ -19,7 +19,7 @@ from independent import (
     stable_by_schur_cohn,
 )
 
-from pipeline.records.loop_parts import Butterworth, LoopParts, Mode
+from pipeline.device.parts import Butterworth, LoopParts, Mode
 from pipeline.studies.accuracy.theory import reference
 
 TURN = math.sqrt(0.5 / 0.21)

@@ -11,7 +11,7 @@ import pytest
 import pipeline.studies.thesis_tables as module
 from pipeline.base.errors import ParameterError
 from pipeline.device_data.published import THEORY_TABLES, PublishedPoint, published_points
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.shell.cli import run
 from pipeline.shell.console import table
 from pipeline.studies.thesis_tables import (
@@ -163,7 +163,7 @@ class TestErrata:
         assert entry(point, "cost").mark == "erratum"
         motion = independent.simulate(0.0625, 0.3786, delay=(1, 1), samples=400, delta=0.02)
         assert independent.continuous_energy(motion, 0.0625, 1.0, 2, "step") == pytest.approx(79.4695, abs=2e-3)
-        loop, rng = Loop(0.0, 0.02, 1.0), np.random.default_rng(5)
+        loop, rng = NormalisedLoop.ideal(0.0, 0.02, 1.0), np.random.default_rng(5)
         border = boundary(loop)
         alpha = np.concatenate([rng.uniform(0, border.alpha_max, 4000), rng.normal(0.0625, 0.003, 1000)])
         beta = np.concatenate([rng.uniform(-0.02, border.beta_max, 4000), rng.normal(0.3785, 0.01, 1000)])

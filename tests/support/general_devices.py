@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import mpmath as mp
 import numpy as np
 
-from pipeline.records.loop_parts import Butterworth, Coefficients, Difference, LoopParts, Mode, Operator
+from pipeline.device.parts import Butterworth, Coefficients, Difference, LoopParts, Mode, Operator
 
 
 @dataclass(frozen=True)
 class Example:
-    """A device in SI, as `pipeline.loop.loop.loop_of` takes it."""
+    """A device in SI, as `pipeline.loop.normalised_loop.loop_of` takes it."""
 
     mass: float
     damping: float

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pipeline.device.parts import SimulationParts
 from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.records.batch import TrialBatch
-from pipeline.records.loop_parts import SimulationParts
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
 from pipeline.simulation.simulate import simulate

@@ -9,7 +9,7 @@ import numpy as np
 from kinds import kinds
 
 from pipeline.device_data.devices import load_device
-from pipeline.loop.loop import Loop, Normalised, loop_of, wall_units
+from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop, loop_of, wall_units
 from pipeline.measured.cost.costs import settling
 from pipeline.measured.model.parts import chosen
 from pipeline.measured.signal.response import find_response
@@ -235,7 +235,7 @@ def look_for_best(rig: Rig) -> FoundBest:
     return FoundBest(answer.trials_used, answer.done, cost / min(_least(rig), cost) - 1)
 
 
-def _loop(rig: Rig) -> tuple[Loop | Loop, Normalised] | None:
+def _loop(rig: Rig) -> tuple[NormalisedLoop | NormalisedLoop, LoopUnits] | None:
     device = rig.case.device
     of, period = device.experiments[0], device.sampling_period_s
     parts = device.loop_of(of)

@@ -9,7 +9,7 @@ import numpy as np
 from simulated import FALCON, simulate, spectral_radius
 
 from pipeline.device_data.devices import find_experiment, load_device
-from pipeline.loop.loop import Normalised
+from pipeline.loop.normalised_loop import LoopUnits
 from pipeline.measured.cost.reading_error import reading_error
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
@@ -58,7 +58,7 @@ def shipped(name, experiment, count):
     """
     device = load_device(name)
     e = find_experiment(device, experiment)
-    units = Normalised(e.mass, device.sampling_period_s)
+    units = LoopUnits(e.mass, device.sampling_period_s)
     loop, random = units.loop(e.stiffness, e.damping, e.delay_samples), np.random.default_rng(4001)
     beta = random.uniform(0.03, 1.0, 8 * count) * boundary(loop).beta_max
     alpha = stiffness_limit(loop, beta) * random.uniform(0.1, 0.95, 8 * count)

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.comparison.compare import compare
+from pipeline.device.parts import Friction, LoopParts
 from pipeline.intake.ingest import ingest
 from pipeline.loop.motion import Mechanism
 from pipeline.records.batch import TrialBatch
-from pipeline.records.loop_parts import Friction, LoopParts
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.records.results import ComparisonResult
 from pipeline.simulation.setup import Setup

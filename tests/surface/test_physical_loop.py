@@ -10,8 +10,8 @@ from simulated import spectral_radius
 
 import pipeline
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop as Normalised
-from pipeline.records.loop_parts import LoopParts
+from pipeline.device.parts import LoopParts
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.theory.optimum import optimal_point
 
 FALCON = pipeline.Loop(mass=0.58, damping=4.0, sampling_period_s=0.001, delay_samples=4)
@@ -49,7 +49,7 @@ def test_optimum_scales_with_mass_and_period():
     m, T = 2.0, 0.002
     loop = pipeline.Loop(m, 3.0, T, 3)
     best = loop.optimum("energy_step_w0")
-    expected = optimal_point(Normalised(0.0, 3.0 * T / m, 3), "energy_step_w0")
+    expected = optimal_point(NormalisedLoop.ideal(0.0, 3.0 * T / m, 3), "energy_step_w0")
     assert best.stiffness * T**2 / m == pytest.approx(expected.alpha, rel=1e-12)
     assert best.damping * T / m == pytest.approx(expected.beta, rel=1e-12)
     assert best.cost == expected.cost

@@ -94,7 +94,7 @@ def test_no_public_name_is_that_of_a_package():
 @pytest.mark.slow
 def test_functions_stay_after_imports_in_any_order():
     modules = ["pipeline.intake.ingest", "pipeline.device_data.devices", "pipeline.comparison.compare"]
-    modules += ["pipeline.simulation.simulate", "pipeline.store.samples", "pipeline.loop.loop"]
+    modules += ["pipeline.simulation.simulate", "pipeline.store.samples", "pipeline.loop.normalised_loop"]
     for order in (modules, modules[::-1]):
         names = run(
             "import importlib, pipeline\npipeline.ingest, pipeline.samples\n"

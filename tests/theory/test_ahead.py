@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from general_devices import EXTREMES, random_device
+from general_loop import general_loop
 
-from pipeline.loop.loop import Loop, loop_of
+from pipeline.loop.normalised_loop import loop_of
 from pipeline.theory import modes
 from pipeline.theory.boundary import limits, outline
 from pipeline.theory.settling_overshoot import transient_costs
@@ -60,7 +61,7 @@ def test_so_are_parts_of_them(options, monkeypatch):
 
 
 def test_a_wall_next_to_its_limit_settles_when_its_slowest_pole_says():
-    loop = Loop(0.0, 0.01, 2.0, lag=1.0)
+    loop = general_loop(0.0, 0.01, 2.0, lag=1.0)
     beta = np.array([0.15])
     alpha = limits(loop, beta).alpha * (1 - 1e-7)
     pole = np.abs(np.linalg.eigvals(loop.matrix(alpha, beta))[0]).max()

@@ -16,7 +16,7 @@ from independent import (
 from simulated import spectral_radius
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.theory import cases as theory
 from pipeline.theory import modes
 from pipeline.theory.boundary import robust_outline
@@ -151,7 +151,7 @@ def test_header_alone_is_an_empty_list(tmp_path):
     [((0, 0, 1), 0.14447, 0.425, 0.82843), ((0.001, 0.02, 4), 0.02567, 0.178, 0.32929)],  # B.1, B.4
 )
 def test_boundary_document_reproduces_table_b(plant_of, alpha_max, beta_at, beta_max):
-    found = theory.boundary_document(Case(Loop(*plant_of)))
+    found = theory.boundary_document(Case(NormalisedLoop.ideal(*plant_of)))
     assert found["alpha_max"] == pytest.approx(alpha_max, abs=5e-6)
     assert found["beta_at_alpha_max"] == pytest.approx(beta_at, abs=1e-3)
     assert found["beta_max"] == pytest.approx(beta_max, abs=5e-6)
@@ -161,26 +161,26 @@ def test_boundary_document_reproduces_table_b(plant_of, alpha_max, beta_at, beta
 
 def test_optima_on_the_boundary_have_no_cost():
     # Table C.1
-    largest = optimum_document(Case(Loop(0.001, 0.02, 0)), "alpha_max")
+    largest = optimum_document(Case(NormalisedLoop.ideal(0.001, 0.02, 0)), "alpha_max")
     assert (largest["alpha"], largest["beta"]) == pytest.approx((0.7127, 0.82423), abs=5e-5)
     assert largest["cost"] is None
     assert largest["reason"]
-    top = optimum_document(Case(Loop(0.001, 0.02, 0)), "beta_max")
+    top = optimum_document(Case(NormalisedLoop.ideal(0.001, 0.02, 0)), "beta_max")
     assert (top["alpha"], top["beta"]) == pytest.approx((-0.001, 2.0270), abs=5e-5)
 
 
 def test_criteria_without_cost_or_point_say_so():
-    tuning = optimum_document(Case(Loop(0, 0, 1)), "ziegler_nichols")
+    tuning = optimum_document(Case(NormalisedLoop.ideal(0, 0, 1)), "ziegler_nichols")
     assert (tuning["alpha"], tuning["beta"]) == pytest.approx((0.056, 0.373), abs=5e-4)  # Table C.2
     assert (tuning["cost"], tuning["reason"]) == (None, "a tuning rule has no cost")
-    assert optimum_document(Case(Loop(0, 0, 1)), "energy_impulse_w0")["reason"].startswith("a limit")
-    poles = optimum_document(Case(Loop(0, 0, 1)), "pole_radius", "discrete")
+    assert optimum_document(Case(NormalisedLoop.ideal(0, 0, 1)), "energy_impulse_w0")["reason"].startswith("a limit")
+    poles = optimum_document(Case(NormalisedLoop.ideal(0, 0, 1)), "pole_radius", "discrete")
     assert (poles["criterion"], poles["cost"]) == ("pole_radius", pytest.approx(0.752, abs=5e-4))
     assert "reason" not in poles
 
 
 def test_signal_and_suffix_mean_the_same():
-    loop = Loop(0, 0, 2)  # the LWR of Table D.5: 8.21 continuous, 8.690 discrete
+    loop = NormalisedLoop.ideal(0, 0, 2)  # the LWR of Table D.5: 8.21 continuous, 8.690 discrete
     by_signal = optimum_document(Case(loop), "energy_step_w0", "discrete")
     assert by_signal == optimum_document(Case(loop), "energy_step_w0_discrete")
     continuous = optimum_document(Case(loop), "energy_step_w0")
@@ -200,7 +200,7 @@ def test_signal_and_suffix_mean_the_same():
 )
 def test_unsupported_optima_are_refused(criterion, signal, message):
     with pytest.raises(ParameterError, match=message):
-        optimum_document(Case(Loop(0, 0, 0)), criterion, signal)
+        optimum_document(Case(NormalisedLoop.ideal(0, 0, 0)), criterion, signal)
 
 
 @pytest.mark.slow
@@ -235,7 +235,7 @@ def test_points_far_outside_are_unstable():
 
 def test_optima_say_that_islands_were_not_searched():
     # on an island at (0.2581, -0.2340) this energy is 106.1
-    found = optimum_document(Case(Loop(1.98, 0.0, 6.42)), "energy_step_w1")
+    found = optimum_document(Case(NormalisedLoop.ideal(1.98, 0.0, 6.42)), "energy_step_w1")
     assert found["cost"] > 122
     assert "not searched" in found["note"]
-    assert "note" not in optimum_document(Case(Loop(0.001, 0.02, 1.0)), "energy_step_w1")
+    assert "note" not in optimum_document(Case(NormalisedLoop.ideal(0.001, 0.02, 1.0)), "energy_step_w1")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from independent import DIGITS, characteristic
 
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.theory.circle import circle_points, ends, first_branch, place_of
 from pipeline.theory.crossings import counted_stretches, exact_branches, stretches
 
@@ -25,13 +25,13 @@ def value_at(polynomial: list[mp.mpf], z: mp.mpc) -> mp.mpc:
 
 
 @cache
-def polynomials(loop: Loop) -> tuple[list[mp.mpf], list[mp.mpf]]:
+def polynomials(loop: NormalisedLoop) -> tuple[list[mp.mpf], list[mp.mpf]]:
     """Characteristic polynomials for alpha = 0 and 1."""
     zero, one = (characteristic(loop.gamma, loop.delta, loop.delay, alpha, 0) for alpha in (0, 1))
     return zero, one
 
 
-def exact_point(loop: Loop, angle: float) -> tuple[mp.mpf, mp.mpf, mp.mpf]:
+def exact_point(loop: NormalisedLoop, angle: float) -> tuple[mp.mpf, mp.mpf, mp.mpf]:
     """alpha, beta and a size that rounding is measured by, from the polynomial at a folded angle."""
     with mp.workdps(DIGITS):
         theta = mp.pi + mp.mpf(angle) if angle < 0 else mp.mpf(angle)
@@ -42,7 +42,7 @@ def exact_point(loop: Loop, angle: float) -> tuple[mp.mpf, mp.mpf, mp.mpf]:
         return w.real - beta * (1 - mp.cos(theta)), beta, abs(w) / mp.sin(theta)
 
 
-def loops(count: int, seed: int) -> list[Loop]:
+def loops(count: int, seed: int) -> list[NormalisedLoop]:
     rng = np.random.default_rng(seed)
     result = []
     for _ in range(count):
@@ -58,7 +58,7 @@ def loops(count: int, seed: int) -> list[Loop]:
                 ]
             )
         )
-        result.append(Loop(min(gamma, NYQUIST + critical), delta, d))
+        result.append(NormalisedLoop.ideal(min(gamma, NYQUIST + critical), delta, d))
     return result
 
 
@@ -110,7 +110,7 @@ def test_the_line_of_a_pole_at_minus_one() -> None:
 
 @pytest.mark.parametrize("values", [(0, 0, 1), (0, 0, 4), (1e-3, 0.02, 2.5), (0, 0.1, 0.3), (1e-4, 0.01, 33.5)])
 def test_the_first_branch_is_what_counting_over_all_of_them_finds(values) -> None:
-    loop = Loop(*values)
+    loop = NormalisedLoop.ideal(*values)
     first = first_branch(loop)
     beta = np.linspace(first.cells.beta_low[0], first.cells.beta_high[-1], 203)[1:-1]
     ours, counted = stretches(loop, beta), counted_stretches(loop, exact_branches(loop), beta)

@@ -11,7 +11,7 @@ import pytest
 import simulated
 
 from pipeline.base.errors import ParameterError, PipelineError
-from pipeline.loop.loop import Loop, Normalised
+from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.records.criteria import REPORTED
 from pipeline.theory import cases as theory
 from pipeline.theory import costs as map_file
@@ -22,7 +22,7 @@ from pipeline.theory.energy import energy_costs
 from pipeline.theory.poles import is_stable, spectral_radius
 from pipeline.theory.settling_overshoot import transient_costs
 
-LOOP = Normalised(0.58, 1e-3).loop(0.0, 4.0, 4)
+LOOP = LoopUnits(0.58, 1e-3).loop(0.0, 4.0, 4)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_a_slow_overshoot_does_not_empty_the_map_of_settling(grid, maps):
 
 
 def test_a_spring_of_the_device_moves_the_edge_of_the_map():
-    loop = Loop(0.004, 0.007, 2.0)
+    loop = NormalisedLoop.ideal(0.004, 0.007, 2.0)
     alpha = np.array([-0.005, -0.004, -0.002, 0.0])
     found = cost_maps(loop, alpha, np.array([0.05]), ["energy_step_w0"])["energy_step_w0"][0]
     assert np.isnan(found[:2]).all()
@@ -99,7 +99,9 @@ def map_table(*arguments, points=map_file.BLOCK, **options):
     return pa.concat_tables([map_file.block_table(block, schema) for block in cost_map.blocks(points)])
 
 
-@pytest.mark.parametrize("loop", [Loop(0, 0, 1), Loop(0.001, 0.02, 2), Loop(0.2, 0.1, 0.5)])
+@pytest.mark.parametrize(
+    "loop", [NormalisedLoop.ideal(0, 0, 1), NormalisedLoop.ideal(0.001, 0.02, 2), NormalisedLoop.ideal(0.2, 0.1, 0.5)]
+)
 def test_bounding_box_is_that_of_the_stable_region(loop):
     """Cells of a larger grid that are stable fill the box up to a cell."""
     low_a, high_a, low_b, high_b = bounding_box(loop)
@@ -115,7 +117,7 @@ def test_bounding_box_is_that_of_the_stable_region(loop):
 
 
 def test_map_holds_the_costs_of_its_points():
-    loop = Loop(0, 0.02, 1)
+    loop = NormalisedLoop.ideal(0, 0.02, 1)
     names = ("settle_2pct", "overshoot_discrete", "energy_step_w1", "energy_impulse_w0_discrete", "pole_radius")
     table = map_table(loop, 21, names)
     assert table.column_names == ["alpha", "beta", "stable", *names]
@@ -143,11 +145,11 @@ def test_map_holds_the_costs_of_its_points():
 
 
 def test_map_survives_parquet_with_its_parameters(tmp_path):
-    cost_map = CostMap(Loop(0, 0.02, 1), 5, ("overshoot",))
+    cost_map = CostMap(NormalisedLoop.ideal(0, 0.02, 1), 5, ("overshoot",))
     done = []
     stable = map_file.write_map(tmp_path / "new" / "map.parquet", cost_map, lambda *counts: done.append(counts), 12)
     back = pq.read_table(tmp_path / "new" / "map.parquet")
-    assert back.equals(map_table(Loop(0, 0.02, 1), 5, ("overshoot",)).combine_chunks())
+    assert back.equals(map_table(NormalisedLoop.ideal(0, 0.02, 1), 5, ("overshoot",)).combine_chunks())
     assert back.schema.metadata == map_file.map_schema(cost_map).metadata
     assert stable == sum(back.column("stable").to_pylist())
     assert done == [(10, 25), (20, 25), (25, 25)]
@@ -165,7 +167,7 @@ def test_map_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch):
 
     monkeypatch.setattr(pq.ParquetWriter, "write_table", half)
     with pytest.raises(PipelineError, match="No space left on device"):
-        map_file.write_map(path, CostMap(Loop(0, 0, 1), 3, ("overshoot",)))
+        map_file.write_map(path, CostMap(NormalisedLoop.ideal(0, 0, 1), 3, ("overshoot",)))
     assert path.read_bytes() == b"old"
     assert len(list(tmp_path.iterdir())) == 1
 
@@ -183,7 +185,7 @@ def test_map_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch):
 )
 def test_wrong_maps_are_refused(arguments, message):
     with pytest.raises(ParameterError, match=message):
-        map_table(Loop(0, 0, 1), **arguments)
+        map_table(NormalisedLoop.ideal(0, 0, 1), **arguments)
 
 
 ENERGIES = ("energy_step_w0", "energy_step_w2", "energy_impulse_w1")
@@ -191,7 +193,10 @@ ENERGIES = ("energy_step_w0", "energy_step_w2", "energy_impulse_w1")
 
 @pytest.mark.parametrize(
     ("loop", "names"),
-    [(Loop(0, 0, 4), ("settle_2pct", "overshoot", "overshoot_discrete", *ENERGIES)), (Loop(0.01, 0.3, 1.5), ENERGIES)],
+    [
+        (NormalisedLoop.ideal(0, 0, 4), ("settle_2pct", "overshoot", "overshoot_discrete", *ENERGIES)),
+        (NormalisedLoop.ideal(0.01, 0.3, 1.5), ENERGIES),
+    ],
 )
 def test_blocks_of_any_size_give_the_same_map(loop, names):
     whole = map_table(loop, 31, names)
@@ -202,7 +207,7 @@ def test_blocks_of_any_size_give_the_same_map(loop, names):
             np.testing.assert_allclose(*values, rtol=1e-11, atol=1e-13, err_msg=name)
 
 
-LOOPS = [*(Loop(0, 0, delay) for delay in (0, 1, 4, 8)), Loop(0.01, 0.05, 2)]
+LOOPS = [*(NormalisedLoop.ideal(0, 0, delay) for delay in (0, 1, 4, 8)), NormalisedLoop.ideal(0.01, 0.05, 2)]
 
 
 def stable_points(loop, count, seed, nearest=1e-4):
@@ -233,7 +238,7 @@ def test_energies_are_plain_sums_over_samples(loop):
 
 def test_overshoot_long_after_settling_is_found(monkeypatch):
     """Points where a pair slowly overtakes a real mode: overshoot of 1e-11 to 1e-2 hundreds of samples later."""
-    loop = Loop(0, 0, 4)
+    loop = NormalisedLoop.ideal(0, 0, 4)
     grid = np.meshgrid(np.linspace(0.0015, 0.009, 25), np.linspace(0.2, 0.308, 24))
     steady = spectral_radius(loop, grid[0].ravel(), grid[1].ravel()) < 0.9995
     alpha, beta = (g.ravel()[steady] for g in grid)
@@ -248,7 +253,7 @@ def test_overshoot_long_after_settling_is_found(monkeypatch):
 
 def test_a_later_sample_may_exceed_the_samples_so_far():
     """The motion's largest excess comes first, 0.94355; no sample meets it, and the 93rd comes closest."""
-    loop, beta = Loop(0, 0, 1), 0.2041052336331193
+    loop, beta = NormalisedLoop.ideal(0, 0, 1), 0.2041052336331193
     alpha = 0.10468793422177697 * np.linspace(1, 0.999, 300)
     state, matrix = loop.starts(alpha, "step"), loop.matrix(alpha, np.full(300, beta))
     largest = np.zeros(300)

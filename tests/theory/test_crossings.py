@@ -7,11 +7,12 @@ import mpmath as mp
 import numpy as np
 import pytest
 from general_devices import EXTREMES, Example, ManyDigits, random_device
+from general_loop import general_loop
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop, loop_of, wall_units
+from pipeline.device.parts import Coefficients, Difference, LoopParts
 from pipeline.loop.many_digits import as_exact, many_digits, product
-from pipeline.records.loop_parts import Coefficients, Difference, LoopParts
+from pipeline.loop.normalised_loop import NormalisedLoop, loop_of, wall_units
 from pipeline.theory.boundary import boundary, is_inside, limits, outline
 from pipeline.theory.circle import right_half
 from pipeline.theory.crossings import counted_stretches, exact_branches, passed_roots, positive_roots, sampled_branches
@@ -75,7 +76,7 @@ def test_stable_stretches_are_those_of_the_poles():
 )
 def test_general_loop_equals_the_ideal_one(gamma, delta, delay):
     """By the angle along the one branch, and by dampings."""
-    loop = Loop(gamma, delta, delay)
+    loop = NormalisedLoop.ideal(gamma, delta, delay)
     border, found = boundary(loop), outline(loop)
     assert found.alpha_max == pytest.approx(border.alpha_max, rel=1e-10)
     assert found.beta_at_alpha_max == pytest.approx(border.beta_at_alpha_max, rel=1e-6)
@@ -85,14 +86,14 @@ def test_gain_and_operator_leave_the_loop_ideal():
     held = {"mass": 0.15, "damping": 5.0, "stiffness": 300.0}
     parts = LoopParts.model_validate({"force_gain": 0.8, "operator": held})
     loop, units = loop_of(0.5, 3.0, 10.0, 2.0, 1e-3, parts), wall_units(0.5, 1e-3, parts)
-    assert type(loop) is Loop
+    assert type(loop) is NormalisedLoop
     assert units.mass == pytest.approx(0.65 / 0.8)
     assert (loop.gamma, loop.delta) == pytest.approx((310 * 1e-6 / 0.65, 8 * 1e-3 / 0.65))
 
 
 def test_a_loop_that_nothing_stabilises_has_an_empty_outline():
     of_change = Coefficients(kind="coefficients", b=(1.0, -1.0), a=(1.0,))  # no damping at low frequencies
-    found = outline(Loop(0.0, 0.0, 5.0, lag=3.0, velocity=of_change))
+    found = outline(general_loop(0.0, 0.0, 5.0, lag=3.0, velocity=of_change))
     assert len(found.beta) == 0
     assert np.isnan(found.alpha_max)
 
@@ -109,7 +110,7 @@ def test_a_loop_that_nothing_stabilises_has_an_empty_outline():
 )
 def test_loops_out_of_range_are_refused(arguments):
     with pytest.raises(ParameterError, match="expected"):
-        Loop(**{"gamma": 0.0, "delta": 0.01, "delay": 2.0, **arguments})
+        NormalisedLoop.ideal(**{"gamma": 0.0, "delta": 0.01, "delay": 2.0, **arguments})
 
 
 def test_all_positive_roots_are_found():
@@ -143,7 +144,9 @@ def test_right_half_counts_roots():
 DEVICES = [replace(loop_of(*random_device(np.random.default_rng(seed)).arguments), delay=7.3) for seed in range(6)]
 
 
-@pytest.mark.parametrize("loop", [*DEVICES, Loop(0.5, 0.01, 20.5), Loop(1e-3, 0.3, 40.0)])
+@pytest.mark.parametrize(
+    "loop", [*DEVICES, NormalisedLoop.ideal(0.5, 0.01, 20.5), NormalisedLoop.ideal(1e-3, 0.3, 40.0)]
+)
 def test_branches_by_samples_are_those_by_roots(loop):
     """Samples stand for the roots of long polynomials; where both are quick they count the same stretches."""
     beta = np.unique(np.concatenate([np.linspace(-0.3, 0.9, 61), np.linspace(-1e-2, 1e-2, 21)]))
@@ -158,7 +161,7 @@ def test_branches_by_samples_are_those_by_roots(loop):
 @pytest.mark.parametrize(("samples", "delay", "gamma"), [(5, 2.0, 2e-4), (4, 1.5, 0.0), (9, 4.0, 2e-4), (3, 19.0, 0.0)])
 def test_a_filter_may_hide_a_motion_that_the_delay_turns_by_half_a_circle(samples, delay, gamma):
     """Each damping then has a crossing at one angle: a device without damping, delay + 1/2 such angles half turns."""
-    loop = Loop(gamma=gamma, delta=0.0, delay=delay, velocity=Difference(kind="difference", samples=samples))
+    loop = general_loop(gamma=gamma, delta=0.0, delay=delay, velocity=Difference(kind="difference", samples=samples))
     found = outline(loop, 24)
     beta = np.linspace(0.02, 1.3, 24) * found.ends[1]
     level = limits(loop, beta).alpha
@@ -188,7 +191,9 @@ def test_a_filter_may_have_repeated_zeros_on_the_circle(samples, times, delay, d
     mean = np.array([1 - pole])
     for _ in range(times):
         mean = np.convolve(mean, np.full(samples, 1 / samples))
-    loop = Loop(0.0, delta, delay, velocity=Coefficients(kind="coefficients", b=tuple(mean.tolist()), a=(1.0, -pole)))
+    loop = general_loop(
+        0.0, delta, delay, velocity=Coefficients(kind="coefficients", b=tuple(mean.tolist()), a=(1.0, -pole))
+    )
     beta = np.linspace(0.05, 0.95, 7) * outline(loop, 24).ends[1]
     alpha = limits(loop, beta).alpha
     for factor, stable in ((0.5, True), (1 - 1e-6, True), (1 + 1e-6, False)):

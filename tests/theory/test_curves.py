@@ -7,7 +7,7 @@ import pytest
 from independent import discrete_settling, settling_bracket, simulate
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.theory.boundary import boundary
 from pipeline.theory.curves import CURVE_CRITERIA, best_damping, best_stiffness
 from pipeline.theory.energy import energy_costs
@@ -16,10 +16,10 @@ from pipeline.theory.poles import damping_ratio, spectral_radius
 from pipeline.theory.search import where_stable
 from pipeline.theory.settling_overshoot import transient_costs
 
-FREE = [Loop(0.0, 0.0, d) for d in (0, 1, 2)]
+FREE = [NormalisedLoop.ideal(0.0, 0.0, d) for d in (0, 1, 2)]
 
 
-def cost_of(loop: Loop, criterion: str, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
+def cost_of(loop: NormalisedLoop, criterion: str, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
     """Cost of points, infinity where unstable; the damping ratio with its sign turned."""
     base = criterion.removesuffix("_discrete")
 
@@ -50,7 +50,7 @@ BRUTE = [
 @pytest.mark.sampled
 @pytest.mark.parametrize("criterion", BRUTE)
 def test_no_point_of_a_line_is_better(criterion: str) -> None:
-    loop = Loop(0.001, 0.02, 0.5)
+    loop = NormalisedLoop.ideal(0.001, 0.02, 0.5)
     border = boundary(loop)
     alpha = np.array([0.1, 0.3, 0.55]) * border.alpha_max
     dense = np.linspace(border.beta.min(), border.beta_max, 1501)
@@ -94,15 +94,15 @@ def test_curves_meet_in_the_optimal_point(criterion: str) -> None:
 @pytest.mark.parametrize(
     ("loop", "low", "high"), [(FREE[0], 0.828, 0.839), (FREE[1], 0.408, 0.425), (FREE[2], 0.270, 0.292)]
 )
-def test_printed_range_of_the_impulse_curve(loop: Loop, low: float, high: float) -> None:
+def test_printed_range_of_the_impulse_curve(loop: NormalisedLoop, low: float, high: float) -> None:
     # 5.2.3: the curve for given alpha of O_E1 impulse is nearly a horizontal line within these limits
     border = boundary(loop)
     curve = best_damping(loop, "energy_impulse_w1", np.linspace(1e-3, 0.999, 60) * border.alpha_max)
     assert (curve.best.min(), curve.best.max()) == pytest.approx((low, high), abs=1.01e-3)
 
 
-@pytest.mark.parametrize("loop", [*FREE, Loop(0.001, 0.02, 1.5)])
-def test_impulse_energy_is_least_on_the_line(loop: Loop) -> None:
+@pytest.mark.parametrize("loop", [*FREE, NormalisedLoop.ideal(0.001, 0.02, 1.5)])
+def test_impulse_energy_is_least_on_the_line(loop: NormalisedLoop) -> None:
     # 5.2.3: for given beta the best stiffness is alpha = -gamma, independent of delay
     beta = np.linspace(0.1, 0.9, 9) * boundary(loop).beta_max
     curve = best_stiffness(loop, "energy_impulse_w0", beta)
@@ -135,7 +135,7 @@ def test_largest_jump_of_the_overshoot_curve() -> None:
 
 
 @pytest.mark.parametrize("loop", FREE)
-def test_radius_curve_ends_in_the_stiffest_point(loop: Loop) -> None:
+def test_radius_curve_ends_in_the_stiffest_point(loop: NormalisedLoop) -> None:
     # 5.1.1: the curve starts at (-gamma, -delta) and passes through the rightmost point of the stable region
     border = boundary(loop)
     curve = best_damping(loop, "pole_radius", np.array([1e-5, 1 - 1e-6]) * border.alpha_max)

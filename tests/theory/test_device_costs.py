@@ -8,13 +8,14 @@ import mpmath as mp
 import numpy as np
 import pytest
 from general_devices import EXTREMES, ManyDigits, characteristic, random_device, schur_cohn
+from general_loop import general_loop, vibration
 from scipy.integrate import simpson
 from scipy.interpolate import CubicHermiteSpline
 from scipy.linalg import eig, expm, norm
 
 import pipeline
-from pipeline.loop.loop import Loop, Vibration, loop_of, wall_units
-from pipeline.records.loop_parts import Butterworth
+from pipeline.device.parts import Butterworth
+from pipeline.loop.normalised_loop import NormalisedLoop, loop_of, wall_units
 from pipeline.theory.boundary import limits, outline, stiffness_limit
 from pipeline.theory.costs import point_costs_by_name
 from pipeline.theory.energy import energy_costs
@@ -22,10 +23,10 @@ from pipeline.theory.optimum import optimal_point
 from pipeline.theory.poles import spectral_radius
 from pipeline.theory.settling_overshoot import LONGEST, transient_costs
 
-RICH = Loop(
+RICH = general_loop(
     *(1e-4, 0.01, 2.4),
     lag=1.5,
-    mode=Vibration(0.3, 0.5, 0.01, sensor_far=True),
+    **vibration(0.3, 0.5, 0.01, sensor_at_load=True),
     velocity=Butterworth(kind="butterworth", order=2, cutoff_hz=0.08),
 )
 
@@ -73,7 +74,7 @@ def fine(loop, alpha, beta, samples, steps=256):
 @pytest.mark.parametrize("sensor_far", [False, True])
 def test_costs_equal_fine_integration(sensor_far):
     # a fraction of 2^-n of a sample lies on the fine steps
-    finely_right(Loop(1e-4, 0.01, 2.375, 1.5, Vibration(0.3, 0.5, 0.01, sensor_far), RICH.velocity))
+    finely_right(general_loop(1e-4, 0.01, 2.375, 1.5(0.3, 0.5, 0.01, sensor_far), RICH.velocity))
 
 
 @pytest.mark.slow
@@ -145,7 +146,7 @@ def test_slowest_pole_in_many_digits(extreme):
 @pytest.mark.slow
 @pytest.mark.parametrize("criterion", ["energy_step_w0", "settle_2pct_discrete", "pole_radius"])
 def test_no_random_wall_beats_the_optimum(criterion):
-    loop = Loop(0.0, 0.02, 1.5, lag=0.7, velocity=Butterworth(kind="butterworth", order=1, cutoff_hz=0.1))
+    loop = general_loop(0.0, 0.02, 1.5, lag=0.7, velocity=Butterworth(kind="butterworth", order=1, cutoff_hz=0.1))
     best = optimal_point(loop, criterion)
     rng = np.random.default_rng(0)
     found = outline(loop, 32)
@@ -196,7 +197,7 @@ def test_energies_of_a_light_motor_side(near, blow, far):
     stiffness, damping = reduced * 0.3**2, 2 * 0.9 * 0.3 * reduced
     stiffness, damping = (stiffness, damping) if near > 0.1 else (2e-2, 8e-2)
     wall, delta = (1e-3, 0.05), 0.03
-    loop = Loop(0.0, delta, 1.0, mode=Vibration(1 - near, stiffness, damping, far))
+    loop = general_loop(0.0, delta, 1.0, **vibration(1 - near, stiffness, damping, far))
     assert np.abs(np.linalg.eigvals(loop.matrix(*(np.array([v]) for v in wall)))).max() < 0.995
     signal = "impulse" if blow else "step"
     found = energy_costs(loop, *wall, signal)[f"energy_{signal}_w0_discrete"][0]
@@ -224,7 +225,7 @@ def test_sums_that_rounding_keeps_from_their_equations_are_none():
 @pytest.mark.sampled
 @pytest.mark.parametrize(("order", "cutoff"), [(4, 0.01), (4, 0.001), (3, 0.003), (2, 0.3)])
 def test_every_wall_of_a_slow_filter_has_costs(order, cutoff):
-    loop = Loop(0, 1e-3, 2.0, velocity=Butterworth(kind="butterworth", order=order, cutoff_hz=cutoff))
+    loop = general_loop(0, 1e-3, 2.0, velocity=Butterworth(kind="butterworth", order=order, cutoff_hz=cutoff))
     found, rng = outline(loop, 30), np.random.default_rng(17)
     beta = rng.uniform(found.beta[0], found.beta[-1], 35)
     alpha = limits(loop, beta).alpha * rng.uniform(0.05, 0.95, 35)
@@ -245,6 +246,8 @@ def test_every_wall_of_a_slow_filter_has_costs(order, cutoff):
 
 
 def test_the_soonest_rise_is_a_limit_at_the_edge():
-    found = optimal_point(Loop(1e-3, 0.02, 1.5), "rise_time")
+    found = optimal_point(NormalisedLoop.ideal(1e-3, 0.02, 1.5), "rise_time")
     assert not found.attained
-    assert found.alpha == pytest.approx(float(stiffness_limit(Loop(1e-3, 0.02, 1.5), found.beta)[0]), rel=1e-9)
+    assert found.alpha == pytest.approx(
+        float(stiffness_limit(NormalisedLoop.ideal(1e-3, 0.02, 1.5), found.beta)[0]), rel=1e-9
+    )

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from general_loop import general_loop, vibration
 from independent import discrete_settling, simulate
 
 from pipeline.base.errors import ParameterError
 from pipeline.device_data.published import PublishedRow, published_rows
-from pipeline.loop.loop import Loop, Normalised, Vibration
+from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.theory.boundary import stiffness_limit
 from pipeline.theory.optimum import optimal_point
 from pipeline.theory.poles import is_stable
 from pipeline.theory.search import OptimalPoint
 from pipeline.theory.settling_overshoot import transient_costs
 
-FALCON = Normalised(0.58, 1e-3), Normalised(0.58, 1e-3).loop(0.0, 4.0, 4)
-FIRM = Normalised(1.0, 1e-3), Normalised(1.0, 1e-3).loop(0.0, 34.0, 4)
-LWR = Normalised(0.19, 1e-3), Normalised(0.19, 1e-3).loop(0.0, 0.0, 2)
+FALCON = LoopUnits(0.58, 1e-3), LoopUnits(0.58, 1e-3).loop(0.0, 4.0, 4)
+FIRM = LoopUnits(1.0, 1e-3), LoopUnits(1.0, 1e-3).loop(0.0, 34.0, 4)
+LWR = LoopUnits(0.19, 1e-3), LoopUnits(0.19, 1e-3).loop(0.0, 0.0, 2)
 THEORY = {"D.1": FALCON, "D.2": FALCON, "D.3": FIRM, "D.4": LWR, "D.5": LWR}
 """Parameters of the printed theory rows (6.1.4, 6.2.4): m [kg, kg m^2], b, d."""
 
@@ -48,7 +49,7 @@ def decimals(value: float, digits: int) -> float:
 
 @pytest.mark.parametrize(("criterion", "d", "alpha", "beta", "cost"), REFERENCE)
 def test_reference_optima_to_every_digit(criterion: str, d: int, alpha: float, beta: float, cost: float) -> None:
-    found = optimal_point(Loop(0, 0, d), criterion)
+    found = optimal_point(NormalisedLoop.ideal(0, 0, d), criterion)
     assert found.alpha == pytest.approx(alpha, abs=1.01e-6)
     assert found.beta == pytest.approx(beta, abs=1.01e-6)
     assert found.cost == pytest.approx(cost, abs=1.01 * decimals(cost, 7))
@@ -117,7 +118,7 @@ def test_whole_regions_of_the_discrete_settling_optimum(
     assert box[0] * unit.stiffness - 1 <= row.stiffness <= box[1] * unit.stiffness + 1
 
 
-def corner_settles(loop: Loop, box: tuple[float, float, float, float], inwards: float) -> float:
+def corner_settles(loop: NormalisedLoop, box: tuple[float, float, float, float], inwards: float) -> float:
     """Fewest samples that a loop stepped through time needs along a line just inside (or outside) the stiff edge."""
     alpha = box[1] - inwards * (box[1] - box[0])
     betas = box[3] - (box[3] - box[2]) * np.linspace(-0.1, 0.4, 1200)
@@ -186,14 +187,14 @@ def test_theory_of_table_d6(delay: float) -> None:
     ]
     assert len(rows) == 4
     for row in rows:
-        point = optimal_point(Loop(0, 0, delay), f"{row.criterion}_discrete")
+        point = optimal_point(NormalisedLoop.ideal(0, 0, delay), f"{row.criterion}_discrete")
         unit = 0 if row.criterion == "settle_2pct" else decimals(row.cost, digits[row.criterion])
         assert point.cost == pytest.approx(row.cost, abs=1.01 * unit), row.criterion
 
 
 @pytest.mark.parametrize(("d", "alpha"), [(0, 0.222), (1, 0.052), (2, 0.023)])
 def test_stiffest_point_without_overshoot(d: int, alpha: float) -> None:
-    assert optimal_point(Loop(0, 0, d), "overshoot").alpha == pytest.approx(alpha, abs=1.01e-3)
+    assert optimal_point(NormalisedLoop.ideal(0, 0, d), "overshoot").alpha == pytest.approx(alpha, abs=1.01e-3)
 
 
 NO_OVERSHOOT = [("D.1", 5056, 104.70, 5057), ("D.3", 10813, 179.80, 10815), ("D.4", 4358, 56.29, 4360)]
@@ -248,19 +249,21 @@ def test_small_stiffness_is_without_overshoot_up_to_the_edge() -> None:
 def test_most_damped_points_with_delay(
     d: float, plant: tuple[float, float], alpha: float, beta: float, ratio: float
 ) -> None:
-    point = optimal_point(Loop(*plant, d), "damping")
+    point = optimal_point(NormalisedLoop.ideal(*plant, d), "damping")
     assert (point.alpha, point.beta) == pytest.approx((alpha, beta), abs=1.01e-4)
     assert point.cost == pytest.approx(ratio, abs=5.1e-4)
     assert point.attained is (plant[0] > 0)  # for gamma = 0 the ratio tends to 1 with the wall to nothing
     if point.attained:
-        z = np.linalg.eigvals(Loop(*plant, d).matrix(np.array([point.alpha]), np.array([point.beta])))[0]
+        z = np.linalg.eigvals(NormalisedLoop.ideal(*plant, d).matrix(np.array([point.alpha]), np.array([point.beta])))[
+            0
+        ]
         s = np.log(z[np.abs(z) > 0])
         assert float((-s.real / np.abs(s)).min()) == pytest.approx(point.cost, abs=1e-8)
 
 
 @pytest.mark.parametrize(("d", "printed"), [(0, 0.2133), (1, 0.0505), (2, 0.0222)])
 def test_edge_without_any_overshoot(d: int, printed: float) -> None:
-    assert optimal_point(Loop(0, 0, d), "overshoot_at_all").alpha == pytest.approx(printed, abs=1.01e-4)
+    assert optimal_point(NormalisedLoop.ideal(0, 0, d), "overshoot_at_all").alpha == pytest.approx(printed, abs=1.01e-4)
 
 
 @pytest.mark.parametrize(
@@ -268,12 +271,12 @@ def test_edge_without_any_overshoot(d: int, printed: float) -> None:
 )
 def test_unknown_criteria_are_refused(criterion: str) -> None:
     with pytest.raises(ParameterError, match="expected one of"):
-        optimal_point(Loop(0, 0, 1), criterion)
+        optimal_point(NormalisedLoop.ideal(0, 0, 1), criterion)
 
 
 @pytest.mark.slow
 def test_a_mode_settles_soonest_far_below_its_limit() -> None:
     """A wall at 1.5 % of its limit, found by a scan, settles sooner than any above 5 %."""
-    loop = Loop(0.0, 0.00382, 2.884, mode=Vibration(0.379, 0.00532, 0.00124, True))
+    loop = general_loop(0.0, 0.00382, 2.884, **vibration(0.379, 0.00532, 0.00124, True))
     best = optimal_point(loop, "settle_2pct")
     assert best.alpha < 0.05 * float(stiffness_limit(loop, best.beta)[0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pipeline
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.criteria import CRITERIA, criterion_of, with_discrete
 from pipeline.theory.boundary import boundary
 from pipeline.theory.energy import energy_costs
@@ -18,7 +18,7 @@ from pipeline.theory.settling_overshoot import transient_costs
 STARTS = 300
 
 
-def climbers(cost, loop: Loop, seed: int, rounds: int = 240) -> np.ndarray:
+def climbers(cost, loop: NormalisedLoop, seed: int, rounds: int = 240) -> np.ndarray:
     """Best costs of so many random starts, each keeping the best of random steps whose size shrinks.
 
     That needs no gradient and meets jumps; it shares nothing with the searches under test but the cost.
@@ -46,7 +46,7 @@ def climbers(cost, loop: Loop, seed: int, rounds: int = 240) -> np.ndarray:
     return best
 
 
-def plain_cost(loop: Loop, criterion: str):
+def plain_cost(loop: NormalisedLoop, criterion: str):
     """Cost of points for a search that looks for the smallest."""
     base = criterion.removesuffix("_discrete")
 
@@ -79,7 +79,10 @@ SEARCHED = [
 @pytest.mark.parametrize("criterion", SEARCHED)
 def test_no_random_start_finds_a_better_point(criterion: str) -> None:
     # with delay and gamma = 0 the damping ratio has a limit and no optimum
-    for loop in (Loop(0.001, 0.02, 1.5), Loop(0.0, 0.0, 0.0 if criterion == "damping" else 0.5)):
+    for loop in (
+        NormalisedLoop.ideal(0.001, 0.02, 1.5),
+        NormalisedLoop.ideal(0.0, 0.0, 0.0 if criterion == "damping" else 0.5),
+    ):
         found = optimal_point(loop, criterion)
         best = float(climbers(plain_cost(loop, criterion), loop, seed=17).min())
         if criterion.startswith("overshoot"):
@@ -96,8 +99,15 @@ def test_no_random_start_finds_a_better_point(criterion: str) -> None:
 
 
 EXTREME_LOOPS = [
-    *(Loop(0, 0, 0), Loop(1e-16, 0, 1), Loop(1e-16, 1e-16, 0.5), Loop(0, 0, 16), Loop(0, 10, 1), Loop(0, 100, 0.5)),
-    *(Loop(0.25, 1.0, 0), Loop(0.01, 0.2 * (1 + 1e-12), 2.5)),
+    *(
+        NormalisedLoop.ideal(0, 0, 0),
+        NormalisedLoop.ideal(1e-16, 0, 1),
+        NormalisedLoop.ideal(1e-16, 1e-16, 0.5),
+        NormalisedLoop.ideal(0, 0, 16),
+        NormalisedLoop.ideal(0, 10, 1),
+        NormalisedLoop.ideal(0, 100, 0.5),
+    ),
+    *(NormalisedLoop.ideal(0.25, 1.0, 0), NormalisedLoop.ideal(0.01, 0.2 * (1 + 1e-12), 2.5)),
 ]
 
 

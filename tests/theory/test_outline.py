@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from general_devices import random_device
+from general_loop import general_loop, vibration
 
 import pipeline
-from pipeline.loop.loop import Loop, Vibration, loop_of
+from pipeline.loop.normalised_loop import NormalisedLoop, loop_of
 from pipeline.theory.boundary import boundary, outline
 
 LONG = {
@@ -31,12 +32,12 @@ LONG = {
 """Loops of 1 kg at 1 kHz whose region is a long horn: stiffest wall [N/m], largest damping [Ns/m]."""
 
 
-def radius(loop: Loop, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
+def radius(loop: NormalisedLoop, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
     """Largest pole modulus of each point."""
     return np.abs(np.linalg.eigvals(loop.matrix(alpha, beta))).max(axis=1)
 
 
-def random_loops(count: int, seed: int) -> list[Loop]:
+def random_loops(count: int, seed: int) -> list[NormalisedLoop]:
     """Random devices of all kinds that some wall stabilises."""
     rng, found = np.random.default_rng(seed), []
     while len(found) < count:
@@ -55,7 +56,7 @@ def test_the_boundary_of_a_long_horn_is_whole(name):
     assert boundary["stiffness"].max() == boundary.attrs["stiffness_max"]
 
 
-def check_whole(loop: Loop, seed: int) -> None:
+def check_whole(loop: NormalisedLoop, seed: int) -> None:
     """No soft wall outside the told dampings, none between them that is not, and no wall stiffer than the stiffest."""
     found, rng = outline(loop, 60), np.random.default_rng(seed)
     low, high = found.beta[0], found.beta[-1]
@@ -96,13 +97,16 @@ def test_no_optimum_lies_on_an_island_or_beside_a_better_one():
     ("loop", "gaps"),
     [
         (
-            Loop(9.0, 0.01, 3.3),
+            NormalisedLoop.ideal(9.0, 0.01, 3.3),
             0,
         ),  # soft walls are stable at some dampings only, but all that is stable is of one piece
-        (Loop(0.000273, 0.0693, 6.0, mode=Vibration(0.4, 0.0011, 0.0092, False)), 4),  # two regions join
+        (
+            general_loop(0.000273, 0.0693, 6.0, **vibration(0.4, 0.0011, 0.0092, False)),
+            4,
+        ),  # two regions join
     ],
 )
-def test_an_edge_is_drawn_without_jumps(loop: Loop, gaps: int) -> None:
+def test_an_edge_is_drawn_without_jumps(loop: NormalisedLoop, gaps: int) -> None:
     border = boundary(loop)
     step = np.hypot(
         np.diff(border.alpha) / np.ptp(border.alpha[np.isfinite(border.alpha)]),

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.theory.boundary import limits, quantum_limit, step_limits
 
 DELAY, DELTA, FRICTION, FINE = 2, 0.005, 1e-3, 100
-LOOP = Loop(0.0, DELTA, float(DELAY))
+LOOP = NormalisedLoop.ideal(0.0, DELTA, float(DELAY))
 
 
 def motion(alpha, beta, start, samples=900, friction=FRICTION, quantum=0.0):

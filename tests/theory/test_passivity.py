@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from general_loop import general_loop, vibration
 from independent import maximum_passive_stiffness
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop, Vibration
-from pipeline.records.loop_parts import Butterworth
+from pipeline.device.parts import Butterworth
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.theory.passivity import passive_outline, required_damping, stiffest_passive
 
 
 def needed_damping(delay: float, stiffness: list[float], damping: list[float]) -> np.ndarray:
     """What walls of an ideal loop need of the device, T = 1."""
-    return required_damping(Loop(0.0, 0.0, delay), np.array(stiffness), np.array(damping))
+    return required_damping(NormalisedLoop.ideal(0.0, 0.0, delay), np.array(stiffness), np.array(damping))
 
 
 def by_aliases(delay: float, stiffness: float, damping: float, aliases: int = 4000) -> float:
@@ -38,7 +39,7 @@ def test_need_is_that_of_the_sums_over_all_aliases(delay, K, B):
 
 @pytest.mark.parametrize("delay", [0, 1, 2, 4, 8, 64])
 def test_whole_delays_give_the_published_wall(delay):
-    kappa, ratio = stiffest_passive(Loop(0.0, 0.0, float(delay)), 1.0)
+    kappa, ratio = stiffest_passive(NormalisedLoop.ideal(0.0, 0.0, float(delay)), 1.0)
     published, at = (float(value[0]) for value in maximum_passive_stiffness([delay]))
     assert kappa == pytest.approx(published, rel=2e-5)
     assert ratio == pytest.approx(at, abs=5e-3)  # the maximum over B is flat
@@ -54,7 +55,7 @@ def test_need_grows_in_proportion_and_delays_out_of_range_are_refused():
 @pytest.mark.parametrize("delay", [0.3, 0.5, 1.5, 7.5])
 def test_no_wall_on_the_outline_needs_more_than_the_device_has(delay):
     """The form for whole delays is up to 8.8 % too optimistic between them, and was drawn."""
-    alpha, beta = passive_outline(Loop(0.0, 0.0, delay), 1.0)
+    alpha, beta = passive_outline(NormalisedLoop.ideal(0.0, 0.0, delay), 1.0)
     worst = max(by_aliases(delay, float(k), float(b), 400) for k, b in zip(alpha[20::40], beta[20::40], strict=True))
     assert worst == pytest.approx(1.0, abs=1e-3)
 
@@ -74,7 +75,7 @@ def printed_boundary(d: float, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("delay", [0.0, 1.0, 2.0, 5.0])
 def test_integer_delays_need_what_the_thesis_says(delay):
     """(4.6) to (4.11): walls on the boundary need all of the damping."""
-    loop, angle = Loop(0.0, 0.1, delay), np.pi / (delay + 1) * np.linspace(0.05, 0.95, 13)
+    loop, angle = NormalisedLoop.ideal(0.0, 0.1, delay), np.pi / (delay + 1) * np.linspace(0.05, 0.95, 13)
     alpha, beta = (0.1 * side for side in printed_boundary(delay, angle))
     np.testing.assert_allclose(required_damping(loop, alpha, beta), 0.1, rtol=1e-8)
     stiffest = passive_outline(loop, 0.1)[0].max()
@@ -82,7 +83,9 @@ def test_integer_delays_need_what_the_thesis_says(delay):
 
 
 def test_half_a_sample_needs_more_than_the_formula_of_integer_delays():
-    assert required_damping(Loop(0.0, 0.1, 0.5), np.ones(1), np.zeros(1))[0] == pytest.approx(1.0590, abs=1e-4)
+    assert required_damping(NormalisedLoop.ideal(0.0, 0.1, 0.5), np.ones(1), np.zeros(1))[0] == pytest.approx(
+        1.0590, abs=1e-4
+    )
 
 
 def generated(loop, alpha, beta, angle, aliases=ALIASES):
@@ -111,9 +114,9 @@ def generated(loop, alpha, beta, angle, aliases=ALIASES):
 @pytest.mark.parametrize(
     "loop",
     [
-        Loop(0.0, 0.1, 0.5),
-        Loop(0.0, 0.1, 1.3, lag=0.8),
-        Loop(0.0, 0.1, 0.5, lag=0.3, velocity=Butterworth(kind="butterworth", order=2, cutoff_hz=0.1)),
+        NormalisedLoop.ideal(0.0, 0.1, 0.5),
+        general_loop(0.0, 0.1, 1.3, lag=0.8),
+        general_loop(0.0, 0.1, 0.5, lag=0.3, velocity=Butterworth(kind="butterworth", order=2, cutoff_hz=0.1)),
     ],
 )
 def test_energy_in_the_time_domain(loop):
@@ -160,7 +163,7 @@ def energy_in_time(loop, alpha, beta, w, speeds, settle=400, samples=400, steps=
 
 
 def test_region_scales_with_the_damping_and_holds_what_is_passive():
-    loop = Loop(0.0, 0.1, 1.3, lag=0.8)
+    loop = general_loop(0.0, 0.1, 1.3, lag=0.8)
     alpha, beta = passive_outline(loop, 0.1)
     twice = passive_outline(loop, 0.2)
     np.testing.assert_allclose(twice[0], 2 * alpha, rtol=1e-12, atol=1e-15)
@@ -171,4 +174,4 @@ def test_region_scales_with_the_damping_and_holds_what_is_passive():
 
 def test_sensing_beyond_a_mode_is_refused():
     with pytest.raises(ParameterError, match="beyond the vibration mode"):
-        required_damping(Loop(0.0, 0.1, 1.0, mode=Vibration(0.3, 0.5, 0.01, True)), np.ones(1), np.ones(1))
+        required_damping(general_loop(0.0, 0.1, 1.0, **vibration(0.3, 0.5, 0.01, True)), np.ones(1), np.ones(1))

@@ -11,7 +11,7 @@ import pytest
 from independent import characteristic, deviation, horizon, random_loops, simulate, simulate_many, stable_walls
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.theory.optimum import never_overshoots, optimal_point
 from pipeline.theory.poles import damping_ratio, pole_settling_time, poles, spectral_radius, threefold_pole
 
@@ -52,7 +52,7 @@ def extreme_cases() -> list[Case]:
 def check_ratio(cases: list[Case]) -> None:
     for case in cases:
         gamma, delta, delay, alpha, beta = case
-        loop = Loop(gamma, delta, delay)
+        loop = NormalisedLoop.ideal(gamma, delta, delay)
         found = float(damping_ratio(loop, alpha, beta)[0])
         # the ratio of a pole near z = 1 is a quotient of two distances from it: rounding of 1e-15 over that distance
         nearest = float(np.abs(np.log(poles(loop, alpha, beta)[0])).min())
@@ -77,16 +77,16 @@ def test_damping_ratio_of_many_loops() -> None:
 
 
 def test_damping_ratio_of_marginal_and_pure_delay_poles() -> None:
-    assert damping_ratio(Loop(0.0, 0.0, 3), 0.0, 0.0)[0] == 0  # double pole at z = 1, the others at 0
-    assert damping_ratio(Loop(0.01, 0.3, 3), 0.0, 0.0)[0] == 1  # no wall: two real poles and the delay
-    assert damping_ratio(Loop(0.0, 0.0, 1), 0.5, 0.1)[0] < 0  # unstable
+    assert damping_ratio(NormalisedLoop.ideal(0.0, 0.0, 3), 0.0, 0.0)[0] == 0  # double pole at z = 1, the others at 0
+    assert damping_ratio(NormalisedLoop.ideal(0.01, 0.3, 3), 0.0, 0.0)[0] == 1  # no wall: two real poles and the delay
+    assert damping_ratio(NormalisedLoop.ideal(0.0, 0.0, 1), 0.5, 0.1)[0] < 0  # unstable
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("delay", [0.0, 0.5, 1.0, 2.75, 8.0])
 @pytest.mark.parametrize("plant", [(0.0, 0.0), (0.001, 0.02)])
 def test_threefold_pole_in_many_digits(delay: float, plant: tuple[float, float]) -> None:
-    loop = Loop(*plant, delay)
+    loop = NormalisedLoop.ideal(*plant, delay)
     found = optimal_point(loop, "pole_radius")
     exact = threefold_pole(loop, found.cost)
     assert exact is not None
@@ -126,7 +126,7 @@ def test_stiffest_point_without_overshoot_stepped_through_time() -> None:
         *((0.0, 0.0, 0, 1), (0.0, 0.0, 1, 1), (0.0, 0.0, 2, 1), (0.0, 0.0, 1, 2), (0.001, 0.02, 3, 2)),
         *((0.0, 0.1, 7, 3), (1e-16, 0.0, 1, 1), (0.0, 1.0, 2, 1)),
     ]:
-        loop = Loop(gamma, delta, p / q)
+        loop = NormalisedLoop.ideal(gamma, delta, p / q)
         point = optimal_point(loop, "overshoot")
         alpha = -gamma + (point.alpha + gamma) * (1 + 10 ** rng.uniform(-4, 0, 90))
         beta = point.beta * (1 + 10 ** rng.uniform(-4, -0.3, 90) * rng.choice([-1, 1], 90))
@@ -144,19 +144,19 @@ def test_stiffest_point_without_overshoot_stepped_through_time() -> None:
 
 def test_threefold_pole_without_delay_is_known() -> None:
     # (1 + z)^3 = 4 for gamma = delta = 0, from comparing coefficients
-    found = threefold_pole(Loop(0, 0, 0), 0.59)
+    found = threefold_pole(NormalisedLoop.ideal(0, 0, 0), 0.59)
     with mp.workdps(30):
         z = mp.cbrt(4) - 1
         truth = [float(value) for value in (6 * z * z - 2, 2 * z**3, z)]
     assert found == pytest.approx(truth, rel=2e-15, abs=0)
-    assert threefold_pole(Loop(0, 0, 0), 0.9) is None
+    assert threefold_pole(NormalisedLoop.ideal(0, 0, 0), 0.9) is None
 
 
 def test_never_overshoots_agrees_with_dense_responses() -> None:
     rng = np.random.default_rng(8)
     seen = {True: 0, False: 0}
     for p, q, plant in ((0, 1, (0.0, 0.0)), (1, 2, (0.001, 0.02)), (1, 1, (0.0, 0.0))):
-        loop = Loop(*plant, p / q)
+        loop = NormalisedLoop.ideal(*plant, p / q)
         alpha = rng.uniform(0.01, 0.25, 40) / (1 + loop.delay) ** 2
         beta = rng.uniform(0.5, 1.1, 40) / (1 + loop.delay)
         z = poles(loop, alpha, beta)
@@ -201,8 +201,8 @@ def _tail_crosses(plant: tuple[float, float], alpha: mp.mpf, beta: mp.mpf, p: in
 
 def test_a_faint_overshoot_is_seen_in_many_digits_too() -> None:
     # between the edge for tolerance 0 (0.2133) and that of the thesis (0.222): overshoot far below 1e-12
-    point = optimal_point(Loop(0, 0, 0), "overshoot")
+    point = optimal_point(NormalisedLoop.ideal(0, 0, 0), "overshoot")
     for share, crosses in ((0.99, True), (0.9, False)):
         alpha = share * point.alpha
         assert tail_crosses((0.0, 0.0), alpha, 0.97, 0, 1) is crosses
-        assert bool(never_overshoots(Loop(0, 0, 0), alpha, 0.97)[0]) is not crosses
+        assert bool(never_overshoots(NormalisedLoop.ideal(0, 0, 0), alpha, 0.97)[0]) is not crosses

@@ -9,14 +9,18 @@ from concurrent.futures.process import BrokenProcessPool
 
 import pytest
 
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.results import TheoryParameters
 from pipeline.theory import predictions
 from pipeline.theory.optimum import optimal_point
 from pipeline.theory.predictions import Predictions, Theory
 
-LOOP = Loop(0.0, 0.01, 1.0)
-REQUESTS = [(LOOP, "energy_step_w0"), (LOOP, "energy_step_w0_discrete"), (Loop(0.0, 0.01, 2.0), "energy_step_w0")]
+LOOP = NormalisedLoop.ideal(0.0, 0.01, 1.0)
+REQUESTS = [
+    (LOOP, "energy_step_w0"),
+    (LOOP, "energy_step_w0_discrete"),
+    (NormalisedLoop.ideal(0.0, 0.01, 2.0), "energy_step_w0"),
+]
 
 pytestmark = pytest.mark.usefixtures("one_process")
 
@@ -173,12 +177,12 @@ def test_other_errors_are_not_hidden_and_end_the_pool(tmp_path, monkeypatch):
 PROGRAM = """
 import os, sys
 from pathlib import Path
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.theory.predictions import Predictions
 
 os.cpu_count = lambda: 2
 wanted = Predictions(Path(sys.argv[1]))
-wanted.start([(Loop(0.0, 0.01, 1.0), "energy_step_w0"), (Loop(0.0, 0.01, 2.0), "energy_step_w0")])
+wanted.start([(NormalisedLoop.ideal(0.0, 0.01, 1.0), "energy_step_w0"), (NormalisedLoop.ideal(0.0, 0.01, 2.0), "energy_step_w0")])
 wanted.finish()
 """
 

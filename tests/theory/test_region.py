@@ -11,7 +11,7 @@ from independent import NYQUIST as STIFFEST
 from independent import characteristic, random_loops, stable_by_schur_cohn
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.theory.boundary import boundary, has_islands, is_inside, robust_limits, stiffness_limit
 from pipeline.theory.circle import first_branch
 from pipeline.theory.crossings import stretches
@@ -19,17 +19,21 @@ from pipeline.theory.poles import spectral_radius
 
 NYQUIST = math.pi**2
 EXTREME = [
-    Loop(gamma, delta, delay)
+    NormalisedLoop.ideal(gamma, delta, delay)
     for gamma, delta in [
         *((0.0, 0.0), (1e-16, 0.0), (1e-16, 1e-16), (0.0, 1e3), (1e-16, 1e3), (100.0, 20.0), (100 * (1 - 1e-12), 20.0)),
         *((0.25, 1 + 1e-9), (0.25, 1 - 1e-9), (STIFFEST, 0.0), (STIFFEST, 0.3)),
     ]
     for delay in (0.0, 1e-6, 0.5, 1 - 1e-9, 2.0, 16.5)
-] + [Loop(gamma, delta, delay) for gamma, delta in [(0.0, 0.0), (1e-3, 0.02)] for delay in (64.0, 256.0, 255.5)]
+] + [
+    NormalisedLoop.ideal(gamma, delta, delay)
+    for gamma, delta in [(0.0, 0.0), (1e-3, 0.02)]
+    for delay in (64.0, 256.0, 255.5)
+]
 """Both ends of every parameter, near-critical damping, fractions next to 0 and 1, long delays."""
 
 
-def companion_radius(loop: Loop, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
+def companion_radius(loop: NormalisedLoop, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
     """Largest root of the characteristic polynomial of each point, by companion matrices in doubles."""
     zero, one, two = (
         np.array([float(c) for c in characteristic(loop.gamma, loop.delta, loop.delay, *wall)])
@@ -43,7 +47,7 @@ def companion_radius(loop: Loop, alpha: np.ndarray, beta: np.ndarray) -> np.ndar
     return np.abs(np.linalg.eigvals(matrix)).max(axis=1)
 
 
-def damping_below(loop: Loop, step: float) -> float:
+def damping_below(loop: NormalisedLoop, step: float) -> float:
     """A stable damping at a stiffness that lies a step below the largest one; the tip of a region may lean."""
     alpha, at = stiffest_point(loop)
     low, high = damping_range(loop)
@@ -52,20 +56,20 @@ def damping_below(loop: Loop, step: float) -> float:
     return float(np.median(beta[is_inside(loop, alpha - step, beta)]))
 
 
-def damping_range(loop: Loop) -> tuple[float, float]:
+def damping_range(loop: NormalisedLoop) -> tuple[float, float]:
     """Infimum and supremum of stable beta."""
     border = boundary(loop, 8)
     found = [border.beta_min, border.beta_max, *border.islands[:, 0]]
     return min(found), max(found)
 
 
-def stiffest_point(loop: Loop) -> tuple[float, float]:
+def stiffest_point(loop: NormalisedLoop) -> tuple[float, float]:
     """Supremum of stable alpha and its beta."""
     border = boundary(loop, 8)
     return border.alpha_max, border.beta_at_alpha_max
 
 
-def check_extremes(loop: Loop) -> None:
+def check_extremes(loop: NormalisedLoop) -> None:
     """Largest stiffness and damping with their partners: stable just inside, nothing stable on the line beyond."""
     low, high = damping_range(loop)
     peak, at = stiffest_point(loop)
@@ -96,7 +100,7 @@ def value_at(polynomial: list[mp.mpf], z: mp.mpc) -> mp.mpc:
     return total
 
 
-def partner(loop: Loop) -> tuple[float, float, float] | None:
+def partner(loop: NormalisedLoop) -> tuple[float, float, float] | None:
     """alpha, beta and angle where alpha is stationary along the boundary, in 50 digits, next to the stiffest point."""
     values = loop.gamma, loop.delta, loop.delay
     peak, at = stiffest_point(loop)
@@ -120,7 +124,7 @@ def partner(loop: Loop) -> tuple[float, float, float] | None:
 
 @pytest.mark.slow
 def test_largest_stiffness_and_damping_of_random_loops() -> None:
-    loops = [Loop(g, delta, p / q) for g, delta, p, q in random_loops(300, seed=18)]
+    loops = [NormalisedLoop.ideal(g, delta, p / q) for g, delta, p, q in random_loops(300, seed=18)]
     for loop in loops:
         check_extremes(loop)
 
@@ -133,7 +137,7 @@ def test_largest_stiffness_and_damping_of_extreme_loops() -> None:
         check_extremes(loop)
 
 
-def check_partners(loops: list[Loop]) -> int:
+def check_partners(loops: list[NormalisedLoop]) -> int:
     """How many of the points are no corners, which have no stationary one, nor lie on an island, never the stiffest."""
     checked = 0
     for loop in loops:
@@ -152,7 +156,9 @@ def check_partners(loops: list[Loop]) -> int:
 
 @pytest.mark.slow
 def test_stiffest_point_of_extreme_loops_in_many_digits() -> None:
-    assert check_partners([Loop(g, delta, p / q) for g, delta, p, q in random_loops(310, seed=19)]) >= 280
+    assert (
+        check_partners([NormalisedLoop.ideal(g, delta, p / q) for g, delta, p, q in random_loops(310, seed=19)]) >= 280
+    )
     assert check_partners(EXTREME) >= 30
 
 
@@ -173,7 +179,7 @@ def test_robust_limits_of_random_and_extreme_walls() -> None:
             values = float(worst[i]), delta, d
             assert not stable_by_schur_cohn(characteristic(*values, float(limit[i]) + step, float(beta[i]))), values
         for spring in np.append(springs, np.unique(worst[limit > 0])):
-            loop, some = Loop(float(spring), delta, d), limit > 0
+            loop, some = NormalisedLoop.ideal(float(spring), delta, d), limit > 0
             alpha, damping = limit[some] * (1 - 1e-6), beta[some]
             radius = companion_radius(loop, alpha, damping)
             # doubles lose half of their digits where a plant swings half as fast as it is sampled: many digits there
@@ -185,7 +191,8 @@ def test_robust_limits_of_random_and_extreme_walls() -> None:
         for value in beta[limit == -math.inf]:
             tiny = 1e-9 * delta
             assert any(
-                companion_radius(Loop(float(g), delta, d), np.array([tiny]), np.array([value]))[0] > 1 - 1e-12
+                companion_radius(NormalisedLoop.ideal(float(g), delta, d), np.array([tiny]), np.array([value]))[0]
+                > 1 - 1e-12
                 for g in springs
             ), (delta, d, value)
     assert counts["random"] >= 300
@@ -196,7 +203,7 @@ ORDINARY = [(0, 0, 0), (0, 0, 1), (0.001, 0.02, 2), (0, 0, 0.5), (1e-3, 0.1, 2.7
 RESONANT = [(1.0, 0.1, 2.5), (5.0, 1.0, 1), (0.3, 0.05, 4), (9.8, 0.0, 1), (20.0, 10.0, 2), (0.0, 10.0, 0)]
 
 
-def random_loop(rng: np.random.Generator) -> Loop:
+def random_loop(rng: np.random.Generator) -> NormalisedLoop:
     d = float(rng.choice([0, 1, 2, 7, 16, rng.uniform(0, 4), rng.uniform(0, 1)]))
     delta = float(rng.choice([0, 1e-14, 1e-6, 0.02, 10, 50, rng.uniform(0, 3)]))
     swing = delta**2 / 4
@@ -205,7 +212,7 @@ def random_loop(rng: np.random.Generator) -> Loop:
         if rng.random() < 0.8
         else rng.choice([swing + 0.9 * NYQUIST, swing * rng.uniform()])
     )
-    return Loop(min(gamma, NYQUIST + swing), delta, d)
+    return NormalisedLoop.ideal(min(gamma, NYQUIST + swing), delta, d)
 
 
 def test_verdicts_of_random_loops_against_eigenvalues() -> None:
@@ -228,7 +235,7 @@ def test_verdicts_of_random_loops_against_eigenvalues() -> None:
     assert len(kinds) == 4  # stable and unstable points, of ordinary loops and of those that need all branches
 
 
-def shares_of_damping(loops: list[Loop], seed: int) -> list[float]:
+def shares_of_damping(loops: list[NormalisedLoop], seed: int) -> list[float]:
     """A random damping within the stable range of each loop."""
     rng = np.random.default_rng(seed)
     result = []
@@ -240,7 +247,7 @@ def shares_of_damping(loops: list[Loop], seed: int) -> list[float]:
 
 @pytest.mark.slow
 def test_limits_are_met_to_1e_10_by_polynomials_in_many_digits() -> None:
-    random = [Loop(g, delta, p / q) for g, delta, p, q in random_loops(300, seed=14)]
+    random = [NormalisedLoop.ideal(g, delta, p / q) for g, delta, p, q in random_loops(300, seed=14)]
     loops, checked = random + EXTREME, 0
     for loop, beta in zip(loops, shares_of_damping(loops, 15), strict=True):
         limit = float(stiffness_limit(loop, beta)[0])
@@ -261,7 +268,7 @@ def test_limits_are_met_to_1e_10_by_polynomials_in_many_digits() -> None:
 @pytest.mark.slow
 def test_verdicts_against_polynomials_in_many_digits() -> None:
     rng = np.random.default_rng(16)
-    random = [Loop(g, delta, p / q) for g, delta, p, q in random_loops(300, seed=17)]
+    random = [NormalisedLoop.ideal(g, delta, p / q) for g, delta, p, q in random_loops(300, seed=17)]
     verdicts = {True: 0, False: 0}
     for loop in random + EXTREME[:66]:
         room = (1 + loop.delta) / (1 + loop.delay)
@@ -278,7 +285,7 @@ def test_verdicts_against_polynomials_in_many_digits() -> None:
 @pytest.mark.parametrize("delta", [0.0, 1e-13, 0.3])
 def test_verdicts_where_the_plant_swings_half_as_fast_as_it_is_sampled(d: int, delta: float) -> None:
     gamma = NYQUIST * (1 - 1e-12)
-    loop = Loop(gamma, delta, d)
+    loop = NormalisedLoop.ideal(gamma, delta, d)
     for size in (1e-11, 1e-6, 0.1):
         for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1), (3, -1), (-3, 1), (0.1, 0), (0, -0.1)):
             exact = stable_by_schur_cohn(characteristic(gamma, delta, d, a * size, b * size))
@@ -287,7 +294,7 @@ def test_verdicts_where_the_plant_swings_half_as_fast_as_it_is_sampled(d: int, d
 
 @pytest.mark.parametrize("values", ORDINARY[:-1])
 def test_verdicts_at_a_distance_of_1e_12(values: tuple[float, float, float]) -> None:
-    loop = Loop(*values)
+    loop = NormalisedLoop.ideal(*values)
     low, high = damping_range(loop)
     for share in (0.02, 0.4, 0.9):
         beta = low + share * (high - low)
@@ -312,23 +319,23 @@ def exact_limit(d: int, beta: float, start: float) -> mp.mpf:
 
 @pytest.mark.parametrize("d", [0, 1, 4, 64, 256])
 def test_boundary_to_twelve_digits(d: int) -> None:
-    top = damping_range(Loop(0, 0, d))[1]
+    top = damping_range(NormalisedLoop.ideal(0, 0, d))[1]
     for share in (1e-12, 1e-3, 0.3, 0.6, 0.9):
         start = math.sqrt(share * top / (d + 0.5))
         start = min(start, 0.9 * np.pi / (2 * d + 1)) if share < 0.9 else 0.85 * np.pi / (2 * d + 1)
-        got = stiffness_limit(Loop(0, 0, d), share * top)[0]
+        got = stiffness_limit(NormalisedLoop.ideal(0, 0, d), share * top)[0]
         assert abs(got - exact_limit(d, share * top, start)) <= 1e-12 * got, (d, share)
 
 
 def test_a_point_near_the_origin() -> None:
     # beta = alpha (1/2 + d) to first order; the second is smaller by alpha
-    loop = Loop(0, 0, 3)
+    loop = NormalisedLoop.ideal(0, 0, 3)
     assert is_inside(loop, 1e-20, 3.5e-20 * (1 + 1e-9))[0]
     assert not is_inside(loop, 1e-20, 3.5e-20 * (1 - 1e-9))[0]
 
 
 def test_nothing_is_stable_outside_the_range_of_damping() -> None:
-    loop = Loop(0, 0, 1)
+    loop = NormalisedLoop.ideal(0, 0, 1)
     assert stiffness_limit(loop, [-0.1, 5.0]).tolist() == [-math.inf, -math.inf]
 
 
@@ -339,7 +346,7 @@ def test_robust_limits_against_many_springs(delta: float, d: float) -> None:
     assert limit[-1] == -math.inf
     springs = np.append(np.linspace(0, NYQUIST + delta**2 / 4, 150), worst[:-1])
     for factor in (1 - 1e-6, 1 + 1e-6):
-        radius = [spectral_radius(Loop(g, delta, d), limit[:-1] * factor, beta[:-1]) for g in springs]
+        radius = [spectral_radius(NormalisedLoop.ideal(g, delta, d), limit[:-1] * factor, beta[:-1]) for g in springs]
         np.testing.assert_array_equal(np.max(radius, axis=0) < 1, np.full(3, factor < 1))
 
 
@@ -354,5 +361,6 @@ def test_a_damping_that_hardly_is_there_changes_nothing(delta):
     """Reciprocals of small numbers overflow, and products of some sooner."""
     alpha, beta = np.array([0.01, 0.1, 0.5]), np.array([0.2, 0.5, 0.8])
     np.testing.assert_array_equal(
-        is_inside(Loop(0.0, delta, 1.0), alpha, beta), is_inside(Loop(0.0, 0.0, 1.0), alpha, beta)
+        is_inside(NormalisedLoop.ideal(0.0, delta, 1.0), alpha, beta),
+        is_inside(NormalisedLoop.ideal(0.0, 0.0, 1.0), alpha, beta),
     )

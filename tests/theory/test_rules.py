@@ -10,7 +10,7 @@ import pytest
 from independent import characteristic, random_loops, stable_by_schur_cohn
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.theory.optimum import marked_point, scaling_factor
 
 
@@ -26,7 +26,7 @@ def test_scaling_factors(criterion: str, printed: float) -> None:
 @pytest.mark.parametrize(("delay", "period"), [(0, 4), (1, 8), (2, 12), (0.5, None), (5, 24)])
 @pytest.mark.parametrize("plant", [(0.0, 0.0), (0.001, 0.02)])
 def test_ziegler_nichols_from_the_critical_oscillation(delay: float, period: float, plant: tuple[float, float]) -> None:
-    loop = Loop(*plant, delay)
+    loop = NormalisedLoop.ideal(*plant, delay)
     point, top = marked_point(loop, "ziegler_nichols"), marked_point(loop, "beta_max")
     assert point.beta == pytest.approx(0.45 * top.beta, rel=1e-12)
     found = 0.54 * top.beta / point.alpha
@@ -50,7 +50,7 @@ def test_ziegler_nichols_of_random_and_extreme_loops() -> None:
         ]
     ]
     for gamma, delta, p, q in random + extreme:
-        loop = Loop(gamma, delta, p / q)
+        loop = NormalisedLoop.ideal(gamma, delta, p / q)
         point, top = marked_point(loop, "ziegler_nichols"), marked_point(loop, "beta_max")
         assert point.beta == pytest.approx(0.45 * top.beta, rel=1e-13)
         angle = 2 * math.pi * point.alpha / (0.54 * top.beta)
@@ -74,12 +74,12 @@ def test_points_of_table_c2() -> None:
         ("beta_max", 0.0, 0.8284),
         ("ziegler_nichols", 0.056, 0.373),
     ):
-        found = marked_point(Loop(0, 0, 1), name)
+        found = marked_point(NormalisedLoop.ideal(0, 0, 1), name)
         assert (found.alpha, found.beta) == pytest.approx((alpha, beta), abs=5e-4 if name[0] == "z" else 5e-5)
 
 
 def test_wrong_use_is_refused() -> None:
-    loop = Loop(0.1, 0, 1)
+    loop = NormalisedLoop.ideal(0.1, 0, 1)
     with pytest.raises(ParameterError, match="expected one of"):
         marked_point(loop, "gamma_max")
     for criterion in ("damping", "overshoot", "overshoot_discrete"):

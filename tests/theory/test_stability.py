@@ -9,7 +9,7 @@ import pytest
 from independent import characteristic, extreme_cases, random_loops, stable_by_schur_cohn, stable_walls, wall_of_radius
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.theory.boundary import boundary
 from pipeline.theory.poles import is_stable, spectral_radius
 
@@ -34,7 +34,10 @@ def random_points(count: int, seed: int, largest: float) -> list[tuple[float, fl
 def check_radius(point: tuple[float, float, float, float, float], tolerance: float) -> None:
     """All roots lie inside a circle that is a little larger, and not all inside one that is a little smaller."""
     gamma, delta, d, alpha, beta = point
-    found, polynomial = float(spectral_radius(Loop(gamma, delta, d), alpha, beta)[0]), characteristic(*point)
+    found, polynomial = (
+        float(spectral_radius(NormalisedLoop.ideal(gamma, delta, d), alpha, beta)[0]),
+        characteristic(*point),
+    )
     assert stable_by_schur_cohn(polynomial, found * (1 + tolerance)), (point, found)
     assert not stable_by_schur_cohn(polynomial, found * (1 - tolerance)), (point, found)
 
@@ -57,7 +60,7 @@ def test_spectral_radius_of_extreme_points() -> None:
     for gamma, delta, delay in [(0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1e-3, 0.02, 0.5), (0.0, 2.0, 1.5)]:
         for k in range(1, 13):
             wall = wall_of_radius(gamma, delay, delta, 1 - 10.0**-k)
-            radius = spectral_radius(Loop(gamma, delta, delay), *wall)[0]
+            radius = spectral_radius(NormalisedLoop.ideal(gamma, delta, delay), *wall)[0]
             assert radius == pytest.approx(1 - 10.0**-k, abs=2e-14), (gamma, delta, delay, k)
             count += 1
     assert count >= 60
@@ -66,16 +69,24 @@ def test_spectral_radius_of_extreme_points() -> None:
 @pytest.mark.parametrize("d", [16.0, 64.0, 64.5])
 def test_verdicts_at_long_delays(d: float) -> None:
     # rounding a polynomial in z loses these; the margins are far above that of the state space
-    border = boundary(Loop(0.0, 0.0, d))
+    border = boundary(NormalisedLoop.ideal(0.0, 0.0, d))
     for factor in (1 - 1e-6, 1 + 1e-6):
         point = border.alpha_max * factor, border.beta_at_alpha_max
         exact = stable_by_schur_cohn(characteristic(0, 0, d, *point))
         assert exact == (factor < 1)
-        assert is_stable(Loop(0.0, 0.0, d), *point)[0] == exact
+        assert is_stable(NormalisedLoop.ideal(0.0, 0.0, d), *point)[0] == exact
 
 
-@pytest.mark.parametrize("loop", [Loop(0, 0, 2), Loop(0.001, 0.02, 1), Loop(9.8, 0, 0), Loop(0, 10, 2.5)])
-def test_the_line_without_stiffness_is_not_stable(loop: Loop) -> None:
+@pytest.mark.parametrize(
+    "loop",
+    [
+        NormalisedLoop.ideal(0, 0, 2),
+        NormalisedLoop.ideal(0.001, 0.02, 1),
+        NormalisedLoop.ideal(9.8, 0, 0),
+        NormalisedLoop.ideal(0, 10, 2.5),
+    ],
+)
+def test_the_line_without_stiffness_is_not_stable(loop: NormalisedLoop) -> None:
     beta = np.linspace(0.01, 0.4, 50)  # an eigenvalue alone says 1 - 2e-16 at some of them
     assert not is_stable(loop, -loop.gamma, beta).any()
 
@@ -83,7 +94,7 @@ def test_the_line_without_stiffness_is_not_stable(loop: Loop) -> None:
 @pytest.mark.sampled
 @pytest.mark.parametrize("values", [*ORDINARY, *RESONANT, *UNDELAYED])
 def test_extremes_against_a_dense_grid_of_verdicts(values: tuple[float, float, float]) -> None:
-    loop = Loop(*values)
+    loop = NormalisedLoop.ideal(*values)
     border = boundary(loop)
     width, height = border.alpha_max + loop.gamma, border.beta_max - border.beta.min()
     size = 80 if loop.states < 30 else 24
@@ -108,7 +119,7 @@ def test_extremes_against_a_dense_grid_of_verdicts(values: tuple[float, float, f
 def test_every_point_of_the_boundary_has_a_pole_on_the_circle_and_none_outside(
     values: tuple[float, float, float],
 ) -> None:
-    loop = Loop(*values)
+    loop = NormalisedLoop.ideal(*values)
     border = boundary(loop, 60)
     some = slice(2, -1, 1 if loop.states < 30 else 20)
     radius = spectral_radius(loop, border.alpha[some], border.beta[some])
@@ -117,16 +128,16 @@ def test_every_point_of_the_boundary_has_a_pole_on_the_circle_and_none_outside(
 
 def test_closed_values_without_delay_and_with_one_sample() -> None:
     # d = 0: alpha_max = 12 - 8 sqrt 2; d = 1: beta_max = 2 (sqrt 2 - 1)
-    assert boundary(Loop(0, 0, 0)).alpha_max == pytest.approx(12 - 8 * math.sqrt(2), rel=1e-13)
-    assert boundary(Loop(0, 0, 0)).beta_at_alpha_max == pytest.approx(2 * (math.sqrt(2) - 1), rel=1e-6)
-    assert boundary(Loop(0, 0, 1)).beta_max == pytest.approx(2 * (math.sqrt(2) - 1), rel=1e-13)
+    assert boundary(NormalisedLoop.ideal(0, 0, 0)).alpha_max == pytest.approx(12 - 8 * math.sqrt(2), rel=1e-13)
+    assert boundary(NormalisedLoop.ideal(0, 0, 0)).beta_at_alpha_max == pytest.approx(2 * (math.sqrt(2) - 1), rel=1e-6)
+    assert boundary(NormalisedLoop.ideal(0, 0, 1)).beta_max == pytest.approx(2 * (math.sqrt(2) - 1), rel=1e-13)
 
 
 def test_the_boundary_moves_steadily_with_the_delay() -> None:
-    alpha = [boundary(Loop(0, 0, d)).alpha_max for d in np.linspace(0, 3, 25)]
+    alpha = [boundary(NormalisedLoop.ideal(0, 0, d)).alpha_max for d in np.linspace(0, 3, 25)]
     assert (np.diff(alpha) < 0).all()
 
 
 def test_too_few_points_are_refused() -> None:
     with pytest.raises(ParameterError, match="at least 8"):
-        boundary(Loop(0, 0, 0), 7)
+        boundary(NormalisedLoop.ideal(0, 0, 0), 7)

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.theory.boundary import boundary
 from pipeline.theory.costs import point_costs_by_name
 from pipeline.theory.poles import spectral_radius
@@ -47,7 +47,9 @@ def test_rise_times_of_stiff_devices(seed):
     random = np.random.default_rng(seed)
     delta = random.uniform(60, 500)
     gamma = min(10 ** random.uniform(3, 5), delta**2 / 4 + 9)
-    loop = Loop(gamma, delta, float(random.uniform(1, 64)) if seed % 2 else float(random.integers(1, 65)))
+    loop = NormalisedLoop.ideal(
+        gamma, delta, float(random.uniform(1, 64)) if seed % 2 else float(random.integers(1, 65))
+    )
     border = boundary(loop)
     alpha = np.concatenate((random.uniform(-gamma, border.alpha_max, 40), 10 ** random.uniform(-4, 0, 40)))
     beta = random.uniform(border.beta.min(), border.beta_max, 80)
@@ -60,7 +62,7 @@ def test_rise_times_of_stiff_devices(seed):
 
 def test_the_rise_time_that_was_doubted():
     """Told 0.0143 and said to be 0.1777: the spring brings such a device there within a fiftieth of a sample."""
-    loop = Loop(55004.46417657257, 469.06061090820066, 49.00974266867465)
+    loop = NormalisedLoop.ideal(55004.46417657257, 469.06061090820066, 49.00974266867465)
     wall = 0.03187373888722966, -398.5826812399944
     (found,) = point_costs_by_name(loop, *(np.array([each]) for each in wall), ("rise_time",), 3000)["rise_time"]
     assert found == pytest.approx(rise_time(loop, *wall), rel=1e-8)

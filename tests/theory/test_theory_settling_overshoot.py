@@ -24,8 +24,8 @@ from independent import (
 
 import pipeline.theory.settling_overshoot
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop, loop_of
-from pipeline.records.loop_parts import Coefficients, LoopParts
+from pipeline.device.parts import Coefficients, LoopParts
+from pipeline.loop.normalised_loop import NormalisedLoop, loop_of
 from pipeline.theory.boundary import boundary
 from pipeline.theory.poles import is_stable, spectral_radius
 from pipeline.theory.settling_overshoot import late_deviation, transient_costs
@@ -57,7 +57,7 @@ def compare(cases: list[tuple[float, ...]], decades: float, fine: int) -> list[f
     widths = []
     for (gamma, delta, p, q), group in groupby(cases, key=lambda case: case[:4]):
         walls = list(group)
-        costs = transient_costs(Loop(gamma, delta, p / q), *np.array(walls)[:, 4:].T, BANDS)
+        costs = transient_costs(NormalisedLoop.ideal(gamma, delta, p / q), *np.array(walls)[:, 4:].T, BANDS)
         motions = simulate_many(walls, [horizon(case, decades) for case in walls], fine=fine)
         for i, (case, motion) in enumerate(zip(walls, motions, strict=True)):
             widths += check(case, motion, {name: float(values[i]) for name, values in costs.items()}, decades)
@@ -99,12 +99,12 @@ def test_points_at_the_ends_of_the_domain() -> None:
     ],
 )
 def test_extreme_points(case: tuple[float, ...]) -> None:
-    assert is_stable(Loop(case[0], case[1], case[2] / case[3]), case[4], case[5])[0]
+    assert is_stable(NormalisedLoop.ideal(case[0], case[1], case[2] / case[3]), case[4], case[5])[0]
     compare([case], decades=6.0, fine=32)
 
 
 def test_close_to_the_boundary() -> None:
-    loop = Loop(0, 0, 1)
+    loop = NormalisedLoop.ideal(0, 0, 1)
     border = boundary(loop)
     case = (0.0, 0.0, 1, 1, border.alpha_max * 0.98, border.beta_at_alpha_max)
     compare([case], decades=6.0, fine=32)
@@ -120,7 +120,7 @@ def test_close_to_the_boundary() -> None:
 def test_ending_a_response_early_changes_nothing(
     values: tuple[float, float, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    loop = Loop(*values)
+    loop = NormalisedLoop.ideal(*values)
     border = boundary(loop)
     rng = np.random.default_rng(8)
     alpha = -loop.gamma + (border.alpha_max + loop.gamma) * rng.random(300) ** 1.5
@@ -146,7 +146,7 @@ def test_ending_a_response_early_changes_nothing(
 def test_samples_never_settle_later_or_overshoot_more_than_the_motion(
     d: float, plant: tuple[float, float], across: float, along: float, band: float
 ) -> None:
-    loop = Loop(*plant, d)
+    loop = NormalisedLoop.ideal(*plant, d)
     border = boundary(loop, 50)
     alpha = -loop.gamma + across * (border.alpha_max + loop.gamma)
     beta = border.beta.min() + along * (border.beta_max - border.beta.min())
@@ -169,19 +169,19 @@ def test_samples_never_settle_later_or_overshoot_more_than_the_motion(
 def test_bursts_behind_a_long_delay_are_met(loop, wall, band, true) -> None:
     """One sample in d + 1 moves: a look at every 16th once missed it, alone (68.3) and among others (136.2, 76.5)."""
     name = f"settle_{100 * band:g}pct"
-    found = transient_costs(Loop(*loop), *wall, (band,))
+    found = transient_costs(NormalisedLoop.ideal(*loop), *wall, (band,))
     assert found[name][0] == pytest.approx(true, abs=0.005)
     assert found[f"{name}_discrete"][0] == math.ceil(true)
     first = math.floor(true) - 1
     assert (
-        late_deviation(Loop(*loop), *wall, first, 4000)[0]
+        late_deviation(NormalisedLoop.ideal(*loop), *wall, first, 4000)[0]
         > band
-        >= late_deviation(Loop(*loop), *wall, first + 2, 4000)[0]
+        >= late_deviation(NormalisedLoop.ideal(*loop), *wall, first + 2, 4000)[0]
     )
 
 
 def test_a_search_may_ask_for_less() -> None:
-    loop = Loop(0, 0, 1)
+    loop = NormalisedLoop.ideal(0, 0, 1)
     alpha, beta = np.array([0.0449, 0.10, 0.13]), np.array([0.3037, 0.40, 0.42])
     full = transient_costs(loop, alpha, beta)
     assert not {"overshoot", "overshoot_discrete"} & set(transient_costs(loop, alpha, beta, overshoot=False))
@@ -200,7 +200,7 @@ def test_a_search_may_ask_for_less() -> None:
 
 
 def test_a_slow_response_is_told_by_its_modes() -> None:
-    loop, alpha, beta = Loop(0, 0.1, 3), 1e-4, 0.01
+    loop, alpha, beta = NormalisedLoop.ideal(0, 0.1, 3), 1e-4, 0.01
     # one slow pole carries the response: the closed form of its decay, to the samples that the fast poles last
     slow = -1 / math.log(spectral_radius(loop, alpha, beta)[0])
     found = transient_costs(loop, alpha, beta, (0.02,), longest=8000)
@@ -214,20 +214,20 @@ def test_a_slow_response_is_told_by_its_modes() -> None:
 @pytest.mark.parametrize("bands", [(0.0,), (1.0,), (-0.02,), (2.0,), (0.02, math.nan)])
 def test_bands_must_be_fractions(bands: tuple[float, ...]) -> None:
     with pytest.raises(ParameterError, match="between 0 and 1"):
-        transient_costs(Loop(0, 0, 0), 0.1, 0.5, bands)
+        transient_costs(NormalisedLoop.ideal(0, 0, 0), 0.1, 0.5, bands)
 
 
 @pytest.mark.parametrize(("alpha", "what"), [(0.0, r"alpha \+ gamma > 0"), (-0.1, r"> 0"), (math.nan, "finite")])
 def test_points_without_a_final_position_are_refused(alpha: float, what: str) -> None:
     with pytest.raises(ParameterError, match=what):
-        transient_costs(Loop(0, 0, 0), alpha, 0.5)
+        transient_costs(NormalisedLoop.ideal(0, 0, 0), alpha, 0.5)
 
 
 @pytest.mark.parametrize(
     ("loop", "alpha", "beta", "band"),
     [
-        (Loop(0, 0.01, 0), 0.19794514, 1.58567338, 0.02),
-        (Loop(0, 0.05, 2), 0.01963576, 0.49473666, 0.01),
+        (NormalisedLoop.ideal(0, 0.01, 0), 0.19794514, 1.58567338, 0.02),
+        (NormalisedLoop.ideal(0, 0.05, 2), 0.01963576, 0.49473666, 0.01),
         (
             loop_of(
                 *(0.6299726022685423, 4.04685746699751, 0.0, 4.0, 1e-3),

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.wording import commonest, counted, listed
+from pipeline.device.parts import VelocityFilter
 from pipeline.measured.experiment.fitted_device import FEWEST_LOGS, MOST
 from pipeline.measured.law.velocity_filter import VelocityFilterFound
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.findings import MATTERS
-from pipeline.records.loop_parts import VelocityFilter
 from pipeline.records.results import Cause
 from pipeline.rendering.labels import range_text, significant
 

@@ -22,10 +22,10 @@ from pipeline.comparison.loops.wall_replay import (
     usual_trial,
     wall_replay,
 )
+from pipeline.device.parts import LoopParts
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Parameter
-from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import Device, Experiment
 from pipeline.records.results import LIMITS_WITHIN, ExperimentResult, LoopFindings, LoopResult, WallReplay
 from pipeline.rendering.labels import Units, significant

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.comparison.limits import measured_limits
 from pipeline.comparison.loops.causes import FEW
 from pipeline.comparison.loops.told_loop import ToldLoop
-from pipeline.loop.loop import LARGEST_DELAY
+from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.law.log_rows import SET_DIGITS
 from pipeline.plan.found_device import LoopPoint
 from pipeline.records.results import ExperimentResult, PassiveWall

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from pipeline.comparison.loops.departures import course_filter
-from pipeline.loop.loop import LARGEST_DELAY
+from pipeline.device.parts import Coefficients, LoopParts, VelocityFilter
+from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.law.log_rows import SET_DIGITS
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import AT_LOAD, FoundDevice, LoopPoint, stated_device
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Parameter
-from pipeline.records.loop_parts import Coefficients, LoopParts, VelocityFilter
 from pipeline.records.models import Device, Experiment
 from pipeline.records.results import ExperimentResult, TheoryParameters
 from pipeline.theory.predictions import Theory

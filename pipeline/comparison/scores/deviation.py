@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.criteria import DISCRETE, criterion_of
@@ -205,7 +205,7 @@ def _is_steady(alpha: Floats, beta: Floats, theory: Floats, ratio: Floats, decis
     return True
 
 
-def _least_in_range(loop: Loop, alpha: Floats, beta: Floats, criterion: str) -> float:
+def _least_in_range(loop: NormalisedLoop, alpha: Floats, beta: Floats, criterion: str) -> float:
     """Return theory's least cost within the smallest rectangle that holds the tested points, inf where it has none."""
     ends = (float(alpha.min()), float(alpha.max())), (float(beta.min()), float(beta.max()))
     least, window = np.inf, ends

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.comparison.scene.scene import SceneData
-from pipeline.loop.loop import LARGEST_DELAY
+from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.criteria import ENERGY, members
 from pipeline.records.findings import DRIFTS

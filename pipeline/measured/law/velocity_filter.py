@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.device.parts import Butterworth, Coefficients, Difference, VelocityFilter
 from pipeline.measured.law.log_rows import SET_DIGITS
 from pipeline.records.batch import Booleans, Floats
-from pipeline.records.loop_parts import Butterworth, Coefficients, Difference, VelocityFilter
 
 HIGHEST_ORDER = 4
 """Of a recursive velocity filter that is looked for; the thesis and drives use 1 or 2."""

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.loop.loop import Vibration, device_matrices
+from pipeline.loop.normalised_loop import Vibration, device_matrices
 from pipeline.records.batch import Floats, Integers
 
 _TERMS = 14

@@ -191,11 +191,10 @@ def design(
     answer = answer_of(loop, wanted, keep=keep or (), **wish)  # type: ignore[arg-type]
     if picture is not None:
         draw(loop, answer, ("sampling_period_s", "delay_samples"), picture)
-    parts, quantum = known.loop_of(conditions), known.sensor.quantum
-    coulomb = parts.friction.coulomb if parts.friction is not None else 0.0
+    coulomb, quantum = loop.value("friction.coulomb") or 0.0, loop.sensor.quantum
     rows = published_limits(loop, answer.wall["damping"] or 0.0, coulomb=coulomb, quantum=quantum)
     document = {"device": known.name, "experiment": conditions.name, "hand": hand, **answer.document()}
-    low, high = conditions.delay_range
+    low, high = loop.delay_range
     document |= {"delay_samples": conditions.delay_samples, "delay_samples_low": low, "delay_samples_high": high}
     document["left_out"] = list(loop.left_out)
     document["quantum"] = _quantum(coulomb / loop.force_gain, quantum, wanted)
@@ -224,10 +223,11 @@ def _held(device: Device, conditions: Any, hand: str | None) -> Loop:
     """Return the loop of a device, held by an arm where one is named."""
     from dataclasses import replace
 
+    from pipeline.device.parts import Operator
     from pipeline.device_data.published import human_arms
-    from pipeline.surface.physical_loop import loop_of_device
+    from pipeline.surface.physical_loop import Loop
 
-    loop = loop_of_device(device, conditions)
+    loop = Loop.of(device.loop_for(conditions))
     if hand is None:
         return loop
     arms = {arm.source.lower(): arm for arm in human_arms()}
@@ -235,7 +235,7 @@ def _held(device: Device, conditions: Any, hand: str | None) -> Loop:
         raise UsageError(f"--hand {hand}: expected one of {', '.join(arm.source for arm in human_arms())}.")
     if loop.motion == "rotation":
         raise UsageError("--hand: arms of Table 3.2 are in kg and N/m. Give an operator in the device file.")
-    return replace(loop, operator=arms[hand.lower()].model_dump(include={"mass", "damping", "stiffness"}))
+    return replace(loop, operator=Operator(**arms[hand.lower()].model_dump(include={"mass", "damping", "stiffness"})))
 
 
 def _quantum(coulomb: float, quantum: float, stiffness: float | None) -> dict[str, Any] | None:

@@ -121,7 +121,7 @@ def cost_map(
 ) -> None:
     """Compute costs on a grid over the stable region, as Parquet.
 
-    In SI, for a device: `Loop.map` in Python.
+    In SI, for a device: `NormalisedLoop.map` in Python.
 
     Example: pipeline theory map --delay 1 --criteria settle_2pct,energy_step_w0 --out map.parquet
     """
@@ -196,6 +196,6 @@ def _case(delay: float | None, gamma: float, delta: float, device: str | None, e
         return case_of(known, find_experiment(known, experiment) if experiment else known.experiments[0])
     if delay is None:
         raise ParameterError("expected --delay, or --device for the loop of a device file.")
-    from pipeline.loop.loop import Loop
+    from pipeline.loop.normalised_loop import NormalisedLoop
 
-    return Case(Loop(gamma, delta, delay))
+    return Case(NormalisedLoop.ideal(gamma, delta, delay))

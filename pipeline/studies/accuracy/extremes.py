@@ -8,11 +8,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pipeline.loop.loop import LARGEST_DELAY
+from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.records.accuracy import OURS, WRONG, Sweep
 from pipeline.studies.accuracy.measure import FAILURES, largest
 from pipeline.studies.accuracy.peers import Case
-from pipeline.studies.accuracy.theory import ENERGY, PLANTS, RADII, case_of, installed, loop_of, reference
+from pipeline.studies.accuracy.theory import ENERGY, PLANTS, RADII, case_of, installed, normalised_loop, reference
 from pipeline.theory.boundary import is_inside
 from pipeline.theory.poles import is_stable
 
@@ -98,7 +98,7 @@ def _radius_sweep(name: str, method: str, of: Callable[..., Any], path: Sequence
     found = [_attempt(lambda *wall: float(of(*wall)[0]), *wall) for wall in walls]
     stable = [radius is not None and radius < 1 for radius in found]
     if method == OURS:
-        stable = [bool(is_stable(loop_of(row), *wall[1:])[0]) for row, wall in zip(path, walls, strict=True)]
+        stable = [bool(is_stable(normalised_loop(row), *wall[1:])[0]) for row, wall in zip(path, walls, strict=True)]
     errors = [f and abs(f - row["radius"]) / row["radius"] for f, row in zip(found, path, strict=True)]
     missing = [f is None for f in found]
     wrong = [m or s != (row["excess"] < 0) for m, s, row in zip(missing, stable, path, strict=True)]
@@ -114,7 +114,7 @@ def _energy_errors(of: Callable[..., Any], row: Row, case: Case) -> list[float |
 
 def _margins() -> Iterator[Sweep]:
     """Yield shares of wrong verdicts at points a little inside and outside the boundary."""
-    case, loop = case_of(reference()["loop"]), loop_of(reference()["loop"])
+    case, loop = case_of(reference()["loop"]), normalised_loop(reference()["loop"])
     alpha, beta = (np.array(reference()["boundary"][name]) for name in ("alpha", "beta"))
     path = [{"x": 10.0**-k} for k in MARGINS]
     for method in ("polynomial roots", "eigenvalues", OURS):

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.device_data.devices import find_experiment, load_device
-from pipeline.loop.loop import Loop, Normalised
+from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.measured.cost import costs
 from pipeline.measured.cost.energy import energy_interval
 from pipeline.measured.cost.reading_error import reading_error
@@ -94,12 +94,12 @@ class Trials:
         return round(float(self.delay[0]))
 
 
-def truth(delay_samples: float = DELAY) -> tuple[Setup, Normalised, Loop]:
+def truth(delay_samples: float = DELAY) -> tuple[Setup, LoopUnits, NormalisedLoop]:
     """Return the simulated device with a constant delay, its units, and its loop, whose costs are the truth."""
     device = load_device("falcon")
     found = find_experiment(device, "1")
     setup = replace(setup_of(device, found), jitter_samples=(), delay_samples=delay_samples)
-    units = Normalised(found.mass, device.sampling_period_s)
+    units = LoopUnits(found.mass, device.sampling_period_s)
     return setup, units, units.loop(found.stiffness, found.damping, delay_samples)
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from functools import cache, partial
 from importlib.util import find_spec
 from itertools import count
@@ -17,10 +16,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pipeline.loop.loop import Loop, Vibration
+from pipeline.device.parts import Butterworth
+from pipeline.loop.normalised_loop import NormalisedLoop
+from pipeline.loop.state_space import Plant
 from pipeline.records.accuracy import OURS, reference_file
 from pipeline.records.batch import Floats
-from pipeline.records.loop_parts import Butterworth
 from pipeline.studies.accuracy import peers
 from pipeline.studies.accuracy.measure import Row, Table, Values
 from pipeline.studies.accuracy.peers import Case
@@ -71,22 +71,24 @@ def case_of(entry: dict[str, Any]) -> Case:
     return Case(entry["gamma"], entry["delta"], entry["delay"])
 
 
-def loop_of(entry: dict[str, Any]) -> Loop:
+def normalised_loop(entry: dict[str, Any]) -> NormalisedLoop:
     """Return the loop of reference values, as this package takes it."""
-    mode = Vibration(entry["far_mass"], entry["spring"], entry["damper"], False) if entry.get("far_mass") else None
+    numbers = {"lag": entry.get("lag", 0.0), "load_mass": entry.get("far_mass", 0.0)}
+    if numbers["load_mass"]:
+        numbers |= {"spring": entry["spring"], "spring_damping": entry["damper"]}
     order, cutoff = entry.get("order", 2), entry.get("cutoff")
     velocity = Butterworth(kind="butterworth", order=order, cutoff_hz=cutoff) if cutoff else None
-    return Loop(entry["gamma"], entry["delta"], float(entry["delay"]), entry.get("lag", 0.0), mode, velocity)
+    return NormalisedLoop(Plant(1.0, entry["delta"], entry["gamma"], **numbers), float(entry["delay"]), velocity)
 
 
-def unknown(loop: Loop) -> Loop:
+def unknown(loop: NormalisedLoop) -> NormalisedLoop:
     """Return a loop of which nothing is kept from earlier calls: each has a damping some roundings larger."""
-    return replace(loop, delta=loop.delta + next(_repetition) * 2.0**-57)
+    return loop.with_delta(loop.delta + next(_repetition) * 2.0**-57)
 
 
 def own_numerator(gamma: float, delta: float) -> tuple[float, float]:
     """Return n1 and n0 of the sampled plant by this package."""
-    matrix, push, _, _ = Loop(gamma, delta, 0.0).open_loop
+    matrix, push, _, _ = NormalisedLoop.ideal(gamma, delta, 0.0).open_loop
     return peers.numerator(np.column_stack((matrix[:2, :2], push[:2])))
 
 
@@ -95,7 +97,7 @@ def installed(ways: dict[str, _Way]) -> dict[str, _Way]:
     return {name: way for name, way in ways.items() if name != PEER or find_spec("control")}
 
 
-def own_costs(loop: Loop, alpha: Floats, beta: Floats, names: Mapping[str, str]) -> Values:
+def own_costs(loop: NormalisedLoop, alpha: Floats, beta: Floats, names: Mapping[str, str]) -> Values:
     """Return costs by quantity as this package has them."""
     found = point_costs_by_name(loop, alpha, beta, list(names.values()), LONGEST)
     return {quantity: found[name] for quantity, name in names.items()}
@@ -115,7 +117,7 @@ RADII: dict[str, Callable[[Case, Floats, Floats], Floats]] = {
     "eigenvalues": peers.radius_by_eigenvalues,
     "squaring of the loop matrix": lambda case, *wall: peers.radius_by_squaring(peers.matrices(case, *wall), 40),
     PEER: peers.radius_by_control,
-    OURS: lambda case, *wall: spectral_radius(loop_of(vars(case)), *wall),
+    OURS: lambda case, *wall: spectral_radius(normalised_loop(vars(case)), *wall),
 }
 """Ways to the spectral radius."""
 
@@ -123,7 +125,7 @@ ENERGY: dict[str, Callable[[Case, Floats, Floats], Floats]] = {
     "truncated recurrence, 512 samples": partial(peers.truncated_energy, samples=512),
     "truncated recurrence, 8192 samples": partial(peers.truncated_energy, samples=8192),
     "Lyapunov equations (scipy)": peers.lyapunov_energy,
-    OURS: lambda case, a, b: np.array([*own_costs(loop_of(vars(case)), a, b, OWN_ENERGIES).values()]),
+    OURS: lambda case, a, b: np.array([*own_costs(normalised_loop(vars(case)), a, b, OWN_ENERGIES).values()]),
 }
 """Ways to the energies of a step, shape (3, n)."""
 
@@ -131,7 +133,7 @@ ENERGY: dict[str, Callable[[Case, Floats, Floats], Floats]] = {
 def theory_tables() -> Iterator[Table]:
     """Yield the tables of the ideal loop, then those of loops with parts."""
     known = reference()["points"]
-    case, loop = case_of(reference()["loop"]), loop_of(reference()["loop"])
+    case, loop = case_of(reference()["loop"]), normalised_loop(reference()["loop"])
     points = {name: np.array([row[name] for row in known["rows"]]) for name in known["rows"][0]}
     wall = points["alpha"], points["beta"]
     plants = reference()["plant"]
@@ -157,7 +159,7 @@ def _one(quantity: str, run: Callable[..., Any], *first: Any) -> Callable[..., V
     return lambda *setting: {quantity: np.asarray(run(*first, *setting))}
 
 
-def _edge(case: Case, loop: Loop) -> Table:
+def _edge(case: Case, loop: NormalisedLoop) -> Table:
     """Boundary: largest alpha at some beta."""
     edge = reference()["boundary"]
     beta, high = np.array(edge["beta"]), 1.1 * edge["alpha_max"]
@@ -179,7 +181,7 @@ def _edge(case: Case, loop: Loop) -> Table:
     )
 
 
-def _costs(case: Case, loop: Loop, points: Mapping[str, Floats]) -> Table:
+def _costs(case: Case, loop: NormalisedLoop, points: Mapping[str, Floats]) -> Table:
     """Costs of the responses behind some walls."""
     wall = points["alpha"], points["beta"]
 
@@ -214,7 +216,7 @@ def _optimum(quantity: str, criterion: str) -> Table:
     cost = partial(_simulated_cost, case_of(best), tuple(COSTS.values()).index(criterion))
 
     def ours() -> Values:
-        point = optimal_point(unknown(loop_of(best)), criterion)
+        point = optimal_point(unknown(normalised_loop(best)), criterion)
         return {quantity: np.array([point.alpha, point.beta])}
 
     grid = _one(quantity, peers.grid_optimum, cost, SEARCH_BOX)
@@ -242,7 +244,7 @@ def _simulated_cost(case: Case, place: int, alpha: Floats, beta: Floats) -> Floa
     return result
 
 
-def _map(case: Case, loop: Loop, known: dict[str, Any]) -> Table:
+def _map(case: Case, loop: NormalisedLoop, known: dict[str, Any]) -> Table:
     """Costs of the samples over a grid, all criteria in a row."""
     axes = np.array(known["axis_alpha"]), np.array(known["axis_beta"])
     usable = axes[0] > 0  # at alpha = 0 the wall does not hold the device
@@ -271,7 +273,7 @@ def _map(case: Case, loop: Loop, known: dict[str, Any]) -> Table:
 def _with_parts() -> Iterator[Table]:
     """Yield the tables of a loop with filter, lag, mode and fractional delay, and of loops that end a method early."""
     known, hard = reference()["device"], reference()["hard"]
-    shape, (edge, radius) = loop_of(known["loop"]), GENERAL
+    shape, (edge, radius) = normalised_loop(known["loop"]), GENERAL
     beta, wall = np.array(known["limit_beta"]), (np.array(known["alpha"]), np.array(known["beta"]))
     # a Butterworth filter of order 2 delays slow motion by sqrt(2) over its cut-off
     late = shape.delay + shape.lag + np.sqrt(2) / (2 * np.pi * known["loop"]["cutoff"])
@@ -282,7 +284,10 @@ def _with_parts() -> Iterator[Table]:
     yield Table(
         {edge: np.array(known["limit_alpha"])},
         (
-            Row("longer delay for filter and lag", lambda: {edge: stiffness_limit(Loop(0.0, shape.delta, late), beta)}),
+            Row(
+                "longer delay for filter and lag",
+                lambda: {edge: stiffness_limit(NormalisedLoop.ideal(0.0, shape.delta, late), beta)},
+            ),
             Row("eigenvalues and bisection", bisection, _TOLERANCE, (1e-2, 1e-6, 1e-10), 2),
             Row(OURS, lambda: {edge: stiffness_limit(unknown(shape), beta)}),
         ),
@@ -300,7 +305,7 @@ def _with_parts() -> Iterator[Table]:
     )
 
     def ours() -> Values:
-        walls = [(loop_of(row), np.array([row["alpha"]]), np.array([row["beta"]])) for row in hard]
+        walls = [(normalised_loop(row), np.array([row["alpha"]]), np.array([row["beta"]])) for row in hard]
         found = [own_costs(*each, HARD) for each in walls]
         return {quantity: np.concatenate([costs[quantity] for costs in found]) for quantity in HARD}
 

@@ -17,7 +17,7 @@ from pipeline.comparison.figures.responses import (
     trial_figure,
 )
 from pipeline.comparison.scene.scene import open_scene
-from pipeline.records.loop_parts import Butterworth, LoopParts
+from pipeline.device.parts import Butterworth, LoopParts
 from pipeline.records.results import TheoryParameters
 from pipeline.rendering.figures.drawing import draw
 from pipeline.theory.predictions import Theory

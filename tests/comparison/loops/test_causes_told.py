@@ -8,9 +8,9 @@ from kinds import kinds, record
 import pipeline
 from pipeline.comparison.compare import compare
 from pipeline.comparison.loops.told_loop import filter_parameters
+from pipeline.device.parts import Butterworth, Difference
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
-from pipeline.records.loop_parts import Butterworth, Difference
 from pipeline.records.models import Device
 from pipeline.simulation.course import write_course
 from pipeline.surface.stored import costs

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.device.parts import Butterworth, Friction
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.found_device import FoundDevice
 from pipeline.records.batch import TrialBatch
-from pipeline.records.loop_parts import Butterworth, Friction
 from pipeline.records.models import Device
 from pipeline.simulation.course import Course, write_course
 from pipeline.simulation.radius import spectral_radius

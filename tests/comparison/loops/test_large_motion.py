@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from fine_loop import Body, run
 
+from pipeline.device.parts import Friction, LoopParts
 from pipeline.measured.experiment.fitted_device import FittedDevice
 from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
-from pipeline.records.loop_parts import Friction, LoopParts
 
 MASS, DAMPING, T, DELAY, COULOMB = 0.456, 4.6, 0.001, 4, 0.9
 B = np.array([40.0, 100.0])

@@ -6,10 +6,10 @@ import pytest
 from general_devices import Example, ManyDigits
 
 from pipeline.comparison.compare import compare
+from pipeline.device.parts import LoopParts
 from pipeline.device_data.devices import read_device
 from pipeline.intake.ingest import ingest
-from pipeline.loop.loop import loop_of, wall_units
-from pipeline.records.loop_parts import LoopParts
+from pipeline.loop.normalised_loop import loop_of, wall_units
 from pipeline.simulation.course import run_course, write_course
 from pipeline.theory.boundary import stiffness_limit
 

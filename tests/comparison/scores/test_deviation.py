@@ -8,7 +8,7 @@ from labs import make_lab
 
 from pipeline.comparison.scores.deviation import _least_in_range, deviation
 from pipeline.device_data.devices import load_device
-from pipeline.loop.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.findings import MATTERS
 from pipeline.theory.costs import costs_at
 from pipeline.theory.optimum import optimal_point
@@ -86,7 +86,7 @@ def test_trials_on_one_line_have_no_slope_across_it() -> None:
 
 @pytest.mark.parametrize("criterion", [pytest.param("settle_2pct", marks=pytest.mark.slow), "energy_step_w1"])
 def test_least_cost_in_a_range_that_ends_before_the_optimum(criterion: str) -> None:
-    loop = Loop(0.0, 0.0069, 4.0)
+    loop = NormalisedLoop.ideal(0.0, 0.0069, 4.0)
     best = optimal_point(loop, f"{criterion}_discrete")
     alpha, beta = best.alpha * np.array([0.2, 0.8]), best.beta * np.array([0.3, 0.9])
     a, b = (g.ravel() for g in np.meshgrid(np.linspace(*alpha, 150), np.linspace(*beta, 151)))

@@ -11,11 +11,11 @@ from labs import make_lab
 
 import pipeline
 from pipeline.comparison.scene.scene import open_scene
+from pipeline.device.parts import LoopParts
 from pipeline.device_data.devices import load_device
 from pipeline.measured.experiment.rest_forces import _spring as spring_by_rests
 from pipeline.measured.experiment.rest_forces import rest_forces, rest_spring
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.loop_parts import LoopParts
 
 SPRING = 300.0
 LOOP = pipeline.Loop(0.8, 7.0, 0.001, 3, stiffness=SPRING)

@@ -10,6 +10,7 @@ import pytest
 from labelled import GROUPS, Group, Labelled, cut, join, labelled_set
 
 from pipeline.base.errors import ParameterError
+from pipeline.device.parts import Butterworth, SimulationParts
 from pipeline.measured.cost import costs
 from pipeline.measured.signal.disturbance import LONGEST_SPAN, Device, find_disturbance, learn_device
 from pipeline.measured.signal.events import usual_length
@@ -17,7 +18,6 @@ from pipeline.measured.signal.outcome import BAND, OUTCOMES, Outcomes, classify
 from pipeline.measured.signal.response import Response, find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.batch import TrialBatch, TrialGroups
-from pipeline.records.loop_parts import Butterworth, SimulationParts
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import simulate
 

@@ -7,10 +7,10 @@ import pytest
 from not_ideal import decays, simulate
 from simulated import FALCON, spectral_radius
 
+from pipeline.device.parts import SimulationParts
 from pipeline.device_data.devices import load_device
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
-from pipeline.records.loop_parts import SimulationParts
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate as simulate_loop
 

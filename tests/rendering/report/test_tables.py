@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from report_data import estimate, report_data
 
-from pipeline.records.loop_parts import LoopParts
+from pipeline.device.parts import LoopParts
 from pipeline.records.results import ComparisonResult, HeaderLine, TheoryParameters, Truth, TruthHeld
 from pipeline.rendering.figures.drawing import draw
 from pipeline.rendering.figures.overview import delay_figure, trend_figure

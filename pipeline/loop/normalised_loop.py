@@ -10,7 +10,7 @@ displacement: they obey the homogeneous equation and lose no digits while they d
 from __future__ import annotations
 
 import math
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
@@ -20,11 +20,13 @@ from numpy.typing import NDArray
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, bilinear, exponential, many_digits, resolvent, total
+from pipeline.loop.state_space import Plant, StateSpace, plant_of, state_space
 from pipeline.loop.velocity_filter import filter_in_w, filter_in_z, filter_order, filter_steps, per_sample
 from pipeline.records.batch import Floats
 
 if TYPE_CHECKING:  # its classes take longer to load than a short command to run
-    from pipeline.records.loop_parts import LinearFilter, LoopParts
+    from pipeline.device.loop import Loop
+    from pipeline.device.parts import LinearFilter
 
 
 _Number = TypeVar("_Number", np.float64, np.complex128)
@@ -37,11 +39,7 @@ LARGEST_FILTER = 96
 
 SMALLEST, LARGEST = 1e-60, 1e60
 """Sizes of a mass per unit of command, and of a sampling period: their units of stiffness and damping neither overflow
-nor vanish. Each number of a device is narrower (`records.loop_parts`)."""
-
-LEAST_RATIO = 1e-12
-"""Damping ratio of a mode without any: without loss the device's zeros lie on the unit circle, and the crossings beside
-them are closer than doubles tell apart. It moves a limit by less than 1e-9 of it, a pole by less than its rounding."""
+nor vanish. Each number of a device is narrower (`device.parts`)."""
 
 LARGEST_RATE = 1e7
 """Largest entry of the device's normalised matrix; a lag of 1e-7 samples is none."""
@@ -52,13 +50,13 @@ _DIGITS = 100
 
 
 @dataclass(frozen=True)
-class Normalised:
-    """Factors between physical and normalised parameters (Table 3.1).
+class LoopUnits:
+    """Factors between physical and normalised parameters of a wall (Table 3.1).
 
     Parameters
     ----------
     mass : float
-        m [kg, kg m^2], > 0.
+        m of the device that the wall feels, per unit of command [kg, kg m^2], > 0.
     sampling_period_s : float
         T [s], > 0.
     """
@@ -73,6 +71,11 @@ class Normalised:
             if not SMALLEST <= value <= LARGEST:
                 raise ParameterError(f"{name} = {value}: expected a number from {SMALLEST:g} to {LARGEST:g}.")
 
+    @classmethod
+    def of(cls, loop: Loop) -> LoopUnits:
+        """Return the units of the walls of a device."""
+        return cls(loop.apparent().mass, loop.sampling_period_s)
+
     @property
     def stiffness(self) -> float:
         """Stiffness [N/m, Nm/rad] that alpha = 1 stands for: m/T^2."""
@@ -83,10 +86,6 @@ class Normalised:
         """Damping [Ns/m, Nms/rad] that beta = 1 stands for: m/T."""
         return self.mass / self.sampling_period_s
 
-    def loop(self, stiffness: float, damping: float, delay_samples: float) -> Loop:
-        """Return the normalised loop of a device with physical stiffness k, damping b and delay factor d."""
-        return Loop(stiffness / self.stiffness, damping / self.damping, delay_samples)
-
 
 @dataclass(frozen=True)
 class Segment:
@@ -94,29 +93,6 @@ class Segment:
 
     duration: float
     age: int
-
-
-@dataclass(frozen=True)
-class Vibration:
-    """A mode, normalised: a mass far from the motor on a spring and damper, as shares of the mass of all.
-
-    Parameters
-    ----------
-    far_mass : float
-        Share of the far mass, in (0, 1).
-    stiffness, damping : float
-        Of the spring between both, normalised like gamma and delta.
-    sensor_far : bool
-        Whether the position is sensed at the far mass.
-    far_damping : float
-        What the far mass bears of delta.
-    """
-
-    far_mass: float
-    stiffness: float
-    damping: float
-    sensor_far: bool
-    far_damping: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -147,23 +123,19 @@ class OwnSteps:
     velocity: Digits
 
 
-@dataclass(frozen=True, repr=False)
-class Loop:
+@dataclass(frozen=True)
+class NormalisedLoop:
     """A plant behind a delay, without its wall; alpha and beta are arguments of what is computed from it.
 
-    It is ideal, a mass with damper and spring, unless it has parts: lag, mode or velocity filter. Those are linear too:
-    a continuous device with two to five states behind a delay, and a wall law with a filter.
+    Its motion is linear: a continuous device with two to five states, and a wall law with a filter.
 
     Parameters
     ----------
-    gamma, delta : float
-        Normalised physical stiffness and damping, >= 0; gamma <= pi^2 + delta^2/4, both <= 1e7. With a mode per mass of
-        all: the stiffness of the motor's side with what holds it, the damping of both sides.
+    plant : Plant
+        Of mass 1, with the sampling period as the unit of time: gamma = k T^2/m is its stiffness, delta = b T/m its
+        damping; gamma <= pi^2 + delta^2/4, both >= 0 and <= 1e7.
     delay : float
         Delay factor d = t_d/T, integer or fractional, 0 <= d <= 256.
-    lag : float
-        Time constant of the actuator [T], >= 0.
-    mode : Vibration, optional
     velocity : LinearFilter, optional
         With frequencies per sampling rate; it remembers at most 96 samples.
 
@@ -180,17 +152,37 @@ class Loop:
     With w = (z - 1)/(z + 1) the unit circle is the imaginary axis, and both ends of it (slow motion at w = 0, half the
     sampling rate at w = infinity) keep their digits. The transfer functions of device and filter are therefore kept as
     polynomials in w, exact to many digits: `Sampled`.
+
+    Examples
+    --------
+    >>> NormalisedLoop.ideal(0.0, 0.01, 2.0).states
+    5
     """
 
-    gamma: float
-    delta: float
+    plant: Plant
     delay: float
-    lag: float = 0.0
-    mode: Vibration | None = None
     velocity: LinearFilter | None = None
 
+    @classmethod
+    def ideal(cls, gamma: float, delta: float, delay: float) -> NormalisedLoop:
+        """Return the loop of a mass with damper and spring, and the plain difference as velocity."""
+        return cls(Plant(1.0, delta, gamma), delay)
+
+    @classmethod
+    def of(cls, loop: Loop) -> NormalisedLoop:
+        """Return the normalised loop of a device, without what linear theory cannot include (`Loop.left_out`).
+
+        Raises
+        ------
+        ParameterError
+            If a normalised parameter is outside its range.
+        """
+        device = loop.normalised()
+        return cls(plant_of(device), device.delay_samples, per_sample(device.velocity, 1.0))
+
     def __post_init__(self) -> None:
-        for name, value in (("gamma", self.gamma), ("delta", self.delta), ("delay", self.delay), ("lag", self.lag)):
+        for name in ("gamma", "delta", "delay", "lag"):
+            value = getattr(self, name)
             if not math.isfinite(value) or value < 0:
                 raise ParameterError(f"{name} = {value}: expected a finite number that is not negative.")
         if self.delay > LARGEST_DELAY:
@@ -206,16 +198,31 @@ class Loop:
                 f"gamma = {self.gamma}: expected at most pi^2 + delta^2/4 = {largest:.6g} (4.15); above it the plant "
                 "swings faster than it is sampled."
             )
-        rate = float(np.abs(self.device[0]).max())
+        rate = float(np.abs(self.device.matrix).max())
         if rate > LARGEST_RATE:
             raise ParameterError(
                 f"the device changes within {1 / rate:.2g} sampling periods: expected no faster than "
                 f"{1 / LARGEST_RATE:g}. Leave out the lag or mode that is so fast."
             )
 
-    def __repr__(self) -> str:
-        given = (part for part in fields(self) if part.default is MISSING or getattr(self, part.name) != part.default)
-        return f"Loop({', '.join(f'{part.name}={getattr(self, part.name)!r}' for part in given)})"
+    @property
+    def gamma(self) -> float:
+        """Normalised stiffness of the device, k T^2/m."""
+        return self.plant.stiffness
+
+    @property
+    def delta(self) -> float:
+        """Normalised damping of the device, b T/m."""
+        return self.plant.damping
+
+    @property
+    def lag(self) -> float:
+        """Time constant of the actuator [T]."""
+        return self.plant.lag
+
+    def with_delta(self, delta: float) -> NormalisedLoop:
+        """Return the loop with another damping of the device."""
+        return replace(self, plant=replace(self.plant, damping=delta))
 
     @cached_property
     def segments(self) -> tuple[Segment, ...]:
@@ -232,13 +239,9 @@ class Loop:
         return self.segments[0].age
 
     @cached_property
-    def device(self) -> tuple[Floats, Floats, Floats]:
-        """Continuous device: its matrix (n, n), the input's column (n,) and the row of the sensed position (n,).
-
-        States: position and velocity of the centre of mass; with a mode the distance of the far mass from it, and its
-        rate; with a lag the actuator's force. So a blow on however light a near side is one of 1 in each.
-        """
-        return device_matrices(self.gamma, self.delta, self.lag, self.mode)
+    def device(self) -> StateSpace:
+        """Continuous device."""
+        return state_space(self.plant)
 
     @property
     def digits(self) -> int:
@@ -247,7 +250,7 @@ class Loop:
 
     def moved(self, duration: float) -> tuple[Digits, Digits]:
         """Return the exact transition (n, n) and input gain (n,) over a time [T] with constant input."""
-        matrix, push, _ = self.device
+        matrix, push = self.device.matrix, self.device.command
         n = len(matrix)
         both = as_exact(np.zeros((n + 1, n + 1)))
         both[:n, :n], both[:n, n] = as_exact(matrix), as_exact(push)
@@ -259,7 +262,7 @@ class Loop:
     def pushes(self) -> tuple[Digits, tuple[Digits, ...]]:
         """Transition of a whole sampling interval, and what the force of each segment adds at its end."""
         with many_digits(self.digits):
-            whole = as_exact(np.eye(len(self.device[1])))
+            whole = as_exact(np.eye(len(self.device.sensor)))
             gains: list[Digits] = []
             for transition, gain in (self.moved(segment.duration) for segment in self.segments):
                 whole = transition @ whole
@@ -272,7 +275,7 @@ class Loop:
         with many_digits(self.digits):
             whole, gains = self.pushes
             bottom, adjugate = resolvent(whole)
-            tops = [as_exact(self.device[2]) @ adjugate @ gain for gain in gains]
+            tops = [as_exact(self.device.sensor) @ adjugate @ gain for gain in gains]
             # the newer force comes first by one sample: z times its polynomial
             top = total(tops[0], np.append(as_exact([0]), tops[1])) if len(tops) > 1 else tops[0]
             n = len(bottom) - 1
@@ -293,7 +296,7 @@ class Loop:
             b, a, keep, rise = filter_steps(self.velocity)
             p, f = len(whole), len(b) - 1
             free, position = as_exact(np.zeros((p + 1 + f, p + 1 + f))), as_exact(np.zeros(p + 1 + f))
-            position[:p] = as_exact(self.device[2])
+            position[:p] = as_exact(self.device.sensor)
             difference = position.copy()
             difference[p] -= 1
             velocity = b[0] * difference
@@ -348,7 +351,7 @@ class Loop:
 
         The device's state at the start, and the wall's force in each of `segments`, for the ``law`` of each point.
         """
-        p, newest = len(self.device[1]), self.states - self.oldest_force - 1
+        p, newest = len(self.device.sensor), self.states - self.oldest_force - 1
         forces = [
             values[:, newest + part.age] if part.age else np.einsum("ns,nsm->nm", law, values) for part in self.segments
         ]
@@ -360,50 +363,17 @@ class Loop:
         A ``step`` (deviation -1 from the final position, at rest) is part of the command, so it passes the lag; an
         ``impulse`` is a hit of unit momentum on the motor's side.
         """
-        p = len(self.device[1])
+        p = len(self.device.sensor)
         z = np.zeros((len(alpha), self.states))
         if signal == "impulse":
-            z[:, 1] = 1.0
-            if self.mode is not None:
-                z[:, 3] = -1.0
+            z[:, :p] = self.device.force
             return z
         if signal != "step":
             raise ParameterError(f"signal = {signal!r}: expected 'step' or 'impulse'.")
+        z[:, :p] = -self.gamma * self.device.at_rest
         z[:, 0] = z[:, p] = -1.0
-        if self.lag > 0:
-            z[:, p - 1] = -self.gamma
         z[:, self.states - self.oldest_force :] = np.asarray(alpha)[:, None]
         return z
-
-
-def device_matrices(gamma: float, delta: float, lag: float, mode: Vibration | None) -> tuple[Floats, Floats, Floats]:
-    """Return matrix (n, n), input (n,) and sensor row (n,) of `Loop.device`, of numbers normalised like its own.
-
-    They may be negative, or complex for the slopes of a search.
-    """
-    of_mode = mode or Vibration(0.0, 0.0, 0.0, False)
-    count, near = 2 + 2 * (mode is not None), 1.0 - of_mode.far_mass
-    motor = np.array([1.0, -of_mode.far_mass / near])[: count // 2]
-    held = -np.kron(motor, [gamma, delta - of_mode.far_damping])
-    kind = np.result_type(held, np.asarray(of_mode.stiffness), np.asarray(of_mode.damping))
-    matrix, push, sensor = np.zeros((count, count), kind), np.zeros(count), np.zeros(count, kind)
-    matrix[0, 1] = push[1] = 1.0
-    matrix[1] = held
-    sensor[::2] = motor
-    if mode is not None:
-        matrix[2, 3] = 1.0
-        matrix[3] = -held
-        matrix[3, 2:] -= np.array([mode.stiffness, mode.damping]) * (1 / mode.far_mass + 1 / near)
-        push[3] = -1.0
-        for row, moved in ((1, 1.0), (3, near / mode.far_mass)):
-            matrix[row, 1::2] -= moved * mode.far_damping
-        if mode.sensor_far:
-            sensor[2] = 1.0
-    if lag == 0:
-        return matrix, push, sensor
-    lagged = np.zeros((count + 1, count + 1), np.result_type(matrix, np.asarray(lag)))
-    lagged[:count, :count], lagged[:count, count], lagged[count, count] = matrix, push, -1 / lag
-    return lagged, np.append(np.zeros(count), 1 / lag), np.append(sensor, 0.0)
 
 
 def as_points(alpha: object, beta: object) -> tuple[Floats, Floats]:
@@ -422,67 +392,3 @@ def as_points(alpha: object, beta: object) -> tuple[Floats, Floats]:
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
         raise ParameterError("alpha and beta must be finite numbers.")
     return np.ascontiguousarray(a), np.ascontiguousarray(b)
-
-
-def wall_units(mass: float, sampling_period_s: float, parts: LoopParts) -> Normalised:
-    """Return the units of a device's wall: its mass with the operator's, per unit of command."""
-    held = parts.operator.mass if parts.operator is not None else 0.0
-    return Normalised((mass + held) / parts.force_gain, sampling_period_s)
-
-
-def loop_of(
-    mass: float,
-    damping: float,
-    stiffness: float,
-    delay_samples: float,
-    sampling_period_s: float,
-    parts: LoopParts,
-) -> Loop:
-    """Return the normalised loop of a device: an ideal one where its parts leave it ideal.
-
-    Parameters
-    ----------
-    mass, damping, stiffness : float
-        Of the device, both sides of a mode together, without operator: m [kg, kg m^2], b [Ns/m, Nms/rad] and
-        k [N/m, Nm/rad].
-    delay_samples : float
-        t_d/T, integer or fractional.
-    sampling_period_s : float
-        T [s].
-    parts : LoopParts
-        Friction is no part of a linear loop (`LoopParts.left_out`).
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of range, or parts do not fit mass or sampling period.
-    """
-    mistakes = parts.mistakes(mass, damping, sampling_period_s)
-    if mistakes:
-        raise ParameterError("; ".join(mistakes))
-    operator, mode = parts.operator, parts.mode
-    everything = mass
-    if operator is not None:
-        everything, damping = mass + operator.mass, damping + operator.damping
-        stiffness += operator.stiffness
-    ideal = Normalised(everything, sampling_period_s).loop(stiffness, damping, delay_samples)
-    vibration = None
-    if mode is not None:
-        # the free-free resonance is that of the device alone, without the operator
-        reduced = mode.mass * (mass - mode.mass) / mass / everything
-        turn = 2 * math.pi * mode.frequency_hz * sampling_period_s
-        vibration = Vibration(
-            mode.mass / everything,
-            reduced * turn**2,
-            2 * max(mode.damping_ratio, LEAST_RATIO) * turn * reduced,
-            mode.sensor == "load",
-            mode.load_damping * sampling_period_s / everything,
-        )
-    return Loop(
-        ideal.gamma,
-        ideal.delta,
-        delay_samples,
-        parts.actuator_lag_s / sampling_period_s,
-        vibration,
-        per_sample(parts.velocity, sampling_period_s),
-    )

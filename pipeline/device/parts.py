@@ -1,4 +1,4 @@
-"""The tables ``[loop]`` and ``[simulation]`` of a device file: all beside mass, damper and delay. Absent is ideal.
+"""Parts of a loop, and the tables ``[loop]`` and ``[simulation]`` of a device file. What is absent is ideal.
 
 Theory and estimates never read ``[simulation]``: it holds what logs of a lab may suffer from, and nobody wrote down.
 """
@@ -8,15 +8,10 @@ from __future__ import annotations
 from math import sqrt
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 SMALLEST, LARGEST = 1e-30, 1e30
 """Sizes of numbers in SI, zero apart: products of the few that meet in a formula neither overflow nor vanish."""
-
-
-LIGHTEST_LOAD, LEAST_LOSS = 1e-6, 1e-9
-"""Load of a mode, as a share of the whole mass, and its damping ratio, below which, both, doubles cannot tell its
-crossings of the unit circle apart."""
 
 
 def _of_a_size(value: float) -> float:
@@ -168,8 +163,15 @@ class Friction(Part):
         return self
 
 
-class LoopParts(Part):
-    """The ``[loop]`` table of a device or an experiment; what it does not name is ideal."""
+class Sensor(Part):
+    """Position sensor: quantisation step and standard deviation of white noise before it, in m or rad."""
+
+    quantum: NonNegative = 0.0
+    noise: NonNegative = 0.0
+
+
+class LoopTable(Part):
+    """The ``[loop]`` table of a device or an experiment, as a file has it; what it does not name is ideal."""
 
     velocity: VelocityFilter | None = None
     actuator_lag_s: NonNegative = 0.0
@@ -178,94 +180,9 @@ class LoopParts(Part):
     operator: Operator | None = None
     friction: Friction | None = None
 
-    @property
-    def load_damping(self) -> float:
-        """What a mode's far side bears of the device's damping: none of it makes a wall passive."""
-        return self.mode.load_damping if self.mode else 0.0
-
-    def over(self, lower: LoopParts) -> LoopParts:
-        """Return these parts, with those of another where this one does not name them."""
-        return LoopParts(**{**named(lower), **named(self)})
-
-    def felt(self, mass: float, damping: float, stiffness: float) -> tuple[float, float, float, LoopParts]:
-        """Return mass, damping and stiffness that the wall feels, per unit of command, and the parts beside them.
-
-        Operator and gain are in the numbers. With an operator's mass on the motor's side a mode vibrates more slowly.
-        """
-        held, mode = self.operator, self.mode
-        everything = mass + (held.mass if held else 0.0)
-        if mode is not None:
-            free, loaded = (mode.mass * (each - mode.mass) / each for each in (mass, everything))
-            slower, gain = sqrt(free / loaded), self.force_gain
-            mode = Mode(
-                frequency_hz=mode.frequency_hz * slower,
-                damping_ratio=mode.damping_ratio * slower,
-                mass=mode.mass / gain,
-                sensor=mode.sensor,
-                load_damping=mode.load_damping / gain,
-            )
-        if held is not None:
-            damping, stiffness = damping + held.damping, stiffness + held.stiffness
-        left = self.model_copy(update={"operator": None, "force_gain": 1.0, "mode": mode})
-        return everything / self.force_gain, damping / self.force_gain, stiffness / self.force_gain, left
-
-    def words(self) -> str:
-        """Return the linear parts in words, for captions; empty for an ideal loop."""
-        found = []
-        if isinstance(self.velocity, Butterworth):
-            found.append(f"velocity filter (Butterworth, order {self.velocity.order}, {self.velocity.cutoff_hz:g} Hz)")
-        elif isinstance(self.velocity, Difference):
-            found.append(f"velocity over {self.velocity.samples} samples")
-        elif self.velocity is not None:
-            found.append(f"velocity filter ({self.velocity.kind})")
-        if self.actuator_lag_s > 0:
-            found.append(f"actuator lag {1000 * self.actuator_lag_s:g} ms")
-        if self.mode is not None:
-            found.append(f"vibration mode at {self.mode.frequency_hz:g} Hz, sensed at the {self.mode.sensor}")
-        if self.operator is not None:
-            found.append("operator")
-        if self.force_gain != 1:
-            found.append(f"force gain {self.force_gain:g}")
-        return ", ".join(found)
-
-    @property
-    def left_out(self) -> list[str]:
-        """Names of the parts that linear theory cannot hold: a velocity over a window of its own, friction."""
-        velocity = ["velocity"] if isinstance(self.velocity, AdaptiveWindow | Levant) else []
-        return velocity + (["friction"] if self.friction is not None else [])
-
-    def mistakes(self, mass: float, damping: float, sampling_period_s: float) -> list[str]:
-        """Return what a device of a mass [kg, kg m^2], damping [Ns/m, Nms/rad] and sampling period [s] cannot have, as
-        sentences."""
-        found = []
-        if self.mode is not None and self.mode.mass >= mass:
-            found.append(f"loop.mode.mass: found {self.mode.mass:g}; must be below the mass of both sides, {mass:g}")
-        if self.mode is not None and self.mode.mass < LIGHTEST_LOAD * mass and self.mode.damping_ratio < LEAST_LOSS:
-            found.append(
-                f"loop.mode.mass: found {self.mode.mass:g}, below {LIGHTEST_LOAD:g} of the mass of both sides, with a "
-                f"damping_ratio below {LEAST_LOSS:g}: too light for its effect to be computed; leave the mode out"
-            )
-        if self.mode is not None and self.mode.load_damping > damping:
-            found.append(
-                f"loop.mode.load_damping: found {self.mode.load_damping:g}; must be at most the damping of both sides, "
-                f"{damping:g}"
-            )
-        if isinstance(self.velocity, Kalman):
-            try:
-                self.velocity.coefficients(sampling_period_s)
-            except ValidationError:
-                index = self.velocity.acceleration * sampling_period_s**2 / self.velocity.noise
-                found.append(
-                    f"loop.velocity: found a tracking index acceleration T^2/noise of {index:.3g}; the filter's poles "
-                    "would lie on the unit circle"
-                )
-        nyquist = 0.5 / sampling_period_s
-        if isinstance(self.velocity, Butterworth) and self.velocity.cutoff_hz >= nyquist:
-            found.append(
-                f"loop.velocity.cutoff_hz: found {self.velocity.cutoff_hz:g}; must be below half the sampling rate, "
-                f"{nyquist:g} Hz"
-            )
-        return found
+    def over(self, lower: LoopTable) -> LoopTable:
+        """Return this table, with the entries of another where this one does not name them."""
+        return LoopTable(**{**named(lower), **named(self)})
 
 
 def named(parts: Part) -> dict[str, object]:

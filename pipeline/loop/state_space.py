@@ -1,0 +1,157 @@
+"""The linear motion of a device as a state space: the only place where a loop's mechanics become matrices.
+
+Theory, estimators, simulator and checks all take their matrices from `state_space`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.records.batch import Floats
+
+if TYPE_CHECKING:  # its classes take longer to load than a short command to run
+    from pipeline.device.loop import Loop
+
+LEAST_RATIO = 1e-12
+"""Damping ratio of a mode without any: without loss the device's zeros lie on the unit circle, and the crossings beside
+them are closer than doubles separate. It moves a limit by less than 1e-9 of it, a pole by less than its rounding."""
+
+
+@dataclass(frozen=True)
+class Plant:
+    """The numbers of a linear motion, in any consistent units: SI, or those of mass and sampling period.
+
+    They are not checked: those of a search may be negative, or complex for slopes.
+
+    Parameters
+    ----------
+    mass, damping, stiffness : float
+        Of the whole device, per unit of command where the input is one: m, b, k.
+    lag : float
+        Time constant of the actuator, 0 for none.
+    load_mass, load_damping : float
+        Parts of mass and damping that belong to the load of a vibration mode; no mode where ``load_mass`` is 0.
+    spring, spring_damping : float
+        What joins load and motor.
+    sensor_at_load : bool
+        Whether the position of the load is read instead of that of the motor.
+    """
+
+    mass: float
+    damping: float
+    stiffness: float
+    lag: float = 0.0
+    load_mass: float = 0.0
+    load_damping: float = 0.0
+    spring: float = 0.0
+    spring_damping: float = 0.0
+    sensor_at_load: bool = False
+
+    @property
+    def has_mode(self) -> bool:
+        """Whether it has a load on a spring."""
+        return self.load_mass != 0
+
+
+def plant_of(loop: Loop) -> Plant:
+    """Return the linear motion of a device as its wall feels it, operator included, per unit of command.
+
+    Of a mode with free-free resonance w, damping ratio z and masses m_1 (motor) and m_2 (load), the spring is
+    M w^2 and its damping 2 z w M with the reduced mass M = m_1 m_2/(m_1 + m_2). Friction is no part of it.
+    """
+    device = loop.apparent()
+    mode = device.mode
+    if mode is None:
+        return Plant(device.mass, device.damping, device.stiffness, device.actuator_lag_s)
+    turn, reduced = 2 * pi * mode.frequency_hz, mode.mass * (device.mass - mode.mass) / device.mass
+    return Plant(
+        device.mass,
+        device.damping,
+        device.stiffness,
+        device.actuator_lag_s,
+        mode.mass,
+        mode.load_damping,
+        reduced * turn**2,
+        2 * max(mode.damping_ratio, LEAST_RATIO) * turn * reduced,
+        mode.sensor == "load",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class StateSpace:
+    """x' = matrix x + command u + force f, position = sensor x; u is the delayed command, f a force on the motor.
+
+    States: position and velocity of the centre of mass; with a mode the distance of the load from it, and its rate;
+    with a lag the actuator's force.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n, n)
+    command, force : ndarray, shape (n,)
+        Columns of the command, through the actuator, and of a force that acts on the motor itself.
+    sensor : ndarray, shape (n,)
+        Row of the position that is read.
+    at_rest : ndarray, shape (n,)
+        State per unit of a force that the actuator has long exerted, the device held in place.
+    """
+
+    matrix: Floats
+    command: Floats
+    force: Floats
+    sensor: Floats
+    at_rest: Floats
+
+
+def state_space(plant: Plant) -> StateSpace:
+    """Return the state space of a linear motion.
+
+    Parameters
+    ----------
+    plant : Plant
+        With real or complex numbers; an imaginary part of 1e-20 gives the slope along a number (Squire, Trapp 1998).
+
+    Returns
+    -------
+    StateSpace
+        In the units of the plant.
+
+    Notes
+    -----
+    About the centre of mass, so that a blow on however light a motor is one of 1/m in each state: with the motor at
+    x_c - (m_2/m_1) y and the load at x_c + y, m x_c'' = f - k x_1 - (b - b_l) x_1' - b_l x_2'.
+
+    Examples
+    --------
+    >>> system = state_space(Plant(mass=2.0, damping=4.0, stiffness=0.0))
+    >>> system.matrix.tolist(), system.command.tolist()
+    ([[0.0, 1.0], [-0.0, -2.0]], [0.0, 0.5])
+    """
+    mass, count = plant.mass, 4 if plant.has_mode else 2
+    load = plant.load_mass / mass
+    near = 1.0 - load
+    motor = np.array([1.0, -load / near])[: count // 2]
+    motor_force = -np.kron(motor, [plant.stiffness, plant.damping - plant.load_damping]) / mass
+    kind = np.result_type(motor_force, np.asarray(plant.spring), np.asarray(plant.spring_damping))
+    matrix, force, sensor = np.zeros((count, count), kind), np.zeros(count), np.zeros(count, kind)
+    matrix[0, 1], force[1] = 1.0, 1 / mass
+    matrix[1] = motor_force
+    sensor[::2] = motor
+    if plant.has_mode:
+        matrix[2, 3], force[3] = 1.0, -1 / mass
+        matrix[3] = -motor_force
+        matrix[3, 2:] -= np.array([plant.spring, plant.spring_damping]) / mass * (1 / load + 1 / near)
+        for row, moved in ((1, 1.0), (3, near / load)):
+            matrix[row, 1::2] -= moved * plant.load_damping / mass
+        if plant.sensor_at_load:
+            sensor[2] = 1.0
+    at_rest = np.zeros(count)
+    if plant.lag == 0:
+        return StateSpace(matrix, force, force, sensor, at_rest)
+    lagged = np.zeros((count + 1, count + 1), np.result_type(matrix, np.asarray(plant.lag)))
+    lagged[:count, :count], lagged[:count, count], lagged[count, count] = matrix, force, -1 / plant.lag
+    command = np.append(np.zeros(count), 1 / plant.lag)
+    return StateSpace(lagged, command, np.append(force, 0.0), np.append(sensor, 0.0), np.append(at_rest, 1.0))
