@@ -52,8 +52,8 @@ def digest_all(parts: Iterable[str]) -> str:
 
 
 CODE = {
-    "stages": ("base", "records", "store", "loop", "recording", "measured"),
-    "theory": ("base", "records", "loop", "theory"),
+    "stages": ("base", "device", "records", "store", "loop", "recording", "measured"),
+    "theory": ("base", "device", "records", "loop", "theory"),
     "report": (".",),
 }
 """Folders of the package that make a kind of stored result, with all that these may import."""

@@ -19,10 +19,9 @@ from pipeline.comparison.figures.responses import trials_of
 from pipeline.comparison.scene.origin import excluded_trials
 from pipeline.comparison.scene.scene import SceneData, open_scene
 from pipeline.comparison.scores.scores import add_scores
-from pipeline.device.parts import LoopParts
-from pipeline.loop.normalised_loop import wall_units
+from pipeline.loop.normalised_loop import LoopUnits
 from pipeline.measured.experiment.boundary import boundary_area
-from pipeline.measured.experiment.fitted_device import fitted_device
+from pipeline.measured.experiment.identified_loop import identified_loop
 from pipeline.measured.student import NORMAL_95
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
@@ -463,7 +462,7 @@ class _Gathered:
         if self.theory is not None:
             return self.theory.units.stiffness, self.theory.units.damping
         stages = self.data.experiments[0]
-        fitted = stages.once(fitted_device)
+        fitted = stages.once(identified_loop)
         mass = fitted.estimate("mass", "kg").value if fitted is not None else None
         if mass is None or not mass > 0:
             why = self.result.estimates["mass"].reason or "its logs leave the mass open"
@@ -472,7 +471,7 @@ class _Gathered:
                 "plane of alpha and beta, which needs a mass. There is no device file with this experiment, and the "
                 f"logs give no estimate: {why.rstrip('.')}."
             )
-        units = wall_units(mass, stages.sampling_period_s, LoopParts())
+        units = LoopUnits(mass, stages.sampling_period_s)
         return units.stiffness, units.damping
 
 

@@ -218,7 +218,7 @@ def _compute(
             builder = TableBuilder(data, theories)
             say("theory: optima for the estimated parameters")
             predictions.start(builder.requests())
-            own = {name: theory.parameters for name, theory in theories.items()}
+            own = {name: theory.described for name, theory in theories.items()}
             results = [r.model_copy(update={"theory": own.get(r.experiment)}) for r in results]
         predictions.finish()
     rows = builder.rows(predictions, results)

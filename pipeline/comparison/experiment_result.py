@@ -11,21 +11,21 @@ from pipeline.base.provenance import code_digest, digest
 from pipeline.comparison.loops.departures import SHORT as OTHER_WALL
 from pipeline.comparison.loops.departures import law_departures, other_gains, untimed
 from pipeline.comparison.loops.findings import loop_findings
+from pipeline.comparison.loops.loop_basis import adequate_theory
 from pipeline.comparison.loops.recording_faults import cause_of, recording_faults, unsafe_recording, words_of
-from pipeline.comparison.loops.told_loop import adequate_theory
 from pipeline.comparison.loops.wall_replay import with_large_motion
 from pipeline.comparison.scene.origin import header_lines
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.comparison.summary.advice import region_to_use
-from pipeline.device.parts import LoopParts
+from pipeline.device.loop import Loop
 from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.experiment.boundary import boundary_area
 from pipeline.measured.experiment.estimates import by_model
-from pipeline.measured.experiment.fitted_device import fitted_device
+from pipeline.measured.experiment.identified_loop import identified_loop
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.records.findings import BoundaryPoint, Estimate
 from pipeline.records.models import Experiment
-from pipeline.records.results import NOT_ADEQUATE, ExperimentResult, LoopFindings, TheoryParameters
+from pipeline.records.results import NOT_ADEQUATE, ExperimentResult, LoopFindings, SourcedLoop
 from pipeline.rendering.labels import Units
 from pipeline.store.storage import stage_folder
 from pipeline.theory.predictions import Theory
@@ -42,28 +42,18 @@ def nominal_theories(data: SceneData) -> dict[str, Theory]:
     """
     if data.device is None:
         return {}
-    device = data.device
-    found = {
-        e.name: Theory(
-            TheoryParameters(
-                mass=e.mass,
-                damping=e.damping,
-                stiffness=e.stiffness,
-                sampling_period_s=device.sampling_period_s,
-                delay_samples=e.delay_samples,
-                loop=device.loop_of(e),
-                source=f"device file {device.name}{_with(device.loop_of(e), device.left_out(e))}",
-            )
-        )
-        for e in device.experiments
-        if e.delay_samples <= LARGEST_DELAY
+    loops = {entry.name: data.device.loop_for(entry) for entry in data.device.experiments}
+    theories = {
+        name: Theory(SourcedLoop(loop=loop, source=f"device file {data.device.name}{_with(loop)}"))
+        for name, loop in loops.items()
+        if loop.delay_samples <= LARGEST_DELAY
     }
-    return {name: theory for name, theory in found.items() if theory.stabilised}
+    return {name: theory for name, theory in theories.items() if theory.stabilised}
 
 
-def _with(parts: LoopParts, left_out: Sequence[str]) -> str:
-    text = f", with {parts.words()}" if parts.words() else ""
-    return f"{text}; without {', '.join(left_out)}" if left_out else text
+def _with(loop: Loop) -> str:
+    text = f", with {loop.parts_in_words()}" if loop.parts_in_words() else ""
+    return f"{text}; without {', '.join(loop.left_out)}" if loop.left_out else text
 
 
 def estimated_theories(results: Sequence[ExperimentResult], data: SceneData) -> dict[str, Theory]:
@@ -100,7 +90,7 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
         boundary=_known_points(stages),
         optimum=optimum,
         missing=missing,
-        theory=theory.parameters if theory else None,
+        theory=theory.described if theory else None,
         header=header_lines(stages),
         recording=stages.once(recording_faults),
     )
@@ -142,7 +132,7 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
     findings = _findings(data, stages, result, units)
     found = dict(result.estimates)
     if not findings.loop.adequate:
-        device = stages.once(fitted_device)
+        device = stages.once(identified_loop)
         if device is None or not device.tells:
             found |= {name: _doubted(found[name]) for name in _OF_A_LOOP if name in found}
     named = {name: getattr(findings, name) for name in LoopFindings.model_fields}
@@ -187,7 +177,7 @@ def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) 
         "mass": stages.mass_estimate if "mass" in needed else by_model(stages, "mass"),
         "damping": stages.damping_estimate,
         "boundary_area": area,
-        "friction": by_model(stages, "coulomb"),
+        "friction": by_model(stages, "friction.coulomb"),
         "device_stiffness": by_model(stages, "stiffness"),
         "constant_force": by_model(stages, "constant_force"),
         "jitter_samples": stages.jitter_estimate,

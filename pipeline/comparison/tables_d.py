@@ -88,7 +88,7 @@ class TableBuilder:
         found, why = predictions.get(theory, criterion + kind), predictions.why(theory, criterion + kind)
         condition = "theory_discrete" if kind else "theory_continuous"
         note = why if found is None else None if table.kind == "delay" else _region_note(found)
-        return self._row(table, criterion, condition, theory.parameters.delay_samples, found, note)
+        return self._row(table, criterion, condition, theory.loop.delay_samples, found, note)
 
     def _measured_row(
         self,
@@ -100,7 +100,7 @@ class TableBuilder:
         parts: Deviation | None,
     ) -> ComparisonRow:
         of_theory = table.kind == "delay" and theory is not None
-        delay = theory.parameters.delay_samples if theory and of_theory else result.estimates["delay_samples"].value
+        delay = theory.loop.delay_samples if theory and of_theory else result.estimates["delay_samples"].value
         condition = condition_of(table, result.experiment, self._published_size(table))
         best = result.optimum.get(criterion)
         about: dict[str, Any] = {"experiment": result.experiment, "deviation": parts}

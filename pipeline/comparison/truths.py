@@ -15,10 +15,11 @@ import numpy as np
 from pydantic import ValidationError
 
 from pipeline.base.errors import ParameterError
-from pipeline.device.parts import LoopParts
+from pipeline.device.loop import Loop
+from pipeline.device.parts import LoopTable
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.findings import BoundaryPoint, Estimate, holds
-from pipeline.records.results import ExperimentResult, TheoryParameters, Truth, TruthHeld
+from pipeline.records.results import ExperimentResult, SourcedLoop, Truth, TruthHeld
 from pipeline.simulation.simulate import age_in_force
 from pipeline.theory.boundary import stiffness_limit
 from pipeline.theory.predictions import Theory
@@ -60,25 +61,22 @@ def truth_of(document: Mapping[str, Any]) -> Truth:
         If it is no such document.
     """
     hidden, jitter = document["simulation"], document["jitter_samples"]
-    parts = LoopParts.model_validate(document["loop"])
+    table = LoopTable.model_validate(document["loop"])
     doubts = ["the delay jitters"] if jitter else []
-    doubts += ["there is friction"] if parts.friction else []
+    doubts += ["there is friction"] if table.friction else []
     doubts += [f"the simulation has {name.replace('_', ' ')}" for name in _MOVES_THE_LIMIT if hidden[name]]
     delay, spread = age_in_force(jitter) if jitter else (document["delay_samples"], 0.0)
-    loop = TheoryParameters(
-        **document["plant"],
-        sampling_period_s=document["sampling_period_s"],
-        delay_samples=delay,
-        loop=parts.model_copy(update={"force_gain": parts.force_gain * (1 + hidden["gain_error"])}),
-        source="simulator",
-    )
+    parts = dict(table) | {"force_gain": table.force_gain * (1 + hidden["gain_error"])}
+    period = document["sampling_period_s"]
+    loop = Loop(**document["plant"], sampling_period_s=period, delay_samples=delay, **parts)
+    known = SourcedLoop(loop=loop, source="simulator")
     reason = f"{' and '.join(doubts)}: linear theory has no limit for that" if doubts else None
     try:
-        Theory(loop).loop  # noqa: B018
+        Theory(known).normalised  # noqa: B018
     except ParameterError as error:
         reason = reason or str(error)
     return Truth(
-        loop=loop,
+        loop=known,
         jitter_samples=spread,
         constant_force=hidden["constant_force"],
         limit_reason=reason,
@@ -109,7 +107,7 @@ def _limits(truth: Truth, damping: list[float]) -> list[float | None]:
     if truth.limit_reason or not damping:
         return [None] * len(damping)
     theory = Theory(truth.loop)
-    limit = stiffness_limit(theory.loop, np.array(damping) / theory.units.damping) * theory.units.stiffness
+    limit = stiffness_limit(theory.normalised, np.array(damping) / theory.units.damping) * theory.units.stiffness
     return [float(each) for each in np.maximum(limit, 0.0)]
 
 

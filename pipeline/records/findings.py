@@ -12,8 +12,8 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from pipeline.base.wording import counted
+from pipeline.device.parameters import Motion as Motion
 
-Motion = Literal["translation", "rotation"]
 Grip = Literal["none", "comfortable", "firm"]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -57,8 +57,23 @@ class Trend(Record):
     span: float | None = None
 
 
-class Estimate(Record):
-    """A quantity with its 95 % interval and method, or no value and the reason for that.
+class Quantity(Record):
+    """A number with its 95 % interval, unit and method, or no value and the reason for that.
+
+    An end is None where nothing bounds it. ``unit`` is empty for a number without one, ``method`` where it is that of
+    the record which the quantity is part of.
+    """
+
+    value: float | None
+    low: float | None = None
+    high: float | None = None
+    unit: str = ""
+    method: str = ""
+    reason: str | None = None
+
+
+class Estimate(Quantity):
+    """A quantity by the trials of an experiment.
 
     ``spread`` is the standard deviation between trials beyond their own errors, ``within`` the median standard error of
     one trial. ``trials`` were used; ``outliers`` are the ids of those that were not because they lie apart, ``refused``
@@ -66,12 +81,8 @@ class Estimate(Record):
     that of a simulation, set by no estimator.
     """
 
-    value: float | None
-    low: float | None = None
-    high: float | None = None
     unit: str
     method: str
-    reason: str | None = None
     trials: int = 0
     by_method: dict[str, Estimate] = Field(default_factory=dict)
     spread: NonNegative | None = None
@@ -87,14 +98,6 @@ class Estimate(Record):
         if self.value is None and not self.reason:
             raise ValueError("an estimate without a value needs a reason")
         return self
-
-
-class Parameter(Record):
-    """A parameter of a loop in SI with its 95 % interval; one that a device file states is its own interval."""
-
-    value: float
-    low: float
-    high: float
 
 
 class ModelCheck(Record):

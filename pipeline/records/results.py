@@ -19,7 +19,7 @@ from pipeline.records.findings import (
     ModelCheck,
     Note,
     Optimum,
-    Parameter,
+    Quantity,
     Record,
     Severity,
 )
@@ -196,7 +196,7 @@ NOT_ADEQUATE = "its loop is not adequate"
 class LoopResult(Record):
     """The loop that theory and all statements about an experiment rest on, and whether it may bear them.
 
-    ``mass``, ``damping`` and ``stiffness`` are what the wall feels, operator included, per unit of command;
+    ``mass``, ``damping``, ``stiffness`` and ``mode`` are what the wall feels, operator included, per unit of command;
     ``delay_samples`` is not rounded. ``velocity``, ``mode`` and ``operator`` hold parameters by name. ``explained`` is
     the share of the logs that the fitted model explains; None where none was fitted.
     """
@@ -205,15 +205,15 @@ class LoopResult(Record):
     adequate: bool
     reason: str
     explained: float | None = None
-    mass: Parameter | None = None
-    damping: Parameter | None = None
-    stiffness: Parameter | None = None
-    delay_samples: Parameter | None = None
-    actuator_lag_s: Parameter | None = None
-    velocity: dict[str, Parameter] | None = None
-    mode: dict[str, Parameter] | None = None
-    operator: dict[str, Parameter] | None = None
-    friction: Parameter | None = None
+    mass: Quantity | None = None
+    damping: Quantity | None = None
+    stiffness: Quantity | None = None
+    delay_samples: Quantity | None = None
+    actuator_lag_s: Quantity | None = None
+    velocity: dict[str, Quantity] | None = None
+    mode: dict[str, Quantity] | None = None
+    operator: dict[str, Quantity] | None = None
+    friction: Quantity | None = None
 
 
 class LoopLimit(Record):
@@ -327,17 +327,15 @@ class Truth(Record):
 
         With an actuator's lag there is no true delay: logs show both as one.
         """
-        p, parts = self.loop, self.loop.loop
-        held, gain = parts.operator, parts.force_gain
-        delay = None if parts.actuator_lag_s else p.delay_samples
+        device = self.loop.loop.apparent()
         return {
-            "delay_samples": delay,
-            "mass": (p.mass + (held.mass if held else 0.0)) / gain,
-            "damping": (p.damping + (held.damping if held else 0.0)) / gain,
+            "delay_samples": None if device.actuator_lag_s else device.delay_samples,
+            "mass": device.mass,
+            "damping": device.damping,
             "jitter_samples": self.jitter_samples,
-            "friction": (parts.friction.coulomb if parts.friction else 0.0) / gain,
-            "device_stiffness": (p.stiffness + (held.stiffness if held else 0.0)) / gain,
-            "constant_force": self.constant_force / gain,
+            "friction": device.value("friction.coulomb") or 0.0,
+            "device_stiffness": device.stiffness,
+            "constant_force": self.constant_force / self.loop.loop.force_gain,
         }
 
 
@@ -398,7 +396,7 @@ class UseRegion(Record):
     point: UsePoint
 
 
-class AnswerEstimate(Record):
+class AnswerEstimate(Quantity):
     """A quantity of the first screen with its 95 % interval; an end is null where nothing bounds it.
 
     The value is null for friction that was not found: ``high`` is the most that the logs leave open. Where not even
@@ -411,16 +409,11 @@ class AnswerEstimate(Record):
     """
 
     name: Literal["delay_samples", "mass", "damping", "friction", "stiffness_max", "replay"]
-    value: float | None
-    low: float | None
-    high: float | None
-    unit: str
     large_motion: float | None = None
     limits_off_percent: float | None = None
     limits_known_percent: float | None = None
     damping: float | None = None
     at_last_damping: bool = False
-    reason: str | None = None
 
 
 class Prediction(Record):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 DIRECTLY: dict[str, tuple[str, ...]] = {
     "base": (),
-    "records": ("base",),
+    "device": ("base",),
+    "records": ("device",),
     "device_data": ("records",),
     "profiles": ("records",),
     "recording": ("records",),

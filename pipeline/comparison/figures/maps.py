@@ -128,13 +128,13 @@ def _theory_maps(
 ) -> dict[str, CostMap]:
     """Maps of theory by criterion over its stable region and all that was tested."""
     points = [point for result in shown for point in result.boundary]
-    p, border, units = theory.parameters, theory.boundary, theory.units
+    loop, border, units = theory.loop, theory.boundary, theory.units
     stiffest = max([border.alpha_max * units.stiffness, *(p.unstable or p.stable or 0.0 for p in points)])
     dampings = [border.beta_max * units.damping, *(p.damping for p in points)]
     K, B = np.linspace(0, stiffest, POINTS), np.linspace(min(0.0, *dampings), max(dampings), POINTS)
-    label = f"theory, d = {p.delay_samples:g}, m = {p.mass:.3g}, b = {p.damping:.3g}"
+    label = f"theory, d = {loop.delay_samples:g}, m = {loop.mass:.3g}, b = {loop.damping:.3g}"
     maps = {}
-    for criterion, cost in cost_maps(theory.loop, K / units.stiffness, B / units.damping, criteria).items():
+    for criterion, cost in cost_maps(theory.normalised, K / units.stiffness, B / units.damping, criteria).items():
         found = predictions.get(theory, f"{criterion}_discrete")
         best = None if found is None else Optimum(stiffness=found.stiffness, damping=found.damping, cost=found.cost)
         edge = (replace(by_theory(theory, "_boundary"), kind="edge"),)

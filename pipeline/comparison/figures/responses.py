@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pipeline.base.errors import ParameterError
-from pipeline.comparison.loops.told_loop import adequate_theory
+from pipeline.comparison.loops.loop_basis import adequate_theory
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.measured.law.log_rows import LogRows
 from pipeline.measured.signal.response import find_response
@@ -260,7 +260,7 @@ def response(theory: Theory, stiffness: float, damping: float, force: Floats) ->
 
     Source: Hulin 2017, eqs. 3.9 and 3.18, with the parts of a loop that is not ideal.
     """
-    free, push, position, velocity = theory.loop.open_loop
+    free, push, position, velocity = theory.normalised.open_loop
     units = theory.units
     wall = stiffness / units.stiffness * position + damping / units.damping * velocity
     closed = free - np.outer(push, wall)
@@ -282,7 +282,7 @@ def _beside(
     force = np.where(np.arange(rows) >= edge, float(batch.step[0]), 0.0)
     fitted = adequate_theory(result, stages)
     loops = [("fitted loop", "fitted", fitted)] if fitted is not None else []
-    if result.theory is not None and (fitted is None or result.theory != fitted.parameters):
+    if result.theory is not None and (fitted is None or result.theory != fitted.described):
         loops.insert(0, ("theory", "theory", Theory(result.theory)))
     drawn, off, missing = [], [], []
     size = float(np.nanmax(np.abs(measured), initial=0.0)) or 1.0
@@ -302,7 +302,7 @@ def _beside(
         except ParameterError as error:
             missing.append(f"No {label}: {error}")
         else:
-            add(label, kind, theory.parameters.source, position)
+            add(label, kind, theory.source, position)
     if fitted is None:
         why = result.loop.reason if result.loop is not None else "no model was fitted to the logs"
         missing.append(f"No loop is fitted to all logs: {why}")

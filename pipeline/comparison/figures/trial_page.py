@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.comparison.loops.told_loop import found_device
+from pipeline.comparison.loops.loop_basis import identified_device
 from pipeline.comparison.loops.wall_replay import usual_trial
 from pipeline.comparison.scene.scene import SceneData, needed_stages
+from pipeline.device.loop import Loop
 from pipeline.measured.signal.outcome import OUTCOMES
 from pipeline.measured.stages.stage_groups import TrialGroup
 from pipeline.measured.stages.stages import ExperimentStages, cost_column
-from pipeline.plan.found_device import LoopPoint, Trial
+from pipeline.plan.loop_limits import StepTrial, simulate_behind
 from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.records.criteria import CRITERIA, criterion_of
 from pipeline.records.results import ExperimentResult
@@ -206,11 +207,11 @@ class _Experiment:
             name: stages.column("model", f"model_{name}")[rows] if self.modelled else nothing
             for name in ("mass", "damping", "delay")
         }
-        device = found_device(self.result, stages) if self.modelled else None
+        device = identified_device(stages) if self.modelled else None
         run = np.full(batch.position.shape, np.nan)
         if device is not None:
             usual = replace(usual_trial(self.result, stages), quantum=0.0, jitter=0.0)
-            for i, edge, moved in _alone(device.point, batch, found.edge_row, usual):
+            for i, edge, moved in _alone(device.loop, batch, found.edge_row, usual):
                 rest = found.position_start[i]
                 run[i, :edge], run[i, edge : edge + len(moved)] = rest, rest + moved
         start = found.position_start[:, None]
@@ -250,18 +251,18 @@ class _Experiment:
         return f"{cost_text(criterion, cost)}{told}"
 
 
-def _alone(point: LoopPoint, batch: TrialBatch, edge_row: Integers, usual: Trial) -> Iterator[tuple[int, int, Floats]]:
+def _alone(loop: Loop, batch: TrialBatch, edge_row: Integers, usual: StepTrial) -> Iterator[tuple[int, int, Floats]]:
     """Yield of each trial with a step its place, its edge, and how a device alone moves from there on [m, rad].
 
     The motion of a linear device is that of the usual step times the size; friction and a constant force take another
     share of each step.
     """
-    linear = not (point.coulomb or point.force)
+    linear = not (loop.friction or loop.constant_force)
     stepped = np.flatnonzero((edge_row >= 0) & (batch.step != 0))
     steps = np.full(len(stepped), usual.step) if linear else batch.step[stepped]
     for step in np.unique(steps):
         some = stepped[steps == step]
-        alone = point.behind(batch.stiffness[some], batch.damping[some], replace(usual, step=float(step)))
+        alone = simulate_behind(loop, batch.stiffness[some], batch.damping[some], replace(usual, step=float(step)))
         for row, i in enumerate(some.tolist()):
             edge = int(edge_row[i])
             moved = alone.displacement[row, 1 : min(int(batch.rows[i]) - edge, int(alone.rows[row]) - 1) + 1]

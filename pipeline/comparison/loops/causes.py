@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,9 +11,13 @@ from pipeline.base.wording import counted
 from pipeline.comparison.loops.departures import SENTENCES, CourseFilter, LawDeparture, OtherGains
 from pipeline.comparison.loops.recording_faults import cause_of
 from pipeline.comparison.loops.wall_replay import LOW, coarse
+from pipeline.device.loop import Loop
+from pipeline.device.parameters import PARAMETERS, Motion
+from pipeline.measured.experiment.identified_loop import IdentifiedLoop
+from pipeline.measured.model.intervals import Interval
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
-from pipeline.records.findings import MATTERS, Parameter
+from pipeline.plan.loop_limits import StepTrial, damping_of_stiffest, linear_limits, step_limits
+from pipeline.records.findings import MATTERS
 from pipeline.records.results import Cause, CauseCode, ExperimentResult
 from pipeline.rendering.labels import Units, percent_text, share_text, significant, span
 
@@ -37,24 +41,24 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What causes are read from: the experiment, its usual trial, departures, filter, the device that was found, and
-    the error of its limits by replay, relative."""
+    """What causes are read from: the experiment, its usual trial, departures, filter, the identified loop, the mass
+    of the device file, and the error of limits by replay, relative."""
 
     result: ExperimentResult
     stages: ExperimentStages
-    trial: Trial
+    trial: StepTrial
     units: Units
     departures: list[LawDeparture]
     velocity: CourseFilter | None
     gains: OtherGains | None
-    found: FoundDevice | None
-    stated_mass: float | None
+    identified: IdentifiedLoop | None
+    nominal_mass: float | None
     error: float
 
     @property
-    def force(self) -> str:
-        """Unit of a force."""
-        return "Nm" if "rad" in self.units.stiffness else "N"
+    def motion(self) -> Motion:
+        """Kind of motion, which decides the units."""
+        return "rotation" if "rad" in self.units.stiffness else "translation"
 
 
 def causes_of(shown: Shown) -> tuple[Cause, ...]:
@@ -88,103 +92,106 @@ def _departures(shown: Shown) -> Iterator[Candidate]:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a device as a cause: code, the number that tells most, its unit in SI, and the sentence.
+    """A part of a device as a cause: code, the name in `PARAMETERS` of the number that says most, and the sentence.
 
     ``over`` is what its number moves the rest position relative to: the step's force or the softest wall's stiffness.
+    ``scale`` and ``unit`` are those in which the number is given, where they are not those of `PARAMETERS`.
     """
 
     code: CauseCode
     number: str
     sentence: str
     over: str = ""
-    unit: float = 1.0
+    scale: float = 1.0
+    unit: str = ""
 
 
 PARTS = {
     "friction": Part(
-        "coulomb_friction", "coulomb", "The device has Coulomb friction of {value} {force}{more}.", "step"
+        "coulomb_friction", "friction.coulomb", "The device has Coulomb friction of {value}{more}.", "step"
     ),
     "lag": Part(
-        "actuator_lag", "actuator_lag_s", "The force lags the command by a time constant of {value} ms{more}.", "", 1e3
+        "actuator_lag",
+        "actuator_lag_s",
+        "The force lags the command by a time constant of {value}{more}.",
+        scale=1e3,
+        unit="ms",
     ),
-    "spring": Part(
-        "operator", "stiffness", "A spring of {value} {stiffness} holds the device: a hand, or its own.", "wall"
-    ),
-    "force": Part(
-        "constant_force", "constant_force", "A constant force of {value} {force} acts on the device.", "step"
-    ),
-    "saturation": Part(
-        "saturation", "force_limit", "The drive gives no more than {value} {force}, whatever is commanded."
-    ),
-    "mode": Part("vibration_mode", "frequency_hz", "The device vibrates at {value} Hz, as seen by a sensor {at}."),
+    "spring": Part("operator", "stiffness", "A spring of {value} holds the device: a hand, or its own.", "wall"),
+    "force": Part("constant_force", "constant_force", "A constant force of {value} acts on the device.", "step"),
+    "saturation": Part("saturation", "force_limit", "The drive gives no more than {value}, whatever is commanded."),
+    "mode": Part("vibration_mode", "mode.frequency_hz", "The device vibrates at {value}, as seen by a sensor {at}."),
 }
 
 
 def _parts(shown: Shown) -> Iterator[Candidate]:
-    """Yield the parts of the found device, and numbers that it would share with another one."""
-    found = shown.found
-    if found is None:
+    """Yield the parts of the identified loop, and numbers that it would share with another one."""
+    device = shown.identified
+    if device is None:
         return
-    fitted, values = found.fitted, found.fitted.values
-    force = fitted.parameter("constant_force")
-    known = force is not None and not fitted.why_unknown("constant_force")
-    beside = ["force"] if force is not None and known and force.low * force.high > 0 else []
+    is_known = "constant_force" in device.values and not device.why_unknown("constant_force")
+    force = device.interval("constant_force") if is_known else None
+    more_parts = ["force"] if force is not None and force.low * force.high > 0 else []
     stable = shown.stages.column("response", "stiffness")[shown.stages.verdicts.verdict == "stable"]
     least = {"step": abs(shown.trial.step) or np.inf, "wall": float(stable[stable > 0].min(initial=np.inf)), "": np.inf}
-    for name in dict.fromkeys([*fitted.parts, *beside]):
-        kind, _, at = name.partition(" ")
-        if (part := PARTS.get(kind)) is None or fitted.why_unknown(part.number):
+    for name in dict.fromkeys([*device.parts, *more_parts]):
+        if (part := PARTS.get(name)) is None or device.why_unknown(part.number):
             continue
-        number, rest = fitted.with_interval(part.number), abs(values[part.number]) / least[part.over]
-        left = {key: value for key, value in values.items() if kind != "mode" or key != "far_mass"}
-        left |= {part.number: 0.0} if kind != "mode" else {}
-        effect, change = _beside(found.point, found.at(left), shown)
-        if kind == "saturation":
-            effect, change = fitted.saturated, f"{share_text(fitted.saturated)} % of the stable trials command more"
+        number, rest = device.interval(part.number), abs(device.values[part.number]) / least[part.over]
+        effect, change = _limit_change(device.loop, _without(device, name), shown)
+        if name == "saturation":
+            effect, change = device.saturated, f"{share_text(device.saturated)} % of the stable trials command more"
         elif rest > effect:
             effect, change = rest, f"{significant(100 * rest, 2)} % of the final displacement at most"
-        more = _held(number.value, shown.trial.step) if kind == "friction" else ""
-        if kind == "lag" and "delay_samples" in fitted.bounds:
+        more = _rest_off_target(number.value, shown.trial.step) if name == "friction" else ""
+        if name == "lag" and "delay_samples" in device.bounds:
             more = ", or a fast mode vibrates and the delay is longer by as much: logs do not tell which"
-        words = {"value": significant(part.unit * number.value, 3), "stiffness": shown.units.stiffness, "at": at}
-        words |= {"force": shown.force, "more": more}
-        ends = span(lambda value: significant(value, 4), part.unit * number.low, part.unit * number.high)
-        yield Candidate(part.code, effect, part.sentence.format(**words), f"95 %: {ends}; {change}")
-    yield from _shared(shown, found)
+        value = f"{significant(part.scale * number.value, 3)} {part.unit or PARAMETERS[part.number].unit(shown.motion)}"
+        sentence = part.sentence.format(value=value, more=more, at=f"at the {device.sensor}")
+        ends = span(lambda value: significant(value, 4), part.scale * number.low, part.scale * number.high)
+        yield Candidate(part.code, effect, sentence, f"95 %: {ends}; {change}")
+    yield from _shared(shown, device)
 
 
-def _held(coulomb: float, step: float) -> str:
+def _without(device: IdentifiedLoop, part: str) -> Loop:
+    """Return the identified loop without one of its parts."""
+    if part == "mode":
+        return device.at({name: value for name, value in device.values.items() if PARAMETERS[name].part != "mode"})
+    return device.at({**device.values, PARTS[part].number: 0.0})
+
+
+def _rest_off_target(coulomb: float, step: float) -> str:
     """Return what friction does where it is more than half the usual settling band, 2 %."""
     if not step or abs(coulomb) <= MATTERS * abs(step):
         return ""
     return f", {share_text(coulomb / abs(step), 0)} % of the step: it rests off target, and settling times show that"
 
 
-def _beside(point: LoopPoint, other: LoopPoint, shown: Shown) -> tuple[float, str]:
+def _limit_change(loop: Loop, other: Loop, shown: Shown) -> tuple[float, str]:
     """Return how far limits of two devices are apart where they differ most for their size, and both in words."""
-    where = np.unique(np.concatenate([ALONG * each.damping_of_stiffest for each in (point, other)]))
-    own, others = point.limit(where), other.limit(where)
-    if point.coulomb != other.coulomb:  # for the step: to large motions friction is none
-        own = np.maximum(np.nan_to_num(point.step_limits(where, shown.trial, np.zeros(len(where)))[0]), own)
-    larger = np.maximum(own, others)
+    where = np.unique(np.concatenate([ALONG * damping_of_stiffest(each) for each in (loop, other)]))
+    limits, others = linear_limits(loop, where), linear_limits(other, where)
+    if loop.value("friction.coulomb") != other.value("friction.coulomb"):  # to large motions friction is none
+        limits = np.maximum(np.nan_to_num(step_limits(loop, where, shown.trial, np.zeros(len(where)))[0]), limits)
+    larger = np.maximum(limits, others)
     some = larger > LOW * larger.max(initial=0.0)
-    apart = np.divide(np.abs(own - others), larger, out=np.zeros(len(where)), where=some)
+    apart = np.divide(np.abs(limits - others), larger, out=np.zeros(len(where)), where=some)
     if not some.any():
         return 0.0, ""
     place = int(np.argmax(apart))
     K, B = shown.units.stiffness, shown.units.damping
-    text = f"limit at B = {significant(where[place], 3)} {B}, for example: K = {significant(own[place], 3)} {K} "
+    text = f"limit at B = {significant(where[place], 3)} {B}, for example: K = {significant(limits[place], 3)} {K} "
     return float(apart[place]), f"{text}with it, {significant(others[place], 3)} without"
 
 
-def _shared(shown: Shown, found: FoundDevice) -> Iterator[Candidate]:
-    """Yield a delay that is no whole number, jitter, and a mass that is not the stated one."""
-    point, delay, mass = found.point, found.fitted.with_interval("delay_samples"), found.fitted.with_interval("mass")
+def _shared(shown: Shown, device: IdentifiedLoop) -> Iterator[Candidate]:
+    """Yield a delay that is no whole number, jitter, and a mass that is not that of the device file."""
+    loop, delay, mass = device.loop, device.interval("delay_samples"), device.interval("mass")
     part = delay.value - round(delay.value)
-    jitter = list(_jitter(shown, point))
+    jitter = list(_jitter(shown, device))
     yield from jitter
-    if not (jitter or point.parts.actuator_lag_s or abs(part) <= delay.high - delay.value):
-        effect, _ = _beside(point, replace(point, delay_samples=delay.value - part), shown)
+    if not (jitter or loop.actuator_lag_s or abs(part) <= delay.high - delay.value):
+        effect, _ = _limit_change(loop, loop.replace({"delay_samples": max(delay.value - part, 0.0)}), shown)
         yield Candidate(
             "fractional_delay",
             effect * (effect > shown.error),
@@ -192,25 +199,26 @@ def _shared(shown: Shown, found: FoundDevice) -> Iterator[Candidate]:
             "a sample adds to a whole one: logs do not tell which.",
             f"by the likelihood of all trials, 95 %: {_span(delay)}",
         )
-    stated = shown.stated_mass
+    stated = shown.nominal_mass
     if stated is not None and max(mass.low - stated, stated - mass.high) > MATTERS * stated:
         change = percent_text(100 * (stated / mass.value - 1))
         yield Candidate(
             "force_gain",
-            _beside(point, replace(point, mass=stated), shown)[0],
+            _limit_change(loop, device.at({**device.values, "mass": stated}), shown)[0],
             f"Force per unit of command, or the stated mass, is off by {change} %.",
             f"mass by the logs {significant(mass.value, 4)} ({_span(mass)}), by the device file "
             f"{significant(stated, 4)}",
         )
 
 
-def _jitter(shown: Shown, point: LoopPoint) -> Iterator[Candidate]:
+def _jitter(shown: Shown, device: IdentifiedLoop) -> Iterator[Candidate]:
     """Yield jitter of the delay within trials."""
     jitter = shown.result.estimates.get("jitter_samples")
     if jitter is not None and (jitter.low or 0.0) > 0:
+        later = device.values["delay_samples"] + (jitter.low or 0.0)
         yield Candidate(
             "delay_jitter",
-            _beside(point, replace(point, delay_samples=point.delay_samples + (jitter.low or 0.0)), shown)[0],
+            _limit_change(device.loop, device.at({**device.values, "delay_samples": later}), shown)[0],
             f"The delay jitters within a trial: standard deviation {significant(jitter.value or 0.0, 2)} samples.",
             f"95 %: {span(lambda value: significant(value, 2), jitter.low, jitter.high)} samples",
         )
@@ -244,5 +252,5 @@ def _course(shown: Shown) -> Iterator[Candidate]:
         )
 
 
-def _span(number: Parameter) -> str:
+def _span(number: Interval) -> str:
     return span(lambda value: significant(value, 4), number.low, number.high)

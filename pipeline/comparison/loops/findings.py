@@ -9,23 +9,24 @@ import numpy as np
 from pipeline.base.wording import listed
 from pipeline.comparison.loops.causes import Shown, causes_of
 from pipeline.comparison.loops.departures import CourseFilter, course_filter, law_departures, other_gains, untimed
+from pipeline.comparison.loops.loop_basis import LoopBasis, identified_device, loop_basis, loop_numbers
 from pipeline.comparison.loops.passive_wall import passive_wall
 from pipeline.comparison.loops.recording_faults import unsafe_recording, words_of
-from pipeline.comparison.loops.told_loop import ToldLoop, found_device, loop_numbers, told_loop
 from pipeline.comparison.loops.wall_replay import (
     limits_off,
+    limits_with_intervals,
     median,
     replay_error,
     replay_words,
     softest,
-    told_limits,
     usual_trial,
     wall_replay,
 )
-from pipeline.device.parts import LoopParts
+from pipeline.device.loop import Loop
 from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.plan.loop_limits import limits_of
 from pipeline.records.batch import Floats
-from pipeline.records.findings import Parameter
+from pipeline.records.findings import Quantity
 from pipeline.records.models import Device, Experiment
 from pipeline.records.results import LIMITS_WITHIN, ExperimentResult, LoopFindings, LoopResult, WallReplay
 from pipeline.rendering.labels import Units, significant
@@ -73,41 +74,43 @@ def loop_findings(
     misled = gains is not None and gains.most
     departures = [] if misled else law_departures(stages)
     velocity = None if misled else stages.once(course_filter)
-    untold = f"{gains.cause.sentence.rstrip('.')}; what would help: {OTHER_WALL}" if misled and gains else ""
+    unknown = f"{gains.cause.sentence.rstrip('.')}; what would help: {OTHER_WALL}" if misled and gains else ""
     fault = stages.once(unsafe_recording)
-    untold = words_of(fault) if fault is not None else untold or untimed(departures)
-    found = None if untold else found_device(result, stages)
-    of = next((each for each in device.experiments if each.name == stages.experiment), None) if device else None
-    told = None if untold else told_loop(found, device, of)
+    unknown = words_of(fault) if fault is not None else unknown or untimed(departures)
+    identified = None if unknown else identified_device(stages)
+    entry = next((entry for entry in device.experiments if entry.name == stages.experiment), None) if device else None
+    of_file = device.loop_for(entry) if device is not None and entry is not None else None
+    basis = None if unknown else loop_basis(identified, of_file)
     trial = usual_trial(result, stages)
     limits, replay, refused = [], None, ""
-    if told is not None:
+    if basis is not None:
         B = np.array([point.damping for point in result.boundary])
-        limits = [each.limits(B, trial, softest(result, stages)) for each in told.devices]
-        if found is not None:
-            replay = wall_replay(result, stages, found, limits[-1][0], trial)
-        told = replace(told, error=replay_error(replay))
-        if told.stated is not None and found is not None:
-            told, limits, refused = _judged(told, result, limits)
-    stated = told.point.mass if told is not None and told.stated is not None else None
-    error = told.error if told is not None else 0.0
-    shown = Shown(result, stages, trial, units, departures, velocity, gains, found, stated, error)
-    parts = device.loop_of(of) if device is not None and of is not None else None
+        limits = [limits_of(known, B, trial, softest(result, stages)) for known in basis.devices]
+        if identified is not None:
+            replay = wall_replay(result, stages, identified, limits[-1][0], trial)
+        basis = replace(basis, error=replay_error(replay))
+        if basis.nominal is not None and identified is not None:
+            basis, limits, refused = _judged(basis, result, limits)
+    nominal_mass = basis.loop.mass if basis is not None and basis.nominal is not None else None
+    error = basis.error if basis is not None else 0.0
+    shown = Shown(result, stages, trial, units, departures, velocity, gains, identified, nominal_mass, error)
     causes = causes_of(shown)
-    adequate = told is not None and replay is not None and replay.is_right
-    reason = untold or (NOTHING if told is None else _reason(told, replay, refused, parts, walls=bool(result.boundary)))
-    record = _record(result, told, velocity, parts, adequate=adequate, reason=reason)
+    adequate = basis is not None and replay is not None and replay.is_right
+    reason = unknown or NOTHING
+    if basis is not None:
+        reason = _reason(basis, replay, refused, of_file, walls=bool(result.boundary))
+    record = _record(result, basis, velocity, of_file, adequate=adequate, reason=reason)
     findings = LoopFindings(loop=record, replay=replay, causes=causes)
-    if told is None:
+    if basis is None:
         return findings.model_copy(update={"passive_reason": reason})
-    findings = findings.model_copy(update={"loop_boundary": told_limits(result, told, limits) or None})
+    findings = findings.model_copy(update={"loop_boundary": limits_with_intervals(result, basis, limits) or None})
     if not adequate:
         return findings.model_copy(update={"passive_reason": f"needs an adequate loop, and this one is not: {reason}"})
-    held = told.stated is None and found is not None and "spring" in found.fitted.parts
+    has_spring = basis.nominal is None and identified is not None and "spring" in identified.parts
     # a hand that is let go of takes its damping with it
-    grips = _grips(stages, of) if parts is None or parts.operator is None else []
-    refused = GRIPPED.format(listed(grips)) if grips else HELD if held else JITTERS if trial.jitter else ""
-    wall, none = (None, refused) if refused else passive_wall(told, result)
+    grips = _grips(stages, entry) if of_file is None or of_file.operator is None else []
+    refused = GRIPPED.format(listed(grips)) if grips else HELD if has_spring else JITTERS if trial.jitter else ""
+    wall, none = (None, refused) if refused else passive_wall(basis, result)
     return findings.model_copy(update={"passive": wall, "passive_reason": none})
 
 
@@ -118,42 +121,45 @@ def _grips(stages: ExperimentStages, of: Experiment | None) -> list[str]:
 
 
 def _judged(
-    told: ToldLoop, result: ExperimentResult, limits: list[tuple[Floats, Floats]]
-) -> tuple[ToldLoop, list[tuple[Floats, Floats]], str]:
+    basis: LoopBasis, result: ExperimentResult, limits: list[tuple[Floats, Floats]]
+) -> tuple[LoopBasis, list[tuple[Floats, Floats]], str]:
     """Return the loop by its file with its limits, or by the logs alone where those of the file are others, and why."""
     (by_file, _), (by_logs, _) = limits
     off = limits_off(result, by_file)
     if off is None:
         off = median(100 * np.abs(by_file / np.where(by_logs > 0, by_logs, np.nan) - 1))
     if off is None or off <= LIMITS_WITHIN:
-        return told, limits, ""
+        return basis, limits, ""
     why = f"the limits of the device file's loop are {significant(off, 2)} % off, so that the found device is used"
-    return replace(told, stated=None), limits[1:], why
+    return replace(basis, nominal=None), limits[1:], why
 
 
 def _record(
     result: ExperimentResult,
-    told: ToldLoop | None,
+    basis: LoopBasis | None,
     velocity: CourseFilter | None,
-    parts: LoopParts | None,
+    of_file: Loop | None,
     *,
     adequate: bool,
     reason: str,
 ) -> LoopResult:
     check, friction = result.model_check, result.estimates.get("friction")
     known = friction is not None and None not in (friction.value, friction.low, friction.high)
-    numbers = loop_numbers(told, velocity.of_logs if velocity else (), parts) if told is not None else {}
+    operator = of_file.operator if of_file is not None else None
+    numbers = loop_numbers(basis, velocity.of_logs if velocity else (), operator) if basis is not None else {}
     return LoopResult(
-        source="estimated" if told is None or told.stated is None else "device file",
+        source="estimated" if basis is None or basis.nominal is None else "device file",
         adequate=adequate,
         reason=reason,
         explained=check.explained / check.trials if check and check.trials else None,
         **numbers,
-        friction=Parameter(value=friction.value, low=friction.low, high=friction.high) if friction and known else None,
+        friction=Quantity(**friction.model_dump(include={"value", "low", "high", "unit"}))
+        if friction and known
+        else None,
     )
 
 
-def _reason(told: ToldLoop, replay: WallReplay | None, refused: str, parts: LoopParts | None, *, walls: bool) -> str:
+def _reason(basis: LoopBasis, replay: WallReplay | None, refused: str, of_file: Loop | None, *, walls: bool) -> str:
     """Return what the replay shows of a loop, and what the loop is; ``walls`` where any was tried."""
     if not walls:
         return "no wall was tried (K > 0), so that the loop was compared with no verdict"
@@ -164,9 +170,9 @@ def _reason(told: ToldLoop, replay: WallReplay | None, refused: str, parts: Loop
     said = [replay_words(replay)]
     if refused:
         said.append(refused)
-    elif told.stated is not None and parts is not None and parts.words():
-        said.append(f"the loop of the device file ({parts.words()}) has the same limits")
+    elif basis.nominal is not None and of_file is not None and of_file.parts_in_words():
+        said.append(f"the loop of the device file ({of_file.parts_in_words()}) has the same limits")
     else:
-        what = listed(["mass", "damping", "delay", *told.devices[0].fitted.parts])
+        what = listed(["mass", "damping", "delay", *basis.devices[0].parts])
         said.append(f"it has {what}; what changes force per command alone shows in the mass")
     return "; ".join(said)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import floor, log10
 
 import numpy as np
 
 from pipeline.comparison.limits import measured_limits
 from pipeline.comparison.loops.causes import FEW
-from pipeline.comparison.loops.told_loop import ToldLoop
-from pipeline.loop.normalised_loop import LARGEST_DELAY
+from pipeline.comparison.loops.loop_basis import LoopBasis
+from pipeline.device.loop import Loop
+from pipeline.loop.normalised_loop import LARGEST_DELAY, LoopUnits, NormalisedLoop
 from pipeline.measured.law.log_rows import SET_DIGITS
-from pipeline.plan.found_device import LoopPoint
+from pipeline.plan.loop_limits import limits_of
 from pipeline.records.results import ExperimentResult, PassiveWall
 from pipeline.theory.passivity import required_damping, stiffest_passive
 
@@ -25,12 +25,12 @@ TRIES = 200
 costs 0.1 %."""
 
 
-def passive_wall(loop: ToldLoop, result: ExperimentResult) -> tuple[PassiveWall | None, str | None]:
+def passive_wall(basis: LoopBasis, result: ExperimentResult) -> tuple[PassiveWall | None, str | None]:
     """Return the stiffest wall that is passive and stable whatever intervals and replay leave open, or None and why.
 
     Parameters
     ----------
-    loop : ToldLoop
+    basis : LoopBasis
     result : ExperimentResult
         Its measured limits bound the wall.
 
@@ -44,31 +44,32 @@ def passive_wall(loop: ToldLoop, result: ExperimentResult) -> tuple[PassiveWall 
     """
     if result.trials < FEW:
         return None, f"{result.trials} trials are too few to promise stability with every hand; record {FEW}"
-    of_load = max(point.parts.load_damping for point in loop.points)
-    damping = (loop.parameter("damping").low - loop.held - of_load) * (1 - SPARE)
+    of_load = max(loop.load_damping for loop in basis.loops)
+    damping = (basis.interval("damping").low - basis.operator_damping - of_load) * (1 - SPARE)
     if damping <= 0:
         return None, (
             "no wall is passive for the whole range of the device's damping, which may be 0: stability with every hand "
             "cannot be promised (4.6)"
         )
-    if any(point.parts.mode is not None and point.parts.mode.sensor == "load" for point in loop.points):
+    if any(loop.mode is not None and loop.mode.sensor == "load" for loop in basis.loops):
         return None, "the position is sensed beyond the vibration mode: no wall is passive for every hand"
-    points = _points(loop)
-    if not points:
+    loops = _loops(basis)
+    if not loops:
         return None, "the delay may be longer than theory is computed for"
-    found = [(point.units, *stiffest_passive(point.loop, damping / point.units.damping)) for point in points]
-    highest, wall_damping = min((alpha * units.stiffness, beta * units.damping) for units, alpha, beta in found)
+    plants = [(LoopUnits.of(loop), NormalisedLoop.of(loop)) for loop in loops]
+    walls = [(units, *stiffest_passive(plant, damping / units.damping)) for units, plant in plants]
+    highest, wall_damping = min((alpha * units.stiffness, beta * units.damping) for units, alpha, beta in walls)
     wall_damping = float(f"{wall_damping:.{SET_DIGITS}g}")
     measured = _measured(result, wall_damping)
     if measured is None:
         where = f"beside a damping of {wall_damping:g}, that of the stiffest passive wall"
         return None, f"no limit was measured {where}: record stable and unstable trials there"
     at = np.array([wall_damping])
-    stable = float(loop.band([device.limits(at) for device in loop.devices])[0][0]) * (1 - SPARE)
+    stable = float(basis.band([limits_of(device, at) for device in basis.devices])[0][0]) * (1 - SPARE)
     stiffness = _rounded_down(min(highest, stable, measured))
     # a smaller stiffness at the same damping needs less, down to none but that for B itself
     for _ in range(TRIES):
-        if stiffness <= 0 or all(_needed(point, stiffness, wall_damping) <= damping for point in points):
+        if stiffness <= 0 or all(_needed(*plant, stiffness, wall_damping) <= damping for plant in plants):
             break
         stiffness = _rounded_down(stiffness * (1 - 2 * 10.0**-SET_DIGITS))
     else:
@@ -78,17 +79,17 @@ def passive_wall(loop: ToldLoop, result: ExperimentResult) -> tuple[PassiveWall 
     return PassiveWall(stiffness=stiffness, damping=wall_damping), None
 
 
-def _points(loop: ToldLoop) -> list[LoopPoint]:
+def _loops(basis: LoopBasis) -> list[Loop]:
     """Return the devices in the range of a loop with which a wall must be passive; none where a delay is too long.
 
     Passivity needs most at one end of the delay's interval or at a whole number inside it.
     """
-    delay, point = loop.parameter("delay_samples"), loop.point
+    delay = basis.interval("delay_samples")
     low, high = max(delay.low, 0.0), max(delay.high, 0.0)
     if high > LARGEST_DELAY:
         return []
     delays = {low, high, *np.arange(np.ceil(low), floor(high) + 1).tolist()}
-    return loop.points + [replace(point, delay_samples=each) for each in sorted(delays)]
+    return basis.loops + [basis.loop.replace({"delay_samples": each}) for each in sorted(delays)]
 
 
 def _rounded_down(value: float) -> float:
@@ -112,8 +113,7 @@ def _measured(result: ExperimentResult, damping: float) -> float | None:
     return float(np.interp(damping, where, least))
 
 
-def _needed(point: LoopPoint, stiffness: float, damping: float) -> float:
+def _needed(units: LoopUnits, plant: NormalisedLoop, stiffness: float, damping: float) -> float:
     """Return the damping [Ns/m, Nms/rad] that a wall needs of the device."""
-    units = point.units
     wall = np.array([stiffness / units.stiffness]), np.array([damping / units.damping])
-    return float(required_damping(point.loop, *wall)[0]) * units.damping
+    return float(required_damping(plant, *wall)[0]) * units.damping

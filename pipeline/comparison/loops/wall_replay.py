@@ -10,16 +10,18 @@ import numpy as np
 
 from pipeline.base.wording import counted
 from pipeline.comparison.limits import NARROW, measured_limits
-from pipeline.comparison.loops.told_loop import ToldLoop, found_device
+from pipeline.comparison.loops.loop_basis import LoopBasis, identified_device
+from pipeline.device.loop import Loop
 from pipeline.measured.cost.costs import settling
 from pipeline.measured.experiment.boundary import spread_over_plane
+from pipeline.measured.experiment.identified_loop import IdentifiedLoop
 from pipeline.measured.model.identified import FOLDS
 from pipeline.measured.signal.release import find_release
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.stages.stage_groups import Given, TrialGroup
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
+from pipeline.plan.loop_limits import StepTrial, linear_limits, simulate_behind
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.findings import MATTERS
 from pipeline.records.results import ExperimentResult, LoopLimit, WallReplay
@@ -38,11 +40,11 @@ LOW = 0.25
 """Limit relative to the largest one below which none is compared in percent: at its ends a boundary tends to zero."""
 
 
-def usual_trial(result: ExperimentResult, stages: ExperimentStages) -> Trial:
+def usual_trial(result: ExperimentResult, stages: ExperimentStages) -> StepTrial:
     """Return the usual trial of an experiment, with the jitter that its logs show, and a quantum that matters."""
     jitter, share = result.estimates.get("jitter_samples"), coarse(stages)
     matters = len(share) and float(np.median(share)) > MATTERS
-    return Trial(
+    return StepTrial(
         step=usual_step(stages),
         rows=int(np.median(stages.trials.column("rows").to_numpy())),
         quantum=float(np.nanmedian(stages.column("response", "sensor_quantum"))) if matters else 0.0,
@@ -83,18 +85,18 @@ def coarse(stages: ExperimentStages) -> Floats:
 
 
 def wall_replay(
-    result: ExperimentResult, stages: ExperimentStages, found: FoundDevice, limits: Floats, trial: Trial
+    result: ExperimentResult, stages: ExperimentStages, device: IdentifiedLoop, limits: Floats, trial: StepTrial
 ) -> WallReplay | None:
-    """Return how a found device predicts the tested walls, each by the logs but a fifth; None without a wall.
+    """Return how an identified device predicts the tested walls, each by the logs but a fifth; None without a wall.
 
     Parameters
     ----------
     result : ExperimentResult
     stages : ExperimentStages
-    found : FoundDevice
+    device : IdentifiedLoop
     limits : float64, shape (n,)
         That the device predicts by all logs at the tested dampings.
-    trial : Trial
+    trial : StepTrial
 
     Notes
     -----
@@ -110,27 +112,27 @@ def wall_replay(
     if not len(chosen):
         return None
     ids = stages.texts("response", "trial_id")
-    place = {name: i for i, name in enumerate(found.fitted.trials)}
+    place = {name: i for i, name in enumerate(device.trials)}
     # the fold in which a fit left a trial out, or the next in turn where none used it
     fold = np.array([place.get(ids[i], number) % FOLDS for number, i in enumerate(chosen)])
     said, fits, costs = np.empty(len(chosen), dtype="<U9"), np.full(len(chosen), np.nan), np.full(len(chosen), np.nan)
     steps = stages.step_sizes
     repeats = REPEATS if trial.jitter else 1
     logged = dict(pair for part in stages.of_each(motions, chosen=[ids[i] for i in chosen]) for pair in part)
-    for number, point in enumerate(_without_each_fold(found)):
+    for number, loop in enumerate(_without_each_fold(device)):
         some = np.flatnonzero(fold == number)
         if not len(some):
             continue
         walls = chosen[some]
-        batch, *others = (_behind(point, K[walls], B[walls], steps[walls], trial, run) for run in range(repeats))
+        batch, *others = (_behind(loop, K[walls], B[walls], steps[walls], trial, run) for run in range(repeats))
         # a spring that holds the device lets it rest at x_0 + F_0/(K + k)
-        batch = replace(batch, stiffness=batch.stiffness + max(point.stiffness, 0.0))
+        batch = replace(batch, stiffness=batch.stiffness + loop.stiffness)
         response = find_response(batch)
         verdicts = judge(batch, response)
         same = np.all([judge(other).verdict == verdicts.verdict for other in others], axis=0)
         said[some] = np.where(same, verdicts.verdict, "undecided")
         fits[some] = [_fit(logged[ids[chosen[i]]], batch, row) for row, i in enumerate(some)]
-        costs[some] = settling(batch, response, verdicts, int(max(point.delay_samples, 0.0)))["settle_2pct"].value
+        costs[some] = settling(batch, response, verdicts, int(loop.delay_samples))["settle_2pct"].value
     stable = (verdict[chosen] == "stable") & (said == "stable")
     decided = said != "undecided"
     off, known, outside = _limit_errors(result, limits)
@@ -145,7 +147,7 @@ def wall_replay(
     )
 
 
-def _behind(point: LoopPoint, K: Floats, B: Floats, steps: Floats, trial: Trial, run: int) -> TrialBatch:
+def _behind(loop: Loop, K: Floats, B: Floats, steps: Floats, trial: StepTrial, run: int) -> TrialBatch:
     """Return a device behind walls, each with the step of its log: friction and a constant force are no linear parts.
 
     Where a log has no step it is the usual one.
@@ -154,7 +156,7 @@ def _behind(point: LoopPoint, K: Floats, B: Floats, steps: Floats, trial: Trial,
     parts, order = [], []
     for step in np.unique(steps):
         some = np.flatnonzero(steps == step)
-        parts.append(point.behind(K[some], B[some], replace(trial, step=float(step)), run))
+        parts.append(simulate_behind(loop, K[some], B[some], replace(trial, step=float(step)), run))
         order.append(some)
     return parts[0] if len(parts) == 1 else TrialBatch.joined(parts).select(np.argsort(np.concatenate(order)))
 
@@ -167,14 +169,14 @@ def _of_chance(result: ExperimentResult, K: Floats, B: Floats) -> Booleans:
     return np.asarray((low < K) & (high > K))
 
 
-def _without_each_fold(found: FoundDevice) -> list[LoopPoint]:
+def _without_each_fold(device: IdentifiedLoop) -> list[Loop]:
     """Return the device by the logs of all folds but one, its friction at another quantile of its scatter in each."""
-    fitted, devices = found.fitted, []
-    for fold, quantile in zip(fitted.folds or ({},) * FOLDS, QUANTILES, strict=True):
-        values: Mapping[str, float] = {**fitted.values, **fold}
-        scattered = values.get("coulomb", 0.0) + quantile * fitted.scatter.get("coulomb", 0.0)
-        devices.append(found.at({**values, "coulomb": max(scattered, 0.0)}))
-    return devices
+    name, loops = "friction.coulomb", []
+    for fold, quantile in zip(device.folds or ({},) * FOLDS, QUANTILES, strict=True):
+        values: Mapping[str, float] = {**device.values, **fold}
+        scattered = values.get(name, 0.0) + quantile * device.scatter.get(name, 0.0)
+        loops.append(device.at({**values, name: max(scattered, 0.0)}))
+    return loops
 
 
 def replay_error(replay: WallReplay | None) -> float:
@@ -183,7 +185,7 @@ def replay_error(replay: WallReplay | None) -> float:
 
 
 def replay_words(replay: WallReplay) -> str:
-    """Return how a found device predicts walls, as a clause."""
+    """Return how an identified device predicts walls, as a clause."""
     verdicts = share_text(replay.verdicts_same or 0.0, 0)
     walls = counted(replay.trials, "wall")
     text = f"behind {walls} that it was not fitted to the found device is right in {verdicts} % of verdicts"
@@ -195,13 +197,13 @@ def replay_words(replay: WallReplay) -> str:
     return f"{text}, its limits within {significant(off, 2)} %"
 
 
-def told_limits(
-    result: ExperimentResult, told: ToldLoop, limits: Sequence[tuple[Floats, Floats]]
+def limits_with_intervals(
+    result: ExperimentResult, basis: LoopBasis, limits: Sequence[tuple[Floats, Floats]]
 ) -> tuple[LoopLimit, ...]:
     """Return the limits of a loop at the tested dampings with their intervals; where they are not those of the linear
     loop, these beside them."""
     damping = np.array([each.damping for each in result.boundary])
-    stiffness, linear, (low, high) = limits[0][0], told.point.limit(damping), told.band(limits)
+    stiffness, linear, (low, high) = limits[0][0], linear_limits(basis.loop, damping), basis.band(limits)
     apart = not np.array_equal(stiffness, linear)
     rows = zip(damping.tolist(), stiffness.tolist(), low.tolist(), high.tolist(), linear.tolist(), strict=True)
     return tuple(
@@ -217,12 +219,12 @@ def with_large_motion(result: ExperimentResult, stages: ExperimentStages) -> Exp
     Coulomb friction takes a part of a motion that falls with its size: to a large one it is none. A wall to use that
     large motions make unstable is none.
     """
-    found = found_device(result, stages)
-    rubs = any(cause.code == "coulomb_friction" for cause in result.causes)
-    if not rubs or found is None or not result.boundary:
+    device = identified_device(stages)
+    has_friction = any(cause.code == "coulomb_friction" for cause in result.causes)
+    if not has_friction or device is None or not result.boundary:
         return result
     B = [point.damping for point in result.boundary]
-    linear = dict(zip(B, found.point.limit(np.array(B)).tolist(), strict=True))
+    linear = dict(zip(B, linear_limits(device.loop, np.array(B)).tolist(), strict=True))
     linear |= {each.damping: each.stiffness_large_motion for each in result.loop_boundary or ()}
     points = tuple(
         point.model_copy(update={"stiffness_large_motion": linear[point.damping]}) for point in result.boundary
@@ -230,8 +232,9 @@ def with_large_motion(result: ExperimentResult, stages: ExperimentStages) -> Exp
     result = result.model_copy(update={"boundary": points})
     if (use := result.use) is None:
         return result
-    told = linear.get(use.point.damping)
-    limit = float(found.point.limit(np.array([use.point.damping]))[0]) if told is None else told
+    limit = linear.get(use.point.damping)
+    if limit is None:
+        limit = float(linear_limits(device.loop, np.array([use.point.damping]))[0])
     margin = limit / use.point.stiffness
     if margin >= NARROW:
         point = use.point.model_copy(update={"margin_large_motion": margin})

@@ -133,7 +133,7 @@ def deviation_of(
         return None
     point = best.stiffness / theory.units.stiffness, best.damping / theory.units.damping
     inside = all(axis.min() <= at <= axis.max() for axis, at in zip((alpha, beta), point, strict=True))
-    ranged = best.cost if inside else _least_in_range(theory.loop, alpha, beta, criterion)
+    ranged = best.cost if inside else _least_in_range(theory.normalised, alpha, beta, criterion)
     return deviation(alpha, beta, expected, measured, use, (best.cost, ranged, optimum.cost))
 
 

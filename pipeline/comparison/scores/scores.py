@@ -49,7 +49,7 @@ def _scores(result: ExperimentResult, stages: ExperimentStages, theory: Theory, 
     stretches = _theory_stretches(theory, limits.damping)
     predicted = stretches.high.max(axis=0, initial=0.0)
     K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
-    inside = is_inside(theory.loop, K / theory.units.stiffness, B / theory.units.damping)
+    inside = is_inside(theory.normalised, K / theory.units.stiffness, B / theory.units.damping)
     found = {
         "region": _region(limits, stretches) if len(limits.damping) > 1 and (predicted > 0).any() else None,
         "distance": boundary_distance(limits, predicted),
@@ -65,12 +65,12 @@ def _scores(result: ExperimentResult, stages: ExperimentStages, theory: Theory, 
         "stiffness": "no stable trial at K > 0, or none in theory at the tested dampings",
     }
     missing = {name: reason for name, reason in why.items() if found[name] is None}
-    return Scores.model_validate({"parameters": theory.parameters, "basis": basis, "missing": missing, **found})
+    return Scores.model_validate({"parameters": theory.described, "basis": basis, "missing": missing, **found})
 
 
 def _theory_stretches(theory: Theory, damping: Floats) -> Stretches:
     """Stable stiffness K >= 0 of theory at each damping; several stretches where the stable set has gaps."""
-    found = stretches(theory.loop, damping / theory.units.damping)
+    found = stretches(theory.normalised, damping / theory.units.damping)
     layer = np.arange(len(found.index)) - np.searchsorted(found.index, found.index)
     shape = (int(layer.max(initial=-1)) + 1, len(damping))
     low, high = np.zeros(shape), np.zeros(shape)

@@ -14,8 +14,8 @@ from pipeline.base.errors import DeviceError, UsageError
 from pipeline.base.wording import counted, first_clause, listed
 from pipeline.comparison.limits import measured_limits
 from pipeline.comparison.loops.departures import other_gains
+from pipeline.comparison.loops.loop_basis import identified_device
 from pipeline.comparison.loops.recording_faults import unsafe_recording
-from pipeline.comparison.loops.told_loop import found_device
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import FEWEST_COMPARISONS, boundary_distance
 from pipeline.comparison.summary.summary_warnings import NEEDED
@@ -185,14 +185,13 @@ def _other_parameters(result: ExperimentResult, of_file: Experiment | None, unit
         return []
     if abs(scores.distance.median) < MATTERS or result.loop is None or not result.loop.adequate:
         return []
-    p = scores.parameters
-    mass, damping, _, _ = p.loop.felt(p.mass, p.damping, p.stiffness)
-    jitter, delay = of_file.jitter_samples if of_file else (), p.delay_samples
+    device = scores.parameters.loop.apparent()
+    jitter, delay = of_file.jitter_samples if of_file else (), device.delay_samples
     if jitter and result.delay.value is not None and result.delay.value < delay:
         delay = max(age_in_force(jitter)[0], min(delay, result.delay.value))
     stated = (
-        ("m", mass, result.estimates["mass"], units.mass),
-        ("b", damping, result.estimates["damping"], units.damping),
+        ("m", device.mass, result.estimates["mass"], units.mass),
+        ("b", device.damping, result.estimates["damping"], units.damping),
         ("d", delay, result.delay, "samples"),
     )
     off = [
@@ -268,8 +267,8 @@ def _next(
     name, wish = result.experiment, Wish()
     try:
         # limits alone need no device
-        found = found_device(result, stages) if result.loop is not None else None
-        if found is not None and found.may_rub:
+        found = identified_device(stages) if result.loop is not None else None
+        if found is not None and found.may_have_friction:
             found = replace(found, directions=_directions(stages))
         plan = plan_of(replace(course_of(stages, data.device, of_file, wish), found=found), wish)
     except (DeviceError, UsageError) as error:

@@ -59,7 +59,7 @@ def _of_trials(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator
                 yield {"code": "recording", "experiments": [r.experiment], "fault": fault}
         check = r.model_check if not any(fault.is_unsafe for fault in r.recording) else None
         if check is not None and check.trials and check.trials - check.explained >= BAD_FITS * check.trials:
-            left_out = r.theory.loop.left_out if r.theory else []
+            left_out = list(r.theory.loop.left_out) if r.theory else []
             unexplained = check.trials - check.explained
             about = {"experiments": [r.experiment], "unexplained": unexplained, "logs": check.trials}
             yield {"code": "bad_fits", **about, "theory": r.theory is not None, "left_out": left_out}

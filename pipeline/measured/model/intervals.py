@@ -32,7 +32,7 @@ class Interval:
     value: float
     low: float
     high: float
-    error: float
+    error: float = 0.0
 
 
 Quantity = Callable[[dict[str, float]], float]

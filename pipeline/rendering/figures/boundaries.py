@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.records.batch import Floats
 from pipeline.records.findings import BoundaryPoint
 from pipeline.records.models import FigureKind, Motion, Overlay, Shown
-from pipeline.records.results import ExperimentResult
+from pipeline.records.results import ExperimentResult, SourcedLoop
 from pipeline.rendering.figures.drawing import Figure, Panel, Series, reach
 from pipeline.rendering.labels import UNITS, damping_text, stiffness_text
 from pipeline.theory.boundary import robust_outline
@@ -146,7 +146,7 @@ def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory, int]], *
     """
     series = []
     for label, result, theory, number in entries:
-        full = f"{label} (d = {theory.loop.delay:.3g}, δ = {theory.loop.delta:.2g})"
+        full = f"{label} (d = {theory.normalised.delay:.3g}, δ = {theory.normalised.delta:.2g})"
         both = [
             *measured(result.boundary, full, number),
             *([by_theory(theory, "_theory", number)] if predicted else []),
@@ -216,8 +216,10 @@ def _over_each_other(
     first = next((theories[r.experiment] for _, r in group if r.experiment in theories), None)
     for number, delay in enumerate(shown.delays or () if first is not None else ()):
         assert first is not None, "else there is no delay to draw"
-        changed = first.parameters.model_copy(update={"delay_samples": float(delay)})
-        series.append(by_theory(Theory(changed), f"theory, d = {delay:g}", number))
+        changed = first.loop.replace({"delay_samples": float(delay)})
+        series.append(
+            by_theory(Theory(SourcedLoop(loop=changed, source=first.source)), f"theory, d = {delay:g}", number)
+        )
     return series
 
 
@@ -244,15 +246,16 @@ def conditions(theory: Theory, robust: bool = True) -> Iterator[Series]:
 
     Source: Hulin 2017, eqs. 3.25, 4.12 and sec. 4.3.3.
     """
-    p, units = theory.parameters, theory.units
-    effective_delay = (p.delay_samples + 0.5) * p.sampling_period_s + p.loop.actuator_lag_s
+    loop, units = theory.loop, theory.units
+    effective_delay = (loop.delay_samples + 0.5) * loop.sampling_period_s + loop.actuator_lag_s
     stiffness = np.array([0.0, 0.6 * theory.boundary.alpha_max * units.stiffness])
-    yield Series("linear condition (3.25)", "linear", stiffness, stiffness * effective_delay - theory.wall_damping)
+    damping = stiffness * effective_delay - loop.apparent().damping
+    yield Series("linear condition (3.25)", "linear", stiffness, damping)
     passive = theory.passive_outline
     if passive is not None and passive[0].max() >= SEEN * theory.boundary.alpha_max:
         alpha, beta = (np.append(values, values[0]) for values in passive)
         yield Series("passive region (4.12)", "passive", alpha * units.stiffness, beta * units.damping)
-    if robust and p.damping > 0 and not p.loop.words():
-        alpha, beta, _ = robust_outline(theory.loop.delta, p.delay_samples)
+    if robust and loop.damping > 0 and not loop.parts_in_words():
+        alpha, beta, _ = robust_outline(theory.normalised.delta, loop.delay_samples)
         outline = np.pad(alpha, 1) * units.stiffness, np.pad(beta, 1, mode="edge") * units.damping
         yield Series("stable with every spring (4.3.3)", "robust", *outline)

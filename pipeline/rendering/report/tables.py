@@ -9,7 +9,7 @@ from typing import Any
 
 from pipeline.base.wording import counted
 from pipeline.records.findings import DRIFTS, Estimate, holds
-from pipeline.records.results import ComparisonResult, ExperimentResult, TheoryParameters
+from pipeline.records.results import ComparisonResult, ExperimentResult, SourcedLoop
 from pipeline.rendering.frames import flat, frames
 from pipeline.rendering.labels import (
     UNITS,
@@ -338,13 +338,13 @@ def estimate_column(quantity: str, unit: str, group: str = "") -> Column:
     )
 
 
-def _theory(theory: TheoryParameters | None, result: ComparisonResult) -> str:
+def _theory(theory: SourcedLoop | None, result: ComparisonResult) -> str:
     if theory is None:
         return ""
-    units = UNITS[result.motion]
-    parts = [("m", theory.mass, f" {units.mass}"), ("b", theory.damping, f" {units.damping}")]
-    parts += [("k", theory.stiffness, f" {units.stiffness}")] if theory.stiffness else []
-    parts.append(("d", theory.delay_samples, ""))
+    units, loop = UNITS[result.motion], theory.loop
+    parts = [("m", loop.mass, f" {units.mass}"), ("b", loop.damping, f" {units.damping}")]
+    parts += [("k", loop.stiffness, f" {units.stiffness}")] if loop.stiffness else []
+    parts.append(("d", loop.delay_samples, ""))
     texts = (f"{symbol} = {significant(value, 3)}{unit}" for symbol, value, unit in parts)
     return ", ".join(text.replace(" ", "\N{NO-BREAK SPACE}") for text in texts)
 

@@ -11,7 +11,7 @@ from fastapi.responses import HTMLResponse, Response
 
 from pipeline.comparison.against import compare_pair
 from pipeline.records.criteria import REPORTED
-from pipeline.records.results import PairDifference, Side, TheoryParameters
+from pipeline.records.results import PairDifference, Side, SourcedLoop
 from pipeline.service.pages.frame import busy, page_of
 from pipeline.service.problems import Problem
 from pipeline.service.shared import Service, Shared, run_of
@@ -111,5 +111,5 @@ def _units(document: Mapping[str, Any]) -> tuple[float, float] | None:
     theory = document["experiments"][0]["theory"]
     if theory is None:
         return None
-    units = Theory(TheoryParameters.model_validate(theory)).units
+    units = Theory(SourcedLoop.model_validate(theory)).units
     return units.stiffness, units.damping

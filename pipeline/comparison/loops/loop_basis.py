@@ -1,0 +1,178 @@
+"""The loop that all statements rest on: the identified one, or that of the device file where it has the same limits."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.comparison.loops.departures import course_filter
+from pipeline.device.loop import Loop
+from pipeline.device.parameters import PARAMETERS, Motion
+from pipeline.device.parts import Coefficients, VelocityFilter
+from pipeline.loop.normalised_loop import LARGEST_DELAY
+from pipeline.measured.experiment.identified_loop import IdentifiedLoop, identified_loop, nominal_loop
+from pipeline.measured.law.log_rows import SET_DIGITS
+from pipeline.measured.model.intervals import Interval
+from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.records.batch import Floats
+from pipeline.records.findings import Quantity
+from pipeline.records.results import ExperimentResult, SourcedLoop
+from pipeline.theory.predictions import Theory
+
+
+@dataclass(frozen=True, eq=False)
+class LoopBasis:
+    """The loop by the logs, by the device file, or by both.
+
+    Parameters
+    ----------
+    identified : IdentifiedLoop or None
+        By the logs.
+    nominal : IdentifiedLoop or None
+        By the device file, its numbers without interval.
+    error : float
+        Error of its limits by replay, 95 %, relative.
+    operator_damping : float
+        Part of the damping that an operator has, by the file, per unit of command [Ns/m, Nms/rad].
+    """
+
+    identified: IdentifiedLoop | None
+    nominal: IdentifiedLoop | None = None
+    error: float = 0.0
+    operator_damping: float = 0.0
+
+    @property
+    def devices(self) -> list[IdentifiedLoop]:
+        """The device that statements rest on, and the other one."""
+        return [device for device in (self.nominal, self.identified) if device is not None]
+
+    @property
+    def loop(self) -> Loop:
+        """The loop that statements rest on."""
+        return self.devices[0].loop
+
+    @property
+    def loops(self) -> list[Loop]:
+        """All loops that the 95 % ranges contain, at their ends."""
+        return [
+            loop for device in self.devices for loop in (device.loop, *(end for both in device.ends for end in both))
+        ]
+
+    def band(self, limits: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
+        """Return the least and the largest limit that numbers and replay leave open, of the limits of its devices."""
+        middle = limits[0][0]
+        low = np.fmin.reduce([limit - reach for limit, reach in limits])
+        high = np.fmax.reduce([limit + reach for limit, reach in limits])
+        off = self.error * middle
+        return np.maximum(middle - np.hypot(middle - low, off), 0.0), middle + np.hypot(high - middle, off)
+
+    def interval(self, name: str) -> Interval:
+        """Return a number with its 95 % interval; that of a file reaches to what the logs show."""
+        by_logs = self.identified.interval(name) if self.identified else None
+        if self.nominal is None:
+            assert by_logs is not None, "a loop is identified or nominal"
+            return by_logs
+        value, off = self.nominal.values[name], 0.0
+        if name == "delay_samples" and self.identified is not None:  # to a device that has no lag it is a delay
+            off = (self.loop.actuator_lag_s - self.identified.loop.actuator_lag_s) / self.loop.sampling_period_s
+        ends = [value, *((by_logs.low - off, by_logs.high - off) if by_logs else ())]
+        return Interval(value, min(ends), max(ends))
+
+
+def identified_device(stages: ExperimentStages) -> IdentifiedLoop | None:
+    """Return the loop by all logs, with their velocity filter; None where mass or delay cannot be identified."""
+    identified = stages.once(identified_loop)
+    if identified is None or "delay_samples" in identified.unidentifiable:
+        return None
+    shown = stages.once(course_filter)
+    return dataclasses.replace(identified, velocity=shown.velocity if shown else None)
+
+
+def loop_basis(identified: IdentifiedLoop | None, of_file: Loop | None) -> LoopBasis | None:
+    """Return the loop by the file where there is one, and by the logs; None where there is neither."""
+    nominal, damping = None, 0.0
+    if of_file is not None:
+        nominal = nominal_loop(of_file) if of_file.delay_samples <= LARGEST_DELAY else None
+        damping = of_file.operator.damping / of_file.force_gain if of_file.operator else 0.0
+    return LoopBasis(identified, nominal, operator_damping=damping) if identified or nominal else None
+
+
+def adequate_theory(result: ExperimentResult, stages: ExperimentStages) -> Theory | None:
+    """Return the theory by the identified loop of an experiment that is adequate and has stable walls, else None.
+
+    A damping below zero counts as zero: the theory asks for b >= 0. Friction is in no theory.
+    """
+    identified = identified_device(stages) if result.loop is not None and result.loop.adequate else None
+    if identified is None or identified.loop.friction is not None:
+        return None
+    theory = Theory(SourcedLoop(loop=identified.loop, source="estimated from the logs"))
+    return theory if theory.stabilised else None
+
+
+def loop_numbers(basis: LoopBasis, of_logs: Sequence[VelocityFilter], operator: Any) -> dict[str, Any]:
+    """Return the numbers of a loop as fields of a result: of the logs with intervals, those of a file as stated.
+
+    All are those that the wall feels, per unit of command; ``operator`` is the part of a file that is in them.
+    """
+    device, velocity, motion = basis.devices[0], basis.loop.velocity, basis.loop.motion
+    intervals = {name: basis.interval(name) for name in ("mass", "damping", "delay_samples")}
+    intervals |= {name: device.interval(name) for name in ("stiffness", "actuator_lag_s") if name in device.values}
+    numbers: dict[str, Any] = {name: as_quantity(name, interval, motion) for name, interval in intervals.items()}
+    if velocity is not None:
+        numbers["velocity"] = filter_quantities(velocity, of_logs)
+    if basis.nominal is not None and operator is not None:
+        numbers["operator"] = {
+            key: as_quantity(f"operator.{key}", exact(float(value)), motion) for key, value in dict(operator).items()
+        }
+    if basis.loop.mode is None:
+        return numbers
+    at_load, mode = basis.loop.mode.sensor == "load", {}
+    for name in (name for name in device.values if PARAMETERS[name].part == "mode"):
+        interval = device.interval(name)
+        low, high = max(interval.low, 0.0), interval.high
+        if name == "mode.mass":
+            # read at the load, with damping on both sides, any share of the mass moves it alike
+            low, high = (0.0, np.inf) if at_load and basis.nominal is None else (low, high)
+            high = min(high, device.values["mass"])
+        mode[PARAMETERS[name].key] = as_quantity(name, Interval(interval.value, low, high), motion)
+    side = exact(float(at_load))
+    return numbers | {"mode": mode | {"sensor_at_load": Quantity(value=side.value, low=side.low, high=side.high)}}
+
+
+def as_quantity(name: str, interval: Interval, motion: Motion) -> Quantity:
+    """Return a number of a loop by its name in `PARAMETERS` with its unit."""
+    unit = PARAMETERS[name].unit(motion)
+    return Quantity(value=interval.value, low=interval.low, high=interval.high, unit=unit)
+
+
+def filter_quantities(velocity: VelocityFilter, of_logs: Sequence[VelocityFilter] = ()) -> dict[str, Quantity]:
+    """Return a filter by the names of a device file, its numbers as far apart as those of single logs are.
+
+    A single log shows its filter to within the rounding of its commands, and may show a rounder number.
+    """
+    numbers = _filter_numbers(velocity)
+    kind = (numbers.keys(), numbers.get("order"))
+    others = [other for other in map(_filter_numbers, of_logs) if (other.keys(), other.get("order")) == kind]
+    result = {}
+    for name, value in numbers.items():
+        low, high = np.quantile([other[name] for other in (numbers, *others)], (0.025, 0.975))
+        # half of the last digit, as far as logs tell; a device file is exact
+        digit = 10.0 ** (np.floor(np.log10(value)) + 1 - SET_DIGITS) if of_logs and name == "cutoff_hz" else 0.0
+        result[name] = Quantity(value=value, low=min(low, value) - 0.5 * digit, high=max(high, value) + 0.5 * digit)
+    return result
+
+
+def _filter_numbers(velocity: VelocityFilter) -> dict[str, float]:
+    if not isinstance(velocity, Coefficients):
+        return {name: float(value) for name, value in velocity.model_dump(exclude={"kind"}).items()}
+    sides = (("b", velocity.b), ("a", velocity.a))
+    return {f"{name}{i}": value for name, values in sides for i, value in enumerate(values)}
+
+
+def exact(value: float) -> Interval:
+    """Return a number that is its own interval."""
+    return Interval(value, value, value)
