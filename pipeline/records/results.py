@@ -45,7 +45,8 @@ class SourcedLoop(Record):
         if not isinstance(given, dict) or isinstance(given.get("loop"), Loop):
             return given
         numbers = {name: value for name, value in given.items() if name not in ("loop", "source")}
-        return {"loop": Loop(**numbers, **dict(LoopTable.model_validate(given["loop"]))), "source": given["source"]}
+        parts = LoopTable.model_validate(given.get("loop", {}))
+        return {"loop": Loop(**numbers, **dict(parts)), "source": given["source"]}
 
     @model_serializer
     def _flat(self) -> dict[str, Any]:
@@ -216,7 +217,7 @@ class LoopResult(Record):
     friction: Quantity | None = None
 
 
-class LoopLimit(Record):
+class Limit(Record):
     """Stiffness [N/m, Nm/rad] up to which a loop is stable at one damping, with the range of its 95 % intervals.
 
     With friction it holds for the step that was used; ``stiffness_large_motion`` is the linear limit, from which on a
@@ -302,7 +303,7 @@ class LoopFindings(Record):
     """Loop, limits, passive wall and causes of one experiment; what is missing is None, and why stands beside it."""
 
     loop: LoopResult
-    loop_boundary: tuple[LoopLimit, ...] | None = None
+    loop_boundary: tuple[Limit, ...] | None = None
     passive: PassiveWall | None = None
     passive_reason: str | None = None
     replay: WallReplay | None = None
@@ -500,7 +501,7 @@ class ExperimentResult(Record):
     theory: SourcedLoop | None = None
     scores: tuple[Scores, ...] = ()
     loop: LoopResult | None = None
-    loop_boundary: tuple[LoopLimit, ...] | None = None
+    loop_boundary: tuple[Limit, ...] | None = None
     passive: PassiveWall | None = None
     passive_reason: str | None = None
     replay: WallReplay | None = None

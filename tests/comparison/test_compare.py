@@ -325,8 +325,8 @@ def test_unknown_device_is_compared_with_theory_from_its_estimates(unknown_outco
     assert not result.known_device
     (experiment,) = result.experiments
     assert experiment.theory.source == "estimated from the logs"
-    assert experiment.theory.mass == pytest.approx(0.58, rel=5e-3)
-    assert experiment.theory.damping == pytest.approx(4.0, abs=0.02)
+    assert experiment.theory.loop.mass == pytest.approx(0.58, rel=5e-3)
+    assert experiment.theory.loop.damping == pytest.approx(4.0, abs=0.02)
     assert experiment.theory.delay_samples == pytest.approx(4, abs=1e-6)
     assert set(experiment.optimum) == set(result.criteria)
     assert any("no device file" in text for text in result.warnings)

@@ -2,14 +2,14 @@
 
 import pytest
 
-from pipeline.device.parts import LoopParts
+from pipeline.device.parts import LoopTable
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.records.results import TheoryParameters
+from pipeline.records.results import SourcedLoop
 from pipeline.rendering.figures.boundaries import by_theory, conditions
 from pipeline.theory.optimum import optimal_point
 from pipeline.theory.predictions import Theory
 
-PARTS = LoopParts.model_validate(
+PARTS = LoopTable.model_validate(
     {
         "velocity": {"kind": "butterworth", "order": 1, "cutoff_hz": 40.0},
         "actuator_lag_s": 0.001,
@@ -19,9 +19,9 @@ PARTS = LoopParts.model_validate(
 )
 
 
-def theory(parts: LoopParts = LoopParts()) -> Theory:  # noqa: B008
+def theory(parts: LoopTable = LoopTable()) -> Theory:  # noqa: B008
     return Theory(
-        TheoryParameters(
+        SourcedLoop(
             mass=0.58, damping=4.0, stiffness=0.0, sampling_period_s=0.001, delay_samples=4.0, source="test", loop=parts
         )
     )
@@ -29,9 +29,9 @@ def theory(parts: LoopParts = LoopParts()) -> Theory:  # noqa: B008
 
 def test_boundary_and_optimum_are_those_of_the_loop_with_its_parts():
     ideal, real = theory(), theory(PARTS)
-    assert (type(ideal.loop), type(real.loop)) == (NormalisedLoop, NormalisedLoop)
+    assert (type(ideal.normalised), type(real.normalised)) == (NormalisedLoop, NormalisedLoop)
     assert by_theory(real, "").x.max() < 0.6 * by_theory(ideal, "").x.max()
-    best = [one.physical(optimal_point(one.loop, "energy_step_w0")) for one in (ideal, real)]
+    best = [one.physical(optimal_point(one.normalised, "energy_step_w0")) for one in (ideal, real)]
     assert best[1].stiffness < 0.8 * best[0].stiffness
     assert best[1].cost > best[0].cost
 
@@ -48,16 +48,17 @@ def test_passive_region_and_linear_condition_know_the_lag():
 
 def test_the_passive_region_is_that_of_the_near_side_alone():
     mode = {"frequency_hz": 120.0, "damping_ratio": 0.05, "mass": 0.05}
-    damped, whole = (theory(LoopParts.model_validate({"mode": mode | more})) for more in ({"load_damping": 1.0}, {}))
+    damped, whole = (theory(LoopTable.model_validate({"mode": mode | more})) for more in ({"load_damping": 1.0}, {}))
     assert damped.passive_outline[0].max() == pytest.approx(0.75 * whole.passive_outline[0].max())
 
 
 def test_words_name_the_parts_and_what_is_left_out():
-    assert PARTS.words() == (
+    real = theory(PARTS).loop
+    assert real.parts_in_words() == (
         "velocity filter (Butterworth, order 1, 40 Hz), actuator lag 1 ms, "
         "vibration mode at 120 Hz, sensed at the motor"
     )
-    assert PARTS.left_out == ["friction"]
-    assert LoopParts().words() == ""
+    assert real.left_out == ("friction",)
+    assert theory().loop.parts_in_words() == ""
     far = PARTS.model_copy(update={"mode": PARTS.mode.model_copy(update={"sensor": "load"})})
     assert theory(far).passive_outline is None

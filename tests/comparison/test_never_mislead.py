@@ -11,7 +11,7 @@ import pytest
 import pipeline
 from pipeline.base.errors import ParameterError
 from pipeline.comparison.compare import compare
-from pipeline.device.parts import Friction, LoopParts
+from pipeline.device.parts import Friction, LoopTable
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.simulation.course import run_course, write_course
@@ -138,7 +138,7 @@ def test_a_criterion_without_an_optimum_in_theory_is_a_row_with_a_reason(tmp_pat
 @pytest.mark.slow
 def test_stable_with_friction_is_said_of_the_step_with_the_limit_of_large_motions_beside(tmp_path):
     device = load_device("falcon").model_copy(update={"name": "rubbing"})
-    device = device.model_copy(update={"loop": LoopParts(friction=Friction(coulomb=0.7))})
+    device = device.model_copy(update={"loop": LoopTable(friction=Friction(coulomb=0.7))})
     page, folder = tmp_path / "page.html", ingested(tmp_path, device, seed=21, jitter_samples=(), coarsen=8)
     result = compare("rubbing", folder, criteria=("settle_2pct", "energy_step_w1"), report=page).result
     (found,) = result.experiments

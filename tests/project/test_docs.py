@@ -163,10 +163,10 @@ def test_every_criterion_and_format_is_documented() -> None:
 
 
 def test_every_setting_is_documented() -> None:
-    from pipeline.device.parts import LoopParts, SimulationParts
+    from pipeline.device.parts import LoopTable, SimulationParts
 
     page = read(ROOT / "docs" / "devices.md")
-    keys = [key for model in (LoopParts, SimulationParts) for key in model.model_fields]
+    keys = [key for model in (LoopTable, SimulationParts) for key in model.model_fields]
     assert len(keys) > 12
     assert [key for key in keys if f"`{key}`" not in page] == []
     source = "".join(read(path) for path in (ROOT / "pipeline").rglob("*.py"))

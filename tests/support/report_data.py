@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.records.findings import BoundaryPoint, Estimate, Optimum
 from pipeline.records.models import ComparisonRow, Motion
-from pipeline.records.results import ComparisonResult, ExperimentResult, TheoryParameters
+from pipeline.records.results import ComparisonResult, ExperimentResult, SourcedLoop
 from pipeline.rendering.figures.boundaries import limits_figure, limits_panel
 from pipeline.rendering.figures.drawing import Figure, Panel, Series
 from pipeline.rendering.report.report import ReportData
@@ -88,7 +88,7 @@ def experiment(name: str, grip: str = "none") -> ExperimentResult:
         boundary=points,
         optimum={"settle_2pct": Optimum(stiffness=5200, damping=64, cost=20, ties=3, censored=True)},
         missing={"energy_step_w0": "the mass could not be estimated", "settle_1pct": "band below a quantum"},
-        theory=TheoryParameters(
+        theory=SourcedLoop(
             mass=0.58, damping=4, stiffness=0, sampling_period_s=0.001, delay_samples=4, source="device file"
         ),
     )

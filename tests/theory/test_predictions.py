@@ -10,7 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 import pytest
 
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.records.results import TheoryParameters
+from pipeline.records.results import SourcedLoop
 from pipeline.theory import predictions
 from pipeline.theory.optimum import optimal_point
 from pipeline.theory.predictions import Predictions, Theory
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.usefixtures("one_process")
 
 def theory(mass=0.5, damping=5.0, period=1e-3, delay=1.0):
     return Theory(
-        TheoryParameters(
+        SourcedLoop(
             mass=mass, damping=damping, stiffness=0.0, sampling_period_s=period, delay_samples=delay, source="test"
         )
     )

@@ -24,7 +24,7 @@ from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.loop_limits import StepTrial, linear_limits, simulate_behind
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.findings import MATTERS
-from pipeline.records.results import ExperimentResult, LoopLimit, WallReplay
+from pipeline.records.results import ExperimentResult, Limit, WallReplay
 from pipeline.rendering.labels import share_text, significant
 
 MOST_WALLS = 150
@@ -199,7 +199,7 @@ def replay_words(replay: WallReplay) -> str:
 
 def limits_with_intervals(
     result: ExperimentResult, basis: LoopBasis, limits: Sequence[tuple[Floats, Floats]]
-) -> tuple[LoopLimit, ...]:
+) -> tuple[Limit, ...]:
     """Return the limits of a loop at the tested dampings with their intervals; where they are not those of the linear
     loop, these beside them."""
     damping = np.array([each.damping for each in result.boundary])
@@ -207,7 +207,7 @@ def limits_with_intervals(
     apart = not np.array_equal(stiffness, linear)
     rows = zip(damping.tolist(), stiffness.tolist(), low.tolist(), high.tolist(), linear.tolist(), strict=True)
     return tuple(
-        LoopLimit(damping=B, stiffness=K, low=a, high=b, stiffness_large_motion=far if apart else None)
+        Limit(damping=B, stiffness=K, low=a, high=b, stiffness_large_motion=far if apart else None)
         for B, K, a, b, far in rows
         if np.isfinite(K)
     )

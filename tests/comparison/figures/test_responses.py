@@ -17,8 +17,8 @@ from pipeline.comparison.figures.responses import (
     trial_figure,
 )
 from pipeline.comparison.scene.scene import open_scene
-from pipeline.device.parts import Butterworth, LoopParts
-from pipeline.records.results import TheoryParameters
+from pipeline.device.parts import Butterworth, LoopTable
+from pipeline.records.results import SourcedLoop
 from pipeline.rendering.figures.drawing import draw
 from pipeline.theory.predictions import Theory
 
@@ -131,9 +131,9 @@ def test_an_excluded_trial_is_drawn_beside_the_loop(first):
 def test_a_loop_with_filter_and_lag_moves_as_its_equations_say():
     """Against a fine integration of lag and mass, with the filter by its difference equation."""
     period, mass, damping, lag, stiffness, wall = 1e-3, 0.2, 1.5, 2e-3, 400.0, 3.0
-    parts = LoopParts(velocity=Butterworth(kind="butterworth", order=1, cutoff_hz=80.0), actuator_lag_s=lag)
+    parts = LoopTable(velocity=Butterworth(kind="butterworth", order=1, cutoff_hz=80.0), actuator_lag_s=lag)
     theory = Theory(
-        TheoryParameters(mass=mass, damping=damping, stiffness=0.0, sampling_period_s=period, delay_samples=2.5,
+        SourcedLoop(mass=mass, damping=damping, stiffness=0.0, sampling_period_s=period, delay_samples=2.5,
                          source="", loop=parts)
     )  # fmt: skip
     rows, fine = 120, 2000

@@ -42,7 +42,7 @@ def test_two_delays_that_are_as_likely_jitter(tmp_path):
 def test_friction_with_stiction_is_named_without_a_log_at_rest(tmp_path):
     course, found = compared(tmp_path, load_device("lwr"), "friction with stiction", 9000)
     assert [cause.code for cause in found.causes] == ["coulomb_friction"]
-    friction, truth = found.estimates["friction"], course.device.loop_of(course.experiment).friction.coulomb
+    friction, truth = found.estimates["friction"], course.device.loop_for(course.experiment).friction.coulomb
     assert friction.low <= truth <= friction.high
 
 

@@ -165,7 +165,7 @@ def test_a_linear_part_is_named_and_the_loop_with_it_bears_statements(compared, 
             assert radius(course, 0.99 * limit.stiffness, limit.damping) < 1
             assert radius(course, 1.01 * limit.stiffness, limit.damping) > 1
     # theory is drawn by the same loop
-    assert found.theory.mass == found.loop.mass.value
+    assert found.theory.loop.mass == found.loop.mass.value
     assert (found.theory.loop.velocity is None) == (found.loop.velocity is None)
     assert found.theory.loop.actuator_lag_s == (found.loop.actuator_lag_s.value if found.loop.actuator_lag_s else 0.0)
     assert (found.theory.loop.mode is None) == (found.loop.mode is None)
@@ -206,7 +206,7 @@ def test_clipping_imitates_no_missing_rows_and_no_steps(compared):
 def test_theory_takes_the_delay_that_explains_the_logs(compared):
     course, result = compared("fractional delay")
     (found,) = result.experiments
-    assert found.theory.delay_samples == pytest.approx(course.setup.delay_samples, abs=0.01)
+    assert found.theory.loop.delay_samples == pytest.approx(course.setup.delay_samples, abs=0.01)
     (cause,) = found.causes
     assert cause.code == "fractional_delay"
     assert abs(found.scores[0].distance.median) < 0.02

@@ -10,7 +10,7 @@ import pytest
 from pipeline.comparison.scores.agreement import is_steady
 from pipeline.comparison.summary.answer import COARSE, answer
 from pipeline.records.models import ComparisonRow, Deviation
-from pipeline.records.results import Cause, LoopLimit
+from pipeline.records.results import Cause, Limit
 from pipeline.rendering.labels import at_least
 from pipeline.rendering.report.report import answer_lines
 
@@ -83,7 +83,7 @@ def test_friction_that_explains_the_limits_is_a_code_of_its_own(data, result):
     experiment = result.experiments[0]
     region = experiment.scores[0].region.model_copy(update={"overlap": 0.7})
     limits = tuple(
-        LoopLimit(damping=p.damping, stiffness=1.01 * p.estimate, low=0.0, high=2 * p.estimate)
+        Limit(damping=p.damping, stiffness=1.01 * p.estimate, low=0.0, high=2 * p.estimate)
         for p in experiment.boundary
         if p.estimate
     )

@@ -9,7 +9,7 @@ from report_data import experiment
 
 from pipeline.records.findings import BoundaryPoint
 from pipeline.records.models import Shown
-from pipeline.records.results import Cause, LoopLimit, TheoryParameters
+from pipeline.records.results import Cause, Limit, SourcedLoop
 from pipeline.rendering.figures.boundaries import (
     answer_figure,
     boundary_figures,
@@ -23,7 +23,7 @@ from pipeline.theory.predictions import Theory
 
 def theory(mass: float = 0.58, damping: float = 4.0, delay: float = 4.0, period: float = 1e-3) -> Theory:
     return Theory(
-        TheoryParameters(
+        SourcedLoop(
             mass=mass, damping=damping, stiffness=0, sampling_period_s=period, delay_samples=delay, source="test"
         )
     )
@@ -93,7 +93,7 @@ def test_experiments_share_colours_over_all_figures_and_overlays_are_those_asked
 
 
 def test_identified_loop_is_drawn_with_its_interval_and_the_limit_for_a_harder_push() -> None:
-    limits = tuple(LoopLimit(damping=b, stiffness=900, low=800, high=1000, stiffness_large_motion=700) for b in (0, 4))
+    limits = tuple(Limit(damping=b, stiffness=900, low=800, high=1000, stiffness_large_motion=700) for b in (0, 4))
     result = experiment("1").model_copy(update={"loop_boundary": limits})
     (figure,) = boundary_figures([result], {}, "translation", Shown(), sweep=False)
     found = {s.kind: s for s in figure.panels[0].series}
@@ -111,7 +111,7 @@ def test_answer_shows_every_trial_behind_a_wall() -> None:
 
 
 def test_answer_shows_the_limits_with_friction_that_it_tells_of() -> None:
-    limits = tuple(LoopLimit(damping=b, stiffness=900, low=800, high=1000, stiffness_large_motion=700) for b in (0, 4))
+    limits = tuple(Limit(damping=b, stiffness=900, low=800, high=1000, stiffness_large_motion=700) for b in (0, 4))
     rubs = Cause(code="coulomb_friction", sentence="", evidence="")
     result = experiment("1").model_copy(update={"loop_boundary": limits, "causes": (rubs,)})
     nothing = np.array([]), np.array([]), np.array([])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from report_data import estimate, report_data
 
-from pipeline.device.parts import LoopParts
-from pipeline.records.results import ComparisonResult, HeaderLine, TheoryParameters, Truth, TruthHeld
+from pipeline.device.parts import LoopTable
+from pipeline.records.results import ComparisonResult, HeaderLine, SourcedLoop, Truth, TruthHeld
 from pipeline.rendering.figures.drawing import draw
 from pipeline.rendering.figures.overview import delay_figure, trend_figure
 from pipeline.rendering.frames import differing_lines, frames, in_order, limit_of
@@ -17,8 +17,8 @@ from pipeline.rendering.report import report
 from pipeline.rendering.report.tables import MISSED, tables_of
 
 DATES = ("2026-05-02", "2026-01-30", "2026-03-11 14:02")
-LOOP = TheoryParameters(
-    mass=0.58, damping=4, stiffness=0, sampling_period_s=0.001, delay_samples=4, loop=LoopParts(), source="simulator"
+LOOP = SourcedLoop(
+    mass=0.58, damping=4, stiffness=0, sampling_period_s=0.001, delay_samples=4, loop=LoopTable(), source="simulator"
 )
 
 

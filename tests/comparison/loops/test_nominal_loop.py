@@ -6,10 +6,10 @@ import pytest
 from general_devices import Example, ManyDigits
 
 from pipeline.comparison.compare import compare
-from pipeline.device.parts import LoopParts
+from pipeline.device.loop import Loop
 from pipeline.device_data.devices import read_device
 from pipeline.intake.ingest import ingest
-from pipeline.loop.normalised_loop import loop_of, wall_units
+from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.simulation.course import run_course, write_course
 from pipeline.theory.boundary import stiffness_limit
 
@@ -92,9 +92,7 @@ def told(tmp_path, monkeypatch):
 
 
 def truth_of(device):
-    entry = device.experiments[0]
-    numbers = entry.mass, entry.damping, entry.stiffness, entry.delay_samples, device.sampling_period_s
-    return ManyDigits(Example(*numbers, device.loop_of(entry)))
+    return ManyDigits(Example(device.loop_for(device.experiments[0])))
 
 
 def holds(device, found):
@@ -114,15 +112,20 @@ def holds(device, found):
 def test_statements_rest_on_the_loop_of_the_file(told, name):
     device, result = told(name, *DEVICES[name])
     (found,) = result.experiments
-    loop, entry, parts = found.loop, device.experiments[0], device.loop_of(device.experiments[0])
+    loop, of_file = found.loop, device.loop_for(device.experiments[0])
     assert (loop.source, loop.adequate) == ("device file", True), loop.reason
-    held = parts.operator
-    assert loop.mass.value == pytest.approx((entry.mass + (held.mass if held else 0)) / parts.force_gain)
-    assert loop.delay_samples.value == entry.delay_samples
-    assert (loop.actuator_lag_s.value if loop.actuator_lag_s else 0) == parts.actuator_lag_s
-    assert (loop.mode["frequency_hz"].value if loop.mode else None) == (parts.mode.frequency_hz if parts.mode else None)
+    held, mode = of_file.operator, of_file.mode
+    assert loop.mass.value == pytest.approx((of_file.mass + (held.mass if held else 0)) / of_file.force_gain)
+    assert loop.delay_samples.value == of_file.delay_samples
+    assert (loop.actuator_lag_s.value if loop.actuator_lag_s else 0) == of_file.actuator_lag_s
+    assert (loop.mode is None) == (mode is None)
+    if mode is not None:  # as the wall feels it: a hand on the motor slows it, the load is one per unit of command
+        masses = [of_file.mass, of_file.mass + (held.mass if held else 0)]
+        slower = np.sqrt(np.divide(*((whole - mode.mass) / whole for whole in masses)))
+        assert loop.mode["frequency_hz"].value == pytest.approx(mode.frequency_hz * slower)
+        assert loop.mode["mass"].value == pytest.approx(mode.mass / of_file.force_gain)
     assert (loop.operator["stiffness"].value if held else 0) == (held.stiffness if held else 0)
-    assert (loop.velocity is None) == (parts.velocity is None)
+    assert (loop.velocity is None) == (of_file.velocity is None)
     holds(device, found)
     for limit, point in zip(found.loop_boundary, found.boundary, strict=True):
         if point.stable and limit.stiffness > 500:
@@ -130,7 +133,7 @@ def test_statements_rest_on_the_loop_of_the_file(told, name):
     # theory by the estimates has the parts too: its limits are the measured ones
     own = [scores for scores in found.scores if scores.basis == "estimates"]
     assert all(abs(scores.distance.median) < 0.02 for scores in own)
-    assert parts.words() in loop.reason
+    assert of_file.parts_in_words() in loop.reason
 
 
 @pytest.mark.slow
@@ -166,20 +169,21 @@ def test_a_loop_that_nothing_stabilises_is_said_so(told):
 
 
 def test_what_the_wall_feels_is_the_same_loop():
-    parts = LoopParts.model_validate(
-        {
-            "actuator_lag_s": 0.001,
-            "force_gain": 0.7,
-            "mode": {"frequency_hz": 60.0, "damping_ratio": 0.05, "mass": 0.1, "load_damping": 2.0},
-            "operator": {"mass": 0.15, "damping": 5.0, "stiffness": 300.0},
-        }
+    whole = Loop(
+        mass=0.5,
+        damping=3.0,
+        stiffness=20.0,
+        sampling_period_s=1e-3,
+        delay_samples=2.4,
+        actuator_lag_s=0.001,
+        force_gain=0.7,
+        mode={"frequency_hz": 60.0, "damping_ratio": 0.05, "mass": 0.1, "load_damping": 2.0},
+        operator={"mass": 0.15, "damping": 5.0, "stiffness": 300.0},
     )
-    whole, (mass, damping, stiffness, left) = (0.5, 3.0, 20.0), parts.felt(0.5, 3.0, 20.0)
-    assert (mass, damping, stiffness) == pytest.approx((0.65 / 0.7, 8 / 0.7, 320 / 0.7))
-    wall = np.array([10.0, 30.0])
-    limits = []
-    for numbers, some in ((whole, parts), ((mass, damping, stiffness), left)):
-        units = wall_units(numbers[0], 1e-3, some)
-        loop = loop_of(*numbers, 2.4, 1e-3, some)
-        limits.append(stiffness_limit(loop, wall / units.damping) * units.stiffness)
+    felt = whole.apparent()
+    assert (felt.mass, felt.damping, felt.stiffness) == pytest.approx((0.65 / 0.7, 8 / 0.7, 320 / 0.7))
+    wall, limits = np.array([10.0, 30.0]), []
+    for loop in (whole, felt):
+        units = LoopUnits.of(loop)
+        limits.append(stiffness_limit(NormalisedLoop.of(loop), wall / units.damping) * units.stiffness)
     np.testing.assert_allclose(limits[0], limits[1], rtol=1e-9)
