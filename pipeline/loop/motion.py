@@ -1,9 +1,9 @@
 """Exact motion of a device under constant forces, with vibration mode, actuator lag and friction: the one stepper.
 
-Without friction the motion is linear, and a step of time is one product with its exponential. Friction makes it
-piecewise linear: the motor's side rests (stick), creeps below the Stribeck velocity, or slides above it. The time at
-which it leaves one region for another is found on the exact motion. Between stiction at rest and Coulomb friction at
-the Stribeck velocity the force falls linearly.
+Without friction the motion is that of `pipeline.loop.state_space`, and a step of time is one product with its
+exponential. Friction makes it piecewise linear: the motor rests (stick), creeps below the Stribeck velocity, or slides
+above it. The time at which it leaves one region for another is found on the exact motion. Between stiction at rest and
+Coulomb friction at the Stribeck velocity the force falls linearly.
 """
 
 from __future__ import annotations
@@ -11,12 +11,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import factorial, inf, pi
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from scipy.linalg import expm
 
-from pipeline.device.parts import Friction, LoopParts
+from pipeline.loop.state_space import Plant, StateSpace, plant_of, state_space
 from pipeline.records.batch import Booleans, Floats, Integers
+
+if TYPE_CHECKING:  # its classes take longer to load than a short command to run
+    from pipeline.device.loop import Loop
+    from pipeline.device.parts import Friction
 
 STICK, CREEP, SLIDE = 0, 1, 2
 """Regions of friction. Without a Stribeck effect there is no `SLIDE`: every motion is a `CREEP` at constant force."""
@@ -47,111 +52,78 @@ SETTLED = 2.0**-50
 
 
 @dataclass(frozen=True)
-class Mechanism:
-    """Motor's side with damper, spring and friction; perhaps a load on a spring, perhaps a lag before the motor.
+class FrictionalMotion:
+    """Exact motion of motor and load under constant forces, with friction on the motor.
 
     Parameters
     ----------
-    mass, damping, stiffness : float
-        Of the motor's side [kg, Ns/m, N/m or kg m^2, Nms/rad, Nm/rad]; the spring is relaxed at the start.
-    load_mass, spring, spring_damping, load_damping : float
-        Far mass, what joins it to the motor's side, and its own damper; no mode where ``load_mass`` is 0.
-    lag_s : float
-        Time constant of the actuator [s].
+    plant : Plant
+        Linear motion with forces as inputs, in SI; its spring is relaxed at the start.
     friction : Friction or None
-    sensor_at_load : bool
-        Whether the load's displacement is sensed.
+        Coulomb friction and stiction [N, Nm] on the motor.
 
     Notes
     -----
-    The state has a row a quantity, a column a trial: displacement and velocity of the motor, then of the load, then the
-    force behind the lag. Rates and motions are of z: the state, command, force beside it, direction of friction.
+    The state has a row a quantity, a column a trial: displacement [m, rad] and velocity of the motor, then of the load,
+    then the actuator's force. Rates and motions are of z: the state, command, force beside it, direction of friction.
+
+    Examples
+    --------
+    >>> motion = FrictionalMotion(Plant(mass=2.0, damping=0.0, stiffness=0.0))
+    >>> motion.advance(motion.rest(np.zeros(1)), np.array([4.0]), 0.0, 1.0).round(12).tolist()
+    [[1.0], [2.0]]
     """
 
-    mass: float
-    damping: float = 0.0
-    stiffness: float = 0.0
-    load_mass: float = 0.0
-    spring: float = 0.0
-    spring_damping: float = 0.0
-    load_damping: float = 0.0
-    lag_s: float = 0.0
+    plant: Plant
     friction: Friction | None = None
-    sensor_at_load: bool = False
 
     @classmethod
-    def of(cls, mass: float, damping: float, stiffness: float, parts: LoopParts) -> Mechanism:
-        """Return a device with operator, vibration mode, lag and friction; mass, damping, stiffness are its own.
-
-        Of a mode with free-free resonance w, damping ratio z and masses m1 (motor, without operator) and m2, the spring
-        is M w^2 and its damping 2 z w M with M = m1 m2/(m1 + m2); the load's own damping is part of the device's.
-        """
-        motor, friction = mass, parts.friction
-        if parts.operator is not None:
-            motor, damping = mass + parts.operator.mass, damping + parts.operator.damping
-            stiffness += parts.operator.stiffness
+    def of(cls, loop: Loop) -> Self:
+        """Return the motion of a device with its operator; its inputs are forces, behind the gain of the loop."""
+        friction = loop.friction
         if friction is not None and max(friction.coulomb, friction.stiction or 0.0) == 0:
             friction = None
-        device = cls(motor, damping, stiffness, lag_s=parts.actuator_lag_s, friction=friction)
-        if parts.mode is None:
-            return device
-        mode, frequency = parts.mode, 2 * pi * parts.mode.frequency_hz
-        reduced = (mass - mode.mass) * mode.mass / mass
-        return replace(
-            device,
-            mass=motor - mode.mass,
-            damping=damping - mode.load_damping,
-            load_damping=mode.load_damping,
-            load_mass=mode.mass,
-            spring=reduced * frequency**2,
-            spring_damping=2 * mode.damping_ratio * frequency * reduced,
-            sensor_at_load=mode.sensor == "load",
-        )
+        return cls(plant_of(replace(loop, force_gain=1.0)), friction)
+
+    @property
+    def motor_mass(self) -> float:
+        """Mass of the motor and all that moves with it rigidly [kg, kg m^2]."""
+        return self.plant.mass - self.plant.load_mass
 
     @property
     def sensed(self) -> int:
         """Row of the state that the sensor sees."""
-        return 2 if self.sensor_at_load else 0
+        return 2 if self.plant.sensor_at_load else 0
 
     @property
     def states(self) -> int:
         """Number of rows of the state."""
-        return 2 + 2 * (self.load_mass > 0) + (self.lag_s > 0)
+        return 2 + 2 * self.plant.has_mode + (self.plant.lag > 0)
 
     def rest(self, command: Floats) -> Floats:
         """Return the state at rest, shape (states, n), where the actuator has long had a command [N, Nm]."""
-        state = np.zeros((self.states, len(command)))
-        if self.lag_s > 0:
-            state[-1] = command
-        return state
+        return np.outer(_of_motor_and_load(self.plant).at_rest, command)
 
     def advance(self, state: Floats, command: Floats, push: Floats | float, time_s: float) -> Floats:
         """Return the state after a time [s] under a constant command, and a force beside it without lag [N, Nm]."""
         n = self.states
         z = np.zeros((n + 3, state.shape[1]))
         z[:n], z[n], z[n + 1] = state, command, push
-        return _motion(self, time_s).advance(z)
+        return _interval(self, time_s).advance(z)
 
     def rates(self) -> list[Floats]:
         """Return A of z' = A z in each region, z being the state without the region; the last row is the direction."""
-        n = self.states
+        n, linear = self.states, _of_motor_and_load(self.plant)
         free = np.zeros((n + 3, n + 3))
-        free[0, 1] = 1.0
-        free[1] = self.motor_force() / self.mass
-        if self.load_mass > 0:
-            free[2, 3] = 1.0
-            free[3, :4] = self.spring, self.spring_damping, -self.spring, -self.spring_damping - self.load_damping
-            free[3] /= self.load_mass
-        if self.lag_s > 0:
-            free[n - 1, n - 1], free[n - 1, n] = -1 / self.lag_s, 1 / self.lag_s
+        free[:n, : n + 2] = np.column_stack((linear.matrix, linear.command, linear.force))
         if self.friction is None:
             return [free]
         coulomb, stiction, slope = self.levels
         stick, creep, slide = free.copy(), free.copy(), free.copy()
         stick[:2] = 0.0
-        creep[1, -1] -= stiction / self.mass
-        creep[1, 1] += slope / self.mass
-        slide[1, -1] -= coulomb / self.mass
+        creep[1, -1] -= stiction / self.motor_mass
+        creep[1, 1] += slope / self.motor_mass
+        slide[1, -1] -= coulomb / self.motor_mass
         return [stick, creep, slide] if slope else [stick, creep]
 
     @property
@@ -162,15 +134,10 @@ class Mechanism:
         return self.friction.coulomb, stiction, (stiction - self.friction.coulomb) / self.friction.stribeck_velocity
 
     def motor_force(self) -> Floats:
-        """Return the row that gives the force on the motor's side without friction [N, Nm] from z."""
-        n = self.states
-        row = np.zeros(n + 3)
-        row[0], row[1] = -self.stiffness - self.spring, -self.damping - self.spring_damping
-        if self.load_mass > 0:
-            row[2], row[3] = self.spring, self.spring_damping
-        row[n - 1 if self.lag_s > 0 else n] += 1.0
-        row[n + 1] += 1.0
-        return row
+        """Return the row that gives the force on the motor without friction [N, Nm] from z."""
+        # the acceleration of a motor with a mass of 1
+        linear = _of_motor_and_load(replace(self.plant, mass=1.0 + self.plant.load_mass))
+        return np.concatenate((linear.matrix[1], [linear.command[1], linear.force[1], 0.0]))
 
     def guards(self) -> list[tuple[Floats, float, float]]:
         """Return for each region a row C and two bounds: C z times the direction lies between them inside."""
@@ -185,9 +152,25 @@ class Mechanism:
         return [stick, (velocity, 0.0, joint), (velocity, joint, inf)]
 
 
+def _of_motor_and_load(plant: Plant) -> StateSpace:
+    """Return the state space by positions and velocities of motor and load, which `state_space` has about the centre.
+
+    The motor is at x_1 = c - (m_2/m_1) y, the load at x_2 = c + y, so that with the load's share s of the mass
+    c = (1 - s) x_1 + s x_2 and y = (1 - s)(x_2 - x_1).
+    """
+    linear = state_space(plant)
+    if not plant.has_mode:
+        return linear
+    share, turn, back = plant.load_mass / plant.mass, np.eye(len(linear.matrix)), np.eye(len(linear.matrix))
+    turn[:4, :4] = np.kron([[1.0, -share / (1.0 - share)], [1.0, 1.0]], np.eye(2))
+    back[:4, :4] = np.kron([[1.0 - share, share], [share - 1.0, 1.0 - share]], np.eye(2))
+    columns = (turn @ column for column in (linear.command, linear.force))
+    return StateSpace(turn @ linear.matrix @ back, *columns, linear.sensor @ back, turn @ linear.at_rest)
+
+
 @dataclass(frozen=True, eq=False)
-class _Motion:
-    """Exact motion of a mechanism over a time, and what is needed to stop it inside.
+class _Interval:
+    """Exact motion over a time, and what is needed to stop it inside.
 
     ``whole`` (regions, rows, states + 3) gives the state at its end, then guard and slope of the guard before and
     after. ``grids`` divide it into cells, and a cell of the last one into cells again: state, guard and slope at each
@@ -195,7 +178,7 @@ class _Motion:
     the last. ``low`` and ``high`` (regions) bound the guard; ``force`` gives that on the motor's side from z.
     """
 
-    mechanism: Mechanism
+    motion: FrictionalMotion
     whole: Floats
     time_s: float
     slow: bool
@@ -207,20 +190,20 @@ class _Motion:
 
     def advance(self, z: Floats) -> Floats:
         """Return the state after the time, shape (states, n)."""
-        friction, n = self.mechanism.friction, self.mechanism.states
+        friction, n = self.motion.friction, self.motion.states
         if friction is None:
             return _by_region(self.whole, z, np.zeros(z.shape[1], dtype=np.int64))
         z[-1] = np.where(z[1] < 0, -1.0, 1.0)
         region: Integers = (z[1] != 0).astype(np.int64)
         if len(self.low) > SLIDE:
             region += np.abs(z[1]) >= friction.stribeck_velocity
-        found = _by_region(self.whole, z, region)
-        before, after, slope, slope_after = found[n:] * z[-1]
+        end = _by_region(self.whole, z, region)
+        before, after, slope, slope_after = end[n:] * z[-1]
         out = self._left(np.stack((before, after)), np.stack((slope, slope_after)), region, self.time_s)[0]
         hard = np.flatnonzero(out if self.slow else np.ones_like(out))
         if len(hard):
-            found[:n, hard] = self._with_events(z[:, hard], region[hard])
-        return found[:n]
+            end[:n, hard] = self._with_events(z[:, hard], region[hard])
+        return end[:n]
 
     def _left(self, guard: Floats, slope: Floats, region: Integers, span: float) -> Booleans:
         """Return between which edges (edges - 1, n) a guard may pass a bound, by values and slopes at all edges."""
@@ -232,7 +215,7 @@ class _Motion:
 
     def _with_events(self, z: Floats, region: Integers) -> Floats:
         """Return the state after the time of trials that may change their region."""
-        n, cell = self.mechanism.states, 1.0 / CELLS ** len(self.grids)
+        n, cell = self.motion.states, 1.0 / CELLS ** len(self.grids)
         left = np.ones(len(region))
         for events in range(MOST_EVENTS + 1):
             busy = np.flatnonzero(left > 0)
@@ -242,12 +225,12 @@ class _Motion:
             span, columns = 1.0, np.arange(len(busy))
             for grid in self.grids:
                 span /= CELLS
-                found = _by_region(grid, here, kind).reshape(CELLS + 1, n + 2, -1)
-                guard, slope = (found[:, n:] * here[-1]).swapaxes(0, 1)
+                edges = _by_region(grid, here, kind).reshape(CELLS + 1, n + 2, -1)
+                guard, slope = (edges[:, n:] * here[-1]).swapaxes(0, 1)
                 passed = self._left(guard, slope, kind, self.time_s * span) & (events < MOST_EVENTS)
                 first = np.where(passed.any(axis=0), passed.argmax(axis=0), CELLS)
                 first = np.minimum(first, np.maximum(np.ceil(rest / span), 1).astype(np.int64) - 1)
-                here[:n] = found[first, :n, columns].T
+                here[:n] = edges[first, :n, columns].T
                 rest -= first * span
             series = np.ascontiguousarray(_by_region(self.series, here, kind).T).reshape(len(busy), n + 1, TERMS)
             bounds = (self.low[kind], self.high[kind]) if events < MOST_EVENTS else (rest - inf, rest + inf)
@@ -267,8 +250,8 @@ class _Motion:
         z[1] = np.where(slow, np.where(stops, 0.0, z[1]), self.high[CREEP] * z[-1])
         force = np.vecdot(z.T, self.force)
         z[-1] = np.where(slow, np.where(force < 0, -1.0, 1.0), z[-1])
-        held = stops & (np.abs(force) <= self.high[STICK])
-        return z, np.where(held, STICK, np.where(speeds_up, SLIDE, CREEP))
+        sticks = stops & (np.abs(force) <= self.high[STICK])
+        return z, np.where(sticks, STICK, np.where(speeds_up, SLIDE, CREEP))
 
 
 def _value(series: Floats, time: Floats) -> Floats:
@@ -293,9 +276,9 @@ def _zero(series: Floats, end: Floats) -> Floats:
     divisor = np.sqrt(np.maximum(rate * rate - 4 * bend * first, 0.0)) - rate
     time = end * np.divide(2 * first, divisor, out=np.ones_like(first), where=divisor > 2 * first)
     for _ in range(60):  # bisection alone needs 53 for a double
-        found, rate = _value(series, time), _value(slopes, time)
-        step = np.divide(found, rate, out=np.full_like(rate, inf), where=rate < 0)
-        low, high = np.where(found >= 0, time, low), np.where(found >= 0, high, time)
+        value, rate = _value(series, time), _value(slopes, time)
+        step = np.divide(value, rate, out=np.full_like(rate, inf), where=rate < 0)
+        low, high = np.where(value >= 0, time, low), np.where(value >= 0, high, time)
         settled = (np.abs(step) <= SETTLED) | (high - low <= SETTLED)
         if settled.all():
             break
@@ -347,33 +330,33 @@ def _by_region(matrices: Floats, z: Floats, region: Integers) -> Floats:
 
 
 @lru_cache(maxsize=64)
-def _motion(mechanism: Mechanism, time_s: float) -> _Motion:
-    rates, n = mechanism.rates(), mechanism.states
+def _interval(motion: FrictionalMotion, time_s: float) -> _Interval:
+    rates, n = motion.rates(), motion.states
     # velocities are counted per the time of the step, so that entries of a matrix are of one size
     unit = np.ones(n + 3)
-    unit[1 : 4 if mechanism.load_mass > 0 else 2 : 2] = time_s
-    unit[n - 1 if mechanism.lag_s > 0 else n : n + 2] = time_s**2 / mechanism.mass
-    unit[-1] = 1.0 if mechanism.friction is None else time_s**2 * max(mechanism.levels[1], 1e-300) / mechanism.mass
+    unit[1 : 4 if motion.plant.has_mode else 2 : 2] = time_s
+    unit[n - 1 if motion.plant.lag > 0 else n : n + 2] = time_s**2 / motion.motor_mass
+    unit[-1] = 1.0 if motion.friction is None else time_s**2 * max(motion.levels[1], 1e-300) / motion.motor_mass
     scaled, back = [rate * unit[:, None] / unit * time_s for rate in rates], unit / unit[:, None]
-    if mechanism.friction is None:
-        return _Motion(mechanism, (expm(scaled[0]) * back)[None, :n], time_s, True, (), *[np.empty(0)] * 4)
-    fastest, levels = max(float(np.abs(np.linalg.eigvals(one[:n, :n]).imag).max()) for one in scaled), 0
-    lasts = [float(np.abs(np.linalg.matrix_power(one, TERMS)).sum(axis=0).max()) / factorial(TERMS) for one in scaled]
+    if motion.friction is None:
+        return _Interval(motion, (expm(scaled[0]) * back)[None, :n], time_s, True, (), *[np.empty(0)] * 4)
+    fastest, levels = max(float(np.abs(np.linalg.eigvals(rate[:n, :n]).imag).max()) for rate in scaled), 0
+    lasts = [float(np.abs(np.linalg.matrix_power(rate, TERMS)).sum(axis=0).max()) / factorial(TERMS) for rate in scaled]
     while max(lasts) > LEFT_OUT * float(CELLS) ** (TERMS * levels) or fastest > QUARTER * CELLS**levels:
         levels += 1
-    guards, whole, series = mechanism.guards(), [], []
+    guards, whole, series = motion.guards(), [], []
     grids: list[list[Floats]] = [[] for _ in range(levels)]
-    for rate, one, (guard, _, _) in zip(rates, scaled, guards, strict=True):
+    for rate, step, (guard, _, _) in zip(rates, scaled, guards, strict=True):
         slope = guard @ rate
         for level, grid in enumerate(grids, start=1):
-            moves = [np.eye(n + 3), *(expm(one * j / CELLS**level) * back for j in range(1, CELLS + 1))]
+            moves = [np.eye(n + 3), *(expm(step * j / CELLS**level) * back for j in range(1, CELLS + 1))]
             grid.append(np.concatenate([np.vstack((m[:n], guard @ m, slope @ m)) for m in moves]))
-        end = expm(one) * back
+        end = expm(step) * back
         whole.append(np.vstack((end[:n], guard, guard @ end, slope, slope @ end)))
-        part = one / CELLS**levels
+        part = step / CELLS**levels
         powers = [np.linalg.matrix_power(part, k) / factorial(k) * back for k in range(TERMS)]
         series.append(np.stack([np.vstack((p[:n], guard @ p)) for p in powers], axis=1).reshape(-1, n + 3))
     low, high = np.array([bounds for _, *bounds in guards]).T
     ways = tuple(np.array(grid) for grid in grids)
-    ends = low, high, mechanism.motor_force()
-    return _Motion(mechanism, np.array(whole), time_s, fastest <= QUARTER, ways, np.array(series), *ends)
+    ends = low, high, motion.motor_force()
+    return _Interval(motion, np.array(whole), time_s, fastest <= QUARTER, ways, np.array(series), *ends)

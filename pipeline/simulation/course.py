@@ -50,7 +50,7 @@ class Course:
     ----------
     device, experiment : Device, Experiment
     setup : Setup
-        What was simulated: plant, delay, jitter, sensor, limits.
+        What was simulated: loop, step, limits.
     seed : int
     batch : TrialBatch
         ``trial_id`` is the file name of the log without its ending.
@@ -98,7 +98,7 @@ def run_course(
     progress : callable, optional
         Called with the number of trials kept so far.
     **changes
-        Numbers of the `Setup` in place of the device's, such as ``noise`` or ``jitter_samples``.
+        Entries of the `Loop` in place of the device's, such as ``sensor`` or ``jitter_samples``.
 
     Raises
     ------
@@ -118,7 +118,7 @@ def run_course(
     if coarsen < 1:
         raise ParameterError(f"coarsen = {coarsen}: expected 1 (every trial) or a larger whole number.")
     conditions = find_experiment(device, experiment)
-    setup = replace(_setup(device, conditions, duration_s, ideal=ideal), **changes)
+    setup = _setup(device, conditions, duration_s, ideal=ideal).with_loop(**changes)
     stream = f"{device.name}/{conditions.name}"
 
     def run(stiffness: Floats, damping: Floats) -> tuple[TrialBatch, Strings]:
@@ -148,7 +148,7 @@ def _setup(device: Device, conditions: Experiment, duration_s: float | None, *, 
         raise ParameterError(f"duration = {duration_s} s: expected a positive, finite length of a trial.")
     if duration_s > longest_s:
         raise ParameterError(f"duration = {duration_s} s: expected at most {longest_s:g} s ({LONGEST_TRIAL} samples).")
-    return replace(setup, rows=round(duration_s / setup.sampling_period_s))
+    return replace(setup, rows=round(duration_s / setup.loop.sampling_period_s))
 
 
 def _log_name(stiffness: float, damping: float, number: int) -> str:
@@ -218,7 +218,7 @@ def _write_logs(course: Course, target: Path, names: Sequence[str]) -> None:
     hidden = course.setup.hidden
     columns: tuple[Floats, ...] = (batch.command, batch.position)
     # time stamps are the same in every log without gaps, so they stand in the template as text
-    stamps = ["%.17g" % (k * course.setup.sampling_period_s) for k in range(batch.time.shape[1])]
+    stamps = ["%.17g" % (k * course.setup.loop.sampling_period_s) for k in range(batch.time.shape[1])]
     if hidden.lost_rows and not hidden.lost_rows_hidden:
         columns, stamps = (batch.time, *columns), ["%.17g"] * len(stamps)
     cells = np.stack(columns, axis=2)
@@ -269,9 +269,9 @@ def _earlier_logs(target: Path, overwrite: bool) -> set[str]:
 
 
 def _truth(course: Course) -> dict[str, Any]:
-    setup, experiment, batch = course.setup, course.experiment, course.batch
-    parts, drawn = course.device.loop_of(experiment), setup.jitter_samples or (setup.delay_samples,)
-    radius = spectral_radius(setup.plant, setup, batch.stiffness, batch.damping)
+    setup, experiment, batch, loop = course.setup, course.experiment, course.batch, course.setup.loop
+    shortest, longest = loop.delay_range
+    radius = spectral_radius(setup, batch.stiffness, batch.damping)
     rows = zip(batch.trial_id, batch.stiffness, batch.damping, course.verdict, radius, batch.rows, strict=True)
     return {
         "device": course.device.name,
@@ -280,18 +280,19 @@ def _truth(course: Course) -> dict[str, Any]:
         "seed": course.seed,
         "plant": {"mass": experiment.mass, "damping": experiment.damping, "stiffness": experiment.stiffness},
         "delay_samples": setup.mean_delay_samples,
-        "delay_samples_low": float(min(drawn)),
-        "delay_samples_high": float(max(drawn)),
-        "applied_delay_samples": age_in_force(setup.jitter_samples)[0] if setup.jitter_samples else setup.delay_samples,
-        "jitter_samples": list(setup.jitter_samples),
-        "quantum": setup.quantum,
-        "noise": setup.noise,
-        "force_limit": setup.force_limit,
-        "loop": parts.model_dump(mode="json"),
+        "delay_samples_low": shortest,
+        "delay_samples_high": longest,
+        "applied_delay_samples": age_in_force(loop.jitter_samples)[0] if loop.jitter_samples else loop.delay_samples,
+        "jitter_samples": list(loop.jitter_samples),
+        "quantum": loop.sensor.quantum,
+        "noise": loop.sensor.noise,
+        "force_limit": loop.force_limit,
+        "loop": course.device.loop_table(experiment).model_dump(mode="json"),
         "simulation": setup.hidden.model_dump(mode="json"),
         "step": setup.step,
         "edge_row": setup.edge_row,
-        "sampling_period_s": setup.sampling_period_s,
+        "sampling_period_s": loop.sampling_period_s,
+        "spectral_radius_left_out": list(setup.left_out),
         "complete": True,
         "logs": {
             f"{name}.csv": {

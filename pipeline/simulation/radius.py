@@ -6,22 +6,21 @@ from dataclasses import replace
 from math import floor
 
 import numpy as np
+from scipy.linalg import expm
 
-from pipeline.loop.motion import Mechanism
+from pipeline.loop.state_space import StateSpace, plant_of, state_space
 from pipeline.records.batch import Floats
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import coefficients
 
 
-def spectral_radius(plant: Mechanism, setup: Setup, stiffness: Floats, damping: Floats) -> Floats:
-    """Return the spectral radius of the linear loop (constant delay ``setup.delay_samples``), shape (n,).
+def spectral_radius(setup: Setup, stiffness: Floats, damping: Floats) -> Floats:
+    """Return the spectral radius of the linear loop with the constant delay that it states, shape (n,).
 
     Parameters
     ----------
-    plant : Mechanism
-        Its friction is left out.
     setup : Setup
-        Sampling period, delay, gain and velocity filter are used.
+        What ``setup.left_out`` names is left out.
     stiffness, damping : float64, shape (n,)
         Virtual stiffness K [N/m, Nm/rad] and damping B [Ns/m, Nms/rad].
 
@@ -29,7 +28,7 @@ def spectral_radius(plant: Mechanism, setup: Setup, stiffness: Floats, damping: 
     -------
     float64, shape (n,)
         Below 1 where the loop is stable. Without any stiffness (K = k = 0) z = 1 is a pole for every B; it
-        is left out, so that the radius tells whether the velocity decays.
+        is left out, so that the radius states whether the velocity decays.
 
     Notes
     -----
@@ -37,20 +36,22 @@ def spectral_radius(plant: Mechanism, setup: Setup, stiffness: Floats, damping: 
 
     Source: Hulin 2017, eq. 3.18, in physical units and with a fractional delay.
     """
-    T, trials = setup.true_period_s, len(stiffness)
-    whole = floor(setup.delay_samples)
-    part = setup.delay_samples - whole
-    (early, early_gain), (late, late_gain) = (_transition(plant, time) for time in (part * T, (1 - part) * T))
-    b, a = coefficients(setup.velocity, setup.sampling_period_s)
-    taps = np.convolve(b, [1.0, -1.0]) / setup.sampling_period_s  # of x_k, x_{k-1}, ...
+    T, trials, period = setup.true_period_s, len(stiffness), setup.loop.sampling_period_s
+    plant = plant_of(replace(setup.loop, force_gain=1.0))
+    linear = state_space(plant)
+    whole = floor(setup.loop.delay_samples)
+    part = setup.loop.delay_samples - whole
+    (early, early_gain), (late, late_gain) = (_transition(linear, time) for time in (part * T, (1 - part) * T))
+    b, a = coefficients(setup.loop.velocity, period)
+    taps = np.convolve(b, [1.0, -1.0]) / period  # of x_k, x_{k-1}, ...
     n, past, poles = len(early), len(taps) - 1, len(a) - 1
     positions, speeds, commands = n, n + past, n + past + poles
     size = commands + whole + 1  # the last entry is the command of row k - whole - 1
-    speed = np.zeros((trials, size))
-    speed[:, plant.sensed], speed[:, positions:speeds], speed[:, speeds:commands] = taps[0], taps[1:], -a[1:]
-    wall = -damping[:, None] * speed
-    wall[:, plant.sensed] -= stiffness
-    wall *= setup.true_gain
+    place = np.zeros(size)
+    place[:n] = linear.sensor
+    speed = taps[0] * place
+    speed[positions:speeds], speed[speeds:commands] = taps[1:], -a[1:]
+    wall = -setup.true_gain * (np.outer(stiffness, place) + np.outer(damping, speed))
     loop = np.zeros((trials, size, size))
     loop[:, :n, :n] = late @ early
     loop[:, :n, -1] += late @ early_gain
@@ -60,20 +61,21 @@ def spectral_radius(plant: Mechanism, setup: Setup, stiffness: Floats, damping: 
     loop[:, shifted, [entry - 1 for entry in shifted]] = 1.0
     if poles:
         loop[:, speeds] = speed
-    loop[:, positions] = np.eye(size)[plant.sensed]
+    loop[:, positions] = place
     loop[:, commands] = wall
-    found = np.linalg.eigvals(loop)
+    values = np.linalg.eigvals(loop)
     free = (stiffness == 0) & (plant.stiffness == 0)
-    nearest = np.argmin(np.abs(found - 1.0), axis=1)
-    magnitude = np.abs(found)
+    nearest = np.argmin(np.abs(values - 1.0), axis=1)
+    magnitude = np.abs(values)
     magnitude[free, nearest[free]] = 0.0
     result: Floats = magnitude.max(axis=1)
     return result
 
 
-def _transition(plant: Mechanism, time_s: float) -> tuple[Floats, Floats]:
-    """Return the matrix of the state, and what a unit of command adds to it, over a time [s]; without friction."""
-    n = plant.states
-    start = np.eye(n, n + 1)
-    moved = replace(plant, friction=None).advance(start, np.eye(n + 1)[n], 0.0, time_s) if time_s else start
-    return moved[:, :n], moved[:, n]
+def _transition(linear: StateSpace, time_s: float) -> tuple[Floats, Floats]:
+    """Return the matrix of the state, and what a unit of command adds to it, over a time [s]."""
+    n = len(linear.matrix)
+    rate = np.zeros((n + 1, n + 1))
+    rate[:n] = np.column_stack((linear.matrix, linear.command))
+    moved = expm(rate * time_s)
+    return moved[:n, :n], moved[:n, n]

@@ -1,4 +1,4 @@
-"""What the trials of one experiment share: device, delay, sensor, velocity filter, limits, and what nobody stated.
+"""What the trials of one experiment share: loop, step, length, limits of travel, and what nobody stated.
 
 And what chance decides in them: noise, delays, samples that the sensor holds, rows the log lacks.
 """
@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.errors import ParameterError
-from pipeline.device.parts import SimulationParts, VelocityFilter
-from pipeline.loop.motion import Mechanism
+from pipeline.device.loop import Loop
+from pipeline.device.parts import Sensor, SimulationParts
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.models import Device, Experiment
 
@@ -31,83 +31,88 @@ NOTHING_HIDDEN = SimulationParts()
 
 @dataclass(frozen=True)
 class Setup:
-    """Everything that the trials of one experiment share.
+    """Conditions of the trials of one experiment.
 
     Parameters
     ----------
-    plant : Mechanism
-    sampling_period_s : float
-        T as stated, by which the controller differentiates [s]; ``hidden`` may hold that the true one differs.
+    loop : Loop
+        As stated: the controller differentiates by its sampling period. Its delay is not used where there is jitter.
     step : float
         External step F_0 [N, Nm], commanded from ``edge_row`` on.
     rows, edge_row : int
         Number of samples of a trial that stays within its travel, and the row k0 of the step.
-    delay_samples : float
-        Total delay d of the command in samples, may be fractional; not used where there is jitter.
-    jitter_samples : tuple of int
-        Delays that are drawn from, uniformly, for each command; empty for a constant delay.
     centre, travel : float
         Steady-state position and largest true distance from it [m, rad].
-    quantum, noise : float
-        Sensor quantum and standard deviation of the noise before rounding [m, rad].
-    force_limit : float or None
-        Largest absolute command that is rendered [N, Nm].
-    velocity : VelocityFilter or None
-        Filter of the velocity, None for the plain difference.
-    force_gain : float
-        Force at the actuator per unit of command.
     hidden : SimulationParts
         What theory and estimates do not know.
     stop : float
-        Distance of rigid stops from ``centre`` [m, rad]: the device stands there, without a rebound, until the
+        Distance of rigid stops from ``centre`` [m, rad]: the device rests there, without a rebound, until the
         force turns inwards. A start at or beyond a stop moves it outwards as it does the travel limit.
+
+    Raises
+    ------
+    ParameterError
+        If a delay of the jitter is negative, or the step lies outside the rows.
+
+    Examples
+    --------
+    >>> loop = Loop(mass=0.58, damping=4.0, sampling_period_s=0.001, delay_samples=4)
+    >>> Setup(loop, step=8.0, rows=400, edge_row=20).with_loop(jitter_samples=(3, 4)).mean_delay_samples
+    3.5
     """
 
-    plant: Mechanism
-    sampling_period_s: float
+    loop: Loop
     step: float
     rows: int
     edge_row: int
-    delay_samples: float
-    jitter_samples: tuple[int, ...] = ()
     centre: float = 0.0
     travel: float = inf
-    quantum: float = 0.0
-    noise: float = 0.0
-    force_limit: float | None = None
-    velocity: VelocityFilter | None = None
-    force_gain: float = 1.0
     hidden: SimulationParts = NOTHING_HIDDEN
     stop: float = inf
 
     def __post_init__(self) -> None:
-        if self.delay_samples < 0 or any(d < 0 for d in self.jitter_samples):
-            raise ParameterError(
-                f"delay of {self.delay_samples} samples, jitter {self.jitter_samples}: none may be negative."
-            )
+        if any(delay < 0 for delay in self.loop.jitter_samples):
+            raise ParameterError(f"jitter of {self.loop.jitter_samples} samples: none may be negative.")
         if not 0 <= self.edge_row < self.rows:
             raise ParameterError(
                 f"the step in row {self.edge_row} lies outside the log of {self.rows} rows; "
                 "a trial must last longer than its baseline."
             )
-        if not (0 <= self.quantum < inf and 0 <= self.noise < inf):
-            raise ParameterError(f"quantum {self.quantum} and noise {self.noise} must be finite and not negative.")
+
+    def with_loop(self, **changes: Any) -> Setup:
+        """Return the same conditions with other entries of the loop, such as ``sensor`` or ``jitter_samples``."""
+        return replace(self, loop=replace(self.loop, **changes))
 
     @property
     def mean_delay_samples(self) -> float:
         """Delay of a command, where it jitters the mean of those that are drawn [samples]."""
-        drawn = self.jitter_samples or (self.delay_samples,)
+        drawn = self.loop.jitter_samples or (self.loop.delay_samples,)
         return sum(drawn) / len(drawn)
 
     @property
     def true_period_s(self) -> float:
         """Sampling period by which the device moves between two rows [s]."""
-        return self.sampling_period_s * (1 + self.hidden.clock_error)
+        return self.loop.sampling_period_s * (1 + self.hidden.clock_error)
 
     @property
     def true_gain(self) -> float:
         """Force at the actuator per unit of command, with the error that nobody knows of."""
-        return self.force_gain * (1 + self.hidden.gain_error)
+        return self.loop.force_gain * (1 + self.hidden.gain_error)
+
+    @property
+    def constant_force(self) -> float:
+        """Force on the motor beside the command, stated or not [N, Nm]."""
+        return self.loop.constant_force + self.hidden.constant_force
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Names of what a spectral radius of the loop cannot include: those of the loop, clipping, and hidden ones."""
+        present = {
+            "force_limit": self.loop.force_limit is not None,
+            "one_sided_wall": self.hidden.one_sided_wall,
+            "held_samples": self.hidden.held_samples > 0,
+        }
+        return (*self.loop.left_out, *(name for name, is_present in present.items() if is_present))
 
 
 def setup_of(device: Device, experiment: Experiment) -> Setup:
@@ -118,35 +123,27 @@ def setup_of(device: Device, experiment: Experiment) -> Setup:
     ParameterError
         If a trial would have more samples than `MOST_ROWS`.
     """
-    period, parts = device.sampling_period_s, device.loop_of(experiment)
+    period = device.sampling_period_s
     if device.duration_s / period > MOST_ROWS:
         raise ParameterError(
             f"device {device.name!r}: duration_s = {device.duration_s:g} has {device.duration_s / period:.3g} sampling "
             f"periods of {period:g} s; expected at most {MOST_ROWS:g}."
         )
     return Setup(
-        plant=Mechanism.of(experiment.mass, experiment.damping, experiment.stiffness, parts),
-        sampling_period_s=period,
+        loop=device.loop_for(experiment),
         step=device.step,
         rows=round(device.duration_s / period),
         edge_row=round(device.baseline_s / period),
-        delay_samples=experiment.delay_samples,
-        jitter_samples=experiment.jitter_samples,
         centre=device.centre,
         travel=device.limits.travel,
-        quantum=device.sensor.quantum,
-        noise=device.sensor.noise,
-        force_limit=device.limits.force,
-        velocity=parts.velocity,
-        force_gain=parts.force_gain,
         hidden=device.simulation_of(experiment),
     )
 
 
 def idealise(setup: Setup) -> Setup:
     """Return the loop of linear theory, with its limits: without noise, quantum, jitter, friction, and all hidden."""
-    plant = replace(setup.plant, friction=None)
-    return replace(setup, plant=plant, quantum=0.0, noise=0.0, jitter_samples=(), hidden=NOTHING_HIDDEN)
+    loop = replace(setup.loop, sensor=Sensor(), jitter_samples=(), friction=None, constant_force=0.0)
+    return replace(setup, loop=loop, hidden=NOTHING_HIDDEN)
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,9 +206,9 @@ def draw(setup: Setup, streams: Streams) -> Chance:
         return chosen
 
     noise = delays = None
-    if setup.noise > 0:
-        noise = setup.noise * streams.draw(0, lambda generator: generator.standard_normal(rows))
-    if setup.jitter_samples:
-        choices = np.array(setup.jitter_samples, dtype=np.int64)
+    if setup.loop.sensor.noise > 0:
+        noise = setup.loop.sensor.noise * streams.draw(0, lambda generator: generator.standard_normal(rows))
+    if setup.loop.jitter_samples:
+        choices = np.array(setup.loop.jitter_samples, dtype=np.int64)
         delays = choices[streams.draw(1, lambda generator: generator.integers(0, len(choices), rows))]
     return Chance(noise, delays, some(2, hidden.held_samples), some(3, hidden.repeated_rows), some(4, hidden.lost_rows))

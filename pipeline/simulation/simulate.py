@@ -17,6 +17,7 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.device.parts import AdaptiveWindow, Difference, Levant, VelocityFilter
 from pipeline.loop.many_digits import as_floats, many_digits
+from pipeline.loop.motion import FrictionalMotion
 from pipeline.loop.velocity_filter import filter_in_z, per_sample
 from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.simulation.setup import Chance, Setup, Streams, draw
@@ -75,28 +76,28 @@ def simulate(
     """
     K, B = np.asarray(stiffness, dtype=np.float64), np.asarray(damping, dtype=np.float64)
     _check(setup, K, B, seed, disturbance)
-    trials, T = len(K), setup.sampling_period_s
+    trials, loop, motion = len(K), setup.loop, FrictionalMotion.of(setup.loop)
     start = setup.centre - setup.step * np.divide(1.0, K, out=np.zeros(trials), where=K > 0)  # eq. 6.1
     chance = draw(setup, Streams(seed, stream, K, B, repetition))
     route = _route(setup, chance.delays)
     farthest = START_MARGIN * np.abs(start - setup.centre)
     travel, stop = np.maximum(setup.travel, farthest), np.maximum(setup.stop, farthest)
-    external, gain, push = external_force(setup), setup.true_gain, setup.hidden.constant_force
+    external, gain, push = external_force(setup), setup.true_gain, setup.constant_force
     sunk = _sunk(setup, K)
 
     position = np.full((setup.rows, trials), np.nan)
     command = np.full((setup.rows + 1, trials), np.nan)  # row 0: what the plant feels before the first arrival
     command[0] = -K * sunk
-    limit = inf if setup.force_limit is None else setup.force_limit
+    limit = inf if loop.force_limit is None else loop.force_limit
     rendered = command if limit == inf and gain == 1 else gain * np.clip(command, -limit, limit)
     rows = np.full(trials, setup.rows, dtype=np.int64)
     inside = np.ones(trials, dtype=np.bool_)
-    state = setup.plant.rest(rendered[0])
-    velocity = velocity_of(setup.velocity, T, trials)
+    state = motion.rest(rendered[0])
+    velocity = velocity_of(loop.velocity, loop.sampling_period_s, trials)
     everyone = np.arange(trials)
     for k in range(setup.rows):
-        true = start + state[setup.plant.sensed]
-        position[k] = _measure(true if chance.noise is None else true + chance.noise[k], setup.quantum)
+        true = start + state[motion.sensed]
+        position[k] = _measure(true if chance.noise is None else true + chance.noise[k], loop.sensor.quantum)
         if chance.held is not None:
             position[k] = np.where(chance.held[k], position[max(k - 1, 0)], position[k])
         depth = position[k] - position[0] + sunk
@@ -119,7 +120,7 @@ def simulate(
             beside = np.where(inside, beside, 0.0)
         for time_s, slot in route(k):
             force = rendered[slot] if isinstance(slot, int) else rendered[slot, everyone]
-            state = setup.plant.advance(state, np.where(inside, force, 0.0), beside, time_s)
+            state = motion.advance(state, np.where(inside, force, 0.0), beside, time_s)
         if setup.stop < inf:
             reached = np.clip(state[0], setup.centre - stop - start, setup.centre + stop - start)
             state[1, state[0] != reached] = 0.0
@@ -144,7 +145,7 @@ def external_force(setup: Setup) -> Floats:
     rise = np.clip((row - setup.edge_row + 1) / setup.hidden.ramp_samples, 0.0, 1.0)
     result: Floats = setup.step * rise
     for later in setup.hidden.later_steps:
-        result = result + later.size * (row >= round(later.time_s / setup.sampling_period_s))
+        result = result + later.size * (row >= round(later.time_s / setup.loop.sampling_period_s))
     return result
 
 
@@ -153,7 +154,7 @@ def _sunk(setup: Setup, K: Floats) -> Floats:
 
     A wall without stiffness cannot hold it, nor can a one-sided wall that the force pulls away from.
     """
-    constant = setup.hidden.constant_force
+    constant = setup.constant_force
     holds = (K > 0) & (not setup.hidden.one_sided_wall or constant * setup.step > 0)
     return np.divide(constant / setup.true_gain, K, out=np.zeros(len(K)), where=holds)
 
@@ -224,8 +225,8 @@ def _route(setup: Setup, delays: Integers | None) -> Callable[[int], Sequence[tu
     if delays is not None:
         slots = in_force(delays) + 1
         return lambda row: [(T, slots[row])]
-    whole = floor(setup.delay_samples)
-    part = setup.delay_samples - whole
+    whole = floor(setup.loop.delay_samples)
+    part = setup.loop.delay_samples - whole
     if part == 0:
         return lambda row: [(T, max(row - whole + 1, 0))]
     return lambda row: [(part * T, max(row - whole, 0)), ((1 - part) * T, max(row - whole + 1, 0))]
@@ -312,7 +313,7 @@ def _logged(
     setup: Setup, walls: tuple[Floats, Floats], rows: Integers, command: Floats, position: Floats, chance: Chance
 ) -> TrialBatch:
     """Return the log that a lab keeps of trials at walls (K, B), from command and position of shape (rows, n)."""
-    trials, T = len(rows), setup.sampling_period_s
+    trials, T = len(rows), setup.loop.sampling_period_s
     longest = int(rows.max(initial=0))
     if chance.repeated is not None:
         before = np.vstack((position[:1], position[:-1]))
