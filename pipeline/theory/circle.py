@@ -1,8 +1,8 @@
 """The wall that puts a pole pair on the unit circle, over its angle, in doubles; with slopes, and solved for.
 
 Angles theta are told by their place ln s, s = tan^2(theta/2): both ends of the circle keep their digits. The transfer
-functions are ratios of polynomials in w = j sqrt(s), exact before they are rounded (`NormalisedLoop.sampled`); above |w| = 1 in
-powers of 1/w.
+functions are ratios of polynomials in w = j sqrt(s), exact before they are rounded (`NormalisedLoop.sampled`); above
+|w| = 1 in powers of 1/w.
 
 Source: Hulin 2017, eqs. 3.9 to 3.11 on |z| = 1, in another form.
 """

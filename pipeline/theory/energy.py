@@ -79,7 +79,7 @@ def energy_costs(loop: NormalisedLoop, alpha: object, beta: object, signal: str 
 
 
 def _sums(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str) -> Floats:
-    """Return sum_k k^w g_k g_k' of what an interval sees (`NormalisedLoop.seen`): pairs of its upper triangle, (3, pairs, n)."""
+    """Return sum_k k^w g_k g_k' of `NormalisedLoop.seen`: pairs of its upper triangle, shape (3, pairs, n)."""
     numbers = (len(loop.device.sensor) + len(loop.segments)) * loop.states
     pairs = len(np.triu_indices(len(loop.device.sensor) + len(loop.segments))[0])
     result, left = np.full((len(WEIGHTS), pairs, len(alpha)), np.nan), np.arange(len(alpha))

@@ -429,7 +429,7 @@ def _placed(run: Motion, past: Modes, sample: Floats) -> Motion:
 
 @lru_cache(maxsize=64)
 def _bernstein(loop: NormalisedLoop) -> Floats:
-    """Return the coefficients of the sensed position over all pieces as forms of `NormalisedLoop.seen`, (13 pieces, q)."""
+    """Return the coefficients of the sensed position over all pieces, (13 pieces, q), for `NormalisedLoop.seen`."""
     change = [[comb(j, i) / comb(DEGREE, i) for i in range(DEGREE + 1)] for j in range(DEGREE + 1)]
     return np.concatenate(
         [np.array(change) @ piece.place @ given for piece, given in zip(pieces(loop), starts(loop), strict=True)]

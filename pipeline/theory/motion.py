@@ -108,7 +108,7 @@ def energy_forms(loop: NormalisedLoop) -> Floats:
 
 @lru_cache(maxsize=64)
 def starts(loop: NormalisedLoop) -> tuple[Floats, ...]:
-    """Return the device's state at the start of each piece, and its input, from `NormalisedLoop.seen`; (p + 1, q) each."""
+    """Return state and input of the device at the start of each piece, (p + 1, q) each, for `NormalisedLoop.seen`."""
     p, q = len(loop.device.sensor), len(loop.device.sensor) + len(loop.segments)
     ages, start, result = [segment.age for segment in loop.segments], np.eye(p, q), []
     for piece in pieces(loop):

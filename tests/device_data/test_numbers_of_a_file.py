@@ -18,7 +18,7 @@ from pipeline.rig.design import design
 from pipeline.service.theory import document as rest
 from pipeline.simulation.course import run_course, write_course
 from pipeline.simulation.setup import setup_of
-from pipeline.surface.physical_loop import loop_of_device
+from pipeline.surface.physical_loop import Loop
 from pipeline.theory.cases import boundary_document, case_of, optimum_document, point_documents
 
 FOUR = {"mass": 1.0, "damping": 3.0, "sampling_period_s": 0.001, "delay_samples": 2.0}
@@ -149,7 +149,7 @@ def mean_of(device: Device) -> float:
 
 def test_theory_takes_the_mean_of_a_delay_that_jitters(jittering: Path) -> None:
     device = read_device(jittering)
-    case, loop = case_of(device, device.experiments[0]), loop_of_device(device, device.experiments[0])
+    case, loop = case_of(device, device.experiments[0]), Loop.of(device.loop_for(device.experiments[0]))
     mean = mean_of(device)
     assert case.loop.delay == loop.delay_samples == mean == setup_of(device, device.experiments[0]).mean_delay_samples
     assert loop.left_out == ("friction", "jitter")
@@ -185,7 +185,8 @@ def test_every_surface_names_jitter(jittering: Path, call, monkeypatch: pytest.M
     for what, *more in (("boundary",), ("optimum", "pole_radius", None), ("points", [[500.0, 5.0]])):
         shown = rest(what, ("arm", None), *more)
         assert (shown[0] if what == "points" else shown)["left_out"] == ["friction", "jitter"]
-    answer = design(loop_of_device(read_device(jittering), read_device(jittering).experiments[0]), 500.0)
+    device = read_device(jittering)
+    answer = design(Loop.of(device.loop_for(device.experiments[0])), 500.0)
     assert answer.document()["wish"]["stiffness"] == 500.0
 
 

@@ -36,8 +36,8 @@ def test_passivity_with_delay_is_that_of_the_package(delay: float) -> None:
     B = np.array([-3.0, 0.0, 1.0, 3.5])
     K = limits(loop, B)["Hulin et al. 2014"]
     if float(delay).is_integer():  # (4.6) holds for whole delays; a fractional one was interpolated
-        needed = required_damping(loop._normalised, K / loop._scale.stiffness, B / loop._scale.damping)
-        assert needed * loop._scale.damping == pytest.approx(4.0, rel=1e-6)
+        needed = required_damping(loop.normalised_loop, K / loop.units.stiffness, B / loop.units.damping)
+        assert needed * loop.units.damping == pytest.approx(4.0, rel=1e-6)
     assert limits(loop, [-4.1, 4.1])["Hulin et al. 2014"].tolist() == [0.0, 0.0]
 
 

@@ -7,7 +7,7 @@ import math
 import mpmath as mp
 import numpy as np
 import pytest
-from general_devices import Example, ManyDigits, characteristic, schur_cohn
+from general_devices import ManyDigits, characteristic, schur_cohn
 from independent import characteristic as ideal
 from independent import (
     continuous_energy,
@@ -19,7 +19,8 @@ from independent import (
     stable_by_schur_cohn,
 )
 
-from pipeline.device.parts import Butterworth, LoopParts, Mode
+from pipeline.device.loop import Loop
+from pipeline.device.parts import Butterworth, Mode
 from pipeline.studies.accuracy.theory import reference
 
 TURN = math.sqrt(0.5 / 0.21)
@@ -82,13 +83,14 @@ def test_reference_near_the_limit_follows_the_power_law() -> None:
 @pytest.fixture(scope="module")
 def truth():
     """The loop of the ladders for a mass of 1 kg and a period of 1 s, with 40 digits in force."""
-    parts = LoopParts(
+    loop = Loop(
+        *(1.0, 0.006, 1.0, 2.4),
         velocity=Butterworth(kind="butterworth", order=2, cutoff_hz=0.08),
         actuator_lag_s=1.5,
         mode=Mode(frequency_hz=TURN / (2 * math.pi), damping_ratio=0.03 / (2 * TURN * 0.21), mass=0.3),
     )
     with mp.workdps(40):
-        yield ManyDigits(Example(1.0, 0.006, 0.0, 2.4, 1.0, parts))
+        yield ManyDigits(loop)
 
 
 def test_limits(truth):

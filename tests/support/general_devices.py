@@ -6,31 +6,16 @@ by the Schur-Cohn recursion of the characteristic polynomial. Nothing is shared 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
 import mpmath as mp
 import numpy as np
 
-from pipeline.device.parts import Butterworth, Coefficients, Difference, LoopParts, Mode, Operator
+from pipeline.device.loop import Loop
+from pipeline.device.parts import Butterworth, Coefficients, Difference, Mode, Operator
 
 
-@dataclass(frozen=True)
-class Example:
-    """A device in SI, as `pipeline.loop.normalised_loop.loop_of` takes it."""
-
-    mass: float
-    damping: float
-    stiffness: float
-    delay_samples: float
-    sampling_period_s: float
-    parts: LoopParts
-
-    @property
-    def arguments(self) -> tuple[float, float, float, float, float, LoopParts]:
-        return (*(self.mass, self.damping, self.stiffness), *(self.delay_samples, self.sampling_period_s, self.parts))
-
-
-def random_device(rng: np.random.Generator, extreme: str = "") -> Example:
+def random_device(rng: np.random.Generator, extreme: str = "") -> Loop:
     """Draw filter x lag x mode x operator x fractional delay; ``extreme`` names a part that is."""
     period = 1 / float(rng.choice([500, 1000, 2000, 4000]))
     mass = float(10 ** rng.uniform(-2, 1))
@@ -68,30 +53,30 @@ def random_device(rng: np.random.Generator, extreme: str = "") -> Example:
             "mode above Nyquist": {"frequency_hz": float(rng.uniform(0.55, 3) / period)},
             "light mass": {"mass": mass * 1e-3},
         }[extreme]
-    held = Operator(
+    operator = Operator(
         mass=float(mass * rng.uniform(0.1, 1)), damping=float(rng.uniform(0, 5)), stiffness=float(rng.uniform(0, 500))
     )
-    parts = LoopParts(
-        velocity=velocity,
-        actuator_lag_s=lag,
-        force_gain=float(rng.choice([1.0, 0.8])),
-        mode=Mode.model_validate(mode) if has_mode else None,
-        operator=held if rng.random() < 0.5 else None,
-    )
+    parts: dict[str, Any] = {
+        "velocity": velocity,
+        "actuator_lag_s": lag,
+        "force_gain": float(rng.choice([1.0, 0.8])),
+        "mode": Mode.model_validate(mode) if has_mode else None,
+        "operator": operator if rng.random() < 0.5 else None,
+    }
     delay = float(rng.choice([float(rng.integers(0, 6)), rng.uniform(0, 6)]))
     spring = float(rng.choice([0.0, rng.uniform(0, 100)]))
     damping = float(rng.uniform(0, 0.02) * mass / period)
-    if parts.mode and rng.random() < 0.5:
-        update = {"load_damping": float(rng.uniform(0, damping))}
-        parts = parts.model_copy(update={"mode": parts.mode.model_copy(update=update)})
-    return Example(mass, damping, spring, delay, period, parts)
+    loop = Loop(mass, damping, period, delay, spring, **parts)
+    if has_mode and rng.random() < 0.5:
+        return loop.replace({"mode.load_damping": float(rng.uniform(0, damping))})
+    return loop
 
 
 EXTREMES = ("cut-off near Nyquist", "short lag", "long lag", "hardly damped", "mode above Nyquist", "light mass")
 
 
-def _coefficients(example: Example) -> tuple[list[mp.mpf], list[mp.mpf]]:
-    velocity = example.parts.velocity
+def _coefficients(loop: Loop) -> tuple[list[mp.mpf], list[mp.mpf]]:
+    velocity = loop.velocity
     if velocity is None:
         return [mp.mpf(1)], [mp.mpf(1)]
     if isinstance(velocity, Difference):
@@ -99,7 +84,7 @@ def _coefficients(example: Example) -> tuple[list[mp.mpf], list[mp.mpf]]:
     if isinstance(velocity, Coefficients):
         return [mp.mpf(x) / velocity.a[0] for x in velocity.b], [mp.mpf(x) / velocity.a[0] for x in velocity.a]
     n = velocity.order
-    edge = 2 * mp.tan(mp.pi * mp.mpf(velocity.cutoff_hz) * mp.mpf(example.sampling_period_s))
+    edge = 2 * mp.tan(mp.pi * mp.mpf(velocity.cutoff_hz) * mp.mpf(loop.sampling_period_s))
     analog = [edge * mp.expjpi(mp.mpf(2 * k + n + 1) / (2 * n)) for k in range(n)]
     b, a = [mp.mpf(1)], [mp.mpc(1)]
     for pole in ((2 + p) / (2 - p) for p in analog):
@@ -111,23 +96,23 @@ def _coefficients(example: Example) -> tuple[list[mp.mpf], list[mp.mpf]]:
 
 
 class ManyDigits:
-    """The loop of an example in the present precision of mpmath."""
+    """A loop in the present precision of mpmath."""
 
-    def __init__(self, example: Example) -> None:
-        p, self.period = example.parts, mp.mpf(example.sampling_period_s)
-        self.b, self.a = _coefficients(example)
-        held = p.operator
-        far = mp.mpf(p.mode.mass) if p.mode else mp.mpf(0)
-        near_alone = mp.mpf(example.mass) - far
-        near = near_alone + (mp.mpf(held.mass) if held else 0)
-        self.damping = mp.mpf(example.damping) + (mp.mpf(held.damping) if held else 0)
-        self.stiffness = mp.mpf(example.stiffness) + (mp.mpf(held.stiffness) if held else 0)
-        self.gain, self.mass = mp.mpf(p.force_gain), near + far
+    def __init__(self, loop: Loop) -> None:
+        mode, operator, lag = loop.mode, loop.operator, mp.mpf(loop.actuator_lag_s)
+        self.period = mp.mpf(loop.sampling_period_s)
+        self.b, self.a = _coefficients(loop)
+        far = mp.mpf(mode.mass) if mode else mp.mpf(0)
+        near_alone = mp.mpf(loop.mass) - far
+        near = near_alone + (mp.mpf(operator.mass) if operator else 0)
+        self.damping = mp.mpf(loop.damping) + (mp.mpf(operator.damping) if operator else 0)
+        self.stiffness = mp.mpf(loop.stiffness) + (mp.mpf(operator.stiffness) if operator else 0)
+        self.gain, self.mass = mp.mpf(loop.force_gain), near + far
         spring = damper = of_load = mp.mpf(0)
-        if p.mode:
-            turn, reduced = 2 * mp.pi * mp.mpf(p.mode.frequency_hz), far * near_alone / (far + near_alone)
-            spring, damper = reduced * turn**2, 2 * mp.mpf(p.mode.damping_ratio) * turn * reduced
-            of_load = mp.mpf(p.mode.load_damping)
+        if mode:
+            turn, reduced = 2 * mp.pi * mp.mpf(mode.frequency_hz), far * near_alone / (far + near_alone)
+            spring, damper = reduced * turn**2, 2 * mp.mpf(mode.damping_ratio) * turn * reduced
+            of_load = mp.mpf(mode.load_damping)
         # states: near position, near velocity, far position, far velocity, actuator's force; last: its input
         m = mp.zeros(6)
         m[0, 1] = m[2, 3] = 1
@@ -136,16 +121,16 @@ class ManyDigits:
             *(spring / near, damper / near),
         )
         m[1, 4] = 1 / near
-        if p.mode:
+        if mode:
             m[3, 0], m[3, 1], m[3, 2], m[3, 3] = spring / far, damper / far, -spring / far, -(damper + of_load) / far
-        self.kept = [0, 1, *([2, 3] if p.mode else []), *([4] if p.actuator_lag_s > 0 else [])]
-        if p.actuator_lag_s > 0:
-            m[4, 4], m[4, 5] = -1 / mp.mpf(p.actuator_lag_s), self.gain / mp.mpf(p.actuator_lag_s)
+        self.kept = [0, 1, *([2, 3] if mode else []), *([4] if lag > 0 else [])]
+        if lag > 0:
+            m[4, 4], m[4, 5] = -1 / lag, self.gain / lag
         else:
             m[1, 5], m[1, 4] = self.gain / near, 0
         self.continuous = m
-        self.sensor = 2 if p.mode and p.mode.sensor == "load" else 0
-        delay = mp.mpf(example.delay_samples)
+        self.sensor = 2 if mode and mode.sensor == "load" else 0
+        delay = mp.mpf(loop.delay_samples)
         whole = int(mp.floor(delay))
         fraction = delay - whole
         self.segments = [(fraction, whole + 1), (1 - fraction, whole)] if fraction else [(mp.mpf(1), whole)]

@@ -9,7 +9,7 @@ import numpy as np
 from kinds import kinds
 
 from pipeline.device_data.devices import load_device
-from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop, loop_of, wall_units
+from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.measured.cost.costs import settling
 from pipeline.measured.model.parts import chosen
 from pipeline.measured.signal.response import find_response
@@ -235,15 +235,9 @@ def look_for_best(rig: Rig) -> FoundBest:
     return FoundBest(answer.trials_used, answer.done, cost / min(_least(rig), cost) - 1)
 
 
-def _loop(rig: Rig) -> tuple[NormalisedLoop | NormalisedLoop, LoopUnits] | None:
-    device = rig.case.device
-    of, period = device.experiments[0], device.sampling_period_s
-    parts = device.loop_of(of)
-    if parts.friction is not None:
-        return None
-    return loop_of(of.mass, of.damping, of.stiffness, of.delay_samples, period, parts), wall_units(
-        of.mass, period, parts
-    )
+def _loop(rig: Rig) -> tuple[NormalisedLoop, LoopUnits] | None:
+    loop = rig.case.device.loop_for(rig.case.device.experiments[0])
+    return None if loop.friction is not None else (NormalisedLoop.of(loop), LoopUnits.of(loop))
 
 
 def _cost(rig: Rig, stiffness: float, damping: float) -> float:

@@ -3,14 +3,13 @@
 import mpmath as mp
 import numpy as np
 import pytest
-from general_devices import Example, ManyDigits
+from general_devices import ManyDigits
 from independent import simulate
 from pandas.testing import assert_frame_equal
 from simulated import spectral_radius
 
 import pipeline
 from pipeline.base.errors import ParameterError
-from pipeline.device.parts import LoopParts
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.theory.optimum import optimal_point
 
@@ -121,7 +120,7 @@ def test_a_device_as_it_is(left_out):
     parts = {name: part for name, part in PARTS.items() if name not in left_out}
     loop = pipeline.Loop(0.58, 4.0, 0.001, 2.4, stiffness=50.0, **parts)
     border = loop.boundary(24)
-    truth = ManyDigits(Example(0.58, 4.0, 50.0, 2.4, 0.001, LoopParts.model_validate(parts)))
+    truth = ManyDigits(loop)
     with mp.workdps(40):
         for _, wall in border[border["stiffness"] > 0].iloc[2:-2:6].iterrows():
             K, B = wall["stiffness"], wall["damping"]

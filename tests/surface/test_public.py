@@ -37,7 +37,8 @@ SIGNATURES = {
     "Design": ["wish", "reached", "wall", "stiffness_reached", "changes", "out_of_reach", "sensitivities"],
     "Loop": [
         *("mass", "damping", "sampling_period_s", "delay_samples", "stiffness", "motion"),
-        *("velocity", "actuator_lag_s", "force_gain", "mode", "operator"),
+        *("velocity", "actuator_lag_s", "force_gain", "mode", "operator", "friction"),
+        *("sensor", "jitter_samples", "constant_force", "force_limit"),
     ],
 }
 

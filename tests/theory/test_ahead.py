@@ -5,7 +5,7 @@ import pytest
 from general_devices import EXTREMES, random_device
 from general_loop import general_loop
 
-from pipeline.loop.normalised_loop import loop_of
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.theory import modes
 from pipeline.theory.boundary import limits, outline
 from pipeline.theory.settling_overshoot import transient_costs
@@ -17,7 +17,7 @@ SLOWEST = 0.995
 def points(rng, kind):
     """A random device and walls that settle within some thousand samples, one without damping among them."""
     while True:
-        loop = loop_of(*random_device(rng, kind).arguments)
+        loop = NormalisedLoop.of(random_device(rng, kind))
         found = outline(loop, 8)
         if not len(found.beta):
             continue
@@ -76,7 +76,7 @@ def test_a_wall_next_to_its_limit_settles_when_its_slowest_pole_says():
 @pytest.mark.parametrize("seed", [8, *(pytest.param(n, marks=pytest.mark.slow) for n in (9, 10))])
 def test_walls_next_to_the_limit_end(seed):
     """The envelope may lie so far above the slow motion that the window before its end is too long to follow."""
-    loop = loop_of(*random_device(np.random.default_rng(seed), "").arguments)
+    loop = NormalisedLoop.of(random_device(np.random.default_rng(seed), ""))
     beta = np.linspace(*outline(loop, 8).beta[[0, -1]], 7)[1:-1]
     alpha = limits(loop, beta, exact=True).alpha
     near = np.concatenate([alpha * (1 - 1e-9), alpha * 0.3])

@@ -11,7 +11,8 @@ import pytest
 import simulated
 
 from pipeline.base.errors import ParameterError, PipelineError
-from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
+from pipeline.device.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.criteria import REPORTED
 from pipeline.theory import cases as theory
 from pipeline.theory import costs as map_file
@@ -22,7 +23,7 @@ from pipeline.theory.energy import energy_costs
 from pipeline.theory.poles import is_stable, spectral_radius
 from pipeline.theory.settling_overshoot import transient_costs
 
-LOOP = LoopUnits(0.58, 1e-3).loop(0.0, 4.0, 4)
+LOOP = NormalisedLoop.of(Loop(0.58, 4.0, 1e-3, 4))
 
 
 @pytest.fixture(scope="module")

@@ -6,13 +6,14 @@ from decimal import Decimal
 import mpmath as mp
 import numpy as np
 import pytest
-from general_devices import EXTREMES, Example, ManyDigits, random_device
+from general_devices import EXTREMES, ManyDigits, random_device
 from general_loop import general_loop
 
 from pipeline.base.errors import ParameterError
-from pipeline.device.parts import Coefficients, Difference, LoopParts
+from pipeline.device.loop import Loop
+from pipeline.device.parts import Coefficients, Difference
 from pipeline.loop.many_digits import as_exact, many_digits, product
-from pipeline.loop.normalised_loop import NormalisedLoop, loop_of, wall_units
+from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.theory.boundary import boundary, is_inside, limits, outline
 from pipeline.theory.circle import right_half
 from pipeline.theory.crossings import counted_stretches, exact_branches, passed_roots, positive_roots, sampled_branches
@@ -25,9 +26,9 @@ def many():
         yield
 
 
-def checked(example: Example, rng: np.random.Generator) -> int:
+def checked(example: Loop, rng: np.random.Generator) -> int:
     """Hold the limit at a random damping; returns whether there was one."""
-    loop, units = (loop_of(*example.arguments), wall_units(example.mass, example.sampling_period_s, example.parts))
+    loop, units = (NormalisedLoop.of(example), LoopUnits.of(example))
     found = outline(loop, 8)
     if not len(found.beta):
         return 0
@@ -58,7 +59,7 @@ def test_stable_stretches_are_those_of_the_poles():
     """Verdicts over the plane, islands included, against eigenvalues."""
     rng, islands = np.random.default_rng(3), 0
     for _ in range(40):
-        loop = loop_of(*random_device(rng).arguments)
+        loop = NormalisedLoop.of(random_device(rng))
         found = outline(loop, 8)
         top = found.alpha_max if len(found.beta) else 0.1
         islands += len(found.islands) > 0
@@ -83,10 +84,9 @@ def test_general_loop_equals_the_ideal_one(gamma, delta, delay):
 
 
 def test_gain_and_operator_leave_the_loop_ideal():
-    held = {"mass": 0.15, "damping": 5.0, "stiffness": 300.0}
-    parts = LoopParts.model_validate({"force_gain": 0.8, "operator": held})
-    loop, units = loop_of(0.5, 3.0, 10.0, 2.0, 1e-3, parts), wall_units(0.5, 1e-3, parts)
-    assert type(loop) is NormalisedLoop
+    operator = {"mass": 0.15, "damping": 5.0, "stiffness": 300.0}
+    device = Loop(0.5, 3.0, 1e-3, 2.0, 10.0, force_gain=0.8, operator=operator)
+    loop, units = NormalisedLoop.of(device), LoopUnits.of(device)
     assert units.mass == pytest.approx(0.65 / 0.8)
     assert (loop.gamma, loop.delta) == pytest.approx((310 * 1e-6 / 0.65, 8 * 1e-3 / 0.65))
 
@@ -110,7 +110,7 @@ def test_a_loop_that_nothing_stabilises_has_an_empty_outline():
 )
 def test_loops_out_of_range_are_refused(arguments):
     with pytest.raises(ParameterError, match="expected"):
-        NormalisedLoop.ideal(**{"gamma": 0.0, "delta": 0.01, "delay": 2.0, **arguments})
+        general_loop(**{"gamma": 0.0, "delta": 0.01, "delay": 2.0, **arguments})
 
 
 def test_all_positive_roots_are_found():
@@ -141,7 +141,7 @@ def test_right_half_counts_roots():
         assert right_half(product(as_exact([1, 1]), as_exact([5, 2, 1]))) == 0
 
 
-DEVICES = [replace(loop_of(*random_device(np.random.default_rng(seed)).arguments), delay=7.3) for seed in range(6)]
+DEVICES = [replace(NormalisedLoop.of(random_device(np.random.default_rng(seed))), delay=7.3) for seed in range(6)]
 
 
 @pytest.mark.parametrize(

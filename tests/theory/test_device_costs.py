@@ -15,7 +15,7 @@ from scipy.linalg import eig, expm, norm
 
 import pipeline
 from pipeline.device.parts import Butterworth
-from pipeline.loop.normalised_loop import NormalisedLoop, loop_of, wall_units
+from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.theory.boundary import limits, outline, stiffness_limit
 from pipeline.theory.costs import point_costs_by_name
 from pipeline.theory.energy import energy_costs
@@ -38,7 +38,7 @@ def a_wall(loop, share=0.4):
 
 def fine(loop, alpha, beta, samples, steps=256):
     """Time [samples], sensed position and velocity of a step, at fine steps of scipy's exponential."""
-    matrix, push, sensor = loop.device
+    matrix, push, sensor = loop.device.matrix, loop.device.command, loop.device.sensor
     both = np.zeros((len(push) + 1,) * 2)
     both[:-1, :-1], both[:-1, -1] = matrix, push
     motion = expm(both / steps)
@@ -74,7 +74,9 @@ def fine(loop, alpha, beta, samples, steps=256):
 @pytest.mark.parametrize("sensor_far", [False, True])
 def test_costs_equal_fine_integration(sensor_far):
     # a fraction of 2^-n of a sample lies on the fine steps
-    finely_right(general_loop(1e-4, 0.01, 2.375, 1.5(0.3, 0.5, 0.01, sensor_far), RICH.velocity))
+    finely_right(
+        general_loop(1e-4, 0.01, 2.375, lag=1.5, velocity=RICH.velocity, **vibration(0.3, 0.5, 0.01, sensor_far))
+    )
 
 
 @pytest.mark.slow
@@ -82,7 +84,7 @@ def test_costs_equal_fine_integration(sensor_far):
 def test_costs_of_random_devices_equal_fine_integration(seed):
     rng = np.random.default_rng(100 + seed)
     while True:
-        loop = loop_of(*random_device(rng).arguments)
+        loop = NormalisedLoop.of(random_device(rng))
         loop = replace(loop, delay=np.floor(64 * loop.delay) / 64)
         if len(outline(loop, 8).beta) and spectral_radius(loop, *a_wall(loop))[0] < 0.97:
             break
@@ -122,11 +124,11 @@ def test_slowest_pole_in_many_digits(extreme):
     rng = np.random.default_rng(2)
     for _ in range(6):
         example = random_device(rng, extreme)
-        loop = loop_of(*example.arguments)
+        loop = NormalisedLoop.of(example)
         if len(outline(loop, 8).beta):
             break
     alpha, beta = a_wall(loop, 0.5)
-    units = wall_units(example.mass, example.sampling_period_s, example.parts)
+    units = LoopUnits.of(example)
     radius = float(spectral_radius(loop, alpha, beta)[0])
     # what a backward stable solver leaves open: the poles of a filter near Nyquist lie close together
     poles, left, right = eig(loop.matrix(alpha, beta)[0], left=True, right=True)
@@ -215,9 +217,9 @@ def test_sums_that_rounding_keeps_from_their_equations_are_none():
         velocity={"kind": "butterworth", "order": 3, "cutoff_hz": 243.6823222407204},
         actuator_lag_s=0.0001802570302356224,
     )
-    unit = device._scale
+    unit = device.units
     wall = [2.2239988459545563e-05 / unit.stiffness], [-17.250021954961706 / unit.damping]
-    found = energy_costs(device._normalised, *wall, "impulse")["energy_impulse_w0"]
+    found = energy_costs(device.normalised_loop, *wall, "impulse")["energy_impulse_w0"]
     assert np.isnan(found[0]) or found[0] == pytest.approx(63110474678.73257, rel=1e-9)
 
 

@@ -250,7 +250,7 @@ def test_sums_that_rounding_has_a_share_in_are_not_taken(loop: NormalisedLoop, s
     assert all_good.all()
     with np.errstate(all="ignore"):
         found, good = _by_recursion(loop, alpha, beta, signal, np.float64)
-    rows, columns = np.triu_indices(len(loop.device[1]) + len(loop.segments))
+    rows, columns = np.triu_indices(len(loop.device.sensor) + len(loop.segments))
     own = truth[:, rows == columns]
     off = np.abs((found - truth) / np.sqrt(own[:, rows] * own[:, columns])).max(axis=(0, 1))
     assert 5 < good.sum() < 35
@@ -266,7 +266,7 @@ def test_long_delays_keep_their_digits_in_z(delay: float) -> None:
     assert good.all()
     with np.errstate(all="ignore"):
         found, good = _by_recursion(loop, alpha, beta, "step", np.longdouble)
-    rows, columns = np.triu_indices(len(loop.device[1]) + len(loop.segments))
+    rows, columns = np.triu_indices(len(loop.device.sensor) + len(loop.segments))
     own = truth[:, rows == columns]
     off = np.abs((found - truth) / np.sqrt(own[:, rows] * own[:, columns])).max(axis=(0, 1))
     assert (off[good] < 1e-10).all()

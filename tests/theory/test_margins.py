@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from general_loop import general_loop, vibration
 
 import pipeline
 from pipeline.base.errors import ParameterError
-from pipeline.loop.normalised_loop import NormalisedLoop, Vibration
 from pipeline.theory.poles import margins, spectral_radius
 
 T = 1e-3
@@ -87,8 +87,8 @@ def test_phase_margin_of_the_textbook():
 
 def test_of_several_softer_limits_the_nearest_counts():
     """Of a device on a spring, pushed by its wall, that ends at 0.104 and at 0.460 of it."""
-    load = Vibration(0.805316082113893, 2.864042531515844, 0.0007722338164229767, True)
-    loop, alpha, beta = NormalisedLoop.ideal(2.0, 1e-4, 0.0, 0.0, load), -1.4551131007612188, 0.03388790148624756
+    load = vibration(0.805316082113893, 2.864042531515844, 0.0007722338164229767, True)
+    loop, alpha, beta = general_loop(2.0, 1e-4, 0.0, **load), -1.4551131007612188, 0.03388790148624756
     down = margins(loop, alpha, beta).gain_down
     assert down == pytest.approx(0.4604, abs=1e-3)
     inside = np.linspace(down, 1, 30)[1:]

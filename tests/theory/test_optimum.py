@@ -8,6 +8,7 @@ from general_loop import general_loop, vibration
 from independent import discrete_settling, simulate
 
 from pipeline.base.errors import ParameterError
+from pipeline.device.loop import Loop
 from pipeline.device_data.published import PublishedRow, published_rows
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.theory.boundary import stiffness_limit
@@ -16,9 +17,10 @@ from pipeline.theory.poles import is_stable
 from pipeline.theory.search import OptimalPoint
 from pipeline.theory.settling_overshoot import transient_costs
 
-FALCON = LoopUnits(0.58, 1e-3), LoopUnits(0.58, 1e-3).loop(0.0, 4.0, 4)
-FIRM = LoopUnits(1.0, 1e-3), LoopUnits(1.0, 1e-3).loop(0.0, 34.0, 4)
-LWR = LoopUnits(0.19, 1e-3), LoopUnits(0.19, 1e-3).loop(0.0, 0.0, 2)
+FALCON, FIRM, LWR = (
+    (LoopUnits.of(loop), NormalisedLoop.of(loop))
+    for loop in (Loop(0.58, 4.0, 1e-3, 4), Loop(1.0, 34.0, 1e-3, 4), Loop(0.19, 0.0, 1e-3, 2))
+)
 THEORY = {"D.1": FALCON, "D.2": FALCON, "D.3": FIRM, "D.4": LWR, "D.5": LWR}
 """Parameters of the printed theory rows (6.1.4, 6.2.4): m [kg, kg m^2], b, d."""
 

@@ -8,7 +8,7 @@ from general_devices import random_device
 from general_loop import general_loop, vibration
 
 import pipeline
-from pipeline.loop.normalised_loop import NormalisedLoop, loop_of
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.theory.boundary import boundary, outline
 
 LONG = {
@@ -41,7 +41,7 @@ def random_loops(count: int, seed: int) -> list[NormalisedLoop]:
     """Random devices of all kinds that some wall stabilises."""
     rng, found = np.random.default_rng(seed), []
     while len(found) < count:
-        loop = loop_of(*random_device(rng, "").arguments)
+        loop = NormalisedLoop.of(random_device(rng, ""))
         if len(outline(loop, 8).beta):
             found.append(loop)
     return found

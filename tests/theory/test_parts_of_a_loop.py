@@ -72,7 +72,7 @@ def test_the_stiffest_wall_is_that_of_the_state_matrix(loop: Loop) -> None:
 
 
 def test_passive_walls_are_stable_with_hands_that_take_no_energy(loop: Loop) -> None:
-    if (loop.mode or {}).get("sensor") == "load":
+    if loop.mode and loop.mode.sensor == "load":
         with pytest.raises(PipelineError, match="no wall is passive"):
             loop.passive()
         return

@@ -9,6 +9,7 @@ from concurrent.futures.process import BrokenProcessPool
 
 import pytest
 
+from pipeline.device.loop import Loop
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.results import SourcedLoop
 from pipeline.theory import predictions
@@ -26,11 +27,7 @@ pytestmark = pytest.mark.usefixtures("one_process")
 
 
 def theory(mass=0.5, damping=5.0, period=1e-3, delay=1.0):
-    return Theory(
-        SourcedLoop(
-            mass=mass, damping=damping, stiffness=0.0, sampling_period_s=period, delay_samples=delay, source="test"
-        )
-    )
+    return Theory(SourcedLoop(loop=Loop(mass, damping, period, delay), source="test"))
 
 
 @pytest.fixture
@@ -120,7 +117,7 @@ def test_physical_values_scale_with_mass_and_period():
     # K = alpha m/T^2, B = beta m/T (Table 3.1): the same normalised loop from two devices
     point = optimal_point(LOOP, "settle_5pct_discrete")
     one, other = theory(0.5, 5.0, 1e-3), theory(2.0, 5.0, 4e-3)
-    assert one.loop == other.loop == LOOP
+    assert one.normalised == other.normalised == LOOP
     a, b = one.physical(point), other.physical(point)
     assert a.stiffness == pytest.approx(point.alpha * 5e5)
     assert a.damping == pytest.approx(point.beta * 500)
@@ -182,7 +179,7 @@ from pipeline.theory.predictions import Predictions
 
 os.cpu_count = lambda: 2
 wanted = Predictions(Path(sys.argv[1]))
-wanted.start([(NormalisedLoop.ideal(0.0, 0.01, 1.0), "energy_step_w0"), (NormalisedLoop.ideal(0.0, 0.01, 2.0), "energy_step_w0")])
+wanted.start([(NormalisedLoop.ideal(0.0, 0.01, delay), "energy_step_w0") for delay in (1.0, 2.0)])
 wanted.finish()
 """
 

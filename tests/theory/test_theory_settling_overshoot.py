@@ -24,8 +24,9 @@ from independent import (
 
 import pipeline.theory.settling_overshoot
 from pipeline.base.errors import ParameterError
-from pipeline.device.parts import Coefficients, LoopParts
-from pipeline.loop.normalised_loop import NormalisedLoop, loop_of
+from pipeline.device.loop import Loop
+from pipeline.device.parts import Coefficients
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.theory.boundary import boundary
 from pipeline.theory.poles import is_stable, spectral_radius
 from pipeline.theory.settling_overshoot import late_deviation, transient_costs
@@ -229,9 +230,11 @@ def test_points_without_a_final_position_are_refused(alpha: float, what: str) ->
         (NormalisedLoop.ideal(0, 0.01, 0), 0.19794514, 1.58567338, 0.02),
         (NormalisedLoop.ideal(0, 0.05, 2), 0.01963576, 0.49473666, 0.01),
         (
-            loop_of(
-                *(0.6299726022685423, 4.04685746699751, 0.0, 4.0, 1e-3),
-                LoopParts(velocity=Coefficients(kind="coefficients", b=(0.25, 0.5, 0.25), a=(1.0, -0.8))),
+            NormalisedLoop.of(
+                Loop(
+                    *(0.6299726022685423, 4.04685746699751, 1e-3, 4.0),
+                    velocity=Coefficients(kind="coefficients", b=(0.25, 0.5, 0.25), a=(1.0, -0.8)),
+                )
             ),
             *(0.0026778986868248684, 0.013788126921134135),
             0.02,

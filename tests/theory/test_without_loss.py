@@ -15,7 +15,7 @@ MODE = {"frequency_hz": 60.0, "damping_ratio": 0.0, "mass": 0.15}
 
 def faintly_damped(parts: dict[str, Any]) -> Loop:
     """Return the loop with a loss so small that it moves no limit, yet no pole lies on the circle."""
-    mode = parts["mode"] | {"damping_ratio": 1e-9}
+    mode = dict(parts["mode"]) | {"damping_ratio": 1e-9}
     return Loop(**parts | {"mode": mode, "damping": parts["damping"] + 1e-9 * parts["mass"]})
 
 

@@ -209,7 +209,7 @@ Delay = Annotated[float | None, Query(ge=0, le=LONGEST_DELAY, description="Delay
 Device = Annotated[Name | None, Query(description="Name of a device; all is then in SI, for its experiment.")]
 
 
-def theory_request(
+def requested_loop(
     delay: Delay = None,
     gamma: Coefficient = 0.0,
     delta: Coefficient = 0.0,
@@ -226,7 +226,7 @@ def theory_request(
     return device, experiment
 
 
-Of = Annotated[tuple[Any, ...], Depends(theory_request)]
+Of = Annotated[tuple[Any, ...], Depends(requested_loop)]
 
 
 @lab.get("/theory/boundary", response_model=dict[str, Any], responses=SLOW)
