@@ -45,7 +45,7 @@ class TableBuilder:
         for table in layouts(self.data):
             for criterion in table.criteria:
                 leading = table.experiments if table.kind == "delay" else (table.theory_from,)
-                for loop in (self.theories[e].loop for e in leading if e in self.theories):
+                for loop in (self.theories[e].normalised for e in leading if e in self.theories):
                     result.append((loop, f"{criterion}{DISCRETE}"))
                     if table.kind != "delay" and self.data.scene.shown.has_table(table.name):
                         result.append((loop, criterion))

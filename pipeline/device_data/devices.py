@@ -75,15 +75,13 @@ def device_file(name: str) -> Path | None:
 
 
 def declared_spring(device: Device | None, experiment: str) -> float:
-    """Return the stiffness k [N/m, Nm/rad] that a device file gives an experiment, an operator's included; 0 for none.
+    """Return the stiffness k [N/m, Nm/rad] that the wall feels by a device file, per unit of command; 0 for none.
 
-    It is what shifts the final position to x_0 + F_0/(K + k). A device or an experiment without a file has none.
+    It is what shifts the final position to x_0 + F_0/(K + k), an operator's included. A device or an experiment without
+    a file has none.
     """
-    found = next((e for e in device.experiments if e.name == experiment), None) if device else None
-    if device is None or found is None:
-        return 0.0
-    operator = device.loop_of(found).operator
-    return found.stiffness + (operator.stiffness if operator else 0.0)
+    entry = next((e for e in device.experiments if e.name == experiment), None) if device else None
+    return 0.0 if device is None or entry is None else device.loop_for(entry).apparent().stiffness
 
 
 def load_device(name: str) -> Device:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 from kinds import kinds, record
+from pipeline.comparison.loops.told_loop import filter_parameters
 
 import pipeline
 from pipeline.comparison.compare import compare
-from pipeline.comparison.loops.told_loop import filter_parameters
 from pipeline.device.parts import Butterworth, Difference
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
