@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 from kinds import kinds, record
-from pipeline.comparison.loops.told_loop import filter_parameters
 
 import pipeline
 from pipeline.comparison.compare import compare
+from pipeline.comparison.loops.loop_basis import filter_quantities
 from pipeline.device.parts import Butterworth, Difference
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
@@ -72,11 +72,11 @@ def test_settling_and_energy_of_a_held_device_are_about_its_own_rest(tmp_path):
 def test_a_filter_is_known_as_well_as_single_logs_agree():
     logs = [Butterworth(kind="butterworth", order=2, cutoff_hz=hz) for hz in (49.98, 50.0, 50.0, 50.03)]
     other = [Difference(kind="difference", samples=4), Butterworth(kind="butterworth", order=3, cutoff_hz=90.0)]
-    cutoff = filter_parameters(logs[1], [*logs, *other])["cutoff_hz"]
+    cutoff = filter_quantities(logs[1], [*logs, *other])["cutoff_hz"]
     assert cutoff.value == 50.0
     assert 49.96 < cutoff.low < 49.98 < 50.03 < cutoff.high < 50.05
     # four digits of one number: the filter lies within half of the last one
-    cutoff = filter_parameters(logs[1], logs[1:3])["cutoff_hz"]
+    cutoff = filter_quantities(logs[1], logs[1:3])["cutoff_hz"]
     assert (cutoff.low, cutoff.high) == pytest.approx((49.995, 50.005))
     # a device file states what it states
-    assert filter_parameters(logs[1])["cutoff_hz"].low == 50.0
+    assert filter_quantities(logs[1])["cutoff_hz"].low == 50.0
