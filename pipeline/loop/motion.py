@@ -153,7 +153,7 @@ class FrictionalMotion:
 
 
 def _of_motor_and_load(plant: Plant) -> StateSpace:
-    """Return the state space by positions and velocities of motor and load, which `state_space` has about the centre.
+    """Return the state space with positions and velocities of motor and load, which `state_space` has about the centre.
 
     The motor is at x_1 = c - (m_2/m_1) y, the load at x_2 = c + y, so that with the load's share s of the mass
     c = (1 - s) x_1 + s x_2 and y = (1 - s)(x_2 - x_1).
@@ -164,8 +164,13 @@ def _of_motor_and_load(plant: Plant) -> StateSpace:
     share, turn, back = plant.load_mass / plant.mass, np.eye(len(linear.matrix)), np.eye(len(linear.matrix))
     turn[:4, :4] = np.kron([[1.0, -share / (1.0 - share)], [1.0, 1.0]], np.eye(2))
     back[:4, :4] = np.kron([[1.0 - share, share], [share - 1.0, 1.0 - share]], np.eye(2))
-    columns = (turn @ column for column in (linear.command, linear.force))
-    return StateSpace(turn @ linear.matrix @ back, *columns, linear.sensor @ back, turn @ linear.at_rest)
+    return StateSpace(
+        matrix=turn @ linear.matrix @ back,
+        command=turn @ linear.command,
+        force=turn @ linear.force,
+        sensor=linear.sensor @ back,
+        at_rest=turn @ linear.at_rest,
+    )
 
 
 @dataclass(frozen=True, eq=False)

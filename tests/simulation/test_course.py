@@ -13,8 +13,8 @@ import pytest
 from places import ROOT
 
 from pipeline.base.errors import DeviceError, ParameterError, PipelineError, UsageError
+from pipeline.device.parts import Sensor, SimulationParts
 from pipeline.device_data.devices import find_experiment, load_device, read_device
-from pipeline.loop.motion import Mechanism
 from pipeline.records.batch import TrialBatch
 from pipeline.records.models import Device
 from pipeline.records.native import parse_header
@@ -50,13 +50,11 @@ def judge_by_noise(batch: TrialBatch) -> Judged:
 
 
 def judge_by_theory(device: Device, experiment: str) -> Judge:
-    conditions = find_experiment(device, experiment)
-    setup = setup_of(device, conditions)
-    plant = Mechanism(conditions.mass, conditions.damping)
+    setup = setup_of(device, find_experiment(device, experiment))
 
     def judge(batch: TrialBatch) -> Judged:
         # 1e-9: at K = 0 and B = -b the radius is 1 exactly, but for the rounding of an eigenvalue
-        radius = spectral_radius(plant, setup, batch.stiffness, batch.damping)
+        radius = spectral_radius(setup, batch.stiffness, batch.damping)
         return Judged(np.where(radius > 1 + 1e-9, "unstable", "stable"))
 
     return judge
@@ -158,9 +156,9 @@ def test_a_course_without_end_is_given_up(run: Callable[..., Course], monkeypatc
 
 def test_options_replace_the_devices_values(run: Callable[..., Course]) -> None:
     seen: list[int] = []
-    options = {"quantum": 1e-5, "noise": 0.0, "jitter_samples": (4,), "duration_s": 0.3, "coarsen": 9}
+    options = {"sensor": Sensor(quantum=1e-5), "jitter_samples": (4,), "duration_s": 0.3, "coarsen": 9}
     course = run(judge_by_noise, FALCON, "6", progress=seen.append, **options)
-    assert (course.setup.quantum, course.setup.noise, course.setup.jitter_samples) == (1e-5, 0.0, (4,))
+    assert (course.setup.loop.sensor, course.setup.loop.jitter_samples) == (Sensor(quantum=1e-5), (4,))
     assert course.batch.rows.max() == 300
     assert seen == sorted(seen)
     assert seen[-1] == len(course.batch)
@@ -213,6 +211,28 @@ def test_truth_says_what_was_simulated(small: Course, tmp_path: Path) -> None:
     first = truth["logs"]["B000_K003600_p1.csv"]
     assert (first["stiffness"], first["damping"], first["verdict"]) == (3600.0, 0.0, small.verdict[0])
     assert first["rows"] == small.batch.rows[0]
+
+
+@pytest.mark.parametrize(
+    ("loop", "hidden", "left_out"),
+    [
+        ({}, {}, []),
+        ({"velocity": {"kind": "foaw", "bound": 1e-5}}, {}, ["velocity"]),
+        ({"velocity": {"kind": "levant", "acceleration": 100.0}}, {}, ["velocity"]),
+        ({"jitter_samples": (3, 4, 5)}, {}, ["jitter"]),
+        ({"friction": {"coulomb": 0.2}, "force_limit": 9.0}, {"one_sided_wall": True, "held_samples": 0.1}, None),
+    ],
+    ids=["linear", "foaw", "levant", "jitter", "others"],
+)
+def test_truth_names_what_its_spectral_radius_leaves_out(
+    small: Course, tmp_path: Path, loop: dict[str, Any], hidden: dict[str, Any], left_out: list[str] | None
+) -> None:
+    setup = small.setup.with_loop(**{"jitter_samples": (), "force_limit": None} | loop)
+    course = replace(small, setup=replace(setup, hidden=SimulationParts(**hidden)))
+    write_course(course, tmp_path)
+    truth = json.loads((tmp_path / "falcon" / "6" / TRUTH_FILE).read_text())
+    expected = ["friction", "force_limit", "one_sided_wall", "held_samples"] if left_out is None else left_out
+    assert truth["spectral_radius_left_out"] == expected
 
 
 @pytest.fixture

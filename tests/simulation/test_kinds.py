@@ -29,8 +29,8 @@ def test_every_kind_simulates_a_short_course(name: str) -> None:
 def test_the_stated_device_is_ideal_and_the_true_one_holds_what_was_drawn() -> None:
     case = KINDS["all parts"](1)
     true, stated = case.device, case.stated
-    assert stated.loop_of(stated.experiments[0]) == type(stated.loop)()
-    parts = true.loop_of(true.experiments[0])
+    assert stated.loop_table(stated.experiments[0]) == type(stated.loop)()
+    parts = true.loop_for(true.experiments[0])
     assert parts.mode is not None
     assert parts.friction is not None
     assert parts.mode.mass == case.truth["loop.mode.mass"]

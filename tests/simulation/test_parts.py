@@ -9,55 +9,71 @@ import pytest
 from fine_loop import Body, run, velocity_filter
 from scipy.signal import butter
 
-from pipeline.device.parts import Butterworth, Difference, Friction, LaterStep, SimulationParts
-from pipeline.loop.motion import Mechanism
+from pipeline.device.loop import Loop
+from pipeline.device.parts import Butterworth, Difference, Friction, LaterStep, Mode, SimulationParts
+from pipeline.loop.motion import FrictionalMotion
+from pipeline.loop.state_space import Plant
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import coefficients, external_force, simulate
 
 T = 0.001
 ROWS = 60
-BASE = Setup(Mechanism(0.5, 4.0), T, step=8.0, rows=ROWS, edge_row=3, delay_samples=2.0)
-MODE = {"load_mass": 0.1, "spring": 3000.0, "spring_damping": 0.8}
 FRICTION = Friction(coulomb=1.0)
 STRIBECK = Friction(coulomb=0.8, stiction=1.2, stribeck_velocity=0.02)
 K, B = 2500.0, 12.0
 
 
-def body_of(plant: Mechanism) -> Body:
-    friction = plant.friction
+def mode(motor: float, load: float, spring: float, damper: float, **more: object) -> Mode:
+    """Mode of two masses on a spring with a damper."""
+    reduced = motor * load / (motor + load)
+    turn = np.sqrt(spring / reduced)
+    return Mode(frequency_hz=turn / (2 * np.pi), damping_ratio=damper / (2 * turn * reduced), mass=load, **more)
+
+
+def body_of(loop: Loop) -> Body:
+    friction, joint = loop.friction, loop.mode
+    load, turn = (joint.mass, 2 * np.pi * joint.frequency_hz) if joint else (0.0, 0.0)
+    reduced = (loop.mass - load) * load / loop.mass
+    damper = 2 * joint.damping_ratio * turn * reduced if joint else 0.0
     return Body(
-        *(plant.mass, plant.damping, plant.stiffness, plant.load_mass, plant.spring, plant.spring_damping),
-        lag=plant.lag_s,
+        *(loop.mass - load, loop.damping - loop.load_damping, loop.stiffness, load, reduced * turn**2, damper),
+        lag=loop.actuator_lag_s,
         coulomb=friction.coulomb if friction else 0.0,
         stiction=(friction.stiction or friction.coulomb) if friction else 0.0,
         stribeck=friction.stribeck_velocity if friction and friction.stiction else np.inf,
-        sensor_at_load=plant.sensor_at_load,
-        load_damping=plant.load_damping,
+        sensor_at_load=joint is not None and joint.sensor == "load",
+        load_damping=loop.load_damping,
     )
 
 
-PLANTS = {
-    "lag": Mechanism(0.5, 4.0, lag_s=0.003),
-    "short lag": Mechanism(0.5, 4.0, lag_s=2e-5),
-    "mode, motor": Mechanism(0.4, 4.0, **MODE),
-    "mode, damped load": Mechanism(0.4, 4.0, **MODE, load_damping=1.5),
-    "mode, load": Mechanism(0.4, 4.0, **MODE, sensor_at_load=True),
-    "spring and lag": Mechanism(0.5, 4.0, 300.0, lag_s=0.002),
-    "coulomb": Mechanism(0.5, 4.0, friction=FRICTION),
-    "stribeck": Mechanism(0.5, 4.0, friction=STRIBECK),
-    "stribeck and lag": Mechanism(0.5, 4.0, lag_s=0.002, friction=STRIBECK),
-    "all": Mechanism(0.4, 4.0, 300.0, **MODE, lag_s=0.002, friction=STRIBECK, sensor_at_load=True),
+BASE = Setup(Loop(0.5, 4.0, T, 2.0), step=8.0, rows=ROWS, edge_row=3)
+JOINT = (0.4, 0.1, 3000.0, 0.8)
+LOOPS = {
+    "lag": {"actuator_lag_s": 0.003},
+    "short lag": {"actuator_lag_s": 2e-5},
+    "mode, motor": {"mode": mode(*JOINT)},
+    "mode, damped load": {"damping": 5.5, "mode": mode(*JOINT, load_damping=1.5)},
+    "mode, load": {"mode": mode(*JOINT, sensor="load")},
+    "spring and lag": {"stiffness": 300.0, "actuator_lag_s": 0.002},
+    "coulomb": {"friction": FRICTION},
+    "stribeck": {"friction": STRIBECK},
+    "stribeck and lag": {"actuator_lag_s": 0.002, "friction": STRIBECK},
+    "all": {
+        "stiffness": 300.0,
+        "mode": mode(*JOINT, sensor="load"),
+        "actuator_lag_s": 0.002,
+        "friction": STRIBECK,
+    },
 }
 
 
-@pytest.mark.parametrize("name", sorted(PLANTS))
+@pytest.mark.parametrize("name", sorted(LOOPS))
 def test_a_device_moves_as_the_second_simulator_says(name: str) -> None:
-    plant = PLANTS[name]
-    setup = replace(BASE, plant=plant, delay_samples=1.5)
+    setup = BASE.with_loop(**LOOPS[name], delay_samples=1.5)
     found = simulate(setup, np.array([K]), np.array([B]))
     b, a = velocity_filter(None, T)
-    x, u = run(body_of(plant), K=K, B=B, T=T, external=external_force(setup), delay=(3, 2), b=b, a=a)
+    x, u = run(body_of(setup.loop), K=K, B=B, T=T, external=external_force(setup), delay=(3, 2), b=b, a=a)
     # 1e-12 of the second simulator, for each of 60 rows with a gain of K T^2/m below 1
     assert np.abs(found.displacement[0] - x).max() < 1e-9 * np.abs(x).max()
     assert np.abs(found.command[0] - u).max() < 1e-8 * np.abs(u).max()
@@ -67,26 +83,30 @@ def test_a_device_moves_as_the_second_simulator_says(name: str) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_random_combinations_move_as_the_second_simulator_says(seed: int) -> None:
     random = np.random.default_rng(seed)
-    plant = Mechanism(
-        *(random.uniform(0.2, 1), random.uniform(0, 8), random.choice([0.0, 400.0])),
-        *(random.uniform(0.03, 0.2), random.uniform(500, 9000), random.uniform(0, 2)),
-        lag_s=random.choice([0.0, 0.0015]),
-        friction=Friction(coulomb=random.uniform(0.1, 1), stiction=1.1, stribeck_velocity=random.uniform(0.005, 0.05)),
-        sensor_at_load=bool(random.integers(2)),
-        load_damping=random.uniform(0, 2),
-    )
+    motor, damping, stiffness = random.uniform(0.2, 1), random.uniform(0, 8), random.choice([0.0, 400.0])
+    load, *joint = random.uniform(0.03, 0.2), random.uniform(500, 9000), random.uniform(0, 2)
+    lag = random.choice([0.0, 0.0015])
+    friction = Friction(coulomb=random.uniform(0.1, 1), stiction=1.1, stribeck_velocity=random.uniform(0.005, 0.05))
+    sensor, load_damping = ("motor", "load")[random.integers(2)], random.uniform(0, 2)
     order, cutoff = int(random.integers(1, 5)), random.uniform(30, 200)
     hidden = SimulationParts(clock_error=0.02, gain_error=-0.1, one_sided_wall=bool(random.integers(2)))
     low_pass = Butterworth(kind="butterworth", order=order, cutoff_hz=cutoff)
-    setup = replace(
-        BASE, plant=plant, hidden=hidden, velocity=low_pass, force_limit=9.0, force_gain=1.2, delay_samples=1.25
+    loop = Loop(
+        *(motor + load, damping + load_damping, T, 1.25, stiffness),
+        mode=mode(motor, load, *joint, sensor=sensor, load_damping=load_damping),
+        actuator_lag_s=lag,
+        friction=friction,
+        velocity=low_pass,
+        force_limit=9.0,
+        force_gain=1.2,
     )
+    setup = replace(BASE, loop=loop, hidden=hidden)
     stiffness, damping = random.uniform(500, 4000), random.uniform(0, 30)
     found = simulate(setup, np.array([stiffness]), np.array([damping]))
     b, a = velocity_filter("butterworth", T, order, cutoff)
-    loop = {"T": T, "external": external_force(setup), "delay": (5, 4), "b": b, "a": a, "true_period": T * 1.02}
+    timing = {"T": T, "external": external_force(setup), "delay": (5, 4), "b": b, "a": a, "true_period": T * 1.02}
     force = {"gain": 1.2 * 0.9, "limit": 9.0, "one_sided": hidden.one_sided_wall}
-    x, u = run(body_of(plant), K=stiffness, B=damping, **loop, **force)
+    x, u = run(body_of(loop), K=stiffness, B=damping, **timing, **force)
     assert np.abs(found.displacement[0] - x).max() < 1e-8 * np.abs(x).max()
     assert np.abs(found.command[0] - u).max() < 1e-7 * np.abs(u).max()
 
@@ -101,7 +121,7 @@ def test_butterworth_is_that_of_scipy(order: int, cutoff: float) -> None:
 
 
 def test_difference_over_samples_is_the_mean_of_single_ones() -> None:
-    setup = replace(BASE, velocity=Difference(kind="difference", samples=5))
+    setup = BASE.with_loop(velocity=Difference(kind="difference", samples=5))
     found = simulate(setup, np.array([K]), np.array([B]))
     speed = np.diff(found.position[0], prepend=found.position[0, 0]) / T
     mean = np.convolve(speed, np.ones(5) / 5)[:ROWS]
@@ -110,24 +130,24 @@ def test_difference_over_samples_is_the_mean_of_single_ones() -> None:
 
 def test_a_sliding_mass_stops_at_the_known_distance_and_stays() -> None:
     mass, coulomb, speed = 0.5, 1.0, 0.03
-    plant = Mechanism(mass, friction=FRICTION)
+    motion = FrictionalMotion(Plant(mass, 0.0, 0.0), FRICTION)
     state = np.array([[0.0, 0.0], [speed, -speed]])
     for _ in range(20):
-        state = plant.advance(state, np.zeros(2), 0.0, 0.001)
+        state = motion.advance(state, np.zeros(2), 0.0, 0.001)
     way = mass * speed**2 / (2 * coulomb)
     assert state[0] == pytest.approx([way, -way], rel=1e-13)
     assert (state[1] == 0).all()
 
 
 def test_a_resting_device_moves_at_stiction_and_not_before() -> None:
-    plant = Mechanism(0.5, friction=STRIBECK)
-    state = plant.advance(plant.rest(np.zeros(3)), np.array([1.1999999, -1.2000001, 1.2]), 0.0, 0.01)
+    motion = FrictionalMotion(Plant(0.5, 0.0, 0.0), STRIBECK)
+    state = motion.advance(motion.rest(np.zeros(3)), np.array([1.1999999, -1.2000001, 1.2]), 0.0, 0.01)
     assert state[:, 0].tolist() == state[:, 2].tolist() == [0.0, 0.0]
     assert state[1, 1] < 0
 
 
 def test_energy_is_never_created() -> None:
-    plant = Mechanism(0.4, 0.0, 300.0, **MODE, friction=STRIBECK)
+    motion = FrictionalMotion(Plant(0.5, 0.0, 300.0, load_mass=0.1, spring=3000.0, spring_damping=0.8), STRIBECK)
     random = np.random.default_rng(1)
     state = random.standard_normal((4, 200)) * np.array([[0.02], [0.3], [0.02], [0.3]])
 
@@ -137,7 +157,7 @@ def test_energy_is_never_created() -> None:
 
     before = energy(state)
     for _ in range(3000):
-        state = plant.advance(state, np.zeros(200), 0.0, 0.001)
+        state = motion.advance(state, np.zeros(200), 0.0, 0.001)
         after = energy(state)
         assert (after <= before * (1 + 1e-12) + 1e-15).all()
         before = after
@@ -146,9 +166,8 @@ def test_energy_is_never_created() -> None:
 
 
 def test_a_trial_with_friction_does_not_depend_on_its_batch() -> None:
-    setup = replace(
-        BASE, plant=PLANTS["all"], delay_samples=1.5, velocity=Butterworth(kind="butterworth", order=3, cutoff_hz=60)
-    )
+    low_pass = Butterworth(kind="butterworth", order=3, cutoff_hz=60)
+    setup = BASE.with_loop(**LOOPS["all"], delay_samples=1.5, velocity=low_pass)
     stiffness, damping = np.linspace(300, 4000, 13), np.linspace(0, 30, 13)
     together = simulate(setup, stiffness, damping)
     for some in ([4], [4, 7], [0, 4, 12]):
@@ -159,8 +178,8 @@ def test_a_trial_with_friction_does_not_depend_on_its_batch() -> None:
 @pytest.mark.parametrize("name", ["lag", "mode, load", "spring and lag"])
 def test_spectral_radius_is_the_growth_of_the_simulated_response(name: str) -> None:
     low_pass = Butterworth(kind="butterworth", order=2, cutoff_hz=80)
-    setup = replace(BASE, plant=PLANTS[name], velocity=low_pass, delay_samples=2.5, rows=1500)
-    rho = spectral_radius(PLANTS[name], setup, np.array([20_000.0]), np.array([10.0]))[0]
+    setup = replace(BASE, rows=1500).with_loop(**LOOPS[name], velocity=low_pass, delay_samples=2.5)
+    rho = spectral_radius(setup, np.array([20_000.0]), np.array([10.0]))[0]
     rows = min(1500, int(np.log(1e12) / np.log(rho)))
     x = simulate(replace(setup, rows=rows), np.array([20_000.0]), np.array([10.0])).displacement[0, -60:]
     recurrence = np.linalg.lstsq(np.stack((x[1:-1], x[:-2]), axis=1) / x[-1], x[2:] / x[-1])[0]
@@ -170,21 +189,21 @@ def test_spectral_radius_is_the_growth_of_the_simulated_response(name: str) -> N
 
 def friction_cycle(stiffness: float) -> float:
     """Largest distance from rest in the last fifth of a long trial that starts with a kick."""
-    setup = replace(BASE, plant=Mechanism(0.58, 4.0, friction=FRICTION), delay_samples=4.0, rows=4000)
+    setup = replace(BASE, rows=4000).with_loop(mass=0.58, friction=FRICTION, delay_samples=4.0)
     x = simulate(setup, np.array([stiffness]), np.array([20.0])).displacement[0, -800:]
     return float(np.abs(x - 8 / stiffness).max())
 
 
 def test_friction_holds_a_wall_that_linear_theory_calls_unstable_up_to_the_describing_function() -> None:
     # equivalent damping 4 c/(pi w A) with A = F_0/K: the limit at B = 20, d = 4 rises from about 4.6 to 7.5 kN/m
-    setup = replace(BASE, plant=Mechanism(0.58, 4.0), delay_samples=4.0)
-    assert spectral_radius(setup.plant, setup, np.array([6000.0]), np.array([20.0]))[0] > 1
+    setup = BASE.with_loop(mass=0.58, delay_samples=4.0)
+    assert spectral_radius(setup, np.array([6000.0]), np.array([20.0]))[0] > 1
     assert friction_cycle(6000.0) < 1.0 / 6000
     assert friction_cycle(9500.0) > 8 / 9500
 
 
 def one(hidden: SimulationParts, **change: object) -> object:
-    return simulate(replace(BASE, hidden=hidden, **change), np.array([K]), np.array([B]), seed=3)  # type: ignore[arg-type]
+    return simulate(replace(BASE, hidden=hidden).with_loop(**change), np.array([K]), np.array([B]), seed=3)
 
 
 def test_lost_rows_are_missing_and_show_in_the_time_stamps_unless_hidden() -> None:

@@ -13,7 +13,6 @@ from scipy.linalg import expm
 from pipeline.base.errors import ParameterError
 from pipeline.device.parts import SimulationParts
 from pipeline.device_data.devices import load_device
-from pipeline.loop.motion import Mechanism
 from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
@@ -24,8 +23,9 @@ FALCON = setup_of(load_device("falcon"), load_device("falcon").experiments[0])
 IDEAL = idealise(FALCON)
 
 
-def fine_loop(setup: Setup, plant: Mechanism, K: float, B: float, p: int, q: int) -> tuple[Floats, Floats]:
+def fine_loop(setup: Setup, K: float, B: float, p: int, q: int) -> tuple[Floats, Floats]:
     """Displacement and command of the ideal loop with d = p/q: q matrix exponential steps per sample."""
+    plant = setup.loop
     gamma, delta = plant.stiffness / plant.mass, plant.damping / plant.mass
     step = expm(np.array([[0, 1, 0], [-gamma, -delta, 1 / plant.mass], [0, 0, 0]]) * T / q)
     state = np.zeros(3)
@@ -47,12 +47,11 @@ def fine_loop(setup: Setup, plant: Mechanism, K: float, B: float, p: int, q: int
 @pytest.mark.parametrize(("k", "b"), [(0.0, 4.0), (0.0, 0.0), (300.0, 2.0)])
 @pytest.mark.parametrize(("p", "q"), [(0, 1), (1, 1), (4, 1), (9, 2), (1, 4), (7, 3)])
 def test_ideal_loop_equals_an_independent_loop(p: int, q: int, k: float, b: float) -> None:
-    plant = Mechanism(0.58, b, k)
-    setup = replace(IDEAL, plant=plant, delay_samples=p / q)
+    setup = IDEAL.with_loop(mass=0.58, damping=b, stiffness=k, delay_samples=p / q)
     K, B = np.array([400.0, 4400.0, 200.0]), np.array([4.0, 72.0, -1.0])
     batch = simulate(setup, K, B)
     for i in range(3):
-        position, command = fine_loop(setup, plant, K[i], B[i], p, q)
+        position, command = fine_loop(setup, K[i], B[i], p, q)
         rows = batch.rows[i]
         assert rows > 100
         # positions are read at 0.12 m: rounding of 1e-17 m, 1e-14 of a response, times the gain of the loop
@@ -61,7 +60,7 @@ def test_ideal_loop_equals_an_independent_loop(p: int, q: int, k: float, b: floa
 
 
 def test_spectral_radius_at_zero_stiffness_leaves_out_the_integrator() -> None:
-    rho = spectral_radius(Mechanism(0.58, 4.0), IDEAL, np.zeros(3), np.array([0.0, -3.9, -4.1]))
+    rho = spectral_radius(IDEAL.with_loop(mass=0.58, damping=4.0), np.zeros(3), np.array([0.0, -3.9, -4.1]))
     assert rho[0] == pytest.approx(np.exp(-4.0 / 0.58 * T), rel=1e-9)  # only the device's own damping
     assert rho[1] < 1 < rho[2]
 
@@ -78,7 +77,7 @@ def test_trial_starts_at_rest_at_centre_minus_step_over_stiffness() -> None:
 
 
 def test_without_stiffness_the_travel_is_reached_after_85_ms() -> None:
-    setup = replace(IDEAL, plant=Mechanism(0.58))
+    setup = IDEAL.with_loop(mass=0.58, damping=0.0)
     batch = simulate(setup, np.zeros(1), np.zeros(1))
     arrival = np.sqrt(2 * 0.05 * 0.58 / 8)  # 85.1 ms
     assert batch.rows[0] - 1 == IDEAL.edge_row + 4 + np.ceil(arrival / T)
@@ -87,7 +86,7 @@ def test_without_stiffness_the_travel_is_reached_after_85_ms() -> None:
 
 def test_a_wall_of_negative_stiffness_takes_from_a_spring() -> None:
     """An arm of 1,000 N/m with a wall of -600 N/m rests where 400 N/m hold the step."""
-    setup = replace(IDEAL, plant=Mechanism(0.58, 20.0, 1000.0), rows=3000)
+    setup = replace(IDEAL, rows=3000).with_loop(mass=0.58, damping=20.0, stiffness=1000.0)
     batch = simulate(setup, np.array([-600.0]), np.array([20.0]))
     assert batch.displacement[0, -1] == pytest.approx(8 / 400, rel=1e-3)
 
@@ -151,8 +150,8 @@ def felt_command(batch: TrialBatch, row: int, mass: float) -> float:
 
 def test_jitter_delays_lie_in_the_set_and_commands_do_not_overtake() -> None:
     # an undamped mass: the felt force follows from the positions alone, without the simulator's bookkeeping
-    setup = replace(IDEAL, plant=Mechanism(0.58), jitter_samples=(3, 4, 5), rows=60, edge_row=2)
-    setup = replace(setup, centre=0.0)
+    setup = replace(IDEAL, rows=60, edge_row=2, centre=0.0)
+    setup = setup.with_loop(mass=0.58, damping=0.0, jitter_samples=(3, 4, 5))
     batch = simulate(setup, np.array([3000.0]), np.array([60.0]), seed=7)
     command = batch.command[0]
     assert len(np.unique(command[10:])) == 50  # every command of the response can be told from the others
@@ -168,7 +167,7 @@ def test_jitter_delays_lie_in_the_set_and_commands_do_not_overtake() -> None:
 
 
 def test_positions_lie_on_the_grid_of_the_quantum() -> None:
-    setup = replace(FALCON, quantum=1e-5)
+    setup = FALCON.with_loop(sensor={"quantum": 1e-5, "noise": FALCON.loop.sensor.noise})
     batch = simulate(setup, np.array([500.0, 4000.0]), np.array([10.0, 60.0]))
     steps = batch.position / 1e-5
     assert np.abs(steps - np.rint(steps)).max() < 1e-9
@@ -177,7 +176,7 @@ def test_positions_lie_on_the_grid_of_the_quantum() -> None:
 
 def test_noise_has_the_given_size_and_is_not_filtered_into_the_plant() -> None:
     # K = B = 0: the plant rests until the step, so that the baseline is noise alone
-    setup = replace(IDEAL, noise=1e-6, rows=4100, edge_row=4099, travel=1.0)
+    setup = replace(IDEAL, rows=4100, edge_row=4099, travel=1.0).with_loop(sensor={"noise": 1e-6})
     x = simulate(setup, np.zeros(1), np.zeros(1)).position[0]
     assert x.std() == pytest.approx(1e-6, rel=0.05)  # standard error of 4,100 values: 1.1 %
     assert x.mean() == pytest.approx(0.12, abs=1e-7)
@@ -185,9 +184,10 @@ def test_noise_has_the_given_size_and_is_not_filtered_into_the_plant() -> None:
 
 
 def test_force_limit_clips_what_the_plant_feels_and_the_log_only_where_it_says_so() -> None:
-    limited = simulate(replace(IDEAL, force_limit=3.0), np.array([400.0]), np.array([4.0]))
+    limited = simulate(IDEAL.with_loop(force_limit=3.0), np.array([400.0]), np.array([4.0]))
     assert np.nanmax(limited.command) == 8.0
-    clipped = replace(IDEAL, force_limit=3.0, hidden=SimulationParts(clipped_command_logged=True))
+    hidden = SimulationParts(clipped_command_logged=True)
+    clipped = replace(IDEAL, hidden=hidden).with_loop(force_limit=3.0)
     shown = simulate(clipped, np.array([400.0]), np.array([4.0]))
     assert np.array_equal(shown.command, np.clip(limited.command, -3.0, 3.0))
     assert np.nanmin(shown.command) == -3.0
@@ -217,12 +217,24 @@ def test_conditions_out_of_range_are_refused(K: float, B: float, seed: int) -> N
         simulate(IDEAL, np.array([K]), np.array([B]), seed=seed)
 
 
-@pytest.mark.parametrize(
-    "change", [{"delay_samples": -1.0}, {"jitter_samples": (3, -1)}, {"edge_row": 400}, {"noise": -1e-6}]
-)
-def test_setups_out_of_range_are_refused(change: dict[str, object]) -> None:
+@pytest.mark.parametrize("change", [{"delay_samples": -1.0}, {"jitter_samples": (3, -1)}, {"sensor": {"noise": -1e-6}}])
+def test_loops_out_of_range_are_refused(change: dict[str, object]) -> None:
     with pytest.raises(ParameterError):
-        replace(IDEAL, **change)  # type: ignore[arg-type]
+        IDEAL.with_loop(**change)
+
+
+def test_a_step_outside_the_log_is_refused() -> None:
+    with pytest.raises(ParameterError):
+        replace(IDEAL, edge_row=400)
+
+
+def test_a_stated_constant_force_acts_like_a_hidden_one() -> None:
+    K, B = np.array([3000.0]), np.array([60.0])
+    stated = simulate(IDEAL.with_loop(constant_force=0.7), K, B)
+    hidden = simulate(replace(IDEAL, hidden=SimulationParts(constant_force=0.7)), K, B)
+    assert np.array_equal(stated.command, hidden.command)
+    assert not np.array_equal(stated.command, simulate(IDEAL, K, B).command)
+    assert idealise(IDEAL.with_loop(constant_force=0.7)) == IDEAL
 
 
 def test_no_trials_give_an_empty_batch() -> None:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_are
 
 from pipeline import Loop, PipelineError
-from pipeline.device.parts import AdaptiveWindow, Kalman, Levant, LoopParts, VelocityFilter
-from pipeline.loop.motion import Mechanism
+from pipeline.device.parts import AdaptiveWindow, Kalman, Levant, VelocityFilter
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import external_force, simulate, velocity_of
 
@@ -118,20 +115,18 @@ def test_levants_differentiator_follows_a_swing() -> None:
     ],
 )
 def test_a_simulated_wall_is_damped_by_the_estimate(kind: VelocityFilter) -> None:
-    setup = Setup(
-        Mechanism(0.5, 4.0), T, step=8.0, rows=120, edge_row=3, delay_samples=2.0, quantum=1e-5, velocity=kind
-    )
+    loop = Loop(0.5, 4.0, T, 2.0, sensor={"quantum": 1e-5}, velocity=kind)
+    setup = Setup(loop, step=8.0, rows=120, edge_row=3)
     found = simulate(setup, np.array([2500.0]), np.array([12.0]))
     speed = estimated(kind, found.position.T)[:, 0]
     assert found.command[0] == pytest.approx(
         external_force(setup) - 2500 * found.displacement[0] - 12 * speed, abs=1e-9
     )
-    plain = simulate(replace(setup, velocity=None), np.array([2500.0]), np.array([12.0]))
+    plain = simulate(setup.with_loop(velocity=None), np.array([2500.0]), np.array([12.0]))
     assert np.abs(found.position - plain.position).max() > 1e-5
 
 
 def test_what_linear_theory_leaves_out_is_said() -> None:
     with pytest.raises(PipelineError, match="foaw: no linear loop"):
         Loop(0.5, 4.0, T, 2, velocity={"kind": "foaw", "bound": 1e-5})
-    assert LoopParts(velocity=AdaptiveWindow(kind="foaw", bound=1e-5)).left_out == ["velocity"]
-    assert LoopParts(velocity=Kalman(kind="kalman", acceleration=1.0, noise=1e-6)).left_out == []
+    assert Loop(0.5, 4.0, T, 2, velocity={"kind": "kalman", "acceleration": 1.0, "noise": 1e-6}).left_out == ()

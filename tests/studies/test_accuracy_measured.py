@@ -38,7 +38,7 @@ def errors(measured: MeasuredAccuracy, quantity: str, method: str) -> dict[str, 
 def test_true_limit_is_that_of_the_simulated_loop() -> None:
     setup, units, loop = truth()
     for damping in (0.0, 60.0, 120.0, 180.0):
-        radius = partial(spectral_radius, setup.plant, setup, damping=np.array([damping]))
+        radius = partial(spectral_radius, setup, damping=np.array([damping]))
         low, high = 1.0, 40000.0
         for _ in range(50):
             middle = 0.5 * (low + high)
@@ -49,10 +49,10 @@ def test_true_limit_is_that_of_the_simulated_loop() -> None:
 
 def test_true_costs_are_those_of_a_long_ideal_log() -> None:
     few = drawn(20, 3, 100, slow=0.98).batch
-    setup = replace(truth()[0], rows=2000, quantum=0.0, noise=0.0)
+    setup = replace(truth()[0], rows=2000).with_loop(sensor={})
     trials = Trials.of(simulate(setup, few.stiffness, few.damping), np.full(20, 4.0))
     exact = true_costs(trials)
-    for w, values in enumerate(whole_sum(trials, setup.plant.mass)):
+    for w, values in enumerate(whole_sum(trials, setup.loop.mass)):
         # 1,980 samples leave 0.98^1980 = 1e-17 of the motion; positions near 0.12 m are rounded to 1e-17 m
         assert values == pytest.approx(exact[f"energy, w = {w}"], rel=1e-9)
     found = settling(trials.batch, trials.response, trials.verdicts, 4)["settle_2pct"].value
@@ -63,7 +63,7 @@ def test_trials_are_stable_seeded_and_may_be_cut() -> None:
     trials, again = drawn(10, 2, 400, d=4.5), drawn(10, 2, 400, d=4.5)
     assert (trials.verdicts.verdict == "stable").all()
     setup = truth(4.5)[0]
-    assert spectral_radius(setup.plant, setup, trials.batch.stiffness, trials.batch.damping).max() <= SLOWEST
+    assert spectral_radius(setup, trials.batch.stiffness, trials.batch.damping).max() <= SLOWEST
     assert np.array_equal(trials.batch.position, again.batch.position, equal_nan=True)
     assert trials.shortened(100).batch.rows.tolist() == [100] * 10
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.device.parts import SimulationParts
+from pipeline.device.parts import Sensor, SimulationParts
 from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.records.batch import TrialBatch
 from pipeline.simulation.radius import spectral_radius
@@ -49,8 +49,10 @@ class Group:
     def setup(self) -> Setup:
         device = load_device(self.device)
         made = replace(setup_of(device, find_experiment(device, self.experiment)), rows=self.rows, travel=np.inf)
-        changes = {"quantum": self.quantum, "noise": self.noise, "jitter_samples": self.jitter}
-        return replace(made, **{name: value for name, value in changes.items() if value is not None})
+        stated = {"sensor.quantum": self.quantum, "sensor.noise": self.noise}
+        loop = made.loop.replace({name: value for name, value in stated.items() if value is not None})
+        jitter = loop.jitter_samples if self.jitter is None else self.jitter
+        return replace(made, loop=replace(loop, jitter_samples=jitter))
 
 
 GROUPS = (
@@ -104,11 +106,11 @@ class _Maker:
     def __init__(self, group: Group, size: int, seed: int) -> None:
         self.group, self.size, self.seed = group, size, seed
         self.setup = group.setup
-        self.plant = self.setup.plant
+        self.loop = self.setup.loop
         self.random = np.random.default_rng(seed)
         self.parts: list[tuple[TrialBatch, np.ndarray, str, np.ndarray]] = []
         self.pool = self._pool()
-        self.floor = self.setup.quantum + 6 * self.setup.noise
+        self.floor = self.loop.sensor.quantum + 6 * self.loop.sensor.noise
 
     def make(self) -> Labelled:
         for kind, share in (
@@ -129,7 +131,7 @@ class _Maker:
             ("free", 0.05),
             ("free leaves", 0.03),
         ):
-            if kind == "chatter" and not (self.setup.noise == 0 and self.setup.quantum >= 1e-5):
+            if kind == "chatter" and not (self.loop.sensor.noise == 0 and self.loop.sensor.quantum >= 1e-5):
                 continue
             count = max(round(share * self.size), 1)
             batch, label = getattr(self, "_" + kind.replace(" ", "_"))(count)
@@ -152,11 +154,11 @@ class _Maker:
         """
         falcon = self.group.device == "falcon"
         n = 1500 + 20 * self.size
-        B = self.random.uniform(-self.plant.damping if falcon else 0.0, 190.0 if falcon else 60.0, n)
+        B = self.random.uniform(-self.loop.damping if falcon else 0.0, 190.0 if falcon else 60.0, n)
         K = 10 ** self.random.uniform(2.3, 4.6, n)
         K[::2] = self.random.uniform(200.0, 30e3 if falcon else 20e3, n // 2)
-        rho = spectral_radius(self.plant, self.setup, K, B)
-        if self.setup.jitter_samples:
+        rho = spectral_radius(self.setup, K, B)
+        if self.loop.jitter_samples:
             near = np.flatnonzero(np.abs(rho - 1) < 0.02)
             others = self.random.permutation(np.flatnonzero(np.abs(rho - 1) >= 0.02))
             few = min(len(near), 60 + self.size)
@@ -169,9 +171,8 @@ class _Maker:
         """Growth per sample of the ideal response with the delays of the log, from its last two thirds."""
         # 400 rows at the least: the growth of a short motion hangs on single delays
         third = max(self.setup.rows, 400) - self.setup.edge_row
-        long = replace(
-            idealise(self.setup), rows=self.setup.edge_row + 3 * third, jitter_samples=self.setup.jitter_samples
-        )
+        ideal = idealise(self.setup).with_loop(jitter_samples=self.loop.jitter_samples)
+        long = replace(ideal, rows=self.setup.edge_row + 3 * third)
         far = np.abs(simulate(long, K, B, seed=self.seed).position - self.setup.centre)
         second, last = (far[:, -2 * third : -third].max(axis=1), far[:, -third:].max(axis=1))
         return np.where(second > 0, last / np.where(second > 0, second, 1.0), 0.0) ** (1 / third)
@@ -191,7 +192,7 @@ class _Maker:
         decide.
         """
         long = replace(self.setup, rows=LONGER * self.setup.rows)
-        ideal = simulate(replace(long, quantum=0.0, noise=0.0), K, B, seed=self.seed)
+        ideal = simulate(long.with_loop(sensor=Sensor()), K, B, seed=self.seed)
         real = self._run(K, B, long)
         band = np.maximum(BAND * self.setup.step / K, self.floor)[:, None]
         far, ideal_far = (np.abs(batch.position - self.setup.centre) for batch in (real, ideal))
@@ -227,7 +228,7 @@ class _Maker:
 
     def _cut(self, count):
         K, B = self._pick(lambda K, B, rho: rho < 1 - NEAR, count)
-        start = self.setup.edge_row + 2 * (int(self.setup.delay_samples) + 1) + 30
+        start = self.setup.edge_row + 2 * (int(self.loop.delay_samples) + 1) + 30
         rows = self.random.integers(start, start + 120, len(K))
         return cut(self._run(K, B), rows), self._stable_label(K, B, rows)
 
@@ -243,18 +244,18 @@ class _Maker:
 
     def _grows(self, K, B):
         """Diverged; with jitter only surely so where the motion within the log itself grows, too."""
-        if not self.setup.jitter_samples:
+        if not self.loop.jitter_samples:
             return np.full(len(K), "diverged")
         free = idealise(self.setup)
         third = self._after() // 3
-        batch = self._run(K, B, replace(free, jitter_samples=self.setup.jitter_samples))
+        batch = self._run(K, B, free.with_loop(jitter_samples=self.loop.jitter_samples))
         far = np.abs(batch.position - self.setup.centre)
         growth = np.log(far[:, -third:].max(axis=1) / far[:, -2 * third : -third].max(axis=1)) / third
         return np.where(growth > NEAR, "diverged", "~diverged")
 
     def _near(self, count):
         K, B = self._pick(lambda K, B, rho: np.abs(rho - 1) < NEAR, count)
-        radius = self._radius(K, B) if self.setup.jitter_samples else spectral_radius(self.plant, self.setup, K, B)
+        radius = self._radius(K, B) if self.loop.jitter_samples else spectral_radius(self.setup, K, B)
         change = np.log(radius) * self._after()
         stable = self._stable_label(K, B, np.full(len(K), self.setup.rows))
         # a linear loop that decays has no limit cycle, however slowly it does
@@ -269,10 +270,10 @@ class _Maker:
         low, high = np.full(len(B), 200.0), np.full(len(B), 1e5)
         for _ in range(60):
             middle = 0.5 * (low + high)
-            stable = spectral_radius(self.plant, self.setup, middle, B) < 1
+            stable = spectral_radius(self.setup, middle, B) < 1
             low, high = np.where(stable, middle, low), np.where(stable, high, middle)
         # where the delay jitters this is no boundary
-        return self._run(low, B), np.full(len(B), "" if self.setup.jitter_samples else "limit_cycle")
+        return self._run(low, B), np.full(len(B), "" if self.loop.jitter_samples else "limit_cycle")
 
     def _chatter(self, count):
         """Stable loops that the quantum keeps in motion, where it is coarse and no noise blurs it."""
@@ -286,9 +287,8 @@ class _Maker:
         free = idealise(self.setup)
         peak = np.nanmax(np.abs(self._run(K, B, free).command[:, : self.setup.edge_row + 150]), axis=1)
         limit = self.setup.step * self.random.uniform(0.5, 1.2)
-        batch = self._run(
-            K, B, replace(self.setup, force_limit=limit, hidden=SimulationParts(clipped_command_logged=True))
-        )
+        hidden = SimulationParts(clipped_command_logged=True)
+        batch = self._run(K, B, replace(self.setup, hidden=hidden).with_loop(force_limit=limit))
         clipped = (np.abs(batch.command) >= limit * (1 - 1e-12)).sum(axis=1)
         # an ideal response that stays 5 % below the limit is not touched by it, one 5 % above is for some rows
         label = np.where((peak > 1.05 * limit) & (clipped >= 3), "saturated", "")
@@ -314,7 +314,7 @@ class _Maker:
     def _short(self, count):
         K, B = self._pick(lambda K, B, rho: rho < 1.0, count)
         K[: len(K) // 6] = 0.0
-        longest = 2 * int(min(self.setup.jitter_samples, default=self.setup.delay_samples)) + 11
+        longest = 2 * int(min(self.loop.jitter_samples, default=self.loop.delay_samples)) + 11
         rows = self.setup.edge_row + self.random.integers(5, longest, len(K))
         return cut(self._run(K, B), rows), np.full(len(K), "too_short")
 
@@ -361,7 +361,7 @@ class _Maker:
 
     def _free(self, count):
         """K = 0: the velocity decays to a constant, or runs away."""
-        m, b, T = self.plant.mass, self.plant.damping, self.setup.sampling_period_s
+        m, b, T = self.loop.mass, self.loop.damping, self.loop.sampling_period_s
         slowest = 2 * NEAR * m / T
         fastest = 7 * m / (T * self._after())
         size = self.random.uniform(slowest, max(fastest, 1.5 * slowest), count)
@@ -370,7 +370,7 @@ class _Maker:
         return self._run(np.zeros(count), B), np.where(grows, "diverged", "moving")
 
     def _free_leaves(self, count):
-        B = -self.plant.damping + self.random.uniform(-5, 5, count)
+        B = -self.loop.damping + self.random.uniform(-5, 5, count)
         setup = replace(self.setup, travel=load_device(self.group.device).limits.travel)
         batch = self._run(np.zeros(count), B, setup)
         return batch, np.where(batch.rows < self.setup.rows, "travel_limit", "")

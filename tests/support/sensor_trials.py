@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -65,7 +64,7 @@ def shipped(name, experiment, count):
     inside = np.flatnonzero((alpha > 0) & (exact_radius(loop, np.maximum(alpha, 1e-9), beta) <= 0.985))[:count]
     alpha, beta = alpha[inside], beta[inside]
     assert len(alpha) == count
-    setup = replace(setup_of(device, e), jitter_samples=())
+    setup = setup_of(device, e).with_loop(jitter_samples=())
     batch = simulate_trials(setup, alpha * units.stiffness, beta * units.damping, seed=4001)
     names = [f"energy_step_w{w}_discrete" for w in range(3)]
     found = point_costs_by_name(loop, alpha, beta, names, 20000)

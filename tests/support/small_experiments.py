@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.comparison.compare import compare
-from pipeline.device.parts import Friction, LoopParts
+from pipeline.device.loop import Loop
 from pipeline.intake.ingest import ingest
-from pipeline.loop.motion import Mechanism
 from pipeline.records.batch import TrialBatch
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.records.results import ComparisonResult
@@ -18,14 +17,16 @@ from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import simulate
 
 
-def trials(K, B, *, mass=0.5, damping=3.0, coulomb=0.0, steps=4.0, rows=200, period=1e-3, **more) -> TrialBatch:
+def trials(
+    K, B, *, mass=0.5, damping=3.0, coulomb=0.0, delay_samples=2.0, steps=4.0, rows=200, edge_row=20, period=1e-3
+) -> TrialBatch:
     """One trial for each wall; ``steps`` is the step of all, or of each."""
     K, B, steps = np.broadcast_arrays(np.asarray(K, float), np.asarray(B, float), np.asarray(steps, float))
-    plant = Mechanism.of(mass, damping, 0.0, LoopParts(friction=Friction(coulomb=coulomb) if coulomb else None))
+    friction = {"coulomb": coulomb} if coulomb else None
+    loop = Loop(mass, damping, period, delay_samples, friction=friction, sensor={"quantum": 1e-6})
     parts = []
     for i, (k, b, step) in enumerate(zip(K, B, steps, strict=True)):
-        about = {"edge_row": 20, "delay_samples": 2.0, "travel": 0.3, "quantum": 1e-6} | more
-        setup = Setup(plant=plant, sampling_period_s=period, step=float(step), rows=rows, **about)
+        setup = Setup(loop, step=float(step), rows=rows, edge_row=edge_row, travel=0.3)
         parts.append(simulate(setup, np.array([k]), np.array([b]), seed=i))
     return TrialBatch.joined(parts)
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.device.parts import Sensor
 from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.measured.cost import costs
@@ -45,10 +46,8 @@ WINDOWS_MS = (5, 10, 15, 30, 80)
 QUANTA = (2e-6, 10e-6, 60e-6)
 """Sensor quantum [m]: the shipped Falcon has 2 um, encoders of haptic devices 10 to 60 um."""
 
-SENSOR = (2e-6, 0.5e-6)
-"""Quantum and noise [m] of the shipped Falcon; other quanta have a quarter of noise, too."""
-
-Sensor = tuple[float, float]
+SENSOR = Sensor(quantum=2e-6, noise=0.5e-6)
+"""That of the shipped Falcon [m]; other quanta have a quarter of noise, too."""
 
 SLOWEST, SLOWEST_COST = 0.999, 0.985
 """Largest spectral radius of a trial, and of one whose costs are asked for: 0.3 % of the motion is left after it."""
@@ -97,10 +96,8 @@ class Trials:
 def truth(delay_samples: float = DELAY) -> tuple[Setup, LoopUnits, NormalisedLoop]:
     """Return the simulated device with a constant delay, its units, and its loop, whose costs are the truth."""
     device = load_device("falcon")
-    found = find_experiment(device, "1")
-    setup = replace(setup_of(device, found), jitter_samples=(), delay_samples=delay_samples)
-    units = LoopUnits(found.mass, device.sampling_period_s)
-    return setup, units, units.loop(found.stiffness, found.damping, delay_samples)
+    setup = setup_of(device, find_experiment(device, "1")).with_loop(jitter_samples=(), delay_samples=delay_samples)
+    return setup, LoopUnits.of(setup.loop), NormalisedLoop.of(setup.loop)
 
 
 def drawn(
@@ -112,7 +109,7 @@ def drawn(
     beta = random.uniform(0.03 * last, last, 8 * count)
     alpha = np.maximum(stiffness_limit(loop, beta), 0.0) * random.uniform(0.1, 0.95, 8 * count)
     some = np.flatnonzero(spectral_radius(loop, alpha, beta) <= slow)[:count]
-    setup = replace(setup, rows=rows, quantum=sensor[0], noise=sensor[1])
+    setup = replace(setup, rows=rows).with_loop(sensor=sensor)
     walls = alpha[some] * units.stiffness, beta[some] * units.damping
     return Trials.of(simulate(setup, *walls, seed=seed), np.full(len(some), d))
 
@@ -128,7 +125,7 @@ def true_costs(trials: Trials) -> Values:
 def measured_tables(quick: bool = False) -> Iterator[Table]:
     """Yield the tables of delay, of mass and damping, and of costs; a quick run has fewer trials and settings."""
     count, lengths = (60, ROWS[1:4]) if quick else (300, ROWS)
-    for name, sensor in ((DELAY_OF, SENSOR), (f"{DELAY_OF}, coarse sensor", (QUANTA[-1], 1e-6))):
+    for name, sensor in ((DELAY_OF, SENSOR), (f"{DELAY_OF}, coarse sensor", Sensor(quantum=QUANTA[-1], noise=1e-6))):
         delays = DELAYS[::4] if quick else DELAYS
         parts = [drawn(count // len(delays), i, lengths[-1], sensor, d=d) for i, d in enumerate(delays)]
         batch = TrialBatch.joined([part.batch for part in parts])
@@ -138,7 +135,7 @@ def measured_tables(quick: bool = False) -> Iterator[Table]:
     yield _costs("", trials, "{} rows", lengths[1:], trials.shortened)
 
     def with_quantum(quantum: float) -> Trials:
-        return drawn(count, 51, USUAL_ROWS, (quantum, quantum / 4), slow=SLOWEST_COST)
+        return drawn(count, 51, USUAL_ROWS, Sensor(quantum=quantum, noise=quantum / 4), slow=SLOWEST_COST)
 
     yield _costs(", over the sensor's quantum", trials, "{:.0e} m", QUANTA, with_quantum)
 
@@ -174,7 +171,7 @@ def by_model(of: Trials) -> Values:
 
 
 def _mass_and_damping(trials: Trials, lengths: tuple[int, ...]) -> Table:
-    plant, count = truth()[0].plant, len(trials.delay)
+    device, count = truth()[0].loop, len(trials.delay)
     logs = trials.shortened(USUAL_ROWS)
     of_logs = logs.batch, logs.response, logs.samples
 
@@ -187,7 +184,7 @@ def _mass_and_damping(trials: Trials, lengths: tuple[int, ...]) -> Table:
 
     windows, shortened = ("{} ms", WINDOWS_MS), ("{} rows", lengths)
     return Table(
-        {MASS: np.full(count, plant.mass), DAMPING: np.full(count, plant.damping)},
+        {MASS: np.full(count, device.mass), DAMPING: np.full(count, device.damping)},
         (
             Row("momentum balance (6.4)", lambda w: {MASS: momentum(w).mass_momentum}, *windows, of=(MASS,)),
             Row(MODEL, model, *shortened, given=trials.shortened),
@@ -205,7 +202,7 @@ def _costs(
     given: Callable[[Any], Trials],
 ) -> Table:
     """Return the table of all costs over settings of which the trials are ``given``; mass and delay are known."""
-    energies, weight = tuple(COSTS)[2:], truth()[0].plant.mass
+    energies, weight = tuple(COSTS)[2:], truth()[0].loop.mass
 
     logs = cache(given)
 

@@ -134,7 +134,7 @@ def test_optima_of_a_jittered_noisy_course_are_trustworthy():
     K, B = batch.stiffness, batch.damping
     response = find_response(batch)
     verdicts = judge(batch, response)
-    bare = dataclasses.replace(course.setup, noise=0.0, quantum=0.0, rows=2000)
+    bare = dataclasses.replace(course.setup, rows=2000).with_loop(sensor={})
     unstable = verdicts.verdict == "unstable"
 
     def best(cost, floor=None):

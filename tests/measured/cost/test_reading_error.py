@@ -9,8 +9,8 @@ import pytest
 from sensor_trials import DELAY, EDGE, FREE, SENSORS, measured, shipped, trials, truth
 from simulated import FALCON, plant, simulate
 
+from pipeline.device.loop import Loop
 from pipeline.device_data.devices import load_device
-from pipeline.loop.motion import Mechanism
 from pipeline.measured.cost.energy import energy_interval, energy_terms
 from pipeline.measured.cost.reading_error import reading_error, sensor_error
 from pipeline.measured.signal.response import find_response
@@ -80,9 +80,10 @@ def test_a_wall_that_pulls_the_device_off_the_edge_of_a_quantum_hides_no_noise(o
 def test_jitter_magnifies_the_errors_and_that_is_seen():
     """Against the same trials with the same jitter and an ideal sensor."""
     K, B = trials()
-    setup = Setup(Mechanism(FALCON["mass"], FALCON["b"]), 1e-3, 8.0, 400, EDGE, DELAY, (3, 4, 5), 0.12, 10.0)
+    loop = Loop(FALCON["mass"], FALCON["b"], 1e-3, DELAY, jitter_samples=(3, 4, 5))
+    setup = Setup(loop, 8.0, 400, EDGE, 0.12, 10.0)
     ideal = simulate_device(setup, K, B, seed=2)
-    batch = simulate_device(dataclasses.replace(setup, quantum=2e-6, noise=5e-7), K, B, seed=2)
+    batch = simulate_device(setup.with_loop(sensor={"quantum": 2e-6, "noise": 5e-7}), K, B, seed=2)
     error = reading_error(batch, find_response(batch), DELAY)
     off = np.abs(batch.displacement - ideal.displacement)[:, EDGE + DELAY :]
     settled = judge(batch).verdict == "stable"
@@ -99,8 +100,9 @@ def test_a_mode_that_decays_slowly_is_no_rest():
     """LWR at d = 7: the last fifths of the stiffly damped trials shrink by 0.65 to 0.75, far above the sensor."""
     K = np.array([1000.0, 800.0, 800.0, 600.0, 600.0, 480.0, 800.0, 800.0])
     B = np.array([30.0, 31.0, 32.0, 33.0, 34.0, 35.0, 20.0, 21.0])
-    plant_ = Mechanism(0.19, 0.0)
-    batch = simulate_device(Setup(plant_, 1e-3, 15.0, 350, EDGE, 7.0, (), 0.0, 1.0, quantum=5e-6), K, B, seed=1)
+    loop = Loop(0.19, 0.0, 1e-3, 7.0)
+    read = dataclasses.replace(loop, sensor={"quantum": 5e-6})
+    batch = simulate_device(Setup(read, 15.0, 350, EDGE, travel=1.0), K, B, seed=1)
     error = reading_error(batch, find_response(batch), 7)
     # the model of a constant delay explains the sensor's part: nothing exceeds it
     assert (error.gain == 1).all()
@@ -108,6 +110,6 @@ def test_a_mode_that_decays_slowly_is_no_rest():
     verdicts = judge(batch)
     found = energy_interval(batch, find_response(batch), verdicts, error, 7, 0.19)
     assert (found.horizon_samples[-2:] > 120).all()
-    ideal = simulate_device(Setup(plant_, 1e-3, 15.0, 2000, EDGE, 7.0, (), 0.0, 1.0), K, B, seed=1)
+    ideal = simulate_device(Setup(loop, 15.0, 2000, EDGE, travel=1.0), K, B, seed=1)
     true = energy_terms(ideal, find_response(ideal), judge(ideal), 7).summed(0.19)
     np.testing.assert_allclose(found.value[-2:], true[-2:], rtol=0.01)

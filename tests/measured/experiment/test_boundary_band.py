@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
@@ -25,9 +24,8 @@ COARSE = {"quantum": 1e-5, "noise": 1e-6}
 
 @cache
 def course(seed, coarsen, quantum, noise, experiment="1"):
-    return run_course(
-        load_device("falcon"), experiment, seed=seed, jitter_samples=(), coarsen=coarsen, quantum=quantum, noise=noise
-    )
+    sensor = {"quantum": quantum, "noise": noise}
+    return run_course(load_device("falcon"), experiment, seed=seed, jitter_samples=(), coarsen=coarsen, sensor=sensor)
 
 
 def limit(setup, damping):
@@ -35,7 +33,7 @@ def limit(setup, damping):
     low, high = np.zeros(len(damping)), np.full(len(damping), 30_000.0)
     for _ in range(40):
         middle = 0.5 * (low + high)
-        stable = spectral_radius(setup.plant, setup, middle, damping) < 1
+        stable = spectral_radius(setup, middle, damping) < 1
         low, high = np.where(stable, middle, low), np.where(stable, high, middle)
     return low
 
@@ -349,7 +347,7 @@ def test_jitter_moves_the_limit():
     B = np.array([p.damping for p in points])
     limits = np.array([p.estimate for p in points])
     assert not any(p.censored for p in points)
-    shortest, longest = (limit(replace(of.setup, delay_samples=d), B) for d in (3.0, 5.0))
+    shortest, longest = (limit(of.setup.with_loop(delay_samples=d), B) for d in (3.0, 5.0))
     assert ((limits > longest) & (limits < shortest)).all()  # 6.1.3: between those of the extreme delays
     assert np.median(limits / limit(of.setup, B)) > 1.03  # and not at that of their mean, 4
 

@@ -10,7 +10,7 @@ import pytest
 from labelled import GROUPS, Group, Labelled, cut, join, labelled_set
 
 from pipeline.base.errors import ParameterError
-from pipeline.device.parts import Butterworth, SimulationParts
+from pipeline.device.parts import Butterworth, Sensor, SimulationParts
 from pipeline.measured.cost import costs
 from pipeline.measured.signal.disturbance import LONGEST_SPAN, Device, find_disturbance, learn_device
 from pipeline.measured.signal.events import usual_length
@@ -25,7 +25,7 @@ RIGHT = 0.99
 """Share of the labels that the outcomes must meet where the truth is not a matter of a hair (issue 4)."""
 
 FALCON = Group("falcon", "1", 400, jitter=()).setup
-IDEAL = replace(FALCON, quantum=0.0, noise=0.0)
+IDEAL = FALCON.with_loop(sensor=Sensor())
 OF_THE_LOOP = {"diverged", "limit_cycle", "moving", "settled"}
 
 
@@ -147,7 +147,7 @@ def test_device_that_rests_elsewhere_is_held_by_another_force() -> None:
 
 
 def test_clipping_is_dated_by_the_unclipped_command() -> None:
-    setup = replace(IDEAL, force_limit=11.0, hidden=SimulationParts(clipped_command_logged=True))
+    setup = replace(IDEAL, hidden=SimulationParts(clipped_command_logged=True)).with_loop(force_limit=11.0)
     batch = among(run(setup, [9000.0, 3000.0], [40.0, 60.0]), IDEAL)
     free = run(IDEAL, [9000.0], [40.0])
     found = outcomes(batch)
@@ -157,7 +157,7 @@ def test_clipping_is_dated_by_the_unclipped_command() -> None:
 
 
 def test_velocity_filter_is_no_clipping() -> None:
-    setup = replace(FALCON, velocity=Butterworth(kind="butterworth", order=1, cutoff_hz=80.0))
+    setup = FALCON.with_loop(velocity=Butterworth(kind="butterworth", order=1, cutoff_hz=80.0))
     found = outcomes(run(setup, list(np.linspace(1000, 4000, 20)), [40.0] * 20))
     assert "saturated" not in found.outcome
 

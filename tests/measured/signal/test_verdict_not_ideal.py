@@ -68,9 +68,10 @@ def test_several_steps_are_judged_by_the_response_to_the_first():
     later = SimulationParts.model_validate({"later_steps": [{"time_s": 0.2, "size": -4.0}]})
     device = load_device("falcon")
     setup = setup_of(device, device.experiments[0].model_copy(update={"simulation": later, "jitter_samples": ()}))
-    true = {**FALCON, "delay": int(setup.delay_samples), "mass": setup.plant.mass, "b": setup.plant.damping}
+    loop = setup.loop
+    true = {**FALCON, "delay": int(loop.delay_samples), "mass": loop.mass, "b": loop.damping}
     batch = simulate_loop(setup, K, B)
-    growth = np.log([spectral_radius(k, b, **true) for k, b in zip(K, B, strict=True)]) / setup.sampling_period_s
+    growth = np.log([spectral_radius(k, b, **true) for k, b in zip(K, B, strict=True)]) / loop.sampling_period_s
     found = judge(batch)
     assert (find_response(batch).steps > 1).any()
     known = np.isfinite(found.growth_per_s)
