@@ -8,7 +8,7 @@ import numpy as np
 from simulated import FALCON, simulate, spectral_radius
 
 from pipeline.device_data.devices import find_experiment, load_device
-from pipeline.loop.normalised_loop import LoopUnits
+from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.measured.cost.reading_error import reading_error
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
@@ -57,14 +57,13 @@ def shipped(name, experiment, count):
     """
     device = load_device(name)
     e = find_experiment(device, experiment)
-    units = LoopUnits(e.mass, device.sampling_period_s)
-    loop, random = units.loop(e.stiffness, e.damping, e.delay_samples), np.random.default_rng(4001)
+    setup = setup_of(device, e).with_loop(jitter_samples=())
+    units, loop, random = LoopUnits.of(setup.loop), NormalisedLoop.of(setup.loop), np.random.default_rng(4001)
     beta = random.uniform(0.03, 1.0, 8 * count) * boundary(loop).beta_max
     alpha = stiffness_limit(loop, beta) * random.uniform(0.1, 0.95, 8 * count)
     inside = np.flatnonzero((alpha > 0) & (exact_radius(loop, np.maximum(alpha, 1e-9), beta) <= 0.985))[:count]
     alpha, beta = alpha[inside], beta[inside]
     assert len(alpha) == count
-    setup = setup_of(device, e).with_loop(jitter_samples=())
     batch = simulate_trials(setup, alpha * units.stiffness, beta * units.damping, seed=4001)
     names = [f"energy_step_w{w}_discrete" for w in range(3)]
     found = point_costs_by_name(loop, alpha, beta, names, 20000)
