@@ -21,11 +21,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from pipeline.device.parts import LoopParts, Mode
 from pipeline.device_data.devices import load_device
 from pipeline.device_data.published import find
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.batch import Floats
-from pipeline.device.parts import LoopParts, Mode
 from pipeline.records.models import Device
 from pipeline.simulation.course import Course, run_course
 from pipeline.simulation.setup import setup_of
@@ -111,7 +111,7 @@ class Candidate:
         """Return the thesis's course with an ideal sensor, whose noise would swamp an energy with w = 2."""
         device = self.device(firm)
         name = device.experiments[0].name
-        return run_course(device, name, quantum=0.0, noise=0.0, coarsen=coarsen, seed=seed)
+        return run_course(device, name, sensor={}, coarsen=coarsen, seed=seed)
 
     def words(self) -> str:
         """Return what is not ideal, with its numbers."""
@@ -167,7 +167,7 @@ def costs(course: Course, measured: bool) -> dict[str, Floats]:
     error, span = rest - final[:, None], np.abs(final - start)[:, None]
     outside = np.abs(error) > 0.02 * span
     settle = rest.shape[1] - np.argmax(outside[:, ::-1], axis=1).astype(float)
-    velocity = np.diff(rest, axis=1, prepend=rest[:, :1]) / course.setup.sampling_period_s
+    velocity = np.diff(rest, axis=1, prepend=rest[:, :1]) / course.setup.loop.sampling_period_s
     energy = (0.5 * K[:, None] * error**2 + 0.5 * MASS * velocity**2) / (step**2 / (2 * K))[:, None]
     k = np.arange(rest.shape[1])
     found = {"stiffness": K, "damping": B, "settle_2pct": np.where(settle < rest.shape[1] - 5, settle, np.nan)}
@@ -177,12 +177,12 @@ def costs(course: Course, measured: bool) -> dict[str, Floats]:
 
 def period(candidate: Candidate) -> float:
     """Return twice the time from the maximum to the next minimum at K = 400 and B = 4 [s]; NaN where it rests."""
-    setup = replace(setup_of(candidate.device(), candidate.device().experiments[0]), quantum=0.0, noise=0.0)
+    setup = setup_of(candidate.device(), candidate.device().experiments[0]).with_loop(sensor={})
     batch = simulate(setup, *(np.array([value]) for value in PERIOD_WALL), seed=1, stream="period")
     x = batch.position[0]
     top = int(np.argmax(x))
     half = int(np.argmin(x[top : top + HALF_PERIOD]))
-    return 2 * half * setup.sampling_period_s if 0 < half < HALF_PERIOD - 1 else np.nan
+    return 2 * half * setup.loop.sampling_period_s if 0 < half < HALF_PERIOD - 1 else np.nan
 
 
 def numbers(candidate: Candidate, course: Course, origin: Floats, measured: bool) -> Values:
@@ -208,7 +208,7 @@ def momentum_mass(course: Course) -> float:
     kept = (course.verdict == "stable") & (batch.stiffness > 0)
     impulse = batch.command[kept, edge : edge + MOMENTUM_ROWS - MOMENTUM_DELAY].sum(axis=1)
     change = np.diff(batch.position[kept, edge + MOMENTUM_ROWS - 1 : edge + MOMENTUM_ROWS + 1])[:, 0]
-    return float(np.median(impulse / change) * course.setup.sampling_period_s**2)
+    return float(np.median(impulse / change) * course.setup.loop.sampling_period_s**2)
 
 
 def firm_grip(candidate: Candidate, measured: bool, seed: int) -> Values:
@@ -449,7 +449,8 @@ def _span(values: list[float]) -> str:
 def limit_at(candidate: Candidate, damping: float, step: float) -> tuple[float, float]:
     """Return the stiffness limit [N/m] at one damping for a step [N], and the frequency of the first unstable trial."""
     device = candidate.device()
-    setup = replace(setup_of(device, device.experiments[0]), quantum=0.0, noise=0.0, step=step, travel=inf, rows=700)
+    setup = setup_of(device, device.experiments[0]).with_loop(sensor={})
+    setup = replace(setup, step=step, travel=inf, rows=700)
     stiffness = np.arange(500.0, 24_000.0, 250.0)
     batch = simulate(setup, stiffness, np.full(len(stiffness), damping), seed=3, stream="limit")
     unstable = np.flatnonzero(judge(batch).verdict == "unstable")
@@ -457,7 +458,7 @@ def limit_at(candidate: Candidate, damping: float, step: float) -> tuple[float, 
         return np.nan, np.nan
     x = np.diff(batch.position[unstable[0], -400:])
     spectrum = np.abs(np.fft.rfft(x * np.hanning(len(x)), 8192))
-    return float(stiffness[unstable[0]]), float(np.argmax(spectrum) / 8192 / setup.sampling_period_s)
+    return float(stiffness[unstable[0]]), float(np.argmax(spectrum) / 8192 / setup.loop.sampling_period_s)
 
 
 def decisive(kept: Path, count: int = 3) -> Iterator[str]:

@@ -50,7 +50,7 @@ def theory_map(course: Course) -> CostMap:
             mass=plant.mass,
             damping=plant.damping,
             stiffness=plant.stiffness,
-            sampling_period_s=course.setup.sampling_period_s,
+            sampling_period_s=course.setup.loop.sampling_period_s,
             delay_samples=plant.delay_samples,
             source=course.device.source,
         )

@@ -7,10 +7,11 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from pipeline.loop.motion import Mechanism
+from pipeline.device.parts import Friction
+from pipeline.loop.motion import FrictionalMotion
+from pipeline.loop.state_space import Plant
 from pipeline.measured.model.identified import identified
 from pipeline.measured.model.recordings import Recording
-from pipeline.device.parts import Friction
 
 FILE = Path(__file__).parent / "img" / "scatter.svg"
 T, ROWS, EDGE, DELAY, NOISE = 1e-3, 300, 20, 2, 2e-4
@@ -24,11 +25,11 @@ def recorded(scatter: float, seed: int) -> list[Recording]:
     random, runs = np.random.default_rng(seed), []
     for run, step in enumerate(STEPS):
         coulomb = FRICTION * max(1 + scatter * random.standard_normal(), 0.0)
-        mechanism = Mechanism(INERTIA, DAMPING, friction=Friction(coulomb=coulomb))
-        state, seen, sent = mechanism.rest(np.zeros(1)), np.zeros(ROWS), step * (np.arange(ROWS) >= EDGE)
+        motion = FrictionalMotion(Plant(INERTIA, DAMPING, 0.0), Friction(coulomb=coulomb))
+        state, seen, sent = motion.rest(np.zeros(1)), np.zeros(ROWS), step * (np.arange(ROWS) >= EDGE)
         for row in range(ROWS):
             seen[row] = state[0, 0] + NOISE * random.standard_normal()
-            state = mechanism.advance(state, sent[[max(row - DELAY, 0)]], 0.0, T)
+            state = motion.advance(state, sent[[max(row - DELAY, 0)]], 0.0, T)
         runs.append(Recording(str(run), T * np.arange(ROWS), sent, seen, T))
     return runs
 

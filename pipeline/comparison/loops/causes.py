@@ -147,7 +147,7 @@ def _parts(shown: Shown) -> Iterator[Candidate]:
         if name == "lag" and "delay_samples" in device.bounds:
             more = ", or a fast mode vibrates and the delay is longer by as much: logs do not tell which"
         value = f"{significant(part.scale * number.value, 3)} {part.unit or PARAMETERS[part.number].unit(shown.motion)}"
-        sentence = part.sentence.format(value=value, more=more, at=f"at the {device.sensor}")
+        sentence = part.sentence.format(value=value, more=more, at=f"at the {device.mode_sensor}")
         ends = span(lambda value: significant(value, 4), part.scale * number.low, part.scale * number.high)
         yield Candidate(part.code, effect, sentence, f"95 %: {ends}; {change}")
     yield from _shared(shown, device)

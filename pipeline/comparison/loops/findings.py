@@ -173,6 +173,8 @@ def _reason(basis: LoopBasis, replay: WallReplay | None, refused: str, of_file: 
     elif basis.nominal is not None and of_file is not None and of_file.parts_in_words():
         said.append(f"the loop of the device file ({of_file.parts_in_words()}) has the same limits")
     else:
-        what = listed(["mass", "damping", "delay", *basis.devices[0].parts])
+        side = f"mode at the {basis.devices[0].mode_sensor}"
+        parts = [side if part == "mode" else part for part in basis.devices[0].parts]
+        what = listed(["mass", "damping", "delay", *parts])
         said.append(f"it has {what}; what changes force per command alone shows in the mass")
     return "; ".join(said)

@@ -31,7 +31,7 @@ def compared(folder, base: Device, kind: str, seed: int):
 def test_two_delays_that_are_as_likely_jitter(tmp_path):
     """In more than half of the trials the motion begins after the same delay: a median calls that no scatter."""
     course, found = compared(tmp_path, load_device("falcon"), "jitter", 9100)
-    assert len(course.setup.jitter_samples) == 2
+    assert len(course.setup.loop.jitter_samples) == 2
     (cause,) = found.causes
     assert cause.code == "delay_jitter"
     assert cause.evidence.startswith("95 %: ")

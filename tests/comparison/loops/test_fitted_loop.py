@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pipeline.measured.experiment.identified_loop import identified_loop
+from pipeline.plan.loop_limits import limits_of
 
 from pipeline.device.parts import Butterworth, Friction
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
-from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.plan.found_device import FoundDevice
 from pipeline.records.batch import TrialBatch
 from pipeline.records.models import Device
 from pipeline.simulation.course import Course, write_course
@@ -31,7 +31,7 @@ def true_limits(setup, damping):
     low, high = np.zeros(len(damping)), np.full(len(damping), 1e5)
     for _ in range(50):
         middle = 0.5 * (low + high)
-        stable = spectral_radius(setup.plant, setup, middle, damping) < 1
+        stable = spectral_radius(setup, middle, damping) < 1
         low, high = np.where(stable, middle, low), np.where(stable, high, middle)
     return low
 
@@ -40,12 +40,10 @@ def simulated(setup, K, B, scatter: float) -> TrialBatch:
     """Trials of one device whose friction is another one in each."""
     if not scatter:
         return simulate(setup, K, B, seed=91)
-    coulomb = setup.plant.friction.coulomb * (1 + scatter * np.random.default_rng(91).standard_normal(len(K)))
-    plants = [replace(setup.plant, friction=Friction(coulomb=max(c, 0.0))) for c in coulomb]
-    each = zip(plants, K, B, strict=True)
-    return TrialBatch.joined(
-        [simulate(replace(setup, plant=p), np.array([k]), np.array([b]), seed=91) for p, k, b in each]
-    )
+    coulomb = setup.loop.friction.coulomb * (1 + scatter * np.random.default_rng(91).standard_normal(len(K)))
+    setups = [setup.with_loop(friction=Friction(coulomb=max(c, 0.0))) for c in coulomb]
+    each = zip(setups, K, B, strict=True)
+    return TrialBatch.joined([simulate(one, np.array([k]), np.array([b]), seed=91) for one, k, b in each])
 
 
 def soft_course(parts: dict, folder, scatter=0.0, **experiment) -> tuple[ExperimentStages, Course, np.ndarray]:
@@ -58,7 +56,7 @@ def soft_course(parts: dict, folder, scatter=0.0, **experiment) -> tuple[Experim
     setup = setup_of(device, one)
     # as far as softer walls are stable at all
     every = np.linspace(0.5, 40.0, 80)
-    highest = every[spectral_radius(setup.plant, setup, np.ones(80), every) < 1].max()
+    highest = every[spectral_radius(setup, np.ones(80), every) < 1].max()
     damping = np.linspace(0.05, 0.8, 5) * highest
     limit = true_limits(setup, damping)
     K, B = np.outer(SHARES, limit).ravel(), np.tile(damping, len(SHARES))
@@ -77,23 +75,20 @@ def soft_course(parts: dict, folder, scatter=0.0, **experiment) -> tuple[Experim
         pytest.param({"actuator_lag_s": 0.0023}, {"delay_samples": 3.4}, {"lag"}, marks=pytest.mark.slow),
         ({"operator": {"mass": 0.2, "damping": 4.0, "stiffness": 260.0}}, {}, {"spring"}),
         pytest.param({"actuator_lag_s": 0.0016, "velocity": FILTER}, {}, {"lag"}, marks=pytest.mark.slow),
-        pytest.param({"mode": MODE}, {}, {"mode at the motor"}, marks=pytest.mark.slow),
+        pytest.param({"mode": MODE}, {}, {"mode"}, marks=pytest.mark.slow),
         pytest.param({"mode": MODE | {"sensor": "load"}}, {}, {"mode at the load"}, marks=pytest.mark.slow),
-        pytest.param(
-            {"mode": MODE | {"load_damping": 1.5}}, {}, {"mode at the motor", "load damping"}, marks=pytest.mark.slow
-        ),
-        pytest.param({"mode": MODE, "actuator_lag_s": 0.002}, {}, {"lag", "mode at the motor"}, marks=pytest.mark.slow),
+        pytest.param({"mode": MODE | {"load_damping": 1.5}}, {}, {"mode", "load damping"}, marks=pytest.mark.slow),
+        pytest.param({"mode": MODE, "actuator_lag_s": 0.002}, {}, {"lag", "mode"}, marks=pytest.mark.slow),
     ],
 )
 def test_limits_from_soft_walls_are_those_of_the_device(tmp_path, parts, experiment, expected):
     stages, course, limit = soft_course(parts, tmp_path, **experiment)
-    device = fitted_device(stages)
+    device = identified_loop(stages)
     assert set(device.parts) == expected
     assert device.tells
     velocity = Butterworth(**FILTER) if "velocity" in parts else None
-    loop = FoundDevice(device, course.setup.sampling_period_s, velocity)
     damping = course.batch.damping[: len(limit)]
-    found, reach = loop.limits(damping)
+    found, reach = limits_of(replace(device, velocity=velocity), damping)
     assert found == pytest.approx(limit, rel=0.05)
     # three half widths, and what the course's bisection and the noise's stand-in leave
     assert (np.abs(found - limit) <= 3 * reach + 1e-3 * limit).all()
@@ -102,16 +97,16 @@ def test_limits_from_soft_walls_are_those_of_the_device(tmp_path, parts, experim
 
 def test_an_ideal_device_has_no_part(tmp_path):
     stages, _, _ = soft_course({}, tmp_path)
-    assert fitted_device(stages).parts == ()
+    assert identified_loop(stages).parts == ()
 
 
 @pytest.mark.slow
 def test_mass_and_friction_are_told_where_friction_differs_from_run_to_run(tmp_path):
     stages, _, _ = soft_course({"friction": {"coulomb": 0.6}}, tmp_path, scatter=0.2)
-    device = fitted_device(stages)
+    device = identified_loop(stages)
     assert device.parts == ("friction",)
-    for name, true, most in (("mass", 0.47, 0.02), ("damping", 3.1, 0.1), ("coulomb", 0.6, 0.2)):
-        number = device.with_interval(name)
+    for name, true, most in (("mass", 0.47, 0.02), ("damping", 3.1, 0.1), ("friction.coulomb", 0.6, 0.2)):
+        number = device.interval(name)
         assert number.low <= true <= number.high, (name, number)
         assert number.high - number.low < 2 * most * true
 
@@ -124,9 +119,9 @@ def test_costs_behind_a_lag_are_counted_from_the_delay_and_not_from_the_motion_t
     setup, stiffness = course.setup, stages.column("response", "stiffness")
     assert stages.delay_estimate.value == 3  # the lag is a part of its own
     exact = simulate(
-        replace(setup, noise=0.0, quantum=0.0, rows=3000), stiffness, stages.column("response", "damping"), seed=1
+        replace(setup.with_loop(sensor={}), rows=3000), stiffness, stages.column("response", "damping"), seed=1
     )
-    T, first = setup.sampling_period_s, 3 + int(np.flatnonzero(exact.command[0])[0])
+    T, first = setup.loop.sampling_period_s, 3 + int(np.flatnonzero(exact.command[0])[0])
     for weight in (0, 1):
         cost, _ = stages.cost(f"energy_step_w{weight}")
         low, high = stages.cost_interval(f"energy_step_w{weight}")

@@ -7,19 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fine_loop import Body, run
+from pipeline.measured.experiment.identified_loop import IdentifiedLoop
+from pipeline.plan.loop_limits import StepTrial, limits_of, linear_limits, step_limits
 
-from pipeline.device.parts import Friction, LoopParts
-from pipeline.measured.experiment.fitted_device import FittedDevice
-from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial
+from pipeline.device.loop import Loop
+from pipeline.device.parts import Friction
 
 MASS, DAMPING, T, DELAY, COULOMB = 0.456, 4.6, 0.001, 4, 0.9
 B = np.array([40.0, 100.0])
-DEVICE = LoopPoint(MASS, DAMPING, DELAY, 0.0, T, LoopParts(friction=Friction(coulomb=COULOMB)))
-LINEAR = DEVICE.limit(B)
+DEVICE = Loop(MASS, DAMPING, T, DELAY, friction=Friction(coulomb=COULOMB))
+LINEAR = linear_limits(DEVICE, B)
 
 
 def of_step(step, device=DEVICE, **more):
-    return device.step_limits(B, Trial(step, 400, **more), np.full(2, 200.0))[0]
+    return step_limits(device, B, StepTrial(step, 400, **more), np.full(2, 200.0))[0]
 
 
 def test_a_harder_push_is_unstable_from_softer_walls_on_down_to_the_linear_limit():
@@ -32,16 +33,16 @@ def test_a_harder_push_is_unstable_from_softer_walls_on_down_to_the_linear_limit
 
 
 def test_the_limit_for_a_step_depends_on_the_share_of_friction_alone():
-    half = replace(DEVICE, parts=LoopParts(friction=Friction(coulomb=COULOMB / 2)))
+    half = DEVICE.replace({"friction.coulomb": COULOMB / 2})
     assert of_step(4.0, half) == pytest.approx(of_step(8.0), rel=2e-3)
 
 
 def test_a_linear_device_has_its_linear_limit_for_every_step_and_jitter_moves_it():
-    plain = replace(DEVICE, parts=LoopParts())
+    plain = replace(DEVICE, friction=None)
     assert of_step(8.0, plain) == pytest.approx(LINEAR, rel=0.01)
     # a command in force whose age scatters about the same mean moves it by little, a mean of a tenth less by more
-    jitters, early = of_step(8.0, plain, jitter=0.5), replace(plain, delay_samples=0.9 * DELAY).limit(B)
-    assert ((jitters != plain.limit(B)) & (abs(jitters / LINEAR - 1) < 0.04) & (early > 1.04 * LINEAR)).all()
+    jitters, early = of_step(8.0, plain, jitter=0.5), linear_limits(replace(plain, delay_samples=0.9 * DELAY), B)
+    assert ((jitters != linear_limits(plain, B)) & (abs(jitters / LINEAR - 1) < 0.04) & (early > 1.04 * LINEAR)).all()
 
 
 def test_a_second_simulator_says_the_same_of_walls_beside_the_limit():
@@ -81,11 +82,11 @@ def test_a_course_with_friction_tells_both_limits(sticky_outcome):
 @pytest.mark.slow
 def test_a_coarse_sensor_alone_moves_no_limit_and_undecided_walls_leave_it_open():
     values = {"mass": MASS, "damping": DAMPING, "delay_samples": DELAY, "stiffness": 0.0}
-    plain = FittedDevice((), values, np.zeros((4, 4)))
-    limit, reach = FoundDevice(plain, T).limits(B, Trial(8.0, 400, quantum=1e-4))
+    plain = IdentifiedLoop(values, np.zeros((4, 4)), T)
+    limit, reach = limits_of(plain, B, StepTrial(8.0, 400, quantum=1e-4))
     assert limit == pytest.approx(LINEAR, rel=1e-12)
     assert (reach == 0).all()
-    rubs = FittedDevice(("friction",), values | {"coulomb": COULOMB}, np.zeros((5, 5)))
-    (short, open_), (long, closed) = (FoundDevice(rubs, T).limits(B, Trial(8.0, rows)) for rows in (150, 2000))
+    rubs = IdentifiedLoop(values | {"friction.coulomb": COULOMB}, np.zeros((5, 5)), T, parts=("friction",))
+    (short, open_), (long, closed) = (limits_of(rubs, B, StepTrial(8.0, rows)) for rows in (150, 2000))
     assert (np.abs(short - long) <= open_ + closed).all()
     assert (open_ > 2 * closed).all()

@@ -41,7 +41,7 @@ def compared(tmp_path_factory):
 
 def radius(course: Course, stiffness: float, damping: float) -> float:
     """Growth of the true loop from sample to sample, at the mean of a jittering delay."""
-    return float(spectral_radius(course.setup.plant, course.setup, np.array([stiffness]), np.array([damping]))[0])
+    return float(spectral_radius(course.setup, np.array([stiffness]), np.array([damping]))[0])
 
 
 @pytest.mark.sampled
@@ -60,10 +60,10 @@ def test_an_adequate_loop_is_the_true_one_and_its_passive_wall_is_stable(compare
     truth = course.experiment
     assert loop.mass.value == pytest.approx(truth.mass, rel=2e-3)
     assert loop.damping.value == pytest.approx(truth.damping, rel=2e-2)
-    assert loop.delay_samples.value == pytest.approx(course.setup.delay_samples, abs=0.01)
+    assert loop.delay_samples.value == pytest.approx(course.setup.loop.delay_samples, abs=0.01)
     # the whole factor is that of the same delay, also where a coarse sensor shows the first motion late
     factor = found.estimates["delay_samples"]
-    assert (factor.value, factor.high) == (floor(course.setup.delay_samples), factor.value + 1)
+    assert (factor.value, factor.high) == (floor(course.setup.loop.delay_samples), factor.value + 1)
     # stability with every hand is promised with limits measured beside the wall, and from ten trials on
     measured = name not in ("few trials", "only unstable")
     assert (found.passive is not None) == measured, found.passive_reason
@@ -121,7 +121,7 @@ def test_a_force_of_several_steps_leaves_the_loop_as_it_is(compared):
     assert found.loop.adequate
     assert found.replay.is_right
     assert {cause.code for cause in found.causes} - {"coarse_sensor"} == {"several_steps"}
-    assert found.loop.delay_samples.value == pytest.approx(course.setup.delay_samples, abs=0.01)
+    assert found.loop.delay_samples.value == pytest.approx(course.setup.loop.delay_samples, abs=0.01)
     for quantity in ("mass", "damping"):
         estimate, truth = found.estimates[quantity], getattr(course.experiment, quantity)
         assert estimate.low <= truth <= estimate.high
@@ -133,7 +133,7 @@ def test_a_step_that_rises_slowly_leaves_the_loop_as_it_is(compared, seed):
     course, result = compared("ramp", seed)
     (found,) = result.experiments
     assert found.loop.adequate, found.loop.reason
-    assert found.loop.delay_samples.value == pytest.approx(course.setup.delay_samples, abs=0.01)
+    assert found.loop.delay_samples.value == pytest.approx(course.setup.loop.delay_samples, abs=0.01)
     assert found.loop.mass.value == pytest.approx(course.experiment.mass, rel=2e-3)
     assert radius(course, found.passive.stiffness, found.passive.damping) < 1
     assert [cause.code for cause in found.causes] == ["step_not_a_step"]
@@ -206,7 +206,7 @@ def test_clipping_imitates_no_missing_rows_and_no_steps(compared):
 def test_theory_takes_the_delay_that_explains_the_logs(compared):
     course, result = compared("fractional delay")
     (found,) = result.experiments
-    assert found.theory.loop.delay_samples == pytest.approx(course.setup.delay_samples, abs=0.01)
+    assert found.theory.loop.delay_samples == pytest.approx(course.setup.loop.delay_samples, abs=0.01)
     (cause,) = found.causes
     assert cause.code == "fractional_delay"
     assert abs(found.scores[0].distance.median) < 0.02

@@ -7,13 +7,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pipeline.measured.experiment.identified_loop import IdentifiedLoop
+from pipeline.plan.loop_limits import linear_limits
 
+from pipeline.comparison.loops.loop_basis import LoopBasis
 from pipeline.comparison.loops.passive_wall import passive_wall
-from pipeline.comparison.loops.told_loop import ToldLoop
-from pipeline.loop.motion import Mechanism
-from pipeline.measured.experiment.fitted_device import FittedDevice
+from pipeline.device.loop import Loop
 from pipeline.measured.student import NORMAL_95
-from pipeline.plan.found_device import FoundDevice
 from pipeline.records.findings import BoundaryPoint
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup
@@ -28,7 +28,7 @@ def loop(device, delay, share, error=0.0, of_mode=None):
     values |= of_mode or {}
     shares = [device[0] * share, device[1] * share, 10 * share, *(0.0 for _ in of_mode or {})]
     covariance = np.diag(np.square(shares) / NORMAL_95**2)
-    return ToldLoop(FoundDevice(FittedDevice((), values, covariance), T), error=error)
+    return LoopBasis(IdentifiedLoop(values, covariance, T), error=error)
 
 
 def measured(limit=1e9, trials=20):
@@ -56,19 +56,19 @@ def test_the_named_wall_is_passive_and_stable_for_all_that_the_intervals_leave_o
     found = loop(device, delay, share)
     wall, reason = passive_wall(found, measured())
     assert reason is None
-    numbers = [found.parameter(name) for name in ("mass", "damping", "delay_samples")]
+    numbers = [found.interval(name) for name in ("mass", "damping", "delay_samples")]
     corners = product(*((p.low, p.high) for p in numbers))
     for mass, damping, late in corners:
         assert needed_damping(wall.stiffness, wall.damping, late) <= damping
-        setup = Setup(Mechanism(mass, damping), T, 1.0, 100, 10, late)
-        assert spectral_radius(setup.plant, setup, np.array([wall.stiffness]), np.array([wall.damping]))[0] < 1
+        setup = Setup(Loop(mass, damping, T, late), 1.0, 100, 10)
+        assert spectral_radius(setup, np.array([wall.stiffness]), np.array([wall.damping]))[0] < 1
     if share < 0.01:  # and no softer than it need be: 3 % more is passive no longer
         assert needed_damping(1.03 * wall.stiffness, wall.damping, delay) > device[1]
 
 
 def test_the_damping_of_a_load_is_none_of_a_passive_wall():
-    mode = {"frequency_hz": 60.0, "damping_ratio": 0.05, "far_mass": 0.1}
-    found, _ = passive_wall(loop(FALCON, 4.0, 1e-3, of_mode=mode | {"load_damping": 1.0}), measured())
+    mode = {"mode.frequency_hz": 60.0, "mode.damping_ratio": 0.05, "mode.mass": 0.1}
+    found, _ = passive_wall(loop(FALCON, 4.0, 1e-3, of_mode=mode | {"mode.load_damping": 1.0}), measured())
     without, _ = passive_wall(loop(FALCON, 4.0, 1e-3, of_mode=mode), measured())
     assert found.stiffness == pytest.approx(0.75 * without.stiffness, rel=0.01)
 
@@ -83,7 +83,7 @@ def test_the_named_wall_is_never_above_a_measured_limit():
 @pytest.mark.slow
 def test_a_replay_that_is_off_by_more_than_the_limit_leaves_no_wall():
     free, _ = passive_wall(loop(FALCON, 4.0, 1e-3), measured())
-    (limit,) = loop(FALCON, 4.0, 1e-3).point.limit(np.array([free.damping]))
+    (limit,) = linear_limits(loop(FALCON, 4.0, 1e-3).loop, np.array([free.damping]))
     off = 1 - 0.5 * free.stiffness / limit
     wall, _ = passive_wall(loop(FALCON, 4.0, 1e-3, error=off), measured())
     assert wall.stiffness == pytest.approx(0.5 * free.stiffness, rel=0.01)
