@@ -10,7 +10,7 @@ help:
 	@echo "make test      lint, type check and the fast tests"
 	@echo "make test-all  the slow tests too"
 	@echo "make bench     speed and memory of ingest, theory, comparisons and watch, at thesis size; trials that the planner needs"
-	@echo "make docs      regenerate schemas/*.json, the figure in the README and the gallery"
+	@echo "make docs      regenerate schemas/*.json, the nomenclature, the figure in the README and the gallery"
 	@echo "make site      build the documentation as pages with a search that needs no network: build/site"
 	@echo "make clean     remove environment, caches and the demo's logs and tables (what you recorded and ingested, and reports/, are kept)"
 
@@ -51,6 +51,7 @@ bench: .venv/.bench
 
 docs: .venv/.dev
 	$(BIN)/python docs/make_schemas.py
+	$(BIN)/python docs/make_nomenclature.py
 	$(BIN)/python docs/make_figure.py
 	$(BIN)/python docs/make_scatter.py
 	$(BIN)/python docs/make_gallery.py
