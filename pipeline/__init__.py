@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pipeline.surface.comparisons import Comparison as Comparison
     from pipeline.surface.comparisons import compare as compare
     from pipeline.surface.comparisons import load as load
-    from pipeline.surface.identify import Identified as Identified
+    from pipeline.surface.identify import IdentifiedDevice as Identified
     from pipeline.surface.identify import identify as identify
     from pipeline.surface.logs import ingest as ingest
     from pipeline.surface.logs import read_log as read_log
@@ -49,6 +49,9 @@ _PUBLIC = {
 }
 """Public names by the module that defines them."""
 
+_CLASSES = {"Identified": "IdentifiedDevice"}
+"""Names of public classes in their modules, where these differ."""
+
 __all__ = [
     "Comparison",
     "Design",
@@ -78,7 +81,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     for module, names in _PUBLIC.items():
         if name in names:
-            value = getattr(import_module(f"{__name__}.{module}"), name)
+            value = getattr(import_module(f"{__name__}.{module}"), _CLASSES.get(name, name))
             globals()[name] = value  # the next one does not come here
             return value
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
+from pipeline.device.loop import Loop
+from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.plan.course import SAME
-from pipeline.plan.found_device import LoopPoint
 from pipeline.plan.next_wall import VOTES, Tried
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
@@ -52,14 +53,15 @@ OFFSET = 0.01
 """Added to costs that may be zero, so that they have a logarithm: one percent of overshoot is as good as none."""
 
 
-def costs_of(point: LoopPoint, stiffness: Floats, damping: Floats, criterion: str) -> Floats:
-    """Return the costs of a device's walls [N/m, Nm/rad; Ns/m, Nms/rad]; NaN near and beyond the limit of these."""
-    alpha, beta = stiffness / point.units.stiffness, damping / point.units.damping
+def costs_of(loop: Loop, stiffness: Floats, damping: Floats, criterion: str) -> Floats:
+    """Return the costs of the walls of a loop [N/m, Nm/rad; Ns/m, Nms/rad]; NaN near and beyond the limit of these."""
+    normalised, units = NormalisedLoop.of(loop), LoopUnits.of(loop)
+    alpha, beta = stiffness / units.stiffness, damping / units.damping
     levels, place = np.unique(beta, return_inverse=True)
-    cost, limit = np.full(len(alpha), np.nan), stiffness_limit(point.loop, levels)[place]
+    cost, limit = np.full(len(alpha), np.nan), stiffness_limit(normalised, levels)[place]
     inside = np.flatnonzero((alpha > 0) & (alpha < HIGHEST * limit))
     if len(inside):
-        found = point_costs_by_name(point.loop, alpha[inside], beta[inside], [criterion], LONGEST)
+        found = point_costs_by_name(normalised, alpha[inside], beta[inside], [criterion], LONGEST)
         cost[inside] = found[criterion]
     return cost
 
@@ -73,8 +75,8 @@ class Target:
     criterion : str
     dampings, highest : float64, shape (n,)
         Dampings B, rising, and the largest stiffness that is thought to be stable at each.
-    by : LoopPoint or None
-        The device by which costs are foretold.
+    by : Loop or None
+        The one by which costs are foretold.
     holds : bool
         Whether it has the measured limits.
     """
@@ -82,7 +84,7 @@ class Target:
     criterion: str
     dampings: Floats
     highest: Floats
-    by: LoopPoint | None
+    by: Loop | None
     holds: bool = True
 
     @property

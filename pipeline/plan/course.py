@@ -11,21 +11,23 @@ from typing import Literal
 import numpy as np
 
 from pipeline.base.errors import DeviceError, ParameterError, UsageError
+from pipeline.device.loop import Loop
 from pipeline.device_data.devices import declared_spring, find_experiment, known_devices, read_device
 from pipeline.measured.experiment.boundary import spread_over_plane
-from pipeline.measured.experiment.fitted_device import NAMES, PARTS, FittedDevice
+from pipeline.measured.experiment.identified_loop import IdentifiedLoop, nominal_loop, parts_of
 from pipeline.measured.law.wall_law import wall_law
+from pipeline.measured.model.estimated import ESTIMATED, estimated_names
+from pipeline.measured.model.identifiability import Recorded, is_identifiable
 from pipeline.measured.model.identified import check_recordings
-from pipeline.measured.model.intervals import BOUNDED, NEEDED, Errors, physical
+from pipeline.measured.model.intervals import Errors, with_delay
 from pipeline.measured.model.parts import Choice, again
 from pipeline.measured.model.parts import chosen as look_at_once
 from pipeline.measured.model.recordings import SHORTEST, Recording
-from pipeline.measured.model.told import Recorded, is_told
 from pipeline.measured.signal.response import Response, find_response
 from pipeline.measured.stages.stage_device import recording_findings
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.measured.student import NORMAL_95
-from pipeline.plan.found_device import FoundDevice, LoopPoint, Trial, stated_device
+from pipeline.plan.loop_limits import StepTrial, damping_of_stiffest, limits_of, linear_limits, lowest_limits
 from pipeline.plan.next_wall import Forecast, Tried
 from pipeline.plan.requests import Answer, stored_requests
 from pipeline.recording.check import check_trial
@@ -86,7 +88,7 @@ class Learnt:
     """The device of some logs; None where they tell no mass. Its parts were looked for at so many logs."""
 
     choice: Choice
-    device: FoundDevice | None
+    device: IdentifiedLoop | None
     looked: int
 
 
@@ -138,7 +140,7 @@ class Course:
     trial_s: float
     step: float
     rotation: bool
-    found: FoundDevice | None = None
+    found: IdentifiedLoop | None = None
     learnt: Learnt | None = None
     unknown: str = ""
     undecided: tuple[str, ...] = ()
@@ -151,12 +153,12 @@ class Course:
         """Whether the logs identify a device, and exclude friction or show enough of it."""
         if self.found is None:
             return False
-        return not self.found.may_rub or (not self.few and self.found.directions > 1)
+        return not self.found.may_have_friction or (not self.few and self.found.directions > 1)
 
     @property
     def few(self) -> bool:
         """Whether there are fewer than `FEW` logs."""
-        logs = self.found.fitted.trials if self.found is not None else ()
+        logs = self.found.trials if self.found is not None else ()
         return (len(logs) or len(self.tried) + self.free) < FEW
 
 
@@ -286,7 +288,7 @@ def wanted_dampings(course: Course, wish: Wish) -> tuple[float, ...]:
     elif len(tried) > DAMPINGS:
         wanted = tried[np.unique(np.round(np.linspace(0, len(tried) - 1, DAMPINGS)).astype(np.int64))]
     elif not len(tried) and course.found is not None:
-        wanted = damping_range(course.found.point)
+        wanted = damping_range(course.found.loop)
     else:
         wanted = tried
     if not len(wanted):
@@ -299,9 +301,9 @@ def wanted_dampings(course: Course, wish: Wish) -> tuple[float, ...]:
     return tuple(wanted.tolist())
 
 
-def damping_range(point: LoopPoint) -> Floats:
+def damping_range(loop: Loop) -> Floats:
     """Return dampings over the range of a device [Ns/m, Nms/rad], up to `RANGE` times that of its stiffest wall."""
-    last = RANGE * point.damping_of_stiffest
+    last = RANGE * damping_of_stiffest(loop)
     if not last > 0:
         return np.empty(0)
     unit = 10.0 ** floor(log10(last / DAMPINGS))
@@ -345,13 +347,9 @@ def foretold(course: Course, dampings: Sequence[float]) -> Forecast | None:
         return _by_logs(course, course.found, wall)
     if course.device is None or course.of_file is None:
         return None
-    point = stated_device(course.device, course.of_file).point
-    limit = point.limit(wall)
-    if course.of_file.jitter_samples:
-        # theory counts the delay at its mean
-        mean = float(np.mean(course.of_file.jitter_samples))
-        limit = np.minimum(limit, replace(point, delay_samples=max(mean, point.delay_samples)).limit(wall))
-    largest = float(limit.max()) or float(point.limit(np.array([point.damping_of_stiffest]))[0])
+    loop = nominal_loop(course.device.loop_for(course.of_file)).loop
+    limit = linear_limits(loop, wall)
+    largest = float(limit.max()) or _stiffest(loop)
     if not largest > 0:
         raise DeviceError(f"device {course.name!r}: by its file no wall is stable; {RANGE_NEEDED}.")
     error = np.full(len(limit), START_ERROR * largest)
@@ -360,14 +358,19 @@ def foretold(course: Course, dampings: Sequence[float]) -> Forecast | None:
     return Forecast(limit, error, low=low, scale=largest)
 
 
-def _by_logs(course: Course, found: FoundDevice, wall: Floats) -> Forecast | None:
-    step = Trial(course.step, round(course.trial_s / course.sampling_period_s))
-    limit, reach = found.limits(wall, step)
-    linear, linear_reach = found.limits(wall)
+def _stiffest(loop: Loop) -> float:
+    """Return the stiffness of the stiffest stable wall of the linear loop [N/m, Nm/rad]; 0 where there is none."""
+    return float(linear_limits(loop, np.array([damping_of_stiffest(loop)]))[0])
+
+
+def _by_logs(course: Course, device: IdentifiedLoop, wall: Floats) -> Forecast | None:
+    trial = StepTrial(course.step, round(course.trial_s / course.sampling_period_s))
+    limit, reach = limits_of(device, wall, trial)
+    linear, linear_reach = limits_of(device, wall)
     # the step that walls will have is not known as long as no trial had one
     known = np.isfinite(limit) & (len(course.tried) > 0 or not course.free)
     limit, reach = np.where(known, limit, linear), np.where(known, reach, linear_reach)
-    lowest, best = found.lowest(wall), int(np.argmax(linear))
+    lowest, best = lowest_limits(device, wall), int(np.argmax(linear))
     unsure = bool(lowest[best] < UNSURE * linear[best])
     if unsure and len(course.tried):
         return None
@@ -377,7 +380,7 @@ def _by_logs(course: Course, found: FoundDevice, wall: Floats) -> Forecast | Non
         lowest = np.maximum(limit - np.hypot(linear - lowest, by_friction), lowest)
     scale = float(limit.max())
     if not scale > 0 and not len(course.tried):
-        scale = float(found.point.limit(np.array([found.point.damping_of_stiffest]))[0])
+        scale = _stiffest(device.loop)
         if not scale > 0:
             raise DeviceError(f"device {course.name!r}: by the device of its logs no wall is stable; {RANGE_NEEDED}.")
     return Forecast(limit, reach / NORMAL_95, low=np.minimum(lowest, limit), scale=scale)
@@ -409,13 +412,13 @@ def learn(batch: TrialBatch, count: int, known: Learnt | None, look: Look) -> Le
             choice, looked = found, count
         elif choice is not None:
             choice = again(choice, recordings)
-        fitted = None if choice is None else fitted_of(choice)
+        device = None if choice is None else loop_of_choice(choice)
     except (ParameterError, np.linalg.LinAlgError):
         # a device that cannot be fitted is none
         return known
     if choice is None:
         return None
-    if fitted is None:
+    if device is None:
         return Learnt(choice, None, looked)
     # a filter shows most where there is most damping
     most = np.array([np.argmax(part.damping)], dtype=np.int64)
@@ -423,9 +426,15 @@ def learn(batch: TrialBatch, count: int, known: Learnt | None, look: Look) -> Le
     if velocity is None:
         departures = wall_law(part.select(most), response.select(most)).departures[0]
         velocity = next((each.filter.declared for each in departures if each.filter is not None), None)
-    fitted = replace(fitted, explained=len(recordings), trials=tuple(each.name for each in recordings))
-    period, directions = float(np.median(batch.sampling_period_s)), Recorded.of(recordings).directions
-    return Learnt(choice, FoundDevice(fitted, period, velocity, directions), looked)
+    device = replace(
+        device,
+        sampling_period_s=float(np.median(batch.sampling_period_s)),
+        velocity=velocity,
+        explained=len(recordings),
+        trials=tuple(each.name for each in recordings),
+        directions=Recorded.of(recordings).directions,
+    )
+    return Learnt(choice, device, looked)
 
 
 def unusable(recordings: list[Recording]) -> str:
@@ -457,18 +466,13 @@ def recordings_of(batch: TrialBatch, response: Response) -> list[Recording]:
     return usable or [one for one, _ in found]
 
 
-def fitted_of(choice: Choice) -> FittedDevice | None:
-    """Return the numbers of a fit in SI with their covariance; None where it does not tell the mass."""
-    errors, quantities = Errors.of(choice.fit), physical(choice.scales)
-    names = [name for name, number in NEEDED.items() if number in errors.numbers]
-    if not is_told(errors.interval(quantities["mass"], "mass" in BOUNDED)):
+def loop_of_choice(choice: Choice) -> IdentifiedLoop | None:
+    """Return the loop of a fit with the covariance of its numbers; None where the fit does not tell the mass."""
+    errors, units = Errors.of(choice.fit), choice.units
+    if not is_identifiable(errors.parameter("mass", units)):
         return None
-    unit = np.array([1 / choice.scales.period if name == "delay" else 1.0 for name in names])
-    covariance = errors.covariance([quantities[name] for name in names]) * np.outer(unit, unit)
-    values = {NAMES[name]: quantities[name](errors.numbers) * each for name, each in zip(names, unit, strict=True)}
-    late = 0 if "delay_samples" in values else 1
-    return FittedDevice(
-        tuple(PARTS.get(name, name) for name, gain in choice.parts.items() if gain > 0),
-        values | ({"delay_samples": 0.0} if late else {}),
-        np.pad(covariance, (0, late)),
-    )
+    names = estimated_names(errors.numbers)
+    values = {name: ESTIMATED[name].quantity(units)(errors.numbers) for name in names}
+    values, covariance = with_delay(values, errors.covariance(names, units))
+    parts, mode_sensor = parts_of(choice.parts)
+    return IdentifiedLoop(values, covariance, units.period, parts=parts, mode_sensor=mode_sensor)

@@ -11,9 +11,9 @@ import numpy as np
 
 from pipeline.base.errors import DeviceError, UsageError
 from pipeline.base.wording import commonest, counted, listed
+from pipeline.measured.experiment.identified_loop import nominal_loop
 from pipeline.plan.cost_search import Search, Target, look_for
 from pipeline.plan.course import RANGE_NEEDED, Course, Wish, foretold, open_course, snapped, wanted_dampings
-from pipeline.plan.found_device import stated_device
 from pipeline.plan.next_wall import BOLDER, GENTLER, Aim, Column, Forecast, State, order, state
 from pipeline.plan.requests import RigRange, range_of, store_requests
 from pipeline.records.findings import Record
@@ -196,7 +196,7 @@ def _left_out(course: Course) -> tuple[str, ...]:
     """Return parts that the file's limits leave out; none where logs identify a device."""
     if course.found is not None or course.device is None or course.of_file is None:
         return ()
-    return tuple(course.device.left_out(course.of_file))
+    return course.device.loop_for(course.of_file).left_out
 
 
 def _limit(column: Column, *, blind: bool) -> Limit:
@@ -252,11 +252,11 @@ def _remarks(course: Course, found: State, aim: Aim) -> tuple[str, ...]:
         if c.bracket.lasting
     ]
     said += _missing(course, aim)
-    misfit, point = found.forecast.misfit, course.found.point if course.found is not None else None
+    misfit, loop = found.forecast.misfit, course.found.loop if course.found is not None else None
     if len(course.tried) and not misfit <= aim.accuracy:
         off = f"limits lie off those of the found device by {misfit:.0%} of the largest"
         said.append(f"{off if misfit < inf else 'no device is identified'}: each damping is finished by its verdicts")
-    if point is not None and point.coulomb:
+    if loop is not None and loop.friction:
         said.append(OF_THE_STEP.format(course.step, "Nm" if course.rotation else "N"))
     return tuple(said)
 
@@ -273,7 +273,7 @@ def _missing(course: Course, aim: Aim) -> list[str]:
         said.append(f"{counted(course.free, 'trial')} without a wall identify the device; no wall was tried yet")
     if course.unknown:
         said.append(course.unknown[:1].upper() + course.unknown[1:])
-    elif course.found is not None and aim.bold < inf and course.found.may_rub:
+    elif course.found is not None and aim.bold < inf and course.found.may_have_friction:
         few, one = course.few, course.found.directions < 2
         by = listed([*(["so few logs"] if few else []), *(["motion in one direction"] if one else [])])
         record = listed([*(["steps in both directions"] if one else []), *(["more logs"] if few else [])])
@@ -401,11 +401,11 @@ def _search(course: Course, wish: Wish, found: State, aim: Aim) -> Search | None
     """Return the search for the best cost within the limits that are expected; None where no limit is known yet."""
     if found.forecast.misfit == inf and all(column.bracket.low is None for column in found.columns):
         return None
-    point, holds = None, found.forecast.misfit <= aim.accuracy
+    loop, holds = None, found.forecast.misfit <= aim.accuracy
     if course.found is not None and found.forecast.misfit < inf:
-        point, holds = course.found.point, holds and not course.found.point.coulomb
+        loop, holds = course.found.loop, holds and not course.found.loop.friction
     elif course.device is not None and course.of_file is not None:
-        point = stated_device(course.device, course.of_file).point
+        loop = nominal_loop(course.device.loop_for(course.of_file)).loop
     ends = [(column.bracket.bottom, min(column.bracket.top, aim.highest)) for column in found.columns]
     limits = np.clip([column.estimate or 0.0 for column in found.columns], *np.array(ends).T)
     limits = np.minimum(limits, [max(column.most, column.bracket.bottom) for column in found.columns])
@@ -413,7 +413,7 @@ def _search(course: Course, wish: Wish, found: State, aim: Aim) -> Search | None
         if not found.done:
             return None
         raise UsageError(f"device {course.name!r}: no wall is expected to be stable, so that none has a cost.")
-    target = Target(wish.criterion, np.array(aim.dampings), limits, point, holds)
+    target = Target(wish.criterion, np.array(aim.dampings), limits, loop, holds)
     off = [answer.asked for answer in course.answers if answer.stiffness_off or answer.damping_off]
     return look_for(course.tried, target, OPTIMUM_ACCURACY, wish.count, np.array(off).reshape(-1, 2))
 

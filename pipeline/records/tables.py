@@ -38,6 +38,7 @@ _F, _I, _S, _B = pa.float64(), pa.int64(), pa.string(), pa.bool_()
 # the name that Parquet gives it
 _L = pa.list_(pa.field("element", _F))
 _LI = pa.list_(pa.field("element", _I))
+_LS = pa.list_(pa.field("element", _S))
 
 
 def _cost(criterion: Criterion) -> dict[str, Column]:
@@ -146,7 +147,32 @@ COLUMNS: dict[str, Column] = {
     **dict.fromkeys(_TAILS, _same(_F, "1", "part of the cost that lies beyond the horizon, extrapolated", True)),
     "horizon_samples": _same(_I, "samples", "number of samples summed before the noise floor or the end", True),
     # device stage
-    "numbers": _same(_S, "", "the likeliest device: names, values in SI, covariance, parts, scatter, as JSON"),
+    "parameter_names": _same(_LS, "", "parameters of the identified loop by names of `PARAMETERS`, P of them", True),
+    "parameter_values": _same(_L, "SI", "their values", True),
+    "covariance": _same(_L, "SI", "their covariance, P rows of P numbers", True),
+    "parts": _same(_LS, "", "what the loop has beside mass, damper and delay", True),
+    "mode_sensor": _same(_S, "", "motor or load: side of a vibration mode at which the position is read", True),
+    "unidentifiable": _same(_LS, "", "those of the parameters whose value cannot be identified", True),
+    "bound_names": _same(_LS, "", "parameters with an upper end or a second end", True),
+    "bound_values": _same(_L, "SI", "these ends", True),
+    "scatter_names": _same(_LS, "", "parameters that differ from trial to trial", True),
+    "scatter_values": _same(_L, "SI", "their standard deviations between trials", True),
+    "fold_values": _same(_L, "SI", "values without each fifth of the trials, five rows of P numbers, or none", True),
+    "combination_codes": _same(_LS, "", "combinations of parameters that can be identified where these cannot", True),
+    "combination_members": _same(_LS, "", "their parameters, comma separated", True),
+    "combination_values": _same(_L, "SI", "value, ends of the 95 % interval and standard error of each", True),
+    "combination_units": _same(_LS, "", "dimension, or unit, of each", True),
+    "combination_remedies": _same(_LS, "", "what to record to identify each of the parameters", True),
+    "jitter": _same(_F, "samples", "standard deviation of the delay within a trial", True),
+    "jitter_error": _same(_F, "samples", "its standard error", True),
+    "fitted_trials": _same(_LS, "", "trials that the loop was fitted to, in the order of the folds", True),
+    "explained": _same(_I, "", "how many of them it explains with its noise", True),
+    "fit_percent": _same(_F, "%", "median fit of its free runs to logs that it was not fitted to", True),
+    "saturated": _same(_F, "1", "share of the stable trials that command more force than it has", True),
+    "largest_command": Column(_F, "N", "Nm", "largest command of these logs", True),
+    "largest_step": Column(_F, "N", "Nm", "largest step of these logs", True),
+    "travel": Column(_F, "m", "rad", "range of the positions of these logs", True),
+    "remedy": _same(_S, "", "what to record to separate parts that act alike", True),
     # boundary stage
     "stable": Column(_F, "N/m", "Nm/rad", "largest stable stiffness below the smallest unstable one", True),
     "unstable": Column(_F, "N/m", "Nm/rad", "smallest unstable stiffness", True),
@@ -179,7 +205,10 @@ _NAMES = {
     "wall_law": f"""{_TRIAL} law_residual law_rounding law_codes law_evidence law_rows
         obeyed_stiffness obeyed_damping obeyed_step velocity_filter""",
     "outcome": f"{_TRIAL} outcome evidence outcome_row band amplitude_end",
-    "device": "numbers reason",
+    "device": """parameter_names parameter_values covariance parts mode_sensor unidentifiable bound_names bound_values
+        scatter_names scatter_values fold_values combination_codes combination_members combination_values
+        combination_units combination_remedies jitter jitter_error fitted_trials explained fit_percent saturated
+        largest_command largest_step travel remedy reason""",
     "model": f"""{_TRIAL} model_mass model_mass_error model_damping model_damping_error model_delay model_delay_error
         reason""",
     "delay": f"{_TRIAL} first_change_samples reason",

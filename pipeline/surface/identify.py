@@ -7,29 +7,30 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from pipeline.base.disk import write_text
 from pipeline.base.errors import LogError, ParameterError, UsageError
 from pipeline.base.wording import counted
-from pipeline.device.parts import LoopParts, Mode
+from pipeline.device.loop import Loop as LoopRecord
+from pipeline.device.parameters import PARAMETERS, UNITS, Motion
+from pipeline.device.parts import Mode
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.sources import Source, find_sources, load_source, motion_of
-from pipeline.loop.normalised_loop import loop_of, wall_units
-from pipeline.measured.model.identified import Identified as Model
-from pipeline.measured.model.identified import identified
+from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
+from pipeline.measured.model.estimated import ESTIMATED
+from pipeline.measured.model.identified import Identification, identified
 from pipeline.measured.model.intervals import Interval
 from pipeline.measured.model.recordings import Recording
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.recording.signals import same_samples
 from pipeline.records.findings import are_unsafe
-from pipeline.records.models import Motion
 from pipeline.rendering.frames import frame_of
 from pipeline.theory.boundary import outline
 
@@ -38,24 +39,6 @@ if TYPE_CHECKING:
 
     from pipeline.surface.logs import Place
     from pipeline.surface.physical_loop import Loop
-
-UNITS: dict[str, tuple[str, str]] = {
-    "mass": ("kg", "kg m^2"),
-    "damping": ("Ns/m", "Nms/rad"),
-    "stiffness": ("N/m", "Nm/rad"),
-    "delay": ("s", "s"),
-    "friction": ("N", "Nm"),
-    "constant_force": ("N", "Nm"),
-    "force_limit": ("N", "Nm"),
-    "actuator_lag": ("s", "s"),
-    "mode_frequency": ("Hz", "Hz"),
-    "mode_damping_ratio": ("", ""),
-    "mode_mass": ("kg", "kg m^2"),
-    "load_damping": ("Ns/m", "Nms/rad"),
-    "acceleration": ("m/s^2", "rad/s^2"),
-    "force": ("N", "Nm"),
-}
-"""Units of parameters and combinations, for translation and rotation."""
 
 NO_LOG = "no-profile"
 """Code of the reason of a file that no profile reads."""
@@ -71,12 +54,12 @@ WITHOUT_WALL = {"device": "device", "experiment": "1", "stiffness": "0", "dampin
 
 
 @dataclass(frozen=True, eq=False)
-class Identified:
+class IdentifiedDevice:
     """A device as logs show it.
 
-    ``estimates``: ``name``, ``value``, ``low``, ``high``, ``unit``, ``told`` (whether the logs tell it alone);
-    ``replay``: ``log``, ``fit_percent``; ``loop``: the linear loop as `Loop`, None where mass or delay are not told;
-    ``document``: what `pipeline identify --json` prints.
+    ``estimates``: ``name``, ``value``, ``low``, ``high``, ``unit``, ``told`` (whether the logs identify it alone);
+    ``replay``: ``log``, ``fit_percent``; ``loop``: the linear loop as `Loop`, None where mass or delay cannot be
+    identified; ``document``: what `pipeline identify --json` prints.
     """
 
     document: dict[str, Any]
@@ -102,8 +85,8 @@ class Identified:
         """The linear loop of the device, without friction."""
         from pipeline.surface.physical_loop import Loop
 
-        numbers = wall_loop(self.document)
-        return None if numbers is None else Loop(**numbers, motion=self.document["motion"])
+        loop = wall_loop(self.document)
+        return None if loop is None else Loop.of(loop)
 
     def write(self, path: Place) -> None:
         """Write a device file that theory, simulator and planner take.
@@ -111,7 +94,7 @@ class Identified:
         Raises
         ------
         ParameterError
-            If mass or delay are not told.
+            If mass or delay cannot be identified.
         """
         write_text(Path(path), device_text(self.document, Path(path).stem))
 
@@ -122,7 +105,7 @@ def identify(
     *,
     period: float | None = None,
     delay: float | None = None,
-) -> Identified:
+) -> IdentifiedDevice:
     """Identify a device from any logs with command and position; no wall and no rest are needed.
 
     Parameters
@@ -147,7 +130,7 @@ def identify(
     """
     places = [paths] if isinstance(paths, (str, os.PathLike)) else list(paths)
     given = profile if profile is None or isinstance(profile, str) else Path(profile)
-    return Identified(identified_device([Path(path) for path in places], given, period, delay))
+    return IdentifiedDevice(identified_device([Path(path) for path in places], given, period, delay))
 
 
 def identified_device(
@@ -289,40 +272,38 @@ def _period(text: bytes) -> float | None:
 
 
 def _document(
-    found: Model, recordings: list[Recording], motion: Motion, walls: bool, period: float | None, delay: float | None
+    found: Identification,
+    recordings: list[Recording],
+    motion: Motion,
+    walls: bool,
+    period: float | None,
+    delay: float | None,
 ) -> dict[str, Any]:
-    turning = motion == "rotation"
-    own = found.scales.period
+    own = found.units.period
     document: dict[str, Any] = {
         "motion": motion,
-        "trials": found.trials,
+        "trials": len(found.names),
         "rows": int(sum(len(each.time) for each in recordings)),
         "sampling_period_s": own,
         "source": sorted({each.name for each in recordings}),
-        "parameters": [
-            {
-                "name": "inertia" if name == "mass" and turning else name,
-                **_numbers(interval, name not in found.untold),
-                "unit": UNITS[name][turning],
-                "told": name not in found.untold,
-                "reason": found.reasons.get(name),
-            }
-            for name, interval in found.parameters.items()
-        ],
+        "parameters": [_parameter_document(found, name, motion) for name in found.parameters],
         "parts": [{"name": name, "found": gain > 0, "gain": float(gain)} for name, gain in found.parts.items()],
-        "assumed_none": list(found.assumed),
-        "unseen_lag_s": found.choice.bounds.get("actuator_lag", 0.0),
+        "assumed_none": [ESTIMATED[name].key for name in found.assumed],
+        "unseen_lag_s": found.choice.bounds.get("actuator_lag_s", 0.0),
         "not_told_apart": [
             {
                 "combination": each.code,
-                "members": list(each.members),
+                "members": [ESTIMATED[name].key for name in each.members],
                 **_numbers(each.interval, True),
-                "unit": UNITS.get(each.unit, (each.unit, each.unit))[turning],
+                "unit": UNITS[each.unit][motion == "rotation"] if each.unit in UNITS else each.unit,
                 "record": each.record,
             }
             for each in found.combinations
         ],
-        "scatter": {name: {"value": value, "unit": UNITS[name][turning]} for name, value in found.scatter.items()},
+        "scatter": {
+            ESTIMATED[name].key: {"value": value * _factor(name, own), "unit": _unit(name, motion)}
+            for name, value in found.scatter.items()
+        },
         "scatter_in_interval": bool(found.scatter),
         "noise": found.noise,
         "disturbance": found.disturbance,
@@ -334,94 +315,110 @@ def _document(
     return document
 
 
-def _numbers(interval: Interval, told: bool) -> dict[str, float | None]:
-    values = {"value": interval.value if told else None, "low": interval.low, "high": interval.high}
+def _parameter_document(found: Identification, name: str, motion: Motion) -> dict[str, Any]:
+    is_identified = name not in found.unidentifiable
     return {
-        name: value if told and value is not None and np.isfinite(value) else None for name, value in values.items()
+        "name": "inertia" if name == "mass" and motion == "rotation" else ESTIMATED[name].key,
+        **_numbers(_scaled(found.parameters[name], _factor(name, found.units.period)), is_identified),
+        "unit": _unit(name, motion),
+        "told": is_identified,
+        "reason": found.reasons.get(name),
     }
 
 
-def _replay_document(found: Model) -> dict[str, Any]:
+def _factor(name: str, period: float) -> float:
+    """Return what a parameter is multiplied by in the document, where a delay is in seconds."""
+    return period if name == "delay_samples" else 1.0
+
+
+def _unit(name: str, motion: Motion) -> str:
+    return "s" if name == "delay_samples" else PARAMETERS[name].unit(motion)
+
+
+def _scaled(interval: Interval, factor: float) -> Interval:
+    return Interval(*(factor * each for each in astuple(interval)))
+
+
+def _numbers(interval: Interval, is_identified: bool) -> dict[str, float | None]:
+    values = {"value": interval.value, "low": interval.low, "high": interval.high}
+    return {name: value if is_identified and np.isfinite(value) else None for name, value in values.items()}
+
+
+def _replay_document(found: Identification) -> dict[str, Any]:
     fits = found.replay.fit
-    seen = fits[np.isfinite(fits)]
     logs = [
         {"log": name, "fit_percent": float(fit) if np.isfinite(fit) else None}
         for name, fit in zip(found.replay_names, fits.tolist(), strict=True)
     ]
-    return {"fit_percent": float(np.median(seen)) if len(seen) else None, "logs": logs}
+    return {"fit_percent": found.fit_percent, "logs": logs}
 
 
-def _loop_document(found: Model, drift: str) -> dict[str, Any]:
+def _loop_document(found: Identification, drift: str) -> dict[str, Any]:
     """Return the loop as `compare --json` has it, and why free runs may drift."""
+    known = {name: each for name, each in found.parameters.items() if name not in found.unidentifiable}
 
-    def parameter(name: str, factor: float = 1.0) -> dict[str, float] | None:
-        if name not in found.parameters or name in found.untold:
+    def number(name: str) -> dict[str, float] | None:
+        if name not in known:
             return None
-        each = found.parameters[name]
-        return {"value": each.value * factor, "low": each.low * factor, "high": each.high * factor}
+        return {"value": known[name].value, "low": known[name].low, "high": known[name].high}
 
-    fits = found.replay.fit[np.isfinite(found.replay.fit)]
-    told = {"mass", "delay"} & set(found.parameters) - found.untold == {"mass", "delay"}
-    mode = {name: parameter(f"mode_{name}") for name in ("frequency", "damping_ratio", "mass")}
+    fit, is_known = found.fit_percent, {"mass", "delay_samples"} <= known.keys()
+    mode = {PARAMETERS[name].key: number(name) for name in ("mode.frequency_hz", "mode.damping_ratio", "mode.mass")}
     at_load = dict.fromkeys(("value", "low", "high"), float("mode at the load" in found.parts))
-    of_load = {"load_damping": load} if (load := parameter("load_damping")) else {}
+    of_load = {"load_damping": load} if (load := number("mode.load_damping")) else {}
     return {
         "source": "estimated",
-        "adequate": bool(told) and len(fits) > 0 and float(np.median(fits)) >= FOLLOWS,
-        "reason": (
-            f"free runs fit held-out logs to {np.median(fits):.1f} %" if len(fits) else "no log could be replayed"
-        )
-        + ("" if told else "; mass or delay is not told by these logs")
+        "adequate": is_known and fit is not None and fit >= FOLLOWS,
+        "reason": ("no log could be replayed" if fit is None else f"free runs fit held-out logs to {fit:.1f} %")
+        + ("" if is_known else "; mass or delay is not told by these logs")
         + (f"; {drift}" if drift else ""),
         "explained": None,
-        "mass": parameter("mass"),
-        "damping": parameter("damping"),
-        "stiffness": parameter("stiffness"),
-        "delay_samples": parameter("delay", 1 / found.scales.period),
-        "actuator_lag_s": parameter("actuator_lag"),
+        **{name: number(name) for name in LINEAR},
         "velocity": None,
-        "mode": {"frequency_hz": mode.pop("frequency"), **mode, **of_load, "sensor_at_load": at_load}
-        if all(mode.values())
-        else None,
+        "mode": {**mode, **of_load, "sensor_at_load": at_load} if all(mode.values()) else None,
         "operator": None,
-        "friction": parameter("friction"),
+        "friction": number("friction.coulomb"),
     }
 
 
-def wall_loop(document: dict[str, Any], **other: float) -> dict[str, Any] | None:
-    """Return the linear loop of a document as numbers of `Loop`, some replaced; None without mass or delay."""
+def wall_loop(document: dict[str, Any], **other: float) -> LoopRecord | None:
+    """Return the linear loop of a document before the wall that it would render; None without mass or delay.
+
+    ``other`` are numbers in place of those of the document, by names of `LINEAR`.
+    """
     loop, wall = document["loop"], document["wall"]
-    value = {name: part["value"] if part else None for name, part in loop.items() if name in _LINEAR} | other
+    value = {name: loop[name]["value"] if loop[name] else None for name in LINEAR} | other
     samples, late = wall["delay_samples"], value["delay_samples"]
     if samples is None and late is not None:
         samples = late * document["sampling_period_s"] / wall["sampling_period_s"]
     if value["mass"] is None or value["mass"] <= 0 or samples is None:
         return None
-    numbers = {name: max(value[name] or 0.0, 0.0) for name in ("damping", "stiffness", "actuator_lag_s")}
-    mode = {name: part["value"] for name, part in loop["mode"].items()} if loop["mode"] else None
-    if mode:
-        mode["sensor"] = "load" if mode.pop("sensor_at_load") else "motor"
-        # both have errors of their own; the load bears no more than all
-        mode["load_damping"] = min(mode.get("load_damping", 0.0), numbers["damping"])
-    return numbers | {
-        "mass": value["mass"],
-        "sampling_period_s": wall["sampling_period_s"],
-        "delay_samples": max(samples, 0.0),
-        "mode": mode,
-    }
-
-
-_LINEAR = ("mass", "damping", "stiffness", "delay_samples", "actuator_lag_s")
-
-
-def _border(numbers: dict[str, Any], points: int) -> dict[str, Any]:
-    """Return the limit of stable walls of a linear loop, in SI."""
-    parts = LoopParts(
-        actuator_lag_s=numbers["actuator_lag_s"], mode=Mode(**numbers["mode"]) if numbers["mode"] else None
+    damping, stiffness, lag = (max(value[name] or 0.0, 0.0) for name in ("damping", "stiffness", "actuator_lag_s"))
+    mode = None
+    if loop["mode"]:
+        numbers = {name: number["value"] for name, number in loop["mode"].items()}
+        sensor: Literal["motor", "load"] = "load" if numbers.pop("sensor_at_load") else "motor"
+        # both have errors of their own; the load has no more than all
+        mode = Mode(**numbers | {"load_damping": min(numbers.get("load_damping", 0.0), damping)}, sensor=sensor)
+    return LoopRecord(
+        value["mass"],
+        damping,
+        wall["sampling_period_s"],
+        max(samples, 0.0),
+        stiffness,
+        motion=document["motion"],
+        actuator_lag_s=lag,
+        mode=mode,
     )
-    mass, period = numbers["mass"], numbers["sampling_period_s"]
-    loop = loop_of(mass, numbers["damping"], numbers["stiffness"], numbers["delay_samples"], period, parts)
-    found, units = outline(loop, points), wall_units(mass, period, parts)
+
+
+LINEAR = ("mass", "damping", "stiffness", "delay_samples", "actuator_lag_s")
+"""Numbers of a linear loop in a document, but those of its mode."""
+
+
+def _border(loop: LoopRecord, points: int) -> dict[str, Any]:
+    """Return the limit of stable walls of a linear loop, in SI."""
+    found, units = outline(NormalisedLoop.of(loop), points), LoopUnits.of(loop)
     if not len(found.beta):
         return {"stiffness_max": 0.0, "damping_at_stiffness_max": 0.0, "stiffness": [], "damping": []}
     return {
@@ -434,12 +431,12 @@ def _border(numbers: dict[str, Any], points: int) -> dict[str, Any]:
 
 def _boundary(document: dict[str, Any]) -> dict[str, Any] | None:
     """Return the limit of the walls that the device would render, its stiffest with the range of the device."""
-    numbers = wall_loop(document)
-    if numbers is None:
+    loop = wall_loop(document)
+    if loop is None:
         return None
-    border = _border(numbers, 100)
+    border = _border(loop, 100)
     stiffest, reach = border["stiffness_max"], 0.0
-    for name in _LINEAR:
+    for name in LINEAR:
         part = document["loop"][name]
         if part is None or (name == "delay_samples" and document["wall"]["delay_samples"] is not None):
             continue
@@ -451,8 +448,8 @@ def _boundary(document: dict[str, Any]) -> dict[str, Any] | None:
         limits = [_border(each, 40)["stiffness_max"] for each in ends if each is not None]
         reach += max((abs(limit - stiffest) for limit in limits), default=0.0) ** 2
     return border | {
-        "sampling_period_s": numbers["sampling_period_s"],
-        "delay_samples": numbers["delay_samples"],
+        "sampling_period_s": loop.sampling_period_s,
+        "delay_samples": loop.delay_samples,
         "stiffness_max": {"value": stiffest, "low": max(stiffest - reach**0.5, 0.0), "high": stiffest + reach**0.5},
     }
 
@@ -463,59 +460,55 @@ def device_text(document: dict[str, Any], name: str) -> str:
     Raises
     ------
     ParameterError
-        If mass or delay are not told.
+        If mass or delay cannot be identified.
     """
-    loop = document["loop"]
-    known = wall_loop(document)
-    if known is None:
-        untold = "mass" if loop["mass"] is None else "delay"
-        raise ParameterError(" ".join([f"no device file: these logs do not tell the {untold}.", *_remedies(document)]))
-    units = {row["name"]: row["unit"] for row in document["parameters"]}
-    mass = units.get("mass") or units.get("inertia", "")
+    numbers, wall, motion = document["loop"], document["wall"], document["motion"]
+    loop = wall_loop(document)
+    if loop is None:
+        missing = "mass" if numbers["mass"] is None else "delay"
+        raise ParameterError(" ".join([f"no device file: these logs do not tell the {missing}.", *_remedies(document)]))
 
-    def line(key: str, part: dict[str, float] | None, unit: str, default: float = 0.0) -> str:
-        if part is None:
-            return f"{key} = {default!r}  # not told by the logs"
-        return f"{key} = {part['value']!r}  # {part['low']:.6g} to {part['high']:.6g} {unit} (95 %)"
+    def line(key: str) -> str:
+        number = numbers[key]
+        if number is None:
+            return f"{key} = 0.0  # not told by the logs"
+        ends = f"{number['low']:.6g} to {number['high']:.6g} {PARAMETERS[key].unit(motion)}"
+        return f"{key} = {number['value']!r}  # {ends} (95 %)"
 
+    delay, about_delay = numbers["delay_samples"], "given, or not told by the logs"
+    if delay is not None and wall["delay_samples"] is None:
+        about_delay = f"at T = {document['sampling_period_s']:g} s: {delay['low']:.6g} to {delay['high']:.6g} (95 %)"
     lines = [
-        f"# Identified from {document['trials']} logs, {document['rows']} rows. Free runs: {loop['reason']}.",
+        f"# Identified from {document['trials']} logs, {document['rows']} rows. Free runs: {numbers['reason']}.",
         *(f"# {path}" for path in document["source"][:20]),
         f'name = "{name}"',
         f'source = "identified from {document["trials"]} logs"',
-        f'motion = "{document["motion"]}"',
-        line("mass", loop["mass"], mass),
-        line("damping", loop["damping"], units.get("damping", "")),
-        *([line("stiffness", loop["stiffness"], units["stiffness"])] if loop["stiffness"] else []),
-        f"sampling_period_s = {known['sampling_period_s']!r}",
-        f"delay_samples = {known['delay_samples']!r}  # given, or not told by the logs"
-        if loop["delay_samples"] is None or document["wall"]["delay_samples"] is not None
-        else f"delay_samples = {known['delay_samples']!r}  # at T = {document['sampling_period_s']:g} s: "
-        f"{loop['delay_samples']['low']:.6g} to {loop['delay_samples']['high']:.6g} (95 %)",
+        f'motion = "{motion}"',
+        line("mass"),
+        line("damping"),
+        *([line("stiffness")] if numbers["stiffness"] else []),
+        f"sampling_period_s = {loop.sampling_period_s!r}",
+        f"delay_samples = {loop.delay_samples!r}  # {about_delay}",
+        f"sensor = {{ noise = {document['noise']!r} }}",
     ]
-    lines.append(f"sensor = {{ noise = {document['noise']!r} }}")
-    parts = []
-    if loop["actuator_lag_s"]:
-        parts.append(line("actuator_lag_s", loop["actuator_lag_s"], "s"))
-    if loop["friction"] and loop["friction"]["value"] > 0:
-        friction = loop["friction"]
-        parts.append(
-            f"friction = {{ coulomb = {friction['value']!r} }}  # {friction['low']:.6g} to {friction['high']:.6g}"
-        )
-    if loop["mode"]:
-        numbers = ", ".join(f"{key} = {value!r}" for key, value in known["mode"].items())
-        told = [(key, part) for key, part in loop["mode"].items() if key in known["mode"]]
-        ranges = ", ".join(f"{key} {part['low']:.4g} to {part['high']:.4g}" for key, part in told)
-        parts.append(f"mode = {{ {numbers} }}  # {ranges}")
+    parts = [line("actuator_lag_s")] if numbers["actuator_lag_s"] else []
+    if (friction := numbers["friction"]) and friction["value"] > 0:
+        ends = f"{friction['low']:.6g} to {friction['high']:.6g}"
+        parts.append(f"friction = {{ coulomb = {friction['value']!r} }}  # {ends}")
+    if loop.mode:
+        entries = ", ".join(f"{key} = {value!r}" for key, value in loop.mode)
+        known = ((key, number) for key, number in numbers["mode"].items() if key in Mode.model_fields)
+        ranges = ", ".join(f"{key} {number['low']:.4g} to {number['high']:.4g}" for key, number in known)
+        parts.append(f"mode = {{ {entries} }}  # {ranges}")
     return "\n".join([*lines, *(["", "[loop]", *parts] if parts else []), ""])
 
 
 def _remedies(document: dict[str, Any]) -> list[str]:
     """Return what to record, as sentences."""
-    told = [f"Record {each['record']}." for each in document["not_told_apart"]]
+    sentences = [f"Record {each['record']}." for each in document["not_told_apart"]]
     if document["loop"]["delay_samples"] is None:
         wanted = "a change of the command within a log"
         if "delay" not in document["assumed_none"]:  # there are some
             wanted = "larger steps, or with a finer sensor: noise, quantum or friction hide when a motion begins"
-        told.append(f"For the delay, record {wanted}; or give --delay.")
-    return list(dict.fromkeys(told))
+        sentences.append(f"For the delay, record {wanted}; or give --delay.")
+    return list(dict.fromkeys(sentences))

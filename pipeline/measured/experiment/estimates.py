@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.wording import of_most, true_minus
+from pipeline.device.parameters import PARAMETERS
 from pipeline.measured import thesis
-from pipeline.measured.experiment.fitted_device import METHOD, fitted_device
+from pipeline.measured.experiment.identified_loop import METHOD, identified_loop
 from pipeline.measured.experiment.stored import Stored
 from pipeline.measured.experiment.trend import drift_warning, find_trends
 from pipeline.measured.signal.response import NO_ROW
@@ -22,18 +23,8 @@ LARGEST_OFFSET = 0.05
 LEAST_OFFSET = 0.01
 """Distance [samples] from a whole number up to which a delay is one: a fit is not known to be less biased."""
 
-UNITS = {
-    "mass": ("kg", "kg m^2"),
-    "damping": ("Ns/m", "Nms/rad"),
-    "coulomb": ("N", "Nm"),
-    "stiffness": ("N/m", "Nm/rad"),
-    "constant_force": ("N", "Nm"),
-    "delay_samples": ("samples", "samples"),
-}
-"""Units of the numbers of a device, of a translation and a rotation."""
-
 BY_TRIAL = {"mass": "model_mass", "damping": "model_damping", "delay_samples": "model_delay"}
-"""Numbers that are told by trial, and their columns."""
+"""Parameters that are identified by trial, and their columns."""
 
 
 def whole_delay(estimate: Estimate, at: float | None = None) -> float:
@@ -54,8 +45,11 @@ def whole_delay(estimate: Estimate, at: float | None = None) -> float:
 
 
 def by_model(of: Stored, name: str) -> Estimate:
-    """Return a number of the likeliest device, with what single trials say of it: scatter, and drift with the wall."""
-    unit, device = UNITS[name][of.rotation], of.once(fitted_device)
+    """Return a parameter of the identified loop, with what single trials say of it: scatter, and drift with the wall.
+
+    ``name`` is one of `PARAMETERS`.
+    """
+    unit, device = PARAMETERS[name].unit(of.motion), of.once(identified_loop)
     if device is None:
         return Estimate(value=None, unit=unit, method=METHOD, reason=of.texts("device", "reason")[0])
     estimate = device.estimate(name, unit)
@@ -109,7 +103,7 @@ def delay_factor(of: Stored) -> tuple[int, int, int] | None:
     off. Where the delay jitters its mean is rounded, and the first changes tell the range. Without a model they stand.
     """
     plain, model = of.once(first_change), by_model(of, "delay_samples")
-    device = of.once(fitted_device)
+    device = of.once(identified_loop)
     if model.value is None or device is None:
         if plain.value is None:
             return None
@@ -140,7 +134,7 @@ def delay_estimate(of: Stored) -> Estimate:
 
 def mass_estimate(of: Stored) -> Estimate:
     """Return the mass of an experiment, beside that of the thesis's momentum balance (6.4)."""
-    model, unit = by_model(of, "mass"), UNITS["mass"][of.rotation]
+    model, unit = by_model(of, "mass"), PARAMETERS["mass"].unit(of.motion)
     plain = thesis.estimate_median(
         of.column("mass", "mass_momentum"),
         unit,
@@ -153,14 +147,14 @@ def mass_estimate(of: Stored) -> Estimate:
 def damping_estimate(of: Stored) -> Estimate:
     """Return the viscous damping of an experiment, beside that by the limit at K = 0 (3.25, 6.1.2)."""
     K, B, growth = (of.column("response", name) for name in ("stiffness", "damping", "growth_per_s"))
-    limit = with_sign_warning(thesis.by_limit(B, K, growth, UNITS["damping"][of.rotation]))
+    limit = with_sign_warning(thesis.by_limit(B, K, growth, PARAMETERS["damping"].unit(of.motion)))
     model = by_model(of, "damping")
     return model.model_copy(update={"by_method": {"model": model, "stability_limit": limit}})
 
 
 def jitter_estimate(of: Stored) -> Estimate:
     """Return the standard deviation of the delay within a trial [samples]."""
-    device = of.once(fitted_device)
+    device = of.once(identified_loop)
     if device is None:
         return Estimate(value=None, unit="samples", method=METHOD, reason=of.texts("device", "reason")[0])
     value, error = device.jitter
@@ -177,7 +171,7 @@ def jitter_estimate(of: Stored) -> Estimate:
 
 def model_check(of: Stored) -> ModelCheck:
     """Return how well the likeliest device explains the logs of an experiment."""
-    device = of.once(fitted_device)
+    device = of.once(identified_loop)
     trials = len(of.texts("model", "trial_id"))
     return ModelCheck(
         trials=trials, explained=device.explained if device else 0, fit_percent=device.fit_percent if device else None

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.experiment.fitted_device import FEWEST_LOGS
+from pipeline.measured.experiment.identified_loop import FEWEST_LOGS
 from pipeline.measured.experiment.stored import Experiment
 from pipeline.measured.signal.sensor import sensor_floor
 from pipeline.measured.student import SMALLEST

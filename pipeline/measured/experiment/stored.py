@@ -7,6 +7,7 @@ from typing import Any, Protocol, TypeVar
 
 import pyarrow as pa
 
+from pipeline.device.parameters import Motion
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.records.batch import Floats, TrialGroups
 
@@ -27,6 +28,13 @@ class Stored(Protocol):
     @property
     def step_sizes(self) -> Floats:
         """Step F_0 of each trial by its header [N, Nm]."""
+
+    @property
+    def motion(self) -> Motion:
+        """Kind of motion, which decides the units."""
+
+    def table(self, stage: str) -> pa.Table:
+        """Result of a stage."""
 
     def column(self, stage: str, name: str) -> Floats:
         """Numeric column of a stage, null as NaN."""

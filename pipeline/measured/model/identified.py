@@ -1,4 +1,4 @@
-"""From recordings to an identified device: parameters, parts, what is not told apart, replay; and each trial alone."""
+"""From recordings to an identified device: parameters, parts, what is not identifiable, replay; each trial alone."""
 
 from __future__ import annotations
 
@@ -8,16 +8,10 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.base.wording import counted, listed
-from pipeline.measured.model.intervals import BOUNDED, NEEDED, Errors, Interval, physical
-from pipeline.measured.model.likelihood import Device, Fit, refined
-from pipeline.measured.model.parts import Choice, chosen
-from pipeline.measured.model.quasi_static import damping_without_inertia
-from pipeline.measured.model.recordings import SHORTEST, Recording, Scales, stretches
-from pipeline.measured.model.replay import Replay, replayed
-from pipeline.measured.model.scatter import FEWEST, inverse
-from pipeline.measured.model.told import (
+from pipeline.measured.model.estimated import ESTIMATED, estimated_names
+from pipeline.measured.model.identifiability import (
     FEWEST_COUNTS,
-    Combination,
+    IdentifiableCombination,
     Recorded,
     combinations,
     largest_command,
@@ -26,6 +20,13 @@ from pipeline.measured.model.told import (
     stuck,
     unidentifiable,
 )
+from pipeline.measured.model.intervals import Errors, Interval
+from pipeline.measured.model.likelihood import Device, Fit, refined
+from pipeline.measured.model.parts import Choice, chosen
+from pipeline.measured.model.quasi_static import damping_without_inertia
+from pipeline.measured.model.recordings import SHORTEST, LogUnits, Recording, stretches
+from pipeline.measured.model.replay import Replay, replayed
+from pipeline.measured.model.scatter import FEWEST, inverse
 from pipeline.records.batch import Floats
 
 FOLDS = 5
@@ -47,43 +48,71 @@ LAST = 0.4
 
 
 @dataclass(frozen=True, eq=False)
-class Identified:
-    """What recordings say of a device.
+class Identification:
+    """What recordings say of a device; parameters are in SI by their names in `ESTIMATED`.
 
-    ``parameters``: intervals in SI by name. ``untold``: names among them whose value cannot be identified, for which
-    ``reasons`` has a sentence each; ``parts``: gain of
-    held-out log-likelihood by part; ``assumed``: what had to be taken as none, by name; ``noise``: standard deviation
-    of a reading [m, rad]; ``disturbance``: of the random force, held over a sample [N, Nm]; ``scatter``: standard
-    deviations from trial to trial by name. ``covariance`` of the parameters, in their order; ``folds``: their values
-    by the logs but every fifth from the first, the second ... on; empty below `FEWEST` logs.
+    Parameters
+    ----------
+    parameters : dict of str to Interval
+    unidentifiable : set of str
+        Names among them whose value cannot be identified.
+    reasons : dict of str to str
+        A sentence for each of these.
+    parts : dict of str to float
+        Gain of held-out log-likelihood by part.
+    assumed : tuple of str
+        Names of what had to be taken as none.
+    combinations : list of IdentifiableCombination
+        What is known of unidentifiable parameters together.
+    scatter : dict of str to float
+        Standard deviations from trial to trial by name.
+    noise : float
+        Standard deviation of a reading [m, rad].
+    disturbance : float
+        Of the random force, constant over a sample [N, Nm].
+    replay, replay_names : Replay, list of str
+        Free runs, and the logs that they are of.
+    units : LogUnits
+    names : list of str
+        Of all recordings.
+    covariance : float64, shape (P, P)
+        Of the parameters, in their order.
+    folds : list of dict of str to float
+        Their values by the logs but every fifth from the first, the second ... on; empty below `FEWEST` logs.
+    choice : Choice
     """
 
     parameters: dict[str, Interval]
-    untold: set[str]
+    unidentifiable: set[str]
     reasons: dict[str, str]
     parts: dict[str, float]
     assumed: tuple[str, ...]
-    combinations: list[Combination]
+    combinations: list[IdentifiableCombination]
     scatter: dict[str, float]
     noise: float
     disturbance: float
     replay: Replay
     replay_names: list[str]
-    scales: Scales
-    trials: int
+    units: LogUnits
+    names: list[str]
     covariance: Floats
     folds: list[dict[str, float]]
     choice: Choice
-    names: list[str]
-    bounds: dict[str, float]
 
     @property
     def explained(self) -> int:
         """Logs that the device and its noise explain: what is left of them is less than twice as much as of most."""
-        return self.trials if self.choice.fit.few else int((self.choice.fit.solved.weight > EXPLAINS).sum())
+        fit = self.choice.fit
+        return len(self.names) if fit.few else int((fit.solved.weight > EXPLAINS).sum())
+
+    @property
+    def fit_percent(self) -> float | None:
+        """Median fit of the free runs; None where no log could be replayed."""
+        fits = self.replay.fit[np.isfinite(self.replay.fit)]
+        return float(np.median(fits)) if len(fits) else None
 
 
-def identified(recordings: list[Recording]) -> Identified:
+def identified(recordings: list[Recording]) -> Identification:
     """Return the device that made recordings.
 
     Raises
@@ -93,78 +122,70 @@ def identified(recordings: list[Recording]) -> Identified:
     """
     check_recordings(recordings)
     choice = chosen(recordings)
-    errors = Errors.of(choice.fit)
-    quantities = physical(choice.scales)
-    names = [name for name, number in NEEDED.items() if number in errors.numbers]
-    mass, period = quantities["mass"](errors.numbers), choice.scales.period
-    units = {"damping": mass / period, "load_damping": mass / period, "stiffness": mass / period**2, "delay": period}
-    units |= dict.fromkeys(("friction", "constant_force"), choice.scales.command)
-    parameters = {name: errors.interval(quantities[name], name in BOUNDED, units.get(name, 0.0)) for name in names}
-    parameters = _opened(parameters, choice)
-    untold = unidentifiable(parameters, choice)
-    alone = damping_without_inertia(recordings) if "mass" in untold else None
+    fit, units, errors = choice.fit, choice.units, Errors.of(choice.fit)
+    names = estimated_names(errors.numbers)
+    parameters = _opened({name: errors.parameter(name, units) for name in names}, choice)
+    unknown = unidentifiable(parameters, choice)
+    alone = damping_without_inertia(recordings) if "mass" in unknown else None
     if alone is not None:
         parameters["damping"] = alone
-        untold.discard("damping")
+        unknown.discard("damping")
     recorded = Recorded.of(recordings)
-    command = choice.scales.command
-    scatter = np.sqrt(choice.fit.solved.scatter)
-    gain = choice.fit.device.numbers["gain"]
-    scattered = {"delay": period, "coulomb": command / gain, "force": command / gain}
-    named = {"delay": "delay", "coulomb": "friction", "force": "constant_force"}
     replay, replay_names = _replay(recordings, choice)
-    noise = float(np.sqrt(choice.fit.solved.noise))
-    return Identified(
+    noise = float(np.sqrt(fit.solved.noise))
+    folds = [] if len(recordings) < FEWEST else _without_folds(fit)
+    return Identification(
         parameters,
-        untold,
-        reasons(untold, choice, recordings, recorded, slow_rows=alone is not None),
+        unknown,
+        reasons(unknown, choice, recordings, recorded, slow_rows=alone is not None),
         choice.parts,
         choice.assumed,
-        combinations(choice, errors, recorded, untold),
-        {
-            named[name]: float(scatter[i] * scattered[name])
-            for i, name in enumerate(choice.fit.device.names)
-            if name in named and len(recordings) >= FEWEST
-        },
-        noise * choice.scales.position,
-        float(np.sqrt(choice.fit.device.noise.force)) * noise / abs(gain or 1.0) * command,
+        combinations(choice, errors, recorded, unknown),
+        {} if len(recordings) < FEWEST else _scatter(choice),
+        noise * units.position,
+        float(np.sqrt(fit.device.noise.force)) * noise / abs(fit.device.numbers["gain"] or 1.0) * units.command,
         replay,
         replay_names,
-        choice.scales,
-        len(recordings),
-        errors.covariance([quantities[name] for name in names]),
-        [{name: quantities[name](device.numbers) for name in names} for device in _without_folds(choice.fit)]
-        if len(recordings) >= FEWEST
-        else [],
-        choice,
+        units,
         [each.name for each in recordings],
-        choice.bounds,
+        errors.covariance(names, units),
+        [{name: ESTIMATED[name].quantity(units)(device.numbers) for name in names} for device in folds],
+        choice,
     )
+
+
+def _scatter(choice: Choice) -> dict[str, float]:
+    """Return the standard deviations from trial to trial of the parameters that may differ between these."""
+    device, size = choice.fit.device, np.sqrt(choice.fit.solved.scatter)
+    force = choice.units.command / device.numbers["gain"]
+    unit = {"delay_samples": 1.0, "friction.coulomb": force, "constant_force": force}
+    places = {name: device.names.index(ESTIMATED[name].number) for name in estimated_names(device.numbers)}
+    return {name: float(size[place] * unit[name]) for name, place in places.items() if name in unit}
 
 
 def _opened(parameters: dict[str, Interval], choice: Choice) -> dict[str, Interval]:
     """Return intervals with what the likelihood of this device does not say."""
     result = dict(parameters)
-    if "delay" in choice.bounds:
-        delay, more = parameters["delay"], choice.bounds["delay"] - parameters["delay"].value
+    if "delay_samples" in choice.bounds:
+        delay, more = parameters["delay_samples"], choice.bounds["delay_samples"] - parameters["delay_samples"].value
         low, high = max(delay.low + min(more, 0.0), 0.0), delay.high + max(more, 0.0)
-        result["delay"] = replace(delay, low=low, high=high)
-    if "within" in choice.fit.device.numbers:
-        # with damping on both sides any share moves the far mass alike
-        result["mode_mass"] = replace(parameters["mode_mass"], low=0.0, high=parameters["mass"].high)
-    if "constant_force" in choice.assumed and "friction" in parameters:
-        result = _held_before(result, choice.scales.command)
+        result["delay_samples"] = replace(delay, low=low, high=high)
+    if "spring_damping_fraction" in choice.fit.device.numbers:
+        # with damping on both sides a load of any mass moves alike
+        result["mode.mass"] = replace(parameters["mode.mass"], low=0.0, high=parameters["mass"].high)
+    if "constant_force" in choice.assumed and "friction.coulomb" in parameters:
+        result = _stuck_before(result, choice.units.command)
     return result
 
 
-def _held_before(parameters: dict[str, Interval], command: float) -> dict[str, Interval]:
+def _stuck_before(parameters: dict[str, Interval], command: float) -> dict[str, Interval]:
     """Return intervals without the assumption of no constant force: at rest before, friction may have held one.
 
-    It is anywhere between both directions of friction, and all that is told per command is off by its share of it.
+    It is anywhere between both directions of friction, and what is identified per command is off by as much of it.
     """
-    share = parameters["friction"].value / command / np.sqrt(3.0)
+    share = parameters["friction.coulomb"].value / command / np.sqrt(3.0)
     result = dict(parameters)
-    for name in ("mass", "damping", "stiffness", "friction", "mode_mass", "load_damping"):
+    for name in ("mass", "damping", "stiffness", "friction.coulomb", "mode.mass", "mode.load_damping"):
         if name in parameters:
             each = parameters[name]
             more = 1.96 * share * each.value
@@ -235,23 +256,23 @@ def _replay(recordings: list[Recording], choice: Choice) -> tuple[Replay, list[s
     if len(recordings) < FEWEST:
         cuts = [int((1 - LAST) * len(each.time)) for each in recordings]
         before = [_cut(each, 0, cut) for each, cut in zip(recordings, cuts, strict=True)]
-        held = stretches(before, choice.scales, lead, choice.moving)
+        held = stretches(before, choice.units, lead, choice.moving)
         device = replace(choice.fit.device, effects=None)
         if len(held):
             device = refined(held, device, len(before), steps=8, far=False).device
         last = [_cut(each, cut, len(each.time)) for each, cut in zip(recordings, cuts, strict=True)]
-        whole = stretches(last, choice.scales, lead, False)
+        whole = stretches(last, choice.units, lead, False)
         return replayed(whole, replace(device, effects=None)), [recordings[i].name for i in whole.trial]
     found: list[Replay] = []
     order: list[Recording] = []
     for fold, device in enumerate(_without_folds(choice.fit)):
         some = [recordings[i] for i in places if i % FOLDS == fold]
         if some:
-            found.append(replayed(stretches(some, choice.scales, lead, False), device))
+            found.append(replayed(stretches(some, choice.units, lead, False), device))
             order += some
     rows = max(len(each.position) for each in found)
     position = np.concatenate([_padded(each.position, rows) for each in found], axis=1)
-    whole = stretches(order, choice.scales, lead, False)
+    whole = stretches(order, choice.units, lead, False)
     names = [order[i].name for i in whole.trial]
     return Replay(whole, position, np.concatenate([each.fit for each in found])), names
 
@@ -277,47 +298,46 @@ def _without_folds(fit: Fit) -> list[Device]:
     return devices
 
 
-OWN = {"mass": "gain", "damping": "delta", "delay": "delay"}
-"""Quantities that are told by trial; the others stay as they are in it."""
+OWN = ("mass", "damping", "delay_samples")
+"""Parameters that are identified by trial; the others stay as they are in it."""
 
 
-def own_numbers(found: Identified) -> dict[str, list[float]]:
+def own_numbers(found: Identification) -> dict[str, list[float]]:
     """Return mass [kg, kg m^2], damping [Ns/m, Nms/rad] and delay [samples] of each trial, each with its error.
 
     Friction, a constant force and all other parts are those of the trial by the model, or common.
     """
-    fit, scales = found.choice.fit, found.scales
-    names, numbers = list(fit.device.names), fit.device.numbers
-    places = [names.index(number) for number in OWN.values() if number in names]
-    quantities, effects = physical(scales), fit.device.effects
+    fit, units = found.choice.fit, found.units
+    names, numbers, effects = list(fit.device.names), fit.device.numbers, fit.device.effects
+    own = [(ESTIMATED[name].number, ESTIMATED[name].quantity(units)) for name in OWN]
+    places = [names.index(number) for number, _ in own if number in names]
     if fit.few:
         return {}
     result = {}
     for trial, (product, weight) in enumerate(zip(fit.moments.products, fit.solved.weight, strict=True)):
         information, score = product[:-1, :-1], product[:-1, -1]
         if effects is not None:
-            held = effects[trial].copy()
-            held[places] = 0.0
-            score = score - information @ held
-        own = information[np.ix_(places, places)]
-        if not (np.diagonal(own) > 0).all():
+            others = effects[trial].copy()
+            others[places] = 0.0
+            score = score - information @ others
+        of_places = information[np.ix_(places, places)]
+        if not (np.diagonal(of_places) > 0).all():
             continue
-        known = inverse(own)
+        known = inverse(of_places)
         step, covariance = known @ score[places], known * fit.solved.noise / weight
-        told: list[float] = []
+        estimates: list[float] = []
         base, size = np.array([numbers[names[place]] for place in places]), np.sqrt(np.diagonal(covariance))
         near = np.minimum(size, 1e-3 * np.abs(base) + 1e-9)
-        for name, number in OWN.items():
+        for number, quantity in own:
             if number not in names:
-                told += [0.0, 0.0]
+                estimates += [0.0, 0.0]
                 continue
-            factor = 1 / scales.period if name == "delay" else 1.0
             changed = [base, *(base + sign * each for each in np.diag(near) for sign in (1, -1))]
             value, *ends = (
-                factor * quantities[name](numbers | dict(zip((names[p] for p in places), at.tolist(), strict=True)))
+                quantity(numbers | dict(zip((names[place] for place in places), at.tolist(), strict=True)))
                 for at in changed
             )
             slope = np.array([(up - down) for up, down in zip(ends[::2], ends[1::2], strict=True)]) / (2 * near)
-            told += [value + float(slope @ step), float(np.sqrt(slope @ covariance @ slope))]
-        result[found.names[trial]] = told
+            estimates += [value + float(slope @ step), float(np.sqrt(slope @ covariance @ slope))]
+        result[found.names[trial]] = estimates
     return result

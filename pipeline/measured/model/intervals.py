@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.measured.model.estimated import ESTIMATED, Numbers, Quantity
 from pipeline.measured.model.likelihood import LINEAR, Fit
-from pipeline.measured.model.motion import Physics
-from pipeline.measured.model.recordings import Scales
+from pipeline.measured.model.recordings import LogUnits
 from pipeline.measured.model.scatter import inverse, untold
 from pipeline.measured.student import NORMAL_95, student_95
 from pipeline.records.batch import Floats
 
 COMPUTED = 1e-9
 """Error relative to a value that computing it leaves: the search ends there in logs without noise."""
-
 
 FAR = 1e3
 """Deviation, relative to the size of a number, of what logs tell nothing about."""
@@ -33,61 +32,6 @@ class Interval:
     low: float
     high: float
     error: float = 0.0
-
-
-Quantity = Callable[[dict[str, float]], float]
-
-Numbers = dict[str, float]
-
-
-def physical(scales: Scales) -> dict[str, Quantity]:
-    """Return each quantity in SI as a function of a device's numbers; all per unit of command."""
-    acceleration = scales.position / scales.command / scales.period**2
-    command = scales.command
-
-    def mass(n: Numbers) -> float:
-        return 1 / (n["gain"] * acceleration) if n["gain"] else float("inf")
-
-    def damper(n: Numbers) -> float:
-        if "within" in n:
-            return n["ratio"] * n["within"]
-        drag, far = n.get("drag", 0.0), n["share"] / (1 - n["share"])
-        return n["ratio"] - ((n["delta"] - drag) * far + drag / far) / (2 * n["turn"])
-
-    return {
-        "mass": mass,
-        "damping": lambda n: n["delta"] / scales.period * mass(n),
-        "stiffness": lambda n: n["gamma"] / scales.period**2 * mass(n),
-        "delay": lambda n: n["delay"] * scales.period,
-        "friction": lambda n: n["coulomb"] / n["gain"] * command,
-        "constant_force": lambda n: n["force"] / n["gain"] * command,
-        "actuator_lag": lambda n: n["lag"] * scales.period,
-        "mode_frequency": lambda n: n["turn"] / (2 * np.pi * scales.period),
-        "mode_damping_ratio": damper,
-        "mode_mass": lambda n: Physics.of(n).far * mass(n),
-        "load_damping": lambda n: n["drag"] / scales.period * mass(n),
-        "force_limit": lambda n: n["limit"] * command,
-    }
-
-
-NEEDED = {
-    "mass": "gain",
-    "damping": "delta",
-    "stiffness": "gamma",
-    "delay": "delay",
-    "friction": "coulomb",
-    "constant_force": "force",
-    "actuator_lag": "lag",
-    "mode_frequency": "turn",
-    "mode_damping_ratio": "ratio",
-    "mode_mass": "turn",
-    "load_damping": "drag",
-    "force_limit": "limit",
-}
-"""Number of a device that each quantity stands for: it is told where the device has it."""
-
-BOUNDED = {*NEEDED} - {"mass", "constant_force", "mode_frequency", "force_limit"}
-"""Quantities that are not negative."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,23 +67,28 @@ class Errors:
         known = fit.alike * inverse(total) + nothing.T @ nothing
         return cls(numbers, known, steps, freedom, fit.open, fit.phases, fit.optima)
 
-    def interval(self, quantity: Quantity, bounded: bool = False, unit: float = 0.0) -> Interval:
-        """Return a quantity's value and interval; one that is not negative by its profile likelihood at 0.
+    def parameter(self, name: str, units: LogUnits) -> Interval:
+        """Return a parameter of the loop with its interval, by its name in `ESTIMATED`."""
+        row, mass = ESTIMATED[name], ESTIMATED["mass"].quantity(units)(self.numbers)
+        return self.interval(row.quantity(units), row.ends_at_zero, row.unit_size(mass, units))
 
-        ``unit`` is the size of what it is told beside, of which computing leaves an error.
+    def interval(self, quantity: Quantity, ends_at_zero: bool = False, unit: float = 0.0) -> Interval:
+        """Return a quantity's value and interval; one that ends at zero by its profile likelihood there.
+
+        ``unit`` is a size of which computing leaves an error.
         """
         value, slope = quantity(self.numbers), self._slope(quantity)
         error = max(float(np.sqrt(self._spread(slope[None])[0])), COMPUTED * max(abs(value), unit))
         reach = float(student_95(self.freedom)) * error
-        if bounded and value - reach < 0:
+        if ends_at_zero and value - reach < 0:
             # from the likeliest value that is allowed the likelihood falls by as much as it does inside
             top = value + reach if value >= 0 else value + float(np.hypot(value, reach))
             return Interval(max(value, 0.0), 0.0, max(top, 0.0), error)
         return Interval(value, value - reach, value + reach, error)
 
-    def covariance(self, quantities: Sequence[Quantity]) -> Floats:
-        """Return the covariance (Q, Q) of quantities, as large as their intervals of 95 % are for a normal one."""
-        slopes = np.stack([self._slope(quantity) for quantity in quantities])
+    def covariance(self, names: Sequence[str], units: LogUnits) -> Floats:
+        """Return the covariance (Q, Q) of parameters, as large as their intervals of 95 % are for a normal one."""
+        slopes = np.stack([self._slope(ESTIMATED[name].quantity(units)) for name in names])
         known = slopes @ self.covariance_of_numbers @ slopes.T
         size = np.sqrt(np.maximum(np.diagonal(known), 1e-300))
         reach = float(student_95(self.freedom)) / NORMAL_95
@@ -179,3 +128,12 @@ class Errors:
             variance = np.maximum(variance, wider**2 * (1 + 1 / freedom) * (groups**2).sum(axis=0))
         optima = np.abs(slopes @ self.optima.T).max(axis=1, initial=0.0) / float(student_95(self.freedom))
         return np.asarray(variance + (slopes @ self.open) ** 2 + optima**2)
+
+
+def with_delay(values: dict[str, float], covariance: Floats) -> tuple[dict[str, float], Floats]:
+    """Return values and their covariance with a delay of 0 where logs show none, in the order of `ESTIMATED`."""
+    if "delay_samples" in values:
+        return values, covariance
+    complete = {name: values.get(name, 0.0) for name in ESTIMATED if name in values or name == "delay_samples"}
+    place = list(complete).index("delay_samples")
+    return complete, np.insert(np.insert(covariance, place, 0.0, axis=0), place, 0.0, axis=1)

@@ -8,15 +8,15 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.model.motion import FARTHEST, SHORTEST_LAG, Physics
+from pipeline.measured.model.motion import LARGEST_LOAD, SHORTEST_LAG, PlantShape
 from pipeline.measured.model.recordings import Stretches
 from pipeline.measured.model.scatter import FEWEST, Moments, Solved, inverse, solve
 from pipeline.measured.model.whitening import WHITE, Column, Filter, Noise, Passage, passed, slopes
 from pipeline.records.batch import Floats, Integers
 
 LINEAR = ("gain", "coulomb", "force")
-"""Acceleration per command, by friction and by a constant force, in which the motion is linear; units of `Scales`, time
-in samples."""
+"""Acceleration per command, by friction and by a constant force, in which the motion is linear; `LogUnits`, time in
+samples."""
 
 SCATTERED = ("delay", "coulomb", "force")
 """Numbers that may differ from trial to trial."""
@@ -31,13 +31,13 @@ LIMITS = {
     "gamma": (-1e-4, 2.0),
     "delay": (0.0, 300.0),
     "lag": (SHORTEST_LAG, 300.0),
-    "turn": (0.002, 3.0),
-    "ratio": (1e-4, 0.5),
-    "share": (1e-4, FARTHEST),
-    "drag": (-0.01, 2.0),
-    "within": (1e-4, 0.999),
+    "mode_frequency": (0.002, 3.0),
+    "mode_damping_ratio": (1e-4, 0.5),
+    "load_mass_fraction": (1e-4, LARGEST_LOAD),
+    "load_damping": (-0.01, 2.0),
+    "spring_damping_fraction": (1e-4, 0.999),
 }
-BEFORE = {"within": (0.5, 12.0)}
+BEFORE = {"spring_damping_fraction": (0.5, 12.0)}
 """Mean of a number without logs, and information of it: a part that is anywhere between 0 and 1."""
 
 LARGEST_STEP = {
@@ -46,14 +46,14 @@ LARGEST_STEP = {
     "gamma": 0.2,
     "delay": 1.5,
     "lag": 1.5,
-    "turn": 0.1,
-    "share": 0.1,
-    "drag": 0.2,
-    "within": 0.3,
+    "mode_frequency": 0.1,
+    "load_mass_fraction": 0.1,
+    "load_damping": 0.2,
+    "spring_damping_fraction": 0.3,
 }
 """Change of a number in one step within which the response is near a straight line."""
 
-BY_HALF = ("gain", "ratio")
+BY_HALF = ("gain", "mode_damping_ratio")
 """Numbers that change by half of themselves at most: without damping a mode is told so well that no step leaves it."""
 
 STEPS = 18
@@ -160,9 +160,9 @@ class Device:
     reading: float = np.inf
 
     @property
-    def shape(self) -> Physics:
+    def shape(self) -> PlantShape:
         """Its numbers that shape a motion."""
-        return Physics.of(self.numbers)
+        return PlantShape.of(self.numbers)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -283,7 +283,7 @@ class Starts:
         """
         # third differences of logs without noise are those of the motion
         gain, shape, variance = abs(device.numbers["gain"]), device.shape, min(held.white, device.reading)
-        mode = [gain / shape.turn**2, gain / shape.turn] if shape.far else []
+        mode = [gain / shape.mode_frequency**2, gain / shape.mode_frequency] if shape.load_mass else []
         farthest = 1.0 + float(np.abs(held.position).max())
         sizes = np.array([farthest, 1.0, *mode, *([gain] if shape.lag else [])])[: len(errors)]
         columns = -np.stack(errors, axis=-1).transpose(1, 0, 2)
@@ -361,7 +361,7 @@ def _columns(held: Stretches, device: Device, whole: Stretches) -> tuple[Floats,
     for place, column in enumerate(passage.starts()):
         assert column.start is not None
         start += column.start * fitted[:, place, None]
-    shaped = [each.name for each in fields(Physics) if each.name in device.numbers]
+    shaped = [each.name for each in fields(PlantShape) if each.name in device.numbers]
     along = [device.passage(held, name) for name in shaped]
     # of the prediction with its start
     columns |= dict(zip(shaped, slopes(passage, found, replace(force, start=start), along), strict=True))
@@ -615,7 +615,7 @@ def first_guess(held: Stretches, names: tuple[str, ...], most_delay: float) -> D
     signs: list[Floats] = []
     noise = some.rows * some.white
     for delay in np.arange(0.0, most_delay + 0.5) if "delay" in names else (0.0,):
-        passage = Passage(some, Physics(delay=float(delay)))
+        passage = Passage(some, PlantShape(delay=float(delay)))
         forces = [
             Column(command=some.driven),
             *(Column(direct=each) for each in (middle, some.direction, np.ones(len(some)))),

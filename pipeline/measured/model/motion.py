@@ -1,25 +1,23 @@
 """What a device does between two readings: exact motion under a late command, for regular and irregular rows.
 
-Time is in sampling periods, mass 1. The device has position, velocity and, behind a lag, the drive's force; with a
-mode also the distance of the far mass from the centre, and its rate (`loop.loop`).
+Time is in sampling periods, mass 1. The states of the device are those of `loop.state_space`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 
 import numpy as np
 
-from pipeline.loop.normalised_loop import Vibration, device_matrices
+from pipeline.loop.state_space import Plant
 from pipeline.records.batch import Floats, Integers
 
 _TERMS = 14
 """Terms of the series of an exponential of a matrix of norm 1/2: 0.5^15/15! is left out."""
 
-FARTHEST = 0.97
-"""Largest share of a far mass: of a lighter motor's side nothing is seen but its end."""
+LARGEST_LOAD = 0.97
+"""Largest load, as a fraction of the mass: of a lighter motor nothing is seen but its end."""
 
 SMALL = 1e-20
 """Imaginary part of a number for a slope: its square is lost to rounding."""
@@ -29,41 +27,54 @@ SHORTEST_LAG = 0.02
 
 
 @dataclass(frozen=True)
-class Physics:
-    """What decides the shape of a device's motion: damping and stiffness per mass, delay, lag and mode, in samples.
+class PlantShape:
+    """What decides the shape of a device's motion, per sample and with mass 1.
 
-    ``turn`` [rad a sample], ``ratio`` and ``share`` (of the far mass) are those of a mode; none where ``share`` is 0.
-    ``ratio`` is of all that its vibration loses, also to the damping of both sides, which is told better than each
-    alone; ``drag`` is what the far mass bears of that damping. Where the far mass is read any share moves it alike:
-    instead of one ``within`` is the part of the loss that the damper between both masses has, the rest the motor's.
+    Parameters
+    ----------
+    delta, gamma : float
+        Damping and stiffness.
+    delay, lag : float
+        Delay of the command, and time constant of the actuator [samples].
+    mode_frequency : float
+        Of a vibration mode [rad/sample].
+    mode_damping_ratio : float
+        Of all that its vibration loses, also to the damping of both sides: it is better identified than each part.
+    load_mass_fraction : float
+        Part of the mass that is the load; no mode where it and ``spring_damping_fraction`` are 0.
+    load_damping : float
+        Part of ``delta`` that acts on the load.
+    spring_damping_fraction : float
+        Where the load's position is read, any fraction of the mass moves it alike: in its place the part of the loss
+        that the damper between both sides has; the motor has the rest.
     """
 
     delta: float = 0.0
     gamma: float = 0.0
     delay: float = 0.0
     lag: float = 0.0
-    turn: float = 0.0
-    ratio: float = 0.0
-    share: float = 0.0
-    drag: float = 0.0
-    within: float = 0.0
+    mode_frequency: float = 0.0
+    mode_damping_ratio: float = 0.0
+    load_mass_fraction: float = 0.0
+    load_damping: float = 0.0
+    spring_damping_fraction: float = 0.0
 
     @classmethod
-    def of(cls, numbers: Mapping[str, float]) -> Physics:
+    def of(cls, numbers: Mapping[str, float]) -> PlantShape:
         """Return the device of some numbers, without those that do not shape its motion."""
         return cls(**{each.name: numbers[each.name] for each in fields(cls) if each.name in numbers})
 
     @property
-    def far(self) -> float:
-        """Share of the far mass; 0 without a mode."""
-        if not self.within:
-            return self.share
-        lost = 2 * self.ratio * self.turn * (1 - self.within)
+    def load_mass(self) -> float:
+        """Mass of the load, of a whole of 1; 0 without a mode."""
+        if not self.spring_damping_fraction:
+            return self.load_mass_fraction
+        lost = 2 * self.mode_damping_ratio * self.mode_frequency * (1 - self.spring_damping_fraction)
         # the motor's damping takes more of a vibration the lighter that side is; none takes it with no damping
-        far = lost / (lost + self.delta) if np.real(self.delta) > 0 else FARTHEST
-        return far if np.real(far) < FARTHEST else FARTHEST
+        load = lost / (lost + self.delta) if np.real(self.delta) > 0 else LARGEST_LOAD
+        return load if np.real(load) < LARGEST_LOAD else LARGEST_LOAD
 
-    def along(self, name: str) -> Physics:
+    def along(self, name: str) -> PlantShape:
         """Return the device with a number that has a small imaginary part: that of a result is its slope, exactly.
 
         Source: Squire and Trapp 1998, "Using complex variables to estimate derivatives of real functions".
@@ -75,19 +86,26 @@ class Physics:
         """Kind of what is computed of its numbers."""
         return complex if any(isinstance(each, complex) for each in vars(self).values()) else float
 
-    @cached_property
-    def system(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """Matrix (n, n), the command's column, a force's column on the motor's side, and the row of the sensor."""
-        mode = None
-        if far := self.far:
-            near = 1 - far
-            lost = (self.delta - self.drag) * far / near + self.drag * near / far
-            reduced, damper = near * far, 2 * self.ratio * self.turn - lost
-            mode = Vibration(far, reduced * self.turn**2, reduced * damper, bool(self.within), self.drag)
-        matrix, push, sensor = device_matrices(self.gamma, self.delta, self.lag, mode)
-        blow = np.zeros(len(push))
-        blow[1:4:2] = [1.0] if mode is None else [1.0, -1.0]
-        return matrix, push, blow, sensor
+    @property
+    def plant(self) -> Plant:
+        """Its linear motion."""
+        load = self.load_mass
+        if not load:
+            return Plant(1.0, self.delta, self.gamma, self.lag)
+        motor = 1 - load
+        lost = (self.delta - self.load_damping) * load / motor + self.load_damping * motor / load
+        reduced, damper = motor * load, 2 * self.mode_damping_ratio * self.mode_frequency - lost
+        return Plant(
+            1.0,
+            self.delta,
+            self.gamma,
+            self.lag,
+            load,
+            self.load_damping,
+            reduced * self.mode_frequency**2,
+            reduced * damper,
+            bool(self.spring_damping_fraction),
+        )
 
 
 def transitions(matrix: Floats, inputs: Floats, times: Floats) -> tuple[Floats, Floats]:

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.model.intervals import Errors, physical
+from pipeline.measured.model.estimated import ESTIMATED
+from pipeline.measured.model.intervals import Errors
 from pipeline.measured.model.likelihood import (
     BEFORE,
     DONE,
@@ -24,7 +25,7 @@ from pipeline.measured.model.likelihood import (
     refined,
     spread,
 )
-from pipeline.measured.model.recordings import SHORTEST, Recording, Scales, Stretches, stretches
+from pipeline.measured.model.recordings import SHORTEST, LogUnits, Recording, Stretches, stretches
 from pipeline.measured.model.scatter import FEWEST, Solved, inverse, solve
 from pipeline.measured.model.whitening import WHITE, Noise
 from pipeline.records.batch import Integers
@@ -37,9 +38,9 @@ NUMBERS = {
     "stiffness": ("gamma",),
     "saturation": ("limit",),
     "lag": ("lag",),
-    "mode": ("turn", "ratio", "share"),
-    "mode at the load": ("turn", "ratio", "within"),
-    "load damping": ("drag",),
+    "mode": ("mode_frequency", "mode_damping_ratio", "load_mass_fraction"),
+    "mode at the load": ("mode_frequency", "mode_damping_ratio", "spring_damping_fraction"),
+    "load damping": ("load_damping",),
 }
 """Numbers of each part."""
 
@@ -57,15 +58,15 @@ MOST_TRIALS = 100
 LONGEST_DELAY = 48
 """Longest delay [samples] that is looked for."""
 
-SHARES = (0.05, 0.2)
-"""Shares of the far mass from which a mode is looked for."""
+LOAD_FRACTIONS = (0.05, 0.2)
+"""Loads, as fractions of the mass, from which a mode is looked for."""
 
-TURNS = (0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.2)
+MODE_FREQUENCIES = (0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.2)
 """Frequencies [rad a sample] from which a mode is looked for, a factor of 1.5 apart."""
 
 
-DRAGS = (0.2, 0.5, 0.8)
-"""Shares of the damping from which one of the far mass is looked for."""
+LOAD_DAMPINGS = (0.2, 0.5, 0.8)
+"""Fractions of the damping from which one of the load is looked for."""
 
 LAGS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Lags [samples] from which one is looked for, each of which the next one resembles."""
@@ -123,13 +124,13 @@ class Choice:
     """A fit with the parts that it has, and by how much each made held-out trials likelier.
 
     A part with 0 may be there or not: its number is taken along as unknown. ``assumed`` names what is taken as none,
-    ``bounds`` gives the upper ends of friction, spring and lag [SI] where there is none, and as ``delay`` [s] the other
-    end of one that may be part of a lag, or have one as a part.
+    ``bounds`` gives the upper ends of friction, spring and lag where there is none, and the other end of a delay that
+    may be part of a lag, or have one as a part; both by names of `ESTIMATED`.
     """
 
     fit: Fit
     held: Stretches
-    scales: Scales
+    units: LogUnits
     parts: dict[str, float]
     assumed: tuple[str, ...]
     bounds: dict[str, float] = field(default_factory=dict)
@@ -167,38 +168,39 @@ def chosen(recordings: list[Recording]) -> Choice:
     recordings : list of Recording
         At least one with `recordings.SHORTEST` rows.
     """
-    scales = Scales.of(recordings)
+    units = LogUnits.of(recordings)
     places = np.unique(np.linspace(0, len(recordings) - 1, min(MOST_TRIALS, len(recordings))).round().astype(int))
     some = [recordings[i] for i in places]
     rows = int(np.median([len(each.time) for each in some]))
     base, assumed = _base(some)
-    begin = _begin(some, scales, base, int(np.clip(rows // 8, 2, LONGEST_DELAY)))
+    begin = _begin(some, units, base, int(np.clip(rows // 8, 2, LONGEST_DELAY)))
     lead, trials = int(np.ceil(max(each.numbers.get("delay", 0.0) for each in begin))) + 3, len(some)
-    fit, held, parts, bounds = _first(some, scales, lead, begin)
+    fit, held, parts, bounds = _first(some, units, lead, begin)
     fit, parts = _further(held, fit, parts, trials)
     if set(parts) - {"friction", "stiffness"}:
-        held, fit, parts = _pruned((some, scales, lead), held, fit, parts)
+        held, fit, parts = _pruned((some, units, lead), held, fit, parts)
     if len(places) < len(recordings):
-        held = stretches(recordings, scales, lead, "friction" in parts)
+        held = stretches(recordings, units, lead, "friction" in parts)
     fit = ended(held, replace(fit.device, effects=None), len(recordings))
     if fit.few and "coulomb" in fit.device.numbers and "delay" in fit.device.numbers:
         fit = _spanned(held, fit, len(recordings), lead)
-    bounds = {name: end for name, end in bounds.items() if name not in parts and end <= _largest_bound(name, scales)}
-    numbers, period = fit.device.numbers, scales.period
+    numbers = fit.device.numbers
+    absent = (name for name in bounds if ESTIMATED[name].number not in numbers)
+    bounds = {name: bounds[name] for name in absent if bounds[name] <= _largest_bound(name, units)}
     if lag := _unseen_lag(held, fit, len(recordings)):
-        bounds |= {"actuator_lag": lag * period, "delay": (numbers["delay"] - lag) * period}
+        bounds |= {"actuator_lag_s": lag * units.period, "delay_samples": numbers["delay"] - lag}
     elif numbers.get("lag", np.inf) < IMITATED:
-        bounds["delay"] = (numbers["delay"] + numbers["lag"]) * period
-    return Choice(fit, held, scales, parts, assumed, bounds)
+        bounds["delay_samples"] = numbers["delay"] + numbers["lag"]
+    return Choice(fit, held, units, parts, assumed, bounds)
 
 
-def _largest_bound(name: str, scales: Scales) -> float:
+def _largest_bound(name: str, units: LogUnits) -> float:
     """Return the largest upper end of friction or a spring [SI] that means something.
 
     More friction than the largest command would fix the device, and a stiffer spring than twice that command over the
     largest displacement would have moved it less.
     """
-    return {"friction": scales.command, "stiffness": 2 * scales.command / scales.position}.get(name, np.inf)
+    return {"friction.coulomb": units.command, "stiffness": 2 * units.command / units.position}[name]
 
 
 def _spanned(held: Stretches, fit: Fit, trials: int, lead: int) -> Fit:
@@ -229,7 +231,7 @@ def _unseen_lag(held: Stretches, fit: Fit, trials: int) -> float:
     Up to the second order in its length a lag is a delay. Beside a lag or a mode none is looked for.
     """
     numbers = fit.device.numbers
-    if "delay" not in numbers or {"lag", "turn"} & set(numbers):
+    if "delay" not in numbers or {"lag", "mode_frequency"} & set(numbers):
         return 0.0
     some, alone = _some(held), replace(fit.device, effects=None)
 
@@ -252,14 +254,14 @@ def _unseen_lag(held: Stretches, fit: Fit, trials: int) -> float:
 
 def again(choice: Choice, recordings: list[Recording]) -> Choice:
     """Return the fit of other recordings with the parts of an earlier choice, from its numbers on."""
-    found, scales = choice.fit, choice.scales
-    held = stretches(recordings, scales, choice.held.lead, choice.moving)
+    found, units = choice.fit, choice.units
+    held = stretches(recordings, units, choice.held.lead, choice.moving)
     fit = ended(held, replace(found.device, effects=None), len(recordings))
-    return Choice(fit, held, scales, choice.parts, choice.assumed)
+    return Choice(fit, held, units, choice.parts, choice.assumed)
 
 
 def _first(
-    recordings: list[Recording], scales: Scales, lead: int, begin: list[Device]
+    recordings: list[Recording], units: LogUnits, lead: int, begin: list[Device]
 ) -> tuple[Fit, Stretches, dict[str, float], dict[str, float]]:
     """Return the fit with friction and spring where there are some or may be, its stretches, those parts, and bounds.
 
@@ -268,25 +270,25 @@ def _first(
     Bounds are the upper ends of friction and spring [SI] with both in the fit.
     """
     trials, bounds, fit = len(recordings), {}, None
-    if "coulomb" in begin[0].numbers and len(held := stretches(recordings, scales, lead, True)):
+    if "coulomb" in begin[0].numbers and len(held := stretches(recordings, units, lead, True)):
         whole = _searched(held, begin, trials)
-        bounds = {name: _upper(whole, name, scales) for name in ("friction", "stiffness")}
+        bounds = {name: _upper(whole, name, units) for name in ("friction.coulomb", "stiffness")}
         fit, parts = _worth(held, whole, trials, begin[0])
         gain, numbers = _loss(fit, "coulomb"), fit.device.numbers
         rubs = gain > WORTH and numbers["coulomb"] / numbers["gain"] > SLIGHT
-        if rubs or _upper(fit, "friction", scales) >= OPEN * scales.command:
+        if rubs or _upper(fit, "friction.coulomb", units) >= OPEN * units.command:
             return fit, held, {"friction": gain if rubs else 0.0} | parts, bounds
-    held = stretches(recordings, scales, lead, False)
+    held = stretches(recordings, units, lead, False)
     starts = [_sliding(each) for each in begin]
     fit = refined(held, _sliding(fit.device), trials, far=False) if fit is not None else _searched(held, starts, trials)
-    bounds["stiffness"] = _upper(fit, "stiffness", scales)
+    bounds["stiffness"] = _upper(fit, "stiffness", units)
     fit, parts = _worth(held, fit, trials, starts[0])
     return fit, held, parts, bounds
 
 
-def _upper(fit: Fit, name: str, scales: Scales) -> float:
+def _upper(fit: Fit, name: str, units: LogUnits) -> float:
     """Return the upper end of the interval of a quantity that is not negative."""
-    return Errors.of(fit).interval(physical(scales)[name], bounded=True).high
+    return Errors.of(fit).interval(ESTIMATED[name].quantity(units), ends_at_zero=True).high
 
 
 def _worth(held: Stretches, fit: Fit, trials: int, begin: Device) -> tuple[Fit, dict[str, float]]:
@@ -322,11 +324,11 @@ def _base(recordings: list[Recording]) -> tuple[tuple[str, ...], tuple[str, ...]
         return ("gain", "delta", "delay"), ("constant_force",)
     levels = np.array([float(each.command[0]) for each in recordings])
     if np.ptp(levels) > CONSTANT * largest:
-        return ("gain", "delta", "force"), ("delay",)
-    return ("gain", "delta"), ("delay", "constant_force")
+        return ("gain", "delta", "force"), ("delay_samples",)
+    return ("gain", "delta"), ("delay_samples", "constant_force")
 
 
-def _begin(recordings: list[Recording], scales: Scales, base: tuple[str, ...], lead: int) -> list[Device]:
+def _begin(recordings: list[Recording], units: LogUnits, base: tuple[str, ...], lead: int) -> list[Device]:
     """Return devices from which a search starts, with a spring, and with friction where directions are seen.
 
     The balances of forces are integrated over whole segments, and over short ones: a long plateau behind a fast motion
@@ -337,9 +339,9 @@ def _begin(recordings: list[Recording], scales: Scales, base: tuple[str, ...], l
     ParameterError
         If no part of a log is long enough or moves, or the device moves against its command.
     """
-    held, names = stretches(recordings, scales, lead, True), (*base, "gamma", "coulomb")
+    held, names = stretches(recordings, units, lead, True), (*base, "gamma", "coulomb")
     if not len(held):
-        names, held = (*base, "gamma"), stretches(recordings, scales, lead, False)
+        names, held = (*base, "gamma"), stretches(recordings, units, lead, False)
     if not len(held):
         raise ParameterError(
             f"no log has {SHORTEST} rows in sequence behind the {lead} whose commands a delay may need; record longer "
@@ -395,13 +397,13 @@ def _likelihood(held: Stretches, device: Device, trials: int) -> float:
 
 
 def _pruned(
-    logs: tuple[list[Recording], Scales, int], held: Stretches, fit: Fit, parts: dict[str, float]
+    logs: tuple[list[Recording], LogUnits, int], held: Stretches, fit: Fit, parts: dict[str, float]
 ) -> tuple[Stretches, Fit, dict[str, float]]:
     """Return stretches, fit and parts without friction and spring that only stood for another part.
 
     Friction that another part hid is found.
     """
-    recordings, scales, lead = logs
+    recordings, units, lead = logs
     for name, number in (("friction", "coulomb"), ("stiffness", "gamma")):
         if name not in parts:
             continue
@@ -409,10 +411,10 @@ def _pruned(
             parts = parts | {name: parts[name] or gain}
             continue
         if name == "friction":
-            if _upper(fit, "friction", scales) >= OPEN * scales.command:
+            if _upper(fit, "friction.coulomb", units) >= OPEN * units.command:
                 parts = parts | {"friction": 0.0}
                 continue
-            held = stretches(recordings, scales, lead, False)
+            held = stretches(recordings, units, lead, False)
         left = {key: value for key, value in fit.device.numbers.items() if key != number}
         fit = refined(held, replace(fit.device, numbers=left, effects=None), len(recordings), far=False)
         parts = {key: value for key, value in parts.items() if key != name}
@@ -428,7 +430,13 @@ def _loss(fit: Fit, name: str) -> float:
 def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) -> tuple[Fit, dict[str, float]]:
     """Return the fit with largest force, lag and mode: the likeliest first, as each may stand for another."""
     some = _some(held)
-    left = {"saturation": "", "lag": "lag", "mode": "share", "mode at the load": "", "load damping": "drag"}
+    left = {
+        "saturation": "",
+        "lag": "lag",
+        "mode": "load_mass_fraction",
+        "mode at the load": "",
+        "load damping": "load_damping",
+    }
     while left and "delay" in fit.device.numbers:
         alone, tried = replace(fit.device, effects=None), {}
         plain = refined(some, alone, trials, far=False)
@@ -476,7 +484,7 @@ def _is_inside(device: Device, part: str) -> bool:
     return all(
         value < LIMITS[name][1] and (value > LIMITS[name][0] or value == 0)
         for name, value in device.numbers.items()
-        if name in NUMBERS[part] and name in LIMITS and name != "within"
+        if name in NUMBERS[part] and name in LIMITS and name != "spring_damping_fraction"
     )
 
 
@@ -501,14 +509,26 @@ def _having(held: Stretches, device: Device, trials: int, part: str) -> Device:
     elif part == "lag":
         tried = [{"lag": lag, "delay": max(delay - lag, 0.0)} for lag in LAGS]
     elif part == "load damping":
-        tried = [{"drag": drag * device.numbers["delta"]} for drag in DRAGS]
+        tried = [{"load_damping": share * device.numbers["delta"]} for share in LOAD_DAMPINGS]
     elif part == "mode":
-        tried = [{"turn": turn, "ratio": 0.04, "share": share} for turn in TURNS for share in SHARES]
+        tried = [
+            {"mode_frequency": turn, "mode_damping_ratio": 0.04, "load_mass_fraction": share}
+            for turn in MODE_FREQUENCIES
+            for share in LOAD_FRACTIONS
+        ]
     else:  # where it vibrates most, the far mass is a quarter of a period late; a faster one is hardly late at all
-        tried = [{"turn": turn, "ratio": 0.04, "within": BEFORE["within"][0]} for turn in TURNS if turn <= 1]
-        tried += [each | {"delay": max(delay - np.pi / 2 / each["turn"], 0.0)} for each in tried]
+        tried = [
+            {
+                "mode_frequency": turn,
+                "mode_damping_ratio": 0.04,
+                "spring_damping_fraction": BEFORE["spring_damping_fraction"][0],
+            }
+            for turn in MODE_FREQUENCIES
+            if turn <= 1
+        ]
+        tried += [each | {"delay": max(delay - np.pi / 2 / each["mode_frequency"], 0.0)} for each in tried]
     found = _best(held, device, trials, part, tried)
-    if (closer := NUMBERS[part][0]) in ("limit", "turn"):
+    if (closer := NUMBERS[part][0]) in ("limit", "mode_frequency"):
         near = [found.numbers[closer] * factor for factor in NEARBY]
         found = _best(held, found, trials, part, [{closer: value} for value in near if value < LIMITS[closer][1]])
     return replace(found, noise=WHITE)

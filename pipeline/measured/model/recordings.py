@@ -65,8 +65,8 @@ class Recording:
 
 
 @dataclass(frozen=True)
-class Scales:
-    """Units of a computation: sampling period [s], position from its origin [m, rad] and command [N, Nm].
+class LogUnits:
+    """Units of the estimator: sampling period [s], position from its origin [m, rad] and command [N, Nm].
 
     The origin is where most logs begin: there a spring is relaxed, and what holds the device else a constant force.
     """
@@ -77,7 +77,7 @@ class Scales:
     origin: float
 
     @classmethod
-    def of(cls, recordings: list[Recording]) -> Scales:
+    def of(cls, recordings: list[Recording]) -> LogUnits:
         """Return the units in which readings and commands of recordings are near 1."""
         spread = max((float(np.ptp(each.position)) for each in recordings), default=0.0)
         force = max((float(np.abs(each.command).max()) for each in recordings), default=0.0)
@@ -88,7 +88,7 @@ class Scales:
 
 @dataclass(frozen=True, eq=False)
 class Stretches:
-    """S stretches of at most N rows, in the units of `Scales`; `lead` rows of commands stand before the readings.
+    """S stretches of at most N rows, in the units of `LogUnits`; `lead` rows of commands stand before the readings.
 
     ``distinct`` (S,) is the number of readings that say something of their own, ``least`` (S,) the variance that
     rounding alone leaves of a reading.
@@ -236,13 +236,13 @@ def rounding(position: Floats) -> float:
     return float(position_quantum(position[None])[0]) / float(np.sqrt(12.0))
 
 
-def stretches(recordings: list[Recording], scales: Scales, lead: int, moving: bool) -> Stretches:
+def stretches(recordings: list[Recording], units: LogUnits, lead: int, moving: bool) -> Stretches:
     """Return the stretches of recordings.
 
     Parameters
     ----------
     recordings : list of Recording
-    scales : Scales
+    units : LogUnits
     lead : int
         Rows of commands that are needed before a reading: the delay, rounded up.
     moving : bool
@@ -250,18 +250,18 @@ def stretches(recordings: list[Recording], scales: Scales, lead: int, moving: bo
         motion turns is known to a part of a row only. Else all rows.
     """
     cuts: list[_Cut] = []
-    even = [_even(each.time / scales.period) for each in recordings]
+    even = [_even(each.time / units.period) for each in recordings]
     for trial, (each, grid) in enumerate(zip(recordings, even, strict=True)):
         if len(grid) < SHORTEST:
             continue
-        pauses = np.flatnonzero((np.diff(grid) > GAP * each.period / scales.period) & (np.diff(each.command) != 0)) + 1
+        pauses = np.flatnonzero((np.diff(grid) > GAP * each.period / units.period) & (np.diff(each.command) != 0)) + 1
         bounds = [0, *pauses.tolist(), len(grid)]
         seen = each.motion if moving else None
         for first, behind in pairwise(bounds):
             start = first if first == 0 and _starts_at_rest(each) else first + lead
             if behind - start >= SHORTEST:
                 cuts += _moving(trial, each, seen, (start, behind), lead) if seen else _all(trial, start, behind)
-    return _padded(recordings, even, cuts, scales, lead)
+    return _padded(recordings, even, cuts, units, lead)
 
 
 def _even(time: Floats) -> Floats:
@@ -343,23 +343,23 @@ def _distinct(position: Floats, rounding: float) -> int:
     return 1 + int(min(np.count_nonzero(changes), np.count_nonzero(bends) + 1))
 
 
-def _padded(recordings: list[Recording], even: list[Floats], cuts: list[_Cut], scales: Scales, lead: int) -> Stretches:
+def _padded(recordings: list[Recording], even: list[Floats], cuts: list[_Cut], units: LogUnits, lead: int) -> Stretches:
     n, count = max((cut.behind - cut.first for cut in cuts), default=1), len(cuts)
     time = np.zeros((lead + n + 1, count))
     command, acts = np.zeros((lead + n, count)), np.ones((lead + n, count))
     position, distinct = np.zeros((n, count)), np.zeros(count)
-    least = [(each.rounding / scales.position) ** 2 + EXACT**2 for each in recordings]
+    least = [(each.rounding / units.position) ** 2 + EXACT**2 for each in recordings]
     for s, cut in enumerate(cuts):
         each, grid = recordings[cut.trial], even[cut.trial]
         rows = np.arange(cut.first - lead, cut.first + n)
         inside = np.clip(rows, 0, len(grid) - 1)
-        step = each.period / scales.period
+        step = each.period / units.period
         whole = np.arange(cut.first - lead, cut.first + n + 1)
         at = np.clip(whole, 0, len(grid) - 1)
         time[:, s] = grid[at] + (whole - at) * step - grid[cut.first]
-        command[:, s] = each.command[inside] / scales.command
+        command[:, s] = each.command[inside] / units.command
         here = cut.behind - cut.first
-        position[:here, s] = (each.position[cut.first : cut.behind] - scales.origin) / scales.position
+        position[:here, s] = (each.position[cut.first : cut.behind] - units.origin) / units.position
         distinct[s] = _distinct(each.position[cut.first : cut.behind], each.rounding)
         if cut.edge is not None:
             acts[:, s] = rows >= cut.edge

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.loop.state_space import StateSpace, state_space
 from pipeline.measured.model.likelihood import Device, errors_of, force_of
 from pipeline.measured.model.motion import at_times
 from pipeline.measured.model.recordings import Stretches
@@ -27,7 +28,7 @@ NUDGE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """Free runs beside logs, (N, S) in units of `Scales`, with the logs; ``fit`` (S,) in percent."""
+    """Free runs beside logs, (N, S) in units of `LogUnits`, with the logs; ``fit`` (S,) in percent."""
 
     held: Stretches
     position: Floats
@@ -62,7 +63,7 @@ def _linear(held: Stretches, device: Device) -> Floats:
 
 def _sliding(held: Stretches, device: Device) -> Floats:
     """Return the free run of a device with friction, from the start that fits best by Newton's steps."""
-    count, states = len(held), len(device.shape.system[1])
+    count, states = len(held), len(state_space(device.shape.plant).sensor)
     start = np.zeros((count, states))
     start[:, 0] = held.position[0]
     few = np.minimum(held.rows - 1, 5)
@@ -92,24 +93,24 @@ def _runs(held: Stretches, device: Device, starts: Floats) -> Floats:
 def free_run(held: Stretches, device: Device, start: Floats) -> Floats:
     """Return positions (N, S) of a device with friction under the logged commands, from starts (S, n)."""
     shape, numbers = device.shape, device.numbers
-    matrix, push, blow, sensor = shape.system
-    inputs = np.stack([push, blow], axis=1)
+    system = state_space(shape.plant)
+    inputs = np.stack([system.command, system.force], axis=1)
     passage = Passage(held, shape)
     rows, count = held.position.shape
     coulomb, force = (device.own(name, held.trial) for name in ("coulomb", "force"))
     gain = device.own("gain", held.trial)
     spans = (passage.pieces.begins - passage.pieces.ends) / (PARTS if numbers.get("coulomb") else 1)
-    moved, gained = at_times(matrix, inputs, spans)
+    moved, gained = at_times(system.matrix, inputs, spans)
     row_of, column = np.broadcast_to(passage.pieces.row, (len(moved), rows, count)), np.arange(count)
     state, result = start.copy(), np.empty((rows, count))
     for k in range(rows):
-        result[k] = state @ sensor
+        result[k] = state @ system.sensor
         for piece in range(len(moved)):
             at = min(k, moved.shape[1] - 1)
             transition, added = moved[piece, at], gained[piece, at]
             command = gain * held.driven[row_of[piece, k], column]
             for _ in range(PARTS if numbers.get("coulomb") else 1):
-                state = _onward(state, transition, added, (command, force), coulomb, (matrix, push))
+                state = _onward(state, transition, added, (command, force), coulomb, system)
     return result
 
 
@@ -119,7 +120,7 @@ def _onward(
     added: Floats,
     forces: tuple[Floats, Floats],
     coulomb: Floats,
-    device: tuple[Floats, Floats],
+    system: StateSpace,
 ) -> Floats:
     """Return states (S, n) after a short time under command and constant force, (S,) each; friction may hold them."""
     command, force = forces
@@ -127,8 +128,7 @@ def _onward(
     driven = added[:, :, 0] * command[:, None]
     if not coulomb.any():
         return np.asarray(moved + driven + added[:, :, 1] * force[:, None])
-    matrix, push = device
-    free = state @ matrix[1] + push[1] * command + force
+    free = state @ system.matrix[1] + system.command[1] * command + force
     rests = state[:, 1] == 0
     way = np.where(rests, np.sign(free), np.sign(state[:, 1]))
     after = moved + driven + added[:, :, 1] * (force - way * coulomb)[:, None]

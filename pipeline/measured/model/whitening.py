@@ -13,8 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
+from pipeline.loop.state_space import state_space
 from pipeline.measured.model.kalman import filter_gains, prediction_errors
-from pipeline.measured.model.motion import SMALL, Physics, Pieces, at_times, pieces
+from pipeline.measured.model.motion import SMALL, Pieces, PlantShape, at_times, pieces
 from pipeline.measured.model.recordings import Stretches
 from pipeline.records.batch import Floats, Integers
 
@@ -80,15 +81,15 @@ class Column:
 class Passage:
     """What stretches become of in a device: transitions and gains of their intervals."""
 
-    def __init__(self, held: Stretches, shape: Physics, jitter: float = 0.0) -> None:
+    def __init__(self, held: Stretches, shape: PlantShape, jitter: float = 0.0) -> None:
         self.held, self.shape = held, shape
-        matrix, push, blow, sensor = shape.system
-        self.sensor, self.states = sensor, len(push)
-        self._inputs = np.stack([push, blow], axis=1)
-        self._matrix = matrix
+        system = state_space(shape.plant)
+        self.sensor, self.states = system.sensor, len(system.sensor)
+        self._inputs = np.stack([system.command, system.force], axis=1)
+        self._matrix = system.matrix
         self.pieces: Pieces = pieces(held.time, held.lead, shape.delay, held.regular, jitter)
         one = np.ones((1, 1)) if held.regular else np.diff(held.time[held.lead :], axis=0)
-        moved, gained = at_times(matrix, self._inputs, one)
+        moved, gained = at_times(self._matrix, self._inputs, one)
         self.transition, self.disturbed = moved, gained[..., 1]
 
     @cached_property
@@ -245,7 +246,7 @@ def passed(passage: Passage, found: Filter, columns: Sequence[Column]) -> list[F
 def slopes(passage: Passage, found: Filter, column: Column, along: Sequence[Passage]) -> list[Floats]:
     """Return the slopes of a column's whitened predictions along numbers, each of shape (N, S); the filter stays.
 
-    ``along`` are passages of devices `Physics.along` each number. Differences would drown in rounding, of which the
+    ``along`` are passages of devices `PlantShape.along` each number. Differences would drown in rounding, of which the
     recursion of a slow mode leaves a million times that of a number.
     """
     if passage.held.regular and len(found.gain) == 1:

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.experiment.fitted_device import MOST, NAMES, PARTS
+from pipeline.measured.experiment.identified_loop import MOST, parts_of
 from pipeline.measured.experiment.stored import Experiment
-from pipeline.measured.model.identified import Identified, identified, own_numbers
+from pipeline.measured.model.identifiability import Recorded
+from pipeline.measured.model.identified import Identification, identified, own_numbers
+from pipeline.measured.model.intervals import with_delay
 from pipeline.measured.model.recordings import GAP, SHORTEST, Recording
 from pipeline.measured.model.scatter import FEWEST
-from pipeline.measured.model.told import Recorded
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 from pipeline.records.batch import TrialBatch
 from pipeline.records.findings import Finding, unsafe_reason
@@ -37,7 +38,7 @@ time is not known."""
 NO_FIT = "no single device fits these logs ({}): exclude logs of another device or wall, or record more trials"
 """Reason where the equations of a fit have no solution."""
 
-NOT_TOLD = "mass and force on the device cannot be separated in these logs; record {}, or walls"
+INSEPARABLE = "mass and force on the device cannot be separated in these logs; record {}, or walls"
 
 OTHER_WALLS = (
     "the command of most logs is not that of their stated wall and time, so that these are left out, and the others do "
@@ -45,7 +46,7 @@ OTHER_WALLS = (
 )
 
 
-def found_device(of: Experiment) -> tuple[Identified | None, str]:
+def identification(of: Experiment) -> tuple[Identification | None, str]:
     """Return the likeliest device of all logs of an experiment and what to record for more, or None and why."""
     codes = [set(filter(None, text.split(","))) for text in of.texts("wall_law", "law_codes")]
     stiffness = of.column("response", "stiffness")
@@ -68,16 +69,16 @@ def found_device(of: Experiment) -> tuple[Identified | None, str]:
     # a log that is too short to show motion costs itself alone
     found = [one for one in found if len(one.time) >= SHORTEST] or found
     try:
-        device = identified(found)
+        result = identified(found)
     except ParameterError as error:
         return None, str(error)
     except np.linalg.LinAlgError as error:
         return None, NO_FIT.format(str(error).rstrip(".").lower())
     remedy = Recorded.of(found).remedy()
-    if "mass" not in device.untold:
-        return device, remedy
+    if "mass" not in result.unidentifiable:
+        return result, remedy
     # logs that obey another wall than stated are the reason, whatever the others lack
-    why = NOT_TOLD.format(remedy) if usable.mean() > MOST else OTHER_WALLS
+    why = INSEPARABLE.format(remedy) if usable.mean() > MOST else OTHER_WALLS
     return None, why
 
 
@@ -91,14 +92,14 @@ def recording_findings(of: Experiment) -> list[list[Finding]]:
 
 def device(of: Experiment) -> Columns:
     """Return the one row of the stage `device`."""
-    found, words = of.once(found_device)
-    numbers = {"names": []} if found is None else _numbers(found, of) | {"remedy": words}
-    return {"numbers": [json.dumps(numbers)], "reason": [words if found is None else None]}
+    found, words = of.once(identification)
+    row: dict[str, Any] = {"reason": words} if found is None else _row(found, of) | {"remedy": words}
+    return {name: [row.get(name)] for name in TABLES["device"]}
 
 
 def model(of: Experiment) -> Columns:
     """Return what each trial says alone of mass, damping and delay: a step from the common ones."""
-    found, reason = of.once(found_device)
+    found, reason = of.once(identification)
     ids = of.texts("response", "trial_id")
     columns: Columns = {name: of.column("response", name) for name in ("stiffness", "damping")}
     columns |= {name: of.texts("response", name) for name in ("trial_id", "samples_sha256")}
@@ -116,44 +117,45 @@ def model(of: Experiment) -> Columns:
     return columns
 
 
-def _numbers(found: Identified, of: Experiment) -> dict[str, Any]:
-    """Return the numbers of a device in SI as the stage holds them, with their scatter and those without each fold."""
-    period, parameters = found.scales.period, found.parameters
-    unit = {name: 1 / period if name == "delay" else 1.0 for name in parameters}
-    units = np.array(list(unit.values()))
-    folds = [{NAMES[name]: value * unit[name] for name, value in fold.items()} for fold in found.folds]
-    # a delay that nothing tells is none
-    late = set() if "delay" in unit else {"delay_samples"}
-    values = {NAMES[name]: each.value * unit[name] for name, each in parameters.items()}
+def _row(found: Identification, of: Experiment) -> dict[str, Any]:
+    """Return what the logs identify as the stage stores it."""
     # an interval may be wider than the likelihood alone says
-    told = np.sqrt(np.maximum(found.covariance.diagonal(), LEAST))
-    wider = units * np.maximum([each.error for each in parameters.values()] / told, 1.0)
+    errors = np.array([each.error for each in found.parameters.values()])
+    wider = np.maximum(errors / np.sqrt(np.maximum(found.covariance.diagonal(), LEAST)), 1.0)
     covariance = found.covariance * np.outer(wider, wider)
     # what is known exactly is known as far as it is computed
-    own = (units * np.array([each.error for each in parameters.values()])) ** 2
-    np.fill_diagonal(covariance, np.maximum(covariance.diagonal(), own))
-    bounds = {NAMES[name]: value * unit.get(name, 1.0) for name, value in found.bounds.items()}
-    noise = found.choice.fit.device.noise
-    fits = found.replay.fit[np.isfinite(found.replay.fit)]
+    np.fill_diagonal(covariance, np.maximum(covariance.diagonal(), errors**2))
+    values, covariance = with_delay({name: each.value for name, each in found.parameters.items()}, covariance)
+    unknown = found.unidentifiable | (values.keys() - found.parameters.keys())
+    parts, mode_sensor = parts_of(found.parts)
+    intervals = [each.interval for each in found.combinations]
+    noise, bounds = found.choice.fit.device.noise, found.choice.bounds
     return {
-        "parts": [PARTS.get(name, name) for name, gain in found.parts.items() if gain > 0],
-        "names": [*values, *late],
-        "values": [*values.values(), *(0.0 for _ in late)],
-        "covariance": np.pad(covariance, (0, len(late))).tolist(),
-        "bounds": bounds,
-        "jitter": [noise.jitter, noise.jitter_error],
-        "noise": found.noise,
-        "disturbance": found.disturbance,
-        "scatter": {NAMES[name]: value * unit.get(name, 1.0) for name, value in found.scatter.items()},
-        "open": sorted({NAMES[name] for name in found.untold} | late),
-        "folds": folds,
-        "trials": found.names,
+        "parameter_names": [*values],
+        "parameter_values": [*values.values()],
+        "covariance": covariance.ravel(),
+        "parts": parts,
+        "mode_sensor": mode_sensor,
+        "unidentifiable": sorted(unknown),
+        "bound_names": [*bounds],
+        "bound_values": [*bounds.values()],
+        "scatter_names": [*found.scatter],
+        "scatter_values": [*found.scatter.values()],
+        "fold_values": [fold.get(name, 0.0) for fold in found.folds for name in values],
+        "combination_codes": [each.code for each in found.combinations],
+        "combination_members": [",".join(each.members) for each in found.combinations],
+        "combination_values": [value for each in intervals for value in (each.value, each.low, each.high, each.error)],
+        "combination_units": [each.unit for each in found.combinations],
+        "combination_remedies": [each.record for each in found.combinations],
+        "jitter": noise.jitter,
+        "jitter_error": noise.jitter_error,
+        "fitted_trials": found.names,
         "explained": found.explained,
-        "fit_percent": float(np.median(fits)) if len(fits) else None,
+        "fit_percent": found.fit_percent,
         "saturated": _saturated(of, values.get("force_limit", np.inf)),
-        "command": found.scales.command,
-        "step": float(np.abs(of.samples.of_trials("step")).max(initial=0.0)) or found.scales.command,
-        "travel": found.scales.position,
+        "largest_command": found.units.command,
+        "largest_step": float(np.abs(of.samples.of_trials("step")).max(initial=0.0)) or found.units.command,
+        "travel": found.units.position,
     }
 
 

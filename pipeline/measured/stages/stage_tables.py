@@ -21,6 +21,7 @@ import pyarrow as pa
 from pipeline.base.disk import if_writable, write_kept
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import code_digest, digest, stamp
+from pipeline.device.parameters import Motion
 from pipeline.measured.experiment.stored import Experiment
 from pipeline.measured.law.stamps import EVEN
 from pipeline.measured.signal.verdict import Verdicts
@@ -129,6 +130,11 @@ class StageTables:
                 "Name the experiments apart in the logs' headers and ingest them into a new folder."
             )
         return motions == {"rotation"}
+
+    @property
+    def motion(self) -> Motion:
+        """Kind of motion, which decides the units; errors as of `rotation`."""
+        return "rotation" if self.rotation else "translation"
 
     @cached_property
     def inputs_digest(self) -> str:

@@ -1,4 +1,4 @@
-"""What the logs cannot tell apart: the combination that is known, and what to record for more."""
+"""What logs cannot identify: which parameters, why, the combination that is known, and what to record for more."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.wording import counted
-from pipeline.measured.model.intervals import Errors, Interval, Numbers, Quantity
+from pipeline.measured.model.estimated import Numbers, Quantity
+from pipeline.measured.model.intervals import Errors, Interval
 from pipeline.measured.model.parts import Choice
 from pipeline.measured.model.recordings import Recording
 from pipeline.records.batch import Floats
 
 WIDE = 0.5
-"""Half width of an interval, relative to its value, from which on a quantity counts as not told: it may be three times
-as large at one end as at the other."""
-
+"""Half width of an interval, relative to its value, from which on a quantity cannot be identified: it may be three
+times as large at one end as at the other."""
 
 FEWEST_COUNTS = 10
 """Steps of the sensor that a device must move by in the largest log; presliding moves one by as many."""
@@ -27,10 +27,26 @@ follows that as a spring does: friction that does not slide is one."""
 FEW_COUNTS = 100
 """Steps of the sensor below which a device whose mass cannot be identified hardly moves."""
 
+PER_MASS = {"damping", "stiffness", "mode.mass", "mode.load_damping", "friction.coulomb", "constant_force"}
+"""Parameters that cannot be identified without the mass."""
+
 
 @dataclass(frozen=True)
-class Combination:
-    """A combination that is known where its members are not, in SI, with its unit as a power of [s], and a remedy."""
+class IdentifiableCombination:
+    """A combination that is known where its members are not.
+
+    Parameters
+    ----------
+    code : str
+    members : tuple of str
+        By names of `PARAMETERS`.
+    interval : Interval
+        In SI.
+    unit : str
+        A dimension of `parameters.UNITS`, else the unit itself.
+    record : str
+        What to record to identify each of the members.
+    """
 
     code: str
     members: tuple[str, ...]
@@ -68,7 +84,7 @@ class Recorded:
         )
 
     def remedy(self) -> str:
-        """Return what to record so that friction, a constant force and the mass are told apart."""
+        """Return what to record so that friction, a constant force and the mass can be separated."""
         if self.sizes < 2:
             return "steps of two sizes in one direction"
         if self.directions < 2 or self.signs < 2:
@@ -84,7 +100,7 @@ def _turns(position: Floats) -> bool:
     return bool(way > 0 and min(ahead.max(), behind.max()) > 0.1 * way)
 
 
-def is_told(interval: Interval) -> bool:
+def is_identifiable(interval: Interval) -> bool:
     """Return whether an interval is narrow enough to be a value."""
     return bool(np.isfinite(interval.error) and interval.high - interval.low < 2 * WIDE * abs(interval.value))
 
@@ -123,32 +139,36 @@ def unidentifiable(parameters: dict[str, Interval], choice: Choice) -> set[str]:
     An interval of mass, frequency or largest force that reaches 0, of a force beyond the largest command, of a delay of
     several samples, of a damping or spring that would stop the device within a sample: none of these is knowledge.
     """
-    period, command = choice.scales.period, choice.scales.command
+    period, command = choice.units.period, choice.units.command
     mass = parameters["mass"]
-    names = {"mass"} if not is_told(mass) else set()
+    names = {"mass"} if not is_identifiable(mass) else set()
     if names:
-        names |= {"damping", "stiffness", "friction", "constant_force", "mode_mass", "load_damping"} & set(parameters)
-    if "friction" in parameters and choice.parts["friction"] <= 0:
-        names.add("friction")
+        names |= PER_MASS & set(parameters)
+    if "friction.coulomb" in parameters and choice.parts["friction"] <= 0:
+        names.add("friction.coulomb")
     per_sample = abs(mass.value) / period
     widest = {
-        "friction": 2 * command,
+        "friction.coulomb": 2 * command,
         "constant_force": 2 * command,
-        "delay": max(2.0 * period, parameters["delay"].value if "delay" in parameters else 0.0),
+        "delay_samples": max(2.0, parameters["delay_samples"].value if "delay_samples" in parameters else 0.0),
         "damping": per_sample,
-        "load_damping": per_sample,
+        "mode.load_damping": per_sample,
         "stiffness": per_sample / period,
-        "actuator_lag": max(2.0 * period, parameters["actuator_lag"].value if "actuator_lag" in parameters else 0.0),
-        "mode_damping_ratio": 1.0,
+        "actuator_lag_s": max(
+            2.0 * period, parameters["actuator_lag_s"].value if "actuator_lag_s" in parameters else 0.0
+        ),
+        "mode.damping_ratio": 1.0,
     }
     for name, most in widest.items():
         if name in parameters and not parameters[name].high - parameters[name].low <= most:
             names.add(name)
     names |= {
-        name for name in ("mode_frequency", "force_limit") if name in parameters and not is_told(parameters[name])
+        name
+        for name in ("mode.frequency_hz", "force_limit")
+        if name in parameters and not is_identifiable(parameters[name])
     }
-    if "mode_frequency" in names:
-        names |= {"mode_damping_ratio", "mode_mass", "load_damping"} & set(parameters)
+    if "mode.frequency_hz" in names:
+        names |= {"mode.damping_ratio", "mode.mass", "mode.load_damping"} & set(parameters)
     return names
 
 
@@ -161,7 +181,7 @@ def reasons(
     """
     resolution = sensor_resolution(recordings)
     travel = max(float(np.ptp(each.position)) for each in recordings)
-    command, period = choice.scales.command, choice.scales.period
+    command, period = choice.units.command, choice.units.period
     forces = f"Mass and the force on the device cannot be separated from these logs. Record {recorded.remedy()}."
     if travel < FEW_COUNTS * resolution and all(_rests(each, resolution) for each in recordings):
         forces = stuck(travel / resolution, command) + "."
@@ -172,60 +192,61 @@ def reasons(
         )
     result = dict.fromkeys(sorted(names), forces)
     wide = {
-        "delay": "The interval of the delay is wider than the delay. Record larger steps of the command, or with a "
-        "finer sensor or a higher sampling rate.",
-        "actuator_lag": "Actuator lag and delay cannot be separated from these logs. Record at a higher sampling rate.",
-        "mode_frequency": "The vibration hardly moves the position. Record larger steps, or with a finer sensor.",
+        "delay_samples": "The interval of the delay is wider than the delay. Record larger steps of the command, or "
+        "with a finer sensor or a higher sampling rate.",
+        "actuator_lag_s": "Actuator lag and delay cannot be separated from these logs. Record at a higher sampling "
+        "rate.",
+        "mode.frequency_hz": "The vibration hardly moves the position. Record larger steps, or with a finer sensor.",
         "force_limit": f"No command up to {command:.3g} shows a largest force. Record larger commands.",
     }
-    wide |= dict.fromkeys(("mode_damping_ratio", "mode_mass"), wide["mode_frequency"])
+    wide |= dict.fromkeys(("mode.damping_ratio", "mode.mass"), wide["mode.frequency_hz"])
     for name in names & wide.keys():
-        if name == "mode_mass" and "mode_frequency" not in names:
+        if name == "mode.mass" and "mode.frequency_hz" not in names:
             continue
         result[name] = wide[name]
     if "mass" not in names:
         both = f"Friction and a constant force cannot be separated from these logs. Record {recorded.remedy()}."
-        result |= dict.fromkeys(names & {"friction", "constant_force"}, both)
+        result |= dict.fromkeys(names & {"friction.coulomb", "constant_force"}, both)
         little = "The inertia hides damping and stiffness in these logs. Record longer motions, at several speeds."
-        result |= dict.fromkeys(names & {"damping", "stiffness", "load_damping"}, little)
+        result |= dict.fromkeys(names & {"damping", "stiffness", "mode.load_damping"}, little)
     return result
 
 
-def combinations(choice: Choice, errors: Errors, recorded: Recorded, untold: set[str]) -> list[Combination]:
-    """Return the known combinations of quantities that are not told."""
-    scales, numbers = choice.scales, errors.numbers
-    acceleration = scales.position / scales.period**2
+def combinations(choice: Choice, errors: Errors, recorded: Recorded, names: set[str]) -> list[IdentifiableCombination]:
+    """Return the known combinations of parameters, by their names, that cannot be identified."""
+    units, numbers = choice.units, errors.numbers
+    acceleration = units.position / units.period**2
     level = _usual_level(choice)
-    found: list[Combination] = []
+    found: list[IdentifiableCombination] = []
 
     def add(code: str, members: tuple[str, ...], quantity: Quantity, unit: str, record: str) -> None:
         interval = errors.interval(quantity)
-        if is_told(interval):
-            found.append(Combination(code, members, interval, unit, record))
+        if is_identifiable(interval):
+            found.append(IdentifiableCombination(code, members, interval, unit, record))
 
-    if "mass" in untold:
+    if "mass" in names:
         remedy = recorded.remedy()
 
         def driven(n: Numbers) -> float:
             against = n.get("coulomb", 0.0) * np.sign(level)
             return float((n["gain"] * level - against + n.get("force", 0.0)) * acceleration)
 
-        members = ("mass", *(("friction",) if "coulomb" in numbers else ()), "constant_force")
+        members = ("mass", *(("friction.coulomb",) if "coulomb" in numbers else ()), "constant_force")
         add("acceleration", members, driven, "acceleration", remedy)
-        add("damping_per_mass", ("damping", "mass"), lambda n: n["delta"] / scales.period, "1/s", remedy)
+        add("damping_per_mass", ("damping", "mass"), lambda n: n["delta"] / units.period, "1/s", remedy)
         if "gamma" in numbers:
-            add("stiffness_per_mass", ("stiffness", "mass"), lambda n: n["gamma"] / scales.period**2, "1/s^2", remedy)
-    elif "friction" in untold and "force" in numbers:
+            add("stiffness_per_mass", ("stiffness", "mass"), lambda n: n["gamma"] / units.period**2, "1/s^2", remedy)
+    elif "friction.coulomb" in names and "force" in numbers:
 
         def against(n: Numbers) -> float:
-            return float((n["coulomb"] - np.sign(level) * n["force"]) / n["gain"] * scales.command)
+            return float((n["coulomb"] - np.sign(level) * n["force"]) / n["gain"] * units.command)
 
-        add("friction_less_force", ("friction", "constant_force"), against, "force", recorded.remedy())
-    if "delay" in choice.bounds or ("delay" in untold and "lag" in numbers):
+        add("friction_less_force", ("friction.coulomb", "constant_force"), against, "force", recorded.remedy())
+    if "delay_samples" in choice.bounds or ("delay_samples" in names and "lag" in numbers):
         add(
             "delay_and_lag",
-            ("delay", "actuator_lag"),
-            lambda n: (n["delay"] + n.get("lag", 0.0)) * scales.period,
+            ("delay_samples", "actuator_lag_s"),
+            lambda n: (n["delay"] + n.get("lag", 0.0)) * units.period,
             "s",
             "steps of the command at a higher sampling rate, or with a finer sensor",
         )
@@ -233,7 +254,7 @@ def combinations(choice: Choice, errors: Errors, recorded: Recorded, untold: set
 
 
 def _usual_level(choice: Choice) -> float:
-    """Return the largest of the usual commands of the stretches, in units of `Scales`, with its sign."""
+    """Return the largest of the usual commands of the stretches, in units of `LogUnits`, with its sign."""
     held = choice.held
     usual = np.median(held.command[held.lead :], axis=0)
     return float(usual[np.argmax(np.abs(usual))]) if len(usual) else 1.0

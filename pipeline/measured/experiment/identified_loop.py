@@ -1,0 +1,320 @@
+"""The loop that is identified from all trials of an experiment, as the stage `device` stores it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import inf
+from typing import Literal
+
+import numpy as np
+
+from pipeline.device.loop import Loop
+from pipeline.device.parameters import PARAMETERS, Motion
+from pipeline.device.parts import Friction, Mode, VelocityFilter
+from pipeline.loop.normalised_loop import LARGEST_DELAY
+from pipeline.measured.experiment.stored import Stored
+from pipeline.measured.model.identifiability import IdentifiableCombination
+from pipeline.measured.model.intervals import Interval
+from pipeline.measured.student import NORMAL_95
+from pipeline.records.batch import Floats
+from pipeline.records.findings import ROUNDING, Estimate, Parameter
+
+METHOD = "one device, the likeliest of all trials"
+
+NOMINAL = (
+    *("mass", "damping", "stiffness", "delay_samples", "actuator_lag_s"),
+    *("mode.frequency_hz", "mode.damping_ratio", "mode.mass", "mode.load_damping", "friction.coulomb"),
+    "constant_force",
+)
+"""Numbers of a loop in a file that a nominal loop has."""
+
+ABSENT = ("actuator_lag_s", "constant_force")
+"""Numbers of these that are parts: a loop where they are 0 does not have them."""
+
+NOT_IDENTIFIABLE = "not identifiable: {}. Record {}"
+"""Reason of a number that logs leave open, with the remedy."""
+
+ANY_FORCE = "its 95 % interval is wider than the largest {}, {:.3g}, since other parts of the device act alike"
+ANY_SPRING = "any spring that is too soft to be seen in these motions explains them as well"
+OPEN = "other parts of the device explain these logs as well"
+
+MORE = "more logs of several sizes and directions"
+"""Remedy where no better one is known."""
+
+FEWEST_LOGS = 3
+"""Logs below which what they show is an accident."""
+
+MOST = 0.5
+"""Share of the logs of an experiment from which on what they show is the experiment's: its device, its filter, why it
+tells nothing."""
+
+SMALLEST = 1e-3
+"""Least share of the mass on a side of a mode, of a positive number at the end of an interval, and of a sample that is
+a lag: less moves no limit by a thousandth."""
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedLoop:
+    """The likeliest loop of all trials of an experiment, per unit of command, with the covariance of its numbers.
+
+    Parameters
+    ----------
+    values : dict of str to float
+        Its numbers in SI by name and in the order of `PARAMETERS`.
+    covariance : float64, shape (P, P)
+        Of these: what the loop does not explain is in it.
+    sampling_period_s : float
+        T [s].
+    motion : {"translation", "rotation"}
+        Decides the units.
+    parts : tuple of str
+        What it has beside mass, damper and delay: ``friction``, ``spring``, ``saturation``, ``lag``, ``mode``,
+        ``load damping``.
+    mode_sensor : {"motor", "load"}
+        Side of a mode at which the position is read.
+    velocity : VelocityFilter, optional
+        Filter of the velocity that the controller computes.
+    explained, trials : int, tuple of str
+        Number of trials that it explains with its noise; ids of those it was fitted to, in the order of the folds.
+    saturated : float
+        Share of the stable trials that command more force than it has.
+    unidentifiable : tuple of str
+        Names of its numbers whose value cannot be identified.
+    combinations : tuple of IdentifiableCombination
+        What is known of these together.
+    scatter : dict of str to float
+        Standard deviations from run to run by name.
+    folds : tuple of dict of str to float
+        Its values by the trials but every fifth from the first, the second ... on; empty where they are not known.
+    bounds : dict of str to float
+        Upper ends of numbers that it does not have, and the other end of a delay that may be part of a lag of less than
+        a sample, or have one as a part.
+    jitter : tuple of float
+        Standard deviation of the delay within a trial [samples], and the error of it.
+    fit_percent : float or None
+        Median fit of its free runs to logs that it was not fitted to.
+    command, step, travel : float
+        Largest command and largest step [N, Nm], and range of the positions [m, rad] of its logs; infinite and 0 where
+        not known.
+    remedy : str
+        What to record so that parts which act alike are separated.
+    directions : int
+        Directions in which it moves in its logs, 1 or 2.
+
+    Examples
+    --------
+    >>> values = {"mass": 0.5, "damping": 3.0, "delay_samples": 4.0}
+    >>> device = IdentifiedLoop(values, np.diag([1e-4, 0.01, 0.0025]), 0.001)
+    >>> device.loop.mass, round(device.interval("damping").high, 3), device.quantity("actuator_lag_s")
+    (0.5, 3.196, None)
+    """
+
+    values: Mapping[str, float]
+    covariance: Floats
+    sampling_period_s: float
+    motion: Motion = "translation"
+    parts: tuple[str, ...] = ()
+    mode_sensor: Literal["motor", "load"] = "motor"
+    velocity: VelocityFilter | None = None
+    explained: int = 0
+    trials: tuple[str, ...] = ()
+    saturated: float = 0.0
+    unidentifiable: tuple[str, ...] = ()
+    combinations: tuple[IdentifiableCombination, ...] = ()
+    scatter: Mapping[str, float] = field(default_factory=dict)
+    folds: tuple[Mapping[str, float], ...] = ()
+    bounds: Mapping[str, float] = field(default_factory=dict)
+    jitter: tuple[float, float] = (0.0, 0.0)
+    fit_percent: float | None = None
+    command: float = inf
+    step: float = inf
+    travel: float = 0.0
+    remedy: str = MORE
+    directions: int = 2
+
+    @cached_property
+    def loop(self) -> Loop:
+        """The likeliest loop, with friction and a constant force."""
+        return self.at(self.values)
+
+    def at(self, values: Mapping[str, float]) -> Loop:
+        """Return the loop with other values of its numbers; a damping, stiffness or delay below 0 counts as 0."""
+        mass, damping, mode = values["mass"], max(values["damping"], 0.0), None
+        if "mode.mass" in values:
+            mode = Mode(
+                frequency_hz=values["mode.frequency_hz"],
+                damping_ratio=max(values["mode.damping_ratio"], 0.0),
+                mass=min(max(values["mode.mass"], SMALLEST * mass), (1 - SMALLEST) * mass),
+                sensor=self.mode_sensor,
+                load_damping=min(max(values.get("mode.load_damping", 0.0), 0.0), damping),
+            )
+        lag = max(values.get("actuator_lag_s", 0.0), 0.0)
+        coulomb = values.get("friction.coulomb", 0.0) if "friction" in self.parts else 0.0
+        return Loop(
+            mass,
+            damping,
+            self.sampling_period_s,
+            min(max(values["delay_samples"], 0.0), LARGEST_DELAY),
+            max(values.get("stiffness", 0.0), 0.0),
+            motion=self.motion,
+            velocity=self.velocity,
+            actuator_lag_s=lag if lag > SMALLEST * self.sampling_period_s else 0.0,
+            mode=mode,
+            friction=Friction(coulomb=coulomb) if coulomb > 0 else None,
+            constant_force=values.get("constant_force", 0.0),
+        )
+
+    @cached_property
+    def ends(self) -> tuple[tuple[Loop, Loop], ...]:
+        """Loops at both ends of each principal axis of the 95 % range of the numbers, and that with the longest lag
+        that the delay may have as a part; none where the numbers are exact."""
+        if not self.covariance.any():
+            return ()
+        ends = [(self.shifted(-axis), self.shifted(axis)) for axis in self.axes]
+        if lag := self.bounds.get("actuator_lag_s", 0.0):
+            late = self.values["delay_samples"] - lag / self.sampling_period_s
+            ends.append((self.loop, self.at({**self.values, "delay_samples": late, "actuator_lag_s": lag})))
+        return tuple(ends)
+
+    @cached_property
+    def axes(self) -> Floats:
+        """Half axes of the 95 % range of the numbers, a row each, shape (P, P)."""
+        scale = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        size = np.where(scale > 0, scale, 1.0)
+        variance, axes = np.linalg.eigh(self.covariance / np.outer(size, size))
+        return np.asarray(NORMAL_95 * np.sqrt(np.maximum(variance, 0.0))[:, None] * axes.T * size)
+
+    def shifted(self, step: Floats) -> Loop:
+        """Return the loop with its numbers changed by a step, shape (P,); mass and frequency stay positive."""
+        now = np.array(list(self.values.values()))
+        positive = np.isin(list(self.values), ("mass", "mode.frequency_hz"))
+        moved = np.where(positive, np.maximum(now + step, SMALLEST * now), now + step)
+        return self.at(dict(zip(self.values, moved.tolist(), strict=True)))
+
+    @property
+    def tells(self) -> bool:
+        """Whether it explains enough trials for its parts to be real."""
+        return self.explained >= MOST * len(self.trials)
+
+    @property
+    def may_have_friction(self) -> bool:
+        """Whether it has friction, or friction cannot be excluded."""
+        return "friction.coulomb" in self.values
+
+    def quantity(self, name: str) -> Parameter | None:
+        """Return one of its numbers with its 95 % interval; None where it has none."""
+        return self.interval(name) if name in self.values else None
+
+    def interval(self, name: str) -> Parameter:
+        """Return one of the numbers that it has with its 95 % interval."""
+        value = self.values[name]
+        reach = NORMAL_95 * float(np.sqrt(self.covariance[(place := list(self.values).index(name)), place]))
+        end = self.bounds.get(name, value)
+        if self.trials:  # no number of a fit is known better than it is computed
+            reach = max(reach, ROUNDING * abs(value))
+        low, high = min(value, end) - reach, max(value, end) + reach
+        if not PARAMETERS[name].may_seem_negative and value >= 0:
+            low = max(low, 0.0)
+        return Parameter(value=value, low=low, high=high)
+
+    def why_unknown(self, name: str) -> str:
+        """Return why a number, or the bound of one that it does not have, means nothing, with the remedy; else ''."""
+        number = self.quantity(name)
+        wide = self.bounds.get(name, 0.0) if number is None else 0.5 * (number.high - number.low)
+        if PARAMETERS[name].dimension == "force":
+            # the largest of what it is known by: a force that is known to no better is not known
+            by, most = ("command", self.command) if name == "force_limit" else ("step", self.step)
+            if not wide <= most:
+                return NOT_IDENTIFIABLE.format(ANY_FORCE.format(by, most), self.remedy)
+        if name == "stiffness" and not wide * self.travel <= self.command:
+            return NOT_IDENTIFIABLE.format(ANY_SPRING, "larger motions, or " + self.remedy)
+        return ""
+
+    def estimate(self, name: str, unit: str) -> Estimate:
+        """Return one of its numbers as an estimate; of one that it does not have at most a bound."""
+        number, count = self.quantity(name), len(self.trials)
+        if why := self.why_unknown(name):
+            return Estimate(value=None, unit=unit, method=METHOD, reason=why, trials=count)
+        if number is None:
+            high = self.bounds.get(name)
+            low, reason = None if high is None else 0.0, "the logs are explained as well without it"
+            return Estimate(value=None, low=low, high=high, unit=unit, method=METHOD, reason=reason, trials=count)
+        entries = number.model_dump()
+        if name in self.unidentifiable:
+            entries |= {"value": None, "reason": NOT_IDENTIFIABLE.format(OPEN, self.remedy)}
+        elif (hidden := number.value - self.bounds.get(name, number.value)) > 0:
+            entries["warning"] = f"up to {hidden:.2g} {unit} of it may be a lag of the drive: logs do not tell which"
+        return Estimate(**entries, unit=unit, method=METHOD, trials=count)
+
+
+def parts_of(gains: Mapping[str, float]) -> tuple[tuple[str, ...], Literal["motor", "load"]]:
+    """Return the parts of a loop, and the side at which its mode is read, by the gains of the model's parts."""
+    names = [name for name, gain in gains.items() if gain > 0]
+    parts = tuple({"stiffness": "spring", "mode at the load": "mode"}.get(name, name) for name in names)
+    return parts, "load" if "mode at the load" in names else "motor"
+
+
+def identified_loop(of: Stored) -> IdentifiedLoop | None:
+    """Return the loop of an experiment as its stage `device` has it, None where its logs tell no mass."""
+    (row,) = of.table("device").to_pylist()
+    if (names := row["parameter_names"]) is None:
+        return None
+    return IdentifiedLoop(
+        dict(zip(names, row["parameter_values"], strict=True)),
+        np.array(row["covariance"]).reshape(len(names), -1),
+        of.sampling_period_s,
+        of.motion,
+        tuple(row["parts"]),
+        row["mode_sensor"],
+        explained=row["explained"],
+        trials=tuple(row["fitted_trials"]),
+        saturated=row["saturated"],
+        unidentifiable=tuple(row["unidentifiable"]),
+        combinations=tuple(
+            IdentifiableCombination(code, tuple(members.split(",")), Interval(*numbers), unit, remedy)
+            for code, members, numbers, unit, remedy in zip(
+                row["combination_codes"],
+                row["combination_members"],
+                np.array(row["combination_values"]).reshape(-1, 4).tolist(),
+                row["combination_units"],
+                row["combination_remedies"],
+                strict=True,
+            )
+        ),
+        scatter=dict(zip(row["scatter_names"], row["scatter_values"], strict=True)),
+        folds=tuple(
+            dict(zip(names, values, strict=True))
+            for values in np.array(row["fold_values"]).reshape(-1, len(names)).tolist()
+        ),
+        bounds=dict(zip(row["bound_names"], row["bound_values"], strict=True)),
+        jitter=(row["jitter"], row["jitter_error"]),
+        fit_percent=row["fit_percent"],
+        command=row["largest_command"],
+        step=row["largest_step"],
+        travel=row["travel"],
+        remedy=row["remedy"],
+    )
+
+
+def nominal_loop(loop: Loop) -> IdentifiedLoop:
+    """Return the loop of a file as the wall feels it: operator and gain are in its numbers, which are exact.
+
+    >>> loop = Loop(mass=0.5, damping=3.0, sampling_period_s=0.001, delay_samples=4, operator={"mass": 0.1})
+    >>> nominal_loop(loop).values["mass"], nominal_loop(loop).ends
+    (0.6, ())
+    """
+    device = loop.apparent()
+    numbers = ((name, device.value(name)) for name in NOMINAL)
+    values = {name: value for name, value in numbers if value is not None and (value or name not in ABSENT)}
+    parts = tuple(name for name in ("mode", "friction") if getattr(device, name) is not None)
+    return IdentifiedLoop(
+        values,
+        np.zeros((len(values), len(values))),
+        loop.sampling_period_s,
+        loop.motion,
+        parts,
+        device.mode.sensor if device.mode else "motor",
+        velocity=device.velocity,
+    )

@@ -1,0 +1,121 @@
+"""The table between the numbers of the estimator and the parameters of a loop.
+
+The estimator works per sample and with mass 1, in `LogUnits`: ``gain`` is the acceleration per command, ``coulomb`` and
+``force`` are accelerations, ``limit`` is a command, all others shape the motion (`motion.PlantShape`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import inf, pi
+
+from pipeline.device.parameters import PARAMETERS
+from pipeline.measured.model.motion import PlantShape
+from pipeline.measured.model.recordings import LogUnits
+
+Numbers = dict[str, float]
+"""Numbers of the estimator by name."""
+
+Quantity = Callable[[Numbers], float]
+"""A quantity in SI as a function of the estimator's numbers."""
+
+
+@dataclass(frozen=True)
+class EstimatedParameter:
+    """One parameter of a loop that the estimator knows.
+
+    Parameters
+    ----------
+    name : str
+        In `PARAMETERS`.
+    number : str
+        Number of the estimator with which a device has it.
+    conversion : callable
+        Makes its value [SI, per unit of command] of all numbers and the units of the logs.
+    key : str
+        Name in the document of `pipeline identify`.
+    ends_at_zero : bool
+        Whether its interval ends at 0, by the profile likelihood there.
+    """
+
+    name: str
+    number: str
+    conversion: Callable[[Numbers, LogUnits], float]
+    key: str
+    ends_at_zero: bool = True
+
+    def quantity(self, units: LogUnits) -> Quantity:
+        """Return its value as a function of the numbers."""
+        return lambda numbers: self.conversion(numbers, units)
+
+    def unit_size(self, mass: float, units: LogUnits) -> float:
+        """Return the size, in SI, of which computing leaves an error where its value is 0; 0 where it is never 0."""
+        parameter = PARAMETERS[self.name]
+        if parameter.positive:
+            return 0.0
+        return units.command if parameter.dimension == "force" else parameter.normalising_unit(mass, units.period)
+
+
+def _mass(n: Numbers, units: LogUnits) -> float:
+    acceleration = units.position / units.command / units.period**2
+    return 1 / (n["gain"] * acceleration) if n["gain"] else inf
+
+
+def _mode_damping_ratio(n: Numbers, _: LogUnits) -> float:
+    if "spring_damping_fraction" in n:
+        return n["mode_damping_ratio"] * n["spring_damping_fraction"]
+    of_load, ratio = n.get("load_damping", 0.0), n["load_mass_fraction"] / (1 - n["load_mass_fraction"])
+    return n["mode_damping_ratio"] - ((n["delta"] - of_load) * ratio + of_load / ratio) / (2 * n["mode_frequency"])
+
+
+_ROWS = (
+    EstimatedParameter("mass", "gain", _mass, "mass", ends_at_zero=False),
+    EstimatedParameter("damping", "delta", lambda n, units: n["delta"] / units.period * _mass(n, units), "damping"),
+    EstimatedParameter(
+        "stiffness", "gamma", lambda n, units: n["gamma"] / units.period**2 * _mass(n, units), "stiffness"
+    ),
+    EstimatedParameter("delay_samples", "delay", lambda n, _: n["delay"], "delay"),
+    EstimatedParameter("actuator_lag_s", "lag", lambda n, units: n["lag"] * units.period, "actuator_lag"),
+    EstimatedParameter(
+        "mode.frequency_hz",
+        "mode_frequency",
+        lambda n, units: n["mode_frequency"] / (2 * pi * units.period),
+        "mode_frequency",
+        ends_at_zero=False,
+    ),
+    EstimatedParameter("mode.damping_ratio", "mode_damping_ratio", _mode_damping_ratio, "mode_damping_ratio"),
+    EstimatedParameter(
+        "mode.mass",
+        "mode_frequency",
+        lambda n, units: PlantShape.of(n).load_mass * _mass(n, units),
+        "mode_mass",
+    ),
+    EstimatedParameter(
+        "mode.load_damping",
+        "load_damping",
+        lambda n, units: n["load_damping"] / units.period * _mass(n, units),
+        "load_damping",
+    ),
+    EstimatedParameter(
+        "friction.coulomb", "coulomb", lambda n, units: n["coulomb"] / n["gain"] * units.command, "friction"
+    ),
+    EstimatedParameter(
+        "constant_force",
+        "force",
+        lambda n, units: n["force"] / n["gain"] * units.command,
+        "constant_force",
+        ends_at_zero=False,
+    ),
+    EstimatedParameter(
+        "force_limit", "limit", lambda n, units: n["limit"] * units.command, "force_limit", ends_at_zero=False
+    ),
+)
+
+ESTIMATED: dict[str, EstimatedParameter] = {row.name: row for row in _ROWS}
+"""What the estimator knows of a loop by names of `PARAMETERS`, in its order."""
+
+
+def estimated_names(numbers: Numbers) -> list[str]:
+    """Return the parameters that a device with some numbers has."""
+    return [name for name, row in ESTIMATED.items() if row.number in numbers]

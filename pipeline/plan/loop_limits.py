@@ -1,0 +1,183 @@
+"""Limits of stable walls before a loop: those of its linear motion, and with friction or jitter those of a step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.device.loop import Loop
+from pipeline.device.parts import Sensor
+from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
+from pipeline.measured.experiment.identified_loop import IdentifiedLoop
+from pipeline.measured.signal.verdict import judge
+from pipeline.records.batch import Floats, TrialBatch
+from pipeline.simulation.setup import Setup
+from pipeline.simulation.simulate import delays_of, simulate
+from pipeline.theory.boundary import boundary, stabilises, stiffness_limit
+
+LONGEST = 2000
+"""Samples of a simulated log: what neither grows nor decays in them is as near the limit as any log tells."""
+
+BEYOND = 1.5
+"""How far above its linear limit a limit for the step is looked for, in largest linear limits: friction of a tenth of
+the step doubles a limit."""
+
+WALLS, ROUNDS = 17, 3
+"""Walls of a round between a stable and an unstable one; three rounds tell a limit to 1/2700 of the largest."""
+
+DIRECTIONS = 24
+"""Random directions in which a wide range of devices is searched for its lowest limit, in addition to its axes."""
+
+NARROW = 0.2
+"""Half width of a limit's interval, relative to it, up to which the interval is taken as linear in the numbers."""
+
+OUTLINE = 60
+"""Points of an outline by which the damping of the stiffest wall is found: the limit is flat there."""
+
+
+@dataclass(frozen=True)
+class StepTrial:
+    """A usual trial.
+
+    Parameters
+    ----------
+    step : float
+        F_0 [N, Nm].
+    rows : int
+        Rows from the step on.
+    quantum : float
+        Of the sensor [m, rad].
+    jitter : float
+        Standard deviation of the delay [samples].
+    """
+
+    step: float
+    rows: int
+    quantum: float = 0.0
+    jitter: float = 0.0
+
+
+def linear_limits(loop: Loop, damping: Floats) -> Floats:
+    """Return the largest stiffness of the linear loop at dampings, 0 where none is stable.
+
+    Parameters
+    ----------
+    loop : Loop
+    damping : float64, shape (n,)
+        B [Ns/m, Nms/rad].
+
+    Returns
+    -------
+    float64, shape (n,)
+        K [N/m, Nm/rad].
+
+    Examples
+    --------
+    >>> loop = Loop(mass=0.5, damping=3.0, sampling_period_s=0.001, delay_samples=4)
+    >>> linear_limits(loop, np.array([0.0, 40.0])).round().tolist()
+    [666.0, 6107.0]
+    """
+    units = LoopUnits.of(loop)
+    return np.maximum(stiffness_limit(NormalisedLoop.of(loop), damping / units.damping), 0.0) * units.stiffness
+
+
+def damping_of_stiffest(loop: Loop) -> float:
+    """Return the damping B [Ns/m, Nms/rad] of the stiffest stable wall; 0 where there is none."""
+    normalised = NormalisedLoop.of(loop)
+    damping = max(0.0, boundary(normalised, OUTLINE).beta_at_alpha_max) if stabilises(normalised) else 0.0
+    return damping * LoopUnits.of(loop).damping
+
+
+def simulate_behind(loop: Loop, K: Floats, B: Floats, trial: StepTrial, repetition: int = 0) -> TrialBatch:
+    """Return simulated trials of a loop behind walls, without noise and travel; a repetition has another jitter."""
+    delays = delays_of(loop.delay_samples, trial.jitter)
+    noiseless = replace(loop, sensor=Sensor(quantum=trial.quantum), jitter_samples=delays)
+    return simulate(Setup(noiseless, trial.step, min(trial.rows, LONGEST), edge_row=1), K, B, repetition=repetition)
+
+
+def step_limits(loop: Loop, damping: Floats, trial: StepTrial, softest: Floats) -> tuple[Floats, Floats]:
+    """Return the wall at each damping from which on a step makes it unstable, by simulation, and how open it is.
+
+    Parameters
+    ----------
+    loop : Loop
+    damping : float64, shape (n,)
+        B [Ns/m, Nms/rad].
+    trial : StepTrial
+    softest : float64, shape (n,)
+        Walls above which it is looked for [N/m, Nm/rad]: so far as very soft ones move, friction is none.
+
+    Returns
+    -------
+    limits, open : float64, shape (n,)
+        In the middle of the walls that a log leaves undecided, and half of their range [N/m, Nm/rad]. NaN where no
+        wall is unstable up to `BEYOND` times the largest linear limit above the linear one, and where the softest
+        one is already. Friction can but raise a limit; jitter moves it either way.
+    """
+    if not len(damping):
+        return np.empty(0), np.empty(0)
+    linear = linear_limits(loop, damping)
+    least = linear if loop.friction and not trial.jitter else 0.5 * linear
+    low, high = np.maximum(least, softest), linear + BEYOND * linear.max()
+    begin, ends = low, high > low
+    for _ in range(ROUNDS):
+        K = np.linspace(low, high, WALLS + 1)[1:]
+        verdicts = judge(simulate_behind(loop, K.ravel(), np.tile(damping, WALLS), trial)).verdict.reshape(K.shape)
+        grows = verdicts == "unstable"
+        ends &= grows.any(axis=0)
+        first, step = np.argmax(grows, axis=0), (high - low) / WALLS
+        # between the stiffest stable wall below and this one verdicts are open
+        stable = (verdicts == "stable") & (np.arange(WALLS)[:, None] < first)
+        last = np.where(stable.any(axis=0), WALLS - np.argmax(stable[::-1], axis=0), 0)
+        low, high = low + last * step, low + (first + 1) * step
+    known = ends & (low > np.where(begin > least, begin, -1.0))
+    return np.where(known, 0.5 * (low + high), np.nan), 0.5 * (high - low)
+
+
+def lowest_limits(device: IdentifiedLoop, damping: Floats) -> Floats:
+    """Return the lowest linear limit at dampings B of all loops that the logs allow, 95 %, (n,) [N/m, Nm/rad].
+
+    Notes
+    -----
+    The least limit on the ellipsoid of the numbers whose projections are their 95 % intervals. For a limit that is
+    linear in the numbers it is the lower end of the limit's interval. Where the interval is wide, limits are
+    computed along the axes, along the steepest descent at each damping, and along random directions.
+    """
+    limit = linear_limits(device.loop, damping)
+    if not device.ends:
+        return limit
+    ends = np.array([[linear_limits(end, damping) for end in both] for both in device.ends])
+    reach = np.sqrt(np.sum(np.square(np.abs(ends - limit).max(axis=1)), axis=0))
+    if (reach <= NARROW * limit).all():
+        return np.asarray(np.minimum(limit - reach, ends.min(axis=(0, 1))))
+    axes = device.axes
+    slope = 0.5 * (ends[: len(axes), 0] - ends[: len(axes), 1])
+    steepest = (slope / np.maximum(np.sqrt(np.sum(slope**2, axis=0)), 1e-300)).T
+    random = np.random.default_rng(0).standard_normal((DIRECTIONS, len(axes)))
+    random /= np.sqrt(np.sum(random**2, axis=1, keepdims=True))
+    others = [linear_limits(device.shifted(way @ axes), damping) for way in np.concatenate([steepest, random])]
+    return np.asarray(np.minimum(limit, np.minimum(ends.min(axis=(0, 1)), np.min(others, axis=0))))
+
+
+def limits_of(
+    device: IdentifiedLoop, damping: Floats, trial: StepTrial | None = None, softest: Floats | float = 0.0
+) -> tuple[Floats, Floats]:
+    """Return the limits at dampings B, and how far the numbers leave them open, 95 %; both (n,) [N/m, Nm/rad].
+
+    They are those of the linear loop; for a trial of a device that is not linear with it those of its step, as
+    `step_limits`, which leave open a share of what friction adds to them. A quantum alone moves no limit: what it keeps
+    up ends below it.
+    """
+    loop = device.loop
+    limit = linear_limits(loop, damping)
+    off = [np.abs([linear_limits(end, damping) - limit for end in both]).max(axis=0) for both in device.ends]
+    reach = np.sqrt(np.sum(np.square(off), axis=0)) if off else np.zeros(len(damping))
+    if trial is None or not (loop.friction or trial.jitter):
+        return limit, reach
+    limits, undecided = step_limits(loop, damping, trial, np.broadcast_to(softest, limit.shape))
+    reach = np.hypot(reach, undecided)
+    if loop.friction:
+        friction = device.interval("friction.coulomb")
+        reach = np.hypot(reach, (limits - limit) * (friction.high - friction.low) / (2 * friction.value))
+    return limits, reach
