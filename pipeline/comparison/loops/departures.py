@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.wording import commonest, counted, listed
 from pipeline.device.parts import VelocityFilter
-from pipeline.measured.experiment.fitted_device import FEWEST_LOGS, MOST
+from pipeline.measured.experiment.identified_loop import FEWEST_LOGS, MOST
 from pipeline.measured.law.velocity_filter import VelocityFilterFound
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats

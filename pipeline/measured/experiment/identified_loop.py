@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from pipeline.measured.model.identifiability import IdentifiableCombination
 from pipeline.measured.model.intervals import Interval
 from pipeline.measured.student import NORMAL_95
 from pipeline.records.batch import Floats
-from pipeline.records.findings import ROUNDING, Estimate, Parameter
+from pipeline.records.findings import ROUNDING, Estimate
 
 METHOD = "one device, the likeliest of all trials"
 
@@ -107,8 +107,8 @@ class IdentifiedLoop:
     --------
     >>> values = {"mass": 0.5, "damping": 3.0, "delay_samples": 4.0}
     >>> device = IdentifiedLoop(values, np.diag([1e-4, 0.01, 0.0025]), 0.001)
-    >>> device.loop.mass, round(device.interval("damping").high, 3), device.quantity("actuator_lag_s")
-    (0.5, 3.196, None)
+    >>> device.loop.mass, round(device.interval("damping").high, 3)
+    (0.5, 3.196)
     """
 
     values: Mapping[str, float]
@@ -203,11 +203,7 @@ class IdentifiedLoop:
         """Whether it has friction, or friction cannot be excluded."""
         return "friction.coulomb" in self.values
 
-    def quantity(self, name: str) -> Parameter | None:
-        """Return one of its numbers with its 95 % interval; None where it has none."""
-        return self.interval(name) if name in self.values else None
-
-    def interval(self, name: str) -> Parameter:
+    def interval(self, name: str) -> Interval:
         """Return one of the numbers that it has with its 95 % interval."""
         value = self.values[name]
         reach = NORMAL_95 * float(np.sqrt(self.covariance[(place := list(self.values).index(name)), place]))
@@ -217,11 +213,11 @@ class IdentifiedLoop:
         low, high = min(value, end) - reach, max(value, end) + reach
         if not PARAMETERS[name].may_seem_negative and value >= 0:
             low = max(low, 0.0)
-        return Parameter(value=value, low=low, high=high)
+        return Interval(value, low, high)
 
     def why_unknown(self, name: str) -> str:
         """Return why a number, or the bound of one that it does not have, means nothing, with the remedy; else ''."""
-        number = self.quantity(name)
+        number = self.interval(name) if name in self.values else None
         wide = self.bounds.get(name, 0.0) if number is None else 0.5 * (number.high - number.low)
         if PARAMETERS[name].dimension == "force":
             # the largest of what it is known by: a force that is known to no better is not known
@@ -234,14 +230,14 @@ class IdentifiedLoop:
 
     def estimate(self, name: str, unit: str) -> Estimate:
         """Return one of its numbers as an estimate; of one that it does not have at most a bound."""
-        number, count = self.quantity(name), len(self.trials)
+        number, count = self.interval(name) if name in self.values else None, len(self.trials)
         if why := self.why_unknown(name):
             return Estimate(value=None, unit=unit, method=METHOD, reason=why, trials=count)
         if number is None:
             high = self.bounds.get(name)
             low, reason = None if high is None else 0.0, "the logs are explained as well without it"
             return Estimate(value=None, low=low, high=high, unit=unit, method=METHOD, reason=reason, trials=count)
-        entries = number.model_dump()
+        entries: dict[str, Any] = {"value": number.value, "low": number.low, "high": number.high}
         if name in self.unidentifiable:
             entries |= {"value": None, "reason": NOT_IDENTIFIABLE.format(OPEN, self.remedy)}
         elif (hidden := number.value - self.bounds.get(name, number.value)) > 0:

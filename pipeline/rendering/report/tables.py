@@ -517,7 +517,7 @@ def _loops(result: ComparisonResult) -> Table | None:
         row |= {"why": e.loop.reason, "source": e.loop.source}
         for name in ("delay_samples", "mass", "damping"):
             found = getattr(e.loop, name)
-            row[name] = None if found is None else Estimate(**dict(found), unit="", method="")
+            row[name] = None if found is None else Estimate(**dict(found) | {"unit": ""})
         if e.replay is not None and e.replay.verdicts_same is not None:
             off = {"limits": e.replay.limits_off_percent, "settling times": e.replay.costs_off_percent}
             told = [f"{name} within {percent:.2g} %" for name, percent in off.items() if percent is not None]

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pipeline.measured.experiment.identified_loop import identified_loop
-from pipeline.plan.loop_limits import limits_of
 
 from pipeline.device.parts import Butterworth, Friction
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
+from pipeline.measured.experiment.identified_loop import identified_loop
 from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.plan.loop_limits import limits_of
 from pipeline.records.batch import TrialBatch
 from pipeline.records.models import Device
 from pipeline.simulation.course import Course, write_course
