@@ -37,7 +37,7 @@ from pipeline.comparison.truths import truths, with_truth
 from pipeline.device_data.published import published_files
 from pipeline.records import accuracy as measured_accuracy
 from pipeline.records.findings import Note
-from pipeline.records.models import ComparisonRow, Shown
+from pipeline.records.models import ComparisonRow, Device, Shown
 from pipeline.records.results import ComparisonResult, ExperimentResult, Truth
 from pipeline.rendering.figures.boundaries import answer_figure, boundary_figures
 from pipeline.rendering.figures.drawing import Figure, write_figures
@@ -59,7 +59,7 @@ class Outcome:
 
 
 def compare(
-    device: str,
+    device: str | Device,
     processed: Path,
     *,
     experiments: Sequence[str] | None = None,
@@ -79,8 +79,8 @@ def compare(
 
     Parameters
     ----------
-    device : str
-        Name as in the logs; it need not be known.
+    device : str or Device
+        Name as in the logs, which need not be known; or what a device file says of the device with that name.
     processed : Path
         Folder that `ingest` filled.
     experiments, criteria : sequence of str, optional
@@ -138,7 +138,7 @@ def compare(
         return Outcome(None, tuple(plan), None)
 
     say = progress or (lambda _: None)
-    lost = gone(processed, device)
+    lost = gone(processed, data.scene.device)
     found = _compute(data, early, predictions, say, executor)
     output = [*(["--scene", str(scene_file)] if scene_file else []), *(["--full"] if full else [])]
     logs = tuple(log_list(stages) for stages in data.experiments)

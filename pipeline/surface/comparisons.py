@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from pipeline.base.errors import UsageError
 from pipeline.base.paths import check_output
 from pipeline.comparison.compare import compare as compare_stored
+from pipeline.device_data.devices import read_device
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.frames import boundary_frame, estimates_frame, frames, optima_frame
 from pipeline.surface.logs import Place
@@ -133,7 +134,7 @@ def compare(
     Parameters
     ----------
     device : str
-        Name as in the logs; it need not be known.
+        Name as in the logs, which need not be known; or a device file (.toml) of the device with that name.
     processed : path
         Folder that `ingest` filled; results of stages are stored there and used again.
     experiments, criteria : sequence of str, optional
@@ -157,7 +158,8 @@ def compare(
     for name, words in (("experiments", experiments), ("criteria", criteria)):
         if isinstance(words, str):
             raise UsageError(f"{name} = {words!r}: expected a list of names, such as [{words!r}].")
-    ask = partial(compare_stored, device, folder_of(processed), experiments=experiments, criteria=criteria, full=full)
+    known = read_device(Path(device)) if device.endswith(".toml") else device
+    ask = partial(compare_stored, known, folder_of(processed), experiments=experiments, criteria=criteria, full=full)
     result = ask().result
     assert result is not None, "only a dry run has none"
     return Comparison(result, lambda path: ask(report=path).result)

@@ -58,13 +58,13 @@ class SceneData:
 
 
 def open_scene(
-    device: str,
+    device: str | Device,
     processed: Path,
     experiments: Sequence[str] | None,
     criteria: Sequence[str] | None,
     shown: Shown | None = None,
 ) -> SceneData:
-    """Collect what is stored for a comparison.
+    """Collect what is stored for a comparison, of a device by its name, or as a file describes it.
 
     Raises
     ------
@@ -76,6 +76,8 @@ def open_scene(
     StoreError
         If translation and rotation are mixed: one report has one set of units.
     """
+    known = device if isinstance(device, Device) else known_devices().get(device)
+    device = device.name if isinstance(device, Device) else device
     chosen = tuple(dict.fromkeys(criteria or REPORTED))
     unknown = [c for c in chosen if c not in MEASURED]
     if unknown:
@@ -93,7 +95,6 @@ def open_scene(
     if missing:
         raise DeviceError(f"device {device!r} has no logs of experiment {missing[0]!r}; found {', '.join(stored)}.")
     chosen_names = tuple(e for e in stored if not experiments or e in experiments)
-    known = known_devices().get(device)
     every = [ExperimentStages.stored(processed, device, e, declared_spring(known, e)) for e in chosen_names]
     data = tuple(d for d in every if d.trials.num_rows)
     left_out = [d.experiment for d in every if not d.trials.num_rows and (experiments or not data)]

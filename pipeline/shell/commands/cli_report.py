@@ -22,6 +22,7 @@ from pipeline.shell.commands.options import (
     ProfileFile,
     Reports,
     Store,
+    device_of,
     reports_folder,
 )
 from pipeline.shell.console import argument, option
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
 
 def compare(
-    device: Annotated[str | None, option("--device", "Device to compare (default: the scene's).")] = None,
+    device: Annotated[str | None, option("--device", "Device: name or file (.toml) (default: the scene's).")] = None,
     experiment: Experiments = None,
     criteria: Criteria = None,
     processed: Store = "processed",
@@ -66,7 +67,8 @@ def compare(
             "them out."
         )
     asked = None if scene is None else read_scene(scene)
-    name = device or (asked.device if asked else None)
+    of_file = device_of(device) if device is not None and device.endswith(".toml") else None
+    name = of_file.name if of_file else device or (asked.device if asked else None)
     if name is None:
         raise typer.BadParameter("no device is given. Name it here, or in a scene file.", param_hint="--device")
     if save_scene is not None:
@@ -80,7 +82,12 @@ def compare(
         return
     target = report or (Path(asked.report) if asked and asked.report else report_of(reports_folder(), name))
     how: dict[str, Any] = {"experiments": names, "criteria": wanted, "dry_run": dry_run, "full": full}
-    how |= {"shown": asked.shown if asked else None, "scene_file": scene, "executor": executor_of(executor)}
+    how |= {
+        "device": of_file or name,
+        "shown": asked.shown if asked else None,
+        "scene_file": scene,
+        "executor": executor_of(executor),
+    }
     _write_report(name, processed, target, how, earlier, export)
 
 
@@ -100,7 +107,9 @@ def _write_report(
     document = None if earlier is None else read_document(earlier, device)
     figures = export and export / "figures"
     with opened(processed, device) as folder:
-        outcome = compare_device(device, folder, report=target, progress=console.step, figures=figures, **how)
+        outcome = compare_device(
+            how.pop("device"), folder, report=target, progress=console.step, figures=figures, **how
+        )
     if outcome.result is not None:
         # other folders may be anybody's: there an index is kept current, but not begun
         write_index(target.parent, only_renew=target.parent != reports_folder())
