@@ -118,6 +118,7 @@ class Loop:
     force_limit: float | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "jitter_samples", tuple(self.jitter_samples))
         if self.motion not in MOTIONS:
             raise ParameterError(f"motion = {self.motion!r}: expected {' or '.join(MOTIONS)}.")
         for name, kind in PARTS.items():

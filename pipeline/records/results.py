@@ -5,6 +5,7 @@ Last, what two experiments, devices or code versions differ in: second minus fir
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any, Literal
 
 from pydantic import Field, model_serializer, model_validator
@@ -25,15 +26,11 @@ from pipeline.records.findings import (
 )
 from pipeline.records.models import ComparisonRow, Motion
 
-LOOP_NUMBERS = ("mass", "damping", "stiffness", "sampling_period_s", "delay_samples")
-"""Numbers of a loop that do not stand in the `LoopTable`."""
-
-
 class SourcedLoop(Record):
     """A loop and where its numbers come from.
 
-    As JSON it is flat: ``mass``, ``damping``, ``stiffness``, ``sampling_period_s`` and ``delay_samples`` of the device
-    alone, ``source``, and in ``loop`` its parts, with the keys of a device file.
+    As JSON it is flat: ``mass``, ``damping`` and all other numbers of the device alone, ``source``, and in ``loop`` its
+    parts, with the keys of a device file.
     """
 
     loop: Loop
@@ -51,8 +48,10 @@ class SourcedLoop(Record):
     @model_serializer
     def _flat(self) -> dict[str, Any]:
         loop = self.loop
-        numbers = {name: getattr(loop, name) for name in LOOP_NUMBERS}
+        numbers = {each.name: getattr(loop, each.name) for each in fields(loop)}
         parts = LoopTable(**{name: getattr(loop, name) for name in LoopTable.model_fields})
+        numbers = {name: value for name, value in numbers.items() if name not in LoopTable.model_fields}
+        numbers |= {"sensor": loop.sensor.model_dump(), "jitter_samples": list(loop.jitter_samples)}
         return {**numbers, "source": self.source, "loop": parts.model_dump(mode="json")}
 
 

@@ -11,6 +11,7 @@ from sensor_trials import DELAY, FEWEST, FREE, SENSORS, measured, trials, truth
 from simulated import simulate
 from typer.testing import CliRunner
 
+from pipeline.device.loop import Loop
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.measured.cost.costs import BY_FAMILY
 from pipeline.measured.cost.reading_error import reading_error
@@ -137,7 +138,7 @@ def ideal():
 def test_ideal_logs_have_that_of_the_sampled_theory():
     found, _ = ideal()
     (K, B), units = trials(), LoopUnits(FREE["mass"], 1e-3)
-    loop = units.loop(0.0, FREE["b"], DELAY)
+    loop = NormalisedLoop.of(Loop(FREE["mass"], FREE["b"], 1e-3, DELAY))
     theory = point_costs_by_name(loop, K / units.stiffness, B / units.damping, NAMES, 3000)
     np.testing.assert_allclose(found["rise_time"], theory["rise_time_discrete"], atol=1e-7)
     # the straight line makes little of a difference

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.comparison.loops.causes import _held
+from pipeline.comparison.loops.causes import _rest_off_target
 from pipeline.records.findings import Estimate
 
 
@@ -18,8 +18,8 @@ from pipeline.records.findings import Estimate
     ],
 )
 def test_friction_of_more_than_a_settling_band_is_told_with_what_it_does(coulomb, step, told):
-    assert _held(coulomb, step).startswith(told)
-    assert bool(_held(coulomb, step)) == bool(told)
+    assert _rest_off_target(coulomb, step).startswith(told)
+    assert bool(_rest_off_target(coulomb, step)) == bool(told)
 
 
 def test_an_adequate_loops_delay_is_the_fitted_one(falcon_outcome):

@@ -3,7 +3,7 @@
 import mpmath as mp
 import numpy as np
 import pytest
-from general_devices import Example, ManyDigits
+from general_devices import ManyDigits
 
 from pipeline.comparison.compare import compare
 from pipeline.device.loop import Loop
@@ -92,7 +92,7 @@ def told(tmp_path, monkeypatch):
 
 
 def truth_of(device):
-    return ManyDigits(Example(device.loop_for(device.experiments[0])))
+    return ManyDigits(device.loop_for(device.experiments[0]))
 
 
 def holds(device, found):

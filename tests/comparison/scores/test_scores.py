@@ -46,7 +46,7 @@ def test_theory_against_itself_is_perfect(ideal):
     """The boundary is replaced by the theoretical one, the verdicts by those of theory."""
     result, stages, theory = ideal
     B = np.array([p.damping for p in result.boundary])
-    K = np.maximum(stiffness_limit(theory.loop, B / theory.units.damping), 0) * theory.units.stiffness
+    K = np.maximum(stiffness_limit(theory.normalised, B / theory.units.damping), 0) * theory.units.stiffness
     points = tuple(
         BoundaryPoint(damping=b, stable=k or None, unstable=k + 1, censored=False, estimate=k, low=k, high=k)
         for b, k in zip(B.tolist(), K.tolist(), strict=True)

@@ -119,7 +119,8 @@ def test_words_say_what_the_tested_walls_leave_open(result):
 def test_parameters_of_a_file_outside_what_the_logs_tell_are_a_cause(data, result):
     experiment = result.experiments[0]
     distance = experiment.scores[0].distance.model_copy(update={"median": 0.1})
-    heavy = experiment.scores[0].parameters.model_copy(update={"mass": 0.9})
+    heavy = experiment.scores[0].parameters
+    heavy = heavy.model_copy(update={"loop": heavy.loop.replace({"mass": 0.9})})
     found = told(data, result, scores=scored(result, distance=distance, parameters=heavy)).causes
     assert [cause.code for cause in found] == ["parameter_range"]
     assert found[0].evidence.startswith("m = 0.900 kg, logs 0.5")
