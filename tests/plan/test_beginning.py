@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import DeviceError, UsageError
-from pipeline.device.parts import LoopParts
+from pipeline.device.parts import LoopTable
 from pipeline.device_data.devices import load_device
-from pipeline.loop.normalised_loop import LoopUnits, loop_of, wall_units
+from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.plan.course import Wish, foretold, open_course, wanted_dampings
 from pipeline.plan.planner import plan, plan_of
 from pipeline.shell.commands.cli_device import plan_lines
@@ -26,7 +26,7 @@ def begun(tmp_path):
         found = open_course("falcon", tmp_path / "none", "1", Wish())
         if not parts:
             return found
-        return replace(found, device=found.device.model_copy(update={"loop": LoopParts(**parts)}))
+        return replace(found, device=found.device.model_copy(update={"loop": LoopTable(**parts)}))
 
     return course
 
@@ -36,11 +36,10 @@ def test_the_start_is_the_limit_of_the_declared_loop(begun, parts):
     course = begun(**parts)
     dampings = wanted_dampings(course, Wish())
     start = foretold(course, dampings)
-    of, T = load_device("falcon").experiments[0], 1e-3
-    declared = LoopParts(**parts)
-    loop = loop_of(of.mass, of.damping, of.stiffness, of.delay_samples, T, declared)
-    units = wall_units(of.mass, T, declared)
-    expected = np.nan_to_num(limits(loop, np.array(dampings) / units.damping).alpha) * units.stiffness
+    loop = course.device.loop_for(course.of_file)
+    units = LoopUnits.of(loop)
+    found = limits(NormalisedLoop.of(loop), np.array(dampings) / units.damping)
+    expected = np.nan_to_num(found.alpha) * units.stiffness
     assert start.limit == pytest.approx(expected, rel=1e-9)
     assert start.error.max() == pytest.approx(0.1 * expected.max(), rel=1e-6)
 
@@ -75,8 +74,8 @@ def test_the_first_wall_of_an_optimum_is_the_best_by_the_file(begun):
     answer = plan_of(begun(), Wish(goal="optimum"))
     assert not answer.done
     assert answer.optimum is None
-    of = load_device("falcon").experiments[0]
-    units = LoopUnits(of.mass, 1e-3)
-    best = optimal_point(units.loop(of.stiffness, of.damping, of.delay_samples), "settle_2pct")
+    falcon = load_device("falcon")
+    loop = falcon.loop_for(falcon.experiments[0])
+    units, best = LoopUnits.of(loop), optimal_point(NormalisedLoop.of(loop), "settle_2pct")
     assert answer.next[0].stiffness == pytest.approx(best.alpha * units.stiffness, rel=0.05)
     assert answer.next[0].damping == pytest.approx(best.beta * units.damping, rel=0.05)

@@ -7,15 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.device.loop import Loop
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.plan.cost_search import Target, costs_of, look_for
-from pipeline.plan.found_device import LoopPoint
+from pipeline.plan.loop_limits import linear_limits
 from pipeline.plan.next_wall import Tried
 from pipeline.theory.optimum import optimal_point
 
-BY = LoopPoint(0.5, 3.5, 4.0, 0.0, 1e-3)
+BY = Loop(mass=0.5, damping=3.5, sampling_period_s=1e-3, delay_samples=4.0)
 DAMPINGS = np.linspace(0, 120, 12)
-LIMITS = BY.limit(DAMPINGS)
-LEAST = optimal_point(BY.loop, "settle_2pct").cost
+LIMITS = linear_limits(BY, DAMPINGS)
+LEAST = optimal_point(NormalisedLoop.of(BY), "settle_2pct").cost
 
 
 def search(measured, by, holds=True, most=40):

@@ -16,9 +16,9 @@ from scipy.linalg import expm
 from pipeline.base.errors import DeviceError, PipelineError
 from pipeline.device_data.devices import read_device
 from pipeline.intake.ingest import ingest
-from pipeline.measured.experiment.fitted_device import FittedDevice
+from pipeline.measured.experiment.identified_loop import IdentifiedLoop
 from pipeline.plan.course import Course, Wish, open_course
-from pipeline.plan.found_device import FoundDevice
+from pipeline.plan.loop_limits import linear_limits, lowest_limits
 from pipeline.plan.next_wall import Aim, Bracket, Forecast, Tried, bracket, state, stiffest_stable
 from pipeline.plan.planner import plan, plan_of, rounded_down
 from pipeline.records.native import NativeHeader, format_header
@@ -412,23 +412,25 @@ def test_a_wall_with_jitter_in_the_file_is_that_of_the_mean_delay(tmp_path):
 
 
 def test_the_lowest_limit_is_that_of_all_devices_in_the_range():
-    values = {"mass": 0.5, "damping": 3.0, "delay_samples": 2.4, "coulomb": 0.3}
+    values = {"mass": 0.5, "damping": 3.0, "delay_samples": 2.4, "friction.coulomb": 0.3}
     B, random = np.array([0.0, 15.0, 60.0]), np.random.default_rng(3)
     for size, closest in ((0.02, 0.02), (0.25, 0.15)):
         spread = size * np.array([0.5, 3.0, 2.4, 0.3])
         likeness = np.full((4, 4), 0.6) + 0.4 * np.eye(4)
-        found = FoundDevice(FittedDevice(("friction",), values, likeness * np.outer(spread, spread)), T)
+        found = IdentifiedLoop(values, likeness * np.outer(spread, spread), T, parts=("friction",))
         root = np.linalg.cholesky(likeness * np.outer(spread, spread))
         away = random.standard_normal((400, 4))
         away *= 1.96 / np.linalg.norm(away, axis=1, keepdims=True)
         numbers = np.array([*values.values()]) + away @ root.T
-        limits = np.array([found.at(dict(zip(values, each, strict=True))).limit(B) for each in numbers.tolist()])
-        lowest = found.lowest(B)
-        assert (lowest <= limits.min(axis=0) + closest * found.point.limit(B)).all()
-        assert (lowest >= limits.min(axis=0) - closest * found.point.limit(B)).all()
+        limits = np.array(
+            [linear_limits(found.at(dict(zip(values, each, strict=True))), B) for each in numbers.tolist()]
+        )
+        lowest, limit = lowest_limits(found, B), linear_limits(found.loop, B)
+        assert (lowest <= limits.min(axis=0) + closest * limit).all()
+        assert (lowest >= limits.min(axis=0) - closest * limit).all()
     # the range of an exact device is itself
-    exact = FoundDevice(FittedDevice((), values, np.zeros((4, 4))), T)
-    assert exact.lowest(B) == pytest.approx(exact.point.limit(B))
+    exact = IdentifiedLoop(values, np.zeros((4, 4)), T)
+    assert lowest_limits(exact, B) == pytest.approx(linear_limits(exact.loop, B))
 
 
 def test_a_wall_is_not_above_the_lowest_limit_before_one_near_it_was_stable():

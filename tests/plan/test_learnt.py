@@ -9,9 +9,10 @@ import pytest
 from kinds import kinds
 
 from pipeline.device_data.devices import load_device
+from pipeline.measured.experiment.identified_loop import nominal_loop
 from pipeline.measured.model.parts import chosen
 from pipeline.plan.course import Wish, foretold, learn, open_course
-from pipeline.plan.found_device import FoundDevice, stated_device
+from pipeline.plan.loop_limits import limits_of, linear_limits
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
 
@@ -25,7 +26,7 @@ def logs(kind, count=3):
 
 
 def truth(device):
-    return stated_device(device, device.experiments[0]).point.limit(DAMPINGS)
+    return linear_limits(device.loop_for(device.experiments[0]), DAMPINGS)
 
 
 @pytest.mark.parametrize(
@@ -34,8 +35,8 @@ def truth(device):
 def test_limits_of_devices_that_three_logs_show(kind):
     device, batch = logs(kind)
     found = learn(batch, 3, None, chosen)
-    assert found.device.point.limit(DAMPINGS) == pytest.approx(truth(device), rel=0.01)
-    assert (found.device.limits(DAMPINGS)[1] < 0.02 * truth(device).max()).all()
+    assert linear_limits(found.device.loop, DAMPINGS) == pytest.approx(truth(device), rel=0.01)
+    assert (limits_of(found.device, DAMPINGS)[1] < 0.02 * truth(device).max()).all()
     assert found.looked == 3
 
 
@@ -46,7 +47,7 @@ def test_no_search_for_parts_is_waited_for_and_one_is_asked_for_when_there_are_t
     known = learn(batch, 3, None, chosen)
     for count in (4, 8, 9):
         found = learn(batch, count, known, lambda recordings: asked.append(len(recordings)))
-        assert found.device.point.limit(DAMPINGS) == pytest.approx(truth(device), rel=0.01)
+        assert linear_limits(found.device.loop, DAMPINGS) == pytest.approx(truth(device), rel=0.01)
     assert asked == [3, 3], "at the first log and at the ninth"
 
 
@@ -59,12 +60,11 @@ def test_logs_without_motion_teach_nothing():
 def test_friction_raises_the_limit_for_the_step_and_widens_what_is_foretold(tmp_path):
     case = kinds(load_device("falcon"))["friction strong"](2)
     course = open_course("falcon", tmp_path / "none", "1", Wish())
-    device = stated_device(case.device, case.device.experiments[0])
+    device = nominal_loop(case.device.loop_for(case.device.experiments[0]))
     sure = replace(course, found=device)
-    names = list(device.fitted.values)
-    covariance = np.diag([(0.2 * device.point.coulomb * (name == "coulomb")) ** 2 for name in names])
-    loose = replace(course, found=FoundDevice(replace(device.fitted, covariance=covariance), 1e-3))
-    linear = device.point.limit(DAMPINGS)
+    errors = [0.2 * value * (name == "friction.coulomb") for name, value in device.values.items()]
+    loose = replace(course, found=replace(device, covariance=np.diag(errors) ** 2))
+    linear = linear_limits(device.loop, DAMPINGS)
     plain, wide = foretold(sure, DAMPINGS.tolist()), foretold(loose, DAMPINGS.tolist())
     assert (plain.limit > 1.05 * linear).all()
     assert wide.limit == pytest.approx(plain.limit)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 from math import ceil, floor, inf
 from pathlib import Path
 
@@ -12,13 +13,13 @@ import pytest
 
 from pipeline.device_data.devices import load_device
 from pipeline.plan.course import Wish, open_course
-from pipeline.plan.found_device import stated_device
+from pipeline.plan.loop_limits import linear_limits
 from pipeline.plan.next_wall import Tried
 from pipeline.plan.planner import plan_of
 from pipeline.plan.requests import Answer, Requests, range_of, store_requests, stored_requests
 
 FALCON = load_device("falcon")
-LIMIT = stated_device(FALCON, FALCON.experiments[0]).point.limit
+LIMIT = partial(linear_limits, FALCON.loop_for(FALCON.experiments[0]))
 MOST, SHARE = 120, 0.9
 NAMED = (60.0, 143.0)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 from math import floor
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from labs import make_lab
 
 from pipeline.device_data.devices import load_device
 from pipeline.plan.course import Wish, open_course
-from pipeline.plan.found_device import stated_device
+from pipeline.plan.loop_limits import linear_limits
 from pipeline.plan.next_wall import Tried
 from pipeline.plan.planner import Limit, Plan, plan, plan_of
 from pipeline.shell.commands.cli_device import plan_lines
@@ -25,7 +26,7 @@ DAMPINGS = (60.0, 140.0)
 
 def limit_of(experiment="1"):
     of = next(each for each in FALCON.experiments if each.name == experiment)
-    return stated_device(FALCON, of).point.limit
+    return partial(linear_limits, FALCON.loop_for(of))
 
 
 def measured(tmp_path, sets, wish):

@@ -51,11 +51,11 @@ def intervals(seed: int) -> list[Row]:
         found = identified(logs)
     except ParameterError:
         return []
-    truth = {"mass": rig.mass, "damping": rig.damping, "delay": rig.delay * rig.period, "friction": rig.friction}
+    truth = {"mass": rig.mass, "damping": rig.damping, "delay_samples": rig.delay, "friction.coulomb": rig.friction}
     return [
         (seed, name, value, each.low, each.high)
         for name, value in truth.items()
-        if name not in found.untold and (each := found.parameters.get(name)) is not None
+        if name not in found.unidentifiable and (each := found.parameters.get(name)) is not None
     ]
 
 

@@ -152,7 +152,7 @@ def _delay(name: str, trials: Trials, lengths: tuple[int, ...]) -> Table:
         {name: trials.delay},
         (
             Row("first change (6.2, 6.3)", by_first_change),
-            Row(MODEL, lambda of: {name: by_model(of)["delay"]}, *words, given=trials.shortened),
+            Row(MODEL, lambda of: {name: by_model(of)["delay_samples"]}, *words, given=trials.shortened),
         ),
         *(median, {name: 1.0}, len(trials.delay)),
     )

@@ -11,7 +11,7 @@ from labs import make_lab
 
 import pipeline
 from pipeline.comparison.scene.scene import open_scene
-from pipeline.device.parts import LoopParts
+from pipeline.device.parts import LoopTable
 from pipeline.device_data.devices import load_device
 from pipeline.measured.experiment.rest_forces import _spring as spring_by_rests
 from pipeline.measured.experiment.rest_forces import rest_forces, rest_spring
@@ -121,7 +121,7 @@ operator = { mass = 0.1, damping = 1.0, stiffness = 50.0 }
 
 
 def test_friction_is_no_spring(tmp_path):
-    rest = rest_forces(stages(tmp_path, 6, loop=LoopParts.model_validate({"friction": {"coulomb": 0.3}})))
+    rest = rest_forces(stages(tmp_path, 6, loop=LoopTable.model_validate({"friction": {"coulomb": 0.3}})))
     assert rest.tells
     assert rest.spring == 0.0
 

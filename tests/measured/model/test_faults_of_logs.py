@@ -9,8 +9,8 @@ from any_experiment import Rig, Trial, recorded
 from pipeline.base.errors import ParameterError
 from pipeline.measured.model import likelihood
 from pipeline.measured.model.identified import identified
-from pipeline.measured.model.motion import Physics
-from pipeline.measured.model.recordings import Recording, Scales, stretches
+from pipeline.measured.model.motion import PlantShape
+from pipeline.measured.model.recordings import LogUnits, Recording, stretches
 from pipeline.measured.model.whitening import Filter, Noise, Passage
 
 
@@ -35,7 +35,7 @@ def motor(command, *, inertia, damping, friction=0.0, delay=0.0, period=2e-3, re
 
 
 def values(found):
-    return {name: each.value for name, each in found.parameters.items() if name not in found.untold}
+    return {name: each.value for name, each in found.parameters.items() if name not in found.unidentifiable}
 
 
 @pytest.mark.parametrize("rows", [350, 2000])
@@ -47,7 +47,7 @@ def test_a_long_plateau_says_no_less_than_its_begin(rows, friction, direction):
     found = identified(logs)
     assert values(found)["mass"] == pytest.approx(0.0033, rel=0.01)
     assert values(found)["damping"] == pytest.approx(0.257, rel=1e-3)
-    assert values(found)["delay"] == pytest.approx(3e-3, rel=0.03)
+    assert values(found)["delay_samples"] == pytest.approx(1.5, rel=0.03)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -85,9 +85,9 @@ def test_presliding_gives_reasons_and_no_numbers(stiffness, resolution):
         position = np.round((command / stiffness) * (1 - 0.1 * np.abs(command) / 6) / resolution) * resolution
         logs.append(Recording(f"{size:g}", 0.015 * np.arange(500), command, position, 0.015))
     found = identified(logs)
-    assert {"mass", "damping"} <= found.untold
+    assert {"mass", "damping"} <= found.unidentifiable
     assert "hardly moves" in found.reasons["mass"]
-    assert set(found.reasons) == found.untold
+    assert set(found.reasons) == found.unidentifiable
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -99,7 +99,7 @@ def test_rows_farther_apart_than_the_time_constant_give_the_speed_per_command(se
     rows = np.cumsum(rng.integers(45, 60, 1100))
     position = np.round(log.position[rows], 4)
     found = identified([Recording("a", log.time[rows], fine[rows], position, 5.2e-3)])
-    assert "mass" in found.untold
+    assert "mass" in found.unidentifiable
     assert "farther apart" in found.reasons["mass"]
     interval = found.parameters["damping"]
     assert interval.low <= damping <= interval.high
@@ -139,9 +139,9 @@ def test_one_log_with_friction_has_its_delay_or_none(friction, delay, step, seed
     rig = Rig(friction=friction, delay=delay)
     log = Recording("a", *recorded(rig, Trial(1500.0, 15.0, step), seed), rig.period)
     found = identified([log])
-    truth = {"mass": 0.5, "delay": delay * rig.period, "friction": friction}
+    truth = {"mass": 0.5, "delay_samples": delay, "friction.coulomb": friction}
     identifiable = {name: found.parameters[name] for name in truth if name in found.parameters}
-    for name in found.untold:
+    for name in found.unidentifiable:
         identifiable.pop(name, None)
     assert all(each.low <= truth[name] <= each.high for name, each in identifiable.items())
 
@@ -153,10 +153,10 @@ def test_a_direction_that_never_changes_bounds_no_friction():
         for K in (20.0, 40.0, 60.0, 80.0, 120.0)
     ]
     found = identified(logs)
-    assert found.bounds.get("friction", 0.0) <= 1.0
-    for name in ("friction", "constant_force"):
+    assert found.choice.bounds.get("friction.coulomb", 0.0) <= 1.0
+    for name in ("friction.coulomb", "constant_force"):
         each = found.parameters.get(name)
-        assert each is None or name in found.untold or each.high - each.low <= 2.0
+        assert each is None or name in found.unidentifiable or each.high - each.low <= 2.0
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -164,15 +164,15 @@ def test_a_filter_forgets_its_start_or_is_none(seed):
     """Of devices that run away, with slow modes and any random force; one that doubles do not reach is NaN."""
     rng = np.random.default_rng(seed)
     log = Recording("a", np.arange(60.0), np.ones(60), np.arange(60.0) ** 2, 1.0)
-    held = stretches([log], Scales.of([log]), 6, False)
+    held = stretches([log], LogUnits.of([log]), 6, False)
     computed = 0
     for _ in range(150):
-        shape = Physics(
+        shape = PlantShape(
             delta=rng.uniform(-0.5, 2),
             gamma=rng.choice([-1, 1]) * 10 ** rng.uniform(-6, 0.3),
-            turn=10 ** rng.uniform(-2.7, 0.4),
-            ratio=rng.uniform(0, 0.5),
-            share=rng.uniform(0.01, 0.9),
+            mode_frequency=10 ** rng.uniform(-2.7, 0.4),
+            mode_damping_ratio=rng.uniform(0, 0.5),
+            load_mass_fraction=rng.uniform(0.01, 0.9),
         )
         passage = Passage(held, shape)
         gain = Filter.of(passage, Noise(10 ** rng.uniform(-12, 6))).gain[0, 0]
@@ -185,7 +185,7 @@ def test_a_filter_forgets_its_start_or_is_none(seed):
 
 def test_a_device_far_beyond_computing_is_left_as_it_is():
     log = Recording("a", np.arange(60.0), np.ones(60), np.arange(60.0) ** 2, 1.0)
-    held = stretches([log], Scales.of([log]), 6, False)
+    held = stretches([log], LogUnits.of([log]), 6, False)
     far = likelihood.Device({"gain": 1.0, "delta": -1e4, "gamma": -1e4}, Noise(0.306))
     assert likelihood.climbed(held, far, 1, 2).numbers == far.numbers
 

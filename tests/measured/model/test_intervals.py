@@ -75,7 +75,7 @@ def test_what_is_not_negative_ends_at_zero(value):
     errors = Errors(
         {"b": value}, np.array([[0.04]]), np.zeros((5, 1)), np.inf, np.zeros(1), np.zeros((8, 1)), np.zeros((1, 1))
     )
-    found, reach = errors.interval(lambda n: n["b"], bounded=True), 0.2 * norm.ppf(0.975)
+    found, reach = errors.interval(lambda n: n["b"], ends_at_zero=True), 0.2 * norm.ppf(0.975)
     assert (found.value, found.low) == (max(value, 0.0), 0.0)
     # the likelihood falls by as much from its largest value that is allowed as to an end of the plain interval
     fall = ((found.high - value) ** 2 - (found.value - value) ** 2) / reach**2
@@ -86,4 +86,4 @@ def test_what_is_far_from_its_bound_is_as_without():
     errors = Errors(
         {"b": 0.5}, np.array([[0.04]]), np.zeros((5, 1)), np.inf, np.zeros(1), np.zeros((8, 1)), np.zeros((1, 1))
     )
-    assert errors.interval(lambda n: n["b"], bounded=True) == errors.interval(lambda n: n["b"])
+    assert errors.interval(lambda n: n["b"], ends_at_zero=True) == errors.interval(lambda n: n["b"])

@@ -17,15 +17,15 @@ from pipeline.loop.motion import FrictionalMotion
 from pipeline.loop.state_space import Plant
 from pipeline.measured.model.identified import identified
 from pipeline.measured.model.likelihood import Device, moments_of
-from pipeline.measured.model.motion import Physics, pieces
+from pipeline.measured.model.motion import PlantShape, pieces
 from pipeline.measured.model.parts import _promise, _takes_away
-from pipeline.measured.model.recordings import Recording, Scales, motion_of, stretches
+from pipeline.measured.model.recordings import LogUnits, Recording, motion_of, stretches
 from pipeline.measured.model.scatter import Moments, solve
 from pipeline.measured.model.whitening import Column, Filter, Noise, Passage, passed, slopes
 from pipeline.simulation.simulate import age_in_force
 
 T = 1e-3
-TURNING = {"mass": 1.1e-4, "damping": 7e-5, "friction": 0.034, "delay": 2.3e-3}
+TURNING = {"mass": 1.1e-4, "damping": 7e-5, "friction.coulomb": 0.034, "delay_samples": 2.3}
 
 
 def moved(
@@ -82,8 +82,8 @@ def test_a_late_command_moves_a_device_as_an_integration_does(irregular, lag):
     time = np.cumsum(np.where(irregular, rng.uniform(0.6, 1.4, 40), 1.0))
     command = rng.standard_normal(40)
     log = Recording("a", time, command, command, 1.0)
-    held = stretches([log], Scales(1.0, 1.0, 1.0, 0.0), 5, False)
-    shape = Physics(delta=0.03, gamma=0.02, delay=2.4, lag=lag)
+    held = stretches([log], LogUnits(1.0, 1.0, 1.0, 0.0), 5, False)
+    shape = PlantShape(delta=0.03, gamma=0.02, delay=2.4, lag=lag)
     passage = Passage(held, shape)
     found = -passed(passage, Filter.of(passage, Noise()), [Column(command=held.driven)])[0][:, 0]
     first = 5 if held.rows[0] < 40 else 0
@@ -114,20 +114,28 @@ def test_a_late_command_moves_a_device_as_an_integration_does(irregular, lag):
 @pytest.mark.parametrize(
     "shape",
     [
-        Physics(delta=0.03, gamma=0.02, delay=2.4, lag=1.3),
-        Physics(delta=0.03, gamma=0.01, delay=2.3, turn=0.4, ratio=0.05, share=0.3, drag=0.01),
-        Physics(delta=0.03, delay=2.3, turn=0.4, ratio=0.05, within=0.6),
+        PlantShape(delta=0.03, gamma=0.02, delay=2.4, lag=1.3),
+        PlantShape(
+            delta=0.03,
+            gamma=0.01,
+            delay=2.3,
+            mode_frequency=0.4,
+            mode_damping_ratio=0.05,
+            load_mass_fraction=0.3,
+            load_damping=0.01,
+        ),
+        PlantShape(delta=0.03, delay=2.3, mode_frequency=0.4, mode_damping_ratio=0.05, spring_damping_fraction=0.6),
     ],
 )
 def test_slopes_are_those_of_differences(irregular, noise, shape):
     rng, rows = np.random.default_rng(1), 60
     time = np.cumsum(np.where(irregular, rng.uniform(0.6, 1.4, rows), 1.0))
     command, position = np.cumsum(rng.standard_normal((2, rows)), axis=1)
-    held = stretches([Recording("a", time, command, 0.1 * position, 1.0)], Scales(1.0, 1.0, 1.0, 0.0), 6, False)
+    held = stretches([Recording("a", time, command, 0.1 * position, 1.0)], LogUnits(1.0, 1.0, 1.0, 0.0), 6, False)
     passage = Passage(held, shape, noise.jitter)
     found, start = Filter.of(passage, noise), 0.1 * rng.standard_normal((1, passage.states))
     column = Column(held.position, held.driven, np.ones(1), start)
-    for each in (each.name for each in fields(Physics) if getattr(shape, each.name)):
+    for each in (each.name for each in fields(PlantShape) if getattr(shape, each.name)):
         (slope,) = slopes(passage, found, column, [Passage(held, shape.along(each), noise.jitter)])
         ends = (replace(shape, **{each: getattr(shape, each) + by}) for by in (1e-5, -1e-5))
         high, low = (passed(Passage(held, end, noise.jitter), found, [column])[0] for end in ends)
@@ -135,15 +143,18 @@ def test_slopes_are_those_of_differences(irregular, noise, shape):
 
 
 def test_slopes_along_a_slow_mode_are_not_those_of_rounding():
-    rows, shape = 1000, Physics(delta=8e-4, delay=1.5, turn=0.157, ratio=0.024, within=0.5)
+    rows, shape = (
+        1000,
+        PlantShape(delta=8e-4, delay=1.5, mode_frequency=0.157, mode_damping_ratio=0.024, spring_damping_fraction=0.5),
+    )
     command = np.repeat(np.random.default_rng(1).standard_normal(rows // 50), 50)
     log = Recording("a", np.arange(float(rows)), command, np.cumsum(command), 1.0)
-    held = stretches([log], Scales(1.0, 1.0, 1.0, 0.0), 5, False)
+    held = stretches([log], LogUnits(1.0, 1.0, 1.0, 0.0), 5, False)
     passage, column = Passage(held, shape), Column(held.position, held.driven)
     # the same filter, row by row in state space, whose rounding does not grow
     white = Filter.of(passage, Noise())
     rowwise = replace(white, gain=np.zeros((rows - 5, 1, 4)), spread=np.ones((rows - 5, 1)))
-    for each in ("turn", "ratio", "within", "delta"):
+    for each in ("mode_frequency", "mode_damping_ratio", "spring_damping_fraction", "delta"):
         fast, slow = (slopes(passage, way, column, [Passage(held, shape.along(each))])[0] for way in (white, rowwise))
         np.testing.assert_allclose(fast, slow, atol=1e-8 * np.abs(slow).max(), err_msg=each)
 
@@ -154,7 +165,7 @@ def test_where_a_log_begins_weighs_nothing():
     logs = behind_walls(rng, {"mass": 0.6, "damping": 4.0}, {}, 8, quantum=5e-6)
     near, places = identified(logs), rng.uniform(-20, 20, 8)
     far = identified([replace(log, position=log.position + place) for log, place in zip(logs, places, strict=True)])
-    for name in ("mass", "damping", "delay"):
+    for name in ("mass", "damping", "delay_samples"):
         assert far.parameters[name].value == pytest.approx(near.parameters[name].value, rel=1e-3)
     assert far.choice.fit.solved.weight == pytest.approx(near.choice.fit.solved.weight, rel=0.05)
 
@@ -167,8 +178,8 @@ def test_a_lag_of_nothing_is_as_likely_as_none():
         replace(log, **{n: getattr(log, n)[k] for n in ("time", "command", "position")})
         for log, k in zip(logs, kept, strict=True)
     ]
-    scales = Scales.of(logs)
-    held = stretches(logs, scales, 6, False)
+    units = LogUnits.of(logs)
+    held = stretches(logs, units, 6, False)
     device = replace(identified(logs).choice.fit.device, effects=None)
     late = replace(device, numbers=device.numbers | {"delay": device.numbers["delay"] - 0.02, "lag": 0.02})
     assert len(held) > 4 * len(logs)
@@ -181,8 +192,8 @@ def test_prediction_errors_are_those_of_the_dense_covariance(noise):
     rows = 30
     command = np.cumsum(rng.standard_normal(rows))
     log = Recording("a", np.arange(float(rows)), command, rng.standard_normal(rows), 1.0)
-    held = stretches([log], Scales(1.0, 1.0, 1.0, 0.0), 3, False)
-    passage = Passage(held, Physics(delta=0.1, gamma=0.05, delay=1.3), noise.jitter)
+    held = stretches([log], LogUnits(1.0, 1.0, 1.0, 0.0), 3, False)
+    passage = Passage(held, PlantShape(delta=0.1, gamma=0.05, delay=1.3), noise.jitter)
     found, rows = Filter.of(passage, noise), int(held.rows[0])
     starts = passage.starts()
     error, *columns = (each[:, 0] for each in passed(passage, found, [Column(held.position), *starts]))
@@ -271,9 +282,9 @@ def test_one_log_of_any_excitation_is_enough(name):
     rng = np.random.default_rng(7)
     log = moved(rng, excitation(name, rng)[:, None])
     found = identified(log)
-    assert found.untold == set()
+    assert found.unidentifiable == set()
     assert found.parameters["mass"].value == pytest.approx(TURNING["mass"], rel=2e-3)
-    assert found.parameters["friction"].value == pytest.approx(TURNING["friction"], rel=0.02)
+    assert found.parameters["friction.coulomb"].value == pytest.approx(TURNING["friction.coulomb"], rel=0.02)
 
 
 def test_a_log_may_begin_in_motion():
@@ -302,7 +313,7 @@ def test_a_part_is_found_where_the_likelihood_asks_for_it(friction, seed):
 def test_one_step_tells_the_acceleration_and_no_mass():
     rng = np.random.default_rng(10)
     found = identified(moved(rng, steps([0.1])))
-    assert {"mass", "damping", "friction"} <= found.untold
+    assert {"mass", "damping", "friction.coulomb"} <= found.unidentifiable
     known = {each.code: each for each in found.combinations}
     assert known["acceleration"].interval.value == pytest.approx((0.1 - 0.034) / 1.1e-4, rel=2e-3)
     assert known["damping_per_mass"].interval.value == pytest.approx(7e-5 / 1.1e-4, rel=0.05)
@@ -314,7 +325,7 @@ def test_equal_steps_however_many_tell_no_mass_either(friction):
     """Rows before the step have no direction: gain, friction and a constant force make one number, and no interval."""
     logs = moved(np.random.default_rng(5), steps(np.full(12, 0.1)), friction=friction, delay=2.0, quantum=2e-4)
     found = identified(logs)
-    assert {"mass", "damping", "friction", "constant_force"} <= found.untold
+    assert {"mass", "damping", "friction.coulomb", "constant_force"} <= found.unidentifiable
     known = {each.code: each.interval for each in found.combinations}
     assert known["acceleration"].low <= (0.1 - friction) / 1.1e-4 <= known["acceleration"].high
 
@@ -371,8 +382,8 @@ def test_slopes_are_those_of_the_errors_however_long_a_log_and_weak_a_spring(nam
     """Of a free device: a spring of 1e-8 moves it by a thousandth of its way in 800 rows."""
     rng = np.random.default_rng(21)
     log = moved(rng, steps([0.05], rows=800), friction=0.0)
-    held = stretches(log, scales := Scales.of(log), 6, False)
-    true = {"gain": scales.command / 1.1e-4 * scales.period**2 / scales.position, "force": 0.0}
+    held = stretches(log, units := LogUnits.of(log), 6, False)
+    true = {"gain": units.command / 1.1e-4 * units.period**2 / units.position, "force": 0.0}
     true |= {"delta": 1e-3, "gamma": 1e-9, "delay": 2.2, "lag": 0.4}
 
     def squares(by=0.0):
@@ -407,7 +418,7 @@ def test_friction_behind_stiff_walls_is_taken_for_nothing_else(seed, stiffest, n
     found = identified(moved(rng, steps([0.12] * 40), friction=friction, delay=2.0, walls=walls, **sensor))
     assert set(found.parts) == {"friction"}
     assert found.choice.fit.device.noise.jitter == 0
-    assert holds(found.parameters, TURNING | {"delay": 2e-3}) == []
+    assert holds(found.parameters, TURNING | {"delay_samples": 2.0}) == []
 
 
 @pytest.mark.slow
@@ -447,7 +458,7 @@ def test_a_lag_is_found_behind_walls():
     logs = behind_walls(np.random.default_rng(16), {"mass": 0.6, "damping": 4.0}, {"lag": 0.003})
     found = identified(logs)
     assert set(found.parts) == {"lag"}
-    assert holds(found.parameters, {"mass": 0.6, "damping": 4.0, "actuator_lag": 0.003, "delay": 2.4e-3}) == []
+    assert holds(found.parameters, {"mass": 0.6, "damping": 4.0, "actuator_lag_s": 0.003, "delay_samples": 2.4}) == []
 
 
 @pytest.mark.slow
@@ -463,7 +474,7 @@ def test_a_lag_is_found_in_long_free_motion_with_a_coarse_sensor(seed):
         state = motion.advance(state, sent[max(row - 2, 0)], 0.0, T)
     found = identified([Recording(str(i), T * np.arange(rows), sent[:, i], seen[:, i], T) for i in range(12)])
     assert set(found.parts) == {"lag"}
-    assert holds(found.parameters, {"mass": 3e-4, "damping": 1e-3, "actuator_lag": 3e-3, "delay": 2e-3}) == []
+    assert holds(found.parameters, {"mass": 3e-4, "damping": 1e-3, "actuator_lag_s": 3e-3, "delay_samples": 2.0}) == []
 
 
 @pytest.mark.parametrize("quantum", [3e-6, 2.5e-5])
@@ -472,8 +483,8 @@ def test_a_lag_of_half_a_sample_is_no_mode_and_may_be_in_the_delay(quantum):
     logs = behind_walls(rng, {"mass": 0.6, "damping": 4.0}, {"lag": 5e-4}, 24, walls=walls, quantum=quantum)
     found = identified(logs)
     assert found.parts == {}
-    assert found.choice.bounds["actuator_lag"] > 5e-4
-    assert holds(found.parameters, {"delay": 2.4e-3}) == []
+    assert found.choice.bounds["actuator_lag_s"] > 5e-4
+    assert holds(found.parameters, {"delay_samples": 2.4}) == []
     assert [each.code for each in found.combinations] == ["delay_and_lag"]
 
 
@@ -501,7 +512,7 @@ def test_a_mode_is_found_behind_walls():
     load = {"load_mass": far, "spring": spring, "spring_damping": damper}
     found = identified(behind_walls(np.random.default_rng(17), {"mass": near + far, "damping": 4.0}, load))
     assert set(found.parts) == {"mode"}
-    truth = {"mass": 0.6, "mode_frequency": 40.0, "mode_mass": far, "mode_damping_ratio": 0.03}
+    truth = {"mass": 0.6, "mode.frequency_hz": 40.0, "mode.mass": far, "mode.damping_ratio": 0.03}
     assert {name: found.parameters[name].value for name in truth} == pytest.approx(truth, rel=0.02)
 
 
@@ -515,17 +526,20 @@ def test_damping_of_a_load_is_told_where_the_motor_is_read(at_load):
     rng = np.random.default_rng(18)
     walls = rng.uniform(30, 150, 16), rng.uniform(1, 5, 16)
     found = identified(behind_walls(rng, {"mass": near + far, "damping": 5.0}, load, walls=walls))
-    truth = {"mass": 0.6, "damping": 5.0, "mode_frequency": 25.0}
+    truth = {"mass": 0.6, "damping": 5.0, "mode.frequency_hz": 25.0}
     parts = {name for name, gain in found.parts.items() if gain > 0}
     assert parts == ({"mode at the load"} if at_load else {"mode", "load damping"})
     assert {name: found.parameters[name].value for name in truth} == pytest.approx(truth, rel=0.01)
     assert (
-        holds(found.parameters, {"delay": 2.4e-3, "mode_mass": far} | ({} if at_load else {"load_damping": 3.0})) == []
+        holds(
+            found.parameters, {"delay_samples": 2.4, "mode.mass": far} | ({} if at_load else {"mode.load_damping": 3.0})
+        )
+        == []
     )
     if not at_load:
-        assert found.parameters["mode_damping_ratio"].value == pytest.approx(0.03, rel=0.03)
-    told = found.parameters["delay"]
-    assert told.high - told.low < (5e-4 if at_load else 5e-5)
+        assert found.parameters["mode.damping_ratio"].value == pytest.approx(0.03, rel=0.03)
+    delay = found.parameters["delay_samples"]
+    assert delay.high - delay.low < (0.5 if at_load else 0.05)
 
 
 @pytest.mark.slow
@@ -537,8 +551,8 @@ def test_a_mode_near_the_nyquist_frequency_is_no_lag():
     walls = rng.uniform(500, 3800, 24), rng.uniform(13, 63, 24)
     found = identified(behind_walls(rng, {"mass": near + far, "damping": 1.3}, load, n=24, walls=walls))
     assert set(found.parts) == {"mode"}
-    assert holds(found.parameters, {"mass": 0.19, "delay": 2.4e-3, "mode_mass": far}) == []
-    assert found.parameters["mode_frequency"].value == pytest.approx(300.0, rel=0.01)
+    assert holds(found.parameters, {"mass": 0.19, "delay_samples": 2.4, "mode.mass": far}) == []
+    assert found.parameters["mode.frequency_hz"].value == pytest.approx(300.0, rel=0.01)
 
 
 @pytest.mark.slow
@@ -567,14 +581,14 @@ def test_friction_is_found_beside_a_mode_that_hid_it():
         [Recording(str(i), period * np.arange(rows), commands[:, i], seen[:, i], period) for i in range(n)]
     )
     assert {name for name, gain in found.parts.items() if gain > 0} == {"friction", "mode"}
-    truth = {"mass": near + far, "friction": friction, "mode_frequency": 9.0, "mode_mass": far}
+    truth = {"mass": near + far, "friction.coulomb": friction, "mode.frequency_hz": 9.0, "mode.mass": far}
     assert {name: found.parameters[name].value for name in truth} == pytest.approx(truth, rel=0.005)
 
 
 def test_an_ideal_device_behind_walls_has_no_parts():
     found = identified(behind_walls(np.random.default_rng(18), {"mass": 0.6, "damping": 4.0}, {}))
     assert found.parts == {}
-    assert holds(found.parameters, {"mass": 0.6, "damping": 4.0, "delay": 2.4e-3}) == []
+    assert holds(found.parameters, {"mass": 0.6, "damping": 4.0, "delay_samples": 2.4}) == []
     assert found.parameters["mass"].high - found.parameters["mass"].low < 1e-3 * 0.6
 
 
@@ -583,7 +597,7 @@ def test_walls_far_beyond_their_limit_do_not_say_all_alone():
     logs = behind_walls(np.random.default_rng(19), {"mass": 0.6, "damping": 4.0}, {}, n=20, rows=380, walls=walls)
     found = identified(logs).parameters
     assert max(np.ptp(log.position) for log in logs) > 1.0
-    assert found["delay"].value == pytest.approx(2.4e-3, abs=2e-5)
+    assert found["delay_samples"].value == pytest.approx(2.4, abs=0.02)
     assert found["mass"].value == pytest.approx(0.6, rel=2e-3)
 
 
@@ -596,7 +610,7 @@ def reading(position):
 def test_behind_the_first_turn_nothing_comes_from_rest():
     t = np.maximum(np.arange(300) - 24, 0) * 1e-3
     swing = reading(4e-3 * (1 - np.exp(-3 * t) * np.cos(90 * t)))
-    held = stretches([swing], Scales.of([swing]), 5, True)
+    held = stretches([swing], LogUnits.of([swing]), 5, True)
     assert len(held) > 3
     assert held.rests.sum() == 1
 
@@ -606,5 +620,5 @@ def test_a_reading_that_flickers_at_rest_is_no_turn():
     position = 2e-3 * (1 - (1 + 300 * t) * np.exp(-300 * t))
     position[[200, 240, 300, 360]] -= 6e-6
     slow = reading(position)
-    held = stretches([slow], Scales.of([slow]), 5, True)
+    held = stretches([slow], LogUnits.of([slow]), 5, True)
     assert held.rows.sum() < 120
