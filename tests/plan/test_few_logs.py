@@ -178,9 +178,9 @@ SAME_WALL = [
 def test_same_wall_plan_done_identifies_the_device(tmp_path, body, wall, step, count):
     course = open_course("dev", store(tmp_path, body, [wall] * count, step, noisy=True), None, Wish())
     assert course.found is not None, course.unknown
-    assert course.found.point.mass == pytest.approx(body.mass, rel=0.03)
+    assert course.found.loop.mass == pytest.approx(body.mass, rel=0.03)
     dampings = np.array([wall[1], 2 * wall[1]])
-    assert course.found.point.limit(dampings) == pytest.approx([body.limit(B) for B in dampings], rel=0.05)
+    assert linear_limits(course.found.loop, dampings) == pytest.approx([body.limit(B) for B in dampings], rel=0.05)
     (asked,) = plan_of(course, Wish()).next
     assert (asked.damping, asked.stiffness > wall[0]) == (wall[1], True)
     assert not body.is_unstable(asked.stiffness, asked.damping, step)

@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pipeline.device_data.devices import load_device
-from pipeline.loop.normalised_loop import LoopUnits
+from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
@@ -29,7 +28,7 @@ EXPERIMENT = FALCON.experiments[0]
 def record(folder: Path, stiffness: float, damping: float, number: int) -> None:
     """Write the log of one trial, complete in one step, as a rig does that renames it."""
     # noise of its own in each log: a log of the same content as another is no second trial
-    setup = replace(setup_of(FALCON, EXPERIMENT), jitter_samples=())
+    setup = setup_of(FALCON, EXPERIMENT).with_loop(jitter_samples=())
     batch = simulate(setup, np.array([stiffness]), np.array([damping]), seed=number)
     head = format_header(NativeHeader("falcon", "1", stiffness, damping, FALCON.step, FALCON.sampling_period_s))
     rows = int(batch.rows[0])
@@ -43,11 +42,10 @@ def record(folder: Path, stiffness: float, damping: float, number: int) -> None:
 
 
 def true_limits() -> np.ndarray:
-    scale = LoopUnits(EXPERIMENT.mass, FALCON.sampling_period_s)
-    loop = scale.loop(0.0, EXPERIMENT.damping, EXPERIMENT.delay_samples)
-    curve = boundary(loop, 2000)
+    loop = FALCON.loop_for(EXPERIMENT)
+    units, curve = LoopUnits.of(loop), boundary(NormalisedLoop.of(loop), 2000)
     rising = curve.beta.argmax() + 1
-    return np.interp(DAMPINGS, curve.beta[:rising] * scale.damping, curve.alpha[:rising] * scale.stiffness)
+    return np.interp(DAMPINGS, curve.beta[:rising] * units.damping, curve.alpha[:rising] * units.stiffness)
 
 
 @pytest.mark.slow

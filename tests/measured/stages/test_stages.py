@@ -11,7 +11,7 @@ import simulated
 from stored import batch_of, replace_table
 
 from pipeline.base.errors import StoreError
-from pipeline.loop.normalised_loop import LoopUnits
+from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.measured import thesis
 from pipeline.measured.cost import costs
 from pipeline.measured.experiment import boundary
@@ -53,7 +53,7 @@ def decayed(lasting):
 
 def normalised(K, B):
     units = LoopUnits(TRUE_MASS, T)
-    return units.loop(0.0, TRUE_DAMPING, DELAY), K / units.stiffness, B / units.damping
+    return NormalisedLoop.ideal(0.0, TRUE_DAMPING / units.damping, DELAY), K / units.stiffness, B / units.damping
 
 
 @pytest.mark.slow
@@ -151,7 +151,7 @@ def test_measured_boundary_encloses_the_closed_form_at_every_damping(grid, reque
     for name, course in lab.courses.items():
         e = course.experiment
         units = LoopUnits(e.mass, T)
-        loop = units.loop(0.0, e.damping, e.delay_samples)
+        loop = NormalisedLoop.ideal(0.0, e.damping / units.damping, e.delay_samples)
         plant = {"mass": e.mass, "b": e.damping, "delay": int(e.delay_samples)}
         points = lab.stages(name).boundary_points
         assert [p.damping for p in points] == sorted({b for b, k in zip(
