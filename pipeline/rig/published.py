@@ -10,9 +10,11 @@ import numpy as np
 import pandas as pd
 
 from pipeline.base.errors import ParameterError
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.batch import Floats
 from pipeline.surface.physical_loop import Loop
 from pipeline.theory.boundary import quantum_limit
+from pipeline.theory.passivity import passive_stiffness
 
 _ANGLES = 4000
 """Angles at which (4.6) is looked at; between them the limit is at most 1e-7 lower."""
@@ -74,11 +76,15 @@ def _abbott(loop: Loop, sensor: Sensor, B: Floats) -> Floats:
 
 
 def _hulin(loop: Loop, _: Sensor, B: Floats) -> Floats:
-    d = loop.delay_samples
+    d, damping = loop.delay_samples, _passive_damping(loop)
+    if d % 1 and damping >= 0:  # (4.6) is for whole delays; its sum over aliases is for all
+        unit = loop.units
+        ideal = NormalisedLoop.ideal(0.0, damping / unit.damping, d)
+        return passive_stiffness(ideal, ideal.delta, B / unit.damping) * unit.stiffness
     angle = np.linspace(0, np.pi / (d + 1), _ANGLES + 1)[1:]
     # (4.6), whose sums of cosines are products: b >= K T sin((d + 1/2) w)/(2 sin(w/2)) - B cos((d + 1) w)
     room = np.append(1 / (d + 0.5), 2 * np.sin(angle / 2) / np.sin((d + 0.5) * angle)) / loop.sampling_period_s
-    left = _passive_damping(loop) + np.outer(B, np.cos((d + 1) * np.append(0.0, angle)))
+    left = damping + np.outer(B, np.cos((d + 1) * np.append(0.0, angle)))
     return np.asarray((left * room).min(axis=1))
 
 
@@ -129,7 +135,7 @@ CONDITIONS = (
         "Hulin et al. 2014",
         "Passivity and stability boundaries for haptic systems with time delay, IEEE Trans. CST 22 (4); eq. 4.6",
         "passivity",
-        "any delay, plain difference; any passive hand",
+        "any delay (a fractional one by the sum of 4.6 in docs/definitions.md), plain difference; any passive hand",
         _hulin,
     ),
 )

@@ -55,7 +55,7 @@ class Quantity:
 
 
 def with_damping(loop: Loop, value: float) -> Loop:
-    """Return the rig with another damping [Ns/m, Nms/rad], of which the load of a mode bears the same share."""
+    """Return the rig with another damping [Ns/m, Nms/rad], of which the load of a mode has the same share."""
     changes: dict[str, float | None] = {"damping": value}
     if loop.mode and loop.damping > 0:
         changes["mode.load_damping"] = min(loop.load_damping / loop.damping, 1.0) * value

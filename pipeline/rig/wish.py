@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -37,6 +37,9 @@ _SOFTEST, _SOFTER = 1e-3, 16
 
 _NARROW = 1e-6
 """Room that an unstable stretch lacks which is narrower than the steps between them."""
+
+_BISECTIONS = 40
+"""Halvings of the frequency at which a damping becomes unstable: more than its digits."""
 
 _NOTHING = -10.0
 """Room of a stable wall that settles too late to be told; its negative is that of one without a bound."""
@@ -142,13 +145,28 @@ def decay(loop: Loop, wish: Wish) -> float:
 
 def _first_look(loop: Loop, wish: Wish) -> tuple[Floats, Floats]:
     """Return stiffness and damping of the walls that are looked at first."""
-    longest = loop.delay_samples + loop.actuator_lag_s / loop.sampling_period_s
-    largest = 2.5 * loop.apparent().mass / loop.sampling_period_s / (0.5 + longest)
+    largest = 2.5 * loop.apparent().mass / loop.sampling_period_s / (0.5 + loop.delay_samples)
+    largest = max(largest, _largest_damping(loop))
     B = np.append(0.0, np.geomspace(1e-3 * largest, largest, _DAMPINGS))
     if wish.stiffness is not None:
         return np.array([wish.stiffness]), B
     stiffest = loop.boundary(16).attrs["stiffness_max"]
     return np.geomspace(1e-2 * stiffest, stiffest, _STIFFNESSES), B
+
+
+def _largest_damping(loop: Loop) -> float:
+    """Return about the largest stable B of a device behind its lag: |(m s + b)(tau s + 1)| where its phase is -pi.
+
+    With the delay of d + 1/2 samples that is where atan(w m/b) + atan(w tau) + w (d + 1/2) T = pi.
+    """
+    device, lag = loop.apparent(), loop.actuator_lag_s
+    m, b, delay = device.mass, device.damping, (0.5 + loop.delay_samples) * loop.sampling_period_s
+    low, high = 0.0, math.pi / delay
+    for _ in range(_BISECTIONS):
+        w = 0.5 * (low + high)
+        behind = math.atan2(w * m, b) + math.atan(w * lag) + w * delay > math.pi
+        low, high = (low, w) if behind else (w, high)
+    return math.hypot(m * low, b) * math.hypot(lag * low, 1.0)
 
 
 def _between(axis: Floats, value: float) -> Floats:
@@ -160,12 +178,20 @@ def _between(axis: Floats, value: float) -> Floats:
 
 
 def _corners(loop: Loop, tolerance: float) -> list[Loop]:
+    """Return the rigs at the ends of what a tolerance leaves open; of a mode the load has its share of the mass."""
     if tolerance == 0:
         return [loop]
-    return [
-        with_damping(replace(loop, mass=m * loop.mass, delay_samples=d * loop.delay_samples), b * loop.damping)
-        for m, b, d in product((1 - tolerance, 1 + tolerance), repeat=3)
-    ]
+    rigs = []
+    for m, b, d in product((1 - tolerance, 1 + tolerance), repeat=3):
+        changes: dict[str, float | None] = {"mass": m * loop.mass, "delay_samples": d * loop.delay_samples}
+        if loop.mode:
+            changes["mode.mass"] = m * loop.mode.mass
+        try:
+            rigs.append(with_damping(loop, b * loop.damping).replace(changes))
+        except ParameterError as error:
+            numbers = f"mass {m * loop.mass:.4g}, damping {b * loop.damping:.4g}, delay {d * loop.delay_samples:.4g}"
+            raise ParameterError(f"tolerance = {tolerance:g}: leads to {numbers} samples. {error}") from None
+    return rigs
 
 
 def _room(rigs: Sequence[Loop], wish: Wish, walls: Floats, above: float) -> Floats:

@@ -30,6 +30,9 @@ angle, is continued to 0 to 1e-9."""
 
 _DIRECTIONS = 181
 
+_BISECTIONS = 40
+"""Halvings of an interval of stiffness: to 1e-12 of it."""
+
 
 def required_damping(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Floats:
     """Return the normalised damping that walls need of the device's near side, shape (n,); 0 at least.
@@ -69,6 +72,17 @@ def stiffest_passive(loop: NormalisedLoop, delta: float) -> tuple[float, float]:
     )
     alpha, beta = _reached(loop, delta, best.place)
     return float(alpha[0]), float(beta[0])
+
+
+def passive_stiffness(loop: NormalisedLoop, delta: float, beta: Floats) -> Floats:
+    """Return the largest passive alpha at each beta, shape (n,); 0 where delta absorbs no wall of that damping."""
+    # slow motion needs delta + beta >= alpha (d + lag + 1/2)
+    low, high = np.zeros(len(beta)), np.maximum(delta + beta, 0.0) / (loop.delay + loop.lag + 0.5)
+    for _ in range(_BISECTIONS):
+        alpha = 0.5 * (low + high)
+        passive = required_damping(loop, alpha, beta) <= delta
+        low, high = np.where(passive, alpha, low), np.where(passive, high, alpha)
+    return low
 
 
 def _reached(loop: NormalisedLoop, delta: float, angle: Floats) -> tuple[Floats, Floats]:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from device_files import written
 from scipy.linalg import expm
 from typer.testing import CliRunner
 
@@ -100,6 +101,45 @@ def test_what_is_reached_is_said_with_how_far() -> None:
     assert not design(FALCON, 0.99 * largest, tolerance=0.05).reached
 
 
+KEPT = ("mass", "damping", "delay_samples", "actuator_lag_s", "sampling_period_s")
+
+
+@pytest.mark.parametrize(
+    "rig",
+    [
+        Loop(0.5, 0.0, 0.001, 2, operator={"mass": 3.0}),
+        Loop(0.5, 3.0, 0.001, 2, force_gain=0.01),
+        Loop(0.5, 3.0, 0.001, 2, actuator_lag_s=0.2),
+        Loop(0.5, 0.0, 0.001, 2, actuator_lag_s=0.05, operator={"mass": 3.0}),
+        Loop(0.5, 30.0, 0.001, 40, actuator_lag_s=0.27, force_gain=0.1),
+    ],
+    ids=["hand", "small gain", "long lag", "hand and lag", "long lag, long delay, much damping"],
+)
+def test_what_the_boundary_allows_is_reached(rig: Loop) -> None:
+    largest = rig.boundary(16).attrs["stiffness_max"]
+    answer = design(rig, 0.95 * largest, keep=KEPT)
+    assert answer.reached
+    assert answer.stiffness_reached == pytest.approx(largest, rel=0.01)
+
+
+def test_a_tolerance_leaves_the_load_its_share_of_the_mass() -> None:
+    mode = {"frequency_hz": 60.0, "damping_ratio": 0.02, "mass": 0.45, "load_damping": 1.0}
+    rig = Loop(0.5, 3.0, 0.001, 2, mode=mode)
+    largest = rig.boundary(16).attrs["stiffness_max"]
+    assert (
+        best_wall(rig, Wish(0.6 * largest, tolerance=0.2)).room
+        > 0
+        > best_wall(rig, Wish(0.99 * largest, tolerance=0.2)).room
+    )
+
+
+def test_a_tolerance_that_leads_to_no_rig_is_named_with_its_numbers() -> None:
+    with pytest.raises(
+        PipelineError, match=r"tolerance = 0\.2: leads to mass 0\.4, damping 2\.4, delay 300 samples.*256"
+    ):
+        design(Loop(0.5, 3.0, 0.001, 250), 1.0, tolerance=0.2)
+
+
 def test_a_tolerance_is_that_of_the_worst_rig():
     """The limit grows with the mass and falls with the delay: of a lighter and later rig it is 0.87 of this one's."""
     largest = FALCON.boundary(16).attrs["stiffness_max"]
@@ -157,6 +197,19 @@ def test_the_command_answers() -> None:
     document = json.loads(done.stdout)
     assert document["hand"] == "hogan"
     assert document["reached"] is True  # the arm's mass on the handle holds the wall
+    assert document["operator_replaced"] is None
+
+
+def test_an_arm_in_place_of_the_operator_of_a_file_is_reported(tmp_path: Path) -> None:
+    file = written(tmp_path, replace(FALCON, operator={"mass": 20.0, "damping": 1.0}))
+    command = ["design", "--device", str(file), "--stiffness", "5000"]
+    alone, with_arm = (
+        CliRunner().invoke(application("design"), [*command, *more, "--json"]) for more in ((), ("--hand", "hogan"))
+    )
+    assert json.loads(alone.stdout)["operator_replaced"] is None
+    assert json.loads(with_arm.stdout)["operator_replaced"] == {"mass": 20.0, "damping": 1.0, "stiffness": 0.0}
+    text = CliRunner().invoke(application("design"), [*command, "--hand", "hogan"]).stdout
+    assert "The arm takes the place of the device file's operator of 20 kg." in text
 
 
 def test_the_load_of_a_mode_keeps_its_share_of_a_changed_damping() -> None:

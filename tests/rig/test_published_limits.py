@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -35,10 +37,24 @@ def test_passivity_with_delay_is_that_of_the_package(delay: float) -> None:
     loop = Loop(0.58, 4.0, 0.001, delay)
     B = np.array([-3.0, 0.0, 1.0, 3.5])
     K = limits(loop, B)["Hulin et al. 2014"]
-    if float(delay).is_integer():  # (4.6) holds for whole delays; a fractional one was interpolated
-        needed = required_damping(loop.normalised_loop, K / loop.units.stiffness, B / loop.units.damping)
-        assert needed * loop.units.damping == pytest.approx(4.0, rel=1e-6)
-    assert limits(loop, [-4.1, 4.1])["Hulin et al. 2014"].tolist() == [0.0, 0.0]
+    needed = required_damping(loop.normalised_loop, K / loop.units.stiffness, B / loop.units.damping)
+    assert needed * loop.units.damping == pytest.approx(4.0, rel=1e-6)
+    most = loop.passive()["damping"].max()  # b, but more with a fractional delay
+    assert most == pytest.approx(4.0, rel=1e-6) or delay % 1
+    assert limits(loop, [-4.1, 1.01 * most])["Hulin et al. 2014"].tolist() == [0.0, 0.0]
+
+
+def test_passivity_with_a_fractional_delay_is_no_interpolation() -> None:
+    """Whole delays leave 6000 and 2000; the sum over aliases in 0.3 samples is 3484, not 3750."""
+    device = Loop(0.5, 3.0, 0.001, 0.3)
+    assert limits(device, [0.0])["Hulin et al. 2014"][0] == pytest.approx(3484.41, rel=1e-5)
+    at = device.passive().attrs
+    assert limits(device, [at["damping_at_stiffness_max"]])["Hulin et al. 2014"][0] == pytest.approx(
+        at["stiffness_max"], rel=1e-6
+    )
+    beyond = replace(device, mode={"frequency_hz": 60.0, "damping_ratio": 0.02, "mass": 0.15, "sensor": "load"})
+    assert np.isnan(limits(beyond, [0.0])["Hulin et al. 2014"][0])
+    assert limits(replace(device, damping=0.0), [0.0])["Hulin et al. 2014"][0] == 0.0
 
 
 def test_without_delay_passivity_is_that_of_colgate_and_schenkel() -> None:

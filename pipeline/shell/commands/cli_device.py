@@ -164,7 +164,7 @@ def design(
         float | None, option("--overshoot", "Largest overshoot, a fraction; below 0.001 is none.")
     ] = None,
     margin: Annotated[float, option("--margin", "Factor on K up to which it stays stable.")] = 1.0,
-    hand: Annotated[str | None, option("--hand", "Arm of Table 3.2 that holds it (default: none).")] = None,
+    hand: Annotated[str | None, option("--hand", "Arm of Table 3.2, in place of the operator of the file.")] = None,
     keep: Annotated[list[str] | None, listed("--keep", "Quantities that cannot change.")] = None,
     picture: Annotated[Path | None, option("--picture", "Picture over T and delay: .svg, .pdf, .png.")] = None,
 ) -> None:
@@ -197,6 +197,8 @@ def design(
     low, high = loop.delay_range
     document |= {"delay_samples": conditions.delay_samples, "delay_samples_low": low, "delay_samples_high": high}
     document["left_out"] = list(loop.left_out)
+    replaced = None if hand is None else known.loop_for(conditions).operator
+    document["operator_replaced"] = None if replaced is None else replaced.model_dump()
     document["quantum"] = _quantum(coulomb / loop.force_gain, quantum, wanted)
     document["published"] = rows.astype(object).where(rows.notna(), None).to_dict("records")
     console.tell(document, _design_lines(document, loop))
@@ -286,6 +288,8 @@ def _design_lines(document: dict[str, Any], loop: Loop) -> Iterator[str]:
         yield f"Delay {document['delay_samples']:.4g} samples, the mean of one that jitters from {low:g} to {high:g}."
     if document["left_out"]:
         yield f"Left out of linear theory: {', '.join(document['left_out'])}."
+    if (operator := document["operator_replaced"]) is not None:
+        yield f"The arm takes the place of the device file's operator of {operator['mass']:g} kg."
     if document["quantum"] is not None:
         limit = document["quantum"]["stiffness"]
         yield f"No limit cycle by the sensor's quantum up to K = 2 f_c/(g quantum) = {limit:.5g} {k}."
