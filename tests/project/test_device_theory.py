@@ -6,13 +6,13 @@ from html import unescape
 import mpmath as mp
 import numpy as np
 import pytest
-from general_devices import Example, ManyDigits
+from general_devices import ManyDigits
 from places import ROOT
 from test_cli import document
 
 from pipeline.device_data.devices import load_device, read_device
-from pipeline.loop.normalised_loop import LoopUnits
-from pipeline.surface.physical_loop import loop_of_device
+from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
+from pipeline.surface.physical_loop import Loop
 from pipeline.theory.boundary import boundary
 
 PAGE = (ROOT / "docs" / "devices.md").read_text(encoding="utf-8")
@@ -42,9 +42,10 @@ def test_boundary_of_the_page(call, arm):
 
 def test_an_ideal_device_has_the_boundary_of_its_normalised_loop(call):
     found = document(call("theory", "boundary", "--device", "falcon", "--experiment", "1", "--json"))
-    entry, period = load_device("falcon").experiments[0], load_device("falcon").sampling_period_s
-    units = LoopUnits(entry.mass, period)
-    border = boundary(units.loop(entry.stiffness, entry.damping, entry.delay_samples))
+    falcon = load_device("falcon")
+    loop = falcon.loop_for(falcon.experiments[0])
+    units, gamma, delta = LoopUnits(loop.mass, 1e-3), loop.stiffness * 1e-6 / loop.mass, loop.damping * 1e-3 / loop.mass
+    border = boundary(NormalisedLoop.ideal(gamma, delta, loop.delay_samples))
     assert found["stiffness_max"] == pytest.approx(border.alpha_max * units.stiffness, rel=1e-10)
     assert found["left_out"] == ["jitter"]
 
@@ -52,7 +53,7 @@ def test_an_ideal_device_has_the_boundary_of_its_normalised_loop(call):
 def test_a_map_holds_the_optimum(call, arm):
     best = document(call("theory", "optimum", "--criterion", "energy_step_w0", "--device", arm, "--json"))
     known = read_device(arm)
-    costs = loop_of_device(known, known.experiments[0]).map(size=12, criteria=["energy_step_w0"])["energy_step_w0"]
+    costs = Loop.of(known.loop_for(known.experiments[0])).map(size=12, criteria=["energy_step_w0"])["energy_step_w0"]
     assert best["cost"] <= costs.min() < 3 * best["cost"]
 
 
@@ -151,7 +152,8 @@ def test_a_report_rests_on_the_loop_of_its_device_file(call, tmp_path, monkeypat
     page = unescape((tmp_path / "arm.html").read_text(encoding="utf-8")).replace("\xa0", " ")
 
     # the simulated limits lie about those of a loop of its own, in other states and many digits
-    truth = ManyDigits(Example(0.5, 25.0, 0.0, 2.4, 0.001, read_device(file).loop))
+    known = read_device(file)
+    truth = ManyDigits(known.loop_for(known.experiments[0]))
     told = [p for p in found["experiments"][0]["boundary"] if p["stable"] is not None]
     assert len(told) == 2
     with mp.workdps(40):
