@@ -26,6 +26,7 @@ from pipeline.records.findings import (
 )
 from pipeline.records.models import ComparisonRow, Motion
 
+
 class SourcedLoop(Record):
     """A loop and where its numbers come from.
 

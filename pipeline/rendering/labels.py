@@ -7,9 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from pipeline.base.wording import true_minus
+from pipeline.device.parameters import MOTIONS, Motion
+from pipeline.device.parameters import UNITS as SI_UNITS
 from pipeline.records.criteria import CRITERIA, criterion_of
 from pipeline.records.findings import Estimate
-from pipeline.records.models import Motion
 from pipeline.records.results import AnswerEstimate
 
 MISSING = "–"
@@ -35,11 +36,17 @@ class Units:
     stiffness: str
     damping: str
     mass: str
+    force: str
+
+
+def unit_text(unit: str) -> str:
+    """Return a unit as it is printed."""
+    return unit.replace("^2", "²")
 
 
 UNITS: dict[Motion, Units] = {
-    "translation": Units("N/m", "Ns/m", "kg"),
-    "rotation": Units("Nm/rad", "Nms/rad", "kg m²"),
+    motion: Units(*(unit_text(SI_UNITS[dimension][number]) for dimension in ("stiffness", "damping", "mass", "force")))
+    for number, motion in enumerate(MOTIONS)
 }
 
 
@@ -58,11 +65,6 @@ QUANTITIES = {
 def quantity_name(quantity: str) -> str:
     """Return what a quantity is called in heads of tables."""
     return QUANTITIES.get(quantity, quantity.replace("_", " "))
-
-
-def unit_text(unit: str) -> str:
-    """Return a unit as it is printed."""
-    return unit.replace("^2", "²")
 
 
 def criterion_name(name: str) -> str:

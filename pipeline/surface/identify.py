@@ -144,7 +144,8 @@ def identified_device(
         raise UsageError(f"{', '.join(map(str, paths))}: no log found. Give logs, or folders with logs.")
     # neighbours are left out together, so that what the model lacks behind alike walls widens intervals
     read.sort(key=lambda pair: (pair[1].header.damping, pair[1].header.stiffness))
-    motions = {motion_of(log, {name: device.motion for name, device in known_devices().items()}) for _, log in read}
+    known = {name: device.motion for name, device in known_devices().items()}
+    motions = {motion_of(log, known) for _, log in read}
     if len(motions) > 1:
         raise ParameterError("some logs are of a translation, some of a rotation. Give the logs of one device.")
     recordings = usable_recordings(read)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -13,8 +15,12 @@ import pandas as pd
 from pipeline.base.errors import ParameterError
 from pipeline.device import loop as device_loop
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
+from pipeline.plan.loop_limits import StepTrial, step_limits
 from pipeline.records.batch import Floats
+from pipeline.rendering.figures.boundaries import limits_figure, limits_panel
+from pipeline.rendering.figures.drawing import Series, write_picture
 from pipeline.rendering.frames import units_of
+from pipeline.rendering.labels import UNITS
 from pipeline.theory.boundary import boundary, stiffness_limit
 from pipeline.theory.cases import POINT_COSTS, Case, islands_in_si, optimum_document, point_documents
 from pipeline.theory.costs import MAP_DEFAULT, CostMap
@@ -26,6 +32,12 @@ from pipeline.theory.poles import Margins, margins
 if TYPE_CHECKING:  # takes longer to load than most answers to compute
     from scipy.signal import StateSpace
 
+
+_FEWEST_SAMPLES = 50
+"""Samples of a simulated log in which a limit shows."""
+
+_DRAWN_LIMITS = 24
+"""Dampings at which a limit with friction is drawn."""
 
 _ROUNDING = 1e-15
 """Share of the device's own stiffness that is rounding in a limit."""
@@ -197,16 +209,84 @@ class Loop(device_loop.Loop):
         names = ("stiffness", "damping", "stable", "spectral_radius", *criteria, "reason")
         return self._frame({name: np.array([row[name] for row in rows], kinds.get(name, np.float64)) for name in names})
 
-    def limits(self, damping: object) -> pd.DataFrame:
-        """Return the limit of stability at dampings B [Ns/m, Nms/rad]: ``damping``, ``stiffness`` (nan without any).
+    def limits(self, damping: object, *, step: float | None = None, samples: int = 400) -> pd.DataFrame:
+        """Return the limits of stability at dampings.
 
-        It is the largest K from which all softer walls of that damping are stable, exact to 1e-9.
+        Parameters
+        ----------
+        damping : float or array_like, shape (n,)
+            B of the wall [Ns/m, Nms/rad].
+        step : float, optional
+            Step of the command F_0 [N, Nm], > 0, for which the limits with friction and jitter are simulated, too.
+        samples : int
+            Length of these simulations.
+
+        Returns
+        -------
+        pandas.DataFrame
+            ``damping`` B, and ``stiffness`` K [N/m, Nm/rad] from which all softer walls are stable in linear theory,
+            exact to 1e-9 (nan where none is). With a ``step`` also ``stiffness_step``, the wall from which on that step
+            makes the loop unstable, as a report shows it beside measured limits, and ``stiffness_step_open``, half of
+            the range that simulated logs leave undecided; nan where no wall up to 1.5 times the largest linear limit
+            above the linear one is unstable. A harder push is unstable from softer walls on, down to ``stiffness``.
+
+        Raises
+        ------
+        ParameterError
+            If a value is not finite, or the step is not positive.
+
+        Examples
+        --------
+        >>> rig = Loop(0.5, 3.0, 0.001, 4, friction={"coulomb": 0.5})
+        >>> limits = rig.limits([20.0, 60.0], step=8.0)
+        >>> bool((limits["stiffness_step"] > limits["stiffness"]).all())
+        True
         """
         B = np.atleast_1d(np.asarray(damping, dtype=np.float64))
         loop = self.normalised_loop
         alpha = stiffness_limit(loop, B / self.units.damping)
         some = alpha > _ROUNDING * loop.gamma
-        return self._frame({"damping": B, "stiffness": np.where(some, alpha * self.units.stiffness, np.nan)})
+        columns = {"damping": B, "stiffness": np.where(some, alpha * self.units.stiffness, np.nan)}
+        if step is not None:
+            if not 0 < step < np.inf or samples < _FEWEST_SAMPLES:
+                raise ParameterError(
+                    f"step = {step}, samples = {samples}: expected a positive, finite step and at least "
+                    f"{_FEWEST_SAMPLES} samples."
+                )
+            trial = StepTrial(step, samples, self.sensor.quantum, self.value("jitter_samples") or 0.0)
+            limits, undecided = step_limits(self, B, trial, np.zeros(len(B)))
+            columns |= {"stiffness_step": limits, "stiffness_step_open": undecided}
+        return self._frame(columns)
+
+    def picture(self, path: str | os.PathLike[str], *, step: float | None = None, samples: int = 400) -> None:
+        """Draw the limit of stability over damping, passive walls, and the limit with friction for a step.
+
+        Parameters
+        ----------
+        path : path
+            File to write: .svg, .pdf or .png.
+        step, samples
+            As of `limits`; without a step the linear limit alone.
+
+        Raises
+        ------
+        UsageError
+            For another ending.
+        ParameterError
+            As of `limits`, or if no wall is stable.
+        """
+        unit = UNITS[self.motion]
+        border = self.boundary()
+        name = f"limit without {', '.join(self.left_out)}" if self.left_out else "limit of stability"
+        series = [Series(name, "theory", *border[["stiffness", "damping"]].to_numpy().T)]
+        if self.passive_damping > 0 and not self.normalised_loop.plant.sensor_at_load:
+            series.append(Series("passive walls", "passive", *self.passive()[["stiffness", "damping"]].to_numpy().T))
+        if step is not None:
+            damping = np.linspace(0.0, border.attrs["damping_max"], _DRAWN_LIMITS)
+            limits = self.limits(damping, step=step, samples=samples)["stiffness_step"].to_numpy()
+            series.append(Series(f"limit for a step of {step:g} {unit.force}", "friction", limits, damping))
+        panel = limits_panel("", series, self.motion)
+        write_picture(limits_figure("Limit of stability", "", [panel], "loop"), Path(path))
 
     def optimum(self, criterion: str) -> LoopOptimum:
         """Return the best wall by a criterion, such as ``settle_2pct`` or ``energy_step_w1_discrete``.

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.base.disk import replacing, write_text
+from pipeline.base.errors import UsageError
 from pipeline.records.batch import Floats
 from pipeline.records.models import FigureKind
 from pipeline.rendering.labels import shortened
@@ -251,13 +252,45 @@ def write_figures(figures: Sequence[Figure], folder: Path) -> tuple[Path, ...]:
             path = folder / f"{figure.identifier}-{index}"
             stream = io.BytesIO()
             spell_missing_glyphs(drawing)
-            # no time, no name: the same report gives the same file
-            drawing.savefig(stream, format="pdf", metadata={"CreationDate": None, "Creator": None, "Producer": None})
+            drawing.savefig(stream, format="pdf", metadata=PLAIN["pdf"])
             for ending, content in ((".svg", standalone(svgs[index]).encode()), (".pdf", stream.getvalue())):
                 with replacing(path.with_name(path.name + ending)) as file:
                     file.write(content)
                 written.append(path.with_name(path.name + ending))
     return tuple(written)
+
+
+def write_picture(figure: Figure, path: Path) -> None:
+    """Write a figure of one panel as SVG, PDF or PNG, by the ending of a path.
+
+    Raises
+    ------
+    UsageError
+        For another ending.
+    """
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in PICTURES:
+        raise UsageError(f"{path}: expected a name that ends with .{', .'.join(PICTURES[:-1])} or .{PICTURES[-1]}.")
+    ((panel, drawing),) = _drawings(figure)
+    if kind == "svg":
+        content = standalone(svg_of(drawing, figure.identifier, figure.title, panel.words)).encode()
+    else:
+        stream = io.BytesIO()
+        spell_missing_glyphs(drawing)
+        drawing.savefig(stream, format=kind, dpi=144, metadata=PLAIN[kind])
+        content = stream.getvalue()
+    with replacing(path) as file:
+        file.write(content)
+
+
+PICTURES = ("svg", "pdf", "png")
+"""Endings of a picture's name."""
+
+PLAIN: dict[str, dict[str, str | None]] = {
+    "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+    "png": {"Software": None},
+}
+"""Metadata that are left out, so that the same figure gives the same file."""
 
 
 def standalone(svg: str) -> str:
