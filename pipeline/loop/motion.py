@@ -98,7 +98,7 @@ class FrictionalMotion:
     @property
     def states(self) -> int:
         """Number of rows of the state."""
-        return 2 + 2 * self.plant.has_mode + (self.plant.lag > 0)
+        return _of_motor_and_load(self.plant).states
 
     def rest(self, command: Floats) -> Floats:
         """Return the state at rest, shape (states, n), where the actuator has long had a command [N, Nm]."""
@@ -152,6 +152,7 @@ class FrictionalMotion:
         return [stick, (velocity, 0.0, joint), (velocity, joint, inf)]
 
 
+@lru_cache(maxsize=64)
 def _of_motor_and_load(plant: Plant) -> StateSpace:
     """Return the state space with positions and velocities of motor and load, which `state_space` has about the centre.
 
@@ -170,6 +171,7 @@ def _of_motor_and_load(plant: Plant) -> StateSpace:
         force=turn @ linear.force,
         sensor=linear.sensor @ back,
         at_rest=turn @ linear.at_rest,
+        mechanical=linear.mechanical,
     )
 
 
@@ -339,8 +341,9 @@ def _interval(motion: FrictionalMotion, time_s: float) -> _Interval:
     rates, n = motion.rates(), motion.states
     # velocities are counted per the time of the step, so that entries of a matrix are of one size
     unit = np.ones(n + 3)
-    unit[1 : 4 if motion.plant.has_mode else 2 : 2] = time_s
-    unit[n - 1 if motion.plant.lag > 0 else n : n + 2] = time_s**2 / motion.motor_mass
+    mechanical = _of_motor_and_load(motion.plant).mechanical
+    unit[1:mechanical:2] = time_s
+    unit[mechanical : n + 2] = time_s**2 / motion.motor_mass
     unit[-1] = 1.0 if motion.friction is None else time_s**2 * max(motion.levels[1], 1e-300) / motion.motor_mass
     scaled, back = [rate * unit[:, None] / unit * time_s for rate in rates], unit / unit[:, None]
     if motion.friction is None:

@@ -181,8 +181,8 @@ class NormalisedLoop:
         return cls(plant_of(device), device.delay_samples, per_sample(device.velocity, 1.0))
 
     def __post_init__(self) -> None:
-        for name in ("gamma", "delta", "delay", "lag"):
-            value = getattr(self, name)
+        numbers = {"gamma": self.gamma, "delta": self.delta, "delay": self.delay, "lag": self.plant.lag}
+        for name, value in numbers.items():
             if not math.isfinite(value) or value < 0:
                 raise ParameterError(f"{name} = {value}: expected a finite number that is not negative.")
         if self.delay > LARGEST_DELAY:
@@ -215,10 +215,10 @@ class NormalisedLoop:
         """Normalised damping of the device, b T/m."""
         return self.plant.damping
 
-    @property
+    @cached_property
     def lag(self) -> float:
-        """Time constant of the actuator [T]."""
-        return self.plant.lag
+        """By how much the actuator delays a slow command [T]: the time constant of a first-order lag."""
+        return self.device.mean_lag
 
     def with_delta(self, delta: float) -> NormalisedLoop:
         """Return the loop with another damping of the device."""

@@ -97,6 +97,8 @@ class StateSpace:
         Row of the position that is read.
     at_rest : ndarray, shape (n,)
         State per unit of a force that the actuator has long exerted, the device held in place.
+    mechanical : int
+        Number of states of the mechanics, which come first; the others are those of the actuator.
     """
 
     matrix: Floats
@@ -104,6 +106,25 @@ class StateSpace:
     force: Floats
     sensor: Floats
     at_rest: Floats
+    mechanical: int
+
+    @property
+    def states(self) -> int:
+        """Number of states."""
+        return len(self.sensor)
+
+    @property
+    def actuator(self) -> tuple[Floats, Floats, Floats]:
+        """A, B, C of the actuator from command to force, x' = A x + B u, f = C x; without states where it is ideal."""
+        first = self.mechanical
+        inner = self.matrix[first:, first:]
+        return inner, self.command[first:], np.eye(1, len(inner))[0]
+
+    @property
+    def mean_lag(self) -> float:
+        """By how much the actuator delays a slow command: C A^-2 B, tau of a first-order lag."""
+        A, B, C = self.actuator
+        return float(C @ np.linalg.solve(A, np.linalg.solve(A, B))) if len(A) else 0.0
 
 
 def state_space(plant: Plant) -> StateSpace:
@@ -148,10 +169,20 @@ def state_space(plant: Plant) -> StateSpace:
             matrix[row, 1::2] -= moved * plant.load_damping / mass
         if plant.sensor_at_load:
             sensor[2] = 1.0
-    at_rest = np.zeros(count)
-    if plant.lag == 0:
-        return StateSpace(matrix, force, force, sensor, at_rest)
-    lagged = np.zeros((count + 1, count + 1), np.result_type(matrix, np.asarray(plant.lag)))
-    lagged[:count, :count], lagged[:count, count], lagged[count, count] = matrix, force, -1 / plant.lag
-    command = np.append(np.zeros(count), 1 / plant.lag)
-    return StateSpace(lagged, command, np.append(force, 0.0), np.append(sensor, 0.0), np.append(at_rest, 1.0))
+    mechanics = StateSpace(matrix, force, force, sensor, np.zeros(count), count)
+    return mechanics if plant.lag == 0 else _behind_lag(mechanics, plant.lag)
+
+
+def _behind_lag(system: StateSpace, lag: float) -> StateSpace:
+    """Return a system whose command passes a first-order lag before."""
+    n = system.states
+    matrix = np.zeros((n + 1, n + 1), np.result_type(system.matrix, np.asarray(lag)))
+    matrix[:n, :n], matrix[:n, n], matrix[n, n] = system.matrix, system.command, -1 / lag
+    return StateSpace(
+        matrix,
+        np.append(np.zeros(n), 1 / lag),
+        np.append(system.force, 0.0),
+        np.append(system.sensor, 0.0),
+        np.append(system.at_rest, 1.0),
+        system.mechanical,
+    )

@@ -316,8 +316,7 @@ def _levers(loop: NormalisedLoop, alpha: Floats) -> Floats:
         turn = np.sqrt(loop.plant.spring * (1 / (1 - load) + 1 / load))
         sensed = abs(loop.device.sensor[2])
         rows += [sensed * np.ones_like(lever), sensed * np.minimum(lever, 1 / turn)]
-    if loop.lag > 0:
-        rows.append(loop.lag * lever)
+    rows += [loop.lag * lever] * (loop.device.states - loop.device.mechanical)
     return np.array(rows)
 
 

@@ -5,9 +5,10 @@ the damping that absorbs what they may generate together is (with T = 1, u = 1/z
 
     [Re(y S1) + sqrt(Re(y S1)^2 + |y|^2 (S0 S2 - |S1|^2))]/2,    y = (1 - u) (alpha + beta F (1 - u)),
 
-with S0, S1, S2 the sums of 1, L, |L|^2 over omega_n^2 and L = exp(-j omega_n d)/(1 + j omega_n lag). It is homogeneous
-and convex in alpha and beta, so the passive region is a convex one about 0 that scales with the device's damping; mass,
-spring, hand, and a vibration mode whose near side is sensed, change nothing.
+with S0, S1, S2 the sums of 1, L, |L|^2 over omega_n^2 and L = exp(-j omega_n d) G(j omega_n), G that of the actuator,
+such as 1/(1 + j omega_n lag). It is homogeneous and convex in alpha and beta, so the passive region is a convex one
+about 0 that scales with the device's damping; mass, spring, hand, and a vibration mode whose motor is sensed, change
+nothing.
 
 Source: Hulin 2017, ch. 4, for integer delays without lag, where this is (4.6); the sums in closed form are ours.
 """
@@ -104,16 +105,33 @@ def _needed(loop: NormalisedLoop, alpha: Floats, beta: Floats, angle: Floats) ->
 
 
 def _alias_sums(loop: NormalisedLoop, angle: Floats) -> tuple[Floats, np.ndarray, Floats]:
-    """Return S0, S1, S2: sums over aliases as sums over samples of a ramp behind delay and lag (Poisson)."""
+    """Return S0, S1, S2: sums over aliases as sums over samples (Poisson).
+
+    With the actuator x' = A x + B u, f = C x of gain 1 at rest, a ramp behind it is t - C A^-2 B + C exp(A t) A^-2 B;
+    and with A P + P A' + B B' = 0, (|G|^2 - 1)/omega^2 is the spectrum of -C exp(A |t|) A^-2 P C'.
+    """
     u = np.exp(-1j * angle)
     first = int(np.ceil(loop.delay))
     share = first - loop.delay  # of a sample, between the delay and the next one
     s0 = 0.25 / np.sin(0.5 * angle) ** 2
-    ramp = u / (1 - u) ** 2 + (share - loop.lag) / (1 - u)
-    s2 = s0
-    if loop.lag > 0:
-        rate = 1 / loop.lag
-        ramp = ramp + loop.lag * np.exp(-share * rate) / (1 - np.exp(-rate) * u)
-        # sinh/(cosh - cos), which does not overflow
-        s2 = s0 - 0.5 * loop.lag * -np.expm1(-2 * rate) / (1 + np.exp(-2 * rate) - 2 * np.exp(-rate) * np.cos(angle))
+    ramp, s2 = u / (1 - u) ** 2 + (share - loop.lag) / (1 - u), s0
+    A, B, C = loop.device.actuator
+    if len(A):
+        from scipy.linalg import expm, solve_continuous_lyapunov
+
+        square = np.linalg.inv(A) @ np.linalg.inv(A)
+        ramp = ramp + _sampled(A, expm(A * share) @ square @ B, u)
+        spectrum = square @ solve_continuous_lyapunov(A, -np.outer(B, B)) @ C
+        s2 = s0 - 2 * _sampled(A, spectrum, u).real + float(C @ spectrum)
     return s0, -(u**first) * ramp, s2
+
+
+def _sampled(A: Floats, start: Floats, u: np.ndarray) -> np.ndarray:
+    """Return the sum over samples k >= 0 of u^k times the first entry of exp(A k) start."""
+    from scipy.linalg import expm
+
+    # by the determinant of z - exp(A) with and without the entry fed back
+    first = np.eye(1, len(A))[0]
+    poles = np.poly(expm(A))
+    weights = (poles - np.poly(expm(A) + np.outer(start, first)))[1:]
+    return np.asarray(np.polyval(weights[::-1], u) / np.polyval(poles[::-1], u))
