@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 from scipy.linalg import expm
 
-from pipeline.measured.model.identified import Identified, identified
+from pipeline.measured.model.estimated import ESTIMATED
+from pipeline.measured.model.identified import Identification, identified
 from pipeline.measured.model.intervals import Interval
 from pipeline.measured.model.recordings import Recording
 from pipeline.records.batch import Floats
@@ -107,8 +108,8 @@ def course(kind: Kind, seed: int) -> Course:
     far = 0.2 * mass if kind.mode else 0.0
     turn, ratio = 2 * np.pi * random.uniform(30, 60), 0.03
     recordings = _simulated(kind, random, (K, B), (mass, damping, friction, own_delay), (far, turn, ratio), quantum)
-    truth = {"mass": mass, "damping": damping * (1 + kind.drag), "delay": delay * T}
-    truth |= {} if kind.mode else {"delay and lag": (delay + kind.lag) * T}
+    truth = {"mass": mass, "damping": damping * (1 + kind.drag), "delay": delay}
+    truth |= {} if kind.mode else {"delay and lag": delay + kind.lag}
     if kind.friction and not kind.warming:
         truth["friction"] = kind.friction * STEP
     truth |= {"actuator_lag": kind.lag * T} if kind.lag else {}
@@ -199,25 +200,22 @@ def _window(seen: Floats, k: int, quantum: float) -> Floats:
     return best
 
 
-def told(found: Identified, truth: dict[str, float]) -> dict[str, list[float | None]]:
-    """Return truth, value and interval of each quantity; without a value where it is not told."""
-    result: dict[str, list[float | None]] = {}
-    noise = found.choice.fit.device.noise
-    names = list(found.parameters)
-    places = [names.index(name) for name in ("delay", "actuator_lag") if name in names]
-    value = sum(found.parameters[names[place]].value for place in places)
-    error = float(np.sqrt(found.covariance[np.ix_(places, places)].sum()))
-    known = found.parameters | {"delay and lag": Interval(value, value - 1.96 * error, value + 1.96 * error, error)}
-    for name, true in truth.items():
-        if name == "jitter":
-            reach = 1.96 * noise.jitter_error
-            result[name] = [true, noise.jitter or None, noise.jitter - reach, noise.jitter + reach]
-        elif name not in known or name in found.untold:
-            result[name] = [true, None, None, None]
-        else:
-            one = known[name]
-            result[name] = [true, one.value, one.low, one.high]
-    return result
+def estimates(found: Identification, truth: dict[str, float]) -> dict[str, list[float | None]]:
+    """Return truth, value and interval of each quantity, delays in samples; no value where it cannot be identified."""
+    noise, names = found.choice.fit.device.noise, list(found.parameters)
+    intervals = {ESTIMATED[n].key: found.parameters[n] for n in names if n not in found.unidentifiable}
+    samples = {"delay_samples": 1.0, "actuator_lag_s": 1 / T}
+    unit = np.array([samples.get(name, 0.0) for name in names])
+    value = float(unit @ [interval.value for interval in found.parameters.values()])
+    for name, middle, error in (
+        ("delay and lag", value, float(np.sqrt(unit @ found.covariance @ unit))),
+        ("jitter", noise.jitter, noise.jitter_error),
+    ):
+        intervals[name] = Interval(middle, middle - 1.96 * error, middle + 1.96 * error, error)
+    if not noise.jitter:
+        del intervals["jitter"]
+    known = {name: (i.value, i.low, i.high) for name, i in intervals.items()}
+    return {name: [true, *known.get(name, (None, None, None))] for name, true in truth.items()}
 
 
 def measured(kind: str, seed: int) -> dict[str, Any]:
@@ -226,7 +224,7 @@ def measured(kind: str, seed: int) -> dict[str, Any]:
     found = identified(made.recordings)
     parts = [name for name, gain in found.parts.items() if gain > 0]
     seconds = time.process_time() - begin
-    return {"kind": kind, "seed": seed, "told": told(found, made.truth), "parts": parts, "seconds": seconds}
+    return {"kind": kind, "seed": seed, "told": estimates(found, made.truth), "parts": parts, "seconds": seconds}
 
 
 @dataclass

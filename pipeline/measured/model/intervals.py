@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.measured.model.estimated import ESTIMATED, Numbers, Quantity
 from pipeline.measured.model.likelihood import LINEAR, Fit
 from pipeline.measured.model.recordings import LogUnits
-from pipeline.measured.model.scatter import inverse, untold
+from pipeline.measured.model.scatter import inverse, unidentified
 from pipeline.measured.student import NORMAL_95, student_95
 from pipeline.records.batch import Floats
 
@@ -55,12 +55,12 @@ class Errors:
         """
         solved, numbers = fit.solved, fit.device.numbers
         total = solved.total
-        told = np.einsum("tii->t", solved.information) > 0
-        information, score = solved.information[told], solved.score[told]
+        informative = np.einsum("tii->t", solved.information) > 0
+        information, score = solved.information[informative], solved.score[informative]
         without = (total if fit.few else total - own for own in information)
         steps = np.stack([-(inverse(rest) @ each) for rest, each in zip(without, score, strict=True)])
-        freedom = max(float(told.sum() - 1), 1.0)
-        nothing = untold(total)
+        freedom = max(float(informative.sum() - 1), 1.0)
+        nothing = unidentified(total)
         sizes = [max(abs(value), numbers.get("gain", 0.0) * (name in LINEAR), 1e-6) for name, value in numbers.items()]
         nothing *= FAR / np.abs(nothing / sizes).max(axis=1, keepdims=True, initial=1e-300)
         # equal readings count as one

@@ -54,7 +54,7 @@ LARGEST_STEP = {
 """Change of a number in one step within which the response is near a straight line."""
 
 BY_HALF = ("gain", "mode_damping_ratio")
-"""Numbers that change by half of themselves at most: without damping a mode is told so well that no step leaves it."""
+"""Numbers that change by half of themselves at most: a mode without damping is known so well that no step leaves it."""
 
 STEPS = 18
 """Newton's steps at most; seven are usual, a mode may take all."""
@@ -152,7 +152,7 @@ WORTH = 5.0
 @dataclass(frozen=True, eq=False)
 class Device:
     """Numbers of a device by name, and the noise beside it; ``effects`` (T, p) are what trials differ by, ``reading``
-    the variance of a reading where a fit has told one."""
+    the variance of a reading where a fit has one."""
 
     numbers: dict[str, float]
     noise: Noise = WHITE
@@ -289,9 +289,9 @@ class Starts:
         columns = -np.stack(errors, axis=-1).transpose(1, 0, 2)
         before = np.broadcast_to(np.diag(np.sqrt(variance) / sizes), (len(columns), len(sizes), len(sizes)))
         basis, triangle = np.linalg.qr(np.concatenate([columns, before], axis=1))
-        told = (np.diagonal(triangle, axis1=1, axis2=2) * sizes) ** 2
-        share = np.maximum(1 - variance / told, 0.0)
-        lost = 0.5 * float((np.log(told) - (1 - share) * np.log(variance)).sum())
+        known = (np.diagonal(triangle, axis1=1, axis2=2) * sizes) ** 2
+        share = np.maximum(1 - variance / known, 0.0)
+        lost = 0.5 * float((np.log(known) - (1 - share) * np.log(variance)).sum())
         return cls(basis, triangle, share.sum(axis=1), lost)
 
     def within(self, columns: Floats) -> Floats:

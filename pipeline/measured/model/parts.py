@@ -82,7 +82,7 @@ IMITATED = 0.75
 0.38, with a delay that is shorter by as much."""
 
 BESIDE = 1.92
-"""Log-likelihood below the largest at which an interval of 95 % ends that is told by it."""
+"""Log-likelihood below the largest at which an interval of 95 % by it ends."""
 
 CLOSER = 20.0
 """Gain of log-likelihood that each number but the first of a part must bring, as rounding is no white noise: a mode in

@@ -25,7 +25,7 @@ ROUNDED = 1e-16
 """Share of the motion below which what is left of it is rounding."""
 
 LEAST_NOISE = 1e-100
-"""Noise of logs without any motion, of which everything is told."""
+"""Noise of logs without any motion, by which everything is identified."""
 
 RIDGE = 1e-12
 """Share of a number's own information below which a direction has none, but rounding: it gets a step of 0."""
@@ -77,7 +77,7 @@ def inverse(information: Floats) -> Floats:
     return np.asarray((vectors * known) @ vectors.T * scale[:, None] * scale[None, :])
 
 
-def untold(information: Floats) -> Floats:
+def unidentified(information: Floats) -> Floats:
     """Return the directions of which an information matrix tells nothing, shape (k, p)."""
     scale, values, vectors = _scaled(information)
     return np.asarray(vectors[:, values <= RIDGE].T * scale)
