@@ -76,7 +76,7 @@ def linear_limits(loop: Loop, damping: Floats) -> Floats:
     --------
     >>> loop = Loop(mass=0.5, damping=3.0, sampling_period_s=0.001, delay_samples=4)
     >>> linear_limits(loop, np.array([0.0, 40.0])).round().tolist()
-    [666.0, 6107.0]
+    [670.0, 7936.0]
     """
     units = LoopUnits.of(loop)
     return np.maximum(stiffness_limit(NormalisedLoop.of(loop), damping / units.damping), 0.0) * units.stiffness

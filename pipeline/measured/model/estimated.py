@@ -20,6 +20,9 @@ Numbers = dict[str, float]
 Quantity = Callable[[Numbers], float]
 """A quantity in SI as a function of the estimator's numbers."""
 
+Conversion = Callable[[Numbers, LogUnits], float]
+"""What makes a quantity in SI, per unit of command, of the numbers and the units of the logs."""
+
 
 @dataclass(frozen=True)
 class EstimatedParameter:
@@ -32,7 +35,7 @@ class EstimatedParameter:
     number : str
         Number of the estimator with which a device has it.
     conversion : callable
-        Makes its value [SI, per unit of command] of all numbers and the units of the logs.
+        Makes its value.
     key : str
         Name in the document of `pipeline identify`.
     ends_at_zero : bool
@@ -41,7 +44,7 @@ class EstimatedParameter:
 
     name: str
     number: str
-    conversion: Callable[[Numbers, LogUnits], float]
+    conversion: Conversion
     key: str
     ends_at_zero: bool = True
 
@@ -69,44 +72,36 @@ def _mode_damping_ratio(n: Numbers, _: LogUnits) -> float:
     return n["mode_damping_ratio"] - ((n["delta"] - of_load) * ratio + of_load / ratio) / (2 * n["mode_frequency"])
 
 
+def _per_mass(number: str, power: int) -> Conversion:
+    """Return what makes a damping or stiffness of a number per sample and mass."""
+    return lambda n, units: n[number] / units.period**power * _mass(n, units)
+
+
+def _force(number: str) -> Conversion:
+    """Return what makes a force of an acceleration."""
+    return lambda n, units: n[number] / n["gain"] * units.command
+
+
+def _frequency(n: Numbers, units: LogUnits) -> float:
+    return n["mode_frequency"] / (2 * pi * units.period)
+
+
+def _mode_mass(n: Numbers, units: LogUnits) -> float:
+    return PlantShape.of(n).load_mass * _mass(n, units)
+
+
 _ROWS = (
     EstimatedParameter("mass", "gain", _mass, "mass", ends_at_zero=False),
-    EstimatedParameter("damping", "delta", lambda n, units: n["delta"] / units.period * _mass(n, units), "damping"),
-    EstimatedParameter(
-        "stiffness", "gamma", lambda n, units: n["gamma"] / units.period**2 * _mass(n, units), "stiffness"
-    ),
+    EstimatedParameter("damping", "delta", _per_mass("delta", 1), "damping"),
+    EstimatedParameter("stiffness", "gamma", _per_mass("gamma", 2), "stiffness"),
     EstimatedParameter("delay_samples", "delay", lambda n, _: n["delay"], "delay"),
     EstimatedParameter("actuator_lag_s", "lag", lambda n, units: n["lag"] * units.period, "actuator_lag"),
-    EstimatedParameter(
-        "mode.frequency_hz",
-        "mode_frequency",
-        lambda n, units: n["mode_frequency"] / (2 * pi * units.period),
-        "mode_frequency",
-        ends_at_zero=False,
-    ),
+    EstimatedParameter("mode.frequency_hz", "mode_frequency", _frequency, "mode_frequency", ends_at_zero=False),
     EstimatedParameter("mode.damping_ratio", "mode_damping_ratio", _mode_damping_ratio, "mode_damping_ratio"),
-    EstimatedParameter(
-        "mode.mass",
-        "mode_frequency",
-        lambda n, units: PlantShape.of(n).load_mass * _mass(n, units),
-        "mode_mass",
-    ),
-    EstimatedParameter(
-        "mode.load_damping",
-        "load_damping",
-        lambda n, units: n["load_damping"] / units.period * _mass(n, units),
-        "load_damping",
-    ),
-    EstimatedParameter(
-        "friction.coulomb", "coulomb", lambda n, units: n["coulomb"] / n["gain"] * units.command, "friction"
-    ),
-    EstimatedParameter(
-        "constant_force",
-        "force",
-        lambda n, units: n["force"] / n["gain"] * units.command,
-        "constant_force",
-        ends_at_zero=False,
-    ),
+    EstimatedParameter("mode.mass", "mode_frequency", _mode_mass, "mode_mass"),
+    EstimatedParameter("mode.load_damping", "load_damping", _per_mass("load_damping", 1), "load_damping"),
+    EstimatedParameter("friction.coulomb", "coulomb", _force("coulomb"), "friction"),
+    EstimatedParameter("constant_force", "force", _force("force"), "constant_force", ends_at_zero=False),
     EstimatedParameter(
         "force_limit", "limit", lambda n, units: n["limit"] * units.command, "force_limit", ends_at_zero=False
     ),
