@@ -79,26 +79,22 @@ def measured_limits(points: Sequence[BoundaryPoint]) -> MeasuredLimits:
 
     Notes
     -----
-    The limit by the growth rates with its 95 % interval where there is one, else the middle between the stiffest
-    stable trial and the softest unstable one, and these as the interval.
+    Those of `BoundaryPoint.limit`; where there is none, the softest unstable trial is an upper bound.
     """
-
-    def column(values: Sequence[float | None]) -> Floats:
-        return np.array(values, dtype=np.float64)
-
-    stable, unstable = column([p.stable for p in points]), column([p.unstable for p in points])
-    value, low, high = (column([getattr(p, name) for p in points]) for name in ("estimate", "low", "high"))
-    censored = np.array([p.censored for p in points], dtype=np.bool_)
-    floor = np.nan_to_num(stable)
-    fitted = np.isfinite(value) & np.isfinite(low) & np.isfinite(high)
-    known = fitted | np.isfinite(stable)
+    rows = [
+        (limit.stiffness, limit.low, limit.high)
+        if (limit := point.limit) is not None
+        else (0.0, 0.0, 0.0 if point.censored else np.nan if point.unstable is None else point.unstable)
+        for point in points
+    ]
+    value, low, high = np.array(rows, dtype=np.float64).reshape(-1, 3).T
     return MeasuredLimits(
-        column([p.damping for p in points]),
-        np.where(censored, floor, np.where(fitted, value, np.where(known, 0.5 * (floor + unstable), 0.0))),
-        np.where(censored | ~fitted, floor, low),
-        np.where(censored, floor, np.where(fitted, high, unstable)),
-        censored,
-        known,
+        np.array([point.damping for point in points], dtype=np.float64),
+        value,
+        low,
+        high,
+        np.array([point.censored for point in points], dtype=np.bool_),
+        np.array([point.limit is not None for point in points], dtype=np.bool_),
     )
 
 

@@ -45,7 +45,7 @@ POWERS: dict[Dimension, tuple[int, int]] = {
     "frequency": (0, -1),
     "ratio": (0, 0),
 }
-"""Powers of mass and time of each dimension. What has a power of the mass is felt by a wall per unit of command; in
+"""Powers of mass and time of each dimension. What has a power of the mass counts for a wall per unit of command; in
 units of mass and sampling period these are the factors of Table 3.1 (Hulin 2017)."""
 
 

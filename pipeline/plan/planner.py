@@ -69,7 +69,7 @@ class Next(Record):
     why: str
 
 
-class Limit(Record):
+class PlannedLimit(Record):
     """Limit of stability at a damping [N/m, Nm/rad].
 
     ``low`` and ``high`` are the stiffest stable and the softest unstable wall by verdicts, None where there is none;
@@ -108,7 +108,7 @@ class Plan(Record):
 
     next: tuple[Next, ...]
     done: bool
-    boundary: tuple[Limit, ...]
+    boundary: tuple[PlannedLimit, ...]
     trials_used: int
     trials_expected: int
     remarks: tuple[str, ...] = ()
@@ -199,7 +199,7 @@ def _left_out(course: Course) -> tuple[str, ...]:
     return course.device.loop_for(course.of_file).left_out
 
 
-def _limit(column: Column, *, blind: bool) -> Limit:
+def _limit(column: Column, *, blind: bool) -> PlannedLimit:
     """Return what is known of a limit; ``blind`` without a device that predicts it, so that it needs two ends."""
     ends, estimate = column.bracket, column.estimate
     verdicts = (ends.low is not None) + (ends.high is not None)
@@ -209,7 +209,7 @@ def _limit(column: Column, *, blind: bool) -> Limit:
     if key == "step of the rig" and (ends.high is None or ends.low is None):
         key = "stiffest of the rig" if ends.high is None else "softest of the rig"
     note = NOTES.get(key, "") if column.wall is None or column.note == "longer" else ""
-    return Limit(damping=column.damping, estimate=estimate, low=ends.low, high=ends.high, note=note)
+    return PlannedLimit(damping=column.damping, estimate=estimate, low=ends.low, high=ends.high, note=note)
 
 
 def aim_of(

@@ -111,6 +111,21 @@ class ModelCheck(Record):
     fit_percent: float | None
 
 
+class Limit(Record):
+    """Stiffness [N/m, Nm/rad] up to which a loop is stable at one damping, with its 95 % interval.
+
+    Where the tested range ended first it is ``censored``: all three are a lower bound. With friction it holds for the
+    step that was used; ``stiffness_large_motion`` is the linear limit, from which on a harder push is unstable.
+    """
+
+    damping: float
+    stiffness: float
+    low: float
+    high: float
+    censored: bool = False
+    stiffness_large_motion: float | None = None
+
+
 class BoundaryPoint(Record):
     """Stability limit at one damping: largest stable stiffness below the smallest unstable one.
 
@@ -135,6 +150,19 @@ class BoundaryPoint(Record):
     undecided: int = 0
     stiffness_large_motion: float | None = None
     truth: float | None = None
+
+    @property
+    def limit(self) -> Limit | None:
+        """The limit by the growth rates, else in the middle of stable and unstable trials; None where neither is."""
+        stable, unstable, ends = self.stable, self.unstable, (self.estimate, self.low, self.high)
+        if self.censored:
+            ends = (stable, stable, stable)
+        elif None in ends and stable is not None and unstable is not None:
+            ends = (0.5 * (stable + unstable), stable, unstable)
+        value, low, high = ends
+        if value is None or low is None or high is None:
+            return None
+        return Limit(damping=self.damping, stiffness=value, low=low, high=high, censored=self.censored)
 
 
 class Optimum(Record):

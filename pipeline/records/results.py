@@ -17,6 +17,7 @@ from pipeline.records.findings import (
     Estimate,
     ExcludedTrial,
     FindingCode,
+    Limit,
     ModelCheck,
     Note,
     Optimum,
@@ -215,20 +216,6 @@ class LoopResult(Record):
     mode: dict[str, Quantity] | None = None
     operator: dict[str, Quantity] | None = None
     friction: Quantity | None = None
-
-
-class Limit(Record):
-    """Stiffness [N/m, Nm/rad] up to which a loop is stable at one damping, with the range of its 95 % intervals.
-
-    With friction it holds for the step that was used; ``stiffness_large_motion`` is the linear limit, from which on a
-    harder push is unstable.
-    """
-
-    damping: float
-    stiffness: float
-    low: float
-    high: float
-    stiffness_large_motion: float | None = None
 
 
 class WallReplay(Record):

@@ -16,7 +16,7 @@ from pipeline.device_data.devices import load_device
 from pipeline.plan.course import Wish, open_course
 from pipeline.plan.loop_limits import linear_limits
 from pipeline.plan.next_wall import Tried
-from pipeline.plan.planner import Limit, Plan, plan, plan_of
+from pipeline.plan.planner import Plan, PlannedLimit, plan, plan_of
 from pipeline.shell.commands.cli_device import plan_lines
 
 FALCON = load_device("falcon")
@@ -78,7 +78,7 @@ def test_without_logs_the_first_walls_are_well_inside_what_the_file_predicts(tmp
 
 
 def test_a_limit_without_a_stable_wall_is_none_in_words_as_in_json():
-    limit = Limit(damping=20.0, estimate=400.0, low=None, high=1000.0)
+    limit = PlannedLimit(damping=20.0, estimate=400.0, low=None, high=1000.0)
     told = "\n".join(plan_lines(Plan(next=(), done=True, boundary=(limit,), trials_used=3, trials_expected=3)))
     assert "no stable wall, unstable at 1000" in told
     assert "stable at 0" not in told

@@ -23,8 +23,8 @@ from pipeline.measured.stages.stage_groups import Given, TrialGroup
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.loop_limits import StepTrial, linear_limits, simulate_behind
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
-from pipeline.records.findings import MATTERS
-from pipeline.records.results import ExperimentResult, Limit, WallReplay
+from pipeline.records.findings import MATTERS, Limit
+from pipeline.records.results import ExperimentResult, WallReplay
 from pipeline.rendering.labels import share_text, significant
 
 MOST_WALLS = 150

@@ -58,11 +58,11 @@ class Disturbance:
 
 
 @dataclass(frozen=True)
-class Device:
-    """Device that fits an experiment: m, b, k and delay [samples]; its mass is 0 where trials show no motion.
+class PushResponse:
+    """Device that fits an experiment, for forces that it does not explain: m, b, k and delay [samples].
 
-    ``span`` are the rows before and after a row from which its force is told; ``least`` is the force, in units of the
-    smallest reported one, from which on it is an event, and not the device itself.
+    Its mass is 0 where trials show no motion. ``span`` are the rows before and after a row that tell its force;
+    ``least`` is the force, in units of the smallest reported one, from which on it is an event, and not the device.
     """
 
     mass: float = 0.0
@@ -73,7 +73,7 @@ class Device:
     least: float = 1.0
 
 
-def find_disturbance(batch: TrialBatch, response: Response, device: Device) -> Disturbance:
+def find_disturbance(batch: TrialBatch, response: Response, device: PushResponse) -> Disturbance:
     """Find the force that acts beside the command.
 
     Parameters
@@ -82,8 +82,8 @@ def find_disturbance(batch: TrialBatch, response: Response, device: Device) -> D
         Trials of one experiment: they share device and delay. Few and disturbed trials are judged worse.
     response : Response
         Of the same trials.
-    device : Device
-        What was learnt from all trials of the experiment (`learn_device`).
+    device : PushResponse
+        What was learnt from all trials of the experiment (`fit_push_response`).
 
     Notes
     -----
@@ -105,9 +105,9 @@ def find_disturbance(batch: TrialBatch, response: Response, device: Device) -> D
     return Disturbance(first, largest, force)
 
 
-def learn_device(
+def fit_push_response(
     groups: TrialGroups, edge_row: Integers, floor: Floats, rows: Integers, step: Floats, period_s: Floats
-) -> Device:
+) -> PushResponse:
     """Fit the device of an experiment to some of its trials, by the least absolute error: disturbed ones hardly count.
 
     Parameters
@@ -120,14 +120,14 @@ def learn_device(
     """
     usable = np.flatnonzero((edge_row >= 0) & (rows > edge_row + 2 * SHORTEST_SPAN))
     if not len(usable):
-        return Device()
+        return PushResponse()
     by_hash = np.argsort(groups.of_trials("digests")[usable], kind="stable")
     some = np.sort(usable[by_hash[:FITTED_TRIALS]])
     first = np.where(rows[some] > FITTED_ROWS, np.maximum(edge_row[some] - 4 * SHORTEST_SPAN, 0), 0)
     trials, edge = groups.cut(some, first, np.minimum(rows[some] - first, FITTED_ROWS)), edge_row[some] - first
     device = _fit(trials, edge)
     if not device.mass > 0:
-        return Device()
+        return PushResponse()
     sensor = SENSOR_FLOORS * np.percentile(floor[usable], 75) * device.mass
     smallest = SMALLEST_FORCE * float(np.median(np.abs(step[usable])))
     span = np.ceil(np.sqrt(sensor / smallest) / float(np.median(period_s)))
@@ -138,7 +138,7 @@ def learn_device(
     return device
 
 
-def _fit(trials: TrialBatch, edge: Integers) -> Device:
+def _fit(trials: TrialBatch, edge: Integers) -> PushResponse:
     """Fit mass, damping, stiffness and delay to trials of an experiment."""
     span, command = SHORTEST_SPAN, np.nan_to_num(trials.command)
     acceleration = _second_difference(trials.displacement, span) / trials.sampling_period_s[:, None] ** 2
@@ -147,12 +147,12 @@ def _fit(trials: TrialBatch, edge: Integers) -> Device:
     scale = np.where(scale > 0, scale, 1.0)[:, None]
     own = (_triangle(values, span) for values in (_velocity(trials), np.nan_to_num(trials.displacement)))
     y, v, x = ((values / scale)[inside] for values in (acceleration, *own))
-    best, least = Device(), np.inf
+    best, least = PushResponse(), np.inf
     for delay in range(min(LONGEST_DELAY, command.shape[1] - 1) + 1):
         u = (_triangle(_held(_late(command, delay)), span) / scale)[inside]
         (inertia, damping, stiffness), error = _least_absolute(np.stack([u, v, x]), y)
         if error < least and inertia > 0:
-            best, least = Device(1 / inertia, -damping / inertia, -stiffness / inertia, delay), error
+            best, least = PushResponse(1 / inertia, -damping / inertia, -stiffness / inertia, delay), error
     return best
 
 
@@ -163,14 +163,14 @@ def _inside(trials: TrialBatch, edge: Integers, span: int) -> Booleans:
     return inside
 
 
-def _ratio(trials: TrialBatch, edge: Integers, floor: Floats, device: Device) -> tuple[Floats, Floats]:
+def _ratio(trials: TrialBatch, edge: Integers, floor: Floats, device: PushResponse) -> tuple[Floats, Floats]:
     """Return forces beyond all commands that may be in force, in units of the smallest to be believed, and as such.
 
     From row span on [1], [N, Nm].
     """
     span, period = device.span, trials.sampling_period_s[:, None]
     weight = float(span * span)
-    felt = device.mass * _second_difference(trials.displacement, span) / (period * span) ** 2
+    acceleration = device.mass * _second_difference(trials.displacement, span) / (period * span) ** 2
     own = device.damping * _velocity(trials) + device.stiffness * np.nan_to_num(trials.displacement)
     own = _triangle(own, span) / weight
     command = np.nan_to_num(trials.command)
@@ -178,7 +178,7 @@ def _ratio(trials: TrialBatch, edge: Integers, floor: Floats, device: Device) ->
     lowest, highest = (
         _triangle(_held(edge_of), span) / weight for edge_of in (np.minimum.reduce(choice), np.maximum.reduce(choice))
     )
-    outside = felt + own
+    outside = acceleration + own
     left = np.maximum(outside - highest, 0.0) + np.minimum(outside - lowest, 0.0)
     sensor = SENSOR_FLOORS * device.mass * floor[:, None] / (period * span) ** 2
     model = SMALLEST_FORCE * (np.maximum(np.abs(lowest), np.abs(highest)) + 2 * np.abs(own))

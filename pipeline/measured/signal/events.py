@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.measured.signal.disturbance import LONGEST_DELAY, Device, Disturbance
+from pipeline.measured.signal.disturbance import LONGEST_DELAY, Disturbance, PushResponse
 from pipeline.measured.signal.edge import BENT, lasting
 from pipeline.measured.signal.modes import FEWEST_SAMPLES
 from pipeline.measured.signal.response import NO_ROW, SETTLED_SAMPLES, Response, external_force
@@ -62,13 +62,13 @@ def left_travel(batch: TrialBatch, response: Response, usual: int) -> Integers:
     return np.where(left, batch.rows - 1, NO_ROW).astype(np.int64)
 
 
-def first_stop(batch: TrialBatch, response: Response, outside: Disturbance, device: Device) -> Integers:
+def first_stop(batch: TrialBatch, response: Response, outside: Disturbance, device: PushResponse) -> Integers:
     """Return the first row at a rigid stop, -1 where there is none, shape (n,).
 
     Parameters
     ----------
     batch : TrialBatch
-    response, outside, device : Response, Disturbance, Device
+    response, outside, device : Response, Disturbance, PushResponse
         Of the same trials.
 
     Notes

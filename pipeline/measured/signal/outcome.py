@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.signal.disturbance import Device, Disturbance, find_disturbance
+from pipeline.measured.signal.disturbance import Disturbance, PushResponse, find_disturbance
 from pipeline.measured.signal.events import (
     UNMOVED_SAMPLES,
     first_clipped,
@@ -173,7 +173,7 @@ def classify(
     response: Response,
     verdicts: Verdicts,
     usual_rows: int,
-    device: Device,
+    device: PushResponse,
 ) -> Outcomes:
     """Say of each trial what happened in it.
 
@@ -183,8 +183,8 @@ def classify(
         Trials of one experiment: its usual length tells early ends, its device what is a disturbance.
     response, verdicts : Response, Verdicts
         Of the same trials.
-    usual_rows, device : int, Device
-        `usual_length` of the logs of the experiment, and its device (`learn_device`).
+    usual_rows, device : int, PushResponse
+        `usual_length` of the logs of the experiment, and its device (`fit_push_response`).
 
     Returns
     -------
@@ -209,7 +209,9 @@ def classify(
     return Outcomes(**joined, evidence=tuple(text for part in parts for text in part.evidence))
 
 
-def _classified(batch: TrialBatch, response: Response, verdicts: Verdicts, usual: int, device: Device) -> Outcomes:
+def _classified(
+    batch: TrialBatch, response: Response, verdicts: Verdicts, usual: int, device: PushResponse
+) -> Outcomes:
     with np.errstate(divide="ignore", invalid="ignore"):
         stepped = (batch.stiffness > 0) & (batch.step != 0)
         travel = np.where(stepped, np.abs(batch.step / batch.stiffness), np.nan)

@@ -28,7 +28,7 @@ from pipeline.measured.experiment.estimates import by_model, delay_factor, first
 from pipeline.measured.experiment.rest_forces import rest_spring
 from pipeline.measured.experiment.stored import Experiment
 from pipeline.measured.signal import outcome, verdict
-from pipeline.measured.signal.disturbance import Device, learn_device
+from pipeline.measured.signal.disturbance import PushResponse, fit_push_response
 from pipeline.measured.signal.events import usual_length
 from pipeline.measured.signal.response import NO_ROW
 from pipeline.measured.signal.sensor import sensor_floor
@@ -111,13 +111,13 @@ def given_to_outcome(of: Experiment) -> Given:
     quantum, noise = (of.column("response", f"sensor_{name}") for name in ("quantum", "noise"))
     edge = np.nan_to_num(of.column("response", "edge_row"), nan=NO_ROW).astype(np.int64)
     rows, step, period = (of.samples.of_trials(name) for name in ("rows", "step", "sampling_period_s"))
-    device = learn_device(of.samples, edge, sensor_floor(quantum, noise), rows, step, period)
+    device = fit_push_response(of.samples, edge, sensor_floor(quantum, noise), rows, step, period)
     return {"usual_rows": usual_length(rows), "device": asdict(device)}
 
 
 def outcomes(of: TrialGroup, given: Given) -> Sources:
     """Return how each trial ended, and what shows it."""
-    found = outcome.classify(of.batch, of.found, of.verdicts, given["usual_rows"], Device(**given["device"]))
+    found = outcome.classify(of.batch, of.found, of.verdicts, given["usual_rows"], PushResponse(**given["device"]))
     return found, {"outcome_row": found.first_row}
 
 

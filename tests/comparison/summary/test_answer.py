@@ -9,8 +9,9 @@ import pytest
 
 from pipeline.comparison.scores.agreement import is_steady
 from pipeline.comparison.summary.answer import COARSE, answer
+from pipeline.records.findings import Limit
 from pipeline.records.models import ComparisonRow, Deviation
-from pipeline.records.results import Cause, Limit
+from pipeline.records.results import Cause
 from pipeline.rendering.labels import at_least
 from pipeline.rendering.report.report import answer_lines
 

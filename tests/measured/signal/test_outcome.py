@@ -12,7 +12,7 @@ from labelled import GROUPS, Group, Labelled, cut, join, labelled_set
 from pipeline.base.errors import ParameterError
 from pipeline.device.parts import Butterworth, Sensor, SimulationParts
 from pipeline.measured.cost import costs
-from pipeline.measured.signal.disturbance import LONGEST_SPAN, Device, find_disturbance, learn_device
+from pipeline.measured.signal.disturbance import LONGEST_SPAN, PushResponse, find_disturbance, fit_push_response
 from pipeline.measured.signal.events import usual_length
 from pipeline.measured.signal.outcome import BAND, OUTCOMES, Outcomes, classify
 from pipeline.measured.signal.response import Response, find_response
@@ -34,10 +34,10 @@ def outcomes(batch: TrialBatch) -> Outcomes:
     return classify(batch, response, judge(batch, response), usual_length(batch.rows), device_of(batch, response))
 
 
-def device_of(batch: TrialBatch, response: Response) -> Device:
+def device_of(batch: TrialBatch, response: Response) -> PushResponse:
     """The device that the trials of a batch show."""
     groups = TrialGroups((np.arange(len(batch)),), (batch,))
-    return learn_device(groups, response.edge_row, response.floor, batch.rows, batch.step, batch.sampling_period_s)
+    return fit_push_response(groups, response.edge_row, response.floor, batch.rows, batch.step, batch.sampling_period_s)
 
 
 def run(setup: Setup, K: list[float], B: list[float], **options) -> TrialBatch:
@@ -132,7 +132,7 @@ def test_a_log_shorter_than_two_spans_shows_no_force() -> None:
     """As beside a coarse sensor, whose errors are told from a force over many rows."""
     whole = run(FALCON, [3000.0, 4000.0], [60.0, 60.0])
     batch = whole.window(0, FALCON.edge_row + 30)
-    device = Device(0.58, 4.0, 0.0, 4, span=LONGEST_SPAN, least=1.2)
+    device = PushResponse(0.58, 4.0, 0.0, 4, span=LONGEST_SPAN, least=1.2)
     found = find_disturbance(batch, find_response(batch), device)
     assert found.first_row.tolist() == found.largest_row.tolist() == [-1, -1]
     assert found.force.tolist() == [0.0, 0.0]

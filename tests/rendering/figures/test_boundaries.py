@@ -7,9 +7,9 @@ import pytest
 import simulated
 from report_data import experiment
 
-from pipeline.records.findings import BoundaryPoint
+from pipeline.records.findings import BoundaryPoint, Limit
 from pipeline.records.models import Shown
-from pipeline.records.results import Cause, Limit, SourcedLoop
+from pipeline.records.results import Cause, SourcedLoop
 from pipeline.rendering.figures.boundaries import (
     answer_figure,
     boundary_figures,
