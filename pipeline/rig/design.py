@@ -85,6 +85,8 @@ class Design:
     sensitivities : pandas.DataFrame
         ``quantity``, ``value``, ``unit``, ``stiffness_max`` and its change ``stiffness_max_per_unit``; in percent per
         percent of the quantity ``stiffness_max_percent`` and, of the nearest wall, ``settling_percent``.
+    left_out : tuple of str
+        Parts of the rig that theory does not include.
     """
 
     wish: Wish
@@ -94,6 +96,7 @@ class Design:
     changes: tuple[Change, ...]
     out_of_reach: dict[str, str]
     sensitivities: pd.DataFrame
+    left_out: tuple[str, ...] = ()
 
     def document(self) -> dict[str, Any]:
         """Return all as one JSON document."""
@@ -154,6 +157,7 @@ def design(
         changes=tuple(sorted(changes, key=lambda change: change.size)),
         out_of_reach=out_of_reach,
         sensitivities=_sensitivities(loop, quantities, best),
+        left_out=loop.left_out,
     )
 
 

@@ -141,7 +141,26 @@ CONDITIONS = (
 )
 
 
-def published_limits(loop: Loop, damping: object, *, coulomb: float = 0.0, quantum: float = 0.0) -> pd.DataFrame:
+def _without(loop: Loop) -> str:
+    """Return which parts of a loop no published condition includes, to go with what a condition assumes."""
+    present = {
+        "velocity filter": loop.velocity is not None,
+        "actuator lag": loop.actuator_lag_s > 0,
+        "vibration mode": loop.mode is not None,
+        "jitter": "jitter" in loop.left_out,
+    }
+    names = [name for name, is_present in present.items() if is_present]
+    return f"; without {', '.join(names)}" if names else ""
+
+
+def _exact_assumes(loop: Loop) -> str:
+    left_out = ["adaptive velocity filter" if name == "velocity" else name for name in loop.left_out]
+    return f"the linear loop, without {', '.join(left_out)}" if left_out else "nothing beside the loop"
+
+
+def published_limits(
+    loop: Loop, damping: object, *, coulomb: float | None = None, quantum: float | None = None
+) -> pd.DataFrame:
     """Return the largest stiffness that published conditions allow at dampings, and the exact limit of stability.
 
     Parameters
@@ -152,14 +171,16 @@ def published_limits(loop: Loop, damping: object, *, coulomb: float = 0.0, quant
         the exact limit alone: no condition knows them.
     damping : array of float
         B of the wall [Ns/m, Nms/rad].
-    coulomb, quantum : float
-        Coulomb friction f_c [N, Nm] and sensor quantum [m, rad] of the device, 0 where not known.
+    coulomb, quantum : float, optional
+        Coulomb friction f_c [N, Nm] and sensor quantum [m, rad] of the device, by default those of the loop; 0 where
+        not known.
 
     Returns
     -------
     pandas.DataFrame
-        ``condition``, ``promises`` (stability, passivity), ``assumes``, ``source``, ``damping``, ``stiffness`` [N/m,
-        Nm/rad]; nan where a condition says nothing, 0 where it allows no wall. The last rows are the exact limit.
+        ``condition``, ``promises`` (stability, passivity), ``assumes`` (with the parts of the loop that the condition
+        does not include), ``source``, ``damping``, ``stiffness`` [N/m, Nm/rad]; nan where a condition says nothing, 0
+        where it allows no wall. The last rows are the exact limit.
 
     Raises
     ------
@@ -173,15 +194,18 @@ def published_limits(loop: Loop, damping: object, *, coulomb: float = 0.0, quant
     >>> float(table["Colgate and Schenkel 1997"]), float(table["Abbott and Okamura 2005, Diolaiti et al. 2006"])
     (8000.0, 8000.0)
     """
+    coulomb = loop.value("friction.coulomb") or 0.0 if coulomb is None else coulomb
+    quantum = loop.sensor.quantum if quantum is None else quantum
     for name, value in (("coulomb", coulomb), ("quantum", quantum)):
         if not 0 <= value < np.inf:
             raise ParameterError(f"{name} = {value}: expected a finite number that is not negative.")
     B = np.atleast_1d(np.asarray(damping, dtype=np.float64))
-    sensor, frames = Sensor(coulomb, quantum), []
-    exact = Condition("exact", "this package", "stability", "nothing beside the loop", lambda *_: K)
+    sensor, frames, without = Sensor(coulomb, quantum), [], _without(loop)
+    exact = Condition("exact", "this package", "stability", _exact_assumes(loop), lambda *_: K)
     K = np.asarray(loop.limits(B)["stiffness"])
     for condition in (*CONDITIONS, exact):
         stiffness = np.maximum(condition.stiffness(loop, sensor, B), 0.0)
-        told = {"promises": condition.promises, "assumes": condition.assumes, "source": condition.source}
-        frames.append(pd.DataFrame({"condition": condition.name, **told, "damping": B, "stiffness": stiffness}))
+        assumes = condition.assumes if condition is exact else condition.assumes + without
+        words = {"promises": condition.promises, "assumes": assumes, "source": condition.source}
+        frames.append(pd.DataFrame({"condition": condition.name, **words, "damping": B, "stiffness": stiffness}))
     return pd.concat(frames, ignore_index=True)

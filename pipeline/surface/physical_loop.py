@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -50,7 +50,8 @@ class LoopOptimum:
     ``stiffness`` K [N/m, Nm/rad], ``damping`` B [Ns/m, Nms/rad]. ``cost``: settling times in samples, overshoot as a
     fraction, energies dimensionless; None where the criterion has none. ``reason`` says why, or that the optimum is a
     limit that no stable point reaches. ``box``: smallest and largest stiffness, then damping, where a region is equally
-    good. ``note`` tells of stable walls that were not searched.
+    good. ``note``: stable walls that were not searched, a negative stiffness, or an unstable tuning. ``left_out``:
+    parts of the loop that theory does not include.
     """
 
     criterion: str
@@ -60,6 +61,7 @@ class LoopOptimum:
     reason: str | None = None
     box: tuple[float, float, float, float] | None = None
     note: str | None = None
+    left_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ class Loop(device_loop.Loop):
         Vibration mode: ``frequency_hz``, ``damping_ratio``, ``mass`` of the load (part of the device's mass),
         ``sensor`` (``motor`` or ``load``), ``load_damping`` (part of the device's damping).
     operator : mapping, optional
-        What holds the device rigidly: ``mass``, ``damping``, ``stiffness``, beside those of the device.
+        What holds the motor rigidly: ``mass``, ``damping``, ``stiffness``, in addition to those of the device.
     friction : mapping, optional
         On the motor side: ``coulomb``, ``stiction``, ``stribeck_velocity``.
     sensor : mapping, optional
@@ -98,7 +100,8 @@ class Loop(device_loop.Loop):
     jitter_samples : sequence of int, optional
         Delays from which each command draws its own; ``delay_samples`` is their mean.
     constant_force, force_limit : float
-        Force beside the command, and command that is clipped beyond [N, Nm].
+        Constant force on the motor, such as gravity, and largest command [N, Nm]. The one moves the rest position
+        alone, the other only limits large motions: neither is part of linear theory.
 
     Raises
     ------
@@ -108,7 +111,7 @@ class Loop(device_loop.Loop):
     Notes
     -----
     Theory is that of the linear loop. What it cannot include, an adaptive velocity filter, friction or jitter, is named
-    in ``left_out``, which ``attrs`` of data frames repeat.
+    in ``left_out``, which ``attrs`` of data frames, optima, margins and designs repeat.
 
     Source: Hulin 2017, Table 3.1 (normalisation), ch. 3 to 5; docs/definitions.md, "Devices that are not ideal".
 
@@ -300,7 +303,8 @@ class Loop(device_loop.Loop):
         """
         found = optimum_document(Case(self.normalised_loop, self.units), criterion)
         box = tuple(found["box"].values()) if "box" in found else None
-        return LoopOptimum(**{f.name: found.get(f.name) for f in fields(LoopOptimum)} | {"box": box})
+        values = {f.name: found.get(f.name) for f in fields(LoopOptimum)}
+        return LoopOptimum(**values | {"box": box, "left_out": self.left_out})
 
     def best_damping(self, stiffness: object, criterion: str) -> pd.DataFrame:
         """Return the best damping for each stiffness by a criterion.
@@ -371,6 +375,9 @@ class Loop(device_loop.Loop):
     ) -> pd.DataFrame:
         """Return the motion after a unit step of the force, or a unit impulse, exact also between samples.
 
+        Time 0 is the moment at which the step of the command, or the hit, arrives at the actuator: the delay has
+        passed. In `to_state_space` time 0 is the moment at which the controller sends it, ``delay_samples`` earlier.
+
         Parameters
         ----------
         stiffness, damping : float
@@ -415,13 +422,15 @@ class Loop(device_loop.Loop):
             ``gain``, ``gain_down``: factors of K and B together up, and down, to the limit; ``phase`` [rad], where the
             loop's gain is 1; ``delay`` [samples] that may be added; ``bandwidth`` [rad/sample], where the position
             after a command falls to 1/sqrt(2) of that at rest. Over 2 pi T the last is one in Hz. None: no limit.
+            ``left_out``: parts of the loop that theory does not include.
 
         Raises
         ------
         ParameterError
             If the wall is unstable.
         """
-        return margins(self.normalised_loop, stiffness / self.units.stiffness, damping / self.units.damping)
+        known = margins(self.normalised_loop, stiffness / self.units.stiffness, damping / self.units.damping)
+        return replace(known, left_out=self.left_out)
 
     def to_state_space(self, stiffness: float = 0.0, damping: float = 0.0) -> StateSpace:
         """Return the loop as a discrete system of scipy, from a command [N, Nm] to the sensed position [m, rad].
@@ -435,7 +444,9 @@ class Loop(device_loop.Loop):
         -------
         scipy.signal.StateSpace
             With ``dt``; ``control.ss(s.A, s.B, s.C, s.D, s.dt)`` is that of python-control. The command passes gain,
-            delay and lag as the wall's own does.
+            delay and lag as the wall's own does: its step response starts when the controller sends it, and moves
+            ``delay_samples`` later, while `response` starts when the command arrives. The parts in ``left_out`` are
+            not in it.
         """
         from scipy.signal import StateSpace
 

@@ -219,6 +219,8 @@ class Margins:
         Smallest delay [samples] that makes the loop unstable when it is added.
     bandwidth : float, optional
         Smallest angle [rad/sample] at which the position after a command is below 1/sqrt(2) of that at rest.
+    left_out : tuple of str
+        Parts of a device that its loop does not include.
     """
 
     gain: float | None
@@ -226,6 +228,7 @@ class Margins:
     phase: float | None
     delay: float | None
     bandwidth: float | None
+    left_out: tuple[str, ...] = ()
 
 
 def margins(loop: NormalisedLoop, alpha: float, beta: float) -> Margins:

@@ -10,20 +10,35 @@ from math import floor
 from typing import Any
 
 import numpy as np
-from scipy.linalg import expm
-from scipy.signal import butter
+from scipy.linalg import expm, solve_discrete_are
+from scipy.signal import butter, ss2tf
 
 from pipeline import Loop
 
 
 def filter_of(loop: Loop) -> tuple[np.ndarray, np.ndarray]:
-    """Return b and a of the filter of (x_k - x_{k-1})/T in powers of 1/z, a[0] = 1."""
-    given: dict[str, Any] = dict(loop.velocity or {"kind": "difference", "samples": 1})
+    """Return b and a of the filter of (x_k - x_{k-1})/T in powers of 1/z, a[0] = 1; none if adaptive."""
+    given: dict[str, Any] = dict(loop.velocity or {"kind": "foaw"})
+    if given["kind"] in ("foaw", "levant"):
+        return np.ones(1), np.ones(1)
     if given["kind"] == "difference":
         return np.full(given["samples"], 1 / given["samples"]), np.ones(1)
     if given["kind"] == "butterworth":
         return butter(given["order"], given["cutoff_hz"], fs=1 / loop.sampling_period_s)
+    if given["kind"] == "kalman":
+        return _kalman(loop.sampling_period_s, given["acceleration"], given["noise"])
     return np.array(given["b"]) / given["a"][0], np.array(given["a"]) / given["a"][0]
+
+
+def _kalman(T: float, acceleration: float, noise: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the filter by its Riccati equation: a white acceleration, held over each sample, and white noise."""
+    push, turn, sensor = np.array([[T**2 / 2], [T]]), np.array([[1.0, T], [0.0, 1.0]]), np.array([[1.0, 0.0]])
+    ahead = solve_discrete_are(turn.T, sensor.T, acceleration**2 * push @ push.T, np.array([[noise**2]]))
+    gain = ahead @ sensor.T / (sensor @ ahead @ sensor.T + noise**2)
+    # v = (0 1) of the corrected state, driven by positions: (I - gain sensor) turn
+    loop = (np.eye(2) - gain @ sensor) @ turn
+    b, a = ss2tf(loop, gain, loop[1:2], gain[1:2])
+    return np.polydiv(b[0], [1 / T, -1 / T])[0], a  # over the difference (1 - 1/z)/T, of which b has the zero
 
 
 def continuous(loop: Loop) -> tuple[np.ndarray, int]:
@@ -74,11 +89,38 @@ def matrix(loop: Loop, stiffness: float, damping: float) -> np.ndarray:
     return np.vstack(rows)
 
 
+def added_force(loop: Loop) -> np.ndarray:
+    """Return the column by which a command in addition to the wall's leads to the next state."""
+    device, whole = continuous(loop)[0] * loop.sampling_period_s, floor(loop.delay_samples)
+    b, a = filter_of(loop)
+    result = np.zeros(5 + len(b) + len(a) - 1 + whole + 1)
+    result[5 + len(b) + len(a) - 1] = 1.0
+    if whole == 0:
+        result[:5] = expm(device * (1 - loop.delay_samples))[:5, 5]
+    return result
+
+
+def used_states(loop: Loop, count: int) -> np.ndarray:
+    """Return which states a loop has."""
+    used = np.ones(count, bool)
+    used[2:4], used[4] = bool(loop.mode), loop.actuator_lag_s > 0
+    return used
+
+
+def step_response(loop: Loop, stiffness: float, damping: float, rows: int) -> np.ndarray:
+    """Return the sensed position at each sample after a unit step of the command at sample 0, from rest, shape (rows,)."""
+    turn, push, sensor = matrix(loop, stiffness, damping), added_force(loop), continuous(loop)[1]
+    state, result = np.zeros(len(turn)), []
+    for _ in range(rows):
+        result.append(state[sensor])
+        state = turn @ state + push
+    return np.array(result)
+
+
 def radius(loop: Loop, stiffness: float, damping: float) -> float:
     """Return the largest size of a pole; states of parts that the loop has not are none."""
     full = matrix(loop, stiffness, damping)
-    used = np.ones(len(full), bool)
-    used[2:4], used[4] = bool(loop.mode), loop.actuator_lag_s > 0
+    used = used_states(loop, len(full))
     return float(np.abs(np.linalg.eigvals(full[np.ix_(used, used)])).max())
 
 
@@ -96,3 +138,21 @@ def largest_stable(loop: Loop, damping: float, top: float, looks: int = 200) -> 
         middle = 0.5 * (low + high)
         low, high = (middle, high) if radius(loop, middle, damping) < 1 else (low, middle)
     return low
+
+
+def needed_damping(loop: Loop, stiffness: float, damping: float, angles: int = 240, aliases: int = 400) -> float:
+    """Return the damping of the motor that makes a wall passive, by sums over aliases; right to 0.1 %.
+
+    Position and delayed force meet in samples, so that a motion of the frequency w answers with all w + 2 pi n/T
+    (docs/definitions.md, Hulin 2017, ch. 4).
+    """
+    T, (b, a), d = loop.sampling_period_s, filter_of(loop), loop.delay_samples
+    w = np.linspace(0.02, np.pi, angles)  # rad/sample
+    u = np.exp(-1j * w)
+    rate = (1 - u) / T * np.polyval(b[::-1], u) / np.polyval(a[::-1], u)
+    y = loop.force_gain * (1 - u) * (stiffness + damping * rate)
+    all_w = w[:, None] + 2 * np.pi * np.arange(-aliases, aliases + 1)
+    late = np.exp(-1j * all_w * d) / (1 + 1j * all_w * loop.actuator_lag_s / T)
+    s0, s1, s2 = ((each / all_w**2).sum(axis=1) for each in (np.ones_like(all_w), late, np.abs(late) ** 2))
+    real = (y * s1).real
+    return float(np.max(0.5 * (real + np.sqrt(real**2 + np.abs(y) ** 2 * (s0 * s2 - np.abs(s1) ** 2)))) * T)

@@ -34,7 +34,7 @@ SIGNATURES = {
     "Identified": ["document"],
     "published_limits": ["loop", "damping", "coulomb", "quantum"],
     "design": ["loop", "stiffness", "settling_s", "overshoot", "margin", "tolerance", "keep"],
-    "Design": ["wish", "reached", "wall", "stiffness_reached", "changes", "out_of_reach", "sensitivities"],
+    "Design": ["wish", "reached", "wall", "stiffness_reached", "changes", "out_of_reach", "sensitivities", "left_out"],
     "Loop": [
         *("mass", "damping", "sampling_period_s", "delay_samples", "stiffness", "motion"),
         *("velocity", "actuator_lag_s", "force_gain", "mode", "operator", "friction"),

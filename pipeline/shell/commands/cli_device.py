@@ -192,11 +192,10 @@ def design(
     if picture is not None:
         draw(loop, answer, ("sampling_period_s", "delay_samples"), picture)
     coulomb, quantum = loop.value("friction.coulomb") or 0.0, loop.sensor.quantum
-    rows = published_limits(loop, answer.wall["damping"] or 0.0, coulomb=coulomb, quantum=quantum)
+    rows = published_limits(loop, answer.wall["damping"] or 0.0)
     document = {"device": known.name, "experiment": conditions.name, "hand": hand, **answer.document()}
     low, high = loop.delay_range
     document |= {"delay_samples": conditions.delay_samples, "delay_samples_low": low, "delay_samples_high": high}
-    document["left_out"] = list(loop.left_out)
     replaced = None if hand is None else known.loop_for(conditions).operator
     document["operator_replaced"] = None if replaced is None else replaced.model_dump()
     document["quantum"] = _quantum(coulomb / loop.force_gain, quantum, wanted)

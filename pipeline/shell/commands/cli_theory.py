@@ -121,7 +121,7 @@ def cost_map(
 ) -> None:
     """Compute costs on a grid over the stable region, as Parquet.
 
-    In SI, for a device: `NormalisedLoop.map` in Python.
+    In SI, for a device: `Loop.map` in Python.
 
     Example: pipeline theory map --delay 1 --criteria settle_2pct,energy_step_w0 --out map.parquet
     """
