@@ -25,12 +25,15 @@ from typer.testing import CliRunner
 
 import pipeline
 from pipeline import PipelineError, design, published_limits
-from pipeline.device.parameters import MOTIONS, PARAMETERS
+from pipeline.device.parameters import MOTIONS, PARAMETERS, Motion
 from pipeline.device_data.devices import read_device
+from pipeline.plan.planner import plan
 from pipeline.service.theory import document as rest
 from pipeline.shell.cli import application
+from pipeline.simulation.course import run_course, write_course
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
+from pipeline.surface.identify import device_text, identified_device
 from pipeline.theory.cases import Case, boundary_document, case_of
 
 MODE = {"frequency_hz": 60.0, "damping_ratio": 0.02, "mass": 0.15, "load_damping": 1.0}
@@ -89,12 +92,21 @@ WHOLE = ("velocity.order", "velocity.samples", "velocity.longest")
 
 FAST = {
     ("rotation", 2.0): (),
-    ("translation", 0.4): ("design", "optimum", "margins", "passive wall", "theory boundary"),
+    ("translation", 0.4): ("design", "optimum", "margins", "passive wall", "theory boundary", "first wall of a plan"),
 }
 """Motion and gain of the fast set, with the columns that are slow there."""
 
-SLOW = ("optimum of a cost",)
+SLOW = ("optimum of a cost", "identify")
 """Columns that are slow for all."""
+
+IDENTIFY_ONCE = (
+    *("mass", "stiffness", "delay_samples", "jitter_samples", "force_gain", "actuator_lag_s", "velocity.cutoff_hz"),
+    *("velocity.samples", "mode.frequency_hz", "operator.stiffness", "friction.coulomb", "constant_force"),
+)
+"""Rows that logs are identified of, one of each part, for one motion and gain: each takes half a minute."""
+
+IDENTIFY_FORGETS = ("jitter_samples", "velocity.cutoff_hz", "velocity.samples")
+"""Rows whose device file from `identify` lacks the part and does not say so."""
 
 
 @dataclass(frozen=True)
@@ -372,6 +384,29 @@ def simulated(cell: Cell) -> None:
         assert position == pytest.approx(linear, abs=1e-9 * size)
 
 
+def planned(cell: Cell) -> None:
+    """The first wall of a device file without logs is half of what is stable at its damping."""
+    answer = plan(str(cell.file), cell.folder / "processed")
+    cell.reports(answer.left_out)
+    wall, limit = answer.next[0], cell.loop.limits(answer.next[0].damping)["stiffness"][0]
+    cell.is_limit(limit, wall.damping)
+    assert 0.4 * limit < wall.stiffness < 0.51 * limit
+
+
+def identified(cell: Cell) -> None:
+    """The device file that `pipeline identify` writes of simulated logs has the limit of the device that made them."""
+    longer = written(cell.folder, cell.loop, duration_s=0.4, baseline_s=0.02, step=10.0)
+    write_course(run_course(read_device(longer), "1", coarsen=8), cell.folder / "raw")
+    file = cell.folder / "identified.toml"
+    file.write_text(device_text(identified_device([cell.folder / "raw"]), "identified"), encoding="utf-8")
+    device = read_device(file)
+    loop, B = pipeline.Loop.of(device.loop_for(device.experiments[0])), cell.wall[1]
+    assert set(cell.loop.left_out) <= set(loop.left_out)
+    assert loop.motion == cell.loop.motion
+    K = loop.limits(B)["stiffness"][0]
+    assert radius(cell.loop, 0.97 * K, B) < 1 < radius(cell.loop, 1.03 * K, B)
+
+
 COMPARISON: dict[str, Callable[[Cell], None]] = {}
 """Outputs of a comparison, to come: ``loop`` of ``compare --json``, passive wall, estimates, first screen."""
 
@@ -389,6 +424,8 @@ COLUMNS: dict[str, Callable[[Cell], None]] = {
     "published limits": published,
     "design": designed,
     "simulate": simulated,
+    "first wall of a plan": planned,
+    "identify": identified,
     "theory by command": theory_by_command,
     "theory boundary": theory_documents,
     "theory by REST": theory_by_rest,
@@ -424,18 +461,25 @@ def test_a_row_would_show_a_parameter_that_is_forgotten(name: str) -> None:
         assert moved > 1e-7
 
 
-def cell(name: str, motion: str, gain: float, column: str) -> Any:
+def cell(name: str, motion: Motion, gain: float, column: str) -> Any:
     """Return the parameters of a cell of the table."""
     slow = column in (*SLOW, *FAST.get((motion, gain), (column,)))
-    return pytest.param(name, motion, gain, column, marks=[pytest.mark.slow] if slow else [])
+    marks = [pytest.mark.slow] if slow else []
+    if column == "identify" and name in IDENTIFY_FORGETS:
+        marks.append(pytest.mark.xfail(reason="identify writes no velocity filter and no jitter", strict=True))
+    return pytest.param(name, motion, gain, column, marks=marks)
 
 
-CELLS = [cell(*each) for each in product(ROWS, MOTIONS, (0.4, 2.0), COLUMNS)]
+CELLS = [
+    cell(name, motion, gain, column)
+    for name, motion, gain, column in product(ROWS, MOTIONS, (0.4, 2.0), COLUMNS)
+    if column != "identify" or (name in IDENTIFY_ONCE and (motion, gain) == ("rotation", 2.0))
+]
 
 
 @pytest.mark.parametrize(("name", "motion", "gain", "column"), CELLS)
 def test_an_output_includes_a_parameter_or_says_so(
-    name: str, motion: str, gain: float, column: str, tmp_path: Path
+    name: str, motion: Motion, gain: float, column: str, tmp_path: Path
 ) -> None:
     for loop in loops(name, motion, gain):
         COLUMNS[column](Cell(loop, tmp_path))

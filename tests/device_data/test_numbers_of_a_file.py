@@ -199,7 +199,7 @@ def test_a_delay_outside_of_its_jitter_is_refused(tmp_path: Path, stated: float,
 def test_one_delay_is_no_jitter(tmp_path: Path) -> None:
     for path in (written(tmp_path, jitter_samples=[2, 2]), written(tmp_path)):
         device = read_device(path)
-        assert device.left_out(device.experiments[0]) == []
+        assert device.loop_for(device.experiments[0]).left_out == ()
         assert case_of(device, device.experiments[0]).loop.delay == 2
 
 
