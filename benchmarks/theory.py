@@ -52,7 +52,8 @@ def boundary_of_five_delays() -> Row:
     cases = []
     for d in (0, 1, 2, 4, 8):
         border = boundary(NormalisedLoop.ideal(0.0, 0.0, d))
-        cases.append((NormalisedLoop.ideal(0.0, 0.0, d), np.linspace(0.001, 0.999, 251) * border.beta_max, 1.5 * border.alpha_max))
+        damping = np.linspace(0.001, 0.999, 251) * border.beta_max
+        cases.append((NormalisedLoop.ideal(0.0, 0.0, d), damping, 1.5 * border.alpha_max))
 
     def other() -> list[np.ndarray]:
         return [bisected_limits(loop, beta, top, 1e-8) for loop, beta, top in cases]
