@@ -107,6 +107,15 @@ LEFT = 0.5
 """Share of the random force's variance that a part may leave: a largest force that stood for a stiffening hand left
 0.85 of it, real parts less than 0.01."""
 
+HEAVY = 0.5
+"""Share of the mass from which on the load of a mode may stand for what a spring is fixed to."""
+
+SLOW = 4 * np.pi
+"""Phase [rad] that a mode turns by in a log, up to which its load hardly moves: two periods."""
+
+APART = 10.0
+"""Range of the first positions of logs, in noises of a reading, up to which they begin in one place."""
+
 OPEN = 0.02
 """Friction, relative to the largest command, that may act unseen before it must be taken along as unknown: a mass is
 too large by as much."""
@@ -163,12 +172,36 @@ def held_out(fit: Fit) -> float:
 def chosen(recordings: list[Recording]) -> Choice:
     """Return the likeliest device of recordings with the parts that held-out ones ask for.
 
+    A spring may be the device's own, relaxed in one place, or a hand's, relaxed where each log begins: logs that begin
+    in several places tell which.
+
     Parameters
     ----------
     recordings : list of Recording
         At least one with `recordings.SHORTEST` rows.
     """
-    units = LogUnits.of(recordings)
+    choice = _choice(recordings, LogUnits.of(recordings))
+    starts, noise = [each.position[0] for each in recordings], max(each.noise for each in recordings)
+    if np.ptp(starts) <= APART * noise or not ("stiffness" in choice.parts or _is_like_ground(choice)):
+        return choice
+    held = _choice(recordings, replace(choice.units, origin=None))
+    return held if _worthiness(held) > _worthiness(choice) + WORTH else choice
+
+
+def _is_like_ground(choice: Choice) -> bool:
+    """Return whether the load of a mode may be what a spring is fixed to: it is heavy, or hardly moves in a log."""
+    numbers, rows = choice.fit.device.numbers, float(np.median(choice.held.rows))
+    turn = numbers.get("mode_frequency", np.inf)
+    return numbers.get("load_mass_fraction", 0.0) > HEAVY or turn * rows < SLOW
+
+
+def _worthiness(choice: Choice) -> float:
+    """Return the likelihood of a choice less what each of its numbers must bring."""
+    return choice.fit.likelihood - WORTH * len(choice.fit.device.names)
+
+
+def _choice(recordings: list[Recording], units: LogUnits) -> Choice:
+    """Return the likeliest device with a spring that is relaxed at the origin of some units."""
     places = np.unique(np.linspace(0, len(recordings) - 1, min(MOST_TRIALS, len(recordings))).round().astype(int))
     some = [recordings[i] for i in places]
     rows = int(np.median([len(each.time) for each in some]))

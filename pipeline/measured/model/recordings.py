@@ -68,13 +68,14 @@ class Recording:
 class LogUnits:
     """Units of the estimator: sampling period [s], position from its origin [m, rad] and command [N, Nm].
 
-    The origin is where most logs begin: there a spring is relaxed, and what holds the device else a constant force.
+    The origin is where a spring is relaxed: where most logs begin, or None for the beginning of each log, as of a hand
+    that takes hold of the device there. What holds the device else is a constant force.
     """
 
     period: float
     position: float
     command: float
-    origin: float
+    origin: float | None
 
     @classmethod
     def of(cls, recordings: list[Recording]) -> LogUnits:
@@ -359,7 +360,8 @@ def _padded(recordings: list[Recording], even: list[Floats], cuts: list[_Cut], u
         time[:, s] = grid[at] + (whole - at) * step - grid[cut.first]
         command[:, s] = each.command[inside] / units.command
         here = cut.behind - cut.first
-        position[:here, s] = (each.position[cut.first : cut.behind] - units.origin) / units.position
+        origin = each.position[0] if units.origin is None else units.origin
+        position[:here, s] = (each.position[cut.first : cut.behind] - origin) / units.position
         distinct[s] = _distinct(each.position[cut.first : cut.behind], each.rounding)
         if cut.edge is not None:
             acts[:, s] = rows >= cut.edge
