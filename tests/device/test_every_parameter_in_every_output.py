@@ -30,6 +30,7 @@ from pipeline.device_data.devices import read_device
 from pipeline.plan.planner import plan
 from pipeline.service.theory import document as rest
 from pipeline.shell.cli import application
+from pipeline.shell.commands.cli_device import plan_lines
 from pipeline.simulation.course import run_course, write_course
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
@@ -195,7 +196,7 @@ def optimum_of_a_cost(cell: Cell) -> None:
     best = cell.loop.optimum("pole_radius")
     cell.reports(best.left_out)
     K, B = best.stiffness, best.damping
-    assert best.cost == pytest.approx(radius(cell.loop, K, B), abs=1e-5)  # of poles that meet
+    assert best.cost == pytest.approx(radius(cell.loop, K, B), abs=1e-4)  # poles meet there
     if K > 0 or "negative" not in (best.note or ""):
         around = [radius(cell.loop, k * K, b * B) for k, b in product((0.97, 1, 1.03), repeat=2) if (k, b) != (1, 1)]
         assert min(around) > best.cost - 1e-6
@@ -332,7 +333,7 @@ def theory_by_command(cell: Cell) -> None:
 
 
 def theory_documents(cell: Cell) -> None:
-    """The document of ``theory boundary``, whose text and JSON `theory_by_command` reads in the slow set."""
+    """The document of ``theory boundary``, with fewer points than the command's."""
     case: Case = case_of(read_device(cell.file), read_device(cell.file).experiments[0])
     document = boundary_document(case, 12)
     cell.reports(document["left_out"])
@@ -388,6 +389,8 @@ def planned(cell: Cell) -> None:
     """The first wall of a device file without logs is half of what is stable at its damping."""
     answer = plan(str(cell.file), cell.folder / "processed")
     cell.reports(answer.left_out)
+    text = "\n".join(plan_lines(answer))
+    assert f"left out of linear theory: {', '.join(cell.loop.left_out)}" in text or not cell.loop.left_out
     wall, limit = answer.next[0], cell.loop.limits(answer.next[0].damping)["stiffness"][0]
     cell.is_limit(limit, wall.damping)
     assert 0.4 * limit < wall.stiffness < 0.51 * limit
@@ -481,5 +484,7 @@ CELLS = [
 def test_an_output_includes_a_parameter_or_says_so(
     name: str, motion: Motion, gain: float, column: str, tmp_path: Path
 ) -> None:
-    for loop in loops(name, motion, gain):
-        COLUMNS[column](Cell(loop, tmp_path))
+    for number, loop in enumerate(loops(name, motion, gain)):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        COLUMNS[column](Cell(loop, folder))

@@ -108,7 +108,7 @@ def used_states(loop: Loop, count: int) -> np.ndarray:
 
 
 def step_response(loop: Loop, stiffness: float, damping: float, rows: int) -> np.ndarray:
-    """Return the sensed position at each sample after a unit step of the command at sample 0, from rest, shape (rows,)."""
+    """Return the sensed position at each sample after a unit step of the command at sample 0, shape (rows,)."""
     turn, push, sensor = matrix(loop, stiffness, damping), added_force(loop), continuous(loop)[1]
     state, result = np.zeros(len(turn)), []
     for _ in range(rows):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -112,3 +113,34 @@ def test_overshoot_of_a_device_with_a_strong_spring(stiffness: float, parts: dic
 def test_no_wall_without_overshoot_is_a_reason(stiffness: float) -> None:
     with pytest.raises(PipelineError, match="no point without overshoot"):
         Loop(0.5, 3.0, 0.001, 2, stiffness=stiffness).optimum("overshoot")
+
+
+@pytest.mark.parametrize(
+    "parts", [{"stiffness": 4e6}, {"operator": {"mass": 1.0, "stiffness": 2e5}}], ids=["spring", "hand"]
+)
+def test_an_optimum_with_a_negative_stiffness_says_so(parts: dict[str, Any]) -> None:
+    best = Loop(0.5, 3.0, 0.001, 2, **parts).optimum("pole_radius")
+    assert best.stiffness < 0
+    assert "the stiffness is negative" in (best.note or "")
+
+
+NO_WALL = {"mode": MODE | {"sensor": "load"}}
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: Loop(0.5, 0.0, 0.001, 2, **NO_WALL).boundary(),
+        lambda: Loop(0.5, 0.0, 0.001, 2, **NO_WALL).optimum("settle_2pct"),
+        lambda: Loop(0.5, 0.0, 0.001, 2, **NO_WALL).map(5),
+        lambda: design(Loop(0.5, 0.0, 0.001, 2, **NO_WALL), 1000.0),
+        lambda: Loop(0.5, 3.0, 0.001, 2, stiffness=1e6).optimum("overshoot"),
+        lambda: Loop(0.5, 3.0, 0.001, 2).margins(1e6, 1.0),
+        lambda: Loop(0.5, 3.0, 0.001, 300),
+        lambda: Loop(0.5, 3.0, 0.001, 2, actuator_lag_s=1e-12),
+    ],
+)
+def test_no_error_prints_an_internal_object(call: Any) -> None:
+    with pytest.raises(PipelineError) as error:
+        call()
+    assert not re.search(r"\w\(\w+=|<.* at 0x", str(error.value))
