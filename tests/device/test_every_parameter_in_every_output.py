@@ -97,7 +97,7 @@ FAST = {
 }
 """Motion and gain of the fast set, with the columns that are slow there."""
 
-SLOW = ("optimum of a cost", "identify")
+SLOW = ("optimum of a cost", "theory boundary by command and REST", "identify")
 """Columns that are slow for all."""
 
 IDENTIFY_ONCE = (
@@ -139,11 +139,11 @@ class Cell:
         return 1.5 * self.top[0], self.top[1]
 
     def reports(self, left_out: Any) -> None:
-        """Hold what an output says that it does not include against the loop."""
+        """Compare the parts that an output reports as not included with those of the loop."""
         assert tuple(left_out or ()) == self.loop.left_out
 
     def is_limit(self, stiffness: float, damping: float) -> None:
-        """Hold a largest stiffness against poles of the state matrix: of it and of all softer walls."""
+        """Compare a largest stiffness with the poles of the state matrix, of it and of all softer walls."""
         softer = np.append(np.linspace(0.02, 0.98, 13), 1 - 1e-6)
         assert max(radius(self.loop, share * stiffness, damping) for share in softer) < 1
         assert radius(self.loop, (1 + 1e-6) * stiffness, damping) > 1
@@ -245,13 +245,13 @@ def passive(cell: Cell) -> None:
         with pytest.raises(PipelineError, match="no wall is passive"):
             cell.loop.passive()
         return
-    frame, own = cell.loop.passive(), cell.loop.damping - cell.loop.load_damping
+    frame, motor_damping = cell.loop.passive(), cell.loop.damping - cell.loop.load_damping
     cell.reports(frame.attrs.get("left_out"))
     for share in (1.0, 0.5):
         B = share * frame.attrs["damping_at_stiffness_max"]
         above = frame[frame["damping"] > -1e-9].sort_values("damping") if share < 1 else None
         K = frame.attrs["stiffness_max"] if above is None else float(np.interp(B, above["damping"], above["stiffness"]))
-        assert needed_damping(cell.loop, K, B) == pytest.approx(own, rel=0.01)
+        assert needed_damping(cell.loop, K, B) == pytest.approx(motor_damping, rel=0.01)
     alone, K = replace(cell.linear, operator=None), frame.attrs["stiffness_max"]
     for m, k in product((0.1, 10.0), (0.0, 1e5)):
         hand = {"mass": m, "damping": 0.0, "stiffness": k}
@@ -276,19 +276,21 @@ def published(cell: Cell) -> None:
     bare = pipeline.Loop(m, 0.0, T, 1)
     K = frame.loc[("Salcudean and Vlaar 1997", B), "stiffness"]
     assert K == 0 or np.isnan(K) or radius(bare, 0.9999 * K, B) < 1 < radius(bare, 1.0001 * K, B)
-    own = (loop.damping - loop.load_damping) / g
+    motor_damping = (loop.damping - loop.load_damping) / g
     at_load = loop.mode is not None and loop.mode.sensor == "load"
     colgate = frame.loc[("Colgate and Schenkel 1997", 0.0), "stiffness"]
-    assert colgate == pytest.approx(np.nan if at_load else 2 * own / T, nan_ok=True)
+    assert colgate == pytest.approx(np.nan if at_load else 2 * motor_damping / T, nan_ok=True)
     hulin = frame.loc[("Hulin et al. 2014", 0.0), "stiffness"]
     simple = replace(cell.linear, velocity=None, actuator_lag_s=0.0, mode=None)
-    assert np.isnan(hulin) if at_load else needed_damping(simple, hulin, 0.0) == pytest.approx(own * g, rel=0.01)
+    assert (
+        np.isnan(hulin) if at_load else needed_damping(simple, hulin, 0.0) == pytest.approx(motor_damping * g, rel=0.01)
+    )
     abbott = frame.loc[("Abbott and Okamura 2005, Diolaiti et al. 2006", 0.0), "stiffness"]
     by_friction = np.inf
     if loop.friction and loop.sensor.quantum:
         by_friction = 2 * loop.friction.coulomb / (g * loop.sensor.quantum)
     if loop.sensor.quantum:
-        assert abbott == pytest.approx(min(2 * own / T, by_friction if loop.friction else 0.0))
+        assert abbott == pytest.approx(min(2 * motor_damping / T, by_friction if loop.friction else 0.0))
     else:
         assert np.isnan(abbott)
     unknown = {
@@ -341,6 +343,20 @@ def theory_documents(cell: Cell) -> None:
     assert radius(cell.loop, 0.9999 * K, B) < 1 < radius(cell.loop, 1.001 * K, B)
     jitter = cell.loop.jitter_samples or (cell.loop.delay_samples,)
     assert (document["delay_samples_low"], document["delay_samples_high"]) == (min(jitter), max(jitter))
+
+
+def boundary_by_command_and_rest(cell: Cell) -> None:
+    command = ["theory", "boundary", "--device", str(cell.file)]
+    text, found = (CliRunner().invoke(application("theory"), [*command, *more]).stdout for more in ((), ("--json",)))
+    assert f"left out of linear theory: {', '.join(cell.loop.left_out)}" in text or not cell.loop.left_out
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PIPELINE_DEVICES", str(cell.file.parent))
+        served = rest("boundary", ("arm", None))
+    for document in (json.loads(found), served):
+        cell.reports(document["left_out"])
+        K, B = document["stiffness_max"], document["damping_at_stiffness_max"]
+        assert radius(cell.loop, 0.9999 * K, B) < 1 < radius(cell.loop, 1.001 * K, B)
+        assert f"largest stiffness {K:.6g} at damping {B:.6g}" in text
 
 
 def theory_by_rest(cell: Cell) -> None:
@@ -432,6 +448,7 @@ COLUMNS: dict[str, Callable[[Cell], None]] = {
     "theory by command": theory_by_command,
     "theory boundary": theory_documents,
     "theory by REST": theory_by_rest,
+    "theory boundary by command and REST": boundary_by_command_and_rest,
     **COMPARISON,
 }
 
