@@ -133,6 +133,12 @@ class Loop:
     def _contradictions(self) -> list[str]:
         """Return which numbers contradict each other, as sentences."""
         mistakes, mode, velocity = [], self.mode, self.velocity
+        low, high = self.delay_range
+        if not low <= self.delay_samples <= high:
+            mistakes.append(
+                f"delay_samples: found {self.delay_samples:g}; must lie within jitter_samples, {low:g} to {high:g}: "
+                "state their mean, or leave out the jitter"
+            )
         if mode is not None and mode.mass >= self.mass:
             mistakes.append(f"loop.mode.mass: found {mode.mass:g}; must be below the mass of both sides, {self.mass:g}")
         if mode is not None and mode.mass < LIGHTEST_LOAD * self.mass and mode.damping_ratio < LEAST_LOSS:
@@ -181,12 +187,14 @@ class Loop:
     def replace(self, values: Mapping[str, float | None]) -> Self:
         """Return a loop with other values, by their names in `PARAMETERS`; a part that it lacks is added.
 
+        Another delay is a constant one: it replaces those of `jitter_samples`.
+
         Raises
         ------
         ParameterError
             If no parameter has such a name, or a value is outside its range.
         """
-        changes: dict[str, Any] = {}
+        changes: dict[str, Any] = {"jitter_samples": ()} if "delay_samples" in values else {}
         for name, value in values.items():
             parameter = _parameter(name)
             if name == "jitter_samples":
@@ -256,7 +264,8 @@ class Loop:
         """
         if self.operator is None and self.force_gain == 1:
             return self
-        return self.with_operator()._in_units(self.force_gain, 1.0, force_gain=1.0)
+        # a limit of the command is one already
+        return self.with_operator()._in_units(self.force_gain, 1.0, force_gain=1.0, force_limit=self.force_limit)
 
     def normalised(self) -> Loop:
         """Return the apparent device in units of its mass and of the sampling period (Table 3.1).
@@ -267,7 +276,7 @@ class Loop:
         device = self.apparent()
         return device._in_units(device.mass, self.sampling_period_s)
 
-    def _in_units(self, mass: float, time: float, **others: float) -> Loop:
+    def _in_units(self, mass: float, time: float, **others: float | None) -> Loop:
         """Return the loop with all numbers divided by their units of a mass and a time."""
         changes: dict[str, Any] = {}
         for name, parameter in PARAMETERS.items():
@@ -279,7 +288,7 @@ class Loop:
             else:
                 part = changes.get(parameter.part, getattr(self, parameter.part))
                 changes[parameter.part] = part.model_copy(update={parameter.key: value / unit})
-        return self._changed(**changes, **others)
+        return self._changed(**changes | others)
 
     def _changed(self, **changes: Any) -> Loop:
         """Return a record with other entries."""

@@ -138,7 +138,7 @@ def _rows() -> tuple[Parameter, ...]:
         Parameter(
             "velocity.acceleration", "a_f", "acceleration", "acceleration", f"acceleration {velocity}", positive=True
         ),
-        Parameter("velocity.noise", "s_f", "length", "noise", f"sensor noise {velocity}", positive=True),
+        Parameter("velocity.noise", "s_f", "length", "noise of the filter", f"sensor noise {velocity}", positive=True),
         Parameter(
             "velocity.bound", "e_f", "length", "bound", f"largest distance {velocity} from a line", positive=True
         ),

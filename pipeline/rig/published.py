@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -59,7 +59,7 @@ def _linear(loop: Loop, _: Sensor, B: Floats) -> Floats:
 
 
 def _gil(loop: Loop, sensor: Sensor, B: Floats) -> Floats:
-    return _linear(replace(loop, delay_samples=0.0), sensor, B)
+    return _linear(loop.replace({"delay_samples": 0.0}), sensor, B)
 
 
 def _colgate(loop: Loop, _: Sensor, B: Floats) -> Floats:

@@ -57,8 +57,12 @@ def holds(cell: Cell, found: ExperimentResult, share: float) -> None:
     assert found.loop is not None
     for limit in found.loop_boundary or ():
         K = limit.stiffness if limit.stiffness_large_motion is None else limit.stiffness_large_motion
-        if K > 0.1 * cell.top[0]:
-            assert radius(cell.loop, (1 - share) * K, limit.damping) < 1 < radius(cell.loop, (1 + share) * K, limit.damping)
+        if 0.1 * cell.top[0] < K:
+            assert (
+                radius(cell.loop, (1 - share) * K, limit.damping)
+                < 1
+                < radius(cell.loop, (1 + share) * K, limit.damping)
+            )
     if found.passive is not None:
         K, B = found.passive.stiffness, found.passive.damping
         assert cell.loop.operator is None or found.loop.source == "device file"

@@ -107,7 +107,6 @@ def test_names_symbols_and_meanings_are_unique() -> None:
         assert all(values), what
 
 
-@pytest.mark.xfail(strict=True, reason="'noise' is the label of both the filter's and the sensor's noise")
 def test_labels_are_unique() -> None:
     labels = [parameter.label for parameter in PARAMETERS.values()]
     assert {label for label in labels if labels.count(label) > 1} == set()
@@ -209,7 +208,6 @@ def test_the_apparent_device_includes_the_operator_per_unit_of_command() -> None
     assert IDEAL.apparent() == IDEAL
 
 
-@pytest.mark.xfail(strict=True, reason="apparent() divides the limit of the command, too, by the gain")
 def test_the_limit_of_a_command_is_no_force_of_the_device() -> None:
     assert RICH.apparent().force_limit == 12.0
 
@@ -284,7 +282,6 @@ def test_numbers_that_contradict_each_other_are_refused(parts: dict[str, Any], m
         replace(IDEAL, **parts)
 
 
-@pytest.mark.xfail(strict=True, reason="the record takes any delay with any jitter; a device file does not")
 def test_a_delay_that_is_not_the_mean_of_its_jitter_is_refused() -> None:
     with pytest.raises(ParameterError, match=r"delay_samples.*jitter_samples"):
         Loop(0.5, 3.0, 0.001, 1.0, jitter_samples=(6, 7, 8))
