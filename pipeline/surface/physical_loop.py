@@ -15,7 +15,6 @@ import pandas as pd
 from pipeline.base.errors import ParameterError
 from pipeline.device import loop as device_loop
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
-from pipeline.plan.loop_limits import StepTrial, step_limits
 from pipeline.records.batch import Floats
 from pipeline.rendering.figures.boundaries import limits_figure, limits_panel
 from pipeline.rendering.figures.drawing import Series, write_picture
@@ -256,6 +255,11 @@ class Loop(device_loop.Loop):
                     f"step = {step}, samples = {samples}: expected a positive, finite step and at least "
                     f"{_FEWEST_SAMPLES} samples."
                 )
+            from pipeline.plan.loop_limits import (  # they simulate and judge: linear answers do not
+                StepTrial,
+                step_limits,
+            )
+
             trial = StepTrial(step, samples, self.sensor.quantum, self.value("jitter_samples") or 0.0)
             limits, undecided = step_limits(self, B, trial, np.zeros(len(B)))
             columns |= {"stiffness_step": limits, "stiffness_step_open": undecided}
