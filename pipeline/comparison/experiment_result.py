@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 from pipeline.base.disk import if_writable, read_kept, write_kept
 from pipeline.base.provenance import code_digest, digest
 from pipeline.comparison.loops.departures import SHORT as OTHER_WALL
-from pipeline.comparison.loops.departures import law_departures, other_gains, untimed
+from pipeline.comparison.loops.departures import LawRows, law_departures, other_gains, untimed
 from pipeline.comparison.loops.findings import loop_findings
 from pipeline.comparison.loops.loop_basis import adequate_theory
 from pipeline.comparison.loops.recording_faults import cause_of, recording_faults, unsafe_recording, words_of
@@ -125,7 +125,7 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
     if fault is not None:
         nothing = {name: _without(each.unit, words_of(fault)) for name, each in result.estimates.items()}
         result = result.model_copy(update={"estimates": nothing})
-    elif reason := untimed(law_departures(stages)):
+    elif reason := untimed(law_departures(stages.once(LawRows.of))):
         kept = {"boundary_area": result.estimates["boundary_area"]}
         others = {name: _without(each.unit, reason) for name, each in result.estimates.items()}
         result = result.model_copy(update={"estimates": others | kept})

@@ -17,6 +17,7 @@ import numpy as np
 from pipeline.base.disk import write_text
 from pipeline.base.errors import LogError, ParameterError, UsageError
 from pipeline.base.wording import counted
+from pipeline.comparison.loops.loop_basis import filter_of_numbers, filter_quantities
 from pipeline.device.loop import Loop as LoopRecord
 from pipeline.device.parameters import PARAMETERS, UNITS, Motion
 from pipeline.device.parts import Mode
@@ -27,11 +28,14 @@ from pipeline.measured.model.estimated import ESTIMATED
 from pipeline.measured.model.identified import Identification, identified
 from pipeline.measured.model.intervals import Interval
 from pipeline.measured.model.recordings import Recording
+from pipeline.measured.student import NORMAL_95
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.recording.signals import same_samples
 from pipeline.records.findings import are_unsafe
 from pipeline.rendering.frames import frame_of
+from pipeline.simulation.simulate import age_in_force, delays_of
+from pipeline.surface.wall_filter import WallFilter, wall_filter
 from pipeline.theory.boundary import outline
 
 if TYPE_CHECKING:
@@ -153,8 +157,8 @@ def identified_device(
         found = identified(recordings)
     except ParameterError as error:
         raise ParameterError(" ".join([str(error), *_first_findings(read)])) from error
-    walls = any(log.header.stiffness > 0 for _, log in read)
-    document = _document(found, recordings, motions.pop(), walls, period, delay)
+    velocity = wall_filter([log for _, log in read])
+    document = _document(found, recordings, motions.pop(), velocity, period, delay)
     rows = [{"log": name, **each.document} for name, log in read for each in log.findings]
     return document | {"findings": rows, "refused": refused}
 
@@ -276,11 +280,19 @@ def _document(
     found: Identification,
     recordings: list[Recording],
     motion: Motion,
-    walls: bool,
+    velocity: WallFilter | None,
     period: float | None,
     delay: float | None,
 ) -> dict[str, Any]:
     own = found.units.period
+    wall_period, walls = own if period is None else period, velocity is not None
+    velocity = velocity.at(own, wall_period) if velocity else None
+    loop = _loop_document(found, DRIFT if walls else "", velocity)
+    present = {
+        "velocity": velocity is not None and velocity.left_out,
+        "friction": loop["friction"] is not None and loop["friction"]["value"] > 0,
+        "jitter": _jitters(loop),
+    }
     document: dict[str, Any] = {
         "motion": motion,
         "trials": len(found.names),
@@ -309,9 +321,12 @@ def _document(
         "noise": found.noise,
         "disturbance": found.disturbance,
         "replay": _replay_document(found) | {"behind_walls": walls},
-        "loop": _loop_document(found, DRIFT if walls else ""),
+        "loop": loop,
+        "velocity_filter": velocity.sentence if velocity else None,
+        "left_out": [name for name, is_present in present.items() if is_present],
     }
-    document["wall"] = {"sampling_period_s": own if period is None else period, "delay_samples": delay}
+    drawn = _drawn_delays(loop) if wall_period == own and delay is None else ()
+    document["wall"] = {"sampling_period_s": wall_period, "delay_samples": delay, "jitter_samples": list(drawn)}
     document["boundary"] = _boundary(document)
     return document
 
@@ -354,7 +369,24 @@ def _replay_document(found: Identification) -> dict[str, Any]:
     return {"fit_percent": found.fit_percent, "logs": logs}
 
 
-def _loop_document(found: Identification, drift: str) -> dict[str, Any]:
+def _jitters(loop: dict[str, Any]) -> bool:
+    """Return whether the delay of a loop is known to jitter."""
+    return loop["jitter_samples"] is not None and loop["jitter_samples"]["low"] > 0
+
+
+def _drawn_delays(loop: dict[str, Any]) -> tuple[int, ...]:
+    """Return whole delays whose age in force has mean and jitter of a loop within their errors; none without jitter."""
+    delay, jitter = loop["delay_samples"], loop["jitter_samples"]
+    if delay is None or not _jitters(loop):
+        return ()
+    drawn = delays_of(delay["value"], jitter["value"])
+    if not drawn:
+        return ()
+    ages = zip((delay, jitter), age_in_force(drawn), strict=True)
+    return drawn if all(number["low"] <= age <= number["high"] for number, age in ages) else ()
+
+
+def _loop_document(found: Identification, drift: str, velocity: WallFilter | None) -> dict[str, Any]:
     """Return the loop as `compare --json` has it, and why free runs may drift."""
     known = {name: each for name, each in found.parameters.items() if name not in found.unidentifiable}
 
@@ -367,6 +399,9 @@ def _loop_document(found: Identification, drift: str) -> dict[str, Any]:
     mode = {PARAMETERS[name].key: number(name) for name in ("mode.frequency_hz", "mode.damping_ratio", "mode.mass")}
     at_load = dict.fromkeys(("value", "low", "high"), float("mode at the load" in found.parts))
     of_load = {"load_damping": load} if (load := number("mode.load_damping")) else {}
+    filtered = filter_quantities(velocity.velocity, velocity.of_logs) if velocity and velocity.velocity else {}
+    noise = found.choice.fit.device.noise
+    low, high = (max(noise.jitter + sign * NORMAL_95 * noise.jitter_error, 0.0) for sign in (-1, 1))
     return {
         "source": "estimated",
         "adequate": is_known and fit is not None and fit >= FOLLOWS,
@@ -375,7 +410,8 @@ def _loop_document(found: Identification, drift: str) -> dict[str, Any]:
         + (f"; {drift}" if drift else ""),
         "explained": None,
         **{name: number(name) for name in LINEAR},
-        "velocity": None,
+        "jitter_samples": {"value": noise.jitter, "low": low, "high": high} if noise.jitter > 0 else None,
+        "velocity": {name: quantity.model_dump() for name, quantity in filtered.items()} or None,
         "mode": {**mode, **of_load, "sensor_at_load": at_load} if all(mode.values()) else None,
         "operator": None,
         "friction": number("friction.coulomb"),
@@ -394,7 +430,12 @@ def wall_loop(document: dict[str, Any], **other: float) -> LoopRecord | None:
         samples = late * document["sampling_period_s"] / wall["sampling_period_s"]
     if value["mass"] is None or value["mass"] <= 0 or samples is None:
         return None
+    drawn = wall["jitter_samples"]
+    if drawn:
+        # a file states the mean of the delays that are drawn; the age in force is less, as later commands overtake
+        samples += sum(drawn) / len(drawn) - loop["delay_samples"]["value"]
     damping, stiffness, lag = (max(value[name] or 0.0, 0.0) for name in ("damping", "stiffness", "actuator_lag_s"))
+    velocity = {name: number["value"] for name, number in (loop["velocity"] or {}).items()}
     mode = None
     if loop["mode"]:
         numbers = {name: number["value"] for name, number in loop["mode"].items()}
@@ -408,8 +449,10 @@ def wall_loop(document: dict[str, Any], **other: float) -> LoopRecord | None:
         max(samples, 0.0),
         stiffness,
         motion=document["motion"],
+        velocity=filter_of_numbers(velocity) if velocity else None,
         actuator_lag_s=lag,
         mode=mode,
+        jitter_samples=tuple(drawn),
     )
 
 
@@ -479,8 +522,10 @@ def device_text(document: dict[str, Any], name: str) -> str:
     delay, about_delay = numbers["delay_samples"], "given, or not told by the logs"
     if delay is not None and wall["delay_samples"] is None:
         about_delay = f"at T = {document['sampling_period_s']:g} s: {delay['low']:.6g} to {delay['high']:.6g} (95 %)"
+        about_delay = f"mean of jitter_samples; in force {about_delay}" if loop.jitter_samples else about_delay
     lines = [
         f"# Identified from {document['trials']} logs, {document['rows']} rows. Free runs: {numbers['reason']}.",
+        *([f"# {document['velocity_filter']}"] if document["velocity_filter"] else []),
         *(f"# {path}" for path in document["source"][:20]),
         f'name = "{name}"',
         f'source = "identified from {document["trials"]} logs"',
@@ -490,9 +535,14 @@ def device_text(document: dict[str, Any], name: str) -> str:
         *([line("stiffness")] if numbers["stiffness"] else []),
         f"sampling_period_s = {loop.sampling_period_s!r}",
         f"delay_samples = {loop.delay_samples!r}  # {about_delay}",
+        *_jitter_lines(document, loop),
         f"sensor = {{ noise = {document['noise']!r} }}",
     ]
-    parts = [line("actuator_lag_s")] if numbers["actuator_lag_s"] else []
+    parts = []
+    if loop.velocity:
+        entries = ", ".join(f"{key} = {_toml(value)}" for key, value in loop.velocity)
+        parts.append(f"velocity = {{ {entries} }}")
+    parts += [line("actuator_lag_s")] if numbers["actuator_lag_s"] else []
     if (friction := numbers["friction"]) and friction["value"] > 0:
         ends = f"{friction['low']:.6g} to {friction['high']:.6g}"
         parts.append(f"friction = {{ coulomb = {friction['value']!r} }}  # {ends}")
@@ -502,6 +552,22 @@ def device_text(document: dict[str, Any], name: str) -> str:
         ranges = ", ".join(f"{key} {number['low']:.4g} to {number['high']:.4g}" for key, number in known)
         parts.append(f"mode = {{ {entries} }}  # {ranges}")
     return "\n".join([*lines, *(["", "[loop]", *parts] if parts else []), ""])
+
+
+def _jitter_lines(document: dict[str, Any], loop: LoopRecord) -> list[str]:
+    """Return the lines of a device file on the jitter of the delay; none where it does not jitter."""
+    if "jitter" not in document["left_out"]:
+        return []
+    jitter = document["loop"]["jitter_samples"]
+    about = f"standard deviation of the delay in force {jitter['low']:.4g} to {jitter['high']:.4g} samples (95 %)"
+    if loop.jitter_samples:
+        return [f"jitter_samples = {list(loop.jitter_samples)}  # {about}"]
+    return [f"# The delay jitters, {about}: left out, as no set of whole delays is known for these walls."]
+
+
+def _toml(value: str | float | tuple[float, ...]) -> str:
+    """Return an entry of a velocity filter as TOML."""
+    return f'"{value}"' if isinstance(value, str) else repr(list(value) if isinstance(value, tuple) else value)
 
 
 def _remedies(document: dict[str, Any]) -> list[str]:

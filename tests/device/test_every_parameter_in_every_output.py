@@ -106,9 +106,6 @@ IDENTIFY_ONCE = (
 )
 """Rows that logs are identified of, one of each part, for one motion and gain: each takes half a minute."""
 
-IDENTIFY_FORGETS = ("jitter_samples", "velocity.cutoff_hz", "velocity.samples")
-"""Rows whose device file from `identify` lacks the part and does not say so."""
-
 
 @dataclass(frozen=True)
 class Cell:
@@ -485,8 +482,6 @@ def cell(name: str, motion: Motion, gain: float, column: str) -> Any:
     """Return the parameters of a cell of the table."""
     slow = column in (*SLOW, *FAST.get((motion, gain), (column,)))
     marks = [pytest.mark.slow] if slow else []
-    if column == "identify" and name in IDENTIFY_FORGETS:
-        marks.append(pytest.mark.xfail(reason="identify writes no velocity filter and no jitter", strict=True))
     return pytest.param(name, motion, gain, column, marks=marks)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
@@ -14,6 +15,8 @@ from pipeline.base.wording import commonest, counted, listed
 from pipeline.device.parts import VelocityFilter
 from pipeline.measured.experiment.identified_loop import FEWEST_LOGS, MOST
 from pipeline.measured.law.velocity_filter import VelocityFilterFound
+from pipeline.measured.signal.verdict import judge
+from pipeline.measured.stages.stage_groups import TrialGroup
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.findings import MATTERS
@@ -99,23 +102,83 @@ class LawDeparture:
         return f"{self.logs} of {counted(self.of, 'log')}; {self.evidence}"
 
 
-def law_departures(stages: ExperimentStages) -> list[LawDeparture]:
-    """Return how the logs of an experiment depart from the wall law, in the order of how many do.
+@dataclass(frozen=True, eq=False)
+class LawRows:
+    """What the wall law shows of logs, one entry a log.
+
+    Parameters
+    ----------
+    codes : list of list of str
+        How it departs from the law of the stated wall.
+    evidence : list of str
+    filters : list of VelocityFilterFound or None
+    residual : float64, shape (n,)
+        Of the law, NaN where there is no step to compare the command with.
+    obeyed : float64, shape (n,)
+        Stiffness that it obeys, where it is another wall than stated [N/m, Nm/rad]; else NaN.
+    verdict : array of str, shape (n,)
+    """
+
+    codes: list[list[str]]
+    evidence: list[str]
+    filters: list[VelocityFilterFound | None]
+    residual: Floats
+    obeyed: Floats
+    verdict: NDArray[np.str_]
+
+    @classmethod
+    def of(cls, stages: ExperimentStages) -> LawRows:
+        """Return the rows of the logs of an experiment."""
+        return cls(
+            [list(filter(None, text.split(","))) for text in stages.texts("wall_law", "law_codes")],
+            stages.texts("wall_law", "law_evidence"),
+            [_filter(text) if text else None for text in stages.texts("wall_law", "velocity_filter")],
+            stages.column("wall_law", "law_residual"),
+            stages.column("wall_law", "obeyed_stiffness"),
+            stages.verdicts.verdict,
+        )
+
+    @classmethod
+    def of_groups(cls, groups: Sequence[TrialGroup]) -> LawRows:
+        """Return the rows of logs that are not stored, of one group at least."""
+        return cls(
+            [[each.code for each in departures] for group in groups for departures in group.law.departures],
+            [text for group in groups for text in group.law.evidence],
+            [shown for group in groups for shown in group.law.filters],
+            np.concatenate([group.law.residual for group in groups]),
+            np.concatenate([group.other_walls.obeyed[:, 0] for group in groups]),
+            np.concatenate([judge(group.batch, group.found).verdict for group in groups]),
+        )
+
+    @property
+    def of_stated_wall(self) -> list[list[str]]:
+        """Departures of each log from its stated wall; none where it obeys another one."""
+        return [[] if off else codes for codes, off in zip(self.codes, np.isfinite(self.obeyed), strict=True)]
+
+    @property
+    def compared(self) -> int:
+        """Logs whose command could be compared with the law of the stated wall."""
+        seen = np.isfinite(self.residual) & ~np.isfinite(self.obeyed)
+        return sum(bool(law or codes) for law, codes in zip(seen, self.of_stated_wall, strict=True))
+
+    @property
+    def misled(self) -> bool:
+        """Whether most logs obey another wall than stated, so that nothing follows in units of K and B."""
+        return int(np.isfinite(self.obeyed).sum()) > MOST * len(self.codes)
+
+
+def law_departures(rows: LawRows) -> list[LawDeparture]:
+    """Return how logs depart from the wall law, in the order of how many do.
 
     A log that is clipped where it diverges shows how it ended, not another loop; it does not count. Nor do those that
     obey another wall than stated: they are left out, see `other_gains`.
     """
-    unstable = stages.verdicts.verdict == "unstable"
-    codes = [set(filter(None, text.split(","))) for text in stages.texts("wall_law", "law_codes")]
-    evidence, residual = stages.texts("wall_law", "law_evidence"), stages.column("wall_law", "law_residual")
-    other = np.isfinite(stages.column("wall_law", "obeyed_stiffness"))
-    codes = [set() if off else each for each, off in zip(codes, other, strict=True)]
-    held = sum(seen or bool(of) for seen, of in zip(np.isfinite(residual) & ~other, codes, strict=True))
-    found = []
+    compared, of_stated_wall, found = rows.compared, rows.of_stated_wall, []
     for code in SENTENCES:
-        logs = [i for i, each in enumerate(codes) if code in each and not (code == "saturation" and unstable[i])]
-        if len(logs) > MATTERS * held and len(logs) >= min(FEWEST_LOGS, held):
-            found.append(LawDeparture(code, len(logs), held, commonest(evidence[i] for i in logs)))
+        logs = [i for i, codes in enumerate(of_stated_wall) if code in codes]
+        logs = [i for i in logs if not (code == "saturation" and rows.verdict[i] == "unstable")]
+        if len(logs) > MATTERS * compared and len(logs) >= min(FEWEST_LOGS, compared):
+            found.append(LawDeparture(code, len(logs), compared, commonest(rows.evidence[i] for i in logs)))
     logs_of = {each.code: each.logs for each in found}
     found = [e for e in found if all(e.logs > n * logs_of.get(o, 0) for o, n in IMITATED.get(e.code, {}).items())]
     return sorted(found, key=lambda each: -each.logs)
@@ -135,23 +198,27 @@ class CourseFilter:
     words: str
 
 
-def course_filter(stages: ExperimentStages) -> CourseFilter | None:
+def course_filter(rows: LawRows) -> CourseFilter | None:
     """Return the velocity filter that most logs show and agree on, None where they do not.
 
     A controller has the same filter in all trials or in none; single logs can imitate it, and what differs from log to
     log is another thing than a filter.
     """
-    if not any(each.code == "velocity_filter" and each.most for each in law_departures(stages)):
+    if not any(each.code == "velocity_filter" and each.most for each in law_departures(rows)):
         return None
-    texts = [text for text in stages.texts("wall_law", "velocity_filter") if text]
-    told = commonest(texts)
-    if not told:
+    filters = [shown for shown in rows.filters if shown is not None]
+    if not filters:
         return None
-    logs, own = [_found(text) for text in texts], _found(told)
-    apart = np.abs(np.array([_gain(each) for each in logs]) - _gain(own)).max(axis=1)
-    if (apart <= SAME_FILTER).mean() <= MOST:
+    usual = Counter(filters).most_common(1)[0][0]
+    difference = np.abs(np.array([_gain(shown) for shown in filters]) - _gain(usual)).max(axis=1)
+    if (difference <= SAME_FILTER).mean() <= MOST:
         return None
-    return CourseFilter(own.declared, [each.declared for each in logs], own.words())
+    return CourseFilter(usual.declared, [shown.declared for shown in filters], usual.words())
+
+
+def experiment_filter(stages: ExperimentStages) -> CourseFilter | None:
+    """Return the velocity filter that most logs of an experiment show and agree on, None where they do not."""
+    return course_filter(stages.once(LawRows.of))
 
 
 def _gain(found: VelocityFilterFound) -> NDArray[np.complex128]:
@@ -161,9 +228,9 @@ def _gain(found: VelocityFilterFound) -> NDArray[np.complex128]:
     return np.asarray(freqz(found.b, found.a)[1], dtype=np.complex128)
 
 
-def _found(text: str) -> VelocityFilterFound:
-    found = json.loads(text)
-    return VelocityFilterFound(tuple(found["b"]), tuple(found["a"]), found["difference"], found["cutoff_hz"])
+def _filter(text: str) -> VelocityFilterFound:
+    stored = json.loads(text)
+    return VelocityFilterFound(tuple(stored["b"]), tuple(stored["a"]), stored["difference"], stored["cutoff_hz"])
 
 
 @dataclass(frozen=True, eq=False)

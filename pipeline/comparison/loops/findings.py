@@ -8,7 +8,14 @@ import numpy as np
 
 from pipeline.base.wording import listed
 from pipeline.comparison.loops.causes import Shown, causes_of
-from pipeline.comparison.loops.departures import CourseFilter, course_filter, law_departures, other_gains, untimed
+from pipeline.comparison.loops.departures import (
+    CourseFilter,
+    LawRows,
+    experiment_filter,
+    law_departures,
+    other_gains,
+    untimed,
+)
 from pipeline.comparison.loops.loop_basis import LoopBasis, identified_device, loop_basis, loop_numbers
 from pipeline.comparison.loops.passive_wall import passive_wall
 from pipeline.comparison.loops.recording_faults import unsafe_recording, words_of
@@ -72,8 +79,8 @@ def loop_findings(
     """
     gains = stages.once(other_gains)
     misled = gains is not None and gains.most
-    departures = [] if misled else law_departures(stages)
-    velocity = None if misled else stages.once(course_filter)
+    departures = [] if misled else law_departures(stages.once(LawRows.of))
+    velocity = None if misled else stages.once(experiment_filter)
     unknown = f"{gains.cause.sentence.rstrip('.')}; what would help: {OTHER_WALL}" if misled and gains else ""
     fault = stages.once(unsafe_recording)
     unknown = words_of(fault) if fault is not None else unknown or untimed(departures)

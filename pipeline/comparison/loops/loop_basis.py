@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from pipeline.comparison.loops.departures import course_filter
+from pipeline.comparison.loops.departures import experiment_filter
 from pipeline.device.loop import Loop
 from pipeline.device.parameters import PARAMETERS, Motion
-from pipeline.device.parts import Coefficients, VelocityFilter
+from pipeline.device.parts import Butterworth, Coefficients, Difference, VelocityFilter
 from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop, identified_loop, nominal_loop
 from pipeline.measured.law.log_rows import SET_DIGITS
@@ -88,7 +88,7 @@ def identified_device(stages: ExperimentStages) -> IdentifiedLoop | None:
     identified = stages.once(identified_loop)
     if identified is None or "delay_samples" in identified.unidentifiable:
         return None
-    shown = stages.once(course_filter)
+    shown = stages.once(experiment_filter)
     return dataclasses.replace(identified, velocity=shown.velocity if shown else None)
 
 
@@ -164,6 +164,20 @@ def filter_quantities(velocity: VelocityFilter, of_logs: Sequence[VelocityFilter
         digit = 10.0 ** (np.floor(np.log10(value)) + 1 - SET_DIGITS) if of_logs and name == "cutoff_hz" else 0.0
         result[name] = Quantity(value=value, low=min(low, value) - 0.5 * digit, high=max(high, value) + 0.5 * digit)
     return result
+
+
+def filter_of_numbers(numbers: Mapping[str, float]) -> VelocityFilter:
+    """Return the filter of which `filter_quantities` has the numbers.
+
+    >>> filter_of_numbers({"order": 2.0, "cutoff_hz": 80.0})
+    Butterworth(kind='butterworth', order=2, cutoff_hz=80.0)
+    """
+    if "samples" in numbers:
+        return Difference(kind="difference", samples=int(numbers["samples"]))
+    if "cutoff_hz" in numbers:
+        return Butterworth(kind="butterworth", order=int(numbers["order"]), cutoff_hz=numbers["cutoff_hz"])
+    b, a = (tuple(value for name, value in numbers.items() if name[0] == side) for side in "ba")
+    return Coefficients(kind="coefficients", b=b, a=a)
 
 
 def _filter_numbers(velocity: VelocityFilter) -> dict[str, float]:

@@ -15,6 +15,7 @@ import numpy as np
 from pipeline.measured.law.candidates import Departure, explanation, hidden
 from pipeline.measured.law.log_rows import PLATEAU, ROUNDINGS, STILL_FLOORS, LogRows, repeated_rows, stands_still
 from pipeline.measured.law.stamps import ODD, Stamps, read_stamps
+from pipeline.measured.law.velocity_filter import VelocityFilterFound
 from pipeline.measured.signal.response import Response, external_force
 from pipeline.measured.student import ROUNDING
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
@@ -44,6 +45,16 @@ class WallLaw:
     rounding: Floats
     departures: tuple[tuple[Departure, ...], ...]
     accounts: tuple[Account | None, ...]
+
+    @property
+    def evidence(self) -> list[str]:
+        """Evidence of the departures of each trial, as one text."""
+        return ["; ".join(each.evidence for each in departures) for departures in self.departures]
+
+    @property
+    def filters(self) -> list[VelocityFilterFound | None]:
+        """Velocity filter of each trial, None where its log shows none."""
+        return [next((each.filter for each in shown if each.filter is not None), None) for shown in self.departures]
 
 
 @dataclass(frozen=True, eq=False)

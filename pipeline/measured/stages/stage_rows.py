@@ -92,16 +92,15 @@ def response(of: TrialGroup, given: Given) -> Sources:
 def wall_law(of: TrialGroup, given: Given) -> Sources:
     """Return whether the logged command of each trial obeys the wall law, and why not."""
     law, obeyed = of.law, of.other_walls.obeyed
-    filters = [next((each.filter for each in found if each.filter is not None), None) for found in law.departures]
     return (
         {
             "law_residual": law.residual,
             "law_rounding": law.rounding,
             "law_codes": [",".join(each.code for each in found) for found in law.departures],
-            "law_evidence": ["; ".join(each.evidence for each in found) for found in law.departures],
+            "law_evidence": law.evidence,
             "law_rows": [max((each.rows for each in found), default=0) for found in law.departures],
             **{f"obeyed_{name}": obeyed[:, i] for i, name in enumerate(("stiffness", "damping", "step"))},
-            "velocity_filter": [found and json.dumps(asdict(found)) for found in filters],
+            "velocity_filter": [found and json.dumps(asdict(found)) for found in law.filters],
         },
     )
 

@@ -148,7 +148,19 @@ def _identified(document: dict[str, Any]) -> Iterator[str]:
         top, B = limits["stiffness_max"], limits["damping_at_stiffness_max"]
         yield f"walls at T = {limits['sampling_period_s']:g} s and a delay of {limits['delay_samples']:.4g} samples:"
         yield f"  stable up to K = {top['value']:.5g} ({top['low']:.5g} to {top['high']:.5g}) at B = {B:.5g}"
-        yield "  (linear, with a velocity by plain difference: friction adds to it, a velocity filter takes from it)"
+        unfiltered = "" if document["velocity_filter"] else ", a velocity filter takes from it"
+        plain = "" if document["loop"]["velocity"] else ", with a velocity by plain difference"
+        yield f"  (linear{plain}: friction adds to it{unfiltered})"
+    if document["velocity_filter"]:
+        yield document["velocity_filter"]
+    if "jitter" in document["left_out"]:
+        jitter = document["loop"]["jitter_samples"]
+        yield (
+            f"The delay jitters: standard deviation {jitter['value']:.3g} samples "
+            f"({jitter['low']:.3g} to {jitter['high']:.3g})."
+        )
+    if document["left_out"]:
+        yield f"left out of linear theory: {', '.join(document['left_out'])}"
 
 
 def _words(names: list[str]) -> str:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from logged import FORMATS, RIGS, lab, scattered, write
 
 from pipeline.comparison.compare import compare
-from pipeline.comparison.loops.departures import course_filter, law_departures
+from pipeline.comparison.loops.departures import LawRows, course_filter, law_departures
 from pipeline.intake.ingest import ingest
+from pipeline.measured.law.velocity_filter import VelocityFilterFound
 
 
 def compared(folder, batch, text="%.17g"):
@@ -45,16 +43,15 @@ def test_a_course_in_few_digits_is_adequate_where_it_is_in_full(tmp_path, rig, t
 
 
 def course(codes, filters=None):
-    """Stages of a course of which nothing is known but what the wall law found."""
-    columns = {
-        "law_codes": codes,
-        "law_evidence": [f"shown by {code}" if code else "" for code in codes],
-        "velocity_filter": filters or [None] * len(codes),
-    }
-    return SimpleNamespace(
-        verdicts=SimpleNamespace(verdict=np.array(["stable"] * len(codes))),
-        texts=lambda stage, name: columns[name],
-        column=lambda stage, name: np.full(len(codes), np.nan if name.startswith("obeyed") else 0.0),
+    """Rows of a course of which nothing is known but what the wall law found."""
+    count = len(codes)
+    return LawRows(
+        [[code] if code else [] for code in codes],
+        [f"shown by {code}" if code else "" for code in codes],
+        filters or [None] * count,
+        np.zeros(count),
+        np.full(count, np.nan),
+        np.array(["stable"] * count),
     )
 
 
@@ -68,7 +65,7 @@ def test_one_log_or_two_of_a_course_name_nothing(logs, of, named):
 
 
 def recursive(pole):
-    return json.dumps({"b": [1 - pole], "a": [1.0, -pole], "difference": None, "cutoff_hz": None})
+    return VelocityFilterFound((1 - pole,), (1.0, -pole))
 
 
 def test_a_filter_is_the_same_in_all_trials_or_none():

@@ -1,0 +1,109 @@
+"""The velocity filter that recorded walls show, of logs that are not stored; `compare` finds the same one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.base.wording import counted
+from pipeline.comparison.loops.departures import SENTENCES, LawRows, course_filter, law_departures
+from pipeline.device.parts import Butterworth, VelocityFilter
+from pipeline.measured.experiment.identified_loop import MOST
+from pipeline.measured.stages.stage_groups import TrialGroup
+from pipeline.readers import Log
+from pipeline.records.batch import NO_STEP_ROW, TrialBatch, group_trials
+
+OPEN = (
+    *("velocity_filter", "adaptive_velocity", "position_filter"),
+    *("decimated_rows", "several_steps", "unknown"),
+)
+"""Departures from the wall law of a log whose velocity may be another one than the plain difference."""
+
+NOT_KNOWN = "The velocity filter of the walls is not known: {}. The boundary is for the plain difference."
+
+
+@dataclass(frozen=True)
+class WallFilter:
+    """What recorded walls show of the velocity in their wall law.
+
+    Parameters
+    ----------
+    velocity : VelocityFilter or None
+        The filter that most logs show and agree on; None for the plain difference, and where it is not known.
+    of_logs : tuple of VelocityFilter
+        As single logs show it.
+    sentence : str
+        What it is, or why it is not known.
+    left_out : bool
+        Whether the logs show another velocity than the plain difference that a linear loop cannot have.
+    """
+
+    velocity: VelocityFilter | None
+    of_logs: tuple[VelocityFilter, ...]
+    sentence: str
+    left_out: bool = False
+
+    def at(self, period: float, wall_period: float) -> WallFilter:
+        """Return the filter of walls with another sampling period [s] than the logs have; itself with the same."""
+        if self.velocity is None or wall_period == period:
+            return self
+        if isinstance(self.velocity, Butterworth) and self.velocity.cutoff_hz >= 0.5 / wall_period:
+            why = f"that of the logs, {self.velocity.cutoff_hz:g} Hz, is not below half of the sampling rate"
+            return WallFilter(None, (), NOT_KNOWN.format(why), left_out=True)
+        return replace(self, sentence=f"{self.sentence} It is assumed to be the same at T = {wall_period:g} s.")
+
+
+def wall_filter(logs: Sequence[Log]) -> WallFilter | None:
+    """Return the velocity filter that logs of walls (K > 0) show; None without such a log."""
+    walls = [log for log in logs if log.header.stiffness > 0]
+    damped = [log for log in walls if log.header.damping != 0]
+    if not damped:
+        return WallFilter(None, (), NOT_KNOWN.format("all walls have a damping of 0")) if walls else None
+    rows = LawRows.of_groups(_groups(damped))
+    if rows.misled:
+        return WallFilter(None, (), NOT_KNOWN.format("most logs obey another wall than their headers state"))
+    if not rows.compared:
+        return WallFilter(None, (), NOT_KNOWN.format("no log has a step after which the command shows the wall law"))
+    if (common := course_filter(rows)) is not None:
+        share = f"{len(common.of_logs)} of {counted(rows.compared, 'log')}"
+        return WallFilter(common.velocity, tuple(common.of_logs), f"The wall's velocity {common.words} ({share}).")
+    others = sum(not set(OPEN).isdisjoint(codes) for codes in rows.of_stated_wall)
+    if rows.compared - others > MOST * rows.compared:
+        share = f"{rows.compared - others} of {counted(rows.compared, 'log')}"
+        return WallFilter(None, (), f"The wall's velocity is the plain difference ({share}).")
+    departures = [each for each in law_departures(rows) if each.code in OPEN]
+    why = (
+        f"{others} of {counted(rows.compared, 'log')} depart from the law of the plain difference, each in another way"
+    )
+    if departures and departures[0].code == "velocity_filter":
+        why = "the logs show different ones"
+    elif departures and departures[0].most:
+        why = SENTENCES[departures[0].code].rstrip(".")
+        why = f"{why[0].lower()}{why[1:]} ({departures[0].shown})"
+    return WallFilter(None, (), NOT_KNOWN.format(why), left_out=True)
+
+
+def _groups(logs: Sequence[Log]) -> list[TrialGroup]:
+    """Return logs in groups of like length."""
+    places = group_trials(np.array([len(log.time) for log in logs]))
+    return [TrialGroup(TrialBatch.joined([_batch(logs[i]) for i in place])) for place in places]
+
+
+def _batch(log: Log) -> TrialBatch:
+    header = log.header
+    declared = header.extra.get("step_row")
+    return TrialBatch(
+        trial_id=(log.samples_sha256,),
+        stiffness=np.array([header.stiffness]),
+        damping=np.array([header.damping]),
+        step=np.array([header.step]),
+        sampling_period_s=np.array([header.sampling_period_s]),
+        rows=np.array([len(log.time)]),
+        time=log.time[None],
+        command=log.command[None],
+        position=log.position[None],
+        step_row=np.array([NO_STEP_ROW if declared is None else int(declared)]),
+        integrated=np.array([header.extra.get("integrated") == "trapezoid"]),
+    )
