@@ -26,6 +26,9 @@ the step doubles a limit."""
 WALLS, ROUNDS = 17, 3
 """Walls of a round between a stable and an unstable one; three rounds tell a limit to 1/2700 of the largest."""
 
+DIGITS = 9
+"""Significant digits of simulated walls, far more than a limit is known to."""
+
 DIRECTIONS = 24
 """Random directions in which a wide range of devices is searched for its lowest limit, in addition to its axes."""
 
@@ -122,7 +125,7 @@ def step_limits(loop: Loop, damping: Floats, trial: StepTrial, softest: Floats) 
     low, high = np.maximum(least, softest), linear + BEYOND * linear.max()
     begin, ends = low, high > low
     for _ in range(ROUNDS):
-        K = np.linspace(low, high, WALLS + 1)[1:]
+        K = _rounded(np.linspace(low, high, WALLS + 1)[1:])
         verdicts = judge(simulate_behind(loop, K.ravel(), np.tile(damping, WALLS), trial)).verdict.reshape(K.shape)
         grows = verdicts == "unstable"
         ends &= grows.any(axis=0)
@@ -133,6 +136,15 @@ def step_limits(loop: Loop, damping: Floats, trial: StepTrial, softest: Floats) 
         low, high = low + last * step, low + (first + 1) * step
     known = ends & (low > np.where(begin > least, begin, -1.0))
     return np.where(known, 0.5 * (low + high), np.nan), 0.5 * (high - low)
+
+
+def _rounded(stiffness: Floats) -> Floats:
+    """Return stiffnesses to `DIGITS` digits.
+
+    What chance decides in a simulated log is drawn by the digits of its wall: those that are rounding must not matter.
+    """
+    unit = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(stiffness), 1e-300))) + 1 - DIGITS)
+    return np.asarray(np.round(stiffness / unit) * unit)
 
 
 def lowest_limits(device: IdentifiedLoop, damping: Floats) -> Floats:

@@ -11,7 +11,7 @@ from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from pipeline.records.criteria import criterion_of
-from pipeline.records.findings import BoundaryPoint, Optimum, Record
+from pipeline.records.findings import BoundaryPoint, Optimum, Quantity, Record
 from pipeline.records.models import ComparisonRow, Deviation, Motion
 from pipeline.records.results import ComparisonResult, ExperimentResult
 from pipeline.records.tables import COLUMNS
@@ -150,7 +150,8 @@ def flat(record: Record) -> Row:
     row: Row = {}
     for name, value in record:
         if isinstance(value, Record):
-            inner = flat(value)
+            # the unit of a column is that of all its numbers
+            inner = flat(value) if type(value) is not Quantity else value.model_dump(include={"value", "low", "high"})
             row |= {name if key == "value" else f"{name}_{key}": each for key, each in inner.items()}
         elif not isinstance(value, (dict, tuple, list)):
             row[name] = value

@@ -45,6 +45,13 @@ def test_a_linear_device_has_its_linear_limit_for_every_step_and_jitter_moves_it
     assert ((jitters != linear_limits(plain, B)) & (abs(jitters / LINEAR - 1) < 0.04) & (early > 1.04 * LINEAR)).all()
 
 
+def test_the_last_digit_of_a_device_moves_no_limit_of_a_jittering_step():
+    """What chance draws in a simulated log follows from its wall, whose last digits are rounding."""
+    limits = [of_step(8.0, DEVICE.replace({"mass": MASS * f}), jitter=0.7) for f in (1.0, 1 + 1e-15, 1 - 2e-15)]
+    assert limits[1] == pytest.approx(limits[0], rel=1e-12)
+    assert limits[2] == pytest.approx(limits[0], rel=1e-12)
+
+
 def test_a_second_simulator_says_the_same_of_walls_beside_the_limit():
     (limit, _), late = of_step(8.0), slice(-60, None)
     for share, grows in ((0.94, False), (1.06, True)):
