@@ -192,7 +192,7 @@ def test_physical_energies_scale_with_mass_and_period(
 ) -> None:
     d = delay[0] / delay[1]
     stiffness, damping = share / (1 + d) ** 2 * mass / period**2, 0.8 / (1 + d) * mass / period
-    motion = simulate(stiffness, damping, delay=delay, samples=200, mass=mass, period=period, fine=8)
+    motion = simulate(stiffness, damping, delay=delay, samples=800, mass=mass, period=period, fine=8)
     unit = LoopUnits(mass, period)
     costs = energy_costs(NormalisedLoop.ideal(0, 0, d), stiffness / unit.stiffness, damping / unit.damping)
     for w in (0, 1, 2):
