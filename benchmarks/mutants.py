@@ -34,7 +34,7 @@ class Change(NamedTuple):
 
 VERDICT, OUTCOME = "measured/signal/verdict.py", "measured/signal/outcome.py"
 SETTLING, OPTIMUM, THESIS = "measured/cost/costs.py", "measured/experiment/best_trial.py", "measured/thesis.py"
-INTERVALS, LIKELIHOOD = "measured/model/intervals.py", "measured/model/likelihood.py"
+INTERVALS, LIKELIHOOD = "measured/identification/intervals.py", "measured/identification/likelihood.py"
 BAND, SESSIONS, SECURITY = "measured/experiment/boundary.py", "service/database.py", "service/security.py"
 AGAINST, AGREEMENT = "comparison/against.py", "comparison/scores/agreement.py"
 
@@ -63,7 +63,7 @@ CHANGES = (
     Change(THESIS, "(np.cumsum(acting, axis=1) - 0.5 * acting)", "np.cumsum(acting, axis=1)"),
     Change(THESIS, "first - edge - 1, NO_ROW", "first - edge, NO_ROW"),
     Change(THESIS, "found = seen & ~against &", "found = seen &"),
-    Change("measured/student.py", "CONFIDENCE = 0.95", "CONFIDENCE = 0.8", "tests/measured/model"),
+    Change("measured/student.py", "CONFIDENCE = 0.95", "CONFIDENCE = 0.8", "tests/measured/identification"),
     Change(INTERVALS, "float(told.sum() - 1)", "1e9"),
     Change(INTERVALS, "(count - 1) / count * (spread**2).sum(axis=0)", "0 * (spread**2).sum(axis=0)"),
     Change(INTERVALS, "if bounded and value - reach < 0:", "if False:"),

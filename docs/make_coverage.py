@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pipeline.measured.identification.estimated import ESTIMATED
+from pipeline.measured.identification.identified import Identification, identified
+from pipeline.measured.identification.intervals import Interval
+from pipeline.measured.identification.recordings import Recording
 from scipy.linalg import expm
 
-from pipeline.measured.model.estimated import ESTIMATED
-from pipeline.measured.model.identified import Identification, identified
-from pipeline.measured.model.intervals import Interval
-from pipeline.measured.model.recordings import Recording
 from pipeline.records.batch import Floats
 from pipeline.simulation.simulate import age_in_force
 

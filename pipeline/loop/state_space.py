@@ -154,19 +154,22 @@ def state_space(plant: Plant) -> StateSpace:
     mass, count = plant.mass, 4 if plant.has_mode else 2
     load = plant.load_mass / mass
     near = 1.0 - load
-    motor = np.array([1.0, -load / near])[: count // 2]
-    motor_force = -np.kron(motor, [plant.stiffness, plant.damping - plant.load_damping]) / mass
-    kind = np.result_type(motor_force, np.asarray(plant.spring), np.asarray(plant.spring_damping))
+    motor = (1.0, -load / near)[: count // 2]
+    spring, damper = -plant.stiffness / mass, -(plant.damping - plant.load_damping) / mass
+    numbers = (spring, damper, load, plant.load_damping, plant.spring, plant.spring_damping)
+    kind = complex if any(isinstance(each, complex) for each in numbers) else float
     matrix, force, sensor = np.zeros((count, count), kind), np.zeros(count), np.zeros(count, kind)
     matrix[0, 1], force[1] = 1.0, 1 / mass
-    matrix[1] = motor_force
-    sensor[::2] = motor
+    for place, share in enumerate(motor):
+        sensor[2 * place] = share
+        matrix[1, 2 * place], matrix[1, 2 * place + 1] = share * spring, share * damper
     if plant.has_mode:
         matrix[2, 3], force[3] = 1.0, -1 / mass
-        matrix[3] = -motor_force
-        matrix[3, 2:] -= np.array([plant.spring, plant.spring_damping]) / mass * (1 / load + 1 / near)
-        for row, moved in ((1, 1.0), (3, near / load)):
-            matrix[row, 1::2] -= moved * plant.load_damping / mass
+        matrix[3] = -matrix[1]
+        matrix[3, 2] -= plant.spring / mass * (1 / load + 1 / near)
+        matrix[3, 3] -= plant.spring_damping / mass * (1 / load + 1 / near)
+        for row, share in ((1, 1.0), (3, near / load)):
+            matrix[row, 1::2] -= share * plant.load_damping / mass
         if plant.sensor_at_load:
             sensor[2] = 1.0
     mechanics = StateSpace(matrix, force, force, sensor, np.zeros(count), count)

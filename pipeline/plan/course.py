@@ -15,14 +15,14 @@ from pipeline.device.loop import Loop
 from pipeline.device_data.devices import declared_spring, find_experiment, known_devices, read_device
 from pipeline.measured.experiment.boundary import spread_over_plane
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop, nominal_loop, parts_of
+from pipeline.measured.identification.estimated import ESTIMATED, estimated_names
+from pipeline.measured.identification.identifiability import Recorded, is_identifiable
+from pipeline.measured.identification.identified import check_recordings
+from pipeline.measured.identification.intervals import Errors, with_delay
+from pipeline.measured.identification.parts import Choice, again
+from pipeline.measured.identification.parts import chosen as look_at_once
+from pipeline.measured.identification.recordings import SHORTEST, Recording
 from pipeline.measured.law.wall_law import wall_law
-from pipeline.measured.model.estimated import ESTIMATED, estimated_names
-from pipeline.measured.model.identifiability import Recorded, is_identifiable
-from pipeline.measured.model.identified import check_recordings
-from pipeline.measured.model.intervals import Errors, with_delay
-from pipeline.measured.model.parts import Choice, again
-from pipeline.measured.model.parts import chosen as look_at_once
-from pipeline.measured.model.recordings import SHORTEST, Recording
 from pipeline.measured.signal.response import Response, find_response
 from pipeline.measured.stages.stage_device import recording_findings
 from pipeline.measured.stages.stages import ExperimentStages

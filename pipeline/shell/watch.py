@@ -293,8 +293,8 @@ def plan_beside(
     """
     from pipeline.base.process import process_pool
     from pipeline.intake.ingest import ingest
-    from pipeline.measured.model.parts import Choice, chosen
-    from pipeline.measured.model.recordings import Recording
+    from pipeline.measured.identification.parts import Choice, chosen
+    from pipeline.measured.identification.recordings import Recording
     from pipeline.plan.course import open_course
     from pipeline.plan.planner import plan_of, remember
 

@@ -24,10 +24,10 @@ from pipeline.device.parts import Mode
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.sources import Source, find_sources, load_source, motion_of
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
-from pipeline.measured.model.estimated import ESTIMATED
-from pipeline.measured.model.identified import Identification, identified
-from pipeline.measured.model.intervals import Interval
-from pipeline.measured.model.recordings import Recording
+from pipeline.measured.identification.estimated import ESTIMATED
+from pipeline.measured.identification.identified import Identification, identified
+from pipeline.measured.identification.intervals import Interval
+from pipeline.measured.identification.recordings import Recording
 from pipeline.measured.student import NORMAL_95
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.readers import Log, RawLog, reader_of
@@ -361,11 +361,7 @@ def _numbers(interval: Interval, is_identified: bool) -> dict[str, float | None]
 
 
 def _replay_document(found: Identification) -> dict[str, Any]:
-    fits = found.replay.fit
-    logs = [
-        {"log": name, "fit_percent": float(fit) if np.isfinite(fit) else None}
-        for name, fit in zip(found.replay_names, fits.tolist(), strict=True)
-    ]
+    logs = [{"log": name, "fit_percent": fit if np.isfinite(fit) else None} for name, fit in found.replay]
     return {"fit_percent": found.fit_percent, "logs": logs}
 
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from kinds import kinds
+from pipeline.measured.identification.parts import chosen
 
 from pipeline.device_data.devices import load_device
 from pipeline.measured.experiment.identified_loop import nominal_loop
-from pipeline.measured.model.parts import chosen
 from pipeline.plan.course import Wish, foretold, learn, open_course
 from pipeline.plan.loop_limits import limits_of, linear_limits
 from pipeline.simulation.setup import setup_of

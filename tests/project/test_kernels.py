@@ -54,7 +54,7 @@ FILES = [
         "theory/test_energy",
         "theory/test_costs_by_name",
         "measured/signal/test_modes",
-        "measured/model/test_model",
+        "measured/identification/test_model",
     )
 ]
 

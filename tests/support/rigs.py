@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from kinds import kinds
+from pipeline.measured.identification.parts import chosen
 
 from pipeline.device_data.devices import load_device
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.measured.cost.costs import settling
-from pipeline.measured.model.parts import chosen
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.plan.course import Course, Learnt, Wish, learn, wanted_dampings

@@ -15,8 +15,8 @@ from pipeline.device.parameters import PARAMETERS, Motion
 from pipeline.device.parts import Butterworth, Coefficients, Difference, VelocityFilter
 from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop, identified_loop, nominal_loop
+from pipeline.measured.identification.intervals import Interval
 from pipeline.measured.law.log_rows import SET_DIGITS
-from pipeline.measured.model.intervals import Interval
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Quantity

@@ -20,7 +20,7 @@ from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import FEWEST_COMPARISONS, boundary_distance
 from pipeline.comparison.summary.summary_warnings import NEEDED
 from pipeline.measured.experiment.boundary import spread_over_plane
-from pipeline.measured.model.identifiability import Recorded
+from pipeline.measured.identification.identifiability import Recorded
 from pipeline.measured.stages.stage_device import recordings
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.course import TRIALS, Wish, course_of

@@ -15,8 +15,8 @@ from pipeline.device.parameters import PARAMETERS, Motion
 from pipeline.device.parts import Friction, Mode, VelocityFilter
 from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.experiment.stored import Stored
-from pipeline.measured.model.identifiability import IdentifiableCombination
-from pipeline.measured.model.intervals import Interval
+from pipeline.measured.identification.identifiability import IdentifiableCombination
+from pipeline.measured.identification.intervals import Interval
 from pipeline.measured.student import NORMAL_95
 from pipeline.records.batch import Floats
 from pipeline.records.findings import ROUNDING, Estimate

@@ -12,11 +12,12 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.measured.experiment.identified_loop import MOST, parts_of
 from pipeline.measured.experiment.stored import Experiment
-from pipeline.measured.model.identifiability import Recorded
-from pipeline.measured.model.identified import Identification, identified, own_numbers
-from pipeline.measured.model.intervals import with_delay
-from pipeline.measured.model.recordings import GAP, SHORTEST, Recording
-from pipeline.measured.model.scatter import FEWEST
+from pipeline.measured.identification.identifiability import Recorded
+from pipeline.measured.identification.identified import Identification, identified, own_numbers
+from pipeline.measured.identification.intervals import with_delay
+from pipeline.measured.identification.recordings import SHORTEST, Recording
+from pipeline.measured.identification.scatter import FEWEST
+from pipeline.measured.identification.segments import GAP
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 from pipeline.records.batch import TrialBatch
 from pipeline.records.findings import Finding, unsafe_reason

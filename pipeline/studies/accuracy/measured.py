@@ -19,7 +19,7 @@ from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.measured.cost import costs
 from pipeline.measured.cost.energy import energy_interval
 from pipeline.measured.cost.reading_error import reading_error
-from pipeline.measured.model.identified import OWN, identified, own_numbers
+from pipeline.measured.identification.identified import OWN, identified, own_numbers
 from pipeline.measured.signal.response import Response, find_response
 from pipeline.measured.signal.verdict import Verdicts, judge
 from pipeline.measured.stages.stage_device import recordings

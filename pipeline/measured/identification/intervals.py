@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.model.estimated import ESTIMATED, Numbers, Quantity
-from pipeline.measured.model.likelihood import LINEAR, Fit
-from pipeline.measured.model.recordings import LogUnits
-from pipeline.measured.model.scatter import inverse, unidentified
+from pipeline.measured.identification.estimated import ESTIMATED, Numbers, Quantity
+from pipeline.measured.identification.likelihood import LINEAR, Fit
+from pipeline.measured.identification.recordings import LogUnits
+from pipeline.measured.identification.scatter import inverse, unidentified
 from pipeline.measured.student import NORMAL_95, student_95
-from pipeline.records.batch import Floats
+from pipeline.records.trials import Floats
 
 COMPUTED = 1e-9
 """Error relative to a value that computing it leaves: the search ends there in logs without noise."""

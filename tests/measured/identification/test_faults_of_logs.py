@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from any_experiment import Rig, Trial, recorded
+from pipeline.measured.identification import likelihood
+from pipeline.measured.identification.identified import identified
+from pipeline.measured.identification.motion import PlantShape, Transitions
+from pipeline.measured.identification.noise import Noise, gains_of
+from pipeline.measured.identification.recordings import LogUnits, Recording
+from pipeline.measured.identification.search import climbed
+from pipeline.measured.identification.segments import segments_of
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.model import likelihood
-from pipeline.measured.model.identified import identified
-from pipeline.measured.model.motion import PlantShape
-from pipeline.measured.model.recordings import LogUnits, Recording, stretches
-from pipeline.measured.model.whitening import Filter, Noise, Passage
 
 
 def motor(command, *, inertia, damping, friction=0.0, delay=0.0, period=2e-3, resolution=0.0, name="a"):
@@ -164,7 +166,7 @@ def test_a_filter_forgets_its_start_or_is_none(seed):
     """Of devices that run away, with slow modes and any random force; one that doubles do not reach is NaN."""
     rng = np.random.default_rng(seed)
     log = Recording("a", np.arange(60.0), np.ones(60), np.arange(60.0) ** 2, 1.0)
-    held = stretches([log], LogUnits.of([log]), 6, False)
+    held = segments_of([log], LogUnits.of([log]), 6, False)
     computed = 0
     for _ in range(150):
         shape = PlantShape(
@@ -174,20 +176,20 @@ def test_a_filter_forgets_its_start_or_is_none(seed):
             mode_damping_ratio=rng.uniform(0, 0.5),
             load_mass_fraction=rng.uniform(0.01, 0.9),
         )
-        passage = Passage(held, shape)
-        gain = Filter.of(passage, Noise(10 ** rng.uniform(-12, 6))).gain[0, 0]
+        transitions = Transitions.of(held, shape)
+        gain = gains_of(held, transitions, Noise(10 ** rng.uniform(-12, 6)))[0][0]
         if np.isfinite(gain).all():
             computed += 1
-            errors = passage.transition[0, 0] @ (np.eye(4) - np.outer(gain, passage.sensor))
+            errors = transitions.motion[1][0] @ (np.eye(4) - np.outer(gain, transitions.motion[5]))
             assert np.abs(np.linalg.eigvals(errors)).max() < 1 + 2e-6
     assert computed > 100
 
 
 def test_a_device_far_beyond_computing_is_left_as_it_is():
     log = Recording("a", np.arange(60.0), np.ones(60), np.arange(60.0) ** 2, 1.0)
-    held = stretches([log], LogUnits.of([log]), 6, False)
+    held = segments_of([log], LogUnits.of([log]), 6, False)
     far = likelihood.Device({"gain": 1.0, "delta": -1e4, "gamma": -1e4}, Noise(0.306))
-    assert likelihood.climbed(held, far, 1, 2).numbers == far.numbers
+    assert climbed(held, far, 1, 2).numbers == far.numbers
 
 
 def test_results_do_not_depend_on_how_much_is_computed_together(monkeypatch):

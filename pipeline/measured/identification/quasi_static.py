@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pipeline.measured.model.intervals import Interval
-from pipeline.measured.model.recordings import Recording
+from pipeline.measured.identification.intervals import Interval
+from pipeline.measured.identification.recordings import Recording
 from pipeline.measured.student import student_95
-from pipeline.records.batch import Booleans, Floats
+from pipeline.records.trials import Booleans, Floats
 
 WINDOW = 8
 """Rows of a window: the motion behind a change of the command is over within it, and the position moves visibly."""

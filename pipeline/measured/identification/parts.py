@@ -7,28 +7,26 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.model.estimated import ESTIMATED
-from pipeline.measured.model.intervals import Errors
-from pipeline.measured.model.likelihood import (
+from pipeline.measured.identification.estimated import ESTIMATED
+from pipeline.measured.identification.first_guess import first_guess
+from pipeline.measured.identification.intervals import Errors
+from pipeline.measured.identification.likelihood import (
     BEFORE,
     DONE,
-    LAST_STEPS,
     LIMITS,
     ROUNDED_ROW,
     WORTH,
     Device,
     Fit,
-    climbed,
-    ended,
-    first_guess,
     moments_of,
-    refined,
     spread,
 )
-from pipeline.measured.model.recordings import SHORTEST, LogUnits, Recording, Stretches, stretches
-from pipeline.measured.model.scatter import FEWEST, Solved, inverse, solve
-from pipeline.measured.model.whitening import WHITE, Noise
-from pipeline.records.batch import Integers
+from pipeline.measured.identification.noise import WHITE, Noise
+from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
+from pipeline.measured.identification.scatter import FEWEST, Solved, inverse, solve
+from pipeline.measured.identification.search import LAST_STEPS, climbed, ended, refined
+from pipeline.measured.identification.segments import Segments, segments_of
+from pipeline.records.trials import Integers
 
 BASE = ("gain", "delta", "delay", "force")
 """Numbers of every device."""
@@ -98,7 +96,7 @@ WEIGHED = 0.1
 """Share of the random force without a part that is left to errors where a start with it is looked for."""
 
 LOOKED_AT = 9000
-"""Rows, of stretches spread over all, by which parts are looked for at first: what these do not show moves no limit."""
+"""Rows, of segments spread over all, by which parts are looked for at first: what these do not show moves no limit."""
 
 SOME_STEPS = 10
 """Steps by which they are looked for at first."""
@@ -138,7 +136,7 @@ class Choice:
     """
 
     fit: Fit
-    held: Stretches
+    segments: Segments
     units: LogUnits
     parts: dict[str, float]
     assumed: tuple[str, ...]
@@ -184,13 +182,13 @@ def chosen(recordings: list[Recording]) -> Choice:
     starts, noise = [each.position[0] for each in recordings], max(each.noise for each in recordings)
     if np.ptp(starts) <= APART * noise or not ("stiffness" in choice.parts or _is_like_ground(choice)):
         return choice
-    held = _choice(recordings, replace(choice.units, origin=None))
-    return held if _worthiness(held) > _worthiness(choice) + WORTH else choice
+    segments = _choice(recordings, replace(choice.units, origin=None))
+    return segments if _worthiness(segments) > _worthiness(choice) + WORTH else choice
 
 
 def _is_like_ground(choice: Choice) -> bool:
     """Return whether the load of a mode may be what a spring is fixed to: it is heavy, or hardly moves in a log."""
-    numbers, rows = choice.fit.device.numbers, float(np.median(choice.held.rows))
+    numbers, rows = choice.fit.device.numbers, float(np.median(choice.segments.rows))
     turn = numbers.get("mode_frequency", np.inf)
     return numbers.get("load_mass_fraction", 0.0) > HEAVY or turn * rows < SLOW
 
@@ -208,23 +206,23 @@ def _choice(recordings: list[Recording], units: LogUnits) -> Choice:
     base, assumed = _base(some)
     begin = _begin(some, units, base, int(np.clip(rows // 8, 2, LONGEST_DELAY)))
     lead, trials = int(np.ceil(max(each.numbers.get("delay", 0.0) for each in begin))) + 3, len(some)
-    fit, held, parts, bounds = _first(some, units, lead, begin)
-    fit, parts = _further(held, fit, parts, trials)
+    fit, segments, parts, bounds = _first(some, units, lead, begin)
+    fit, parts = _further(segments, fit, parts, trials)
     if set(parts) - {"friction", "stiffness"}:
-        held, fit, parts = _pruned((some, units, lead), held, fit, parts)
+        segments, fit, parts = _pruned((some, units, lead), segments, fit, parts)
     if len(places) < len(recordings):
-        held = stretches(recordings, units, lead, "friction" in parts)
-    fit = ended(held, replace(fit.device, effects=None), len(recordings))
+        segments = segments_of(recordings, units, lead, "friction" in parts)
+    fit = ended(segments, replace(fit.device, effects=None), len(recordings))
     if fit.few and "coulomb" in fit.device.numbers and "delay" in fit.device.numbers:
-        fit = _spanned(held, fit, len(recordings), lead)
+        fit = _spanned(segments, fit, len(recordings), lead)
     numbers = fit.device.numbers
     absent = (name for name in bounds if ESTIMATED[name].number not in numbers)
     bounds = {name: bounds[name] for name in absent if bounds[name] <= _largest_bound(name, units)}
-    if lag := _unseen_lag(held, fit, len(recordings)):
+    if lag := _unseen_lag(segments, fit, len(recordings)):
         bounds |= {"actuator_lag_s": lag * units.period, "delay_samples": numbers["delay"] - lag}
     elif numbers.get("lag", np.inf) < IMITATED:
         bounds["delay_samples"] = numbers["delay"] + numbers["lag"]
-    return Choice(fit, held, units, parts, assumed, bounds)
+    return Choice(fit, segments, units, parts, assumed, bounds)
 
 
 def _largest_bound(name: str, units: LogUnits) -> float:
@@ -236,7 +234,7 @@ def _largest_bound(name: str, units: LogUnits) -> float:
     return {"friction.coulomb": units.command, "stiffness": 2 * units.command / units.position}[name]
 
 
-def _spanned(held: Stretches, fit: Fit, trials: int, lead: int) -> Fit:
+def _spanned(segments: Segments, fit: Fit, trials: int, lead: int) -> Fit:
     """Return the likeliest of several optima, with intervals that reach to those that the logs do not exclude.
 
     With friction few logs leave several: where a motion turns depends on both friction and delay. They are searched
@@ -248,17 +246,17 @@ def _spanned(held: Stretches, fit: Fit, trials: int, lead: int) -> Fit:
         for delay in np.unique(np.linspace(0, max(lead - 3, 1), DELAYS).round())
         for share in FRICTIONS
     ]
-    climbs = (climbed(held, device, trials, SOME_STEPS) for device in starts)
-    fits = [fit, *(refined(held, each, trials, LAST_STEPS, far=False, noisy=False) for each in climbs)]
+    climbs = (climbed(segments, device, trials, SOME_STEPS) for device in starts)
+    fits = [fit, *(refined(segments, each, trials, LAST_STEPS, far=False, noisy=False) for each in climbs)]
     best = max(fits, key=lambda each: each.likelihood)
-    best = fit if best.likelihood < fit.likelihood + DONE else ended(held, best.device, trials)
+    best = fit if best.likelihood < fit.likelihood + DONE else ended(segments, best.device, trials)
     # the last climb may go beyond all others
     near = [best, *(each for each in fits if each.likelihood > best.likelihood - BESIDE * best.alike)]
     steps = [np.array(list(each.device.numbers.values())) - list(best.device.numbers.values()) for each in near]
     return replace(best, optima=np.stack(steps))
 
 
-def _unseen_lag(held: Stretches, fit: Fit, trials: int) -> float:
+def _unseen_lag(segments: Segments, fit: Fit, trials: int) -> float:
     """Return the upper end of the lag [samples] that a delay longer by as much stands for.
 
     Up to the second order in its length a lag is a delay. Beside a lag or a mode none is looked for.
@@ -266,7 +264,7 @@ def _unseen_lag(held: Stretches, fit: Fit, trials: int) -> float:
     numbers = fit.device.numbers
     if "delay" not in numbers or {"lag", "mode_frequency"} & set(numbers):
         return 0.0
-    some, alone = _some(held), replace(fit.device, effects=None)
+    some, alone = _some(segments), replace(fit.device, effects=None)
 
     def likelihood(lag: float) -> float:
         late = {"delay": numbers["delay"] - lag} | ({"lag": lag} if lag else {})
@@ -288,35 +286,39 @@ def _unseen_lag(held: Stretches, fit: Fit, trials: int) -> float:
 def again(choice: Choice, recordings: list[Recording]) -> Choice:
     """Return the fit of other recordings with the parts of an earlier choice, from its numbers on."""
     found, units = choice.fit, choice.units
-    held = stretches(recordings, units, choice.held.lead, choice.moving)
-    fit = ended(held, replace(found.device, effects=None), len(recordings))
-    return Choice(fit, held, units, choice.parts, choice.assumed)
+    segments = segments_of(recordings, units, choice.segments.lead, choice.moving)
+    fit = ended(segments, replace(found.device, effects=None), len(recordings))
+    return Choice(fit, segments, units, choice.parts, choice.assumed)
 
 
 def _first(
     recordings: list[Recording], units: LogUnits, lead: int, begin: list[Device]
-) -> tuple[Fit, Stretches, dict[str, float], dict[str, float]]:
-    """Return the fit with friction and spring where there are some or may be, its stretches, those parts, and bounds.
+) -> tuple[Fit, Segments, dict[str, float], dict[str, float]]:
+    """Return the fit with friction and spring where there are some or may be, its segments, those parts, and bounds.
 
     The search starts from each of some devices.
 
     Bounds are the upper ends of friction and spring [SI] with both in the fit.
     """
     trials, bounds, fit = len(recordings), {}, None
-    if "coulomb" in begin[0].numbers and len(held := stretches(recordings, units, lead, True)):
-        whole = _searched(held, begin, trials)
+    if "coulomb" in begin[0].numbers and len(segments := segments_of(recordings, units, lead, True)):
+        whole = _searched(segments, begin, trials)
         bounds = {name: _upper(whole, name, units) for name in ("friction.coulomb", "stiffness")}
-        fit, parts = _worth(held, whole, trials, begin[0])
+        fit, parts = _worth(segments, whole, trials, begin[0])
         gain, numbers = _loss(fit, "coulomb"), fit.device.numbers
         rubs = gain > WORTH and numbers["coulomb"] / numbers["gain"] > SLIGHT
         if rubs or _upper(fit, "friction.coulomb", units) >= OPEN * units.command:
-            return fit, held, {"friction": gain if rubs else 0.0} | parts, bounds
-    held = stretches(recordings, units, lead, False)
+            return fit, segments, {"friction": gain if rubs else 0.0} | parts, bounds
+    segments = segments_of(recordings, units, lead, False)
     starts = [_sliding(each) for each in begin]
-    fit = refined(held, _sliding(fit.device), trials, far=False) if fit is not None else _searched(held, starts, trials)
+    fit = (
+        refined(segments, _sliding(fit.device), trials, far=False)
+        if fit is not None
+        else _searched(segments, starts, trials)
+    )
     bounds["stiffness"] = _upper(fit, "stiffness", units)
-    fit, parts = _worth(held, fit, trials, starts[0])
-    return fit, held, parts, bounds
+    fit, parts = _worth(segments, fit, trials, starts[0])
+    return fit, segments, parts, bounds
 
 
 def _upper(fit: Fit, name: str, units: LogUnits) -> float:
@@ -324,7 +326,7 @@ def _upper(fit: Fit, name: str, units: LogUnits) -> float:
     return Errors.of(fit).interval(ESTIMATED[name].quantity(units), ends_at_zero=True).high
 
 
-def _worth(held: Stretches, fit: Fit, trials: int, begin: Device) -> tuple[Fit, dict[str, float]]:
+def _worth(segments: Segments, fit: Fit, trials: int, begin: Device) -> tuple[Fit, dict[str, float]]:
     """Return the fit with its spring where there is one, else without.
 
     Where there seems to be one the search climbs without it, too, from where it began: behind one wall a spring may
@@ -333,9 +335,9 @@ def _worth(held: Stretches, fit: Fit, trials: int, begin: Device) -> tuple[Fit, 
     gain, numbers = _loss(fit, "gamma"), fit.device.numbers
     # in units of the largest command, at the largest displacement
     if gain > WORTH and abs(numbers["gamma"] / numbers["gain"]) > SLIGHT:
-        free = refined(held, _springless(begin), trials)
+        free = refined(segments, _springless(begin), trials)
         return (free, {}) if free.likelihood > fit.likelihood - WORTH else (fit, {"stiffness": gain})
-    return refined(held, _springless(fit.device), trials, far=False, noisy=False), {}
+    return refined(segments, _springless(fit.device), trials, far=False, noisy=False), {}
 
 
 def _springless(device: Device) -> Device:
@@ -372,67 +374,67 @@ def _begin(recordings: list[Recording], units: LogUnits, base: tuple[str, ...], 
     ParameterError
         If no part of a log is long enough or moves, or the device moves against its command.
     """
-    held, names = stretches(recordings, units, lead, True), (*base, "gamma", "coulomb")
-    if not len(held):
-        names, held = (*base, "gamma"), stretches(recordings, units, lead, False)
-    if not len(held):
+    segments, names = segments_of(recordings, units, lead, True), (*base, "gamma", "coulomb")
+    if not len(segments):
+        names, segments = (*base, "gamma"), segments_of(recordings, units, lead, False)
+    if not len(segments):
         raise ParameterError(
             f"no log has {SHORTEST} rows in sequence behind the {lead} whose commands a delay may need; record longer "
             "logs, with the step nearer to their begin"
         )
-    parts = [held, *(held.shorter(rows) for rows in SHORTER if held.rows.max() > 2 * rows)]
+    parts = [segments, *(segments.shorter(rows) for rows in SHORTER if segments.rows.max() > 2 * rows)]
     return [device for part in parts for device in _first_devices(part, names, lead, len(recordings))]
 
 
-def _first_devices(held: Stretches, names: tuple[str, ...], lead: int, trials: int) -> list[Device]:
+def _first_devices(segments: Segments, names: tuple[str, ...], lead: int, trials: int) -> list[Device]:
     """Return two devices from which a search starts, the likelier first: by the balance with a spring, and without.
 
     Behind one wall the command is a spring and a damper of its own: but for the delay, a device with these and no gain
     moves alike, and the errors of readings decide between the two.
     """
-    found = first_guess(held, names, lead)
+    found = first_guess(segments, names, lead)
     try:
-        free = first_guess(held, tuple(name for name in names if name != "gamma"), lead)
+        free = first_guess(segments, tuple(name for name in names if name != "gamma"), lead)
     except ParameterError:
         return [found]
     free = replace(free, numbers={name: free.numbers.get(name, 0.0) for name in names})
-    some = _some(held)
+    some = _some(segments)
     return sorted((found, free), key=lambda device: -_likelihood(some, device, trials))
 
 
-def _searched(held: Stretches, begin: list[Device], trials: int) -> Fit:
+def _searched(segments: Segments, begin: list[Device], trials: int) -> Fit:
     """Return the likeliest fit from the first of some devices.
 
     Where it leaves a random force, the search also climbs from all of them without one: a random force that is found
     before the search ends may replace friction, a delay, or a fast motion.
     """
-    fit = refined(held, begin[0], trials)
+    fit = refined(segments, begin[0], trials)
     if trials < FEWEST and len(begin) > 1:
-        fit = max(fit, refined(held, begin[1], trials), key=lambda each: each.likelihood)
+        fit = max(fit, refined(segments, begin[1], trials), key=lambda each: each.likelihood)
     if fit.device.noise == WHITE or (len(begin) <= STARTS and trials >= FEWEST):
         return fit
-    some = _some(held)
+    some = _some(segments)
     climbs = [climbed(some, device, trials) for device in begin]
     if trials >= FEWEST:
         climbs = [max(climbs, key=lambda device: _likelihood(some, device, trials))]
     other = max((refined(some, each, trials, far=False) for each in climbs), key=lambda each: each.likelihood)
-    if len(some) < len(held):
+    if some is not segments:
         whole = refined(some, replace(fit.device, effects=None), trials, far=False)
         if other.likelihood <= whole.likelihood + WORTH:
             return fit
-        other = refined(held, replace(other.device, effects=None), trials, far=False)
+        other = refined(segments, replace(other.device, effects=None), trials, far=False)
     return other if other.likelihood > fit.likelihood else fit
 
 
-def _likelihood(held: Stretches, device: Device, trials: int) -> float:
+def _likelihood(segments: Segments, device: Device, trials: int) -> float:
     """Return the likelihood of a device as it is."""
-    return solve(moments_of(held, device, trials), np.empty(0, dtype=np.int64)).here
+    return solve(moments_of(segments, device, trials), np.empty(0, dtype=np.int64)).here
 
 
 def _pruned(
-    logs: tuple[list[Recording], LogUnits, int], held: Stretches, fit: Fit, parts: dict[str, float]
-) -> tuple[Stretches, Fit, dict[str, float]]:
-    """Return stretches, fit and parts without friction and spring that only stood for another part.
+    logs: tuple[list[Recording], LogUnits, int], segments: Segments, fit: Fit, parts: dict[str, float]
+) -> tuple[Segments, Fit, dict[str, float]]:
+    """Return segments, fit and parts without friction and spring that only stood for another part.
 
     Friction that another part hid is found.
     """
@@ -447,11 +449,11 @@ def _pruned(
             if _upper(fit, "friction.coulomb", units) >= OPEN * units.command:
                 parts = parts | {"friction": 0.0}
                 continue
-            held = stretches(recordings, units, lead, False)
+            segments = segments_of(recordings, units, lead, False)
         left = {key: value for key, value in fit.device.numbers.items() if key != number}
-        fit = refined(held, replace(fit.device, numbers=left, effects=None), len(recordings), far=False)
+        fit = refined(segments, replace(fit.device, numbers=left, effects=None), len(recordings), far=False)
         parts = {key: value for key, value in parts.items() if key != name}
-    return held, fit, parts
+    return segments, fit, parts
 
 
 def _loss(fit: Fit, name: str) -> float:
@@ -460,9 +462,9 @@ def _loss(fit: Fit, name: str) -> float:
     return 0.5 * (found.value / found.error) ** 2 if found.value > 0 and found.error > 0 else 0.0
 
 
-def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) -> tuple[Fit, dict[str, float]]:
+def _further(segments: Segments, fit: Fit, parts: dict[str, float], trials: int) -> tuple[Fit, dict[str, float]]:
     """Return the fit with largest force, lag and mode: the likeliest first, as each may stand for another."""
-    some = _some(held)
+    some = _some(segments)
     left = {
         "saturation": "",
         "lag": "lag",
@@ -492,21 +494,22 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
             break
         name = max(tried, key=lambda each: tried[each].likelihood - CLOSER * len(NUMBERS[each]))
         # far from the solution noise may stand for what is left: it is looked for anew
-        other = refined(held, replace(tried[name].device, effects=None), trials, far=False)
-        fit = refined(held, alone, trials, far=False)
+        other = refined(segments, replace(tried[name].device, effects=None), trials, far=False)
+        fit = plain if some is segments else refined(segments, alone, trials, far=False)
         gain = held_out(other) - held_out(fit)
         if gain > WORTH * len(NUMBERS[name]) and _is_inside(other.device, name) and _takes_away(fit, other):
             fit, parts = other, parts | {name: gain}
         del left[name]
     if fit.device.noise.jitter and set(parts) - {"friction", "stiffness"}:
         # a jitter may have stood for what was left before the part was found to the end
-        fit = refined(held, replace(fit.device, effects=None), trials, far=False)
+        fit = refined(segments, replace(fit.device, effects=None), trials, far=False)
     return fit, parts
 
 
-def _some(held: Stretches) -> Stretches:
-    """Return stretches of about `LOOKED_AT` rows."""
-    return held.chosen(spread(held, int(LOOKED_AT / np.mean(held.rows)) + 1))
+def _some(segments: Segments) -> Segments:
+    """Return segments of about `LOOKED_AT` rows; all themselves where there are no more."""
+    count = int(LOOKED_AT / np.mean(segments.rows)) + 1
+    return segments if count >= len(segments) else segments.chosen(spread(segments, count))
 
 
 def _is_inside(device: Device, part: str) -> bool:
@@ -529,7 +532,7 @@ def _takes_away(fit: Fit, other: Fit) -> bool:
     return (behind.force == 0 or before.jitter > 0) and behind.jitter**2 <= LEFT * before.jitter**2
 
 
-def _having(held: Stretches, device: Device, trials: int, part: str) -> Device:
+def _having(segments: Segments, device: Device, trials: int, part: str) -> Device:
     """Return a device with one part more, from which a search starts: the one that leaves least as noise.
 
     A jitter, or all of a random force, would take its place; without any the slowest of what is left counts most.
@@ -560,27 +563,25 @@ def _having(held: Stretches, device: Device, trials: int, part: str) -> Device:
             if turn <= 1
         ]
         tried += [each | {"delay": max(delay - np.pi / 2 / each["mode_frequency"], 0.0)} for each in tried]
-    found = _best(held, device, trials, part, tried)
+    found = _best(segments, device, trials, part, tried)
     if (closer := NUMBERS[part][0]) in ("limit", "mode_frequency"):
         near = [found.numbers[closer] * factor for factor in NEARBY]
-        found = _best(held, found, trials, part, [{closer: value} for value in near if value < LIMITS[closer][1]])
+        found = _best(segments, found, trials, part, [{closer: value} for value in near if value < LIMITS[closer][1]])
     return replace(found, noise=WHITE)
 
 
-def _best(held: Stretches, device: Device, trials: int, part: str, some: list[dict[str, float]]) -> Device:
+def _best(segments: Segments, device: Device, trials: int, part: str, some: list[dict[str, float]]) -> Device:
     """Return the likeliest of some devices with a part as it stands, each with the best of its other numbers."""
     devices = (replace(device, numbers=device.numbers | each) for each in some)
-    return max(devices, key=lambda each: _promise(held, each, trials, part))
+    return max(devices, key=lambda each: _promise(segments, each, trials, part))
 
 
-def _promise(held: Stretches, device: Device, trials: int, part: str) -> float:
+def _promise(segments: Segments, device: Device, trials: int, part: str) -> float:
     """Return the likelihood of a device with the best of the numbers that are not a part's."""
-    return _others(held, device, trials, part, np.empty(0, dtype=np.int64)).likelihood
+    return _others(segments, device, trials, part, np.empty(0, dtype=np.int64)).likelihood
 
 
-def _others(held: Stretches, device: Device, trials: int, part: str, random: Integers) -> Solved:
+def _others(segments: Segments, device: Device, trials: int, part: str, random: Integers) -> Solved:
     """Return the estimate of the numbers that are not a part's, in order, with scatter of those at some places."""
-    moments = moments_of(held, device, trials)
-    others = [i for i, name in enumerate(device.names) if name not in NUMBERS[part]] + [len(device.names)]
-    products, before = moments.products[:, others][:, :, others], moments.before[:, others[:-1]]
-    return solve(replace(moments, products=products, before=before), random)
+    others = [i for i, name in enumerate(device.names) if name not in NUMBERS[part]]
+    return solve(moments_of(segments, device, trials).some(others), random)

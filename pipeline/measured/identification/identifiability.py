@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.wording import counted
-from pipeline.measured.model.estimated import Numbers, Quantity
-from pipeline.measured.model.intervals import Errors, Interval
-from pipeline.measured.model.parts import Choice
-from pipeline.measured.model.recordings import Recording
-from pipeline.records.batch import Floats
+from pipeline.measured.identification.estimated import Numbers, Quantity
+from pipeline.measured.identification.intervals import Errors, Interval
+from pipeline.measured.identification.parts import Choice
+from pipeline.measured.identification.recordings import Recording
+from pipeline.records.trials import Floats
 
 WIDE = 0.5
 """Half width of an interval, relative to its value, from which on a quantity cannot be identified: it may be three
@@ -254,7 +254,7 @@ def combinations(choice: Choice, errors: Errors, recorded: Recorded, names: set[
 
 
 def _usual_level(choice: Choice) -> float:
-    """Return the largest of the usual commands of the stretches, in units of `LogUnits`, with its sign."""
-    held = choice.held
-    usual = np.median(held.command[held.lead :], axis=0)
+    """Return the largest of the usual commands of the segments, in units of `LogUnits`, with its sign."""
+    segments = choice.segments
+    usual = np.array([np.median(segments.command[a:b]) for a, b in zip(segments.first, segments.behind, strict=True)])
     return float(usual[np.argmax(np.abs(usual))]) if len(usual) else 1.0

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from math import inf, pi
 
 from pipeline.device.parameters import PARAMETERS
-from pipeline.measured.model.motion import PlantShape
-from pipeline.measured.model.recordings import LogUnits
+from pipeline.measured.identification.motion import PlantShape
+from pipeline.measured.identification.recordings import LogUnits
 
 Numbers = dict[str, float]
 """Numbers of the estimator by name."""

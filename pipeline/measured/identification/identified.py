@@ -8,8 +8,8 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.base.wording import counted, listed
-from pipeline.measured.model.estimated import ESTIMATED, estimated_names
-from pipeline.measured.model.identifiability import (
+from pipeline.measured.identification.estimated import ESTIMATED, estimated_names
+from pipeline.measured.identification.identifiability import (
     FEWEST_COUNTS,
     IdentifiableCombination,
     Recorded,
@@ -20,14 +20,16 @@ from pipeline.measured.model.identifiability import (
     stuck,
     unidentifiable,
 )
-from pipeline.measured.model.intervals import Errors, Interval
-from pipeline.measured.model.likelihood import Device, Fit, refined
-from pipeline.measured.model.parts import Choice, chosen
-from pipeline.measured.model.quasi_static import damping_without_inertia
-from pipeline.measured.model.recordings import SHORTEST, LogUnits, Recording, stretches
-from pipeline.measured.model.replay import Replay, replayed
-from pipeline.measured.model.scatter import FEWEST, inverse
-from pipeline.records.batch import Floats
+from pipeline.measured.identification.intervals import Errors, Interval
+from pipeline.measured.identification.likelihood import Device, Fit
+from pipeline.measured.identification.parts import Choice, chosen
+from pipeline.measured.identification.quasi_static import damping_without_inertia
+from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
+from pipeline.measured.identification.replay import replay_fit
+from pipeline.measured.identification.scatter import FEWEST, inverse
+from pipeline.measured.identification.search import refined
+from pipeline.measured.identification.segments import segments_of
+from pipeline.records.trials import Floats
 
 FOLDS = 5
 
@@ -70,8 +72,8 @@ class Identification:
         Standard deviation of a reading [m, rad].
     disturbance : float
         Of the random force, constant over a sample [N, Nm].
-    replay, replay_names : Replay, list of str
-        Free runs, and the logs that they are of.
+    replay : list of (str, float)
+        Names of logs, and how well free runs of the device without them fit each [%]; NaN for one that does not move.
     units : LogUnits
     names : list of str
         Of all recordings.
@@ -91,8 +93,7 @@ class Identification:
     scatter: dict[str, float]
     noise: float
     disturbance: float
-    replay: Replay
-    replay_names: list[str]
+    replay: list[tuple[str, float]]
     units: LogUnits
     names: list[str]
     covariance: Floats
@@ -108,8 +109,8 @@ class Identification:
     @property
     def fit_percent(self) -> float | None:
         """Median fit of the free runs; None where no log could be replayed."""
-        fits = self.replay.fit[np.isfinite(self.replay.fit)]
-        return float(np.median(fits)) if len(fits) else None
+        fits = [fit for _, fit in self.replay if np.isfinite(fit)]
+        return float(np.median(fits)) if fits else None
 
 
 def identified(recordings: list[Recording]) -> Identification:
@@ -131,7 +132,6 @@ def identified(recordings: list[Recording]) -> Identification:
         parameters["damping"] = alone
         unknown.discard("damping")
     recorded = Recorded.of(recordings)
-    replay, replay_names = _replay(recordings, choice)
     noise = float(np.sqrt(fit.solved.noise))
     folds = [] if len(recordings) < FEWEST else _without_folds(fit)
     return Identification(
@@ -144,8 +144,7 @@ def identified(recordings: list[Recording]) -> Identification:
         {} if len(recordings) < FEWEST else _scatter(choice),
         noise * units.position,
         float(np.sqrt(fit.device.noise.force)) * noise / abs(fit.device.numbers["gain"] or 1.0) * units.command,
-        replay,
-        replay_names,
+        _replay(recordings, choice),
         units,
         [each.name for each in recordings],
         errors.covariance(names, units),
@@ -249,36 +248,30 @@ def _check_periods(recordings: list[Recording]) -> None:
     )
 
 
-def _replay(recordings: list[Recording], choice: Choice) -> tuple[Replay, list[str]]:
-    """Return free runs of logs by the device without their fold, or of the last part of few logs by the first."""
-    lead = choice.held.lead
+def _replay(recordings: list[Recording], choice: Choice) -> list[tuple[str, float]]:
+    """Return the fit [%] of free runs of logs by the device without their fold, of few by that of their first part."""
+    lead = choice.segments.lead
     places = np.unique(np.linspace(0, len(recordings) - 1, min(MOST_REPLAYED, len(recordings))).round().astype(int))
+    fits: list[tuple[str, float]] = []
+
+    def replay(logs: list[Recording], device: Device) -> None:
+        segments = segments_of(logs, choice.units, lead, False)
+        fits.extend(zip((logs[i].name for i in segments.trial), replay_fit(segments, device).tolist(), strict=True))
+
     if len(recordings) < FEWEST:
         cuts = [int((1 - LAST) * len(each.time)) for each in recordings]
         before = [_cut(each, 0, cut) for each, cut in zip(recordings, cuts, strict=True)]
-        held = stretches(before, choice.units, lead, choice.moving)
+        segments = segments_of(before, choice.units, lead, choice.moving)
         device = replace(choice.fit.device, effects=None)
-        if len(held):
-            device = refined(held, device, len(before), steps=8, far=False).device
+        if len(segments):
+            device = refined(segments, device, len(before), steps=8, far=False).device
         last = [_cut(each, cut, len(each.time)) for each, cut in zip(recordings, cuts, strict=True)]
-        whole = stretches(last, choice.units, lead, False)
-        return replayed(whole, replace(device, effects=None)), [recordings[i].name for i in whole.trial]
-    found: list[Replay] = []
-    order: list[Recording] = []
+        replay(last, replace(device, effects=None))
+        return fits
     for fold, device in enumerate(_without_folds(choice.fit)):
-        some = [recordings[i] for i in places if i % FOLDS == fold]
-        if some:
-            found.append(replayed(stretches(some, choice.units, lead, False), device))
-            order += some
-    rows = max(len(each.position) for each in found)
-    position = np.concatenate([_padded(each.position, rows) for each in found], axis=1)
-    whole = stretches(order, choice.units, lead, False)
-    names = [order[i].name for i in whole.trial]
-    return Replay(whole, position, np.concatenate([each.fit for each in found])), names
-
-
-def _padded(values: np.ndarray, rows: int) -> np.ndarray:
-    return np.pad(values, ((0, rows - len(values)), (0, 0)), constant_values=np.nan)
+        if logs := [recordings[i] for i in places if i % FOLDS == fold]:
+            replay(logs, device)
+    return fits
 
 
 def _cut(each: Recording, first: int, behind: int) -> Recording:

@@ -1,0 +1,211 @@
+"""A device from which a search starts: balances of forces that are integrated twice, by least squares over segments."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.base.errors import ParameterError
+from pipeline.measured.identification import kernels
+from pipeline.measured.identification.likelihood import CODES, LIMITS, Device, spread
+from pipeline.measured.identification.motion import PlantShape, Transitions
+from pipeline.measured.identification.noise import WHITE, gains_of
+from pipeline.measured.identification.segments import Segments
+from pipeline.records.trials import Floats
+
+ROBUST_ROUNDS = 4
+"""Rounds of least squares and weights for a start."""
+
+ALIKE = 0.7
+"""Share of the fall of the logarithm of what is left, by the best delay, from which on a shorter one may be it, too."""
+
+MIRRORED = 2.0
+"""Fall of the logarithm of what is left from which on a device moves against its command: 8 and more where a sign is
+wrong, below 0 where it is right."""
+
+SMALLEST_SHARE = 1e-6
+"""Share of a column, as the square root of that of `numpy.linalg.lstsq`, below which it is rounding of the others."""
+
+VISIBLE = 4.0
+"""Squares of a segment's deviations from a straight line, in those of its noise, from which on its motion is visible:
+a plateau at constant speed has no information on the mass, however long it is."""
+
+RESTING = (
+    "the position changes in no part of a log that is long enough: static friction or a stop may fix the device. "
+    "Record larger commands"
+)
+
+
+BALANCED = ("gain", "delta", "gamma", "coulomb", "force")
+"""Numbers of a balance of forces."""
+
+MOST_SEGMENTS = 60
+"""Segments that are balanced, spread over all."""
+
+
+def first_guess(segments: Segments, names: tuple[str, ...], most_delay: float) -> Device:
+    """Return a device from which a search starts: the best integer delay for the twice integrated balance of forces.
+
+    With y the position, y = start + gain u'' - delta y' - gamma y'' - coulomb s'' + force t^2/2, where ' is an integral
+    from the segment's start: linear, and errors of readings enter almost undisturbed.
+
+    Raises
+    ------
+    ParameterError
+        If it moves against its command.
+    """
+    some = segments.chosen(spread(segments, MOST_SEGMENTS))
+    known = [name for name in BALANCED if name in names]
+    noise = np.asarray(some.rows * some.white, dtype=np.float64)
+    once = _way(some)
+    tried: list[tuple[float, dict[str, float]]] = []
+    signs: list[Floats] = []
+    for delay in np.arange(0.0, most_delay + 0.5) if "delay" in names else (0.0,):
+        products = _balances(some, known, float(delay), once)
+        moved = products[:, -1, -1]
+        seen = moved > (VISIBLE * noise if (moved > VISIBLE * noise).any() else 0.0)
+        if not seen.any():
+            raise ParameterError(RESTING)
+        products, floor = products[seen], noise[seen]
+        best, left, weight = _robust(products)
+        if best[known.index("gain")] < 0:
+            # late by half a period, or over rows far apart, a motion is that of a force the other way round as well
+            fits = [_bounded(products, weight, tuple(known), sign) for sign in (1.0, -1.0, 0.0)]
+            signs.append(np.array([_left(products, each, floor) for each in fits]))
+            best, left = fits[0], _left(products, fits[0])
+            if best[known.index("gain")] == 0:
+                left = np.inf
+        else:
+            signs.append(np.array([_left(products, best, floor), np.inf, np.inf]))
+        tried.append((left, dict(zip(known, best.tolist(), strict=True)) | {"delay": delay}))
+    lefts = np.array([left for left, _ in tried])
+    along, against, unmoved = np.min(signs, axis=0).tolist()
+    if against < min(along, unmoved, 0.0) - MIRRORED:
+        raise ParameterError(
+            "the device moves against its command, so that one of the two has the wrong sign. Set the other `sign` of "
+            "columns.command in the profile"
+        )
+    first = shortest(lefts)
+    start = tried[first][1] if np.isfinite(lefts[first]) else {}
+    start = dict.fromkeys(names, 0.0) | {"gain": 1e-3, "lag": 0.5} | start
+    return Device({name: float(np.clip(start[name], *LIMITS.get(name, (-np.inf, np.inf)))) for name in names})
+
+
+def _way(segments: Segments) -> Floats:
+    """Return the integral of the position over each segment up to its rows; of one from rest, from where it rests."""
+    parts = []
+    for first, behind, rests in zip(segments.first, segments.behind, segments.rests, strict=True):
+        way = segments.between[first:behind] - segments.position[first] * rests
+        parts.append(np.append(0.0, np.cumsum(way[:-1] * np.diff(segments.time[first:behind]))))
+    return np.concatenate(parts)
+
+
+def _balances(segments: Segments, names: list[str], delay: float, once: Floats) -> Floats:
+    """Return the products of the columns of each segment and its position, without its start, (S, k + 1, k + 1)."""
+    forces = [name for name in names if name != "delta"]
+    transitions = Transitions.of(segments, PlantShape(delay=delay))
+    columns, _, _ = kernels.whitened(
+        (segments.time, segments.command, segments.position, segments.between),
+        (
+            *(segments.first, segments.behind, segments.begin, segments.edge, segments.direction),
+            *(np.zeros((len(segments), 3)), np.zeros((len(segments), len(forces)))),
+        ),
+        transitions.motion,
+        transitions.pieces,
+        gains_of(segments, transitions, WHITE),
+        (
+            np.array([CODES["spring" if name == "gamma" else name] for name in forces], np.int64),
+            np.full(3, -1),
+            np.array([np.inf, 0.0, 0.0, delay, 1.0, 0.0]),
+            np.empty(0),
+        ),
+    )
+    by_name = dict(zip(forces, columns.T, strict=False)) | {"delta": -once}
+    if "gamma" in by_name:
+        by_name["gamma"] = -by_name["gamma"]
+    since = segments.time[segments.places] - segments.time[segments.first][segments.segment]
+    starts = [np.ones(len(once)), np.where(segments.rests[segments.segment], 0.0, since)]
+    whole = np.ascontiguousarray(np.stack([*starts, *(by_name[name] for name in names), columns[:, -1]], axis=1))
+    ends = np.cumsum(segments.rows)
+    factors = np.zeros((len(segments), whole.shape[1], whole.shape[1]))
+    kernels.triangles(factors, whole, ends - segments.rows, ends, np.arange(len(segments)))
+    left = np.ascontiguousarray(factors[:, len(starts) :, len(starts) :])
+    return np.asarray(left.transpose(0, 2, 1) @ left)
+
+
+def shortest(lefts: Floats) -> int:
+    """Return the place of the shortest delay, from the shortest on, that is about as likely as the best of all.
+
+    Where a mode makes most of the motion, all explain little, and a late one hardly more than the true one.
+
+    >>> shortest(np.array([-0.054, -0.058, -0.057, -0.004, -0.053, -0.064])), shortest(np.array([-2.0, -6.0, -9.0]))
+    (1, 2)
+    """
+    first = int(np.argmax(lefts <= ALIKE * lefts.min()))
+    while first + 1 < len(lefts) and lefts[first + 1] < lefts[first]:
+        first += 1
+    return first
+
+
+def _robust(products: Floats) -> tuple[Floats, float, Floats]:
+    """Return least squares over segments, the logarithm of the share of the motion that is left, and the weights.
+
+    A segment of which much more is left than of most has little weight. The share is a mean over segments by how far
+    they move, up to what most of them do: one that grows without bound would decide alone.
+    """
+    way = _ways(products)
+    weight = np.ones(len(products))
+    for _ in range(ROBUST_ROUNDS):
+        total = (products * weight[:, None, None]).sum(axis=0)
+        # columns of unit size: the integrals of long segments differ by many orders
+        scale = 1 / np.sqrt(np.maximum(np.diagonal(total)[:-1], 1e-300))
+        scaled = total[:-1, :-1] * scale[:, None] * scale[None, :]
+        found = scale * np.linalg.lstsq(scaled, scale * total[:-1, -1], rcond=1e-12)[0]
+        whole = np.append(-found, 1.0)
+        left = np.maximum(np.einsum("i,tij,j->t", whole, products, whole), 1e-300)
+        order = np.argsort(left)
+        reached = int(np.searchsorted(np.cumsum(way[order]), 0.5))
+        middle = float(left[order[min(reached, len(left) - 1)]])
+        weight = middle / (middle + left)
+    return found, _left(products, found), weight
+
+
+def _ways(products: Floats) -> Floats:
+    """Return the weight of each segment in a mean: how far it moves, up to the median, with a sum of 1."""
+    way = np.sqrt(products[:, -1, -1])
+    way = np.minimum(way, np.median(way))
+    return np.asarray(way / max(float(way.sum()), 1e-300))
+
+
+def _left(products: Floats, found: Floats, floor: Floats | float = 1e-300) -> float:
+    """Return the mean logarithm of the share of the motion of segments that a balance of forces leaves.
+
+    ``floor`` is what the noise of readings leaves at least of each.
+    """
+    whole = np.append(-found, 1.0)
+    left = np.maximum(np.einsum("i,tij,j->t", whole, products, whole), floor)
+    moved = np.maximum(products[:, -1, -1], floor)
+    return float(_ways(products) @ np.log(np.maximum(left, 1e-300) / np.maximum(moved, 1e-300)))
+
+
+def _bounded(products: Floats, weight: Floats, names: tuple[str, ...], sign: float) -> Floats:
+    """Return least squares over segments for a gain of one sign, or of 0, and no negative friction.
+
+    Damping, stiffness and Coulomb friction are not negative: with all of them reversed a device would follow its
+    command as well.
+    """
+    from scipy.optimize import nnls
+
+    total = (products * weight[:, None, None]).sum(axis=0)
+    scale = 1 / np.sqrt(np.maximum(np.diagonal(total), 1e-300))
+    values, vectors = np.linalg.eigh(total * scale[:, None] * scale[None, :])
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    ways = {"gain": [sign] if sign else [], "force": [1.0, -1.0]}
+    signed = [(place, way) for place, name in enumerate(names) for way in ways.get(name, [1.0])]
+    columns = np.stack([way * root[:, place] for place, way in signed], axis=1)
+    # where two columns are the same, as of friction and a constant force in one direction, both are small
+    columns = np.vstack([columns, SMALLEST_SHARE * np.eye(columns.shape[1])])
+    amounts, _ = nnls(columns, np.append(root[:, -1], np.zeros(columns.shape[1])))
+    found = np.zeros(len(names))
+    for (place, way), amount in zip(signed, amounts.tolist(), strict=True):
+        found[place] += way * amount * scale[place] / scale[-1]
+    return found

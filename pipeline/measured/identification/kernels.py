@@ -1,0 +1,804 @@
+"""Loops over the rows of segments: transitions, filter gains, prediction errors with tangents, triangular factors.
+
+In sampling periods and standard deviations of a reading, with x the device's state, and a which of A ages the command
+in force has (1 for that one, else 0) less how likely each is:
+
+    x[k+1] = F x[k] + u[k] + W (c[k]' a[k] + w[k])     var(w) = q
+    a[k+1] = M' a[k] + v[k]                            cov(v) = C - M' C M
+    y[k]   = H x[k] + e[k]                             var(e) = 1
+
+u[k] is the motion by the known forces of an interval, c[k] the force that each age would make. Without a jittering
+delay A is 0.
+
+Arrays of the same meaning in all functions:
+
+time, command, position : float64, shape (R,)
+    Rows of all trials.
+first, behind : int64, shape (S,)
+    Rows of segment s are ``first[s]`` to ``behind[s]``; ``begin`` is the first row of its trial, ``edge`` the row from
+    which on forces act on a device that friction holds before, -1 where they always do.
+kind : int64, shape (1,) or (R,)
+    Which of m transitions F (m, n, n) the interval behind a row has; one value where all intervals are alike.
+offset : int64, shape (2,) or (R + 1,)
+    Pieces of the interval behind row r are ``offset[r]`` to ``offset[r + 1]``. In each of them one command is in force:
+    that ``back`` rows before, of age ``age``, for the part ``width`` of the interval; G (Q, n, 2) is the motion by a
+    unit command and by a unit force on the motor in it.
+
+Source: Anderson and Moore 1979, Optimal Filtering, sec. 3.1.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from pipeline.base.compiled import compiled
+from pipeline.records.trials import Floats, Integers
+
+ALWAYS = -1_000_000_000
+"""Stands for the row from which on forces act on a device in motion."""
+
+TERMS = 14
+"""Terms of the series of an exponential of a matrix of norm 1/2: 0.5^15/15! is left out."""
+
+
+@compiled("f8[:,:,:,::1](f8[:,:,::1],f8[::1])")
+def exponentials(matrices: Floats, times: Floats) -> Floats:
+    """Return exponentials of a matrix over times, with their tangents.
+
+    By scaling and squaring of a Taylor series whose products (A, A') (B, B') are (A B, A' B + A B').
+
+    Parameters
+    ----------
+    matrices : float64, shape (1 + p, N, N)
+        A matrix, and its derivative along each of p parameters.
+    times : float64, shape (m,)
+
+    Returns
+    -------
+    float64, shape (m, 1 + p, N, N)
+
+    Source: Al-Mohy and Higham 2009, SIAM J. Matrix Anal. Appl. 30, 1639-1657.
+    """
+    count, N = matrices.shape[0], matrices.shape[1]
+    result = np.zeros((len(times), count, N, N))
+    small, term, product = np.empty((count, N, N)), np.empty((count, N, N)), np.empty((count, N, N))
+    norm = 0.0
+    for j in range(N):
+        column = 0.0
+        for i in range(N):
+            column += abs(matrices[0, i, j])
+        norm = max(norm, column)
+    for at in range(len(times)):
+        halvings = 0
+        size = norm * abs(times[at])
+        while size > 0.5 and halvings < 200:
+            size *= 0.5
+            halvings += 1
+        scale = times[at] * 0.5**halvings
+        total = result[at]
+        for d in range(count):
+            for i in range(N):
+                for j in range(N):
+                    small[d, i, j] = matrices[d, i, j] * scale
+                    term[d, i, j] = small[d, i, j]
+                    total[d, i, j] = small[d, i, j]
+        for i in range(N):
+            total[0, i, i] += 1.0
+        for step in range(TERMS - 1 + halvings):
+            squaring = step >= TERMS - 1
+            left, right = (total, total) if squaring else (term, small)
+            factor = 1.0 if squaring else 1.0 / (step + 2)
+            for d in range(count):
+                for i in range(N):
+                    for j in range(N):
+                        value = 0.0
+                        for h in range(N):
+                            value += left[d, i, h] * right[0, h, j]
+                            if d > 0:
+                                value += left[0, i, h] * right[d, h, j]
+                        product[d, i, j] = value * factor
+            for d in range(count):
+                for i in range(N):
+                    for j in range(N):
+                        if squaring:
+                            total[d, i, j] = product[d, i, j]
+                        else:
+                            term[d, i, j] = product[d, i, j]
+                            total[d, i, j] += product[d, i, j]
+    return result
+
+
+DOUBLINGS = 60
+"""Most doublings of a filter's memory until it is steady: 2^40 samples are the longest that doubles tell from none."""
+
+STEADY = 1e-14
+"""Change of a filter's variance in a doubling, relative to it, that is rounding."""
+
+
+@compiled("Tuple((f8[::1],f8))(f8[:,::1],f8[::1],f8[::1],f8)")
+def steady_gain(F: Floats, W: Floats, H: Floats, q: float) -> tuple[Floats, float]:
+    """Return the gain (n,) of the steady filter, and the variance of its prediction errors; NaN where there is none.
+
+    The memory of the start is doubled until nothing changes:
+
+        A <- A (1 + G P)^-1 A     G <- G + A (1 + G P)^-1 G A'     P <- P + A' P (1 + G P)^-1 A
+
+    Source: Anderson and Moore 1979, Optimal Filtering, sec. 6.7 (doubling algorithm).
+    """
+    n = len(H)
+    A, G, P = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+    work, left, more, other = np.empty((n, 2 * n)), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            A[i, j], G[i, j], P[i, j] = F[j, i], H[i] * H[j], q * W[i] * W[j]
+    for _ in range(DOUBLINGS):
+        for i in range(n):
+            for j in range(n):
+                work[i, j] = 1.0 if i == j else 0.0
+                work[i, n + j] = work[i, j]
+                for h in range(n):
+                    work[i, j] += G[i, h] * P[h, j]
+        for j in range(n):  # inverse of 1 + G P by Gauss and Jordan, with pivots
+            pivot = j
+            for i in range(j + 1, n):
+                if abs(work[i, j]) > abs(work[pivot, j]):
+                    pivot = i
+            for h in range(2 * n):
+                kept = work[j, h]
+                work[j, h] = work[pivot, h]
+                work[pivot, h] = kept
+            top = work[j, j]
+            for h in range(2 * n):
+                work[j, h] /= top
+            for i in range(n):
+                factor = work[i, j]
+                for h in range(2 * n):
+                    if i != j:
+                        work[i, h] -= factor * work[j, h]
+        for i in range(n):
+            for j in range(n):
+                left[i, j], other[i, j] = 0.0, 0.0
+                for h in range(n):
+                    left[i, j] += A[i, h] * work[h, n + j]
+                    other[i, j] += P[i, h] * work[h, n + j]
+        largest, change = 0.0, 0.0
+        for i in range(n):  # P' = A' P (1 + G P)^-1 A
+            for j in range(n):
+                more[i, j] = 0.0
+                for h in range(n):
+                    for g in range(n):
+                        more[i, j] += A[h, i] * other[h, g] * A[g, j]
+        for i in range(n):
+            for j in range(n):
+                P[i, j] += more[i, j]
+                largest, change = max(largest, abs(P[i, j])), max(change, abs(more[i, j]))
+        for i in range(n):  # G' = A (1 + G P)^-1 G A'
+            for j in range(n):
+                other[i, j] = 0.0
+                for h in range(n):
+                    for g in range(n):
+                        other[i, j] += left[i, h] * G[h, g] * A[j, g]
+        for i in range(n):
+            for j in range(n):
+                more[i, j] = 0.0
+                for h in range(n):
+                    more[i, j] += left[i, h] * A[h, j]
+        for i in range(n):
+            for j in range(n):
+                G[i, j] += other[i, j]
+                A[i, j] = more[i, j]
+        if not change > STEADY * largest:
+            break
+    gain, variance = np.zeros(n), 1.0
+    for i in range(n):
+        for j in range(n):
+            gain[i] += P[i, j] * H[j]
+        variance += H[i] * gain[i]
+    return gain / variance, variance
+
+
+@compiled(
+    "Tuple((f8[:,::1],f8[::1]))(Tuple((i8[::1],i8[::1],i8[::1],i8[::1])),f8[::1],"
+    "Tuple((i8[::1],f8[:,:,::1],f8[:,::1],f8[::1])),Tuple((i8[::1],i8[::1],i8[::1],f8[::1])),"
+    "Tuple((f8[:,::1],f8[:,::1])),Tuple((f8,f8)))"
+)
+def filter_gains(
+    segments: Any, command: Floats, motion: Any, pieces: Any, ages: Any, noise: Any
+) -> tuple[Floats, Floats]:
+    """Return the gains of a filter that knows the state at the first row, and the spreads of its prediction errors.
+
+    With z = (x, a), z[k+1] = Phi z[k] + ..., cov = Q:
+
+        S = 1 + H P H'     K = P H' / S     P <- Phi (P - K S K') Phi' + Q
+
+    Parameters
+    ----------
+    segments : first, behind, begin, edge
+    command : float64, shape (R,)
+    motion : kind, F, W, H
+    pieces : offset, back, age, width
+    ages : M, C, float64, shape (A, A)
+        Chances of an age after another less those of it after any, and covariance of the ages.
+    noise : q, late
+        Variance of the random force, and standard deviation of a force that a unit command makes.
+
+    Returns
+    -------
+    K : float64, shape (rows of all segments, n + A)
+    spread : float64, shape (rows of all segments,)
+        sqrt(S).
+    """
+    first, behind, begin, edge = segments
+    kind, F, W, H = motion
+    offset, back, age, width = pieces
+    M, C = ages
+    q, late = noise
+    n, A = len(H), len(M)
+    m = n + A
+    rows = 0
+    for s in range(len(first)):
+        rows += behind[s] - first[s]
+    gains, spread = np.zeros((rows, m)), np.ones(rows)
+    P, moved, seen, c, pushed = np.empty((m, m)), np.empty((m, m)), np.empty(m), np.empty(A), np.empty(m)
+    v = np.empty((A, A))
+    for i in range(A):
+        for j in range(A):
+            v[i, j] = C[i, j]
+            for a in range(A):
+                for b in range(A):
+                    v[i, j] -= M[a, i] * C[a, b] * M[b, j]
+    place = 0
+    for s in range(len(first)):
+        for i in range(m):
+            for j in range(m):
+                P[i, j] = C[i - n, j - n] if i >= n and j >= n else 0.0
+        for r in range(first[s], behind[s]):
+            at = r if len(kind) > 1 else 0
+            f, g = F[kind[at]], W[kind[at]]
+            variance = 1.0
+            for i in range(m):
+                seen[i] = 0.0
+                for j in range(n):
+                    seen[i] += P[i, j] * H[j]
+            for i in range(n):
+                variance += H[i] * seen[i]
+            # a prediction is no surer than a reading but by rounding
+            if variance < 1.0:
+                variance = 1.0
+            spread[place] = math.sqrt(variance)
+            for i in range(m):
+                gains[place, i] = seen[i] / variance
+                for j in range(m):
+                    P[i, j] -= seen[i] * seen[j] / variance
+            place += 1
+            if A:
+                for i in range(A):
+                    c[i] = 0.0
+                for piece in range(offset[at], offset[at + 1]):
+                    row = r - back[piece]
+                    if row >= edge[s]:
+                        c[age[piece]] += late * command[min(max(row, begin[s]), behind[s] - 1)] * width[piece]
+            # Phi P, Phi = [F, W c'; 0, M']: rows of P are summed, so that the innermost loop is along them
+            for j in range(m):
+                pushed[j] = 0.0
+            for a in range(A):
+                for j in range(m):
+                    pushed[j] += c[a] * P[n + a, j]
+            for i in range(n):
+                for j in range(m):
+                    moved[i, j] = g[i] * pushed[j]
+                for h in range(n):
+                    for j in range(m):
+                        moved[i, j] += f[i, h] * P[h, j]
+            for i in range(A):
+                for j in range(m):
+                    moved[n + i, j] = 0.0
+                for a in range(A):
+                    for j in range(m):
+                        moved[n + i, j] += M[a, i] * P[n + a, j]
+            # (Phi P) Phi' + Q
+            for i in range(m):
+                force = 0.0
+                for a in range(A):
+                    force += c[a] * moved[i, n + a]
+                for j in range(n):
+                    P[i, j] = force * g[j]
+                    if i < n:
+                        P[i, j] += q * g[i] * g[j]
+                    for h in range(n):
+                        P[i, j] += moved[i, h] * f[j, h]
+                for j in range(A):
+                    P[i, n + j] = v[i - n, j] if i >= n else 0.0
+                for a in range(A):
+                    for j in range(A):
+                        P[i, n + j] += moved[i, n + a] * M[a, j]
+            for i in range(m):
+                for j in range(i):
+                    P[j, i] = P[i, j]
+    return gains, spread
+
+
+GAIN, COULOMB, FORCE, LIMIT, SPRING, SHAPE = 0, 1, 2, 3, 4, 5
+"""Codes of the columns of `whitened`: acceleration by a unit command, by Coulomb friction, by a constant force, what a
+largest command takes, a spring of its own; from SHAPE on the parameters of a motion's shape, in their order."""
+
+
+@compiled(
+    "Tuple((f8[:,::1],f8[::1],f8))(Tuple((f8[::1],f8[::1],f8[::1],f8[::1])),"
+    "Tuple((i8[::1],i8[::1],i8[::1],i8[::1],f8[::1],f8[:,::1],f8[:,::1])),"
+    "Tuple((i8[::1],f8[:,:,::1],f8[:,:,:,::1],f8[:,::1],f8[:,:,::1],f8[::1],f8[:,::1])),"
+    "Tuple((i8[::1],i8[::1],i8[::1],f8[::1],f8[:,:,::1],f8[:,:,:,::1])),"
+    "Tuple((f8[:,::1],f8[::1],f8[:,::1],f8)),"
+    "Tuple((i8[::1],i8[::1],f8[::1],f8[::1])))"
+)
+def whitened(
+    rows: Any, segments: Any, motion: Any, pieces: Any, gains: Any, asked: Any
+) -> tuple[Floats, Floats, float]:
+    """Return the whitened prediction errors of segments with their tangents, without the unknown start of each.
+
+    All columns pass the same filter, whose gains K are constant along the parameters:
+
+        e[k] = y[k] - H x[k]     x <- F (x + K e) + W c' a + u     a <- M' (a + K e)
+
+    and along a parameter of the shape, with ' its derivative,
+
+        e' = -H x' - H' x        x' <- F (x' + K e') + F' (x + K e) + W c' a' + W' c' a + u'
+
+    The unknowns z of a start (states, and what a lag holds) are columns, too. Of them it is known before that they are
+    no larger than some sizes: a row each, below those of the errors. Their likeliest values are taken out of all
+    columns (least squares by Gram and Schmidt, twice), and are the start of the motion along which tangents are taken.
+
+    Parameters
+    ----------
+    rows : time, command, position, spring
+        ``spring`` is the position between two rows, for a column of that code.
+    segments : first, behind, begin, edge, direction, numbers, shifts
+        ``direction`` of motion, -1, 0 or 1; ``numbers`` (S, 3) acceleration per command, by friction and by a constant
+        force; ``shifts`` (S, p) by how much a segment's numbers exceed the common ones, for which the errors are.
+    motion : kind, F, F', W, W', H, H'
+        Derivatives of shape (m, P, n, n), (m, P, n), (P, n) along P parameters of the shape.
+    pieces : offset, back, age, width, G, G'
+    gains : K, spread, M, late
+        K (1 or all rows, n + A), standard deviation of the errors, chances of ages less those after any, and standard
+        deviation of a force that a unit command makes.
+    asked : codes, places, constants, sizes
+        Codes (p,) of the columns; places of stiffness, lag and delay among the parameters of the shape, -1 for none;
+        largest command, stiffness, lag, delay, variance of a reading, and rows of commands before a
+        segment that a lag reaches back to; sizes (q,) of the unknown starts.
+
+    Returns
+    -------
+    columns : float64, shape (rows of all segments + S q, p + 1)
+        -e' of each code, and e; behind each segment the rows of what is known before.
+    known : float64, shape (S,)
+        How many unknowns of the start the readings tell.
+    lost : float
+        By how much the spreads, and what is known of the starts, make the readings less likely.
+    """
+    time, command, position, spring = rows
+    first, behind, begin, edge, direction, numbers, shifts = segments
+    kind, F, dF, W, dW, H, dH = motion
+    offset, back, age, width, G, dG = pieces
+    K, spread, M, late = gains
+    codes, places, constants, sizes = asked
+    n, A, P, p, q, S = len(H), len(M), dF.shape[1], len(codes), len(sizes), len(first)
+    limit, gamma, lag, delay, variance = constants[0], constants[1], constants[2], constants[3], constants[4]
+    reach = int(constants[5])
+    longest, total = 0, 0
+    for s in range(S):
+        longest = max(longest, behind[s] - first[s])
+        total += behind[s] - first[s]
+    # columns of the first pass: all forces, the linear ones, the unknown starts
+    linear = np.full(p, -1)
+    L = 1
+    for j in range(p):
+        if codes[j] < SHAPE:
+            linear[j] = L
+            L += 1
+    T = L + q
+    columns, known, lost = np.zeros((total + S * q, p + 1)), np.zeros(S), 0.0
+    E, D = np.empty((longest + q, T)), np.empty((longest, P))
+    x, moved, a, aged = np.zeros((T, n)), np.zeros((T, n)), np.zeros((T, A)), np.zeros((T, A))
+    t, t_moved, ta, ta_aged = np.zeros((P, n)), np.zeros((P, n)), np.zeros((P, A)), np.zeros((P, A))
+    e, e_t, c, lag_start = np.zeros(T), np.zeros(P), np.zeros(A), np.zeros(4)
+    driven, acting, resting, beyond = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    triangle, fitted, start = np.zeros((q, q)), np.zeros(q), np.zeros(n)
+    filtered, steady = np.any(K != 0), len(spread) == 1
+    row_place, out = 0, 0
+    for s in range(S):
+        N = behind[s] - first[s]
+        own_gain, own_coulomb, own_force = numbers[s, 0], numbers[s, 1], numbers[s, 2]
+        way, rests = direction[s], edge[s] > ALWAYS
+        direct = own_force - own_coulomb * way
+        # what remains at the first row of the forces by the commands before, behind a lag: value, along limit, lag,
+        # delay; and of the force before all of them
+        oldest = 1.0
+        lag_start[:] = 0.0
+        if lag > 0:
+            newer, newer_lag, newer_delay = 0.0, 0.0, 0.0
+            for j in range(reach + 1):
+                r = first[s] - j
+                inside = max(r, begin[s])
+                since = time[first[s]] - delay - time[inside] + (inside - r)
+                left, left_lag, left_delay = 1.0, 0.0, 0.0
+                if since > 0:
+                    left = math.exp(-since / lag)
+                    left_lag, left_delay = left * since / lag**2, left / lag
+                if j > 0 and r >= edge[s]:
+                    value = min(max(command[inside], -limit), limit)
+                    sign = math.copysign(1.0, command[inside]) if abs(command[inside]) > limit else 0.0
+                    lag_start[0] += value * (newer - left)
+                    lag_start[1] += sign * (newer - left)
+                    lag_start[2] += value * (newer_lag - left_lag)
+                    lag_start[3] += value * (newer_delay - left_delay)
+                    if j == reach:
+                        lag_start[0] += value * left
+                        lag_start[1] += sign * left
+                        lag_start[2] += value * left_lag
+                        lag_start[3] += value * left_delay
+                newer, newer_lag, newer_delay = left, left_lag, left_delay
+            oldest = newer
+        for col in range(T):
+            for i in range(n):
+                x[col, i] = 0.0
+            for i in range(A):
+                a[col, i] = 0.0
+        if lag > 0:
+            x[0, n - 1] = own_gain * lag_start[0]
+            for j in range(p):
+                if codes[j] == GAIN:
+                    x[linear[j], n - 1] = lag_start[0]
+                elif codes[j] == LIMIT:
+                    x[linear[j], n - 1] = own_gain * lag_start[1]
+        for j in range(q):
+            if j == 0 or not rests:
+                x[L + j, j] = oldest if lag > 0 and j == n - 1 else 1.0
+        for k in range(N):
+            r = first[s] + k
+            at = r if len(kind) > 1 else 0
+            f, w = F[kind[at]], W[kind[at]]
+            gain = K[0 if steady else row_place + k]
+            deviation = spread[0 if steady else row_place + k]
+            for col in range(T):
+                error = position[r] if col == 0 else 0.0
+                for i in range(n):
+                    error -= H[i] * x[col, i]
+                e[col] = error
+                E[k, col] = error / deviation
+            if k == N - 1:
+                break
+            if filtered:
+                for col in range(T):
+                    for i in range(n):
+                        x[col, i] += gain[i] * e[col]
+                    for i in range(A):
+                        a[col, i] += gain[n + i] * e[col]
+            for col in range(T):
+                for i in range(n):
+                    value = 0.0
+                    for h in range(n):
+                        value += f[i, h] * x[col, h]
+                    moved[col, i] = value
+            for i in range(n):
+                driven[i], acting[i], resting[i], beyond[i] = 0.0, 0.0, 0.0, 0.0
+            for i in range(A):
+                c[i] = 0.0
+            for piece in range(offset[at], offset[at + 1]):
+                row = r - back[piece]
+                acts = 1.0 if row >= edge[s] else 0.0
+                raw = command[min(max(row, begin[s]), behind[s] - 1)] * acts
+                value = min(max(raw, -limit), limit)
+                sign = math.copysign(1.0, raw) if value != raw else 0.0
+                for i in range(n):
+                    driven[i] += G[piece, i, 0] * value
+                    beyond[i] += G[piece, i, 0] * sign
+                    acting[i] += G[piece, i, 1] * acts
+                    resting[i] += G[piece, i, 1] * (1.0 - acts)
+                if A > 0:
+                    c[age[piece]] += late * value * width[piece]
+            for i in range(n):
+                moved[0, i] += driven[i] * own_gain + acting[i] * direct
+                if q:
+                    # friction holds a device at rest against the spring
+                    moved[L, i] += gamma * resting[i]
+                for j in range(p):
+                    if codes[j] == GAIN:
+                        moved[linear[j], i] += driven[i]
+                    elif codes[j] == COULOMB:
+                        moved[linear[j], i] -= acting[i] * way
+                    elif codes[j] == FORCE:
+                        moved[linear[j], i] += acting[i]
+                    elif codes[j] == LIMIT:
+                        moved[linear[j], i] += beyond[i] * own_gain
+                    elif codes[j] == SPRING:
+                        moved[linear[j], i] += acting[i] * spring[r]
+            if A:
+                for col in range(T):
+                    force = 0.0
+                    for i in range(A):
+                        force += c[i] * a[col, i]
+                        value = 0.0
+                        for j in range(A):
+                            value += M[j, i] * a[col, j]
+                        aged[col, i] = value
+                    for i in range(n):
+                        moved[col, i] += w[i] * force
+                a, aged = aged, a
+            x, moved = moved, x
+        # the likeliest start: columns of its unknowns become orthonormal, with the rows of what is known before
+        for j in range(q):
+            for k in range(N):
+                E[k, L + j] = -E[k, L + j]
+            for i in range(q):
+                E[N + i, L + j] = math.sqrt(variance) / sizes[j] if i == j else 0.0
+                triangle[i, j] = 0.0
+        for j in range(q):
+            for _ in range(2):
+                for i in range(j):
+                    product = 0.0
+                    for k in range(N + q):
+                        product += E[k, L + i] * E[k, L + j]
+                    triangle[i, j] += product
+                    for k in range(N + q):
+                        E[k, L + j] -= product * E[k, L + i]
+            square = 0.0
+            for k in range(N + q):
+                square += E[k, L + j] * E[k, L + j]
+            triangle[j, j] = math.sqrt(square)
+            for k in range(N + q):
+                E[k, L + j] /= triangle[j, j]
+            information = square * sizes[j] * sizes[j]
+            share = max(1.0 - variance / information, 0.0)
+            known[s] += share
+            lost += 0.5 * (math.log(information) - (1.0 - share) * math.log(variance))
+        for k in range(N):
+            lost += math.log(spread[0 if steady else row_place + k])
+        # along the parameters of the shape, from the likeliest start on
+        if P:
+            for j in range(q - 1, -1, -1):
+                value = 0.0
+                for k in range(N):
+                    value += E[k, L + j] * E[k, 0]
+                for i in range(j + 1, q):
+                    value -= triangle[j, i] * fitted[i]
+                fitted[j] = value / triangle[j, j]
+            for i in range(n):
+                start[i] = 0.0
+            for j in range(q):
+                if j == 0 or not rests:
+                    start[j] = fitted[j] * (oldest if lag > 0 and j == n - 1 else 1.0)
+            for i in range(n):
+                x[0, i] = start[i]
+                for j in range(P):
+                    t[j, i] = 0.0
+            for i in range(A):
+                a[0, i] = 0.0
+                for j in range(P):
+                    ta[j, i] = 0.0
+            if lag > 0:
+                x[0, n - 1] += own_gain * lag_start[0]
+                if places[1] >= 0:
+                    t[places[1], n - 1] = own_gain * lag_start[2]
+                if places[2] >= 0:
+                    t[places[2], n - 1] = own_gain * lag_start[3]
+            for k in range(N):
+                r = first[s] + k
+                at = r if len(kind) > 1 else 0
+                f, df, w, dw = F[kind[at]], dF[kind[at]], W[kind[at]], dW[kind[at]]
+                gain = K[0 if steady else row_place + k]
+                deviation = spread[0 if steady else row_place + k]
+                error = position[r]
+                for i in range(n):
+                    error -= H[i] * x[0, i]
+                for j in range(P):
+                    value = 0.0
+                    for i in range(n):
+                        value -= H[i] * t[j, i] + dH[j, i] * x[0, i]
+                    e_t[j] = value
+                    D[k, j] = -value / deviation
+                if k == N - 1:
+                    break
+                if filtered:
+                    for i in range(n):
+                        x[0, i] += gain[i] * error
+                        for j in range(P):
+                            t[j, i] += gain[i] * e_t[j]
+                    for i in range(A):
+                        a[0, i] += gain[n + i] * error
+                        for j in range(P):
+                            ta[j, i] += gain[n + i] * e_t[j]
+                for i in range(n):
+                    value = 0.0
+                    for h in range(n):
+                        value += f[i, h] * x[0, h]
+                    moved[0, i] = value
+                    for j in range(P):
+                        value = 0.0
+                        for h in range(n):
+                            value += f[i, h] * t[j, h] + df[j, i, h] * x[0, h]
+                        t_moved[j, i] = value
+                for i in range(A):
+                    c[i] = 0.0
+                for piece in range(offset[at], offset[at + 1]):
+                    row = r - back[piece]
+                    acts = 1.0 if row >= edge[s] else 0.0
+                    value = min(max(command[min(max(row, begin[s]), behind[s] - 1)] * acts, -limit), limit)
+                    driven_by, pushed_by = value * own_gain, direct * acts + gamma * (1.0 - acts) * start[0]
+                    for i in range(n):
+                        moved[0, i] += G[piece, i, 0] * driven_by + G[piece, i, 1] * pushed_by
+                        if places[0] >= 0:
+                            t_moved[places[0], i] += G[piece, i, 1] * (1.0 - acts) * start[0]
+                        for j in range(P):
+                            t_moved[j, i] += dG[piece, j, i, 0] * driven_by + dG[piece, j, i, 1] * pushed_by
+                    if A > 0:
+                        c[age[piece]] += late * value * width[piece]
+                if A:
+                    force = 0.0
+                    for i in range(A):
+                        force += c[i] * a[0, i]
+                    for i in range(n):
+                        moved[0, i] += w[i] * force
+                    for j in range(P):
+                        along = 0.0
+                        for i in range(A):
+                            along += c[i] * ta[j, i]
+                        for i in range(n):
+                            t_moved[j, i] += w[i] * along + dw[j, i] * force
+                    for i in range(A):
+                        value = 0.0
+                        for h in range(A):
+                            value += M[h, i] * a[0, h]
+                        aged[0, i] = value
+                        for j in range(P):
+                            value = 0.0
+                            for h in range(A):
+                                value += M[h, i] * ta[j, h]
+                            ta_aged[j, i] = value
+                    a, aged = aged, a
+                    ta, ta_aged = ta_aged, ta
+                x, moved = moved, x
+                t, t_moved = t_moved, t
+        for k in range(N):
+            common = E[k, 0]
+            for j in range(p):
+                value = -E[k, linear[j]] if codes[j] < SHAPE else D[k, codes[j] - SHAPE]
+                columns[out + k, j] = value
+                common += shifts[s, j] * value
+            columns[out + k, p] = common
+        for j in range(p + 1):
+            for i in range(q):
+                fitted[i] = 0.0
+                for k in range(N):
+                    fitted[i] += E[k, L + i] * columns[out + k, j]
+            for k in range(N + q):
+                value = 0.0
+                for i in range(q):
+                    value += E[k, L + i] * fitted[i]
+                columns[out + k, j] -= value
+        row_place += N
+        out += N + q
+    return columns, known, lost
+
+
+BLOCK = 32
+"""Rows that are taken into a triangular factor together."""
+
+
+@compiled("void(f8[:,:,::1],f8[:,::1],i8[::1],i8[::1],i8[::1])")
+def triangles(factors: Floats, columns: Floats, first: Integers, behind: Integers, unit: Integers) -> None:
+    """Append rows to triangular factors R of units: R'R is the sum of products of the columns of all their rows.
+
+    Parameters
+    ----------
+    factors : float64, shape (units, c, c)
+        They are changed in place.
+    columns : float64, shape (rows, c)
+        They are overwritten.
+    first, behind, unit : int64, shape (ranges,)
+        Ranges of rows, and the unit that each belongs to.
+
+    Source: Golub and Van Loan 2013, Matrix Computations, sec. 5.1 and 6.5.3 (Householder, appended rows).
+    """
+    c = columns.shape[1]
+    for s in range(len(first)):
+        R = factors[unit[s]]
+        for top in range(first[s], behind[s], BLOCK):
+            end = min(top + BLOCK, behind[s])
+            for j in range(c):
+                square = 0.0
+                for k in range(top, end):
+                    square += columns[k, j] * columns[k, j]
+                if square == 0.0:
+                    continue
+                norm = math.sqrt(R[j, j] * R[j, j] + square)
+                diagonal = -norm if R[j, j] > 0 else norm
+                head = R[j, j] - diagonal
+                scale = 2.0 / (head * head + square)
+                R[j, j] = diagonal
+                for i in range(j + 1, c):
+                    product = head * R[j, i]
+                    for k in range(top, end):
+                        product += columns[k, j] * columns[k, i]
+                    product *= scale
+                    R[j, i] -= product * head
+                    for k in range(top, end):
+                        columns[k, i] -= product * columns[k, j]
+
+
+@compiled(
+    "f8[:,::1](Tuple((i8[::1],i8[::1],i8[::1],f8[:,::1])),f8[::1],Tuple((f8[:,::1],f8[::1],f8[::1])),"
+    "Tuple((i8[::1],i8[::1],i8[::1],f8[:,:,::1],f8[:,:,::1])),i8,f8[:,:,::1])"
+)
+def free_run(segments: Any, command: Floats, device: Any, pieces: Any, parts: int, starts: Floats) -> Floats:
+    """Return positions of a device with Coulomb friction under logged commands, from some starts of each segment.
+
+    In each part of a piece the friction c acts against the motion, or holds a device at rest whose other forces are
+    less; one that turns stays, or goes back within the next part.
+
+    Parameters
+    ----------
+    segments : first, behind, begin, numbers
+        ``numbers`` (S, 3): acceleration per command, by friction and by a constant force.
+    command : float64, shape (R,)
+        As far as the drive has a force for it.
+    device : A, B, H
+        Matrix (n, n) of the motion, column of a command, row of the sensor.
+    pieces : offset, back, place, F, G
+        F (m, n, n) and G (m, n, 2) over a part of the piece at some place.
+    parts : int
+        Parts of a piece.
+    starts : float64, shape (S, V, n)
+
+    Returns
+    -------
+    float64, shape (rows of all segments, V)
+    """
+    first, behind, begin, numbers = segments
+    A, B, H = device
+    offset, back, place, F, G = pieces
+    S, V, n = starts.shape
+    total = 0
+    for s in range(S):
+        total += behind[s] - first[s]
+    result = np.empty((total, V))
+    x, moved = np.empty(n), np.empty(n)
+    row = 0
+    for s in range(S):
+        gain, coulomb, constant = numbers[s, 0], numbers[s, 1], numbers[s, 2]
+        for v in range(V):
+            for i in range(n):
+                x[i] = starts[s, v, i]
+            for r in range(first[s], behind[s]):
+                value = 0.0
+                for i in range(n):
+                    value += H[i] * x[i]
+                result[row + r - first[s], v] = value
+                at = r if len(offset) > 2 else 0
+                for piece in range(offset[at], offset[at + 1]):
+                    f, g = F[place[piece]], G[place[piece]]
+                    force = gain * command[min(max(r - back[piece], begin[s]), behind[s] - 1)]
+                    for _ in range(parts):
+                        free = B[1] * force + constant
+                        for i in range(n):
+                            free += A[1, i] * x[i]
+                        rests = x[1] == 0.0
+                        way = math.copysign(1.0, free if rests else x[1])
+                        if rests and free == 0.0:
+                            way = 0.0
+                        friction = coulomb * way
+                        for i in range(n):
+                            moved[i] = g[i, 0] * force + g[i, 1] * (constant - friction)
+                            for h in range(n):
+                                moved[i] += f[i, h] * x[h]
+                        if coulomb > 0.0:
+                            if rests and abs(free) <= coulomb:
+                                moved[0], moved[1] = x[0], x[1]
+                            elif not rests and moved[1] * way < 0.0 and abs(free) <= coulomb:
+                                moved[1] = 0.0
+                        for i in range(n):
+                            x[i] = moved[i]
+        row += behind[s] - first[s]
+    return result

@@ -1,0 +1,327 @@
+"""The likeliest device: start by integrated balances, then Newton's steps on the likelihood of all trials."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
+
+import numpy as np
+
+from pipeline.measured.identification import kernels
+from pipeline.measured.identification.motion import LARGEST_LOAD, SHORTEST_LAG, PlantShape, Transitions
+from pipeline.measured.identification.noise import WHITE, Noise, gains_of
+from pipeline.measured.identification.scatter import FEWEST, Moments, Solved, inverse, solve
+from pipeline.measured.identification.segments import Segments
+from pipeline.records.trials import Floats, Integers
+
+LINEAR = ("gain", "coulomb", "force")
+"""Acceleration per command, by friction and by a constant force, in which the motion is linear; `LogUnits`, time in
+samples."""
+
+SCATTERED = ("delay", "coulomb", "force")
+"""Numbers that may differ from trial to trial."""
+
+LIMITS = {
+    "limit": (1e-3, 1.0),
+    "gain": (1e-12, np.inf),
+    "delta": (-0.01, 2.0),
+    "gamma": (-1e-4, 2.0),
+    "delay": (0.0, 300.0),
+    "lag": (SHORTEST_LAG, 300.0),
+    "mode_frequency": (0.002, 3.0),
+    "mode_damping_ratio": (1e-4, 0.5),
+    "load_mass_fraction": (1e-4, LARGEST_LOAD),
+    "load_damping": (-0.01, 2.0),
+    "spring_damping_fraction": (1e-4, 0.999),
+}
+BEFORE = {"spring_damping_fraction": (0.5, 12.0)}
+"""Mean of a number without logs, and information of it: a part that is anywhere between 0 and 1."""
+
+LARGEST_STEP = {
+    "limit": 0.05,
+    "delta": 0.2,
+    "gamma": 0.2,
+    "delay": 1.5,
+    "lag": 1.5,
+    "mode_frequency": 0.1,
+    "load_mass_fraction": 0.1,
+    "load_damping": 0.2,
+    "spring_damping_fraction": 0.3,
+}
+"""Change of a number in one step within which the response is near a straight line."""
+
+BY_HALF = ("gain", "mode_damping_ratio")
+"""Numbers that change by half of themselves at most: a mode without damping is known so well that no step leaves it."""
+
+DONE = 1e-3
+"""Square of a step in standard errors at which the search ends: 0.03 of the interval's half width."""
+
+PORTIONS = 16
+"""Portions of few logs, whose own numbers show what is not independent within a log; Student's t is then 2.13."""
+
+PHASES = 8
+"""Phases of the motion, between which what the model leaves out differs: damping by direction, a hand by the way, play
+by the speed."""
+
+TOGETHER = 3_000_000
+"""Numbers in the columns of segments that are computed together, 24 MB."""
+
+ROUNDED_ROW = 0.01
+"""Gain of log-likelihood, a row, up to which a random force is rounding: no jitter is looked for, nor another part."""
+
+LARGEST_FACTOR = 1e30
+"""Largest root of a sum of squares of a column, in units near 1, from which others can be computed in doubles."""
+
+WORTH = 5.0
+"""Gain of log-likelihood from which on a part, of the device or of its noise, is one: odds of 150 to 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Device:
+    """Numbers of a device by name, and the noise beside it; ``effects`` (T, p) are what trials differ by, ``reading``
+    the variance of a reading where a fit has one."""
+
+    numbers: dict[str, float]
+    noise: Noise = WHITE
+    effects: Floats | None = field(default=None, repr=False)
+    reading: float = np.inf
+
+    @property
+    def shape(self) -> PlantShape:
+        """Its numbers that shape a motion."""
+        return PlantShape.of(self.numbers)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its numbers, in the order of columns."""
+        return tuple(self.numbers)
+
+    def stepped(self, step: Floats) -> Device:
+        """Return the device after a step, each number within its limits."""
+        moved = dict(self.numbers)
+        for (name, value), change in zip(self.numbers.items(), step.tolist(), strict=True):
+            most = LARGEST_STEP.get(name, 0.5 * abs(value) if name in BY_HALF else np.inf)
+            low, high = LIMITS.get(name, (-np.inf, np.inf))
+            moved[name] = float(np.clip(value + np.clip(change, -most, most), low, high))
+        return replace(self, numbers=moved)
+
+    def own(self, name: str, trials: np.ndarray) -> Floats:
+        """Return a number of the trial of each segment, shape (S,); 0 where the device has none."""
+        common = np.full(len(trials), self.numbers.get(name, 0.0))
+        if self.effects is None or name not in self.numbers:
+            return common
+        return np.asarray(common + self.effects[trials, self.names.index(name)])
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A device with what its likelihood says.
+
+    ``solved`` at the device, with its ``moments`` and the ``places`` of numbers that scatter; units are portions of
+    ``few`` logs, else trials. ``alike`` is the mean number of equal readings in a row, which count as one, ``open``
+    (p,) how far the numbers move with a jitter that is larger by its error, ``phases`` (8, p) what each phase of the
+    motion adds to them: nothing but noise where the model holds all. None of a fit that has not `ended`. ``optima``
+    (k, p) are the steps to other optima of the likelihood that the logs do not exclude.
+    """
+
+    device: Device
+    solved: Solved
+    moments: Moments
+    places: Integers
+    few: bool
+    alike: float
+    open: Floats
+    phases: Floats
+    optima: Floats
+
+    @property
+    def likelihood(self) -> float:
+        """Restricted logarithm of the likelihood."""
+        return self.solved.likelihood
+
+
+CODES = {
+    "gain": kernels.GAIN,
+    "coulomb": kernels.COULOMB,
+    "force": kernels.FORCE,
+    "limit": kernels.LIMIT,
+    "spring": kernels.SPRING,
+}
+"""Columns of `kernels.whitened` in which the motion is linear."""
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Whitened prediction errors of segments with their derivatives, without the likeliest starts.
+
+    Parameters
+    ----------
+    values : float64, shape (rows of all segments + S q, p + 1)
+        Derivatives of the predictions along p numbers, and the errors; behind the rows of each segment q rows of what
+        is known of its start before.
+    first, behind : int64, shape (S,)
+        Rows of each segment among these, without the rows of the starts.
+    starts : int
+        q, unknowns of a start.
+    known : float64, shape (S,)
+        How many of them the readings tell.
+    lost : float
+        By how much the filter's spreads and the starts make the readings less likely.
+    """
+
+    values: Floats
+    first: Integers
+    behind: Integers
+    starts: int
+    known: Floats
+    lost: float
+
+    def factors(self, units: int, unit: Integers) -> Floats:
+        """Return the triangular factors of units, (units, p + 1, p + 1), by the unit of each segment; once."""
+        result = np.zeros((units, self.values.shape[1], self.values.shape[1]))
+        kernels.triangles(result, self.values, self.first, self.behind + self.starts, unit)
+        return result
+
+
+def columns_of(
+    segments: Segments,
+    device: Device,
+    names: tuple[str, ...],
+    transitions: Transitions | None = None,
+    whole: Segments | None = None,
+) -> Columns:
+    """Return the whitened prediction errors of segments, with derivatives along some numbers of a device.
+
+    ``transitions`` of the device along those names, where they are known; ``whole`` are all segments where these are
+    some of them: what is known of a start before is the same for all.
+    """
+    whole, shape, noise = whole or segments, device.shape, device.noise
+    along = [each.name for each in fields(PlantShape) if each.name in names]
+    if transitions is None:
+        transitions = Transitions.of(segments, shape, noise.jitter, along)
+    own = np.stack([device.own(name, segments.trial) for name in LINEAR], axis=1)
+    shifts = np.zeros((len(segments), len(names)))
+    for place, name in enumerate(names):
+        if device.effects is not None and name in LINEAR:
+            shifts[:, place] = own[:, LINEAR.index(name)] - device.numbers[name]
+    # third differences of logs without noise are those of the motion
+    gain, variance = abs(device.numbers["gain"]), min(whole.white, device.reading)
+    mode = [gain / shape.mode_frequency**2, gain / shape.mode_frequency] if shape.load_mass else []
+    sizes = np.array([1.0 + whole.largest, 1.0, *mode, *([gain] if shape.lag else [])])
+    if segments.rests.all():
+        sizes = sizes[:1]
+    constants = [device.numbers.get("limit", np.inf), shape.gamma, shape.lag, shape.delay, variance, segments.lead]
+    values, known, lost = kernels.whitened(
+        (segments.time, segments.command, segments.position, segments.position),
+        (segments.first, segments.behind, segments.begin, segments.edge, segments.direction, own, shifts),
+        transitions.motion,
+        transitions.pieces,
+        gains_of(segments, transitions, noise, constants[0]),
+        (
+            np.array([CODES[name] if name in CODES else kernels.SHAPE + along.index(name) for name in names], np.int64),
+            np.array([along.index(name) if name in along else -1 for name in ("gamma", "lag", "delay")], np.int64),
+            np.array(constants, dtype=np.float64),
+            sizes,
+        ),
+    )
+    ends = np.cumsum(segments.rows + len(sizes))
+    return Columns(values, ends - len(sizes) - segments.rows, ends - len(sizes), len(sizes), known, lost)
+
+
+def blocks(segments: Segments, columns: int) -> list[Segments]:
+    """Return segments in parts that are computed together."""
+    most = max(1, TOGETHER // columns)
+    part = (np.cumsum(segments.rows) - segments.rows) // most
+    cuts = [0, *(np.flatnonzero(np.diff(part)) + 1).tolist(), len(segments)]
+    return [segments.chosen(slice(a, b)) for a, b in pairwise(cuts)] if len(cuts) > 2 else [segments]
+
+
+def portions_of(segments: Segments, trials: int) -> int:
+    """Return into how many portions each segment is cut; 0 with `FEWEST` trials, each of which is one unit."""
+    return 0 if trials >= FEWEST else max(1, -(-PORTIONS // max(len(segments), 1)))
+
+
+@np.errstate(all="ignore")  # numbers far off overflow: they are impossible, and a search leaves them
+def moments_of(segments: Segments, device: Device, trials: int) -> Moments:
+    """Return the moments of all units (trials, or portions) at a device."""
+    p, portions = len(device.names), portions_of(segments, trials)
+    units = len(segments) * portions if portions else trials
+    factors, rows, lost, place = np.zeros((units, p + 1, p + 1)), np.zeros(units), 0.0, 0
+    for part in blocks(segments, p + 1):
+        columns = columns_of(part, device, device.names, whole=segments)
+        lost += columns.lost
+        first, behind, unit, known = columns.first, columns.behind + columns.starts, part.trial, columns.known
+        if portions:
+            cuts = part.rows[:, None] * np.arange(portions + 1) // portions
+            first, behind = (
+                (columns.first[:, None] + cuts)[:, :-1].ravel(),
+                (columns.first[:, None] + cuts)[:, 1:].ravel(),
+            )
+            unit, known = place + np.arange(len(first)), np.repeat(known / portions, portions)
+            rows[unit] = np.diff(cuts, axis=1).ravel() - known
+        else:
+            np.add.at(rows, unit, part.rows - known)
+        kernels.triangles(factors, columns.values, first, behind, unit)
+        place += len(first)
+    before = np.array([BEFORE.get(name, (0.0, 0.0)) for name in device.names]).T
+    before = np.stack([before[1], before[1] * (before[0] - list(device.numbers.values()))])
+    return Moments(factors, rows, float(np.median(segments.least)), lost, before)
+
+
+def fitted(segments: Segments, device: Device, trials: int, places: Integers) -> Fit:
+    """Return what the likelihood says at a device, with scatter between trials of the numbers at some places."""
+    moments = moments_of(segments, device, trials)
+    if not (np.abs(moments.factors) < LARGEST_FACTOR).all() or not np.isfinite(moments.log_spread):
+        nothing, rows = np.zeros_like(moments.factors), np.ones(len(moments.factors))
+        moments = replace(moments, factors=nothing, rows=rows, log_spread=np.inf)
+    solved = solve(moments, places)
+    alike = float(segments.rows.sum() / max(segments.distinct.sum(), 1.0)) if device.noise == WHITE else 1.0
+    device = replace(device, effects=solved.effects if len(places) else None, reading=solved.noise)
+    p = len(device.names)
+    return Fit(
+        device, solved, moments, places, trials < FEWEST, alike, np.zeros(p), np.zeros((PHASES, p)), np.zeros((1, p))
+    )
+
+
+def phases_of(segments: Segments, fit: Fit, trials: int) -> Floats:
+    """Return the step of the numbers that the errors in each phase of the motion ask for, shape (8, p); together none.
+
+    Phases are both directions on both sides of the middle of all readings, each slow and fast. Each adds the product of
+    the inverse information and its own sum of scores, whose scatter between phases is that of the numbers: what a model
+    that holds all leaves in them is noise.
+
+    Source: the sandwich estimate with few clusters; White 1982, "Maximum likelihood estimation of misspecified models".
+    """
+    solved, p, portions = fit.solved, len(fit.device.names), portions_of(segments, trials)
+    rate, position = _rate(segments), segments.position[segments.places]
+    middle, usual = float(np.median(position)), float(np.median(np.abs(rate)))
+    phase = 4 * (position > middle) + 2 * (rate > 0) + (np.abs(rate) > usual)
+    total: Floats = np.diag(fit.moments.before[0])
+    score, place, row = np.zeros((PHASES, p)), 0, 0
+    for part in blocks(segments, p + 1):
+        columns = columns_of(part, fit.device, fit.device.names, whole=segments)
+        unit: Integers = part.trial[part.segment]
+        if portions:
+            at = np.arange(len(part.segment)) - (np.cumsum(part.rows) - part.rows)[part.segment]
+            within: Integers = ((at + 1) * portions - 1) // part.rows[part.segment]
+            unit = (place + part.segment) * portions + within
+        readings = columns.values[np.arange(len(unit)) + columns.starts * part.segment]
+        along, weight = readings[:, :p], (solved.weight[unit] / solved.noise)[:, None]
+        error = readings[:, p] - (along * solved.effects[unit]).sum(axis=1)
+        total = total + (along * weight).T @ along
+        scores, phases = along * weight * error[:, None], phase[row : row + len(unit)]
+        score += np.stack([scores[phases == which].sum(axis=0) for which in range(PHASES)])
+        place, row = place + len(part), row + len(unit)
+    return np.asarray(score @ inverse(total))
+
+
+def _rate(segments: Segments) -> Floats:
+    """Return by how much the position changes in the four rows around each row of segments."""
+    first, last = (np.repeat(ends, segments.rows) for ends in (segments.first, segments.behind - 1))
+    ahead, before = np.minimum(segments.places + 2, last), np.maximum(segments.places - 2, first)
+    return np.asarray(segments.position[ahead] - segments.position[before])
+
+
+def spread(segments: Segments, most: int) -> np.ndarray:
+    """Return the places of at most so many segments, evenly among all."""
+    return np.unique(np.linspace(0, len(segments) - 1, min(most, len(segments))).round().astype(int))

@@ -1,0 +1,292 @@
+"""What a device does between two readings: exact motion under a late command, for even and uneven rows.
+
+Time is in sampling periods, mass 1. The states of the device are those of `loop.state_space`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from pipeline.loop.state_space import Plant, state_space
+from pipeline.measured.identification.kernels import exponentials
+from pipeline.measured.identification.segments import Segments
+from pipeline.records.trials import Floats, Integers
+
+LARGEST_LOAD = 0.97
+"""Largest load, as a fraction of the mass: of a lighter motor nothing is seen but its end."""
+
+SMALL = 1e-20
+"""Imaginary part of a number for the derivative of a matrix along it: its square is lost to rounding."""
+
+SHORTEST_LAG = 0.02
+"""Shortest lag [samples] that is a part: a shorter one moves the position by less than any sensor resolves."""
+
+
+@dataclass(frozen=True)
+class PlantShape:
+    """What decides the shape of a device's motion, per sample and with mass 1.
+
+    Parameters
+    ----------
+    delta, gamma : float
+        Damping and stiffness.
+    delay, lag : float
+        Delay of the command, and time constant of the actuator [samples].
+    mode_frequency : float
+        Of a vibration mode [rad/sample].
+    mode_damping_ratio : float
+        Of all that its vibration loses, also to the damping of both sides: it is better identified than each part.
+    load_mass_fraction : float
+        Part of the mass that is the load; no mode where it and ``spring_damping_fraction`` are 0.
+    load_damping : float
+        Part of ``delta`` that acts on the load.
+    spring_damping_fraction : float
+        Where the load's position is read, any fraction of the mass moves it alike: in its place the part of the loss
+        that the damper between both sides has; the motor has the rest.
+    """
+
+    delta: float = 0.0
+    gamma: float = 0.0
+    delay: float = 0.0
+    lag: float = 0.0
+    mode_frequency: float = 0.0
+    mode_damping_ratio: float = 0.0
+    load_mass_fraction: float = 0.0
+    load_damping: float = 0.0
+    spring_damping_fraction: float = 0.0
+
+    @classmethod
+    def of(cls, numbers: Mapping[str, float]) -> PlantShape:
+        """Return the device of some numbers, without those that do not shape its motion."""
+        return cls(**{each.name: numbers[each.name] for each in fields(cls) if each.name in numbers})
+
+    @property
+    def load_mass(self) -> float:
+        """Mass of the load, of a whole of 1; 0 without a mode."""
+        if not self.spring_damping_fraction:
+            return self.load_mass_fraction
+        lost = 2 * self.mode_damping_ratio * self.mode_frequency * (1 - self.spring_damping_fraction)
+        # the motor's damping takes more of a vibration the lighter that side is; none takes it with no damping
+        load = lost / (lost + self.delta) if np.real(self.delta) > 0 else LARGEST_LOAD
+        return load if np.real(load) < LARGEST_LOAD else LARGEST_LOAD
+
+    @property
+    def plant(self) -> Plant:
+        """Its linear motion."""
+        load = self.load_mass
+        if not load:
+            return Plant(1.0, self.delta, self.gamma, self.lag)
+        motor = 1 - load
+        lost = (self.delta - self.load_damping) * load / motor + self.load_damping * motor / load
+        reduced, damper = motor * load, 2 * self.mode_damping_ratio * self.mode_frequency - lost
+        return Plant(
+            1.0,
+            self.delta,
+            self.gamma,
+            self.lag,
+            load,
+            self.load_damping,
+            reduced * self.mode_frequency**2,
+            reduced * damper,
+            bool(self.spring_damping_fraction),
+        )
+
+
+@lru_cache(maxsize=64)
+def matrices_of(shape: PlantShape, along: tuple[str, ...]) -> tuple[Floats, Floats]:
+    """Return the matrix of a shape's motion and inputs, (1 + P, n + 2, n + 2), and its sensor's row, (1 + P, n).
+
+    The inputs are a command and a force on the motor; behind the first the derivatives along P parameters.
+
+    Source: Squire and Trapp 1998, "Using complex variables to estimate derivatives of real functions" (of the entries
+    of the state space, which are rational in the parameters).
+    """
+    systems = [state_space(shape.plant)]
+    # a delay is none of the state space
+    shaping = [name for name in along if name != "delay"]
+    systems += [state_space(replace(shape, **{name: getattr(shape, name) + SMALL * 1j}).plant) for name in shaping]
+    n, places = systems[0].states, [0, *(1 + along.index(name) for name in shaping)]
+    matrices, sensors = np.zeros((1 + len(along), n + 2, n + 2)), np.zeros((1 + len(along), n))
+    for place, system in zip(places, systems, strict=True):
+        part = (lambda values: np.imag(values) / SMALL) if place else np.real
+        matrices[place, :n, :n], sensors[place] = part(system.matrix), part(system.sensor)
+        matrices[place, :n, n], matrices[place, :n, n + 1] = part(system.command), part(system.force)
+    return matrices, sensors
+
+
+OFF_BY_ONE = 0.7
+"""Most of a variance of ages [samples^2] by commands that come one sample early or late, as is left for 0.5 beside a
+whole one; what is more comes from further ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ages:
+    """Ages [samples] of the command in force, shape (A,), and their probabilities, with derivatives along the delay."""
+
+    age: Floats
+    chance: Floats
+    age_slope: float
+    chance_slope: Floats
+
+    @classmethod
+    def of(cls, delay: float, jitter: float) -> Ages:
+        """Return the ages by their mean and standard deviation [samples].
+
+        Commands arrive on whole samples as far as the deviation allows: of whole delays whose mean lies ``off`` beside
+        one the variance is at least |off| - off^2.
+        """
+        if jitter <= 0:
+            return cls(np.array([delay]), np.ones(1), 1.0, np.zeros(1))
+        variance = min(jitter**2, OFF_BY_ONE)
+        most = 0.5 * (1 - np.sqrt(max(1 - 4 * variance, 0.0)))
+        free = delay - np.round(delay)
+        off = float(np.clip(free, -most, most))
+        moves = 1.0 if off == free else 0.0
+        square = variance + off**2
+        chance = np.array([square - off, 2 * (1 - square), square + off]) / 2
+        slope = moves * np.array([2 * off - 1, -4 * off, 2 * off + 1]) / 2 * (chance > 0)
+        chance, left = np.maximum(chance, 0.0), jitter**2 - variance
+        for _ in range(int(np.ceil(left / OFF_BY_ONE))):
+            variance = min(left, OFF_BY_ONE)
+            spread, left = np.array([0.5 * variance, 1 - variance, 0.5 * variance]), left - variance
+            chance, slope = np.convolve(chance, spread), np.convolve(slope, spread)
+        reach = len(chance) // 2
+        return cls(delay - off + np.arange(-reach, reach + 1.0), chance, 1.0 - moves, slope)
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance (A, A) of which age is in force."""
+        return np.diag(self.chance) - np.outer(self.chance, self.chance)
+
+    @property
+    def ageing(self) -> Floats:
+        """Chances (A, A) of an age in force after another less those of it after any, for delays drawn independently.
+
+        The newest command that has arrived is in force: one of age i has arrived with probability F_i, and the next
+        row finds those that were on their way before with (F_i - F_(i-1))/(1 - F_(i-1)).
+        """
+        count = len(self.chance)
+        left = 1 - np.append(0.0, np.cumsum(self.chance)[:-1])
+        arrived = np.clip(self.chance / np.maximum(left, 1e-12), 0.0, 1.0)
+        arrived = np.maximum.accumulate(np.append(arrived[:-1], 1.0))
+        before = np.append(0.0, arrived[:-1])
+        now = np.where(before < 1, (arrived - before) / np.where(before < 1, 1 - before, 1.0), 1.0)
+        reached = now * np.append(1.0, np.cumprod(1 - now)[:-1])
+        result = np.tril(np.broadcast_to(reached, (count, count)))
+        oldest = np.minimum(np.arange(count) + 1, count - 1)
+        result[np.arange(count), oldest] += 1 - result.sum(axis=1)
+        return result - self.chance
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """Pieces of the intervals behind rows, in each of which one command is in force.
+
+    Pieces of the interval behind row r are ``offset[r]`` to ``offset[r + 1]``; two values where all rows are even.
+    Arrays of shape (Q,): the command is that ``back`` rows before, of age ``age`` among those of `Ages`; the piece
+    begins and ends so long before the interval's end [samples], and both change with the age by ``begin_slope`` and
+    ``end_slope``.
+    """
+
+    offset: Integers
+    back: Integers
+    age: Integers
+    begin: Floats
+    end: Floats
+    begin_slope: Floats
+    end_slope: Floats
+
+    @classmethod
+    def of(cls, segments: Segments, ages: Sequence[float] | Floats) -> Pieces:
+        """Return the pieces of all rows."""
+        return cls._even(ages) if segments.even else cls._uneven(segments, ages)
+
+    @classmethod
+    def _even(cls, ages: Sequence[float] | Floats) -> Pieces:
+        whole = np.floor(ages)
+        part = np.asarray(ages) - whole
+        back = np.stack([whole + 1, whole], axis=1).astype(np.int64).ravel()
+        begin = np.stack([np.ones_like(part), 1 - part], axis=1).ravel()
+        end = np.stack([1 - part, np.zeros_like(part)], axis=1).ravel()
+        first, count = np.arange(2 * len(whole)) % 2 == 0, len(whole)
+        slopes = (np.where(first, 0.0, -1.0), np.where(first, -1.0, 0.0))
+        return cls(np.array([0, 2 * count]), back, np.repeat(np.arange(count), 2), begin, end, *slopes)
+
+    @classmethod
+    def _uneven(cls, segments: Segments, ages: Sequence[float] | Floats) -> Pieces:
+        parts: list[list[Any]] = []
+        for first, behind in zip(segments.offsets[:-1].tolist(), segments.offsets[1:].tolist(), strict=True):
+            time, span = segments.time[first:behind], np.diff(segments.time[first:behind])
+            for place, age in enumerate(ages):
+                late = time + age
+                oldest = np.searchsorted(late, time[:-1] + 1e-9, side="right") - 1
+                newest = np.maximum(np.searchsorted(late, time[1:] - 1e-9, side="left") - 1, oldest)
+                count = newest - oldest + 1
+                at = np.repeat(np.arange(len(span)), count)
+                row = np.repeat(oldest - (np.cumsum(count) - count), count) + np.arange(len(at))
+                is_first, is_last = row == oldest[at], row == newest[at]
+                stop = time[1:][at]
+                begin = np.where(is_first, span[at], stop - late[np.maximum(row, 0)])
+                end = np.where(is_last, 0.0, stop - late[np.minimum(row + 1, len(late) - 1)])
+                slopes = (np.where(is_first, 0.0, -1.0), np.where(is_last, 0.0, -1.0))
+                parts.append([first + at, at - row, np.full(len(at), place), begin, end, *slopes])
+        row, back, age, *times = (np.concatenate(each) for each in zip(*parts, strict=True))
+        order = np.argsort(row, kind="stable")
+        offset = np.searchsorted(row[order], np.arange(len(segments.time) + 1))
+        return cls(offset.astype(np.int64), back[order], age[order], *(each[order] for each in times))
+
+
+@dataclass(frozen=True, eq=False)
+class Transitions:
+    """Transitions of a shape's states over the intervals behind rows, and gains of what acts in them, with tangents.
+
+    As the loops of `kernels` take them: ``motion`` is (kind, F, F', W, W', H, H'), ``pieces`` (offset, back, age,
+    width, G, G') along P parameters.
+    """
+
+    motion: tuple[Integers, Floats, Floats, Floats, Floats, Floats, Floats]
+    pieces: tuple[Integers, Integers, Integers, Floats, Floats, Floats]
+    ages: Ages
+
+    @property
+    def states(self) -> int:
+        """Number of states."""
+        return len(self.motion[5])
+
+    @classmethod
+    def of(cls, segments: Segments, shape: PlantShape, jitter: float = 0.0, along: Sequence[str] = ()) -> Transitions:
+        """Return the transitions of a shape in the rows of segments, with derivatives along some of its parameters."""
+        matrices, sensors = matrices_of(shape, tuple(along))
+        ages = Ages.of(shape.delay, jitter)
+        pieces = Pieces.of(segments, ages.age)
+        spans, kind = segments.spans
+        times = np.concatenate([spans, pieces.begin, pieces.end])
+        place = np.arange(len(times))
+        if not segments.even:
+            _, first, place = np.unique(np.round(times, 9), return_index=True, return_inverse=True)
+            times = times[first]
+        n = sensors.shape[1]
+        moved = exponentials(matrices, times)[place]
+        whole, begin, end = np.split(moved, [len(spans), len(spans) + len(pieces.begin)])
+        gain = begin[:, :, :n, n:] - end[:, :, :n, n:]
+        chance = ages.chance[pieces.age][:, None, None]
+        G, dG = gain[:, 0] * chance, gain[:, 1:] * chance[:, None]
+        if "delay" in along:
+            slope = sum(
+                sign * by[:, None, None] * (each[:, 0, :n, :n] @ matrices[0, :n, n:])
+                for sign, by, each in ((1, pieces.begin_slope, begin), (-1, pieces.end_slope, end))
+            )
+            more = gain[:, 0] * ages.chance_slope[pieces.age][:, None, None]
+            dG[:, list(along).index("delay")] = ages.age_slope * chance * slope + more
+        F, W = whole[:, :, :n, :n], whole[:, :, :n, n + 1]
+        span = spans[kind] if segments.even else np.repeat(spans[kind], np.diff(pieces.offset))
+        width = (pieces.begin - pieces.end) / span
+        arrays = (F[:, 0], F[:, 1:], W[:, 0], W[:, 1:], sensors[0], sensors[1:])
+        motion: Any = (kind, *(np.ascontiguousarray(each) for each in arrays))
+        gains = (pieces.offset, pieces.back, pieces.age, width, np.ascontiguousarray(G), np.ascontiguousarray(dG))
+        return cls(motion, gains, ages)

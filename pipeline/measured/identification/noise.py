@@ -1,0 +1,80 @@
+"""Noise beside that of the readings, and the Kalman filter that makes prediction errors independent under it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.measured.identification.kernels import filter_gains, steady_gain
+from pipeline.measured.identification.motion import Transitions
+from pipeline.measured.identification.segments import Segments
+from pipeline.records.trials import Floats
+
+FORGETS = 1e-6
+"""By how much the largest eigenvalue of a filter's errors may exceed 1 by rounding: a filter forgets its start."""
+
+Gains = tuple[Floats, Floats, Floats, float]
+"""K, standard deviation of the errors, chances of ages, and force of a unit command, for `kernels.whitened`."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """A random force, and a delay that jitters.
+
+    Parameters
+    ----------
+    force : float
+        Variance of the random force over a sample, in that of a reading.
+    late : float
+        Variance of a force that a command of 1 makes, in that of a reading; 0 without jitter.
+    jitter : float
+        Standard deviation of the age of the command in force [samples].
+    jitter_error : float
+        Standard error of it.
+    """
+
+    force: float = 0.0
+    late: float = 0.0
+    jitter: float = 0.0
+    jitter_error: float = 0.0
+
+
+WHITE = Noise()
+"""No noise but that of the readings."""
+
+
+def gains_of(segments: Segments, transitions: Transitions, noise: Noise, limit: float = np.inf) -> Gains:
+    """Return the filter for some noise: a steady one for even rows without jitter, else one with gains row by row.
+
+    ``limit`` is the largest command that the drive has a force for.
+    """
+    n, none = transitions.states, np.zeros((0, 0))
+    if noise == WHITE:
+        return np.zeros((1, n)), np.ones(1), none, 0.0
+    kind, F, _, W, _, H, _ = transitions.motion
+    if segments.even and noise.late == 0:
+        return *_steady(F[0], W[0], H, noise.force), none, 0.0
+    ageing, covariance = (transitions.ages.ageing, transitions.ages.covariance) if noise.late else (none, none)
+    gains, spread = filter_gains(
+        (segments.first, segments.behind, segments.begin, segments.edge),
+        np.clip(segments.command, -limit, limit),
+        (kind, F, W, H),
+        transitions.pieces[:4],
+        (ageing, covariance),
+        (noise.force, float(np.sqrt(noise.late))),
+    )
+    return gains, spread, ageing, float(np.sqrt(noise.late))
+
+
+def _steady(F: Floats, W: Floats, H: Floats, force: float) -> tuple[Floats, Floats]:
+    """Return gain (1, n) and spread (1,) of the steady filter.
+
+    They are NaN where doubles do not reach it, as of a device that runs away faster than its readings show.
+    """
+    gain, variance = steady_gain(F, W, H, force)
+    errors = F @ (np.eye(len(H)) - np.outer(gain, H))
+    computed = variance >= 1.0 and np.isfinite(errors).all()
+    if not computed or np.abs(np.linalg.eigvals(errors)).max() > 1.0 + FORGETS:
+        gain, variance = np.full_like(gain, np.nan), np.nan
+    return gain[None], np.sqrt(np.array([variance]))

@@ -1,0 +1,175 @@
+"""The noise under which the errors of a device are likeliest: a random force, and a jitter of the delay."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from pipeline.measured.identification.likelihood import ROUNDED_ROW, WORTH, Device, columns_of, spread
+from pipeline.measured.identification.motion import Transitions
+from pipeline.measured.identification.noise import WHITE, Noise
+from pipeline.measured.identification.segments import Segments
+from pipeline.records.trials import Floats
+
+MEMORIES = (1e-12, 3e5)
+"""Least and largest variance of the disturbing force in that of a reading, per sample: from a random walk that forgets
+in a thousand samples to one that forgets in one."""
+
+JITTERS = (0.02, 1.5)
+"""Least and largest jitter of the delay that is looked for [samples]: with nine ages of the command in force; of eight
+whole delays that are drawn alike it is 1.5."""
+
+READINGS = (0.1, 10.0)
+"""Least and largest variance of a reading that is looked for beside a jitter, in that by third differences."""
+
+ROUGH = 0.7
+"""Change of the logarithm of a variance that is near enough for a start: intervals grow with its root."""
+
+NEAR = 0.05
+"""Change of the logarithm of a variance, or of a jitter, within which the likelihood is a parabola."""
+
+ASIDE = 0.2
+"""Change of the logarithm of a variance, or of a jitter, to another one that is tried first."""
+
+NEWTON, FARTHEST = 6, 1.5
+"""Most steps in the search for a jitter beside the noise of readings, and a random force; their largest change of a
+logarithm."""
+
+ENOUGH = 0.1
+"""Gain of log-likelihood by a step below which the next one is none."""
+
+OTHER_AGES = 0.08
+"""Error of a jitter by the shape of its distribution, relative, for each sample from half of one on: of delays drawn
+from two to four whole ones it is off by up to 0.15."""
+
+LEAST_JITTER = 0.05
+"""Jitter [samples] from which on one is believed: what rounding leaves may look like less."""
+
+NOISE_SEGMENTS, NOISE_ROWS = 24, 150
+"""Segments by which the noise is found, cut into parts of so many rows: a variance from 8,000 rows is known to 2 %."""
+
+IMPOSSIBLE = 1e30
+"""Cost, as a logarithm of a likelihood, of a noise under which a device cannot be computed: any other is less."""
+
+
+@dataclass(eq=False)
+class NoiseCost:
+    """The likelihood of segments of a device as a function of its noise, with its other numbers fixed."""
+
+    segments: Segments
+    device: Device
+    _transitions: tuple[float, Transitions] | None = None
+
+    @cached_property
+    def white(self) -> float:
+        """Variance of a reading by third differences."""
+        return self.segments.white
+
+    @np.errstate(all="ignore")  # as in `likelihood.moments_of`
+    def __call__(self, force: float, jitter: float = 0.0, reading: float = 1.0) -> float:
+        """Return the negative logarithm of the likelihood.
+
+        ``force`` as in `Noise`; ``jitter`` [samples]; ``reading`` the variance of a reading beside a jitter, in that by
+        third differences. The constant force of each segment is free, so that it is not taken for a random one.
+        """
+        some, noise = self.segments, self.noise(force, jitter, reading)
+        if self._transitions is None or self._transitions[0] != jitter:
+            self._transitions = (jitter, Transitions.of(some, self.device.shape, jitter))
+        columns = columns_of(some, replace(self.device, noise=noise), ("force",), self._transitions[1])
+        factors = columns.factors(len(some), np.arange(len(some)))
+        pushed = np.maximum(factors[:, 0, 0] ** 2, 1e-300)
+        squares = np.maximum(factors[:, 1, 1] ** 2, 1e-300)
+        rows = np.maximum(some.rows - columns.known - 1, 1)
+        # the strength of a jitter is that of its forces, beside the noise of a reading
+        variance = reading * self.white if jitter else np.maximum(squares / rows, some.least)
+        lost = 0.5 * float((rows * np.log(variance) + squares / variance + np.log(pushed)).sum()) + columns.lost
+        return lost if np.isfinite(lost) else IMPOSSIBLE
+
+    def noise(self, force: float, jitter: float = 0.0, reading: float = 1.0) -> Noise:
+        """Return the noise of some numbers."""
+        command = self.device.numbers["gain"] ** 2
+        return Noise(force, command / (reading * self.white) if jitter else 0.0, jitter)
+
+
+def noise_and_jitter(segments: Segments, device: Device, *, jitters: bool) -> Noise:
+    """Return the noise under which the errors of a device are likeliest, without what is worth nothing.
+
+    A random force is looked for, and a jitter of the delay if asked for; from the device's own noise on.
+    """
+    cost = NoiseCost(segments.chosen(spread(segments, NOISE_SEGMENTS)).shorter(NOISE_ROWS), device)
+    none, former = cost(0.0), device.noise
+    if none >= IMPOSSIBLE:
+        return WHITE
+    force, by_force = _likeliest(cost, MEMORIES, 0.0 if former.jitter else former.force)
+    # what rounding leaves may look like a little of either
+    still, least = (Noise(force), by_force) if by_force < none - WORTH else (WHITE, none)
+    if not jitters or none - by_force <= WORTH + ROUNDED_ROW * float(cost.segments.rows.sum()):
+        return still
+    near = former.jitter or _likeliest(lambda jitter: cost(0.0, jitter), JITTERS)[0]
+    reading = device.numbers["gain"] ** 2 / (former.late * cost.white) if former.late else 1.0
+    numbers, lost = _minimum(lambda *numbers: cost(0.0, *numbers), (near, reading), (JITTERS, READINGS))
+    beside, more = _likeliest(lambda force: cost(force, *numbers), MEMORIES, former.force if former.jitter else 0.0)
+    strength = 0.0
+    if more < lost - WORTH:
+        (strength, *numbers), lost = _minimum(cost, (beside, *numbers), (MEMORIES, JITTERS, READINGS))
+    jitter, reading = numbers
+    if lost >= least - WORTH or jitter < LEAST_JITTER:
+        return still
+    # half a sample beside a delay of half a sample is at a bend of the likelihood: its flatter side tells the error
+    falls = min(cost(strength, jitter * float(np.exp(sign * NEAR)), reading) for sign in (-1, 1)) - lost
+    error = float(np.hypot(NEAR / np.sqrt(2 * max(falls, 1e-3)), OTHER_AGES * max(jitter - 0.5, 0.0)))
+    return replace(cost.noise(strength, jitter, reading), jitter_error=jitter * error)
+
+
+def _likeliest(cost: Callable[[float], float], limits: tuple[float, float], near: float = 0.0) -> tuple[float, float]:
+    """Return roughly the number within limits that costs least, and that cost; from ``near`` on where it is not 0."""
+    from scipy.optimize import minimize_scalar
+
+    if limits[0] < near < limits[1]:
+        low, middle, high = (cost(near * float(np.exp(way * ROUGH))) for way in (-1, 0, 1))
+        if middle <= min(low, high) < IMPOSSIBLE:
+            vertex = near * float(np.exp(0.5 * ROUGH * (low - high) / max(low - 2 * middle + high, 1e-12)))
+            lowest = cost(vertex)
+            return (vertex, lowest) if lowest < middle else (near, middle)
+    bounds, options = tuple(np.log(limits).tolist()), {"xatol": ROUGH, "maxiter": 9}
+    result = minimize_scalar(lambda log: cost(float(np.exp(log))), bounds=bounds, method="bounded", options=options)
+    return float(np.exp(result.x)), float(result.fun)
+
+
+def _minimum(
+    cost: Callable[..., float], near: tuple[float, ...], limits: tuple[tuple[float, float], ...]
+) -> tuple[list[float], float]:
+    """Return the positive numbers within limits that cost least, from some near them on, and that cost.
+
+    By Newton's steps in their logarithms, with derivatives from differences over `ASIDE`, which are exact for a
+    parabola: a jitter bends the likelihood where its ages change, and no nearer ones would show its course.
+    """
+    bounds, n = np.log(limits), len(near)
+    at = np.clip(np.log(near), bounds[:, 0] + ASIDE, bounds[:, 1] - ASIDE)
+
+    def value(logs: Floats) -> float:
+        return cost(*np.exp(np.clip(logs, bounds[:, 0], bounds[:, 1])).tolist())
+
+    lowest, steps = value(at), ASIDE * np.eye(n)
+    for _ in range(NEWTON):
+        ahead, behind = (np.array([value(at + sign * step) for step in steps]) for sign in (1, -1))
+        slope, bend = (ahead - behind) / (2 * ASIDE), np.diag(ahead - 2 * lowest + behind) / ASIDE**2
+        for i in range(n):
+            for j in range(i):
+                both = value(at + steps[i] + steps[j])
+                bend[i, j] = bend[j, i] = (both - ahead[i] - ahead[j] + lowest) / ASIDE**2
+        values, vectors = np.linalg.eigh(bend)
+        step = -vectors @ ((vectors.T @ slope) / np.maximum(np.abs(values), 1.0))
+        tried = np.clip(at + np.clip(step, -FARTHEST, FARTHEST), bounds[:, 0], bounds[:, 1])
+        candidates = [tried, *(at + steps), *(at - steps)]
+        costs = [value(tried), *ahead.tolist(), *behind.tolist()]
+        best = int(np.argmin(costs))
+        if costs[best] >= lowest:
+            break
+        gain, lowest, at = lowest - costs[best], costs[best], np.clip(candidates[best], bounds[:, 0], bounds[:, 1])
+        if gain < ENOUGH:
+            break
+    return np.exp(at).tolist(), lowest

@@ -1,0 +1,98 @@
+"""The identified device, run free from the start of logs that it was not fitted to: its fit in percent."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.measured.identification.kernels import exponentials, free_run
+from pipeline.measured.identification.likelihood import LINEAR, Device, columns_of
+from pipeline.measured.identification.motion import Pieces, matrices_of
+from pipeline.measured.identification.noise import WHITE
+from pipeline.measured.identification.segments import Segments
+from pipeline.records.trials import Floats
+
+PARTS = 4
+"""Parts of a piece of an interval between which friction may change direction: a turn is off by an eighth of a row."""
+
+STILL = 3.0
+"""Standard deviation of a position, in that of its readings' noise, up to which a log does not move."""
+
+STARTS = 3
+"""Newton's steps to the start of a log, in which all but friction is linear."""
+
+NUDGE = 1e-4
+"""Change of a start for the slope of the response, in units of the position's range."""
+
+
+def replay_fit(segments: Segments, device: Device) -> Floats:
+    """Return how well free runs of a device fit each segment, from the start that fits it best, shape (S,) [%].
+
+    The fit is 100 (1 - |y - x| / |y - mean y|), that of system identification; NaN where a log does not move.
+    """
+    if not len(segments):
+        return np.empty(0)
+    left = _left_with_friction(segments, device) if device.numbers.get("coulomb") else _left_linear(segments, device)
+    ends = np.cumsum(segments.rows)[:-1]
+    readings = np.split(segments.position[segments.places], ends)
+    error = np.array([np.linalg.norm(each) for each in np.split(left, ends)])
+    size = np.array([np.linalg.norm(each - each.mean()) for each in readings])
+    # a position that noise and the sensor's steps alone change is predicted by any device
+    moves = size > np.maximum(STILL * np.sqrt(segments.rows * segments.white), 1e-3)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(moves, 100 * (1 - error / size), np.nan)
+
+
+def _left_linear(segments: Segments, device: Device) -> Floats:
+    """Return what the free run of a device without friction leaves of the readings: its start is linear in it."""
+    columns = columns_of(segments, replace(device, noise=WHITE), ())
+    places = np.arange(len(segments.places)) + columns.starts * segments.segment
+    return np.asarray(columns.values[places, -1])
+
+
+def _left_with_friction(segments: Segments, device: Device) -> Floats:
+    """Return what the free run of a device with friction leaves, from the start that fits best by Newton's steps."""
+    ends = np.cumsum(segments.rows)
+    readings = np.split(segments.position[segments.places], ends[:-1])
+    states = matrices_of(device.shape, ())[1].shape[1]
+    start = np.zeros((len(segments), states))
+    for s, (y, rests) in enumerate(zip(readings, segments.rests, strict=True)):
+        few = min(len(y) - 1, 5)
+        start[s, 0] = y[0]
+        start[s, 1] = 0.0 if rests else (y[few] - y[0]) / max(few, 1)
+    tried, least, left = start, np.full(len(start), np.inf), [y * 0.0 for y in readings]
+    for _ in range(STARTS + 1):
+        # the run itself, and one beside it for each state
+        versions = np.concatenate([tried[:, None], tried[:, None] + NUDGE * np.eye(states)], axis=1)
+        runs = np.split(_runs(segments, device, versions), ends[:-1])
+        tried = start.copy()
+        for s, (y, run) in enumerate(zip(readings, runs, strict=True)):
+            error = y - run[:, 0]
+            if float(error @ error) < least[s]:
+                least[s], left[s], start[s] = float(error @ error), error, versions[s, 0]
+                columns = (run[:, 1:] - run[:, :1]) / NUDGE
+                tried[s] = start[s] + np.linalg.pinv(columns, rcond=1e-6) @ error
+    return np.concatenate(left)
+
+
+def _runs(segments: Segments, device: Device, starts: Floats) -> Floats:
+    """Return free runs from several starts (S, V, n) of each segment, (rows of all segments, V)."""
+    matrices, sensors = matrices_of(device.shape, ())
+    pieces, n, limit = Pieces.of(segments, [device.shape.delay]), sensors.shape[1], device.numbers.get("limit", np.inf)
+    spans, place = np.unique(np.round(pieces.begin - pieces.end, 12), return_inverse=True)
+    parts = exponentials(matrices, spans / PARTS)[:, 0]
+    return free_run(
+        (
+            *(segments.first, segments.behind, segments.begin),
+            np.stack([device.own(name, segments.trial) for name in LINEAR], axis=1),
+        ),
+        np.clip(segments.command, -limit, limit),
+        (np.ascontiguousarray(matrices[0, :n, :n]), np.ascontiguousarray(matrices[0, :n, n]), sensors[0]),
+        (
+            *(pieces.offset, pieces.back, place.astype(np.int64)),
+            *(np.ascontiguousarray(each) for each in (parts[:, :n, :n], parts[:, :n, n:])),
+        ),
+        PARTS,
+        np.ascontiguousarray(starts),
+    )

@@ -1,0 +1,120 @@
+"""The likeliest device near one: Newton's steps on the likelihood of all trials, and the noise behind them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.measured.identification.likelihood import DONE, SCATTERED, WORTH, Device, Fit, fitted, phases_of
+from pipeline.measured.identification.noise import WHITE
+from pipeline.measured.identification.noise_search import noise_and_jitter
+from pipeline.measured.identification.scatter import FEWEST
+from pipeline.measured.identification.segments import Segments
+
+FIXED_STEPS = 2
+"""Steps at first without such scatter, before each search for noise."""
+
+STEPS = 18
+"""Newton's steps at most; seven are usual, a mode may take all."""
+
+LAST_STEPS = 3
+"""Steps on all logs from what some of them have shown: the last one is smaller than rounding."""
+
+CUTS = (1.0, 0.3, 0.1)
+"""Parts of a step that are tried."""
+
+NOISE_ROUNDS = 4
+"""Most searches for the noise behind the steps: with a mode the random force fell by a third to a tenth in each."""
+
+
+def refined(
+    segments: Segments,
+    device: Device,
+    trials: int,
+    steps: int = STEPS,
+    *,
+    far: bool = True,
+    noisy: bool = True,
+    jitters: bool = True,
+) -> Fit:
+    """Return the likeliest device near one, with the noise that makes its errors independent.
+
+    Parameters
+    ----------
+    segments : Segments
+    device : Device
+    trials : int
+        Number of trials, of which some may have no segment.
+    steps : int
+        Most steps.
+    far : bool
+        Whether it starts far from the solution, where scatter between trials would explain everything.
+    noisy : bool
+        Whether the noise is looked for, too; else it stays as it is.
+    jitters : bool
+        Whether a jitter of the delay may be part of it.
+    """
+    scattered = SCATTERED if trials >= FEWEST else ()
+    places = np.array([i for i, name in enumerate(device.names) if name in scattered], dtype=np.int64)
+    if far:
+        for late in (False, jitters):
+            device = _climbed(fitted(segments, device, trials, places[:0]), segments, trials, FIXED_STEPS).device
+            device = replace(device, noise=noise_and_jitter(segments, device, jitters=late)) if noisy else device
+    elif noisy:
+        device = replace(device, noise=noise_and_jitter(segments, device, jitters=jitters))
+    start = fitted(segments, device, trials, places)
+    found = _climbed(start, segments, trials, steps)
+    for _ in range(NOISE_ROUNDS if noisy else 0):
+        if found.likelihood - start.likelihood < WORTH:
+            break
+        # what was noise where the search began may be motion where it ends
+        device = replace(found.device, noise=noise_and_jitter(segments, found.device, jitters=jitters))
+        start = fitted(segments, device, trials, places)
+        again = _climbed(start, segments, trials, steps)
+        if again.likelihood <= found.likelihood:
+            break
+        found = again
+    if noisy and found.device.noise != WHITE:
+        plain = fitted(segments, replace(found.device, noise=WHITE), trials, places)
+        # what a step foretells from afar is too good
+        if plain.likelihood > found.likelihood - WORTH:
+            plain = _climbed(plain, segments, trials, steps)
+            found = plain if plain.likelihood > found.likelihood else found
+    return found
+
+
+def climbed(segments: Segments, device: Device, trials: int, steps: int = STEPS) -> Device:
+    """Return the local optimum of the likelihood near a device, with its noise fixed and no scatter between trials."""
+    return _climbed(fitted(segments, device, trials, np.empty(0, dtype=np.int64)), segments, trials, steps).device
+
+
+def ended(segments: Segments, device: Device, trials: int) -> Fit:
+    """Return the likeliest fit from a device on that is near it, with what its jitter leaves open."""
+    fit = refined(segments, device, trials, LAST_STEPS, far=False, noisy=False)
+    fit = replace(fit, phases=phases_of(segments, fit, trials))
+    noise = fit.device.noise
+    if not noise.jitter:
+        return fit
+    other = replace(noise, jitter=noise.jitter + noise.jitter_error)
+    return replace(fit, open=fitted(segments, replace(fit.device, noise=other), trials, fit.places).solved.step)
+
+
+def _climbed(fit: Fit, segments: Segments, trials: int, steps: int) -> Fit:
+    """Return the likeliest fit that Newton's steps lead to, each of them cut until the likelihood does not fall."""
+    for _ in range(steps):
+        for cut in CUTS:
+            device = fit.device.stepped(cut * fit.solved.step)
+            change = np.array(list(device.numbers.values())) - np.array(list(fit.device.numbers.values()))
+            if float(change @ fit.solved.total @ change) < DONE:
+                return fit
+            tried = fitted(segments, device, trials, fit.places)
+            gain = tried.solved.here - fit.solved.here
+            if gain > 0:
+                break
+        else:
+            return fit
+        fit = tried
+        if gain < 0.5 * DONE:
+            break
+    return fit

@@ -1,0 +1,299 @@
+"""Segments of logs: rows in motion whose start is unknown, as ranges of the rows of all trials."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from pipeline.measured.identification.kernels import ALWAYS
+from pipeline.measured.identification.recordings import SHORTEST, SURE, LogUnits, Motion, Recording
+from pipeline.records.trials import Booleans, Floats, Integers
+
+EARLIER = 50
+"""Rows at rest before a start that are kept: they give the position from which it starts to a seventh of the noise."""
+
+EXACT = 1e-9
+"""Error of a reading, relative to the largest way, that computing may leave: no part explains less."""
+
+LONGEST = 1000
+"""Rows of a segment: a longer log is cut, so that a force that changes slowly is none of its motion."""
+
+GAP = 1.5
+"""Pause in sampling periods from which on a command is missing between two rows, where it differs behind them."""
+
+REGULAR = 0.05
+"""Largest distance of a row from an even grid, in samples, at which stamps count as scatter of the clock that wrote
+them and the rows as even; the logs of real-time controllers stay below 0.01, those of polling loops reach 0.3."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Cut:
+    """Part of a recording: first row and the row behind its last; the row of the command that starts it from rest."""
+
+    trial: int
+    first: int
+    behind: int
+    direction: float
+    edge: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """S segments, in the units of `LogUnits`: ranges of R rows of T trials.
+
+    Parameters
+    ----------
+    offsets : int64, shape (T + 1,)
+        Rows of trial i are ``offsets[i]`` to ``offsets[i + 1]`` of the flat arrays.
+    time, command, position : float64, shape (R,)
+    first, behind : int64, shape (S,)
+        Rows of each segment.
+    trial : int64, shape (S,)
+    edge : int64, shape (S,)
+        Row from which on forces act on a device that friction holds at rest before; `ALWAYS` for a segment that does
+        not start at rest.
+    direction : float64, shape (S,)
+        Of motion; 0 where it is not asked for.
+    distinct, least : float64, shape (S,)
+        Number of readings that say something of their own, and variance that rounding alone leaves of a reading.
+    lead : int
+        Rows of commands before a segment that its motion depends on.
+    even : bool
+        Whether all rows of segments, and those before them, are one sample apart.
+    """
+
+    offsets: Integers
+    time: Floats
+    command: Floats
+    position: Floats
+    first: Integers
+    behind: Integers
+    trial: Integers
+    edge: Integers
+    direction: Floats
+    distinct: Floats
+    least: Floats
+    lead: int
+    even: bool
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    @cached_property
+    def rows(self) -> Integers:
+        """Number of rows of each segment, shape (S,)."""
+        return self.behind - self.first
+
+    @cached_property
+    def begin(self) -> Integers:
+        """First row of the trial of each segment, shape (S,)."""
+        return np.asarray(self.offsets[self.trial])
+
+    @cached_property
+    def rests(self) -> Booleans:
+        """Which segments start at rest, shape (S,)."""
+        return np.asarray(self.edge > ALWAYS)
+
+    @cached_property
+    def places(self) -> Integers:
+        """Places of the rows of all segments, in their order, in the flat arrays."""
+        start = np.cumsum(self.rows) - self.rows
+        return np.asarray(np.arange(int(self.rows.sum())) + np.repeat(self.first - start, self.rows))
+
+    @cached_property
+    def segment(self) -> Integers:
+        """Segment of each of these rows."""
+        return np.repeat(np.arange(len(self)), self.rows)
+
+    @cached_property
+    def spans(self) -> tuple[Floats, Integers]:
+        """Lengths of intervals [samples], and which of them each row has behind it; one value where rows are even."""
+        if self.even:
+            return np.ones(1), np.zeros(1, np.int64)
+        span = np.append(np.diff(self.time), 1.0)
+        span[self.offsets[1:][self.offsets[1:] > 0] - 1] = 1.0
+        _, first, kind = np.unique(np.round(span, 9), return_index=True, return_inverse=True)
+        return span[first], kind.astype(np.int64)
+
+    @cached_property
+    def between(self) -> Floats:
+        """Position in the middle of the interval behind each row, as far as segments have one, shape (R,)."""
+        result = self.position.copy()
+        inner = self.places[np.append(np.diff(self.segment) == 0, [False])[: len(self.places)]]
+        result[inner] = 0.5 * (self.position[inner] + self.position[inner + 1])
+        return result
+
+    @cached_property
+    def white(self) -> float:
+        """Variance of a reading by third differences, which motion does not have; no less than that of rounding."""
+        third = np.diff(self.position[self.places], 3)[self.segment[3:] == self.segment[:-3]]
+        of_noise = float(np.median(np.abs(third)) / 0.6745) ** 2 / 20 if len(third) else 0.0
+        return max(of_noise, float(np.median(self.least)), EXACT**2)
+
+    @cached_property
+    def largest(self) -> float:
+        """Largest distance of a reading from the origin."""
+        return float(np.abs(self.position[self.places]).max(initial=0.0))
+
+    def chosen(self, which: Integers | Booleans | slice) -> Segments:
+        """Return some of the segments."""
+        arrays = ("first", "behind", "trial", "edge", "direction", "distinct", "least")
+        return replace(self, **{name: getattr(self, name)[which] for name in arrays})
+
+    def shorter(self, most: int) -> Segments:
+        """Return the segments as parts of at most so many rows, each with a start of its own."""
+        parts = -(-self.rows // most)
+        size = np.repeat(-(-self.rows // parts), parts)
+        number = np.arange(int(parts.sum())) - np.repeat(np.cumsum(parts) - parts, parts)
+        whole = self.chosen(np.repeat(np.arange(len(self)), parts))
+        first = whole.first + number * size
+        cut = replace(
+            whole,
+            first=first,
+            behind=np.minimum(first + size, whole.behind),
+            edge=np.where(number == 0, whole.edge, ALWAYS),
+        )
+        return cut.chosen(cut.rows >= SHORTEST)
+
+
+def segments_of(recordings: list[Recording], units: LogUnits, lead: int, moving: bool) -> Segments:
+    """Return the segments of recordings.
+
+    Parameters
+    ----------
+    recordings : list of Recording
+    units : LogUnits
+    lead : int
+        Rows of commands that are needed before a reading: the delay, rounded up.
+    moving : bool
+        Only rows at which the direction of motion is known, as friction needs, each segment in one of them: where a
+        motion turns is known to a part of a row only. Else all rows.
+    """
+    cuts: list[_Cut] = []
+    even = [_even(each.time / units.period) for each in recordings]
+    for trial, (each, grid) in enumerate(zip(recordings, even, strict=True)):
+        if len(grid) < SHORTEST:
+            continue
+        pauses = np.flatnonzero((np.diff(grid) > GAP * each.period / units.period) & (np.diff(each.command) != 0)) + 1
+        bounds = [0, *pauses.tolist(), len(grid)]
+        seen = each.motion if moving else None
+        for first, behind in pairwise(bounds):
+            start = first if first == 0 and _starts_at_rest(each) else first + lead
+            if behind - start >= SHORTEST:
+                cuts += _moving(trial, each, seen, (start, behind), lead) if seen else _all(trial, start, behind)
+    return _joined(recordings, even, cuts, units, lead)
+
+
+def _even(time: Floats) -> Floats:
+    """Return times [samples] on an even grid where they lie within `REGULAR` of one."""
+    if len(time) < SHORTEST:
+        return time
+    index = np.arange(len(time))
+    even = time[0] + index * (time[-1] - time[0]) / max(len(time) - 1, 1)
+    spacing = (time[-1] - time[0]) / max(len(time) - 1, 1)
+    if abs(spacing - 1) < 1e-3:
+        even = time[0] + index.astype(np.float64)
+        even += np.median(time - even)
+    return even if np.abs(time - even).max() < REGULAR + 2e-3 * len(time) * (abs(spacing - 1) < 1e-3) else time
+
+
+def _starts_at_rest(recording: Recording) -> bool:
+    """Return whether position and command do not change in the first rows, so that what came before does not matter."""
+    few = min(5, len(recording.position) - 1)
+    noise = recording.noise
+    first = recording.position[: few + 1]
+    return bool(np.ptp(first) <= max(6 * noise, 1e-4 * np.ptp(recording.position))) and bool(
+        np.ptp(recording.command[:few]) <= 1e-3 * np.ptp(recording.command) + 1e-12
+    )
+
+
+def _all(trial: int, first: int, behind: int) -> list[_Cut]:
+    count = max(1, round((behind - first) / LONGEST))
+    bounds = np.linspace(first, behind, count + 1).astype(int).tolist()
+    return [_Cut(trial, a, b, 0.0) for a, b in pairwise(bounds)]
+
+
+def _moving(trial: int, each: Recording, seen: Motion, rows: tuple[int, int], lead: int) -> list[_Cut]:
+    """Return the parts of some rows in which the device moves in one direction."""
+    first, behind = rows
+    sign = seen.direction[first:behind]
+    edges = np.flatnonzero(np.diff(sign)) + 1
+    found: list[_Cut] = []
+    for a, b in pairwise([0, *edges.tolist(), len(sign)]):
+        # the smoothed velocity still moves as many rows behind a stop as it takes from before it
+        stop = b - seen.half if b < len(sign) else b
+        if not sign[a] or stop <= a:
+            continue
+        edge = _edge(each, seen, first, first + a, lead)
+        begin = max(first, edge - EARLIER) if edge is not None else first + a + seen.half * (a > 0)
+        bounds = [*range(begin, first + stop, LONGEST), first + stop]
+        found += [
+            _Cut(trial, i, j, float(sign[a]), edge if i == begin else None)
+            for i, j in pairwise(bounds)
+            if j - i >= SHORTEST
+        ]
+    return found
+
+
+def _edge(each: Recording, seen: Motion, first: int, moves: int, lead: int) -> int | None:
+    """Return the row at which a command jumps and sets the device in motion from rest, None where none does."""
+    if each.edge is not None and first <= each.edge <= moves <= each.edge + lead + EARLIER:
+        # behind the first turn it comes from no rest
+        return None if seen.direction[each.edge : moves].any() else each.edge
+    begin = max(first, moves - lead - EARLIER)
+    resting = np.abs(seen.velocity[begin:moves]) <= SURE * seen.error
+    if moves - begin < 3 or not resting.all():
+        return None
+    jumps = np.abs(np.diff(each.command[max(begin - 1, 0) : moves + 1]))
+    whole = float(np.ptp(each.command[begin : moves + 1]))
+    if whole == 0 or jumps.max() < 0.5 * whole:
+        return None
+    edge = max(begin - 1, 0) + int(np.argmax(jumps)) + 1
+    return edge if edge - begin >= 2 else None
+
+
+def _distinct(position: Floats, rounding: float) -> int:
+    """Return the number of readings that say something of their own.
+
+    One that repeats the one before says nothing new; nor does, of a sensor with steps, one of a motion by as many steps
+    as in the row before: its rounding is the same.
+    """
+    changes = np.diff(position)
+    bends = np.abs(np.diff(changes)) > 0.1 * np.sqrt(12.0) * rounding if rounding > 0 else np.ones(len(changes))
+    return 1 + int(min(np.count_nonzero(changes), np.count_nonzero(bends) + 1))
+
+
+def _joined(recordings: list[Recording], even: list[Floats], cuts: list[_Cut], units: LogUnits, lead: int) -> Segments:
+    """Return segments with the rows of all recordings in units."""
+    offsets = np.concatenate([[0], np.cumsum([len(each.time) for each in recordings])]).astype(np.int64)
+    origins = [each.position[0] if units.origin is None else units.origin for each in recordings]
+    trial = np.array([cut.trial for cut in cuts], dtype=np.int64)
+    begin = offsets[trial]
+    least = np.array([(each.rounding / units.position) ** 2 + EXACT**2 for each in recordings])
+    inside = [(cut, recordings[cut.trial]) for cut in cuts]
+    whole = Segments(
+        offsets,
+        np.concatenate(even),
+        np.concatenate([each.command for each in recordings]) / units.command,
+        np.concatenate([each.position - x for each, x in zip(recordings, origins, strict=True)]) / units.position,
+        begin + np.array([cut.first for cut in cuts], dtype=np.int64),
+        begin + np.array([cut.behind for cut in cuts], dtype=np.int64),
+        trial,
+        np.array([ALWAYS if cut.edge is None else cut.edge + offsets[cut.trial] for cut in cuts], dtype=np.int64),
+        np.array([cut.direction for cut in cuts], dtype=np.float64),
+        np.array([_distinct(each.position[cut.first : cut.behind], each.rounding) for cut, each in inside], np.float64),
+        least[trial],
+        lead,
+        even=False,
+    )
+    return replace(whole, even=bool(len(cuts)) and _is_even(whole))
+
+
+def _is_even(segments: Segments) -> bool:
+    """Return whether the rows of segments, and the commands before them, are one sample apart."""
+    uneven = np.concatenate([[0], np.cumsum(np.abs(np.diff(segments.time) - 1) > 1e-6)])
+    first = np.maximum(segments.first - segments.lead, segments.begin)
+    return bool((uneven[segments.behind - 1] == uneven[first]).all())
