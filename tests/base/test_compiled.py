@@ -99,7 +99,7 @@ def test_folder_of_numba_itself_stays(started, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["pipeline.measured.identification.whitening", "pipeline.measured.identification.identified"]
+    "name", ["pipeline.measured.identification.kernels", "pipeline.measured.identification.identified"]
 )
 def test_an_import_loads_no_compiler(started, name):
     assert printed(started(f"import sys, {name}; print('numba' in sys.modules)")) == "False\n"

@@ -401,11 +401,11 @@ def whitened(
     T = L + q
     columns, known, lost = np.zeros((total + S * q, p + 1)), np.zeros(S), 0.0
     E, D = np.empty((longest + q, T)), np.empty((longest, P))
-    x, moved, a, aged = np.zeros((T, n)), np.zeros((T, n)), np.zeros((T, A)), np.zeros((T, A))
-    t, t_moved, ta, ta_aged = np.zeros((P, n)), np.zeros((P, n)), np.zeros((P, A)), np.zeros((P, A))
+    x, moved, a, aged = np.zeros((n, T)), np.zeros((n, T)), np.zeros((A, T)), np.zeros((A, T))
+    t, t_moved, ta, ta_aged = np.zeros((n, P)), np.zeros((n, P)), np.zeros((A, P)), np.zeros((A, P))
     e, e_t, c, lag_start = np.zeros(T), np.zeros(P), np.zeros(A), np.zeros(4)
     driven, acting, resting, beyond = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-    triangle, fitted, start = np.zeros((q, q)), np.zeros(q), np.zeros(n)
+    triangle, along, fitted, start = np.zeros((q, q)), np.zeros((q, p + 1)), np.zeros(q), np.zeros(n)
     filtered, steady = np.any(K != 0), len(spread) == 1
     row_place, out = 0, 0
     for s in range(S):
@@ -443,19 +443,19 @@ def whitened(
             oldest = newer
         for col in range(T):
             for i in range(n):
-                x[col, i] = 0.0
+                x[i, col] = 0.0
             for i in range(A):
-                a[col, i] = 0.0
+                a[i, col] = 0.0
         if lag > 0:
-            x[0, n - 1] = own_gain * lag_start[0]
+            x[n - 1, 0] = own_gain * lag_start[0]
             for j in range(p):
                 if codes[j] == GAIN:
-                    x[linear[j], n - 1] = lag_start[0]
+                    x[n - 1, linear[j]] = lag_start[0]
                 elif codes[j] == LIMIT:
-                    x[linear[j], n - 1] = own_gain * lag_start[1]
+                    x[n - 1, linear[j]] = own_gain * lag_start[1]
         for j in range(q):
             if j == 0 or not rests:
-                x[L + j, j] = oldest if lag > 0 and j == n - 1 else 1.0
+                x[j, L + j] = oldest if lag > 0 and j == n - 1 else 1.0
         for k in range(N):
             r = first[s] + k
             at = r if len(kind) > 1 else 0
@@ -463,25 +463,28 @@ def whitened(
             gain = K[0 if steady else row_place + k]
             deviation = spread[0 if steady else row_place + k]
             for col in range(T):
-                error = position[r] if col == 0 else 0.0
-                for i in range(n):
-                    error -= H[i] * x[col, i]
-                e[col] = error
-                E[k, col] = error / deviation
+                e[col] = 0.0
+            e[0] = position[r]
+            for i in range(n):
+                for col in range(T):
+                    e[col] -= H[i] * x[i, col]
+            for col in range(T):
+                E[k, col] = e[col] / deviation
             if k == N - 1:
                 break
             if filtered:
-                for col in range(T):
-                    for i in range(n):
-                        x[col, i] += gain[i] * e[col]
-                    for i in range(A):
-                        a[col, i] += gain[n + i] * e[col]
-            for col in range(T):
                 for i in range(n):
-                    value = 0.0
-                    for h in range(n):
-                        value += f[i, h] * x[col, h]
-                    moved[col, i] = value
+                    for col in range(T):
+                        x[i, col] += gain[i] * e[col]
+                for i in range(A):
+                    for col in range(T):
+                        a[i, col] += gain[n + i] * e[col]
+            for i in range(n):
+                for col in range(T):
+                    moved[i, col] = 0.0
+                for h in range(n):
+                    for col in range(T):
+                        moved[i, col] += f[i, h] * x[h, col]
             for i in range(n):
                 driven[i], acting[i], resting[i], beyond[i] = 0.0, 0.0, 0.0, 0.0
             for i in range(A):
@@ -500,32 +503,34 @@ def whitened(
                 if A > 0:
                     c[age[piece]] += late * value * width[piece]
             for i in range(n):
-                moved[0, i] += driven[i] * own_gain + acting[i] * direct
+                moved[i, 0] += driven[i] * own_gain + acting[i] * direct
                 if q:
                     # friction holds a device at rest against the spring
-                    moved[L, i] += gamma * resting[i]
+                    moved[i, L] += gamma * resting[i]
                 for j in range(p):
                     if codes[j] == GAIN:
-                        moved[linear[j], i] += driven[i]
+                        moved[i, linear[j]] += driven[i]
                     elif codes[j] == COULOMB:
-                        moved[linear[j], i] -= acting[i] * way
+                        moved[i, linear[j]] -= acting[i] * way
                     elif codes[j] == FORCE:
-                        moved[linear[j], i] += acting[i]
+                        moved[i, linear[j]] += acting[i]
                     elif codes[j] == LIMIT:
-                        moved[linear[j], i] += beyond[i] * own_gain
+                        moved[i, linear[j]] += beyond[i] * own_gain
                     elif codes[j] == SPRING:
-                        moved[linear[j], i] += acting[i] * spring[r]
+                        moved[i, linear[j]] += acting[i] * spring[r]
             if A:
                 for col in range(T):
-                    force = 0.0
-                    for i in range(A):
-                        force += c[i] * a[col, i]
-                        value = 0.0
-                        for j in range(A):
-                            value += M[j, i] * a[col, j]
-                        aged[col, i] = value
-                    for i in range(n):
-                        moved[col, i] += w[i] * force
+                    e[col] = 0.0
+                for i in range(A):
+                    for col in range(T):
+                        e[col] += c[i] * a[i, col]
+                        aged[i, col] = 0.0
+                    for j in range(A):
+                        for col in range(T):
+                            aged[i, col] += M[j, i] * a[j, col]
+                for i in range(n):
+                    for col in range(T):
+                        moved[i, col] += w[i] * e[col]
                 a, aged = aged, a
             x, moved = moved, x
         # the likeliest start: columns of its unknowns become orthonormal, with the rows of what is known before
@@ -571,19 +576,19 @@ def whitened(
                 if j == 0 or not rests:
                     start[j] = fitted[j] * (oldest if lag > 0 and j == n - 1 else 1.0)
             for i in range(n):
-                x[0, i] = start[i]
+                x[i, 0] = start[i]
                 for j in range(P):
-                    t[j, i] = 0.0
+                    t[i, j] = 0.0
             for i in range(A):
-                a[0, i] = 0.0
+                a[i, 0] = 0.0
                 for j in range(P):
-                    ta[j, i] = 0.0
+                    ta[i, j] = 0.0
             if lag > 0:
-                x[0, n - 1] += own_gain * lag_start[0]
+                x[n - 1, 0] += own_gain * lag_start[0]
                 if places[1] >= 0:
-                    t[places[1], n - 1] = own_gain * lag_start[2]
+                    t[n - 1, places[1]] = own_gain * lag_start[2]
                 if places[2] >= 0:
-                    t[places[2], n - 1] = own_gain * lag_start[3]
+                    t[n - 1, places[2]] = own_gain * lag_start[3]
             for k in range(N):
                 r = first[s] + k
                 at = r if len(kind) > 1 else 0
@@ -592,34 +597,33 @@ def whitened(
                 deviation = spread[0 if steady else row_place + k]
                 error = position[r]
                 for i in range(n):
-                    error -= H[i] * x[0, i]
+                    error -= H[i] * x[i, 0]
                 for j in range(P):
-                    value = 0.0
-                    for i in range(n):
-                        value -= H[i] * t[j, i] + dH[j, i] * x[0, i]
-                    e_t[j] = value
-                    D[k, j] = -value / deviation
+                    e_t[j] = 0.0
+                for i in range(n):
+                    for j in range(P):
+                        e_t[j] -= H[i] * t[i, j] + dH[j, i] * x[i, 0]
+                for j in range(P):
+                    D[k, j] = -e_t[j] / deviation
                 if k == N - 1:
                     break
                 if filtered:
                     for i in range(n):
-                        x[0, i] += gain[i] * error
+                        x[i, 0] += gain[i] * error
                         for j in range(P):
-                            t[j, i] += gain[i] * e_t[j]
+                            t[i, j] += gain[i] * e_t[j]
                     for i in range(A):
-                        a[0, i] += gain[n + i] * error
+                        a[i, 0] += gain[n + i] * error
                         for j in range(P):
-                            ta[j, i] += gain[n + i] * e_t[j]
+                            ta[i, j] += gain[n + i] * e_t[j]
                 for i in range(n):
-                    value = 0.0
-                    for h in range(n):
-                        value += f[i, h] * x[0, h]
-                    moved[0, i] = value
+                    moved[i, 0] = 0.0
                     for j in range(P):
-                        value = 0.0
-                        for h in range(n):
-                            value += f[i, h] * t[j, h] + df[j, i, h] * x[0, h]
-                        t_moved[j, i] = value
+                        t_moved[i, j] = 0.0
+                    for h in range(n):
+                        moved[i, 0] += f[i, h] * x[h, 0]
+                        for j in range(P):
+                            t_moved[i, j] += f[i, h] * t[h, j] + df[j, i, h] * x[h, 0]
                 for i in range(A):
                     c[i] = 0.0
                 for piece in range(offset[at], offset[at + 1]):
@@ -628,35 +632,31 @@ def whitened(
                     value = min(max(command[min(max(row, begin[s]), behind[s] - 1)] * acts, -limit), limit)
                     driven_by, pushed_by = value * own_gain, direct * acts + gamma * (1.0 - acts) * start[0]
                     for i in range(n):
-                        moved[0, i] += G[piece, i, 0] * driven_by + G[piece, i, 1] * pushed_by
+                        moved[i, 0] += G[piece, i, 0] * driven_by + G[piece, i, 1] * pushed_by
                         if places[0] >= 0:
-                            t_moved[places[0], i] += G[piece, i, 1] * (1.0 - acts) * start[0]
+                            t_moved[i, places[0]] += G[piece, i, 1] * (1.0 - acts) * start[0]
                         for j in range(P):
-                            t_moved[j, i] += dG[piece, j, i, 0] * driven_by + dG[piece, j, i, 1] * pushed_by
+                            t_moved[i, j] += dG[piece, j, i, 0] * driven_by + dG[piece, j, i, 1] * pushed_by
                     if A > 0:
                         c[age[piece]] += late * value * width[piece]
                 if A:
                     force = 0.0
-                    for i in range(A):
-                        force += c[i] * a[0, i]
-                    for i in range(n):
-                        moved[0, i] += w[i] * force
                     for j in range(P):
-                        along = 0.0
-                        for i in range(A):
-                            along += c[i] * ta[j, i]
-                        for i in range(n):
-                            t_moved[j, i] += w[i] * along + dw[j, i] * force
+                        e_t[j] = 0.0
                     for i in range(A):
-                        value = 0.0
-                        for h in range(A):
-                            value += M[h, i] * a[0, h]
-                        aged[0, i] = value
+                        force += c[i] * a[i, 0]
+                        aged[i, 0] = 0.0
                         for j in range(P):
-                            value = 0.0
-                            for h in range(A):
-                                value += M[h, i] * ta[j, h]
-                            ta_aged[j, i] = value
+                            e_t[j] += c[i] * ta[i, j]
+                            ta_aged[i, j] = 0.0
+                        for h in range(A):
+                            aged[i, 0] += M[h, i] * a[h, 0]
+                            for j in range(P):
+                                ta_aged[i, j] += M[h, i] * ta[h, j]
+                    for i in range(n):
+                        moved[i, 0] += w[i] * force
+                        for j in range(P):
+                            t_moved[i, j] += w[i] * e_t[j] + dw[j, i] * force
                     a, aged = aged, a
                     ta, ta_aged = ta_aged, ta
                 x, moved = moved, x
@@ -668,16 +668,16 @@ def whitened(
                 columns[out + k, j] = value
                 common += shifts[s, j] * value
             columns[out + k, p] = common
-        for j in range(p + 1):
+        for i in range(q):
+            for j in range(p + 1):
+                along[i, j] = 0.0
+            for k in range(N):
+                for j in range(p + 1):
+                    along[i, j] += E[k, L + i] * columns[out + k, j]
+        for k in range(N + q):
             for i in range(q):
-                fitted[i] = 0.0
-                for k in range(N):
-                    fitted[i] += E[k, L + i] * columns[out + k, j]
-            for k in range(N + q):
-                value = 0.0
-                for i in range(q):
-                    value += E[k, L + i] * fitted[i]
-                columns[out + k, j] -= value
+                for j in range(p + 1):
+                    columns[out + k, j] -= E[k, L + i] * along[i, j]
         row_place += N
         out += N + q
     return columns, known, lost
