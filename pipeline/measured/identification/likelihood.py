@@ -236,16 +236,16 @@ def blocks(segments: Segments, columns: int) -> list[Segments]:
     return [segments.chosen(slice(a, b)) for a, b in pairwise(cuts)] if len(cuts) > 2 else [segments]
 
 
-def portions_of(segments: Segments, trials: int) -> int:
+def portions_of(segments: Segments) -> int:
     """Return into how many portions each segment is cut; 0 with `FEWEST` trials, each of which is one unit."""
-    return 0 if trials >= FEWEST else max(1, -(-PORTIONS // max(len(segments), 1)))
+    return 0 if segments.trials >= FEWEST else max(1, -(-PORTIONS // max(len(segments), 1)))
 
 
 @np.errstate(all="ignore")  # numbers far off overflow: they are impossible, and a search leaves them
-def moments_of(segments: Segments, device: Device, trials: int) -> Moments:
+def moments_of(segments: Segments, device: Device) -> Moments:
     """Return the moments of all units (trials, or portions) at a device."""
-    p, portions = len(device.names), portions_of(segments, trials)
-    units = len(segments) * portions if portions else trials
+    p, portions = len(device.names), portions_of(segments)
+    units = len(segments) * portions if portions else segments.trials
     factors, rows, lost, place = np.zeros((units, p + 1, p + 1)), np.zeros(units), 0.0, 0
     for part in blocks(segments, p + 1):
         columns = columns_of(part, device, device.names, whole=segments)
@@ -268,9 +268,9 @@ def moments_of(segments: Segments, device: Device, trials: int) -> Moments:
     return Moments(factors, rows, float(np.median(segments.least)), lost, before)
 
 
-def fitted(segments: Segments, device: Device, trials: int, places: Integers) -> Fit:
+def fitted(segments: Segments, device: Device, places: Integers) -> Fit:
     """Return what the likelihood says at a device, with scatter between trials of the numbers at some places."""
-    moments = moments_of(segments, device, trials)
+    moments = moments_of(segments, device)
     if not (np.abs(moments.factors) < LARGEST_FACTOR).all() or not np.isfinite(moments.log_spread):
         nothing, rows = np.zeros_like(moments.factors), np.ones(len(moments.factors))
         moments = replace(moments, factors=nothing, rows=rows, log_spread=np.inf)
@@ -279,11 +279,19 @@ def fitted(segments: Segments, device: Device, trials: int, places: Integers) ->
     device = replace(device, effects=solved.effects if len(places) else None, reading=solved.noise)
     p = len(device.names)
     return Fit(
-        device, solved, moments, places, trials < FEWEST, alike, np.zeros(p), np.zeros((PHASES, p)), np.zeros((1, p))
+        device,
+        solved,
+        moments,
+        places,
+        segments.trials < FEWEST,
+        alike,
+        np.zeros(p),
+        np.zeros((PHASES, p)),
+        np.zeros((1, p)),
     )
 
 
-def phases_of(segments: Segments, fit: Fit, trials: int) -> Floats:
+def phases_of(segments: Segments, fit: Fit) -> Floats:
     """Return the step of the numbers that the errors in each phase of the motion ask for, shape (8, p); together none.
 
     Phases are both directions on both sides of the middle of all readings, each slow and fast. Each adds the product of
@@ -292,7 +300,7 @@ def phases_of(segments: Segments, fit: Fit, trials: int) -> Floats:
 
     Source: the sandwich estimate with few clusters; White 1982, "Maximum likelihood estimation of misspecified models".
     """
-    solved, p, portions = fit.solved, len(fit.device.names), portions_of(segments, trials)
+    solved, p, portions = fit.solved, len(fit.device.names), portions_of(segments)
     rate, position = _rate(segments), segments.position[segments.places]
     middle, usual = float(np.median(position)), float(np.median(np.abs(rate)))
     phase = 4 * (position > middle) + 2 * (rate > 0) + (np.abs(rate) > usual)

@@ -205,20 +205,20 @@ def _choice(recordings: list[Recording], units: LogUnits) -> Choice:
     rows = int(np.median([len(each.time) for each in some]))
     base, assumed = _base(some)
     begin = _begin(some, units, base, int(np.clip(rows // 8, 2, LONGEST_DELAY)))
-    lead, trials = int(np.ceil(max(each.numbers.get("delay", 0.0) for each in begin))) + 3, len(some)
+    lead = int(np.ceil(max(each.numbers.get("delay", 0.0) for each in begin))) + 3
     fit, segments, parts, bounds = _first(some, units, lead, begin)
-    fit, parts = _further(segments, fit, parts, trials)
+    fit, parts = _further(segments, fit, parts)
     if set(parts) - {"friction", "stiffness"}:
         segments, fit, parts = _pruned((some, units, lead), segments, fit, parts)
     if len(places) < len(recordings):
         segments = segments_of(recordings, units, lead, "friction" in parts)
-    fit = ended(segments, replace(fit.device, effects=None), len(recordings))
+    fit = ended(segments, replace(fit.device, effects=None))
     if fit.few and "coulomb" in fit.device.numbers and "delay" in fit.device.numbers:
-        fit = _spanned(segments, fit, len(recordings), lead)
+        fit = _spanned(segments, fit, lead)
     numbers = fit.device.numbers
     absent = (name for name in bounds if ESTIMATED[name].number not in numbers)
     bounds = {name: bounds[name] for name in absent if bounds[name] <= _largest_bound(name, units)}
-    if lag := _unseen_lag(segments, fit, len(recordings)):
+    if lag := _unseen_lag(segments, fit):
         bounds |= {"actuator_lag_s": lag * units.period, "delay_samples": numbers["delay"] - lag}
     elif numbers.get("lag", np.inf) < IMITATED:
         bounds["delay_samples"] = numbers["delay"] + numbers["lag"]
@@ -234,7 +234,7 @@ def _largest_bound(name: str, units: LogUnits) -> float:
     return {"friction.coulomb": units.command, "stiffness": 2 * units.command / units.position}[name]
 
 
-def _spanned(segments: Segments, fit: Fit, trials: int, lead: int) -> Fit:
+def _spanned(segments: Segments, fit: Fit, lead: int) -> Fit:
     """Return the likeliest of several optima, with intervals that reach to those that the logs do not exclude.
 
     With friction few logs leave several: where a motion turns depends on both friction and delay. They are searched
@@ -246,17 +246,17 @@ def _spanned(segments: Segments, fit: Fit, trials: int, lead: int) -> Fit:
         for delay in np.unique(np.linspace(0, max(lead - 3, 1), DELAYS).round())
         for share in FRICTIONS
     ]
-    climbs = (climbed(segments, device, trials, SOME_STEPS) for device in starts)
-    fits = [fit, *(refined(segments, each, trials, LAST_STEPS, far=False, noisy=False) for each in climbs)]
+    climbs = (climbed(segments, device, SOME_STEPS) for device in starts)
+    fits = [fit, *(refined(segments, each, LAST_STEPS, far=False, noisy=False) for each in climbs)]
     best = max(fits, key=lambda each: each.likelihood)
-    best = fit if best.likelihood < fit.likelihood + DONE else ended(segments, best.device, trials)
+    best = fit if best.likelihood < fit.likelihood + DONE else ended(segments, best.device)
     # the last climb may go beyond all others
     near = [best, *(each for each in fits if each.likelihood > best.likelihood - BESIDE * best.alike)]
     steps = [np.array(list(each.device.numbers.values())) - list(best.device.numbers.values()) for each in near]
     return replace(best, optima=np.stack(steps))
 
 
-def _unseen_lag(segments: Segments, fit: Fit, trials: int) -> float:
+def _unseen_lag(segments: Segments, fit: Fit) -> float:
     """Return the upper end of the lag [samples] that a delay longer by as much stands for.
 
     Up to the second order in its length a lag is a delay. Beside a lag or a mode none is looked for.
@@ -271,8 +271,8 @@ def _unseen_lag(segments: Segments, fit: Fit, trials: int) -> float:
         device = replace(alone, numbers=numbers | late)
         # from where the others are likeliest beside it: what is foretold from afar is too good
         step = np.zeros(len(device.names))
-        step[: len(numbers)] = _others(some, device, trials, "lag", fit.places).step
-        return _others(some, device.stepped(step), trials, "lag", fit.places).likelihood
+        step[: len(numbers)] = _others(some, device, "lag", fit.places).step
+        return _others(some, device.stepped(step), "lag", fit.places).likelihood
 
     most, end = likelihood(0.0), 0.0
     for lag in (lag for lag in UNSEEN if lag <= numbers["delay"]):
@@ -287,7 +287,7 @@ def again(choice: Choice, recordings: list[Recording]) -> Choice:
     """Return the fit of other recordings with the parts of an earlier choice, from its numbers on."""
     found, units = choice.fit, choice.units
     segments = segments_of(recordings, units, choice.segments.lead, choice.moving)
-    fit = ended(segments, replace(found.device, effects=None), len(recordings))
+    fit = ended(segments, replace(found.device, effects=None))
     return Choice(fit, segments, units, choice.parts, choice.assumed)
 
 
@@ -300,24 +300,20 @@ def _first(
 
     Bounds are the upper ends of friction and spring [SI] with both in the fit.
     """
-    trials, bounds, fit = len(recordings), {}, None
+    bounds, fit = {}, None
     if "coulomb" in begin[0].numbers and len(segments := segments_of(recordings, units, lead, True)):
-        whole = _searched(segments, begin, trials)
+        whole = _searched(segments, begin)
         bounds = {name: _upper(whole, name, units) for name in ("friction.coulomb", "stiffness")}
-        fit, parts = _worth(segments, whole, trials, begin[0])
+        fit, parts = _worth(segments, whole, begin[0])
         gain, numbers = _loss(fit, "coulomb"), fit.device.numbers
         rubs = gain > WORTH and numbers["coulomb"] / numbers["gain"] > SLIGHT
         if rubs or _upper(fit, "friction.coulomb", units) >= OPEN * units.command:
             return fit, segments, {"friction": gain if rubs else 0.0} | parts, bounds
     segments = segments_of(recordings, units, lead, False)
     starts = [_sliding(each) for each in begin]
-    fit = (
-        refined(segments, _sliding(fit.device), trials, far=False)
-        if fit is not None
-        else _searched(segments, starts, trials)
-    )
+    fit = refined(segments, _sliding(fit.device), far=False) if fit is not None else _searched(segments, starts)
     bounds["stiffness"] = _upper(fit, "stiffness", units)
-    fit, parts = _worth(segments, fit, trials, starts[0])
+    fit, parts = _worth(segments, fit, starts[0])
     return fit, segments, parts, bounds
 
 
@@ -326,7 +322,7 @@ def _upper(fit: Fit, name: str, units: LogUnits) -> float:
     return Errors.of(fit).interval(ESTIMATED[name].quantity(units), ends_at_zero=True).high
 
 
-def _worth(segments: Segments, fit: Fit, trials: int, begin: Device) -> tuple[Fit, dict[str, float]]:
+def _worth(segments: Segments, fit: Fit, begin: Device) -> tuple[Fit, dict[str, float]]:
     """Return the fit with its spring where there is one, else without.
 
     Where there seems to be one the search climbs without it, too, from where it began: behind one wall a spring may
@@ -335,9 +331,9 @@ def _worth(segments: Segments, fit: Fit, trials: int, begin: Device) -> tuple[Fi
     gain, numbers = _loss(fit, "gamma"), fit.device.numbers
     # in units of the largest command, at the largest displacement
     if gain > WORTH and abs(numbers["gamma"] / numbers["gain"]) > SLIGHT:
-        free = refined(segments, _springless(begin), trials)
+        free = refined(segments, _springless(begin))
         return (free, {}) if free.likelihood > fit.likelihood - WORTH else (fit, {"stiffness": gain})
-    return refined(segments, _springless(fit.device), trials, far=False, noisy=False), {}
+    return refined(segments, _springless(fit.device), far=False, noisy=False), {}
 
 
 def _springless(device: Device) -> Device:
@@ -383,10 +379,10 @@ def _begin(recordings: list[Recording], units: LogUnits, base: tuple[str, ...], 
             "logs, with the step nearer to their begin"
         )
     parts = [segments, *(segments.shorter(rows) for rows in SHORTER if segments.rows.max() > 2 * rows)]
-    return [device for part in parts for device in _first_devices(part, names, lead, len(recordings))]
+    return [device for part in parts for device in _first_devices(part, names, lead)]
 
 
-def _first_devices(segments: Segments, names: tuple[str, ...], lead: int, trials: int) -> list[Device]:
+def _first_devices(segments: Segments, names: tuple[str, ...], lead: int) -> list[Device]:
     """Return two devices from which a search starts, the likelier first: by the balance with a spring, and without.
 
     Behind one wall the command is a spring and a damper of its own: but for the delay, a device with these and no gain
@@ -399,36 +395,36 @@ def _first_devices(segments: Segments, names: tuple[str, ...], lead: int, trials
         return [found]
     free = replace(free, numbers={name: free.numbers.get(name, 0.0) for name in names})
     some = _some(segments)
-    return sorted((found, free), key=lambda device: -_likelihood(some, device, trials))
+    return sorted((found, free), key=lambda device: -_likelihood(some, device))
 
 
-def _searched(segments: Segments, begin: list[Device], trials: int) -> Fit:
+def _searched(segments: Segments, begin: list[Device]) -> Fit:
     """Return the likeliest fit from the first of some devices.
 
     Where it leaves a random force, the search also climbs from all of them without one: a random force that is found
     before the search ends may replace friction, a delay, or a fast motion.
     """
-    fit = refined(segments, begin[0], trials)
-    if trials < FEWEST and len(begin) > 1:
-        fit = max(fit, refined(segments, begin[1], trials), key=lambda each: each.likelihood)
-    if fit.device.noise == WHITE or (len(begin) <= STARTS and trials >= FEWEST):
+    fit = refined(segments, begin[0])
+    if segments.trials < FEWEST and len(begin) > 1:
+        fit = max(fit, refined(segments, begin[1]), key=lambda each: each.likelihood)
+    if fit.device.noise == WHITE or (len(begin) <= STARTS and segments.trials >= FEWEST):
         return fit
     some = _some(segments)
-    climbs = [climbed(some, device, trials) for device in begin]
-    if trials >= FEWEST:
-        climbs = [max(climbs, key=lambda device: _likelihood(some, device, trials))]
-    other = max((refined(some, each, trials, far=False) for each in climbs), key=lambda each: each.likelihood)
+    climbs = [climbed(some, device) for device in begin]
+    if segments.trials >= FEWEST:
+        climbs = [max(climbs, key=lambda device: _likelihood(some, device))]
+    other = max((refined(some, each, far=False) for each in climbs), key=lambda each: each.likelihood)
     if some is not segments:
-        whole = refined(some, replace(fit.device, effects=None), trials, far=False)
+        whole = refined(some, replace(fit.device, effects=None), far=False)
         if other.likelihood <= whole.likelihood + WORTH:
             return fit
-        other = refined(segments, replace(other.device, effects=None), trials, far=False)
+        other = refined(segments, replace(other.device, effects=None), far=False)
     return other if other.likelihood > fit.likelihood else fit
 
 
-def _likelihood(segments: Segments, device: Device, trials: int) -> float:
+def _likelihood(segments: Segments, device: Device) -> float:
     """Return the likelihood of a device as it is."""
-    return solve(moments_of(segments, device, trials), np.empty(0, dtype=np.int64)).here
+    return solve(moments_of(segments, device), np.empty(0, dtype=np.int64)).here
 
 
 def _pruned(
@@ -451,7 +447,7 @@ def _pruned(
                 continue
             segments = segments_of(recordings, units, lead, False)
         left = {key: value for key, value in fit.device.numbers.items() if key != number}
-        fit = refined(segments, replace(fit.device, numbers=left, effects=None), len(recordings), far=False)
+        fit = refined(segments, replace(fit.device, numbers=left, effects=None), far=False)
         parts = {key: value for key, value in parts.items() if key != name}
     return segments, fit, parts
 
@@ -462,7 +458,7 @@ def _loss(fit: Fit, name: str) -> float:
     return 0.5 * (found.value / found.error) ** 2 if found.value > 0 and found.error > 0 else 0.0
 
 
-def _further(segments: Segments, fit: Fit, parts: dict[str, float], trials: int) -> tuple[Fit, dict[str, float]]:
+def _further(segments: Segments, fit: Fit, parts: dict[str, float]) -> tuple[Fit, dict[str, float]]:
     """Return the fit with largest force, lag and mode: the likeliest first, as each may stand for another."""
     some = _some(segments)
     left = {
@@ -474,7 +470,7 @@ def _further(segments: Segments, fit: Fit, parts: dict[str, float], trials: int)
     }
     while left and "delay" in fit.device.numbers:
         alone, tried = replace(fit.device, effects=None), {}
-        plain = refined(some, alone, trials, far=False)
+        plain = refined(some, alone, far=False)
         # where the noise of readings alone is left, most parts are seen to be none from where a search starts
         least = ROUNDED_ROW * float(some.rows.sum()) if plain.device.noise == WHITE else -np.inf
         # a part leaves no jitter where there was none without it
@@ -482,11 +478,11 @@ def _further(segments: Segments, fit: Fit, parts: dict[str, float], trials: int)
         for name, size in left.items():
             if NUMBERS[name][0] in alone.names or (name == "load damping" and "mode" not in parts):
                 continue
-            start = _having(some, alone, trials, name)
+            start = _having(some, alone, name)
             enough = min(least, CLOSER) if name == "load damping" else least
-            if _promise(some, start, trials, name) - _promise(some, plain.device, trials, name) < enough:
+            if _promise(some, start, name) - _promise(some, plain.device, name) < enough:
                 continue
-            other = refined(some, start, trials, SOME_STEPS, jitters=jitters)
+            other = refined(some, start, SOME_STEPS, jitters=jitters)
             worth = WORTH + CLOSER * (len(NUMBERS[name]) - 1)
             if not (size and _loss(other, size) < WORTH) and other.likelihood - plain.likelihood >= worth:
                 tried[name] = other
@@ -494,15 +490,15 @@ def _further(segments: Segments, fit: Fit, parts: dict[str, float], trials: int)
             break
         name = max(tried, key=lambda each: tried[each].likelihood - CLOSER * len(NUMBERS[each]))
         # far from the solution noise may stand for what is left: it is looked for anew
-        other = refined(segments, replace(tried[name].device, effects=None), trials, far=False)
-        fit = plain if some is segments else refined(segments, alone, trials, far=False)
+        other = refined(segments, replace(tried[name].device, effects=None), far=False)
+        fit = plain if some is segments else refined(segments, alone, far=False)
         gain = held_out(other) - held_out(fit)
         if gain > WORTH * len(NUMBERS[name]) and _is_inside(other.device, name) and _takes_away(fit, other):
             fit, parts = other, parts | {name: gain}
         del left[name]
     if fit.device.noise.jitter and set(parts) - {"friction", "stiffness"}:
         # a jitter may have stood for what was left before the part was found to the end
-        fit = refined(segments, replace(fit.device, effects=None), trials, far=False)
+        fit = refined(segments, replace(fit.device, effects=None), far=False)
     return fit, parts
 
 
@@ -532,7 +528,7 @@ def _takes_away(fit: Fit, other: Fit) -> bool:
     return (behind.force == 0 or before.jitter > 0) and behind.jitter**2 <= LEFT * before.jitter**2
 
 
-def _having(segments: Segments, device: Device, trials: int, part: str) -> Device:
+def _having(segments: Segments, device: Device, part: str) -> Device:
     """Return a device with one part more, from which a search starts: the one that leaves least as noise.
 
     A jitter, or all of a random force, would take its place; without any the slowest of what is left counts most.
@@ -563,25 +559,25 @@ def _having(segments: Segments, device: Device, trials: int, part: str) -> Devic
             if turn <= 1
         ]
         tried += [each | {"delay": max(delay - np.pi / 2 / each["mode_frequency"], 0.0)} for each in tried]
-    found = _best(segments, device, trials, part, tried)
+    found = _best(segments, device, part, tried)
     if (closer := NUMBERS[part][0]) in ("limit", "mode_frequency"):
         near = [found.numbers[closer] * factor for factor in NEARBY]
-        found = _best(segments, found, trials, part, [{closer: value} for value in near if value < LIMITS[closer][1]])
+        found = _best(segments, found, part, [{closer: value} for value in near if value < LIMITS[closer][1]])
     return replace(found, noise=WHITE)
 
 
-def _best(segments: Segments, device: Device, trials: int, part: str, some: list[dict[str, float]]) -> Device:
+def _best(segments: Segments, device: Device, part: str, some: list[dict[str, float]]) -> Device:
     """Return the likeliest of some devices with a part as it stands, each with the best of its other numbers."""
     devices = (replace(device, numbers=device.numbers | each) for each in some)
-    return max(devices, key=lambda each: _promise(segments, each, trials, part))
+    return max(devices, key=lambda each: _promise(segments, each, part))
 
 
-def _promise(segments: Segments, device: Device, trials: int, part: str) -> float:
+def _promise(segments: Segments, device: Device, part: str) -> float:
     """Return the likelihood of a device with the best of the numbers that are not a part's."""
-    return _others(segments, device, trials, part, np.empty(0, dtype=np.int64)).likelihood
+    return _others(segments, device, part, np.empty(0, dtype=np.int64)).likelihood
 
 
-def _others(segments: Segments, device: Device, trials: int, part: str, random: Integers) -> Solved:
+def _others(segments: Segments, device: Device, part: str, random: Integers) -> Solved:
     """Return the estimate of the numbers that are not a part's, in order, with scatter of those at some places."""
     others = [i for i, name in enumerate(device.names) if name not in NUMBERS[part]]
-    return solve(moments_of(segments, device, trials).some(others), random)
+    return solve(moments_of(segments, device).some(others), random)

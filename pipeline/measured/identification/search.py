@@ -31,7 +31,6 @@ NOISE_ROUNDS = 4
 def refined(
     segments: Segments,
     device: Device,
-    trials: int,
     steps: int = STEPS,
     *,
     far: bool = True,
@@ -44,8 +43,6 @@ def refined(
     ----------
     segments : Segments
     device : Device
-    trials : int
-        Number of trials, of which some may have no segment.
     steps : int
         Most steps.
     far : bool
@@ -55,52 +52,52 @@ def refined(
     jitters : bool
         Whether a jitter of the delay may be part of it.
     """
-    scattered = SCATTERED if trials >= FEWEST else ()
+    scattered = SCATTERED if segments.trials >= FEWEST else ()
     places = np.array([i for i, name in enumerate(device.names) if name in scattered], dtype=np.int64)
     if far:
         for late in (False, jitters):
-            device = _climbed(fitted(segments, device, trials, places[:0]), segments, trials, FIXED_STEPS).device
+            device = _climbed(fitted(segments, device, places[:0]), segments, FIXED_STEPS).device
             device = replace(device, noise=noise_and_jitter(segments, device, jitters=late)) if noisy else device
     elif noisy:
         device = replace(device, noise=noise_and_jitter(segments, device, jitters=jitters))
-    start = fitted(segments, device, trials, places)
-    found = _climbed(start, segments, trials, steps)
+    start = fitted(segments, device, places)
+    found = _climbed(start, segments, steps)
     for _ in range(NOISE_ROUNDS if noisy else 0):
         if found.likelihood - start.likelihood < WORTH:
             break
         # what was noise where the search began may be motion where it ends
         device = replace(found.device, noise=noise_and_jitter(segments, found.device, jitters=jitters))
-        start = fitted(segments, device, trials, places)
-        again = _climbed(start, segments, trials, steps)
+        start = fitted(segments, device, places)
+        again = _climbed(start, segments, steps)
         if again.likelihood <= found.likelihood:
             break
         found = again
     if noisy and found.device.noise != WHITE:
-        plain = fitted(segments, replace(found.device, noise=WHITE), trials, places)
+        plain = fitted(segments, replace(found.device, noise=WHITE), places)
         # what a step foretells from afar is too good
         if plain.likelihood > found.likelihood - WORTH:
-            plain = _climbed(plain, segments, trials, steps)
+            plain = _climbed(plain, segments, steps)
             found = plain if plain.likelihood > found.likelihood else found
     return found
 
 
-def climbed(segments: Segments, device: Device, trials: int, steps: int = STEPS) -> Device:
+def climbed(segments: Segments, device: Device, steps: int = STEPS) -> Device:
     """Return the local optimum of the likelihood near a device, with its noise fixed and no scatter between trials."""
-    return _climbed(fitted(segments, device, trials, np.empty(0, dtype=np.int64)), segments, trials, steps).device
+    return _climbed(fitted(segments, device, np.empty(0, dtype=np.int64)), segments, steps).device
 
 
-def ended(segments: Segments, device: Device, trials: int) -> Fit:
+def ended(segments: Segments, device: Device) -> Fit:
     """Return the likeliest fit from a device on that is near it, with what its jitter leaves open."""
-    fit = refined(segments, device, trials, LAST_STEPS, far=False, noisy=False)
-    fit = replace(fit, phases=phases_of(segments, fit, trials))
+    fit = refined(segments, device, LAST_STEPS, far=False, noisy=False)
+    fit = replace(fit, phases=phases_of(segments, fit))
     noise = fit.device.noise
     if not noise.jitter:
         return fit
     other = replace(noise, jitter=noise.jitter + noise.jitter_error)
-    return replace(fit, open=fitted(segments, replace(fit.device, noise=other), trials, fit.places).solved.step)
+    return replace(fit, open=fitted(segments, replace(fit.device, noise=other), fit.places).solved.step)
 
 
-def _climbed(fit: Fit, segments: Segments, trials: int, steps: int) -> Fit:
+def _climbed(fit: Fit, segments: Segments, steps: int) -> Fit:
     """Return the likeliest fit that Newton's steps lead to, each of them cut until the likelihood does not fall."""
     for _ in range(steps):
         for cut in CUTS:
@@ -108,7 +105,7 @@ def _climbed(fit: Fit, segments: Segments, trials: int, steps: int) -> Fit:
             change = np.array(list(device.numbers.values())) - np.array(list(fit.device.numbers.values()))
             if float(change @ fit.solved.total @ change) < DONE:
                 return fit
-            tried = fitted(segments, device, trials, fit.places)
+            tried = fitted(segments, device, fit.places)
             gain = tried.solved.here - fit.solved.here
             if gain > 0:
                 break

@@ -82,6 +82,11 @@ class Segments:
     def __len__(self) -> int:
         return len(self.first)
 
+    @property
+    def trials(self) -> int:
+        """Number of trials T, of which some may have no segment."""
+        return len(self.offsets) - 1
+
     @cached_property
     def rows(self) -> Integers:
         """Number of rows of each segment, shape (S,)."""

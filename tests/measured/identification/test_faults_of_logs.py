@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from any_experiment import Rig, Trial, recorded
+
+from pipeline.base.errors import ParameterError
 from pipeline.measured.identification import likelihood
 from pipeline.measured.identification.identified import identified
 from pipeline.measured.identification.motion import PlantShape, Transitions
@@ -12,8 +14,6 @@ from pipeline.measured.identification.noise import Noise, gains_of
 from pipeline.measured.identification.recordings import LogUnits, Recording
 from pipeline.measured.identification.search import climbed
 from pipeline.measured.identification.segments import segments_of
-
-from pipeline.base.errors import ParameterError
 
 
 def motor(command, *, inertia, damping, friction=0.0, delay=0.0, period=2e-3, resolution=0.0, name="a"):
@@ -189,7 +189,7 @@ def test_a_device_far_beyond_computing_is_left_as_it_is():
     log = Recording("a", np.arange(60.0), np.ones(60), np.arange(60.0) ** 2, 1.0)
     held = segments_of([log], LogUnits.of([log]), 6, False)
     far = likelihood.Device({"gain": 1.0, "delta": -1e4, "gamma": -1e4}, Noise(0.306))
-    assert climbed(held, far, 1, 2).numbers == far.numbers
+    assert climbed(held, far, 2).numbers == far.numbers
 
 
 def test_results_do_not_depend_on_how_much_is_computed_together(monkeypatch):
