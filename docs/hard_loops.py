@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.signal import butter
 
-from pipeline.records.batch import Floats
+from pipeline.records.trials import Floats
 
 _PLACES = 24
 """Places of each hold at which the motion is looked at: it turns at most once between two of them."""

@@ -17,13 +17,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.linalg import expm
+
 from pipeline.measured.identification.estimated import ESTIMATED
 from pipeline.measured.identification.identified import Identification, identified
 from pipeline.measured.identification.intervals import Interval
 from pipeline.measured.identification.recordings import Recording
-from scipy.linalg import expm
-
-from pipeline.records.batch import Floats
+from pipeline.records.trials import Floats
 from pipeline.simulation.simulate import age_in_force
 
 PAGE = Path(__file__).with_name("coverage.md")

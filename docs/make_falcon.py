@@ -25,8 +25,8 @@ from pipeline.device.parts import LoopParts, Mode
 from pipeline.device_data.devices import load_device
 from pipeline.device_data.published import find
 from pipeline.measured.signal.verdict import judge
-from pipeline.records.batch import Floats
 from pipeline.records.models import Device
+from pipeline.records.trials import Floats, Trial
 from pipeline.simulation.course import Course, run_course
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
@@ -143,14 +143,20 @@ def _held(mode: Mode, mass: float) -> Mode:
 
 def limits(course: Course) -> Floats:
     """Return damping and stiffness limit, shape (n, 2), of each damping with an unstable trial."""
-    batch, found = course.batch, []
-    for damping in np.unique(batch.damping[batch.damping >= 0]):
-        at = (batch.damping == damping) & (batch.stiffness > 0)
-        unstable = batch.stiffness[at & (course.verdict == "unstable")].min(initial=inf)
-        stable = batch.stiffness[at & (course.verdict == "stable") & (batch.stiffness < unstable)].max(initial=0.0)
+    (K, B), found = (course.trials.stiffness, course.trials.damping), []
+    for damping in np.unique(B[B >= 0]):
+        at = (damping == B) & (K > 0)
+        unstable = K[at & (course.verdict == "unstable")].min(initial=inf)
+        stable = K[at & (course.verdict == "stable") & (unstable > K)].max(initial=0.0)
         if unstable < inf:
             found.append((damping, 0.5 * (stable + unstable)))
     return np.array(found).reshape(-1, 2)
+
+
+def stable_trials(course: Course) -> list[Trial]:
+    """Return the stable trials behind a wall."""
+    verdicts = zip(course.trials, course.verdict.tolist(), strict=True)
+    return [trial for trial, verdict in verdicts if verdict == "stable" and trial.stiffness > 0]
 
 
 def costs(course: Course, measured: bool) -> dict[str, Floats]:
@@ -158,9 +164,9 @@ def costs(course: Course, measured: bool) -> dict[str, Floats]:
 
     ``measured`` takes the mean of the last samples as final position in place of x_0 + F_0/K.
     """
-    batch, edge = course.batch, course.setup.edge_row
-    kept = (course.verdict == "stable") & (batch.stiffness > 0) & (batch.rows == batch.position.shape[1])
-    x, K, B = batch.position[kept], batch.stiffness[kept], batch.damping[kept]
+    edge, longest = course.setup.edge_row, course.trials.rows.max()
+    kept = [trial for trial in stable_trials(course) if trial.rows == longest]
+    x, K, B = (np.array([getattr(trial, name) for trial in kept]) for name in ("position", "stiffness", "damping"))
     step, start = course.setup.step, x[:, :edge].mean(axis=1)
     final = x[:, -WINDOW:].mean(axis=1) if measured else start + step / K
     rest = x[:, edge + DELAY :]
@@ -178,8 +184,7 @@ def costs(course: Course, measured: bool) -> dict[str, Floats]:
 def period(candidate: Candidate) -> float:
     """Return twice the time from the maximum to the next minimum at K = 400 and B = 4 [s]; NaN where it rests."""
     setup = setup_of(candidate.device(), candidate.device().experiments[0]).with_loop(sensor={})
-    batch = simulate(setup, *(np.array([value]) for value in PERIOD_WALL), seed=1, stream="period")
-    x = batch.position[0]
+    x = simulate(setup, *(np.array([value]) for value in PERIOD_WALL), seed=1, stream="period").position
     top = int(np.argmax(x))
     half = int(np.argmin(x[top : top + HALF_PERIOD]))
     return 2 * half * setup.loop.sampling_period_s if 0 < half < HALF_PERIOD - 1 else np.nan
@@ -191,24 +196,25 @@ def numbers(candidate: Candidate, course: Course, origin: Floats, measured: bool
     upper = edge[(edge[:, 0] >= 104) & (edge[:, 0] <= 160)]
     lower = edge[(edge[:, 0] > 0) & (edge[:, 0] <= 40)]
     ideal = np.interp(lower[:, 0], origin[:, 0], origin[:, 1])
-    free, judged = course.batch.stiffness == 0, course.verdict
+    free, judged = course.trials.stiffness == 0, course.verdict
     values = {name: float(np.nanmin(cost[name])) for name in ("settle_2pct", *ENERGIES)}
     values["overshoot"] = float(cost["stiffness"][cost["overshoot"] <= 1e-9].max(initial=0.0))
     values["line"] = float(np.sqrt(np.mean((upper[:, 1] - 38_000 + 230 * upper[:, 0]) ** 2)))
     values["origin"] = float(np.exp(np.mean(np.log(lower[:, 1] / ideal))))
     values["stiffest"] = float(edge[:, 1].max())
     values["period"] = period(candidate)
-    values["damping"] = float(-course.batch.damping[free & (judged != "unstable")].min(initial=0.0))
+    values["damping"] = float(-course.trials.damping[free & (judged != "unstable")].min(initial=0.0))
     return values
 
 
 def momentum_mass(course: Course) -> float:
     """Return the median mass by (6.4) as in 6.1.2: the first 15 ms after the step, the command taken 5 ms late [kg]."""
-    batch, edge = course.batch, course.setup.edge_row
-    kept = (course.verdict == "stable") & (batch.stiffness > 0)
-    impulse = batch.command[kept, edge : edge + MOMENTUM_ROWS - MOMENTUM_DELAY].sum(axis=1)
-    change = np.diff(batch.position[kept, edge + MOMENTUM_ROWS - 1 : edge + MOMENTUM_ROWS + 1])[:, 0]
-    return float(np.median(impulse / change) * course.setup.loop.sampling_period_s**2)
+    edge, last = course.setup.edge_row, course.setup.edge_row + MOMENTUM_ROWS
+    ratio = [
+        trial.command[edge : last - MOMENTUM_DELAY].sum() / (trial.position[last] - trial.position[last - 1])
+        for trial in stable_trials(course)
+    ]
+    return float(np.median(ratio) * course.setup.loop.sampling_period_s**2)
 
 
 def firm_grip(candidate: Candidate, measured: bool, seed: int) -> Values:
@@ -452,13 +458,13 @@ def limit_at(candidate: Candidate, damping: float, step: float) -> tuple[float, 
     setup = setup_of(device, device.experiments[0]).with_loop(sensor={})
     setup = replace(setup, step=step, travel=inf, rows=700)
     stiffness = np.arange(500.0, 24_000.0, 250.0)
-    batch = simulate(setup, stiffness, np.full(len(stiffness), damping), seed=3, stream="limit")
-    unstable = np.flatnonzero(judge(batch).verdict == "unstable")
-    if not len(unstable):
+    trials = simulate(setup, stiffness, np.full(len(stiffness), damping), seed=3, stream="limit")
+    first = next((trial for trial in trials if judge(trial).verdict == "unstable"), None)
+    if first is None:
         return np.nan, np.nan
-    x = np.diff(batch.position[unstable[0], -400:])
+    x = np.diff(first.position[-400:])
     spectrum = np.abs(np.fft.rfft(x * np.hanning(len(x)), 8192))
-    return float(stiffness[unstable[0]]), float(np.argmax(spectrum) / 8192 / setup.loop.sampling_period_s)
+    return first.stiffness, float(np.argmax(spectrum) / 8192 / setup.loop.sampling_period_s)
 
 
 def decisive(kept: Path, count: int = 3) -> Iterator[str]:
@@ -475,9 +481,8 @@ def decisive(kept: Path, count: int = 3) -> Iterator[str]:
             steps = "/".join(f"{limit_at(candidate, 24.0, step)[0]:.0f}" for step in (2.0, 8.0, 16.0))
             tones = "/".join(f"{limit_at(candidate, damping, 8.0)[1]:.0f}" for damping in (104.0, 128.0, 152.0))
             course = candidate.course(COARSEN, 1)
-            batch, kept_rows = course.batch, (course.verdict == "stable") & (course.batch.stiffness > 0)
-            moved = batch.position[kept_rows, -WINDOW:].mean(axis=1) - batch.position[kept_rows, 0]
-            rest = float(np.std(moved * batch.stiffness[kept_rows] - course.setup.step))
+            moved = [trial.stiffness * trial.displacement[-WINDOW:].mean() for trial in stable_trials(course)]
+            rest = float(np.std(np.array(moved) - course.setup.step))
             yield f"| {falcon}{number} | {steps.replace('nan', 'none')} | {tones} | {rest:.2g} |"
 
 

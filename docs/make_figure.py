@@ -71,27 +71,27 @@ def theory_map(course: Course) -> CostMap:
 
 def measured_map(course: Course) -> CostMap:
     """Return the cost map that the measured branch makes of the simulated logs."""
-    batch = course.batch
-    response = find_response(batch)
-    verdicts = judge(batch, response)
-    first = first_change(batch, response)
-    delay = estimate_delay(first.delay_samples)
+    trials = course.trials
+    responses = [find_response(trial) for trial in trials]
+    verdicts = list(map(judge, trials, responses))
+    delay = estimate_delay(np.array([first_change(*log).delay_samples for log in zip(trials, responses, strict=True)]))
     assert delay.value is not None, delay.reason
-    terms = energy_terms(batch, response, verdicts, int(delay.value))
-    cost = terms.summed(course.experiment.mass)[:, WEIGHTS.index(WEIGHT)]
-    unstable = verdicts.verdict == "unstable"
-    points = measured_boundary(batch.stiffness, batch.damping, verdicts.verdict)
+    terms = [energy_terms(*log, int(delay.value)) for log in zip(trials, responses, verdicts, strict=True)]
+    cost = np.array([energy.summed(course.experiment.mass)[WEIGHTS.index(WEIGHT)] for energy in terms])
+    verdict = np.array([judged.verdict for judged in verdicts])
+    unstable = verdict == "unstable"
+    points = measured_boundary(trials.stiffness, trials.damping, verdict)
     limit, damping = np.array([p.stable or 0.0 for p in points]), np.array([p.damping for p in points])
     # trials of the fine steps lie near the boundary only; the front view would take them for all of a stiffness
     known = np.isfinite(cost) & ~unstable & (course.passes == 1)
-    K, B = batch.stiffness[known], batch.damping[known]
+    K, B = trials.stiffness[known], trials.damping[known]
     return CostMap(
-        f"simulated experiment {course.experiment.name}, {len(batch):,} trials",
+        f"simulated experiment {course.experiment.name}, {len(trials):,} trials",
         K,
         B,
         cost[known],
         (Series("_boundary", "edge", limit, damping),),
-        choose_optimum(cost, batch.stiffness, batch.damping, batch.trial_id, unstable=unstable),
+        choose_optimum(cost, trials.stiffness, trials.damping, trials.trial_id, unstable=unstable),
         np.stack([K, B, cost[known]]),
     )
 

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from pipeline.measured.identification.identified import identified
-from pipeline.measured.identification.recordings import Recording
 
 from pipeline.device.parts import Friction
 from pipeline.loop.motion import FrictionalMotion
 from pipeline.loop.state_space import Plant
+from pipeline.measured.identification.identified import identified
+from pipeline.measured.identification.recordings import Recording
 
 FILE = Path(__file__).parent / "img" / "scatter.svg"
 T, ROWS, EDGE, DELAY, NOISE = 1e-3, 300, 20, 2, 2e-4

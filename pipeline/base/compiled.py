@@ -21,28 +21,41 @@ from typing import Any, ParamSpec, TypeVar
 
 P = ParamSpec("P")
 R = TypeVar("R")
+F = TypeVar("F", bound=Callable[..., Any])
 
 WAIT_S = 60.0
 """How long to wait for another process that compiles [s]: behind it, compile without a folder."""
 
+NOTICED_S = 1.0
+"""How long a user waits for machine code without a word [s]."""
+
 _ONE_THREAD = threading.Lock()
 """Held while numba's folder is set to that of this package."""
+
+_loaders: dict[str, list[Callable[[], object]]] = {}
+"""What makes or loads the machine code of each compiled function, by module."""
+
+_inlined: list[Callable[..., Any]] = []
+"""Functions that numba does not know yet."""
+
+_listeners: list[Callable[[str], None]] = []
+"""Who hears that something is compiled, the first time."""
 
 
 def compiled(*signatures: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Return a decorator that compiles a function to some signatures, such as ``"f8(f8[::1])"``, when it is called.
 
     The function itself stays as ``__wrapped__``. It takes arrays of the signatures' types only, and calls no other
-    compiled one. Divisions by zero give infinity or NaN, as those of numpy.
+    compiled one; it may call those that are `inlined`. Divisions by zero give infinity or NaN, as those of numpy.
 
     Examples
     --------
     >>> @compiled("f8(f8[::1])")
     ... def largest(values):
-    ...     found = values[0]
-    ...     for each in values:
-    ...         found = max(found, each)
-    ...     return found
+    ...     result = values[0]
+    ...     for value in values:
+    ...         result = max(result, value)
+    ...     return result
     >>> import numpy as np
     >>> largest(np.array([1.0, 3.0, 2.0]))
     3.0
@@ -53,6 +66,8 @@ def compiled(*signatures: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
         def machine_code() -> Callable[P, R]:
             return _machine_code(function, signatures)
 
+        _loaders.setdefault(function.__module__, []).append(machine_code)
+
         @wraps(function)
         def called(*args: P.args, **kwargs: P.kwargs) -> R:
             return machine_code()(*args, **kwargs)
@@ -60,6 +75,49 @@ def compiled(*signatures: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
         return called
 
     return decorated
+
+
+def inlined(function: F) -> F:
+    """Let the compiled functions of a module call a function of the same module; it stays plain Python elsewhere.
+
+    Numba takes machine code for old when the file of the compiled function changes, and looks at no other file: what a
+    compiled function calls is in its own module, as are the constants that both use.
+    """
+    _inlined.append(function)
+    return function
+
+
+def load_compiled(*modules: str) -> None:
+    """Load the machine code of all compiled functions of some modules, or packages, that are imported; all by default.
+
+    A pool of processes begins with it: one process compiles what is missing, and the workers load it.
+    """
+    for module, loaders in list(_loaders.items()):
+        if not modules or any(f"{module}.".startswith(f"{name}.") for name in modules):
+            for load in loaders:
+                load()
+
+
+def on_compiling(listener: Callable[[str], None] | None) -> None:
+    """Call a function with a message, once, when something takes longer than `NOTICED_S` to compile; None: nothing."""
+    _listeners[:] = [] if listener is None else [listener]
+
+
+@contextmanager
+def _noticed() -> Iterator[None]:
+    """Say that something is compiled if the block takes long."""
+
+    def say() -> None:
+        while _listeners:
+            _listeners.pop()("compiling, once")
+
+    timer = threading.Timer(NOTICED_S, say)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def _machine_code(function: Callable[P, R], signatures: tuple[str, ...]) -> Callable[P, R]:
@@ -70,7 +128,11 @@ def _machine_code(function: Callable[P, R], signatures: tuple[str, ...]) -> Call
     config: Any = numba.config
     if config.DISABLE_JIT:
         return function
-    with _ONE_THREAD:
+    from numba.extending import register_jitable
+
+    with _ONE_THREAD, _noticed():
+        while _inlined:
+            register_jitable(_inlined.pop())
         try:
             folder = cache_folder()
             with _one_process(folder), _numba_folder(config, folder):

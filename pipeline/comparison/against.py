@@ -23,7 +23,6 @@ from pipeline.loop.normalised_loop import LoopUnits
 from pipeline.measured.experiment.boundary import boundary_area
 from pipeline.measured.experiment.identified_loop import identified_loop
 from pipeline.measured.student import NORMAL_95
-from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.records.findings import BoundaryPoint, ExcludedTrial, Note
 from pipeline.records.models import Motion
@@ -38,6 +37,7 @@ from pipeline.records.results import (
     Side,
     ValueDifference,
 )
+from pipeline.records.trials import Floats
 from pipeline.rendering.figures.boundaries import limits_figure, limits_panel, measured, plane_figure
 from pipeline.rendering.figures.drawing import Figure
 from pipeline.rendering.labels import UNITS

@@ -13,8 +13,8 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.base.wording import counted
-from pipeline.records.batch import Booleans, Floats
 from pipeline.records.findings import BoundaryPoint
+from pipeline.records.trials import Booleans, Floats
 
 NARROW = 1.25
 """Least margin of the stability limit over the stiffness of a wall to use: a mass or a delay that is wrong by a quarter

@@ -1,40 +1,39 @@
-"""Stages computed by several processes: small experiments each in one, the groups of trials of large ones by all.
+"""Stages computed by several processes: small experiments each in one, the trials of large ones by all.
 
-A `StageJob` is an experiment as it is sent to another process. A process keeps the groups of trials that it was given
-once: sent with each job they would take longer than the jobs.
+A `StageJob` is an experiment as it is sent to another process. A process keeps the trials that it was sent: sent with
+each job they would take longer than the jobs.
 """
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Executor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 import pyarrow as pa
 
 from pipeline.base.disk import if_writable
 from pipeline.base.errors import StoreError
 from pipeline.base.process import process_pool
 from pipeline.base.provenance import __version__, code_digest, digest
-from pipeline.measured.signal.verdict import Verdicts
-from pipeline.measured.stages.stage_groups import TrialGroup
+from pipeline.measured.signal.verdict import Verdict
+from pipeline.measured.stages.measured_trial import MeasuredTrial, MeasuredTrials
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
-from pipeline.records.batch import Booleans, TrialBatch
+from pipeline.records.trials import Trials
 from pipeline.store.objects import is_url, opened, origin, publish, renewed
 
 Result = TypeVar("Result")
 
 LARGE = 1000
 """New trials from which on an experiment is shared among processes: some 3 s of work, against 1 s to start them."""
-
-FEWEST = 500
-"""Trials of a job, at least: the rounds of a fit over fewer cost a fifth more, over 250 three quarters."""
 
 
 def compute_stages(experiments: Collection[ExperimentStages], needed: Collection[str]) -> None:
@@ -59,11 +58,11 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
     if not large and len(small) < 2:
         return
     wanted = sorted(needed, key=list(STAGES).index)
-    with shared_groups(processors if large else min(len(small), processors)) as shared:
+    with single_processes(processors if large else min(len(small), processors)) as pools:
         try:
             for experiment in large:
-                experiment.compute(wanted, shared.map)
-            done = shared.each(partial(do, stored_suffices=False), [job_of(e, wanted) for e in small])
+                experiment.compute(wanted, SharedTrials(pools, experiment.samples))
+            done = map_jobs(pools, partial(do, stored_suffices=False), [job_of(e, wanted) for e in small])
             for experiment, tables in zip(small, done, strict=True):
                 take(experiment, tables)
         except BrokenProcessPool:
@@ -155,76 +154,66 @@ def _code() -> str:
     return digest([__version__, code_digest("stages")])
 
 
-@dataclass
-class SharedGroups:
-    """Maps functions over groups of trials in processes, each of which is a pool of its own.
+@contextmanager
+def single_processes(count: int) -> Iterator[Sequence[Executor]]:
+    """Yield pools of one process each, which end as `process_pool` says."""
+    with ExitStack() as stack:
+        yield [stack.enter_context(process_pool(1)) for _ in range(count)]
+
+
+def map_jobs(pools: Sequence[Executor], function: Callable[..., Result], jobs: Sequence[Any]) -> list[Result]:
+    """Return the results of a function of some jobs, the longest of which come first."""
+    # in turns there and back, so that the second longest has no shorter ones behind it than the longest
+    order = [*range(len(pools)), *reversed(range(len(pools)))]
+    running = [pools[order[n % len(order)]].submit(function, job) for n, job in enumerate(jobs)]
+    return [job.result() for job in running]
+
+
+class SharedTrials:
+    """Maps functions over the trials of an experiment in processes, as `MapTrials`.
 
     Parameters
     ----------
     pools : sequence of Executor
-        A group is cut into as many jobs, so that all of them have as much to do.
+        Of one process each, to which trials are dealt out in turns: neighbours take about as long.
+    trials : Trials
     """
 
-    pools: Sequence[Executor]
-    _parts: dict[int, tuple[TrialBatch, list[tuple[slice, TrialBatch, int]]]] = field(default_factory=dict)
-    _sent: set[int] = field(default_factory=set)
+    def __init__(self, pools: Sequence[Executor], trials: Trials) -> None:
+        self._pools, self._number = pools, next(_numbers)
+        shares = (trials.select(np.arange(first, len(trials), len(pools))) for first in range(len(pools)))
+        for sent in [pool.submit(_keep, self._number, share) for pool, share in zip(pools, shares, strict=True)]:
+            sent.result()
 
-    def map(
-        self, function: Callable[..., Result], groups: Sequence[TrialGroup], *masks: Sequence[Booleans]
+    def __call__(
+        self, function: Callable[[MeasuredTrial], Result], places: Sequence[int], verdicts: Sequence[Verdict] | None
     ) -> list[Result]:
-        """Return the results of a function of parts of the groups, in order.
-
-        Parameters
-        ----------
-        function : callable
-            Takes a group, and a mask of its trials where masks are given.
-        groups : sequence of TrialGroup
-        *masks : sequence of bool, shape (n,)
-            A mask for each group; parts of which it picks no trial are left out.
-        """
-        jobs = []
-        for group, *of in zip(groups, *masks, strict=True):
-            for some, part, number in self._cut(group.batch):
-                if all(mask[some].any() for mask in of):
-                    given = None if number in self._sent else part
-                    self._sent.add(number)
-                    what = (function, number, given, group.verdicts.select(some), *(mask[some] for mask in of))
-                    jobs.append(self.pools[number % len(self.pools)].submit(_apply, *what))
-        return [job.result() for job in jobs]
-
-    def _cut(self, batch: TrialBatch) -> list[tuple[slice, TrialBatch, int]]:
-        # the batch is kept with its parts, so that no other one gets its id
-        if id(batch) not in self._parts:
-            number = sum(len(parts) for _, parts in self._parts.values())
-            jobs = max(min(len(self.pools), len(batch) // FEWEST), 1)
-            cut = enumerate(batch.portions(-(-len(batch) // jobs)), number)
-            self._parts[id(batch)] = batch, [(some, part, number) for number, (some, part) in cut]
-        return self._parts[id(batch)][1]
-
-    def each(self, function: Callable[..., Result], jobs: Sequence[Any]) -> list[Result]:
-        """Return the results of a function of some jobs, the longest of which come first."""
-        # in turns there and back, so that the second longest has no shorter ones behind it than the longest
-        order = [*range(len(self.pools)), *reversed(range(len(self.pools)))]
-        running = [self.pools[order[n % len(order)]].submit(function, job) for n, job in enumerate(jobs)]
-        return [job.result() for job in running]
+        """Return the results of a function of the trials at some places, which have these verdicts, in this order."""
+        count, jobs = len(self._pools), []
+        for first, pool in enumerate(self._pools):
+            dealt = [i for i, place in enumerate(places) if place % count == first]
+            if dealt:
+                own = [places[i] // count for i in dealt]
+                judged = None if verdicts is None else [verdicts[i] for i in dealt]
+                jobs.append((dealt, pool.submit(_apply, self._number, function, own, judged)))
+        results = dict(pair for dealt, job in jobs for pair in zip(dealt, job.result(), strict=True))
+        return [results[i] for i in range(len(places))]
 
 
-@contextmanager
-def shared_groups(workers: int) -> Iterator[SharedGroups]:
-    """Yield processes that share groups of trials; they end as `process_pool` says."""
-    with ExitStack() as stack:
-        yield SharedGroups([stack.enter_context(process_pool(1)) for _ in range(workers)])
+_numbers = itertools.count()
+
+_kept: dict[int, MeasuredTrials] = {}
+"""Trials that were sent to this process, by the number of their `SharedTrials`."""
 
 
-_kept: dict[int, TrialGroup] = {}
-"""What this process was given."""
+def _keep(number: int, trials: Trials) -> None:
+    _kept[number] = MeasuredTrials(trials)
 
 
 def _apply(
-    function: Callable[..., Result], number: int, part: TrialBatch | None, verdicts: Verdicts, *masks: Booleans
-) -> Result:
-    if part is not None:
-        _kept[number] = TrialGroup(part)
-    group = _kept[number]
-    group.verdicts = verdicts
-    return function(group, *masks)
+    number: int,
+    function: Callable[[MeasuredTrial], Result],
+    places: Sequence[int],
+    verdicts: Sequence[Verdict] | None,
+) -> list[Result]:
+    return _kept[number](function, places, verdicts)

@@ -16,39 +16,22 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from scipy.linalg import expm
 
+from pipeline.loop.closed_loop import CELLS, TERMS, Interval, advance_states
 from pipeline.loop.state_space import Plant, StateSpace, plant_of, state_space
-from pipeline.records.batch import Booleans, Floats, Integers
+from pipeline.records.trials import Floats
 
 if TYPE_CHECKING:  # its classes take longer to load than a short command to run
     from pipeline.device.loop import Loop
     from pipeline.device.parts import Friction
 
-STICK, CREEP, SLIDE = 0, 1, 2
-"""Regions of friction. Without a Stribeck effect there is no `SLIDE`: every motion is a `CREEP` at constant force."""
-
 BREAKAWAY = 1e-12
 """Force beyond stiction, relative to it, that sets a resting device in motion: rounding alone must not."""
-
-CELLS = 32
-"""Cells of a grid in time on which a change of region is looked for."""
-
-TERMS = 17
-"""Terms of the power series within a cell."""
 
 LEFT_OUT = 1e-17
 """Share of a motion that its power series may leave out."""
 
 QUARTER = pi / 4
 """Largest phase [rad] of the fastest oscillation over a time of which the ends alone are looked at."""
-
-BLOCK = 64
-"""Trials that a matrix product takes together."""
-
-MOST_EVENTS = 400
-"""Changes of region and cells looked into, after which a motion stays in its region: an end to any chatter."""
-
-SETTLED = 2.0**-50
-"""Newton's step, relative to a cell, that is rounding."""
 
 
 @dataclass(frozen=True)
@@ -107,9 +90,14 @@ class FrictionalMotion:
     def advance(self, state: Floats, command: Floats, push: Floats | float, time_s: float) -> Floats:
         """Return the state after a time [s] under a constant command, and a force beside it without lag [N, Nm]."""
         n = self.states
-        z = np.zeros((n + 3, state.shape[1]))
-        z[:n], z[n], z[n + 1] = state, command, push
-        return _interval(self, time_s).advance(z)
+        z = np.zeros((state.shape[1], n + 3))
+        z[:, :n], z[:, n], z[:, n + 1] = state.T, command, push
+        advance_states(z, self.interval(time_s))
+        return np.ascontiguousarray(z[:, :n].T)
+
+    def interval(self, time_s: float) -> Interval:
+        """Return what compiled loops need to advance it by a time [s]."""
+        return _interval(self, time_s)
 
     def rates(self) -> list[Floats]:
         """Return A of z' = A z in each region, z being the state without the region; the last row is the direction."""
@@ -175,169 +163,8 @@ def _of_motor_and_load(plant: Plant) -> StateSpace:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Interval:
-    """Exact motion over a time, and what is needed to stop it inside.
-
-    ``whole`` (regions, rows, states + 3) gives the state at its end, then guard and slope of the guard before and
-    after. ``grids`` divide it into cells, and a cell of the last one into cells again: state, guard and slope at each
-    of their edges, (regions, edges * rows, states + 3). ``series`` is the power series of state and guard in a cell of
-    the last. ``low`` and ``high`` (regions) bound the guard; ``force`` gives that on the motor's side from z.
-    """
-
-    motion: FrictionalMotion
-    whole: Floats
-    time_s: float
-    slow: bool
-    grids: tuple[Floats, ...]
-    series: Floats
-    low: Floats
-    high: Floats
-    force: Floats
-
-    def advance(self, z: Floats) -> Floats:
-        """Return the state after the time, shape (states, n)."""
-        friction, n = self.motion.friction, self.motion.states
-        if friction is None:
-            return _by_region(self.whole, z, np.zeros(z.shape[1], dtype=np.int64))
-        z[-1] = np.where(z[1] < 0, -1.0, 1.0)
-        region: Integers = (z[1] != 0).astype(np.int64)
-        if len(self.low) > SLIDE:
-            region += np.abs(z[1]) >= friction.stribeck_velocity
-        end = _by_region(self.whole, z, region)
-        before, after, slope, slope_after = end[n:] * z[-1]
-        out = self._left(np.stack((before, after)), np.stack((slope, slope_after)), region, self.time_s)[0]
-        hard = np.flatnonzero(out if self.slow else np.ones_like(out))
-        if len(hard):
-            end[:n, hard] = self._with_events(z[:, hard], region[hard])
-        return end[:n]
-
-    def _left(self, guard: Floats, slope: Floats, region: Integers, span: float) -> Booleans:
-        """Return between which edges (edges - 1, n) a guard may pass a bound, by values and slopes at all edges."""
-        # a guard that turns between two edges is nowhere steeper than at both together
-        steep = np.abs(slope[:-1]) + np.abs(slope[1:])
-        reach = np.where(slope[:-1] * slope[1:] < 0, span * steep, 0.0)
-        least, most = np.minimum(guard[:-1], guard[1:]) - reach, np.maximum(guard[:-1], guard[1:]) + reach
-        return np.asarray((least < self.low[region]) | (most > self.high[region]))
-
-    def _with_events(self, z: Floats, region: Integers) -> Floats:
-        """Return the state after the time of trials that may change their region."""
-        n, cell = self.motion.states, 1.0 / CELLS ** len(self.grids)
-        left = np.ones(len(region))
-        for events in range(MOST_EVENTS + 1):
-            busy = np.flatnonzero(left > 0)
-            if not len(busy):
-                break
-            here, kind, rest = z[:, busy], region[busy], left[busy]
-            span, columns = 1.0, np.arange(len(busy))
-            for grid in self.grids:
-                span /= CELLS
-                edges = _by_region(grid, here, kind).reshape(CELLS + 1, n + 2, -1)
-                guard, slope = (edges[:, n:] * here[-1]).swapaxes(0, 1)
-                passed = self._left(guard, slope, kind, self.time_s * span) & (events < MOST_EVENTS)
-                first = np.where(passed.any(axis=0), passed.argmax(axis=0), CELLS)
-                first = np.minimum(first, np.maximum(np.ceil(rest / span), 1).astype(np.int64) - 1)
-                here[:n] = edges[first, :n, columns].T
-                rest -= first * span
-            series = np.ascontiguousarray(_by_region(self.series, here, kind).T).reshape(len(busy), n + 1, TERMS)
-            bounds = (self.low[kind], self.high[kind]) if events < MOST_EVENTS else (rest - inf, rest + inf)
-            time, way = _exit(series[:, n] * here[-1][:, None], *bounds, np.minimum(rest / cell, 1.0))
-            here[:n] = _value(series[:, :n], time).T
-            gone = np.flatnonzero(way)
-            here[:, gone], kind[gone] = self._beyond(here[:, gone], kind[gone], way[gone] > 0)
-            z[:, busy], region[busy] = here, kind
-            left[busy] = np.where(rest - time * cell > SETTLED * cell, rest - time * cell, 0.0)
-        return z[:n]
-
-    def _beyond(self, z: Floats, region: Integers, above: Booleans) -> tuple[Floats, Integers]:
-        """Return state and region of trials whose guard has reached its lower bound, or its upper one."""
-        creeps = region == CREEP
-        stops, speeds_up = creeps & ~above, creeps & above
-        slow = stops | (region == STICK)
-        z[1] = np.where(slow, np.where(stops, 0.0, z[1]), self.high[CREEP] * z[-1])
-        force = np.vecdot(z.T, self.force)
-        z[-1] = np.where(slow, np.where(force < 0, -1.0, 1.0), z[-1])
-        sticks = stops & (np.abs(force) <= self.high[STICK])
-        return z, np.where(sticks, STICK, np.where(speeds_up, SLIDE, CREEP))
-
-
-def _value(series: Floats, time: Floats) -> Floats:
-    """Return polynomials, shape (n, ..., terms) with the lowest power first, at a time of each."""
-    powers = np.empty((len(time), series.shape[-1]))
-    powers[:, 0], powers[:, 1:] = 1.0, time[:, None]
-    np.multiply.accumulate(powers, axis=1, out=powers)
-    return np.asarray(np.vecdot(series, powers[:, None] if series.ndim > 2 else powers))
-
-
-def _slopes(series: Floats) -> Floats:
-    """Return the derivatives of polynomials, shape (n, terms - 1)."""
-    return np.asarray(series[:, 1:] * np.arange(1, series.shape[1]))
-
-
-def _zero(series: Floats, end: Floats) -> Floats:
-    """Return where polynomials, not negative at 0 and negative at an end, become negative for good; shape (n,)."""
-    slopes, low, high = _slopes(series), np.zeros_like(end), end
-    # from the parabola through value and slope at 0 and value at the end
-    first, rate = series[:, 0], series[:, 1] * end
-    bend = np.minimum(_value(series, end), 0.0) - first - rate
-    divisor = np.sqrt(np.maximum(rate * rate - 4 * bend * first, 0.0)) - rate
-    time = end * np.divide(2 * first, divisor, out=np.ones_like(first), where=divisor > 2 * first)
-    for _ in range(60):  # bisection alone needs 53 for a double
-        value, rate = _value(series, time), _value(slopes, time)
-        step = np.divide(value, rate, out=np.full_like(rate, inf), where=rate < 0)
-        low, high = np.where(value >= 0, time, low), np.where(value >= 0, high, time)
-        settled = (np.abs(step) <= SETTLED) | (high - low <= SETTLED)
-        if settled.all():
-            break
-        ahead = time - step
-        ahead = np.where((ahead > low) & (ahead < high), ahead, 0.5 * (low + high))
-        time = np.where(settled, time, ahead)
-    return time
-
-
-def _exit(series: Floats, low: Floats, high: Floats, span: Floats) -> tuple[Floats, Integers]:
-    """Return when polynomials first leave their bounds within [0, span], and whether downwards (-1) or upwards (1).
-
-    One that does not leave (0) has the span as its time. One that starts on a bound is judged by how it goes on. Within
-    the span it may turn once.
-    """
-    start, slope, slopes, until = series[:, 0], series[:, 1], _slopes(series), span.copy()
-    turns = np.flatnonzero(slope * _value(slopes, span) < 0)
-    if len(turns):
-        turn = _zero(slopes[turns] * np.sign(slope[turns])[:, None], span[turns])
-        there = _value(series[turns], turn)
-        until[turns] = np.where((there < low[turns]) | (there > high[turns]), turn, span[turns])
-    end = _value(series, until)
-    below, above = ((start - b) * s > 0 for b, s in ((low, -1), (high, 1)))
-    below, above = below | ((start == low) & (slope < 0)), above | ((start == high) & (slope > 0))
-    at_once = below | above
-    way = np.where(above, 1, np.where(below, -1, np.where(end > high, 1, np.where(end < low, -1, 0))))
-    time = np.where(at_once, 0.0, span)
-    search = np.flatnonzero((way != 0) & ~at_once)
-    if len(search):
-        inward = -way[search][:, None] * series[search]
-        inward[:, 0] += np.where(way > 0, high, -low)[search]
-        time[search] = _zero(inward, until[search])
-    return time, way
-
-
-def _by_region(matrices: Floats, z: Floats, region: Integers) -> Floats:
-    """Return the product of each trial's z with the matrix of its region, shape (rows, n).
-
-    It is made in blocks of one shape: a product of all trials would round by how many there are.
-    """
-    result = np.empty((matrices.shape[1], z.shape[1]))
-    for number, matrix in enumerate(matrices):
-        here = np.flatnonzero(region == number)
-        padded = np.zeros((len(z), -(-len(here) // BLOCK) * BLOCK))
-        padded[:, : len(here)] = z[:, here]
-        blocks = matrix @ padded.reshape(len(z), -1, BLOCK).swapaxes(0, 1)
-        result[:, here] = blocks.swapaxes(0, 1).reshape(len(matrix), -1)[:, : len(here)]
-    return result
-
-
 @lru_cache(maxsize=64)
-def _interval(motion: FrictionalMotion, time_s: float) -> _Interval:
+def _interval(motion: FrictionalMotion, time_s: float) -> Interval:
     rates, n = motion.rates(), motion.states
     # velocities are counted per the time of the step, so that entries of a matrix are of one size
     unit = np.ones(n + 3)
@@ -347,24 +174,31 @@ def _interval(motion: FrictionalMotion, time_s: float) -> _Interval:
     unit[-1] = 1.0 if motion.friction is None else time_s**2 * max(motion.levels[1], 1e-300) / motion.motor_mass
     scaled, back = [rate * unit[:, None] / unit * time_s for rate in rates], unit / unit[:, None]
     if motion.friction is None:
-        return _Interval(motion, (expm(scaled[0]) * back)[None, :n], time_s, True, (), *[np.empty(0)] * 4)
+        whole = (expm(scaled[0]) * back)[None, :n]
+        return whole, np.empty((0,) * 5), np.empty((0,) * 4), np.empty((2, 0)), np.empty(0), time_s, True
     fastest, levels = max(float(np.abs(np.linalg.eigvals(rate[:n, :n]).imag).max()) for rate in scaled), 0
     lasts = [float(np.abs(np.linalg.matrix_power(rate, TERMS)).sum(axis=0).max()) / factorial(TERMS) for rate in scaled]
     while max(lasts) > LEFT_OUT * float(CELLS) ** (TERMS * levels) or fastest > QUARTER * CELLS**levels:
         levels += 1
-    guards, whole, series = motion.guards(), [], []
-    grids: list[list[Floats]] = [[] for _ in range(levels)]
-    for rate, step, (guard, _, _) in zip(rates, scaled, guards, strict=True):
+    guards, ends, grids, series = motion.guards(), [], [], []
+    for rate, step, (guard, *_) in zip(rates, scaled, guards, strict=True):
         slope = guard @ rate
-        for level, grid in enumerate(grids, start=1):
+        for level in range(1, levels + 1):
             moves = [np.eye(n + 3), *(expm(step * j / CELLS**level) * back for j in range(1, CELLS + 1))]
-            grid.append(np.concatenate([np.vstack((m[:n], guard @ m, slope @ m)) for m in moves]))
+            grids.append([np.vstack((move[:n], guard @ move, slope @ move)) for move in moves])
         end = expm(step) * back
-        whole.append(np.vstack((end[:n], guard, guard @ end, slope, slope @ end)))
+        ends.append(np.vstack((end[:n], guard, guard @ end, slope, slope @ end)))
         part = step / CELLS**levels
         powers = [np.linalg.matrix_power(part, k) / factorial(k) * back for k in range(TERMS)]
-        series.append(np.stack([np.vstack((p[:n], guard @ p)) for p in powers], axis=1).reshape(-1, n + 3))
-    low, high = np.array([bounds for _, *bounds in guards]).T
-    ways = tuple(np.array(grid) for grid in grids)
-    ends = low, high, motion.motor_force()
-    return _Interval(motion, np.array(whole), time_s, fastest <= QUARTER, ways, np.array(series), *ends)
+        series.append(np.stack([np.vstack((p[:n], guard @ p)) for p in powers], axis=1))
+    by_region = np.array(grids).reshape(len(rates), levels, CELLS + 1, n + 2, n + 3)
+    bounds = np.array([between for _, *between in guards]).T
+    return (
+        np.array(ends),
+        np.ascontiguousarray(by_region.swapaxes(0, 1)),
+        np.array(series),
+        np.ascontiguousarray(bounds),
+        motion.motor_force(),
+        time_s,
+        bool(fastest <= QUARTER),
+    )

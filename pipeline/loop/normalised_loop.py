@@ -22,7 +22,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, bilinear, exponential, many_digits, resolvent, total
 from pipeline.loop.state_space import Plant, StateSpace, plant_of, state_space
 from pipeline.loop.velocity_filter import filter_in_w, filter_in_z, filter_order, filter_steps, per_sample
-from pipeline.records.batch import Floats
+from pipeline.records.trials import Floats
 
 if TYPE_CHECKING:  # its classes take longer to load than a short command to run
     from pipeline.device.loop import Loop

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.records.batch import Floats
+from pipeline.records.trials import Floats
 
 if TYPE_CHECKING:  # its classes take longer to load than a short command to run
     from pipeline.device.loop import Loop

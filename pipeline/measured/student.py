@@ -6,7 +6,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from pipeline.records.batch import Floats
+from pipeline.records.trials import Floats
 
 CONFIDENCE = 0.95
 """Coverage of every interval."""

@@ -15,8 +15,8 @@ from pipeline.device.loop import Loop
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.plan.course import SAME
 from pipeline.plan.next_wall import VOTES, Tried
-from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
+from pipeline.records.trials import Floats
 from pipeline.theory.boundary import stiffness_limit
 from pipeline.theory.costs import point_costs_by_name
 

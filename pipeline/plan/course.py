@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import floor, inf, log10
 from pathlib import Path
@@ -23,7 +23,7 @@ from pipeline.measured.identification.parts import Choice, again
 from pipeline.measured.identification.parts import chosen as look_at_once
 from pipeline.measured.identification.recordings import SHORTEST, Recording
 from pipeline.measured.law.wall_law import wall_law
-from pipeline.measured.signal.response import Response, find_response
+from pipeline.measured.signal.response import find_response
 from pipeline.measured.stages.stage_device import recording_findings
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.measured.student import NORMAL_95
@@ -31,10 +31,10 @@ from pipeline.plan.loop_limits import StepTrial, damping_of_stiffest, limits_of,
 from pipeline.plan.next_wall import Forecast, Tried
 from pipeline.plan.requests import Answer, stored_requests
 from pipeline.recording.check import check_trial
-from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.findings import unsafe_reason
 from pipeline.records.models import Device, Experiment
-from pipeline.store.samples import load_groups
+from pipeline.records.trials import Floats, Trial, Trials
+from pipeline.store.samples import in_order, load_trials
 from pipeline.store.storage import list_experiments, read_trials
 from pipeline.theory.cases import tested_grid
 
@@ -194,14 +194,11 @@ def open_course(
         tried = Tried(nothing, nothing, np.empty(0, dtype="<U9"), nothing)
         about = device.sampling_period_s, device.duration_s - device.baseline_s, device.step
         return Course(name, chosen, tried, device, of_file, *about, device.motion == "rotation")
-    trials = read_trials(processed, name, chosen)
+    trials = in_order(read_trials(processed, name, chosen))  # as the stages have them
     stages = ExperimentStages(processed, name, chosen, trials, spring=declared_spring(device, chosen))
     force = None
     if wish.largest_force < inf:
-        force = np.full(trials.num_rows, np.nan)
-        groups = load_groups(processed, trials)
-        for rows, batch in zip(groups.places, groups.parts, strict=True):
-            force[rows] = np.nanmax(np.abs(batch.command), axis=1)
+        force = np.array([np.abs(trial.command).max() for trial in load_trials(processed, trials)])
     course = course_of(stages, device, of_file, wish, force)
     K, B = (trials.column(key).to_numpy() for key in ("stiffness", "damping"))
     findings = recording_findings(stages)
@@ -212,12 +209,12 @@ def open_course(
     fitted = ~unsafe & ((K > 0) | (not (K > 0).any()))
     fitted = fitted if fitted.any() else ~unsafe
     places = spread_over_plane(K, B, fitted, TRIALS)
-    batch = TrialBatch.joined(list(load_groups(processed, trials.take(places)).parts))
-    known = learn(batch, int(fitted.sum()), known, look)
+    spread = load_trials(processed, trials.take(places))
+    known = learn(spread, int(fitted.sum()), known, look)
     found = known.device if known else None
     unknown = ""
     if found is None:
-        recordings = recordings_of(batch, find_response(batch))
+        recordings = recordings_of(spread)
         unknown = unusable(recordings) or NOT_IDENTIFIED.format(Recorded.of(recordings).remedy())
     walls = tuple(zip(K.tolist(), B.tolist(), strict=True))
     answers = stored_requests(processed, name, chosen).answered(walls)
@@ -386,12 +383,12 @@ def _by_logs(course: Course, device: IdentifiedLoop, wall: Floats) -> Forecast |
     return Forecast(limit, reach / NORMAL_95, low=np.minimum(lowest, limit), scale=scale)
 
 
-def learn(batch: TrialBatch, count: int, known: Learnt | None, look: Look) -> Learnt | None:
+def learn(trials: Trials, count: int, known: Learnt | None, look: Look) -> Learnt | None:
     """Return the device that trials of an experiment show, from that of fewer.
 
     Parameters
     ----------
-    batch : TrialBatch
+    trials : Trials
         Trials with K > 0, else without a wall: all, or `TRIALS` that are spread over the walls.
     count : int
         Number of all.
@@ -399,11 +396,9 @@ def learn(batch: TrialBatch, count: int, known: Learnt | None, look: Look) -> Le
     look : callable
         Asked where the parts of the device are not known yet, or were looked for in a third of the logs.
     """
-    order = np.lexsort((batch.stiffness, batch.damping))
-    some = order[np.unique(np.linspace(0, len(order) - 1, TRIALS).astype(np.int64))]
-    part = batch.select(some)
-    response = find_response(part)
-    recordings = recordings_of(part, response)
+    order = np.lexsort((trials.stiffness, trials.damping))
+    spread = trials.select(order[np.unique(np.linspace(0, len(order) - 1, TRIALS).astype(np.int64))])
+    recordings = recordings_of(spread)
     if unusable(recordings):
         return known
     choice, looked = (None, 0) if known is None else (known.choice, known.looked)
@@ -421,14 +416,14 @@ def learn(batch: TrialBatch, count: int, known: Learnt | None, look: Look) -> Le
     if device is None:
         return Learnt(choice, None, looked)
     # a filter shows most where there is most damping
-    most = np.array([np.argmax(part.damping)], dtype=np.int64)
+    most = spread[int(np.argmax(spread.damping))]
     velocity = known.device.velocity if known is not None and known.device is not None else None
     if velocity is None:
-        departures = wall_law(part.select(most), response.select(most)).departures[0]
-        velocity = next((each.filter.declared for each in departures if each.filter is not None), None)
+        shown = wall_law(most, find_response(most)).filter
+        velocity = None if shown is None else shown.declared
     device = replace(
         device,
-        sampling_period_s=float(np.median(batch.sampling_period_s)),
+        sampling_period_s=float(np.median(trials.sampling_period_s)),
         velocity=velocity,
         explained=len(recordings),
         trials=tuple(each.name for each in recordings),
@@ -446,24 +441,22 @@ def unusable(recordings: list[Recording]) -> str:
     return ""
 
 
-def recordings_of(batch: TrialBatch, response: Response) -> list[Recording]:
+def recordings_of(trials: Iterable[Trial]) -> list[Recording]:
     """Return trials from shortly before the step on up to a travel stop, as the model takes them.
 
     Logs that are too short or were recorded wrongly are left out, where there are others.
     """
-    found = []
-    for i in range(len(batch)):
-        findings = check_trial(batch, i)
-        edge = int(response.edge_row[i])
-        stops = [each.first_row or 0 for each in findings if each.severity == "cut"]
-        rows = slice(max(edge - AHEAD, 0), min(int(batch.rows[i]), max(edge, 0) + ROWS, *stops))
-        logged = (batch.time[i, rows], batch.command[i, rows], batch.position[i, rows])
-        one = Recording(
-            str(i), *logged, float(batch.sampling_period_s[i]), edge - rows.start if edge >= rows.start else None
-        )
-        found.append((one, len(one.time) >= SHORTEST and not any(each.leaves_out for each in findings)))
-    usable = [one for one, is_usable in found if is_usable]
-    return usable or [one for one, _ in found]
+    recordings, usable = [], []
+    for number, trial in enumerate(trials):
+        findings, edge = check_trial(trial), find_response(trial).edge_row
+        stops = [finding.first_row or 0 for finding in findings if finding.severity == "cut"]
+        rows = slice(max(edge - AHEAD, 0), min(trial.rows, max(edge, 0) + ROWS, *stops))
+        logged = trial.time[rows], trial.command[rows], trial.position[rows], trial.sampling_period_s
+        recording = Recording(str(number), *logged, edge - rows.start if edge >= rows.start else None)
+        recordings.append(recording)
+        if len(recording.time) >= SHORTEST and not any(finding.leaves_out for finding in findings):
+            usable.append(recording)
+    return usable or recordings
 
 
 def loop_of_choice(choice: Choice) -> IdentifiedLoop | None:

@@ -11,7 +11,7 @@ from pipeline.device.parts import Sensor
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop
 from pipeline.measured.signal.verdict import judge
-from pipeline.records.batch import Floats, TrialBatch
+from pipeline.records.trials import Floats, Trials
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import delays_of, simulate
 from pipeline.theory.boundary import boundary, stabilises, stiffness_limit
@@ -92,7 +92,7 @@ def damping_of_stiffest(loop: Loop) -> float:
     return damping * LoopUnits.of(loop).damping
 
 
-def simulate_behind(loop: Loop, K: Floats, B: Floats, trial: StepTrial, repetition: int = 0) -> TrialBatch:
+def simulate_behind(loop: Loop, K: Floats, B: Floats, trial: StepTrial, repetition: int = 0) -> Trials:
     """Return simulated trials of a loop behind walls, without noise and travel; a repetition has another jitter."""
     delays = delays_of(loop.delay_samples, trial.jitter)
     noiseless = replace(loop, sensor=Sensor(quantum=trial.quantum), jitter_samples=delays)
@@ -126,7 +126,8 @@ def step_limits(loop: Loop, damping: Floats, trial: StepTrial, softest: Floats) 
     begin, ends = low, high > low
     for _ in range(ROUNDS):
         K = _rounded(np.linspace(low, high, WALLS + 1)[1:])
-        verdicts = judge(simulate_behind(loop, K.ravel(), np.tile(damping, WALLS), trial)).verdict.reshape(K.shape)
+        trials = simulate_behind(loop, K.ravel(), np.tile(damping, WALLS), trial)
+        verdicts = np.array([judge(simulated).verdict for simulated in trials]).reshape(K.shape)
         grows = verdicts == "unstable"
         ends &= grows.any(axis=0)
         first, step = np.argmax(grows, axis=0), (high - low) / WALLS

@@ -11,7 +11,7 @@ from scipy.special import ndtr
 
 from pipeline.base.errors import ParameterError
 from pipeline.plan.requests import RigRange
-from pipeline.records.batch import Booleans, Floats
+from pipeline.records.trials import Booleans, Floats
 
 VOTES = 3
 """Trials of one wall after which a contradiction is no chance: most of them decide. As many undecided ones, costs of a

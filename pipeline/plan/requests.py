@@ -14,8 +14,8 @@ import numpy as np
 from pydantic import ValidationError
 
 from pipeline.base.disk import if_writable, read_kept, write_kept
-from pipeline.records.batch import Floats
 from pipeline.records.findings import Record
+from pipeline.records.trials import Floats
 from pipeline.store.storage import stage_folder
 
 ASKED = "asked"

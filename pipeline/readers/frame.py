@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.errors import LogError, refusal
-from pipeline.records.batch import Integers
+from pipeline.records.trials import Integers
 
 LARGEST_LOG = 256 << 20
 """Bytes above which a file is not read, packed or not: 10^6 times a usual log, so it is something else."""

@@ -13,9 +13,9 @@ from pipeline.base.errors import LogError, refusal
 from pipeline.recording.check import check_recording
 from pipeline.recording.samples import Samples
 from pipeline.recording.wrapping import unwrapped
-from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.findings import Finding
 from pipeline.records.native import NativeHeader
+from pipeline.records.trials import Booleans, Floats, Integers
 
 GAP = 30.0
 """Distance of a reading from the middle of its log, relative to the farthest of all nearer ones and to their range,

@@ -37,8 +37,8 @@ from pipeline.readers.frame import KEPT_ATTRIBUTES, LONGEST_ATTRIBUTE, Contents,
 from pipeline.readers.isolation import read_file
 from pipeline.readers.log import Log, RawLog, check_samples
 from pipeline.readers.rows import Table, rows_of
-from pipeline.records.batch import Floats, Integers
 from pipeline.records.native import FREE, NativeHeader, parse_header
+from pipeline.records.trials import Floats, Integers
 
 Part = tuple[FileEntry | None, StepEntry | None]
 """What a profile says of a file, and of a step in it."""

@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.base.units import unit_between
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile, Source, si_unit
 from pipeline.readers.log import Log
-from pipeline.records.batch import Booleans, Floats
+from pipeline.records.trials import Booleans, Floats
 
 EXACT = 0.02
 """Part of the command that the law may leave unexplained where each gain is told by itself; a velocity filter or a

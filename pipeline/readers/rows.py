@@ -17,7 +17,7 @@ from pipeline.base.errors import LogError, refusal
 from pipeline.base.units import factor_to_si
 from pipeline.profiles.profile_model import Profile, Source, TimeSource
 from pipeline.readers.frame import Contents
-from pipeline.records.batch import Booleans, Floats, Integers
+from pipeline.records.trials import Booleans, Floats, Integers
 
 SENTINEL_TOLERANCE = 1e-6
 """Relative distance at which a number is the sentinel: single precision rounds by 6e-8, the next sensor reading lies

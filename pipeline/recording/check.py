@@ -11,8 +11,8 @@ from pipeline.recording.signals import coarse_sensor, unusable_signal, wrong_sig
 from pipeline.recording.timing import missing_rows, sampling_period
 from pipeline.recording.travel import travel_stop
 from pipeline.recording.wrapping import wrapped_position
-from pipeline.records.batch import NO_STEP_ROW, TrialBatch
 from pipeline.records.findings import Finding
+from pipeline.records.trials import Trial
 
 CHECKS: tuple[Callable[[Samples], Finding | None], ...] = (
     sampling_period,
@@ -50,17 +50,14 @@ def check_recording(samples: Samples) -> tuple[Finding, ...]:
     return (nothing,) if period is None else (nothing, period)
 
 
-def check_trial(batch: TrialBatch, trial: int) -> tuple[Finding, ...]:
-    """Return what is wrong with the recording of one trial of a batch, as `check_recording`."""
-    rows = slice(0, int(batch.rows[trial]))
-    declared = NO_STEP_ROW if batch.step_row is None else int(batch.step_row[trial])
-    samples = Samples(
-        *(batch.time[trial, rows], batch.command[trial, rows], batch.position[trial, rows]),
-        float(batch.sampling_period_s[trial]),
-        *(float(batch.stiffness[trial]), float(batch.damping[trial]), float(batch.step[trial])),
-        None if declared == NO_STEP_ROW else declared,
+def check_trial(trial: Trial) -> tuple[Finding, ...]:
+    """Return what is wrong with the recording of a trial, as `check_recording`."""
+    return check_recording(
+        Samples(
+            *(trial.time, trial.command, trial.position, trial.sampling_period_s),
+            *(trial.stiffness, trial.damping, trial.step, trial.step_row),
+        )
     )
-    return check_recording(samples)
 
 
 def _found(samples: Samples) -> Iterator[Finding]:

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from pipeline.recording.samples import Samples
-from pipeline.records.batch import Floats, Integers
+from pipeline.records.trials import Floats, Integers
 
 BLOCK = 512
 """Rows of a block, each with its start: over more of them friction and other unmodelled forces add up."""

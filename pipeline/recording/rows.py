@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.recording.samples import Samples, last_digit, middle
-from pipeline.records.batch import Integers
 from pipeline.records.findings import Finding
+from pipeline.records.trials import Integers
 
 MOVES = 3.0
 """Steps of the sensor that a position changes by before and behind a row that repeats the one before."""
@@ -122,7 +122,7 @@ def interpolated_position(samples: Samples) -> Finding | None:
     if int(np.count_nonzero(bend <= NEARLY_STRAIGHT * size[1:])) - (len(size) - moves) < 0.5 * STRAIGHT * moves:
         return None
     # a line between printed readings bends by two digits at most
-    level = max(BEND * samples.fastest, 2.1 * float(last_digit(samples.position[None])[0]))
+    level = max(BEND * samples.fastest, 2.1 * last_digit(samples.position))
     moving = (size[1:] > MOVING * level) & (size[:-1] > MOVING * level)
     bent = bend > level
     if int(np.sum(moving & ~bent)) < STRAIGHT * max(int(np.sum(moving)), 1):

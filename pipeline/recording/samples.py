@@ -9,8 +9,8 @@ from statistics import NormalDist
 
 import numpy as np
 
-from pipeline.records.batch import Floats, Integers
 from pipeline.records.findings import Finding, FindingCode, Severity
+from pipeline.records.trials import Floats, Integers
 
 NOISE_GAIN = 6.0
 """Variance of the second difference of white noise relative to its own: 1 + 4 + 1."""
@@ -49,20 +49,22 @@ def middle(values: Floats) -> float:
     return float(np.partition(values, place)[place])
 
 
-def last_digit(position: Floats) -> Floats:
-    """Return the decimal unit in which all positions (n, N) of a log are printed, shape (n,); 0 where there is none."""
-    result = np.zeros(len(position))
-    open_ = np.arange(len(position))
+def last_digit(position: Floats) -> float:
+    """Return the decimal unit in which all positions (rows,) of a log are printed; 0 where there is none.
+
+    >>> last_digit(np.array([0.25, 0.5]))
+    0.01
+    """
+    digit = 0.0
+    largest = np.abs(position).max(initial=0.0)
     # what is on no fine grid is on no coarser one
     for decimals in range(MOST_DECIMALS, 0, -1):
-        scaled = np.nan_to_num(position[open_]) * 10.0**decimals
-        off = np.abs(scaled - np.rint(scaled)).max(axis=1, initial=0.0)
-        fits = off <= ON_DIGIT + 4 * np.finfo(np.float64).eps * np.abs(scaled).max(axis=1, initial=0.0)
-        open_ = open_[fits]
-        if not len(open_):
+        scaled = position * 10.0**decimals
+        off = np.abs(scaled - np.rint(scaled)).max(initial=0.0)
+        if not off <= ON_DIGIT + 4 * np.finfo(np.float64).eps * (largest * 10.0**decimals):
             break
-        result[open_] = 10.0**-decimals
-    return result
+        digit = 10.0**-decimals
+    return digit
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@ import numpy as np
 
 from pipeline.base.wording import counted
 from pipeline.recording.samples import NORMAL_QUARTILE, THIRD_GAIN, Samples, middle
-from pipeline.records.batch import Floats, Integers
 from pipeline.records.findings import Finding
+from pipeline.records.trials import Floats, Integers
 
 JUMP = 0.5
 """Change from row to row, relative to the range of the position, that may be one over the end of a modulus."""

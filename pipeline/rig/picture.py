@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.records.batch import Floats
+from pipeline.records.trials import Floats
 from pipeline.rig.design import Design
 from pipeline.rig.quantities import QUANTITIES, Quantity
 from pipeline.surface.physical_loop import Loop

@@ -11,7 +11,7 @@ import pandas as pd
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.records.batch import Floats
+from pipeline.records.trials import Floats
 from pipeline.surface.physical_loop import Loop
 from pipeline.theory.boundary import quantum_limit
 from pipeline.theory.passivity import passive_stiffness

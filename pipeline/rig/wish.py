@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.records.batch import Floats
+from pipeline.records.trials import Floats
 from pipeline.rig.quantities import with_damping
 from pipeline.surface.physical_loop import Loop
 from pipeline.theory.boundary import stiffness_limit

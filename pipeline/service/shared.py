@@ -13,9 +13,9 @@ from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.base.errors import PipelineError
-from pipeline.records.batch import TrialBatch
 from pipeline.records.criteria import REPORTED
 from pipeline.records.findings import Note
+from pipeline.records.trials import Trial
 from pipeline.service import documents
 from pipeline.service.catalogue import Catalogue
 from pipeline.service.database import Database
@@ -24,7 +24,7 @@ from pipeline.service.settings import Settings
 from pipeline.service.theory import Theory, case_of_loop
 from pipeline.service.workers import Workers
 from pipeline.store.names import folder_name
-from pipeline.store.samples import load_batch, load_trial
+from pipeline.store.samples import load_trial, load_trials
 from pipeline.store.storage import list_devices, list_experiments, read_exclusions, read_trials, split_trials
 
 RETRY_S = 60.0
@@ -203,22 +203,20 @@ class Service:
     def samples(self, trial: str) -> tuple[dict[str, Any], pa.Table]:
         """Return the conditions and the samples of a trial."""
         shown = self.found(trial)
-        own, batch = self._loaded(trial, shown)
-        length = int(own.column("rows")[0].as_py())
-        arrays = {"time_s": batch.time, **{name: getattr(batch, name) for name in SAMPLES[1:]}}
-        rows = {name: values[0][:length] for name, values in arrays.items() if values is not None}
-        return shown, pa.table({name: values for name, values in rows.items() if not np.isnan(values).all()})
+        samples = self._loaded(trial, shown).samples
+        columns = {"time_s": samples.pop("time"), **samples}
+        return shown, pa.table({name: values for name, values in columns.items() if not np.isnan(values).all()})
 
-    def _loaded(self, trial: str, shown: dict[str, Any]) -> tuple[pa.Table, TrialBatch]:
-        """Return a trial and its samples by where it was stored, or, where it was merged since, by looking for it."""
+    def _loaded(self, trial: str, shown: dict[str, Any]) -> Trial:
+        """Return a trial by where it was stored, or, where it was merged since, by looking for it."""
         processed = self.settings.processed
         if (found := load_trial(processed, trial, *self.catalogue.stored_at(trial))) is not None:
-            return found
+            return found[1]
         stored = read_trials(processed, shown["device"], shown["experiment"])
         own = stored.take(np.flatnonzero([name == trial for name in stored.column("trial_id").to_pylist()]))
         if not own.num_rows:
             raise Problem(404, "The trial was removed a moment ago.", found=trial, where="trial")
-        return own, load_batch(processed, own.slice(0, 1))
+        return load_trials(processed, own.slice(0, 1))[0]
 
     def found(self, trial: str) -> dict[str, Any]:
         """Return a trial as the API shows it."""

@@ -28,7 +28,7 @@ from pipeline.records.results import LogList
 from pipeline.records.tables import LOCATION
 from pipeline.store.batch_files import Place, trials_of, write_batch
 from pipeline.store.corrections import write_corrections
-from pipeline.store.samples import load_groups
+from pipeline.store.samples import load_trials
 from pipeline.store.storage import Correction, Exclusion, read_exclusions, read_trials, split_trials
 
 
@@ -212,7 +212,7 @@ def _hold_samples(store: FreshStore, device: str, experiment: str, said: Reporte
         if not store.problems:
             store.differs(f"experiment {experiment}", "its logs are not those of the report", expected=said.sha256)
         return
-    found = load_groups(store.folder, trials).digest
+    found = load_trials(store.folder, trials).digest
     if found != said.samples:
         text = "its samples are not those of the report"
         store.differs(f"experiment {experiment}", text, expected=said.samples, found=found)

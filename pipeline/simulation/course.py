@@ -22,9 +22,9 @@ from pipeline.base.errors import ParameterError, PipelineError, UsageError
 from pipeline.base.provenance import __version__
 from pipeline.device_data.devices import find_experiment
 from pipeline.measured.signal.verdict import judge
-from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.records.models import Device, Experiment
 from pipeline.records.native import NativeHeader, format_header
+from pipeline.records.trials import Floats, Integers, Trials
 from pipeline.simulation.procedure import Climb, Strings
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
@@ -36,8 +36,8 @@ LOWEST_DAMPING = 2.0
 """Largest -B tested at K = 0 in times the physical damping, where the tested B end before: the limit is at once."""
 
 LONGEST_TRIAL = 20_000
-"""Samples of a trial, 20 s at 1 kHz: fifty times as long as those of the thesis. All trials of a course are simulated
-together, so that each array of 2,300 of them has 370 MB then."""
+"""Samples of a trial, 20 s at 1 kHz: fifty times as long as those of the thesis. Each array of the 2,300 trials of a
+course has 370 MB then."""
 
 TRUTH_FILE = "truth.json"
 
@@ -52,7 +52,7 @@ class Course:
     setup : Setup
         What was simulated: loop, step, limits.
     seed : int
-    batch : TrialBatch
+    trials : Trials
         ``trial_id`` is the file name of the log without its ending.
     passes : int64, shape (n,)
         1 for a trial of the coarse steps, 2 for one of the fine steps.
@@ -64,7 +64,7 @@ class Course:
     experiment: Experiment
     setup: Setup
     seed: int
-    batch: TrialBatch
+    trials: Trials
     passes: Integers
     verdict: Strings
 
@@ -121,9 +121,9 @@ def run_course(
     setup = _setup(device, conditions, duration_s, ideal=ideal).with_loop(**changes)
     stream = f"{device.name}/{conditions.name}"
 
-    def run(stiffness: Floats, damping: Floats) -> tuple[TrialBatch, Strings]:
-        batch = simulate(setup, stiffness, damping, seed=seed, stream=stream)
-        return batch, np.asarray(judge(batch).verdict, dtype=np.str_)
+    def run(stiffness: Floats, damping: Floats) -> tuple[Trials, Strings]:
+        trials = simulate(setup, stiffness, damping, seed=seed, stream=stream)
+        return trials, np.array([judge(trial).verdict for trial in trials], dtype=np.str_)
 
     grid = tested_grid(device, conditions)
     lowest = max(grid.damping_last, LOWEST_DAMPING * conditions.damping)
@@ -133,9 +133,12 @@ def run_course(
     count = floor((grid.damping_last - grid.damping_first) / stride + tolerance) + 1
     climb.columns([*(grid.damping_first + j * stride for j in range(count))])
     climb.columns([None])
-    batch, passes, verdict = climb.result()
-    names = tuple(map(_log_name, batch.stiffness, batch.damping, passes))
-    return Course(device, conditions, setup, seed, replace(batch, trial_id=names), passes, verdict)
+    kept, passes, verdict = climb.result()
+    named = (
+        replace(trial, trial_id=_log_name(trial.stiffness, trial.damping, number))
+        for trial, number in zip(kept, passes.tolist(), strict=True)
+    )
+    return Course(device, conditions, setup, seed, Trials.of(named), passes, verdict)
 
 
 def _setup(device: Device, conditions: Experiment, duration_s: float | None, *, ideal: bool) -> Setup:
@@ -188,7 +191,7 @@ def write_course(course: Course, folder: Path, *, overwrite: bool = False) -> in
         If a file cannot be written. The logs that are there are complete and listed in ``truth.json``.
     """
     target = place_of(place_of(folder, course.device.name), course.experiment.name)
-    names = [f"{name}.csv" for name in course.batch.trial_id]
+    names = [f"{name}.csv" for name in course.trials.trial_id]
     try:
         earlier = _earlier_logs(target, overwrite)
         foreign = [name for name in names if name not in earlier and (target / name).exists()]
@@ -214,33 +217,30 @@ def write_course(course: Course, folder: Path, *, overwrite: bool = False) -> in
 
 
 def _write_logs(course: Course, target: Path, names: Sequence[str]) -> None:
-    device, experiment, batch = course.device, course.experiment, course.batch
-    hidden = course.setup.hidden
-    columns: tuple[Floats, ...] = (batch.command, batch.position)
-    # time stamps are the same in every log without gaps, so they stand in the template as text
-    stamps = ["%.17g" % (k * course.setup.loop.sampling_period_s) for k in range(batch.time.shape[1])]
-    if hidden.lost_rows and not hidden.lost_rows_hidden:
-        columns, stamps = (batch.time, *columns), ["%.17g"] * len(stamps)
-    cells = np.stack(columns, axis=2)
+    device, experiment, hidden = course.device, course.experiment, course.setup.hidden
+    # time stamps are the same in every log without gaps, so they are text of the template
+    longest, period = int(course.trials.rows.max(initial=0)), course.setup.loop.sampling_period_s
+    stamped = bool(hidden.lost_rows) and not hidden.lost_rows_hidden
+    stamps = ["%.17g" if stamped else "%.17g" % (k * period) for k in range(longest)]
     lines = [f"{stamp},%.17g,%.17g\n" for stamp in stamps]
-    templates = {int(rows): "".join(lines[:rows]) for rows in np.unique(batch.rows)}
+    templates = {rows: "".join(lines[:rows]) for rows in np.unique(course.trials.rows).tolist()}
     temporary = target / f".{os.getpid()}{TEMPORARY_ENDING}"
     try:
-        for i, name in enumerate(names):
-            rows = int(batch.rows[i])
+        for trial, name in zip(course.trials, names, strict=True):
             header = NativeHeader(
                 device=device.name,
                 experiment=experiment.name,
-                stiffness=float(batch.stiffness[i]),
-                damping=float(batch.damping[i]),
-                step=float(batch.step[i]),
-                sampling_period_s=float(batch.sampling_period_s[i]),
+                stiffness=trial.stiffness,
+                damping=trial.damping,
+                step=trial.step,
+                sampling_period_s=trial.sampling_period_s,
                 added_delay_samples=experiment.added_delay_samples,
                 grip=experiment.grip,
                 motion=device.motion,
                 simulated=True,
             )
-            text = format_header(header, device.motion) + templates[rows] % tuple(cells[i, :rows].ravel().tolist())
+            cells = np.stack([*((trial.time,) if stamped else ()), trial.command, trial.position], axis=1)
+            text = format_header(header, device.motion) + templates[trial.rows] % tuple(cells.ravel().tolist())
             temporary.write_bytes(text.encode())
             temporary.replace(target / name)
     finally:
@@ -269,10 +269,10 @@ def _earlier_logs(target: Path, overwrite: bool) -> set[str]:
 
 
 def _truth(course: Course) -> dict[str, Any]:
-    setup, experiment, batch, loop = course.setup, course.experiment, course.batch, course.setup.loop
+    setup, experiment, trials, loop = course.setup, course.experiment, course.trials, course.setup.loop
     shortest, longest = loop.delay_range
-    radius = spectral_radius(setup, batch.stiffness, batch.damping)
-    rows = zip(batch.trial_id, batch.stiffness, batch.damping, course.verdict, radius, batch.rows, strict=True)
+    radius = spectral_radius(setup, trials.stiffness, trials.damping)
+    rows = zip(trials.trial_id, trials.stiffness, trials.damping, course.verdict, radius, trials.rows, strict=True)
     return {
         "device": course.device.name,
         "experiment": experiment.name,

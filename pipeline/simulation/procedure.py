@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.errors import ParameterError
-from pipeline.records.batch import Floats, Integers, TrialBatch
+from pipeline.records.trials import Floats, Integers, Trial, Trials
 
 Strings = NDArray[np.str_]
 
@@ -64,17 +64,17 @@ class Climb:
     progress : callable or None
         Called with the number of trials kept so far.
     kept, verdicts, order : list
-        Per wave: the trials that were kept, their verdicts, and (column, pass, rung) of each.
+        The trials that were kept, their verdicts, and (column, pass, rung) of each.
     """
 
-    run: Callable[[Floats, Floats], tuple[TrialBatch, Strings]]
+    run: Callable[[Floats, Floats], tuple[Trials, Strings]]
     stiffness_step: float
     damping_step: float
     lowest_damping: float
     progress: Callable[[int], None] | None
-    kept: list[TrialBatch] = field(default_factory=list)
-    verdicts: list[Strings] = field(default_factory=list)
-    order: list[Integers] = field(default_factory=list)
+    kept: list[Trial] = field(default_factory=list)
+    verdicts: list[str] = field(default_factory=list)
+    order: list[tuple[int, int, int]] = field(default_factory=list)
 
     def columns(self, dampings: Sequence[float | None]) -> None:
         """Run the coarse and the fine pass of columns by their damping B, in order; None for the trials at K = 0.
@@ -108,18 +108,19 @@ class Climb:
             last = ladders[ahead[0]].last
             rungs = np.arange(below, min(below + WAVE, last or below + WAVE)) + 1
             pairs = np.concatenate([self._pairs(ladders[i], rungs) for i in ahead])
-            batch, verdict = self.run(pairs[:, 0], pairs[:, 1])
+            trials, verdict = self.run(pairs[:, 0], pairs[:, 1])
             unstable = (verdict == "unstable").reshape(len(ahead), len(rungs))
             first = np.where(unstable.any(axis=1), unstable.argmax(axis=1), len(rungs))
             keep = (np.arange(len(rungs)) <= first[:, None]).ravel()
-            place = [(ladders[i].column, ladders[i].number, rung) for i in ahead for rung in rungs]
-            self.kept.append(batch.select(keep))
-            self.verdicts.append(verdict[keep])
-            self.order.append(np.array(place, dtype=np.int64)[keep])
+            place = [(ladders[i].column, ladders[i].number, rung) for i in ahead for rung in rungs.tolist()]
+            for number in np.flatnonzero(keep).tolist():
+                self.kept.append(trials[number])
+                self.verdicts.append(str(verdict[number]))
+                self.order.append(place[number])
             reached[ahead] += first
             below = int(rungs[-1])
             if self.progress is not None:
-                self.progress(sum(map(len, self.kept)))
+                self.progress(len(self.kept))
             ahead = [i for i, n in zip(ahead, first, strict=True) if n == len(rungs) and below != last]
             if ahead and below >= LONGEST_CLIMB:
                 K, B = self._pairs(ladders[ahead[0]], rungs[-1:])[0]
@@ -135,8 +136,8 @@ class Climb:
             return np.stack((np.zeros(len(rungs)), 0.0 - steps * self.damping_step / FINE_STEPS), axis=1)
         return np.stack((steps * self.stiffness_step / FINE_STEPS, np.full(len(rungs), ladder.damping)), axis=1)
 
-    def result(self) -> tuple[TrialBatch, Integers, Strings]:
+    def result(self) -> tuple[list[Trial], Integers, Strings]:
         """Return trials, pass and verdict in the order of testing."""
-        place = np.concatenate(self.order)
-        index = np.lexsort((place[:, 2], place[:, 1], place[:, 0]))
-        return TrialBatch.joined(self.kept).select(index), place[index, 1], np.concatenate(self.verdicts)[index]
+        order = sorted(range(len(self.order)), key=self.order.__getitem__)
+        passes = np.array([self.order[i][1] for i in order], dtype=np.int64)
+        return [self.kept[i] for i in order], passes, np.array([self.verdicts[i] for i in order], dtype=np.str_)

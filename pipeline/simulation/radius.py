@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from pipeline.loop.state_space import StateSpace, plant_of, state_space
-from pipeline.records.batch import Floats
+from pipeline.records.trials import Floats
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import coefficients
 

@@ -6,7 +6,6 @@ And what chance decides in them: noise, delays, samples that the sensor holds, r
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import inf
 from typing import Any
@@ -17,8 +16,8 @@ from numpy.typing import NDArray
 from pipeline.base.errors import ParameterError
 from pipeline.device.loop import Loop
 from pipeline.device.parts import Sensor, SimulationParts
-from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.models import Device, Experiment
+from pipeline.records.trials import Booleans, Floats, Integers
 
 _WORD = 2**32 - 1
 
@@ -148,7 +147,7 @@ def idealise(setup: Setup) -> Setup:
 
 @dataclass(frozen=True, eq=False)
 class Chance:
-    """Draws of each row and trial, shape (rows, n); None where there is nothing to draw.
+    """Draws of each row of a trial, shape (rows,); None where there is nothing to draw.
 
     ``noise`` [m, rad] comes before the sensor's rounding, ``delays`` [samples] are those of the commands. In ``held``
     samples the sensor repeats its last value, in ``repeated`` rows the log does; ``lost`` rows are missing in the log.
@@ -162,24 +161,22 @@ class Chance:
 
 
 @dataclass(frozen=True)
-class Streams:
-    """Random streams of the trials of one call, each named by seed, stream, K, B, repetition and what is drawn."""
+class Stream:
+    """Random streams of a trial, each named by seed, stream, K, B, repetition and what is drawn."""
 
     seed: int
     stream: str
-    stiffness: Floats
-    damping: Floats
+    stiffness: float
+    damping: float
     repetition: int
 
-    def draw(self, what: int, values: Callable[[np.random.Generator], NDArray[Any]]) -> NDArray[Any]:
-        """Return what a function draws from each trial's generator, a trial a column."""
+    def generator(self, what: int) -> np.random.Generator:
+        """Return the generator of what is drawn."""
         name = int.from_bytes(hashlib.sha256(self.stream.encode()).digest()[:8])
         # + 0.0: -0.0 is the same trial as 0.0
-        bits = np.stack((self.stiffness + 0.0, self.damping + 0.0), axis=1).view(np.uint64).tolist()
-        entropy = (_words(self.seed, name, *pair, self.repetition) for pair in bits)
-        sequences = (np.random.SeedSequence(words, spawn_key=(what,)) for words in entropy)
-        drawn = [values(np.random.Generator(np.random.PCG64(sequence))) for sequence in sequences]
-        return np.ascontiguousarray(np.stack(drawn, axis=1))
+        bits = (np.array([self.stiffness, self.damping]) + 0.0).view(np.uint64).tolist()
+        words = _words(self.seed, name, *bits, self.repetition)
+        return np.random.Generator(np.random.PCG64(np.random.SeedSequence(words, spawn_key=(what,))))
 
 
 def _words(*numbers: int) -> NDArray[np.uint32]:
@@ -192,23 +189,21 @@ def _words(*numbers: int) -> NDArray[np.uint32]:
     return np.array(words, dtype=np.uint32)
 
 
-def draw(setup: Setup, streams: Streams) -> Chance:
-    """Return all that chance decides in the trials of one call."""
+def draw(setup: Setup, stream: Stream) -> Chance:
+    """Return all that chance decides in a trial."""
     rows, hidden = setup.rows, setup.hidden
-    if not len(streams.stiffness):
-        return Chance(None, None, None, None, None)
 
     def some(what: int, share: float) -> Booleans | None:
         if share == 0:
             return None
-        chosen: Booleans = streams.draw(what, lambda generator: generator.random(rows)) < share
+        chosen: Booleans = stream.generator(what).random(rows) < share
         chosen[0] = False  # the first row says where the wall rests
         return chosen
 
     noise = delays = None
     if setup.loop.sensor.noise > 0:
-        noise = setup.loop.sensor.noise * streams.draw(0, lambda generator: generator.standard_normal(rows))
+        noise = setup.loop.sensor.noise * stream.generator(0).standard_normal(rows)
     if setup.loop.jitter_samples:
         choices = np.array(setup.loop.jitter_samples, dtype=np.int64)
-        delays = choices[streams.draw(1, lambda generator: generator.integers(0, len(choices), rows))]
+        delays = choices[stream.generator(1).integers(0, len(choices), rows)]
     return Chance(noise, delays, some(2, hidden.held_samples), some(3, hidden.repeated_rows), some(4, hidden.lost_rows))

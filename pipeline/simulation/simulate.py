@@ -2,25 +2,28 @@
 
 Per sample k: the true position is disturbed by noise and rounded to the sensor's quantum; the wall force
 ``K (x_k - x_0) + B v_k`` is subtracted from the external step; the command, clipped to the force limit, reaches the
-plant some samples later. Between two changes of its input the plant moves exactly. All trials of a batch advance
-together; each has its own random streams, so batching changes no bit.
+plant some samples later. Between two changes of its input the plant moves exactly. Each trial has its own random
+streams, and is simulated by `pipeline.loop.closed_loop`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from math import floor, inf
+from typing import Self
 
 import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.device.parts import AdaptiveWindow, Difference, Levant, VelocityFilter
+from pipeline.loop.closed_loop import DIFFERENCE, FILTER, LEVANT, WINDOW, Interval, run_trial
 from pipeline.loop.many_digits import as_floats, many_digits
 from pipeline.loop.motion import FrictionalMotion
 from pipeline.loop.velocity_filter import filter_in_z, per_sample
-from pipeline.records.batch import Floats, Integers, TrialBatch
-from pipeline.simulation.setup import Chance, Setup, Streams, draw
+from pipeline.records.trials import Floats, Integers, Trial, Trials
+from pipeline.simulation.setup import Chance, Setup, Stream, draw
 
 DIGITS = 40
 """In which a filter is written in powers of 1/z: a low cut-off cancels many of them."""
@@ -42,7 +45,7 @@ def simulate(
     stream: str = "",
     repetition: int = 0,
     disturbance: Floats | None = None,
-) -> TrialBatch:
+) -> Trials:
     """Simulate step responses, one per pair (K, B), from rest at ``centre - F_0/K`` (``centre`` for K <= 0).
 
     Parameters
@@ -59,7 +62,7 @@ def simulate(
 
     Returns
     -------
-    TrialBatch
+    Trials
         A trial that leaves its travel ends with the first sample outside. ``trial_id`` is the running number.
 
     Raises
@@ -76,58 +79,56 @@ def simulate(
     """
     K, B = np.asarray(stiffness, dtype=np.float64), np.asarray(damping, dtype=np.float64)
     _check(setup, K, B, seed, disturbance)
-    trials, loop, motion = len(K), setup.loop, FrictionalMotion.of(setup.loop)
-    start = setup.centre - setup.step * np.divide(1.0, K, out=np.zeros(trials), where=K > 0)  # eq. 6.1
-    chance = draw(setup, Streams(seed, stream, K, B, repetition))
-    route = _route(setup, chance.delays)
-    farthest = START_MARGIN * np.abs(start - setup.centre)
-    travel, stop = np.maximum(setup.travel, farthest), np.maximum(setup.stop, farthest)
-    external, gain, push = external_force(setup), setup.true_gain, setup.constant_force
-    sunk = _sunk(setup, K)
+    shared, trials = _Shared.of(setup), []
+    for place, wall in enumerate(zip(K.tolist(), B.tolist(), strict=True)):
+        chance = draw(setup, Stream(seed, stream, *wall, repetition))
+        push = np.zeros(setup.rows) if disturbance is None else disturbance[:, place]
+        log = _logged(setup, chance, *_run(setup, shared, wall, chance, setup.constant_force + push))
+        trials.append(Trial(str(place), *wall, setup.step, setup.loop.sampling_period_s, *log))
+    return Trials.of(trials)
 
-    position = np.full((setup.rows, trials), np.nan)
-    command = np.full((setup.rows + 1, trials), np.nan)  # row 0: what the plant feels before the first arrival
-    command[0] = -K * sunk
+
+@dataclass(frozen=True, eq=False)
+class _Shared:
+    """What the trials of a call share, as `run_trial` takes it."""
+
+    external: Floats
+    estimator: tuple[int, Floats, float]
+    motion: tuple[Floats, int, tuple[Interval, Interval]]
+
+    @classmethod
+    def of(cls, setup: Setup) -> Self:
+        T, motion = setup.true_period_s, FrictionalMotion.of(setup.loop)
+        part = setup.loop.delay_samples % 1
+        spans = (T, T) if setup.loop.jitter_samples or part == 0 else (part * T, (1 - part) * T)
+        early, late = (motion.interval(span) for span in spans)
+        return cls(
+            external_force(setup),
+            estimator_of(setup.loop.velocity, setup.loop.sampling_period_s),
+            (motion.rest(np.ones(1))[:, 0], motion.sensed, (early, late)),
+        )
+
+
+def _run(
+    setup: Setup, shared: _Shared, wall: tuple[float, float], chance: Chance, push: Floats
+) -> tuple[Floats, Floats]:
+    """Return command and position of a trial."""
+    (K, _), loop, hidden = wall, setup.loop, setup.hidden
+    start = setup.centre - (setup.step * (1.0 / K) if K > 0 else 0.0)  # eq. 6.1
+    farthest = START_MARGIN * abs(start - setup.centre)
+    noise = np.zeros(setup.rows) if chance.noise is None else chance.noise
+    held = np.zeros(setup.rows, np.bool_) if chance.held is None else chance.held
+    side = float(np.sign(setup.step)) if hidden.one_sided_wall else 0.0
     limit = inf if loop.force_limit is None else loop.force_limit
-    rendered = command if limit == inf and gain == 1 else gain * np.clip(command, -limit, limit)
-    rows = np.full(trials, setup.rows, dtype=np.int64)
-    inside = np.ones(trials, dtype=np.bool_)
-    state = motion.rest(rendered[0])
-    velocity = velocity_of(loop.velocity, loop.sampling_period_s, trials)
-    everyone = np.arange(trials)
-    for k in range(setup.rows):
-        true = start + state[motion.sensed]
-        position[k] = _measure(true if chance.noise is None else true + chance.noise[k], loop.sensor.quantum)
-        if chance.held is not None:
-            position[k] = np.where(chance.held[k], position[max(k - 1, 0)], position[k])
-        depth = position[k] - position[0] + sunk
-        wall = K * depth + B * velocity(position, k)
-        if setup.hidden.one_sided_wall:
-            wall = np.where(depth * setup.step > 0, wall, 0.0)
-        command[k + 1] = external[k] - wall
-        if rendered is not command:
-            np.clip(command[k + 1], -limit, limit, out=rendered[k + 1])
-            rendered[k + 1] *= gain
-        left = inside & (np.abs(true - setup.centre) > travel)
-        if left.any():
-            rows[left] = k + 1
-            inside &= ~left
-            state[:, left] = 0.0  # parked at rest, so that an unstable trial cannot overflow after its end
-            if not inside.any():
-                break
-        beside = push if disturbance is None else push + disturbance[k]
-        if push or disturbance is not None:
-            beside = np.where(inside, beside, 0.0)
-        for time_s, slot in route(k):
-            force = rendered[slot] if isinstance(slot, int) else rendered[slot, everyone]
-            state = motion.advance(state, np.where(inside, force, 0.0), beside, time_s)
-        if setup.stop < inf:
-            reached = np.clip(state[0], setup.centre - stop - start, setup.centre + stop - start)
-            state[1, state[0] != reached] = 0.0
-            state[0] = reached
-    if setup.hidden.clipped_command_logged:
-        command = np.clip(command, -limit, limit)
-    return _logged(setup, (K, B), rows, command[1:], position, chance)
+    command, position = run_trial(
+        (*wall, _sunk(setup, K), side),
+        (shared.external, push, noise, held, _slots(setup, chance.delays)),
+        (start, setup.centre, max(setup.travel, farthest), max(setup.stop, farthest)),
+        (loop.sensor.quantum, limit, setup.true_gain),
+        shared.estimator,
+        shared.motion,
+    )
+    return np.clip(command, -limit, limit) if hidden.clipped_command_logged else command, position
 
 
 def _check(setup: Setup, K: Floats, B: Floats, seed: int, disturbance: Floats | None) -> None:
@@ -149,14 +150,14 @@ def external_force(setup: Setup) -> Floats:
     return result
 
 
-def _sunk(setup: Setup, K: Floats) -> Floats:
+def _sunk(setup: Setup, K: float) -> float:
     """Return how deep in the wall the constant force holds the device before the step [m, rad].
 
     A wall without stiffness cannot hold it, nor can a one-sided wall that the force pulls away from.
     """
     constant = setup.constant_force
-    holds = (K > 0) & (not setup.hidden.one_sided_wall or constant * setup.step > 0)
-    return np.divide(constant / setup.true_gain, K, out=np.zeros(len(K)), where=holds)
+    holds = K > 0 and (not setup.hidden.one_sided_wall or constant * setup.step > 0)
+    return constant / setup.true_gain / K if holds else 0.0
 
 
 def in_force(delays: Integers) -> Integers:
@@ -166,21 +167,25 @@ def in_force(delays: Integers) -> Integers:
 
     Parameters
     ----------
-    delays : int64, shape (rows, n)
+    delays : int64, shape (rows,)
         Delay of the command of each row [samples].
 
     Returns
     -------
-    int64, shape (rows, n)
+    int64, shape (rows,)
         Row of the command in force in the interval that starts with each row; -1 before any arrival.
+
+    Examples
+    --------
+    >>> in_force(np.array([2, 1, 1, 0])).tolist()
+    [-1, -1, 1, 3]
     """
-    rows, trials = delays.shape
-    newest = np.full((rows, trials), -1, dtype=np.int64)
-    sent, trial = np.indices((rows, trials))
+    newest, sent = np.full(len(delays), -1, dtype=np.int64), np.arange(len(delays))
     arrival = sent + delays
-    on_time = arrival < rows
-    np.maximum.at(newest, (arrival[on_time], trial[on_time]), sent[on_time])
-    return np.maximum.accumulate(newest, axis=0)
+    on_time = arrival < len(delays)
+    np.maximum.at(newest, arrival[on_time], sent[on_time])
+    result: Integers = np.maximum.accumulate(newest)
+    return result
 
 
 def age_in_force(delays: Sequence[int]) -> tuple[float, float]:
@@ -219,21 +224,15 @@ def _drawn() -> tuple[list[tuple[int, ...]], Floats, Floats]:
     return every, mean, deviation
 
 
-def _route(setup: Setup, delays: Integers | None) -> Callable[[int], Sequence[tuple[float, int | Integers]]]:
-    """Return, for a row, the parts of its interval: duration [s] and slot (row + 1) of its command."""
-    T = setup.true_period_s
+def _slots(setup: Setup, delays: Integers | None) -> Integers:
+    """Return the row of the command in force, from 1, in the parts of the interval behind each row, (parts, rows)."""
     if delays is not None:
         slots = in_force(delays) + 1
-        return lambda row: [(T, slots[row])]
+        return slots[None]
     whole = floor(setup.loop.delay_samples)
-    part = setup.loop.delay_samples - whole
-    if part == 0:
-        return lambda row: [(T, max(row - whole + 1, 0))]
-    return lambda row: [(part * T, max(row - whole, 0)), ((1 - part) * T, max(row - whole + 1, 0))]
-
-
-def _measure(position: Floats, quantum: float) -> Floats:
-    return np.rint(position / quantum) * quantum if quantum > 0 else position
+    first = [[-whole], [1 - whole]] if setup.loop.delay_samples > whole else [[1 - whole]]
+    result: Integers = np.maximum(np.arange(setup.rows) + np.array(first), 0)
+    return result
 
 
 def coefficients(kind: VelocityFilter | None, sampling_period_s: float) -> tuple[Floats, Floats]:
@@ -243,104 +242,37 @@ def coefficients(kind: VelocityFilter | None, sampling_period_s: float) -> tuple
         return as_floats(b), as_floats(a)
 
 
-def velocity_of(kind: VelocityFilter | None, period: float, trials: int) -> Callable[[Floats, int], Floats]:
-    """Return what gives the velocity of many trials from the positions so far, shape (rows, n); rows in order.
+def estimator_of(kind: VelocityFilter | None, sampling_period_s: float) -> tuple[int, Floats, float]:
+    """Return the estimator of velocity of a controller, as `pipeline.loop.closed_loop.velocity` takes it.
 
     Parameters
     ----------
     kind : VelocityFilter or None
         None for the backward difference.
-    period : float
+    sampling_period_s : float
         T as the controller takes it [s].
-    trials : int
     """
     if isinstance(kind, AdaptiveWindow):
-        return lambda position, row: (
-            _adaptive_window(position[max(row - kind.longest, 0) : row + 1], kind.bound) / period
-        )
+        return WINDOW, np.array([[kind.bound, kind.longest], [0.0, 0.0]]), sampling_period_s
     if isinstance(kind, Levant):
-        return _levant(kind.acceleration, period)
+        return LEVANT, np.array([[kind.acceleration, 0.0], [0.0, 0.0]]), sampling_period_s
     if isinstance(kind, Difference):
-        count = kind.samples
-        return lambda position, row: (position[row] - position[max(row - count, 0)]) / period / count
-    b, a = coefficients(kind, period)
-    order = max(len(a), len(b)) - 1
-    b, a = np.pad(b, (0, order + 1 - len(b))), np.pad(a, (0, order + 1 - len(a)))
-    memory = np.zeros((order + 1, trials))
-
-    def filtered(position: Floats, row: int) -> Floats:
-        difference: Floats = (position[row] - position[max(row - 1, 0)]) / period
-        result: Floats = b[0] * difference + memory[0]
-        # transposed direct form: the last row of the memory stays zero
-        for i in range(order):
-            memory[i] = memory[i + 1] + b[i + 1] * difference - a[i + 1] * result
-        return result
-
-    return filtered
+        return DIFFERENCE, np.array([[float(kind.samples), 0.0], [0.0, 0.0]]), sampling_period_s
+    both = coefficients(kind, sampling_period_s)
+    numbers = np.zeros((2, max(map(len, both)) + 1))
+    for row, values in zip(numbers, both, strict=True):
+        row[: len(values)] = values
+    return FILTER, numbers, sampling_period_s
 
 
-def _adaptive_window(position: Floats, bound: float) -> Floats:
-    """Return the slope [1/sample] over the longest window with all samples within a bound of its line, shape (n,)."""
-    newest, found = position[-1], np.zeros(position.shape[1])
-    going = np.ones(len(found), dtype=np.bool_)
-    for count in range(1, len(position)):
-        slope = (newest - position[-1 - count]) / count
-        line = newest - slope * np.arange(1, count)[:, None]
-        going = going & (np.abs(position[-2 : -1 - count : -1] - line) <= bound).all(axis=0)
-        found = np.where(going, slope, found)
-        if not going.any():
-            break
-    return found
-
-
-def _levant(acceleration: float, period: float) -> Callable[[Floats, int], Floats]:
-    """Return Levant's differentiator, at rest at the first position."""
-    state: list[Floats] = []
-
-    def differentiated(position: Floats, row: int) -> Floats:
-        if not state:
-            state[:] = position[row].copy(), np.zeros(position.shape[1])
-        place, velocity = state
-        off = place - position[row]
-        speed = velocity - 1.5 * np.sqrt(acceleration * np.abs(off)) * np.sign(off)
-        state[:] = place + period * speed, velocity - period * 1.1 * acceleration * np.sign(off)
-        return state[1]
-
-    return differentiated
-
-
-def _logged(
-    setup: Setup, walls: tuple[Floats, Floats], rows: Integers, command: Floats, position: Floats, chance: Chance
-) -> TrialBatch:
-    """Return the log that a lab keeps of trials at walls (K, B), from command and position of shape (rows, n)."""
-    trials, T = len(rows), setup.loop.sampling_period_s
-    longest = int(rows.max(initial=0))
+def _logged(setup: Setup, chance: Chance, command: Floats, position: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return time stamps, command and position as a lab logs them."""
+    rows = len(position)
+    time = setup.loop.sampling_period_s * np.arange(rows, dtype=np.float64)
     if chance.repeated is not None:
-        before = np.vstack((position[:1], position[:-1]))
-        position = np.where(chance.repeated, before, position)
-    padding = np.arange(longest)[None, :] >= rows[:, None]
-    time = np.where(padding, np.nan, T * np.arange(longest))
-    both = [np.where(padding, np.nan, values[:longest].T) for values in (command, position)]
-    if chance.lost is not None:
-        kept = ~(chance.lost[:longest].T | padding)
-        rows = kept.sum(axis=1)
-        longest = int(rows.max(initial=0))
-        order = np.argsort(~kept, axis=1, kind="stable")[:, :longest]
-        gone = np.arange(longest)[None, :] >= rows[:, None]
-        stamps = np.broadcast_to(T * np.arange(longest), gone.shape)
-        stamps = stamps if setup.hidden.lost_rows_hidden else np.take_along_axis(time, order, axis=1)
-        time, *both = (
-            np.where(gone, np.nan, values)
-            for values in (stamps, *(np.take_along_axis(values, order, axis=1) for values in both))
-        )
-    return TrialBatch(
-        trial_id=tuple(str(i) for i in range(trials)),
-        stiffness=walls[0],
-        damping=walls[1],
-        step=np.full(trials, setup.step),
-        sampling_period_s=np.full(trials, T),
-        rows=rows,
-        time=time,
-        command=both[0],
-        position=both[1],
-    )
+        position = np.where(chance.repeated[:rows], np.append(position[:1], position[:-1]), position)
+    if chance.lost is None:
+        return time, command, position
+    kept = ~chance.lost[:rows]
+    stamps = time[: kept.sum()] if setup.hidden.lost_rows_hidden else time[kept]
+    return stamps, command[kept], position[kept]

@@ -29,10 +29,10 @@ from pipeline.base.disk import (
 )
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import stamp
-from pipeline.records.batch import Booleans
 from pipeline.records.findings import Motion
 from pipeline.records.table_files import WRITING, damaged_file, metadata_of, open_table
 from pipeline.records.tables import arrow_schema
+from pipeline.records.trials import Booleans
 from pipeline.store.storage import TABLE, VERSION_COLUMNS, Rows, read_rows, row_parts, trials_folder
 
 GROUP_TRIALS, GROUP_BYTES = 64, 8 << 20

@@ -1,4 +1,4 @@
-"""Samples of stored trials as arrays: one batch, or groups of like length.
+"""Samples of stored trials as `Trials`.
 
 Files may be merged while samples are read: where one is gone, its trials are looked up anew.
 """
@@ -9,14 +9,15 @@ import json
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from pipeline.base.errors import StoreError
-from pipeline.records.batch import Floats, Integers, TrialBatch, TrialGroups, group_trials, padded_length
 from pipeline.records.table_files import damaged_file
 from pipeline.records.tables import LOCATION, OF_TRIALS
+from pipeline.records.trials import NO_STEP_ROW, Floats, Trial, Trials
 from pipeline.store.storage import ATTEMPTS, read_trials, row_parts
 
 _OPTIONAL = ("force", "velocity")
@@ -25,10 +26,8 @@ _OPTIONAL = ("force", "velocity")
 _SAMPLES = ("time_s", "command", "position", *_OPTIONAL)
 
 
-def load_batch(processed: Path, trials: pa.Table) -> TrialBatch:
-    """Read the samples of trials into padded arrays, ordered by damping, stiffness and trial id.
-
-    One long trial makes all as long: `load_groups` reads any trials in what they need.
+def load_trials(processed: Path, trials: pa.Table) -> Trials:
+    """Read the samples of trials, ordered by damping, stiffness and trial id.
 
     Parameters
     ----------
@@ -41,21 +40,16 @@ def load_batch(processed: Path, trials: pa.Table) -> TrialBatch:
     StoreError
         If a file is missing or damaged, or a trial was removed meanwhile.
     """
-    lengths = trials.column("rows").to_numpy()
-    return _load(processed, in_order(trials), [np.arange(len(lengths))], [lengths.max(initial=0)])[0]
-
-
-def load_groups(processed: Path, trials: pa.Table) -> TrialGroups:
-    """Read the samples of trials in groups of like length; parameters and errors as those of `load_batch`."""
     trials = in_order(trials)
-    rows = trials.column("rows").to_numpy()
-    places = group_trials(rows)
-    return TrialGroups(
-        tuple(places), tuple(_load(processed, trials, places, [padded_length(rows[place])[0] for place in places]))
-    )
+    for _ in range(ATTEMPTS):
+        try:
+            return _read_samples(processed, trials)
+        except FileNotFoundError:
+            trials = _located(processed, trials)
+    raise StoreError(f"{processed}: samples were moved during each of {ATTEMPTS} attempts to read them.")
 
 
-def load_trial(processed: Path, trial: str, file: str, row: int) -> tuple[pa.Table, TrialBatch] | None:
+def load_trial(processed: Path, trial: str, file: str, row: int) -> tuple[pa.Table, Trial] | None:
     """Return a trial and its samples by where it was stored a moment ago; None where it is there no more."""
     names = [*(name for name in OF_TRIALS if name not in LOCATION), *_SAMPLES]
     try:
@@ -64,8 +58,8 @@ def load_trial(processed: Path, trial: str, file: str, row: int) -> tuple[pa.Tab
         return None
     if table.column("trial_id").to_pylist() != [trial]:
         return None
-    found = {name: values[None, :] for name in _SAMPLES for values in _lists(table, name) if values is not None}
-    return table, _batch(table, found)
+    samples = {name: values.copy() for name in _SAMPLES for values in _lists(table, name) if values is not None}
+    return table, _trials(table, samples)[0]
 
 
 def in_order(trials: pa.Table) -> pa.Table:
@@ -73,35 +67,29 @@ def in_order(trials: pa.Table) -> pa.Table:
     return trials.sort_by([("damping", "ascending"), ("stiffness", "ascending"), ("trial_id", "ascending")])
 
 
-def _load(processed: Path, trials: pa.Table, places: list[Integers], lengths: list[int]) -> list[TrialBatch]:
-    """Read the trials at some places into a batch each, of so many samples."""
-    for _ in range(ATTEMPTS):
-        try:
-            return _read_samples(processed, trials, places, lengths)
-        except FileNotFoundError:
-            trials = _located(processed, trials)
-    raise StoreError(f"{processed}: samples were moved during each of {ATTEMPTS} attempts to read them.")
-
-
-def _read_samples(processed: Path, trials: pa.Table, places: list[Integers], lengths: list[int]) -> list[TrialBatch]:
+def _read_samples(processed: Path, trials: pa.Table) -> Trials:
     file = np.array(trials.column("sample_file").to_pylist(), dtype=np.str_)
-    at, rows = (trials.column(name).to_numpy().astype(np.int64) for name in ("sample_row", "rows"))
-    where = {int(one): (group, i) for group, place in enumerate(places) for i, one in enumerate(place)}
-    samples: list[dict[str, Floats]] = [{} for _ in places]
+    at = trials.column("sample_row").to_numpy().astype(np.int64)
+    offsets = _offsets(trials).tolist()
+    samples: dict[str, Floats] = {}
     for name in np.unique(file).tolist():
         own = np.flatnonzero(file == name)
         for which, part in row_parts(processed / name, at[own], list(_SAMPLES)):
             for column in _SAMPLES:
-                for one, values in zip(own[which].tolist(), _lists(part, column), strict=True):
+                for place, values in zip(own[which].tolist(), _lists(part, column), strict=True):
                     if values is None:
                         continue
-                    if len(values) != rows[one]:
+                    first, end = offsets[place : place + 2]
+                    if len(values) != end - first:
                         raise damaged_file(processed / name, "a trial has more or fewer samples than it says")
-                    group, row = where[one]
-                    if column not in samples[group]:
-                        samples[group][column] = np.full((len(places[group]), lengths[group]), np.nan)
-                    samples[group][column][row, : len(values)] = values
-    return [_batch(trials.take(place), found) for place, found in zip(places, samples, strict=True)]
+                    if column not in samples:
+                        samples[column] = np.full(offsets[-1], np.nan)
+                    samples[column][first:end] = values
+    return _trials(trials, samples)
+
+
+def _offsets(trials: pa.Table) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+    return np.concatenate([[0], np.cumsum(trials.column("rows").to_numpy())]).astype(np.int64)
 
 
 def _lists(table: pa.Table, column: str) -> Iterator[Floats | None]:
@@ -112,24 +100,24 @@ def _lists(table: pa.Table, column: str) -> Iterator[Floats | None]:
             yield values[begin:end] if there else None
 
 
-def _batch(trials: pa.Table, samples: dict[str, Floats]) -> TrialBatch:
-    nothing = np.empty((0, 0))
-    present = {name: None if np.isnan(samples.get(name, nothing)).all() else samples[name] for name in _OPTIONAL}
-    extra = [json.loads(text) for text in trials.column("extra").to_pylist()]
-    declared = [told.get("step_row") for told in extra]
-    integrated = np.array([told.get("integrated") == "trapezoid" for told in extra])
-    return TrialBatch(
-        trial_id=tuple(trials.column("trial_id").to_pylist()),
-        stiffness=trials.column("stiffness").to_numpy(),
-        damping=trials.column("damping").to_numpy(),
-        step=trials.column("step").to_numpy(),
-        sampling_period_s=trials.column("sampling_period_s").to_numpy(),
-        rows=trials.column("rows").to_numpy().astype(np.int64),
+def _trials(table: pa.Table, samples: dict[str, Floats]) -> Trials:
+    """Return trials by rows of their table, with the samples of all of them in flat arrays."""
+    extra: list[dict[str, Any]] = [json.loads(text) for text in table.column("extra").to_pylist()]
+    declared = [metadata.get("step_row") for metadata in extra]
+    integrated = np.array([metadata.get("integrated") == "trapezoid" for metadata in extra], dtype=np.bool_)
+    nothing = np.empty(0)
+    rows = np.array([NO_STEP_ROW if row is None else int(row) for row in declared], dtype=np.int64)
+    force, velocity = (samples.get(name) for name in _OPTIONAL)
+    return Trials(
+        trial_id=tuple(table.column("trial_id").to_pylist()),
+        **{name: table.column(name).to_numpy() for name in ("stiffness", "damping", "step", "sampling_period_s")},
+        offsets=_offsets(table),
         time=samples.get("time_s", nothing),
         command=samples.get("command", nothing),
         position=samples.get("position", nothing),
-        **present,
-        step_row=np.array([-1 if row is None else int(row) for row in declared]) if any(declared) else None,
+        force=None if force is None or np.isnan(force).all() else force,
+        velocity=None if velocity is None or np.isnan(velocity).all() else velocity,
+        step_row=rows if (rows != NO_STEP_ROW).any() else None,
         integrated=integrated if integrated.any() else None,
     )
 

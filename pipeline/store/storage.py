@@ -31,10 +31,10 @@ import pyarrow.parquet as pq
 from pipeline.base.disk import content_of, kept_files, said_content
 from pipeline.base.errors import StoreError
 from pipeline.base.wording import counted
-from pipeline.records.batch import Booleans, Integers
 from pipeline.records.findings import Record
 from pipeline.records.table_files import damaged_file, metadata_of, open_table, read_table
 from pipeline.records.tables import LOCATION, OF_TRIALS, TABLES, arrow_schema
+from pipeline.records.trials import Booleans, Integers
 from pipeline.store.names import name_of_folder, place_of
 
 Result = TypeVar("Result")

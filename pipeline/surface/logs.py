@@ -18,6 +18,7 @@ from pipeline.intake.sources import find_sources, logs_of, motion_of
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.readers import Log
 from pipeline.records.models import Motion
+from pipeline.records.trials import Trial
 from pipeline.rendering.frames import units_of
 from pipeline.simulation.course import Course, run_course, write_course
 
@@ -172,7 +173,8 @@ def simulate(
     course = run_course(load_device(device), experiment, seed=seed, ideal=ideal, coarsen=coarsen, duration_s=duration_s)
     if out is not None:
         write_course(course, Path(out), overwrite=overwrite)
-    return [_trial(course, trial) for trial in range(len(course.batch))]
+    trials = zip(course.trials, course.verdict.tolist(), strict=True)
+    return [_frame(course, trial, verdict) for trial, verdict in trials]
 
 
 def response_frame(samples: Mapping[str, Any], motion: Motion, about: Mapping[str, Any]) -> pd.DataFrame:
@@ -185,21 +187,20 @@ def response_frame(samples: Mapping[str, Any], motion: Motion, about: Mapping[st
     return frame
 
 
-def _trial(course: Course, trial: int) -> pd.DataFrame:
-    batch, experiment = course.batch, course.experiment
-    rows = int(batch.rows[trial])
-    samples = {"time_s": batch.time, "command": batch.command, "position": batch.position}
+def _frame(course: Course, trial: Trial, verdict: str) -> pd.DataFrame:
+    experiment = course.experiment
+    samples = {"time_s": trial.time, "command": trial.command, "position": trial.position}
     about = {
-        "trial": batch.trial_id[trial],
+        "trial": trial.trial_id,
         "device": course.device.name,
         "experiment": experiment.name,
-        **{name: float(getattr(batch, name)[trial]) for name in ("stiffness", "damping", "step", "sampling_period_s")},
+        **{name: getattr(trial, name) for name in ("stiffness", "damping", "step", "sampling_period_s")},
         "added_delay_samples": experiment.added_delay_samples,
         "grip": experiment.grip,
         "simulated": True,
-        "verdict": str(course.verdict[trial]),
+        "verdict": verdict,
     }
-    return response_frame({name: all_[trial, :rows] for name, all_ in samples.items()}, course.device.motion, about)
+    return response_frame(samples, course.device.motion, about)
 
 
 def _chosen(logs: Sequence[Log], label: str | None, path: Place) -> Log:

@@ -15,7 +15,7 @@ import pandas as pd
 from pipeline.base.errors import ParameterError
 from pipeline.device import loop as device_loop
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
-from pipeline.records.batch import Floats
+from pipeline.records.trials import Floats
 from pipeline.rendering.figures.boundaries import limits_figure, limits_panel
 from pipeline.rendering.figures.drawing import Series, write_picture
 from pipeline.rendering.frames import units_of

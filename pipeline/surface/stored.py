@@ -21,7 +21,7 @@ from pipeline.measured.stages.stages import ExperimentStages, cost_column
 from pipeline.records.criteria import MEASURED
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.frames import MOTIONS, boundary_frame, estimates_frame, frame_of, optima_frame, units_of
-from pipeline.store.samples import load_batch
+from pipeline.store.samples import load_trials
 from pipeline.store.storage import list_devices, list_experiments, read_exclusions, read_trials
 from pipeline.surface.logs import SAMPLES, Place, response_frame
 
@@ -137,10 +137,9 @@ def samples(processed: Place, trial_id: str) -> pd.DataFrame:
     if not table.num_rows:
         raise UsageError(f"{folder}: no trial {trial_id!r}. `trials` lists them in its column trial_id.")
     (row,) = table.slice(0, 1).to_pylist()
-    batch = load_batch(folder, table.slice(0, 1))
-    fields = {"time_s": batch.time, **{name: getattr(batch, name) for name in SAMPLES[1:]}}
+    trial = load_trials(folder, table.slice(0, 1))[0]
     return response_frame(
-        {name: None if values is None else values[0] for name, values in fields.items()},
+        {"time_s": trial.time, **{name: getattr(trial, name) for name in SAMPLES[1:]}},
         row["motion"],
         {"trial_id": trial_id, **{name: row[name] for name in _CONDITIONS}},
     )

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from pipeline.base.wording import counted
 from pipeline.comparison.loops.departures import SENTENCES, LawRows, course_filter, law_departures
 from pipeline.device.parts import Butterworth, VelocityFilter
 from pipeline.measured.experiment.identified_loop import MOST
-from pipeline.measured.stages.stage_groups import TrialGroup
+from pipeline.measured.stages.measured_trial import MeasuredTrial
 from pipeline.readers import Log
-from pipeline.records.batch import NO_STEP_ROW, TrialBatch, group_trials
+from pipeline.records.trials import Trial
 
 OPEN = (
     *("velocity_filter", "adaptive_velocity", "position_filter"),
@@ -61,7 +59,7 @@ def wall_filter(logs: Sequence[Log]) -> WallFilter | None:
     damped = [log for log in walls if log.header.damping != 0]
     if not damped:
         return WallFilter(None, (), NOT_KNOWN.format("all walls have a damping of 0")) if walls else None
-    rows = LawRows.of_groups(_groups(damped))
+    rows = LawRows.of_logs([MeasuredTrial(_trial(log)) for log in damped])
     if rows.misled:
         return WallFilter(None, (), NOT_KNOWN.format("most logs obey another wall than their headers state"))
     if not rows.compared:
@@ -85,25 +83,12 @@ def wall_filter(logs: Sequence[Log]) -> WallFilter | None:
     return WallFilter(None, (), NOT_KNOWN.format(why), left_out=True)
 
 
-def _groups(logs: Sequence[Log]) -> list[TrialGroup]:
-    """Return logs in groups of like length."""
-    places = group_trials(np.array([len(log.time) for log in logs]))
-    return [TrialGroup(TrialBatch.joined([_batch(logs[i]) for i in place])) for place in places]
-
-
-def _batch(log: Log) -> TrialBatch:
+def _trial(log: Log) -> Trial:
     header = log.header
     declared = header.extra.get("step_row")
-    return TrialBatch(
-        trial_id=(log.samples_sha256,),
-        stiffness=np.array([header.stiffness]),
-        damping=np.array([header.damping]),
-        step=np.array([header.step]),
-        sampling_period_s=np.array([header.sampling_period_s]),
-        rows=np.array([len(log.time)]),
-        time=log.time[None],
-        command=log.command[None],
-        position=log.position[None],
-        step_row=np.array([NO_STEP_ROW if declared is None else int(declared)]),
-        integrated=np.array([header.extra.get("integrated") == "trapezoid"]),
+    return Trial(
+        *(log.samples_sha256, header.stiffness, header.damping, header.step, header.sampling_period_s),
+        *(log.time, log.command, log.position),
+        step_row=None if declared is None else int(declared),
+        integrated=header.extra.get("integrated") == "trapezoid",
     )

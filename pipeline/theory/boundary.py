@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop, as_points
-from pipeline.records.batch import Booleans, Floats, Integers
+from pipeline.records.trials import Booleans, Floats, Integers
 from pipeline.theory.circle import FirstBranch, angle_of, bisect, circle_points, first_branch, place_of
 from pipeline.theory.crossings import polished, stretches, turning_dampings
 

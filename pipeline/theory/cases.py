@@ -16,8 +16,8 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
-from pipeline.records.batch import Floats
 from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, with_discrete
+from pipeline.records.trials import Floats
 from pipeline.theory.boundary import boundary, has_islands, is_well_inside, outline
 from pipeline.theory.costs import check_criteria, point_costs_by_name
 from pipeline.theory.optimum import POINT_CRITERIA, marked_point, optimal_point

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, many_digits, power, product, total
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.records.batch import Booleans, Floats, Integers
+from pipeline.records.trials import Booleans, Floats, Integers
 
 _ITERATIONS = 120
 """More than any bracketed Newton iteration needs: halving the widest cell to rounding takes 60."""

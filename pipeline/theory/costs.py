@@ -13,7 +13,6 @@ from pipeline.base.disk import replacing
 from pipeline.base.errors import ParameterError, PipelineError
 from pipeline.base.provenance import stamp
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.records.batch import Booleans, Floats
 from pipeline.records.criteria import (
     CRITERIA,
     DISCRETE,
@@ -26,6 +25,7 @@ from pipeline.records.criteria import (
     criterion_of,
     with_discrete,
 )
+from pipeline.records.trials import Booleans, Floats
 from pipeline.theory.boundary import boundary, is_inside, is_well_inside
 from pipeline.theory.energy import energy_costs
 from pipeline.theory.modes import TOGETHER

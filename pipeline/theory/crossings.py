@@ -26,7 +26,7 @@ from pipeline.loop.many_digits import (
 )
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.loop.state_space import LEAST_RATIO
-from pipeline.records.batch import Floats, Integers
+from pipeline.records.trials import Floats, Integers
 from pipeline.theory.circle import (
     Cells,
     ends,

@@ -13,8 +13,8 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.criteria import CRITERIA, DISCRETE, SETTLING_BANDS, criterion_of, with_discrete
+from pipeline.records.trials import Booleans, Floats, Integers
 from pipeline.theory.boundary import boundary, stiffness_limit
 from pipeline.theory.optimum import UNDAMPED_LOSS, energy, impulse_energy_limit, nearest_to_line, settling
 from pipeline.theory.poles import damping_ratio, spectral_radius

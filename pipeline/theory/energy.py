@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import Digits, as_exact, bilinear, from_w, many_digits, total
 from pipeline.loop.normalised_loop import NormalisedLoop, as_points
-from pipeline.records.batch import Booleans, Floats
+from pipeline.records.trials import Booleans, Floats
 from pipeline.theory.motion import WEIGHTS, energy_forms
 from pipeline.theory.poles import characteristic_parts
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pipeline.loop.many_digits import as_exact, as_floats, many_digits, resolvent
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.records.batch import Booleans, Floats, Integers
+from pipeline.records.trials import Booleans, Floats, Integers
 from pipeline.theory.circle import bisect
 from pipeline.theory.motion import DEGREE, Motion, joined, pieces, starts
 

@@ -17,7 +17,7 @@ from numpy.polynomial.legendre import leggauss
 from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, many_digits
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.records.batch import Booleans, Floats, Integers
+from pipeline.records.trials import Booleans, Floats, Integers
 
 DEGREE = 12
 """Of the polynomials: a piece is at most one radian, so the next term is below 1/13!."""

@@ -19,7 +19,7 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.records.batch import Floats
+from pipeline.records.trials import Floats
 from pipeline.theory.search import search_lines
 
 _ANGLES = 40

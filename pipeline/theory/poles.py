@@ -16,7 +16,7 @@ from numpy.polynomial.polynomial import polyder, polyval
 from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import Digits, as_exact, many_digits, power, product, total
 from pipeline.loop.normalised_loop import NormalisedLoop, as_points
-from pipeline.records.batch import Booleans, Floats
+from pipeline.records.trials import Booleans, Floats
 from pipeline.theory.circle import bisect, inverse_and_rate, place_of
 
 _CHUNK = 8192

@@ -20,9 +20,9 @@ from pipeline.base.process import process_pool
 from pipeline.base.provenance import code_digest, digest, sha256
 from pipeline.device.loop import Loop
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
-from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.records.results import SourcedLoop
+from pipeline.records.trials import Floats
 from pipeline.theory.boundary import Boundary, boundary, stabilises
 from pipeline.theory.costs import costs_at
 from pipeline.theory.optimum import optimal_point

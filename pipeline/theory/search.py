@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.records.batch import Floats, Integers
+from pipeline.records.trials import Floats, Integers
 from pipeline.theory.boundary import boundary, is_well_inside, limits
 from pipeline.theory.circle import bisect
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop, as_points
-from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.criteria import OVERSHOOT
+from pipeline.records.trials import Booleans, Floats, Integers
 from pipeline.theory.modes import TOGETHER, WINDOW, earlier, outlooks
 from pipeline.theory.motion import Motion, at_share, joined, pieces, turning_share, within_pieces
 

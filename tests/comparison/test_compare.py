@@ -74,7 +74,7 @@ def nothing_is_computed(monkeypatch):
 
     def forbid():
         monkeypatch.setattr(stage_tables.StageTables, "_computed", refuse)
-        monkeypatch.setattr(stage_tables, "load_groups", refuse)
+        monkeypatch.setattr(stage_tables, "load_trials", refuse)
         monkeypatch.setattr(predictions, "optimal_point", refuse)
         monkeypatch.setattr(comparison, "write_report", refuse)
         monkeypatch.setattr(comparison, "write_text", refuse)

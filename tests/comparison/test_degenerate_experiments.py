@@ -14,7 +14,7 @@ from small_experiments import compared, compared_trials, trials, write_logs
 from pipeline.comparison.against import against_experiments
 from pipeline.comparison.compare import compare
 from pipeline.intake.ingest import ingest
-from pipeline.records.batch import TrialBatch
+from pipeline.records.trials import Trials
 
 FREE = np.zeros(6), np.array([0.0, 0.0, 2.0, 2.0, -1.0, -1.0])
 
@@ -75,8 +75,8 @@ def test_an_experiment_without_a_wall_leaves_the_others_their_report(course, tmp
 @pytest.mark.parametrize("count", [1, 3])
 @pytest.mark.parametrize("edge", ["first", "last"])
 def test_groups_of_very_short_logs(rows, count, edge, tmp_path):
-    batch = trials(300.0 + 100.0 * np.arange(count), 5.0, rows=rows, edge_row=0 if edge == "first" else rows - 1)
-    result = compared_trials(tmp_path, batch)
+    logs = trials(300.0 + 100.0 * np.arange(count), 5.0, rows=rows, edge_row=0 if edge == "first" else rows - 1)
+    result = compared_trials(tmp_path, logs)
     assert result.experiments[0].verdicts == {"undecided": count}
     assert without_reasons(result) == []
     assert ".." not in result.answer.estimates_reason.replace("...", "")
@@ -87,7 +87,7 @@ def test_groups_of_very_short_logs(rows, count, edge, tmp_path):
 @pytest.mark.parametrize("rows", [[2, 200], [3, 200, 200], [2, 3, 150]])
 def test_short_logs_among_long_ones_cost_themselves_alone(rows, tmp_path):
     parts = [trials([k], 15.0, rows=r, edge_row=1) for k, r in zip((500.0, 900.0, 1500.0), rows, strict=False)]
-    result = compared_trials(tmp_path, TrialBatch.joined(parts))
+    result = compared_trials(tmp_path, Trials.of(trial for part in parts for trial in part))
     assert result.experiments[0].verdicts == {
         "stable": sum(r >= 150 for r in rows),
         "undecided": sum(r < 150 for r in rows),
@@ -123,8 +123,8 @@ def test_as_many_negative_as_positive_steps(course, tmp_path):
         trials([k], [b], coulomb=0.3, steps=4.0, rows=260)
         for k, b in zip(course.stiffness, course.damping, strict=True)
     ]
-    sides["one"] = TrialBatch.joined(mirrored)
-    found = {name: compared_trials(tmp_path / name, batch).experiments[0] for name, batch in sides.items()}
+    sides["one"] = Trials.of(trial for part in mirrored for trial in part)
+    found = {name: compared_trials(tmp_path / name, logs).experiments[0] for name, logs in sides.items()}
     assert sorted(set(course.step)) == [-4.0, 4.0]
     for of in found.values():
         assert of.loop.adequate
@@ -203,8 +203,8 @@ def test_intervals_stay_in_the_range_of_their_parameter(tmp_path):
 
 
 def test_a_position_that_never_changes(tmp_path):
-    batch = trials([500.0, 800.0, 0.0], 5.0)
-    still = replace(batch, position=np.where(np.isfinite(batch.position), 0.0, np.nan))
+    logs = trials([500.0, 800.0, 0.0], 5.0)
+    still = replace(logs, position=np.zeros_like(logs.position))
     result = compared_trials(tmp_path, still)
     assert without_reasons(result) == []
     text = result.answer.estimates_reason
@@ -246,9 +246,9 @@ def test_no_passive_wall_by_logs_with_a_hand_alone(grip, tmp_path):
     """The mass and damping of the hand are in the logs; what the device has without it is not known."""
     K = np.tile([300.0, 900.0, 1600.0, 2400.0, 9000.0], 3)
     B = np.repeat([1.0, 4.0, 8.0], 5)
-    batch = trials(K, B, damping=12.0, mass=0.6, rows=260)
-    free = compared_trials(tmp_path / "none", batch).experiments[0]
-    held = compared_trials(tmp_path / grip, batch, grip=grip).experiments[0]
+    logs = trials(K, B, damping=12.0, mass=0.6, rows=260)
+    free = compared_trials(tmp_path / "none", logs).experiments[0]
+    held = compared_trials(tmp_path / grip, logs, grip=grip).experiments[0]
     assert free.passive is not None
     assert free.loop.adequate
     assert held.loop.adequate
@@ -266,8 +266,8 @@ def test_two_devices_without_files_are_compared_by_their_masses(coulomb, tmp_pat
     K = np.tile([300.0, 900.0, 1500.0, 5000.0, 20000.0], 3)
     for name, B, more in (("A", [5.0, 10.0, 20.0], {"coulomb": coulomb}), ("C", [10.0, 20.0, 40.0], {"mass": 0.8})):
         steps = np.where(np.arange(15) % 2, 4.0, -4.0)
-        batch = trials(K, np.repeat(B, 5), steps=steps, rows=260, **more)
-        write_logs(tmp_path / "raw", batch, device=name, prefix=name)
+        logs = trials(K, np.repeat(B, 5), steps=steps, rows=260, **more)
+        write_logs(tmp_path / "raw", logs, device=name, prefix=name)
     compared(tmp_path / "raw", tmp_path / "processed", device="A")
     page = against_experiments(tmp_path / "processed", ("A", "1"), ("C", "1"))
     (pair,) = page.result.pairs
@@ -292,9 +292,9 @@ def test_a_comparison_of_devices_names_the_true_reason(tmp_path):
 @pytest.mark.sampled
 @pytest.mark.parametrize("period", [1e-300, 1e-9, 10.0, 1e300])
 def test_periods_beyond_all_bounds(period, tmp_path):
-    batch = trials([300.0, 900.0], 10.0)
-    time = np.arange(batch.time.shape[1])[None, :] * period * np.ones((2, 1))
-    write_logs(tmp_path / "raw", replace(batch, time=time, sampling_period_s=np.full(2, period)))
+    logs = trials([300.0, 900.0], 10.0)
+    time = np.concatenate([np.arange(rows) * period for rows in logs.rows])
+    write_logs(tmp_path / "raw", replace(logs, time=time, sampling_period_s=np.full(2, period)))
     report = ingest([tmp_path / "raw"], tmp_path / "processed")
     assert report.ingested + len(report.quarantined) == 2
     assert all(one.reason for one in report.quarantined)
@@ -305,9 +305,9 @@ def test_periods_beyond_all_bounds(period, tmp_path):
 @pytest.mark.sampled
 @pytest.mark.parametrize(("step", "position"), [(1e-300, 1.0), (4.0, 1e300), (1e300, 1e-300)])
 def test_steps_and_positions_beyond_all_bounds(step, position, tmp_path):
-    batch = trials([300.0, 900.0], 10.0)
-    values = {"position": batch.position * position, "step": np.full(2, step)}
-    write_logs(tmp_path / "raw", replace(batch, **values))
+    logs = trials([300.0, 900.0], 10.0)
+    values = {"position": logs.position * position, "step": np.full(2, step)}
+    write_logs(tmp_path / "raw", replace(logs, **values))
     report = ingest([tmp_path / "raw"], tmp_path / "processed")
     assert report.ingested + len(report.quarantined) == 2
     if report.ingested:

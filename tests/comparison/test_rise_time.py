@@ -6,6 +6,8 @@ import json
 
 import numpy as np
 import pytest
+from columns import Columns
+from measured_logs import Logs
 from scipy.linalg import expm
 from sensor_trials import DELAY, FEWEST, FREE, SENSORS, measured, trials, truth
 from simulated import simulate
@@ -13,10 +15,7 @@ from typer.testing import CliRunner
 
 from pipeline.device.loop import Loop
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
-from pipeline.measured.cost.costs import BY_FAMILY
-from pipeline.measured.cost.reading_error import reading_error
-from pipeline.measured.signal.response import find_response
-from pipeline.measured.signal.verdict import judge
+from pipeline.measured.cost.costs import rise_time
 from pipeline.records.criteria import MEASURED, REPORTED
 from pipeline.rendering.table_export import export_tables
 from pipeline.shell.cli import app
@@ -67,7 +66,7 @@ def test_free_flight_before_the_wall_answers():
     """With a delay the first samples are a parabola, alpha t^2/2 of the way: known in closed form."""
     alpha = np.array([0.5, 0.8, 1.7])
     found = point_costs_by_name(NormalisedLoop.ideal(0, 0, 1), alpha, np.full(3, 0.3), NAMES, 100)
-    np.testing.assert_allclose(found["rise_time"], (np.sqrt(1.8) - np.sqrt(0.2)) / np.sqrt(alpha), rtol=1e-13)
+    np.testing.assert_allclose(found.value, (np.sqrt(1.8) - np.sqrt(0.2)) / np.sqrt(alpha), rtol=1e-13)
     expected = [
         first_reached(a * np.arange(3) ** 2 / 2, 0.9) - first_reached(a * np.arange(3) ** 2 / 2, 0.1) for a in alpha
     ]
@@ -125,34 +124,33 @@ def stable_neighbours(loop, best):
     return alpha[inside], beta[inside]
 
 
-def rise(batch, response, verdicts, error):
-    return BY_FAMILY["rise"](batch, response, verdicts, error, {"delay": 0})
+def rise(logs):
+    """Rise time of each log with its interval, and the reasons."""
+    return Columns(logs.each(rise_time, errors=[logs.errors]))
 
 
 def ideal():
-    batch, _ = truth()
-    response = find_response(batch)
-    return rise(batch, response, judge(batch, response), reading_error(batch, response, DELAY)), batch
+    return rise(Logs(truth()[0], DELAY))
 
 
 def test_ideal_logs_have_that_of_the_sampled_theory():
-    found, _ = ideal()
+    found = ideal()
     (K, B), units = trials(), LoopUnits(FREE["mass"], 1e-3)
     loop = NormalisedLoop.of(Loop(FREE["mass"], FREE["b"], 1e-3, DELAY))
     theory = point_costs_by_name(loop, K / units.stiffness, B / units.damping, NAMES, 3000)
-    np.testing.assert_allclose(found["rise_time"], theory["rise_time_discrete"], atol=1e-7)
+    np.testing.assert_allclose(found.value, theory["rise_time_discrete"], atol=1e-7)
     # the straight line makes little of a difference
     assert np.nanmax(np.abs(theory["rise_time"] - theory["rise_time_discrete"])) < 0.2
     # an ideal sensor leaves nothing open
-    np.testing.assert_allclose(found["rise_time_low"], found["rise_time"], atol=1e-6)
-    np.testing.assert_allclose(found["rise_time_high"], found["rise_time"], atol=1e-6)
+    np.testing.assert_allclose(found.low, found.value, atol=1e-6)
+    np.testing.assert_allclose(found.high, found.value, atol=1e-6)
 
 
 @pytest.mark.parametrize(("quantum", "noise"), SENSORS)
 def test_intervals_hold_the_truth(quantum, noise):
-    true = ideal()[0]["rise_time"]
-    found = rise(*measured(quantum, noise))
-    value, low, high = (found[f"rise_time{end}"] for end in ("", "_low", "_high"))
+    true = ideal().value
+    found = rise(measured(quantum, noise))
+    value, low, high = found.value, found.low, found.high
     told = np.isfinite(high)
     assert told.mean() > 0.5
     assert ((low <= value) & (value <= high))[told].all()
@@ -160,21 +158,16 @@ def test_intervals_hold_the_truth(quantum, noise):
     # and they say something
     assert np.median((high - low)[told] / value[told]) < 0.5
     for i in np.flatnonzero(np.isnan(value) | np.isnan(high)):
-        assert found["reason"][i], i
+        assert found.reason[i], i
 
 
 def test_what_a_log_cannot_tell_has_a_reason():
-    batch = simulate([4000.0, 9000.0], [70.0, 110.0], **FREE, quantum=2e-4)
-    response = find_response(batch)
-    error = reading_error(batch, response, DELAY)
-    found = rise(batch, response, judge(batch, response), error)
-    assert "sensor floor" in found["reason"][1]
-    assert np.isnan(found["rise_time"][1])
-    clean = simulate([500.0], [170.0], **FREE, rows=60)
-    response = find_response(clean)
-    found = rise(clean, response, judge(clean, response), reading_error(clean, response, DELAY))
-    assert "not reached by the end of the log" in found["reason"][0]
-    assert np.isnan(found["rise_time"]).all()
+    found = rise(Logs(simulate([4000.0, 9000.0], [70.0, 110.0], **FREE, quantum=2e-4), DELAY))
+    assert "sensor floor" in found.reason[1]
+    assert np.isnan(found.value[1])
+    found = rise(Logs(simulate([500.0], [170.0], **FREE, rows=60), DELAY))
+    assert "not reached by the end of the log" in found.reason[0]
+    assert np.isnan(found.value).all()
 
 
 @pytest.mark.slow

@@ -11,7 +11,6 @@ import pytest
 from pipeline.comparison import stage_pool
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.measured.stages import stages
-from pipeline.records import batch as groups
 from pipeline.records.table_files import read_table
 
 NEEDED = {"response", "boundary", "delay"}
@@ -51,26 +50,22 @@ def no_file(*_, **__):
 
 
 @pytest.mark.slow
-def test_the_groups_of_a_large_experiment_are_shared(lwr, copy, monkeypatch):
+def test_the_trials_of_a_large_experiment_are_shared(lwr, copy, monkeypatch):
     monkeypatch.setattr(stage_pool, "LARGE", 50)
-    monkeypatch.setattr(groups, "READINGS", 10_000)
-    monkeypatch.setattr(stage_pool, "FEWEST", 10)
-    cut = []
-    original = stage_pool.SharedGroups._cut
+    shared = []
+    original = stage_pool.SharedTrials.__call__
 
-    def noted(self, batch):
-        parts = original(self, batch)
-        cut.extend(number for _, _, number in parts)
-        return parts
+    def noted(self, function, places, verdicts):
+        shared.append(len({place % len(self._pools) for place in places}))
+        return original(self, function, places, verdicts)
 
-    monkeypatch.setattr(stage_pool.SharedGroups, "_cut", noted)
+    monkeypatch.setattr(stage_pool.SharedTrials, "__call__", noted)
     own = lwr.stages("delay-2", copy)
-    assert len(own.samples.parts) > 2
     assert own.count_new_trials() == own.trials.num_rows
-    needed = {*NEEDED, "model", "damping", "mass", "outcome", "overshoot", "settling", "energy"}
+    needed = {*NEEDED, "model", "mass", "outcome", "overshoot", "settling", "energy"}
     compute_stages([own], needed)
-    assert len(set(cut)) > len(own.samples.parts), "groups are cut"
-    assert len(cut) > len(set(cut)), "each part is used for several stages"
+    assert set(shared) == {2}, "each process has a part of the trials"
+    assert len(shared) > len(needed) - 3, "which it keeps for several stages"
     monkeypatch.undo()
     alone = lwr.stages("delay-2")
     for stage in needed:
@@ -85,14 +80,13 @@ def test_what_is_not_new_is_not_computed_by_several_processes_either(lwr, copy, 
     some.table("delay")
     monkeypatch.setattr(stage_pool, "LARGE", 20)
     computed = []
-    original = stage_pool.SharedGroups.map
+    original = stage_pool.SharedTrials.__call__
 
-    def counted(self, function, groups, *masks):
-        results = list(original(self, function, groups, *masks))
-        computed.append(sum(result.num_rows for result in results))
-        return results
+    def counted(self, function, places, verdicts):
+        computed.append(len(places))
+        return original(self, function, places, verdicts)
 
-    monkeypatch.setattr(stage_pool.SharedGroups, "map", counted)
+    monkeypatch.setattr(stage_pool.SharedTrials, "__call__", counted)
     compute_stages([whole], NEEDED)
     monkeypatch.undo()
     assert computed == [30, 30, 30], "response, wall law and delay"

@@ -111,7 +111,7 @@ def test_measured_rows_hold_the_best_trial_and_its_deviation(falcon_outcome, fal
     result = falcon_outcome.result
     rows = {r.criterion: r for r in result.tables if r.condition == "experiment_1"}
     assert set(rows) == {"settle_2pct", "overshoot", "energy_step_w0", "energy_step_w1", "energy_step_w2"}
-    tested = set(zip(falcon.courses["1"].batch.stiffness, falcon.courses["1"].batch.damping, strict=True))
+    tested = set(zip(falcon.courses["1"].trials.stiffness, falcon.courses["1"].trials.damping, strict=True))
     for criterion, row in rows.items():
         theory = next(r for r in result.tables if (r.criterion, r.condition) == (criterion, "theory_discrete"))
         assert (row.stiffness, row.damping) in tested

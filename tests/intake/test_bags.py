@@ -13,7 +13,7 @@ from pipeline.intake.ingest import ingest
 from pipeline.intake.sources import files_of_bag
 from pipeline.profiles.profile_files import load_profile
 from pipeline.shell.profile.check import check_samples
-from pipeline.store.samples import load_batch
+from pipeline.store.samples import load_trials
 from pipeline.store.storage import read_trials
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -104,11 +104,11 @@ def test_a_split_bag_is_one_log_of_all_its_files(tmp_path, kind, lab):
     # rosbags reads the whole folder by itself
     with Reader(bag) as reader:
         read = [STORE.deserialize_cdr(data, topic.msgtype) for topic, _, data in reader.messages()]
-    batch = load_batch(tmp_path / "processed", trials)
-    assert batch.rows.tolist() == [len(read)] == [12]
-    assert batch.position[0].tolist() == [message.position[0] for message in read]
-    assert batch.command[0].tolist() == [message.effort[0] for message in read]
-    np.testing.assert_allclose(batch.time[0], np.arange(12) * 1e-3, rtol=5e-16)
+    (trial,) = load_trials(tmp_path / "processed", trials)
+    assert trial.rows == len(read) == 12
+    assert trial.position.tolist() == [message.position[0] for message in read]
+    assert trial.command.tolist() == [message.effort[0] for message in read]
+    np.testing.assert_allclose(trial.time, np.arange(12) * 1e-3, rtol=5e-16)
     assert lab()[0].skipped == 1
 
 

@@ -14,7 +14,7 @@ from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.store import batch_files
 from pipeline.store.corrections import exclude, use_again
-from pipeline.store.samples import load_batch
+from pipeline.store.samples import load_trials
 from pipeline.store.storage import corrections_files, read_exclusions, read_trials, trials_files
 
 
@@ -115,7 +115,7 @@ def test_a_flipped_byte_costs_nothing_where_the_logs_are(lab, seed):
     (done,) = check(processed, repair=True).damage
     assert (told.remedy, told.trials, told.read_again) == (done.remedy, done.trials, done.read_again)
     if done.trials:
-        assert len(load_batch(processed, read_trials(processed))) == 6, "the file that was read again stays"
+        assert len(load_trials(processed, read_trials(processed))) == 6, "the file that was read again stays"
     ingest([lab / "logs"], processed, jobs=1)
     assert check_whole(processed, logs_of(lab)) == set(logs_of(lab))
     assert not [one for one in check(processed).damage if one.file.startswith("trials")]
@@ -132,7 +132,7 @@ def test_groups_that_can_be_read_are_kept_where_the_logs_are_gone(lab):
     (damage,) = check(processed, repair=True).damage
     assert (damage.remedy, damage.trials, damage.kept, damage.read_again) == ("save", 6, 4, 0)
     assert {one["source_path"].rpartition("/")[2] for one in damage.lost} == {"2.csv", "3.csv"}
-    assert len(load_batch(processed, read_trials(processed))) == 4
+    assert len(load_trials(processed, read_trials(processed))) == 4
     assert len(list((processed / "damaged").rglob("*.lost.json"))) == 1
     assert len(list((processed / "damaged").rglob("*.damaged"))) == 1
     assert check(processed).damage == ()

@@ -16,7 +16,7 @@ from pipeline.base.errors import StoreError
 from pipeline.intake.ingest import ingest
 from pipeline.records import table_files
 from pipeline.store import batch_files, storage
-from pipeline.store.samples import load_batch
+from pipeline.store.samples import load_trials
 from pipeline.store.storage import read_trials, trials_files
 
 
@@ -39,11 +39,11 @@ def grow(tmp_path, monkeypatch):
 
 def test_one_batch_is_left_and_the_same_is_read(grow):
     processed, logs = grow(5)
-    before = load_batch(processed, read_trials(processed))
+    before = load_trials(processed, read_trials(processed))
     assert len(trials_files(processed)) == 5
     merge_all(processed)
     assert len(trials_files(processed)) == 1
-    after = load_batch(processed, read_trials(processed))
+    after = load_trials(processed, read_trials(processed))
     assert after.trial_id == before.trial_id
     np.testing.assert_array_equal(after.position, before.position)
     assert check_whole(processed, logs) == set(logs)
@@ -133,10 +133,10 @@ def test_a_damaged_batch_stops_the_merge_and_loses_nothing(grow):
 def test_readers_find_samples_that_were_moved_meanwhile(grow, monkeypatch):
     processed, _ = grow(3)
     trials = read_trials(processed)
-    before = load_batch(processed, trials)
+    before = load_trials(processed, trials)
     merge_all(processed)
     assert not (processed / trials.column("sample_file")[0].as_py()).exists()
-    np.testing.assert_array_equal(load_batch(processed, trials).position, before.position)
+    np.testing.assert_array_equal(load_trials(processed, trials).position, before.position)
 
 
 def test_a_listing_that_a_merge_tears_is_read_again(grow, monkeypatch):
@@ -174,7 +174,7 @@ def test_readers_see_each_trial_once_while_batches_are_merged(grow, monkeypatch)
             try:
                 trials = read_trials(processed)
                 counts[len(set(trials.column("trial_id").to_pylist()))] += 1
-                assert len(load_batch(processed, trials)) == trials.num_rows == 6
+                assert len(load_trials(processed, trials)) == trials.num_rows == 6
             except Exception as error:
                 faults.append(repr(error))
 

@@ -18,7 +18,7 @@ from pipeline.intake import sources
 from pipeline.intake.ingest import ingest
 from pipeline.intake.kept import list_quarantine
 from pipeline.store import batch_files
-from pipeline.store.samples import load_batch
+from pipeline.store.samples import load_trials
 from pipeline.store.storage import list_devices, list_experiments, read_trials
 
 
@@ -67,15 +67,13 @@ def test_stored_values_equal_the_logs(logs, run, processed):
     assert counts(run(logs)) == (6, 6, 0, 0)
     assert list_devices(processed) == ["bench"]
     trials = read_trials(processed)
-    batch = load_batch(processed, trials)
+    loaded = load_trials(processed, trials)
     sources = dict(zip(trials.column("trial_id").to_pylist(), trials.column("source_path").to_pylist(), strict=True))
-    assert batch.stiffness.tolist() == [0, 100, 200, 300, 400, 500]
-    for index, trial_id in enumerate(batch.trial_id):
-        lines = Path(sources[trial_id]).read_text().splitlines()[HEADER_LINES:]
+    assert loaded.stiffness.tolist() == [0, 100, 200, 300, 400, 500]
+    for trial in loaded:
+        lines = Path(sources[trial.trial_id]).read_text().splitlines()[HEADER_LINES:]
         expected = [[float(cell) for cell in row] for row in csv.reader(lines)]
-        n = batch.rows[index]
-        found = np.column_stack([batch.time[index], batch.command[index], batch.position[index]])[:n]
-        assert found.tolist() == expected
+        assert np.column_stack([trial.time, trial.command, trial.position]).tolist() == expected
 
 
 def test_stored_conditions_equal_the_header(tmp_path, run, processed):
@@ -152,7 +150,7 @@ def test_logs_that_swap_their_names_are_both_kept(logs, run, processed):
     assert counts(run(logs)) == (6, 2, 4, 0)
     rows = {Path(r["source_path"]).name: r["stiffness"] for r in read_trials(processed).to_pylist()}
     assert (rows["K0.csv"], rows["K2.csv"], len(rows)) == (200.0, 0.0, 6)
-    assert len(load_batch(processed, read_trials(processed))) == 6
+    assert len(load_trials(processed, read_trials(processed))) == 6
 
 
 def test_each_fault_is_found_in_its_row_and_its_neighbours_are_stored(logs, run):
@@ -243,7 +241,7 @@ def test_batches_and_threads_do_not_change_what_is_stored(tmp_path, processed, m
     assert seen == [(done, 41) for done in range(1, 42)]
     assert list_experiments(second, "bench") == ["delay-0", "delay-1", "delay-2"]
     assert len(list(second.rglob("trials/**/*.parquet"))) > 3
-    a, b = (load_batch(folder, read_trials(folder)) for folder in (processed, second))
+    a, b = (load_trials(folder, read_trials(folder)) for folder in (processed, second))
     assert a.trial_id == b.trial_id
     np.testing.assert_array_equal(a.position, b.position)
 
@@ -312,8 +310,8 @@ def test_a_pair_is_one_log_and_a_changed_profile_is_applied(tmp_path, run, proce
 
     profile.write_text(PROFILE.replace('unit = "mm", sign = 1', 'unit = "mm", sign = -1'))
     assert counts(run(folder, profile=profile)) == (3, 3, 0, 0)
-    batch = load_batch(processed, read_trials(processed))
-    assert sorted(batch.position[:, 1].tolist()) == [-0.003, -0.002, -0.002]
+    positions = [float(trial.position[1]) for trial in load_trials(processed, read_trials(processed))]
+    assert sorted(positions) == [-0.003, -0.002, -0.002]
     assert counts(run(folder, profile=profile)) == (3, 0, 3, 0)
     assert len(list(processed.rglob("trials/**/*.parquet"))) == 1
 
@@ -333,12 +331,12 @@ def test_measured_force_logged_velocity_and_declared_step_are_kept(tmp_path, run
     (tmp_path / "b.csv").write_text(GOOD.replace("# device", "# step_row: 0\n# device", 1))
     (tmp_path / "c.csv").write_text(log_text(400.0))
     assert run(tmp_path / "b.csv", tmp_path / "c.csv").ingested == 2
-    pair = load_batch(processed, read_trials(processed, "pair"))
-    np.testing.assert_allclose(pair.force, [[-0.01, -0.02, -0.03]])
-    np.testing.assert_allclose(pair.velocity, [[0.002, 0.003, 0.005]])
+    pair = load_trials(processed, read_trials(processed, "pair"))
+    np.testing.assert_allclose(pair.force, [-0.01, -0.02, -0.03])
+    np.testing.assert_allclose(pair.velocity, [0.002, 0.003, 0.005])
     assert pair.step_row.tolist() == [1]
-    everything = load_batch(processed, read_trials(processed))
-    assert np.isfinite(everything.force).any(axis=1).sum() == 1
+    everything = load_trials(processed, read_trials(processed))
+    assert sum(trial.force is not None for trial in everything) == 1
     assert sorted(everything.step_row.tolist()) == [-1, 0, 1]
     native = read_trials(processed).filter(pc.field("device") != "pair")
-    assert load_batch(processed, native).force is None
+    assert load_trials(processed, native).force is None

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from columns import Columns
 from scipy.stats import binom
 from simulated import FALCON, LWR, simulate, spectral_radius
 
@@ -19,27 +20,38 @@ B = np.linspace(0, 90, 40)
 FIRM = {**FALCON, "mass": 1.0, "b": 34.0}
 
 
+def changes(trials):
+    """First change of each trial."""
+    return Columns(first_change(trial, find_response(trial)) for trial in trials)
+
+
+def masses(trials, delay):
+    """Mass of each trial by the momentum balance."""
+    return Columns(by_momentum(trial, find_response(trial), delay) for trial in trials)
+
+
+def mirrored(trial):
+    return dataclasses.replace(trial, position=2 * trial.position[0] - trial.position)
+
+
 @pytest.mark.parametrize("delay", [0, 1, 2, 4, 8])
 def test_first_change_is_exact_on_ideal_logs(delay):
-    batch = simulate(K, B, **{**FALCON, "delay": delay})
-    assert first_change(batch, find_response(batch)).delay_samples.tolist() == [delay] * 40
+    assert changes(simulate(K, B, **{**FALCON, "delay": delay})).delay_samples.tolist() == [delay] * 40
 
 
 def test_negative_step():
-    batch = simulate(K, B, **{**FALCON, "step": -8.0})
-    assert set(first_change(batch, find_response(batch)).delay_samples.tolist()) == {4}
+    assert set(changes(simulate(K, B, **{**FALCON, "step": -8.0})).delay_samples.tolist()) == {4}
 
 
 @pytest.mark.parametrize("dev", [FALCON, LWR])
 def test_a_fine_quantum_is_passed_within_one_sample(dev):
     # 8 N on 0.58 kg move 6.9 um in the first sample, 15 Nm on 0.19 kg m^2 40 urad; half a quantum is 1 and 2.5
-    batch = simulate(K, B, **dev, quantum=2e-6 if dev is FALCON else 5e-6)
-    assert set(first_change(batch, find_response(batch)).delay_samples.tolist()) == {dev["delay"]}
+    trials = simulate(K, B, **dev, quantum=2e-6 if dev is FALCON else 5e-6)
+    assert set(changes(trials).delay_samples.tolist()) == {dev["delay"]}
 
 
 def test_a_coarse_quantum_is_late():
-    batch = simulate(K, B, **FALCON, quantum=6e-5)
-    found = first_change(batch, find_response(batch)).delay_samples
+    found = changes(simulate(K, B, **FALCON, quantum=6e-5)).delay_samples
     assert (found >= 4).all()
     assert (found <= 6).all()
     # two or three samples to move half a quantum: late by one or two
@@ -47,50 +59,48 @@ def test_a_coarse_quantum_is_late():
 
 
 def test_a_trial_that_moves_before_the_step_has_no_delay():
-    batch = simulate([3000.0], [50.0], **FALCON, quantum=2e-6)
-    drifting = batch.position.copy()
-    drifting[0, :20] += 2e-6 * np.round(4 * np.sin(np.arange(20) / 6))
-    found = first_change(batch, find_response(batch))
-    assert found.delay_samples.tolist() == [4]
-    moving = dataclasses.replace(batch, position=drifting)
-    response = dataclasses.replace(find_response(moving), edge_row=np.array([20]))
-    found = first_change(moving, response)
-    assert found.delay_samples.tolist() == [-1]
-    assert found.reason[0].startswith("moving before the step, peak to peak ")
-    assert "times what its sensor shows at rest; let the device come to rest" in found.reason[0]
+    trial = simulate([3000.0], [50.0], **FALCON, quantum=2e-6)[0]
+    drifting = trial.position.copy()
+    drifting[:20] += 2e-6 * np.round(4 * np.sin(np.arange(20) / 6))
+    assert first_change(trial, find_response(trial)).delay_samples == 4
+    moving = dataclasses.replace(trial, position=drifting)
+    found = first_change(moving, dataclasses.replace(find_response(moving), edge_row=20))
+    assert found.delay_samples == -1
+    assert found.reason.startswith("moving before the step, peak to peak ")
+    assert "times what its sensor shows at rest; let the device come to rest" in found.reason
 
 
 def test_a_declared_step_row_replaces_the_baseline():
-    batch = simulate([3000.0], [50.0], **FALCON, baseline=0)
-    response = declare_edge(batch, find_response(batch), 0)
-    assert first_change(batch, response).delay_samples.tolist() == [4]
-    kept = declare_edge(batch, find_response(batch), -1)  # -1 leaves a trial as its log shows it
-    assert kept.edge_reason == find_response(batch).edge_reason
+    trial = simulate([3000.0], [50.0], **FALCON, baseline=0)[0]
+    response = find_response(trial)
+    assert first_change(trial, declare_edge(trial, response, 0)).delay_samples == 4
+    kept = declare_edge(trial, response, -1)  # -1 leaves a trial as its log shows it
+    assert kept.edge_reason == response.edge_reason
     for row in (-2, 400):
         with pytest.raises(ParameterError, match="expected 0 to 399"):
-            declare_edge(batch, response, row)
+            declare_edge(trial, response, row)
 
 
 def test_what_the_baseline_tells_is_read_from_the_rows_before_the_declared_step():
     """A log whose command shows no step, so that nothing is known of its sensor until the step is declared."""
-    batch = simulate([3000.0] * 50, [50.0] * 50, **FALCON, baseline=40, noise=5e-6, quantum=1e-7)
-    found = find_response(batch)
-    hidden = find_response(dataclasses.replace(batch, command=-batch.command))
-    assert np.isnan(hidden.sensor_noise).all()
-    declared = declare_edge(batch, hidden, found.edge_row)
-    np.testing.assert_array_equal(declared.sensor_noise, found.sensor_noise)
-    np.testing.assert_array_equal(declared.floor, found.floor)
-    np.testing.assert_array_equal(declared.baseline_motion, found.baseline_motion)
-    # fifteen rows of noise, read where the trial says and not where the command shows it
-    early = declare_edge(batch, found, 15)
-    assert (early.sensor_noise != found.sensor_noise).mean() > 0.9
-    np.testing.assert_allclose(np.median(early.sensor_noise), 5e-6, rtol=0.15)
-    assert np.isnan(declare_edge(batch, found, 0).sensor_noise).all()
+    early = []
+    for trial in simulate([3000.0] * 50, [50.0] * 50, **FALCON, baseline=40, noise=5e-6, quantum=1e-7):
+        found = find_response(trial)
+        hidden = find_response(dataclasses.replace(trial, command=-trial.command))
+        assert np.isnan(hidden.sensor_noise)
+        declared = declare_edge(trial, hidden, found.edge_row)
+        for name in ("sensor_noise", "floor", "baseline_motion"):
+            assert getattr(declared, name) == getattr(found, name)
+        # fifteen rows of noise, read where the trial says and not where the command shows it
+        early.append((declare_edge(trial, found, 15).sensor_noise, found.sensor_noise))
+        assert np.isnan(declare_edge(trial, found, 0).sensor_noise)
+    first, all_rows = np.array(early).T
+    assert (first != all_rows).mean() > 0.9
+    np.testing.assert_allclose(np.median(first), 5e-6, rtol=0.15)
 
 
 def test_jitter_shows_as_the_factors_3_to_5():
-    batch = simulate(np.repeat(K, 10), np.repeat(B, 10), **FALCON, jitter=(3, 4, 5), seed=3)
-    found = first_change(batch, find_response(batch)).delay_samples
+    found = changes(simulate(np.repeat(K, 10), np.repeat(B, 10), **FALCON, jitter=(3, 4, 5), seed=3)).delay_samples
     values, counts = np.unique(found, return_counts=True)
     assert values.tolist() == [3, 4, 5]
     # the newest command holds: P(3) = 1/3, P(5) = P(first slow) P(second not fast) = 1/3 * 2/3
@@ -98,47 +108,48 @@ def test_jitter_shows_as_the_factors_3_to_5():
 
 
 def test_reasons_for_no_first_change():
-    batch = simulate([3000.0], [50.0], **FALCON, baseline=0)
-    found = first_change(batch, find_response(batch))
-    assert found.delay_samples.tolist() == [-1]
-    assert "no baseline" in found.reason[0]
-    assert found.first_row.tolist() == [-1]
-    moving = simulate([3000.0], [50.0], **FALCON)
-    response = find_response(moving)
-    still = dataclasses.replace(moving, position=np.full_like(moving.position, 0.1))
-    found = first_change(still, response)
-    assert found.delay_samples.tolist() == [-1]
-    assert "no position change" in found.reason[0]
+    trial = simulate([3000.0], [50.0], **FALCON, baseline=0)[0]
+    found = first_change(trial, find_response(trial))
+    assert (found.delay_samples, found.first_row) == (-1, -1)
+    assert "no baseline" in found.reason
+    moving = simulate([3000.0], [50.0], **FALCON)[0]
+    still = dataclasses.replace(moving, position=np.full(moving.rows, 0.1))
+    found = first_change(still, find_response(moving))
+    assert found.delay_samples == -1
+    assert "no position change" in found.reason
+
+
+def test_a_first_change_needs_two_rows_behind_it():
+    trial = simulate([3000.0], [50.0], **FALCON)[0]
+    row = first_change(trial, find_response(trial)).first_row
+    for rows, delay in ((row + 3, 4), (row + 2, -1), (row + 1, -1)):
+        cut = trial.window(0, rows)
+        assert first_change(cut, find_response(cut)).delay_samples == delay
 
 
 def test_a_position_that_counts_the_other_way_has_no_delay():
     """Its response would be taken for rest, and its swing back, tens of samples later, for the response."""
-    batch = simulate(K, B, **FALCON, quantum=1e-5)
-    mirrored = dataclasses.replace(batch, position=2 * batch.position[:, :1] - batch.position)
-    response = find_response(mirrored)
-    assert response.has_edge.sum() > 30
-    found = first_change(mirrored, response)
+    trials = [mirrored(trial) for trial in simulate(K, B, **FALCON, quantum=1e-5)]
+    assert sum(find_response(trial).has_edge for trial in trials) > 30
+    found = changes(trials)
     assert set(found.delay_samples.tolist()) == {-1}
     words = [text for text in found.reason if "against the step at first; check the signs of position" in text]
     assert len(words) > 30
 
 
 def test_a_growing_motion_that_counts_the_other_way_has_no_delay_though_it_swings_past_its_start():
-    batch = simulate(np.array([9000.0, 12000.0]), np.array([20.0, 20.0]), **FALCON, quantum=1e-5)
-    mirrored = dataclasses.replace(batch, position=2 * batch.position[:, :1] - batch.position)
-    assert first_change(mirrored, find_response(mirrored)).delay_samples.tolist() == [-1, -1]
+    trials = simulate(np.array([9000.0, 12000.0]), np.array([20.0, 20.0]), **FALCON, quantum=1e-5)
+    assert changes(map(mirrored, trials)).delay_samples.tolist() == [-1, -1]
 
 
 def test_three_rows_off_by_a_quantum_are_no_response():
     """A response goes on to rise; a sensor that flickers does not, however often."""
-    batch = simulate([3000.0], [50.0], **{**FALCON, "delay": 9}, quantum=2e-6)
-    flickering = batch.position.copy()
-    flickering[0, 23:26] += 2e-6
-    plain, found = (
-        first_change(one, find_response(batch)).delay_samples.tolist()
-        for one in (batch, dataclasses.replace(batch, position=flickering))
-    )
-    assert plain == found == [9]
+    trial = simulate([3000.0], [50.0], **{**FALCON, "delay": 9}, quantum=2e-6)[0]
+    flickering = trial.position.copy()
+    flickering[23:26] += 2e-6
+    response = find_response(trial)
+    for position in (trial.position, flickering):
+        assert first_change(dataclasses.replace(trial, position=position), response).delay_samples == 9
 
 
 def course(dev, top, spread=13):
@@ -152,50 +163,39 @@ def course(dev, top, spread=13):
 def test_uncorrected_mass_has_its_analytic_bias():
     # a free mass under a constant force from t = 0 has v = F/b (1 - exp(-b t/m)); the balance gives F t/v.
     # K = B = 0 keeps the command constant; the last interval lies about t = (15 - 4 - 1/2) samples.
-    batch = simulate([0.0], [0.0], **FALCON)
-    found = by_momentum(batch, find_response(batch), 4)
+    trials = simulate([0.0], [0.0], **FALCON)
     t = (15 - 4 - 0.5) * 1e-3
     bias = (4 / 0.58 * t) / -np.expm1(-4 / 0.58 * t) - 1
-    assert found.mass_momentum[0] / 0.58 - 1 == pytest.approx(bias, rel=5e-3)
+    assert masses(trials, 4).mass_momentum[0] / 0.58 - 1 == pytest.approx(bias, rel=5e-3)
 
 
 def test_mass_scales_with_force():
     light = simulate([3000.0], [50.0], **FALCON)
-    heavy = dataclasses.replace(
-        light,
-        command=3 * light.command,
-        stiffness=3 * light.stiffness,
-        damping=3 * light.damping,
-        step=3 * light.step,
-    )
-    one, three = (by_momentum(b, find_response(b), 4).mass_momentum for b in (light, heavy))
+    changed = {name: 3 * getattr(light, name) for name in ("command", "stiffness", "damping", "step")}
+    one, three = (masses(trials, 4).mass_momentum for trials in (light, dataclasses.replace(light, **changed)))
     np.testing.assert_allclose(three, 3 * one, rtol=1e-12)
 
 
 def test_reasons_for_no_mass():
-    batch = simulate([3000.0], [50.0], **FALCON)
-    response = find_response(batch)
-    no_edge = simulate([3000.0], [50.0], **FALCON, baseline=0)
-    assert "no baseline" in by_momentum(no_edge, find_response(no_edge), 4).reason[0]
-    short = simulate([3000.0], [50.0], **FALCON, rows=34)
-    assert "ends earlier" in by_momentum(short, find_response(short), 4).reason[0]
-    assert "fills it" in by_momentum(batch, response, 40).reason[0]
-    coarse = simulate([3000.0], [50.0], **FALCON, quantum=5e-5)
-    assert "noise threshold" in by_momentum(coarse, find_response(coarse), 4).reason[0]
-    time = batch.time.copy()
-    time[0, 25:] += 2e-5
-    assert "differ from T" in by_momentum(dataclasses.replace(batch, time=time), response, 4).reason[0]
-    time = batch.time.copy()
-    time[0, 100:] += 2e-5
-    assert by_momentum(dataclasses.replace(batch, time=time), response, 4).reason == ("",)
-    turned = dataclasses.replace(batch, position=2 * batch.position[:, :1] - batch.position)
-    assert "no positive mass" in by_momentum(turned, response, 4).reason[0]
+    trial = simulate([3000.0], [50.0], **FALCON)[0]
+    response = find_response(trial)
+    for changed, reason in (
+        ({"baseline": 0}, "no baseline"),
+        ({"rows": 34}, "ends earlier"),
+        ({"quantum": 5e-5}, "noise threshold"),
+    ):
+        assert reason in masses(simulate([3000.0], [50.0], **FALCON, **changed), 4).reason[0]
+    assert "fills it" in by_momentum(trial, response, 40).reason
+    for row, reason in ((25, "time steps in the window differ from T by 2.0 %"), (100, "")):
+        time = trial.time + 2e-5 * (np.arange(trial.rows) >= row)
+        assert by_momentum(dataclasses.replace(trial, time=time), response, 4).reason.startswith(reason)
+    assert by_momentum(dataclasses.replace(trial, time=time), response, 4).reason == ""
+    assert "no positive mass" in by_momentum(mirrored(trial), response, 4).reason
 
 
 @pytest.mark.parametrize(("dev", "top"), [(FALCON, 13600.0), (FIRM, 29000.0), (LWR, 11800.0)])
 def test_mass_is_the_true_one_but_for_damping_over_the_whole_region(dev, top):
-    batch = simulate(*course(dev, top), **dev)
-    found = by_momentum(batch, find_response(batch), dev["delay"])
+    found = masses(simulate(*course(dev, top), **dev), dev["delay"])
     assert set(found.reason) == {""}
     # b takes as much off the momentum as it moves: at most b times the window
     most = dev["b"] * 0.015 / dev["mass"]
@@ -212,8 +212,8 @@ def limit_course(dev, step):
 
 def estimate(dev, step, **sensor):
     B = limit_course(dev, step)
-    batch = simulate(np.zeros_like(B), B, **dev, **sensor)
-    return by_limit(batch.damping, batch.stiffness, judge(batch).growth_per_s)
+    trials = simulate(np.zeros_like(B), B, **dev, **sensor)
+    return by_limit(trials.damping, trials.stiffness, Columns(map(judge, trials)).growth_per_s)
 
 
 @pytest.mark.parametrize(("dev", "step"), [(FALCON, 4.0), (FIRM, 10.0), ({**FALCON, "b": 2.0}, 4.0)])

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from kinds import kinds
-from pipeline.measured.identification.parts import chosen
 
 from pipeline.device_data.devices import load_device
 from pipeline.measured.experiment.identified_loop import nominal_loop
+from pipeline.measured.identification.parts import chosen
 from pipeline.plan.course import Wish, foretold, learn, open_course
 from pipeline.plan.loop_limits import limits_of, linear_limits
 from pipeline.simulation.setup import setup_of
@@ -33,27 +33,27 @@ def truth(device):
     "kind", ["ideal", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("actuator lag", "butterworth filter"))]
 )
 def test_limits_of_devices_that_three_logs_show(kind):
-    device, batch = logs(kind)
-    found = learn(batch, 3, None, chosen)
+    device, trials = logs(kind)
+    found = learn(trials, 3, None, chosen)
     assert linear_limits(found.device.loop, DAMPINGS) == pytest.approx(truth(device), rel=0.01)
     assert (limits_of(found.device, DAMPINGS)[1] < 0.02 * truth(device).max()).all()
     assert found.looked == 3
 
 
 def test_no_search_for_parts_is_waited_for_and_one_is_asked_for_when_there_are_three_times_as_many_logs():
-    device, batch = logs("ideal")
+    device, trials = logs("ideal")
     asked = []
-    assert learn(batch, 3, None, lambda recordings: asked.append(len(recordings))) is None
-    known = learn(batch, 3, None, chosen)
+    assert learn(trials, 3, None, lambda recordings: asked.append(len(recordings))) is None
+    known = learn(trials, 3, None, chosen)
     for count in (4, 8, 9):
-        found = learn(batch, count, known, lambda recordings: asked.append(len(recordings)))
+        found = learn(trials, count, known, lambda recordings: asked.append(len(recordings)))
         assert linear_limits(found.device.loop, DAMPINGS) == pytest.approx(truth(device), rel=0.01)
     assert asked == [3, 3], "at the first log and at the ninth"
 
 
 def test_logs_without_motion_teach_nothing():
-    _, batch = logs("ideal", 1)
-    still = replace(batch, position=np.zeros_like(batch.position))
+    _, trials = logs("ideal", 1)
+    still = replace(trials, position=np.zeros_like(trials.position))
     assert learn(still, 1, None, lambda _: pytest.fail("asked")) is None
 
 

@@ -29,12 +29,11 @@ def record(folder: Path, stiffness: float, damping: float, number: int) -> None:
     """Write the log of one trial, complete in one step, as a rig does that renames it."""
     # noise of its own in each log: a log of the same content as another is no second trial
     setup = setup_of(FALCON, EXPERIMENT).with_loop(jitter_samples=())
-    batch = simulate(setup, np.array([stiffness]), np.array([damping]), seed=number)
+    (trial,) = simulate(setup, np.array([stiffness]), np.array([damping]), seed=number)
     head = format_header(NativeHeader("falcon", "1", stiffness, damping, FALCON.step, FALCON.sampling_period_s))
-    rows = int(batch.rows[0])
     lines = [
-        f"{k * FALCON.sampling_period_s:.17g},{batch.command[0, k]:.17g},{batch.position[0, k]:.17g}\n"
-        for k in range(rows)
+        f"{k * FALCON.sampling_period_s:.17g},{trial.command[k]:.17g},{trial.position[k]:.17g}\n"
+        for k in range(trial.rows)
     ]
     temporary = folder.parent / "growing"
     temporary.write_text(head + "".join(lines), encoding="utf-8")

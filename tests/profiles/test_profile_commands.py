@@ -92,18 +92,18 @@ def test_check_shows_values_in_si_and_where_they_come_from(call, lab):
 
 
 def test_check_shows_what_ingest_stores(call, lab):
-    from pipeline.store.samples import load_batch
+    from pipeline.store.samples import load_trials
     from pipeline.store.storage import read_trials
 
     (trial,) = json.loads(call("profile", "check", "lab.toml", "K300.csv", "--json")[1])["samples"][0]["trials"]
     assert call("ingest", "K300.csv", "--profile", "lab.toml")[0] == 0
     trials = read_trials(lab / "processed")
     (row,) = trials.to_pylist()
-    batch = load_batch(lab / "processed", trials)
+    (loaded,) = load_trials(lab / "processed", trials)
     for condition in trial["conditions"][:9]:
         assert row[condition["name"]] == condition["value"], condition["name"]
     for column in trial["columns"]:
-        values = getattr(batch, column["column"])[0]
+        values = getattr(loaded, column["column"])
         assert (values[0], values[-1]) == (column["first"], column["last"])
     quality = json.loads(row["time_quality"])
     assert [each["code"] for each in quality.pop("findings")] == [each["code"] for each in trial["findings"]]

@@ -29,7 +29,7 @@ from pipeline.profiles.profile_files import load_profile
 from pipeline.readers import mapping
 from pipeline.readers.formats import native, refuse_other_kind
 from pipeline.readers.isolation import read_file
-from pipeline.store.samples import load_batch
+from pipeline.store.samples import load_trials
 from pipeline.store.storage import list_devices, read_trials
 
 LOGS_PAGE = (ROOT / "docs" / "logs.md").read_text(encoding="utf-8")
@@ -224,7 +224,7 @@ def test_no_name_in_a_log_leads_out_of_processed(tmp_path, logs, store, processe
     assert after - before == {processed, logs / "a.csv", logs / "b.csv"}
     for path in processed.rglob("*"):
         assert path.resolve().is_relative_to(processed.resolve())
-    assert len(load_batch(processed, read_trials(processed, name))) == 1
+    assert len(load_trials(processed, read_trials(processed, name))) == 1
 
 
 @pytest.mark.parametrize("by", ["../secret", "/etc/passwd", "a\\\\b", "\\u0000"])

@@ -153,27 +153,23 @@ def test_from_a_foreign_csv_to_a_report(capsys):
 
 def test_the_foreign_course_gives_the_same_trials_as_the_simulated_logs(capsys):
     from pipeline.intake.ingest import ingest
-    from pipeline.store.samples import load_batch
+    from pipeline.store.samples import load_trials
     from pipeline.store.storage import read_trials
 
     text = section("## From a foreign CSV to a report")
     follow(text[: text.index("**When a log is refused")].replace("pipeline compare --device bench\n", ""), capsys)
     assert ingest([Path("simulated")], Path("native")).quarantined == ()
-    found, true = (load_batch(folder, read_trials(folder)) for folder in (Path("processed"), Path("native")))
+    found, true = (load_trials(folder, read_trials(folder)) for folder in (Path("processed"), Path("native")))
 
-    def by_condition(batch):
-        order = sorted(range(len(batch)), key=lambda i: (batch.stiffness[i], batch.damping[i]))
-        return [
-            (batch.stiffness[i], batch.damping[i], batch.rows[i], batch.position[i], batch.command[i]) for i in order
-        ]
+    def by_condition(trials):
+        return sorted(trials, key=lambda trial: (trial.stiffness, trial.damping))
 
     assert len(found) == len(true) > 80
     for a, b in zip(by_condition(found), by_condition(true), strict=True):
-        assert a[:3] == b[:3]
-        rows = int(a[2])
+        assert (a.stiffness, a.damping, a.rows) == (b.stiffness, b.damping, b.rows)
         # six digits of mm and N were written
-        assert abs(a[3][:rows] - b[3][:rows]).max() < 1e-9
-        assert abs(a[4][:rows] - b[4][:rows]).max() < 1e-6
+        assert abs(a.position - b.position).max() < 1e-9
+        assert abs(a.command - b.command).max() < 1e-6
 
 
 FAMILIES = re.findall(r"^### (.*)$", section("## One example for each kind of file"), re.MULTILINE)

@@ -14,7 +14,7 @@ from native_logs import log_text
 from places import ROOT
 
 from pipeline.intake.ingest import ingest
-from pipeline.store.samples import load_batch
+from pipeline.store.samples import load_trials
 from pipeline.store.storage import read_trials
 
 PAGE = (ROOT / "docs" / "storage.md").read_text(encoding="utf-8")
@@ -31,8 +31,8 @@ def test_examples_read_what_is_stored(block, tmp_path, monkeypatch):
     names: dict = {}
     exec(compile(block, "docs/storage.md", "exec"), names)
     trials = read_trials(Path("processed"), "bench", "1")
-    batch = load_batch(Path("processed"), trials)
-    peaks = dict(zip(batch.trial_id, batch.position.max(axis=1).tolist(), strict=True))
+    loaded = load_trials(Path("processed"), trials)
+    peaks = {trial.trial_id: float(trial.position.max()) for trial in loaded}
     table = names.get("table")
     if "unit" in names:
         assert names["unit"] == "m"
@@ -42,7 +42,7 @@ def test_examples_read_what_is_stored(block, tmp_path, monkeypatch):
     else:
         assert dict(zip(table["trial_id"], table["peak"], strict=True)) == peaks
         assert sorted(table["stiffness"]) == [0.0, 100.0, 200.0]
-        assert "pd" not in names or len(names["samples"]) == batch.rows.sum()
+        assert "pd" not in names or len(names["samples"]) == loaded.rows.sum()
 
 
 def test_each_way_is_shown():

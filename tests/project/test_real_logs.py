@@ -15,8 +15,8 @@ from pipeline.comparison.compare import compare
 from pipeline.intake.ingest import ingest
 from pipeline.measured.signal.response import declare_edge, find_response
 from pipeline.measured.thesis import by_momentum, first_change
-from pipeline.records.batch import TrialBatch
-from pipeline.store.samples import load_batch
+from pipeline.records.trials import Trial
+from pipeline.store.samples import load_trials
 from pipeline.store.storage import read_trials
 
 REAL = SHARED / "real"
@@ -26,21 +26,20 @@ RUN = "dfki_pendulum/1nm_torque_limited_swingup_failure__data_{}.csv"
 
 
 def one_trial(time, position, command=None, *, step=1.0, period=None):
-    """A log without a wall as a batch of one trial."""
+    """A log without a wall as a trial."""
     command = np.zeros_like(position) if command is None else command
     period = float(np.median(np.diff(time))) if period is None else period
-    head = [np.array([v]) for v in (0.0, 0.0, step, period)]
-    return TrialBatch(("real",), *head, np.array([len(time)]), time[None], command[None], position[None])
+    return Trial("real", 0.0, 0.0, step, period, time, command, position)
 
 
 @pytest.fixture(scope="module")
 def pendulum():
-    """Batch of the pendulum, and its measured torque."""
+    """Trial of the pendulum, and its measured torque."""
     desired, measured = (
         np.genfromtxt(REAL / RUN.format(name), delimiter=",", names=True) for name in ("desired", "measured")
     )
-    batch = one_trial(measured["time"], measured["position"], desired["torque"], step=0.9, period=5e-3)
-    return batch, measured["torque"][None], measured["velocity"]
+    trial = one_trial(measured["time"], measured["position"], desired["torque"], step=0.9, period=5e-3)
+    return trial, measured["torque"][None], measured["velocity"]
 
 
 @pytest.fixture(scope="module")
@@ -59,35 +58,35 @@ def lever():
 
 
 def test_delay_of_the_pendulum_is_not_identifiable_without_a_baseline(pendulum):
-    batch = pendulum[0]
-    response = find_response(batch)
-    found = first_change(batch, response)
-    assert found.delay_samples.tolist() == [-1]
-    assert "not identifiable" in found.reason[0]
+    trial = pendulum[0]
+    response = find_response(trial)
+    found = first_change(trial, response)
+    assert found.delay_samples == -1
+    assert "not identifiable" in found.reason
 
 
 def test_a_declared_step_row_gives_a_late_first_change(pendulum):
-    batch = pendulum[0]
-    response = declare_edge(batch, find_response(batch), 0)
-    found = first_change(batch, response)
+    trial = pendulum[0]
+    response = declare_edge(trial, find_response(trial), 0)
+    found = first_change(trial, response)
     # friction holds the pendulum, and 10 arc minutes take it long: 0.9 Nm/0.15 kg m^2 move them in 31 ms
-    assert batch.time[0, found.first_row[0]] - batch.time[0, 0] > 0.031
+    assert trial.time[found.first_row] - trial.time[0] > 0.031
 
 
 def test_the_balance_of_the_thesis_takes_gravity_and_friction_for_mass(pendulum):
-    batch = pendulum[0]
-    response = declare_edge(batch, find_response(batch), 0)
+    trial = pendulum[0]
+    response = declare_edge(trial, find_response(trial), 0)
     # its window of 15 ms ends before the first movement, and the rows are not T apart
-    assert "time steps" in by_momentum(batch, response, 0).reason[0]
+    assert "time steps" in by_momentum(trial, response, 0).reason
 
 
 def test_quantum_of_the_pendulum_is_10_arc_minutes(pendulum):
-    assert find_response(pendulum[0]).sensor_quantum[0] == pytest.approx(np.radians(1 / 6), rel=2e-3)
+    assert find_response(pendulum[0]).sensor_quantum == pytest.approx(np.radians(1 / 6), rel=2e-3)
 
 
 def test_quantum_of_the_servo_is_that_of_12_bits(servo):
     time, position, _ = servo
-    assert find_response(one_trial(time, position)).sensor_quantum[0] == pytest.approx(2 * np.pi / 4096, rel=1e-6)
+    assert find_response(one_trial(time, position)).sensor_quantum == pytest.approx(2 * np.pi / 4096, rel=1e-6)
 
 
 @pytest.mark.parametrize("column", [0, 1])
@@ -97,7 +96,7 @@ def test_quantum_of_the_servo_is_that_of_12_bits(servo):
 def test_quantum_of_the_haptic_lever(lever, column, stored):
     scope = lever["scope"]
     position = stored(scope.signals[0].values[:, column])
-    found = find_response(one_trial(scope.time, position)).sensor_quantum[0]
+    found = find_response(one_trial(scope.time, position)).sensor_quantum
     # the file names it; six digits leave half a unit in 21 per change, the mean of thousands far less
     assert found == pytest.approx(lever["posAccuracy"], rel=1e-4)
 
@@ -105,7 +104,7 @@ def test_quantum_of_the_haptic_lever(lever, column, stored):
 def test_filtered_columns_have_no_quantum(lever):
     scope = lever["scope"]
     for column in scope.signals[1].values.T:
-        assert find_response(one_trial(scope.time, np.ascontiguousarray(column))).sensor_quantum[0] == 0.0
+        assert find_response(one_trial(scope.time, np.ascontiguousarray(column))).sensor_quantum == 0.0
 
 
 # through the shipped profiles
@@ -128,9 +127,8 @@ def stored(tmp_path_factory):
 def trial_of(stored, device):
     trials = read_trials(stored, device)
     (row,) = trials.to_pylist()
-    batch = load_batch(stored, trials)
-    assert len(batch) == 1
-    return row, batch
+    (trial,) = load_trials(stored, trials)
+    return row, trial
 
 
 def test_every_folder_is_one_trial(stored):
@@ -138,12 +136,12 @@ def test_every_folder_is_one_trial(stored):
 
 
 def test_servo_equals_a_reading_with_the_json_module(stored):
-    row, batch = trial_of(stored, "bam_servo")
+    row, trial = trial_of(stored, "bam_servo")
     (path,) = (REAL / "bam_servo").glob("*.json")
     entries = json.loads(path.read_text())["entries"]
     names = {"time": "timestamp", "command": "goal_position", "position": "position", "velocity": "speed"}
     for column, name in names.items():
-        assert getattr(batch, column)[0].tolist() == [entry[name] for entry in entries], column
+        assert getattr(trial, column).tolist() == [entry[name] for entry in entries], column
     extra = json.loads(row["extra"])
     assert extra["stands_for.command"] == "1 rad stands for 1 Nm"
     assert "not a force" in extra["provenance.command"]
@@ -152,17 +150,17 @@ def test_servo_equals_a_reading_with_the_json_module(stored):
 
 
 def test_lever_equals_a_reading_with_scipy(stored, lever):
-    row, batch = trial_of(stored, "ohara_haptics")
+    row, trial = trial_of(stored, "ohara_haptics")
     scope = lever["scope"]
-    assert batch.time[0].tolist() == scope.time.tolist()
-    assert batch.time[0, 0] == 25.372
+    assert trial.time.tolist() == scope.time.tolist()
+    assert trial.time[0] == 25.372
     position, force, torque = (signal.values[:, 0] for signal in scope.signals)
     # logged with the sign that the labels show
     assert "-F_h, F_e" in scope.signals[1].label
     assert "-tau_rm, tau_rs" in scope.signals[2].label
-    assert batch.position[0].tolist() == position.tolist()
-    assert batch.force[0].tolist() == (-force).tolist()
-    assert batch.command[0].tolist() == (-torque).tolist()
+    assert trial.position.tolist() == position.tolist()
+    assert trial.force.tolist() == (-force).tolist()
+    assert trial.command.tolist() == (-torque).tolist()
     assert (row["sampling_period_s"], row["step"]) == (lever["Ts"], 0.0)
 
 

@@ -21,7 +21,7 @@ from pipeline.base import disk
 from pipeline.base.errors import StoreError
 from pipeline.intake import ingest as ingest_module
 from pipeline.intake.ingest import ingest
-from pipeline.store.samples import load_batch
+from pipeline.store.samples import load_trials
 from pipeline.store.storage import read_trials
 
 READY = "ready"
@@ -95,13 +95,13 @@ class Watcher:
         trials = read_trials(self.processed)
         paths = trials.column("source_path").to_pylist()
         try:
-            batch = load_batch(self.processed, trials)
+            loaded = load_trials(self.processed, trials)
         except StoreError as error:
             if "their source changed" not in str(error):
                 raise
             return  # a log got other content between both looks, which the reader is told
         self.looks += 1
-        if len(set(paths)) != len(paths) or len(batch) != len(paths):
+        if len(set(paths)) != len(paths) or len(loaded) != len(paths):
             self.faults.append("a trial twice")
         if len(paths) < self.most:
             self.faults.append(f"{self.most} trials were there, then {len(paths)}")

@@ -138,10 +138,10 @@ def test_costs_do_not_depend_on_when_the_command_came(tmp_path):
     """A longer baseline and a shifted origin of position and time are no part of the response."""
     results = []
     for i, (baseline, offset, start) in enumerate(((20, 0.0, 0.0), (57, -3.25, 10.0))):
-        batch = simulated.simulate([2000.0, 4000.0], [60.0, 80.0], **simulated.FALCON, baseline=baseline, rows=900)
-        for t in range(2):
-            header = NativeHeader("bench", "1", batch.stiffness[t], batch.damping[t], 8.0, 1e-3)
-            rows = np.column_stack([batch.time[t] + start, batch.command[t], batch.position[t] + offset])
+        trials = simulated.simulate([2000.0, 4000.0], [60.0, 80.0], **simulated.FALCON, baseline=baseline, rows=900)
+        for t, trial in enumerate(trials):
+            header = NativeHeader("bench", "1", trial.stiffness, trial.damping, 8.0, 1e-3)
+            rows = np.column_stack([trial.time + start, trial.command, trial.position + offset])
             text = format_header(header) + "".join("{:.17g},{:.17g},{:.17g}\n".format(*row) for row in rows)
             (tmp_path / f"{i}{t}.csv").write_text(text)
         ingest([tmp_path / f"{i}{t}.csv" for t in range(2)], tmp_path / f"p{i}")

@@ -21,7 +21,7 @@ from pipeline.intake.kept import list_quarantine
 from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.readers import Log, RawLog
 from pipeline.readers.formats.native import read
-from pipeline.store.samples import load_batch
+from pipeline.store.samples import load_trials
 from pipeline.store.storage import read_trials
 
 CONSTANTS = """
@@ -167,7 +167,7 @@ def damage_and_ingest(folder: Path, kind: str, count: int, seed: int) -> tuple[i
                 assert name in ("force", "velocity") or values.null_count == 0
                 assert np.isfinite(values.drop_null().to_numpy()).all(), f"{name} is not finite"
     for experiment in set(trials.column("experiment").to_pylist()):
-        load_batch(processed, trials.filter(np.array(trials.column("experiment").to_pylist()) == experiment))
+        load_trials(processed, trials.filter(np.array(trials.column("experiment").to_pylist()) == experiment))
     return report.ingested - len(GOOD_ROWS), len(report.quarantined)
 
 

@@ -10,7 +10,7 @@ from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.profiles.profile_files import load_profile
 from pipeline.shell.profile.check import check_lines, check_samples
-from pipeline.store.samples import load_batch
+from pipeline.store.samples import load_trials
 from pipeline.store.storage import read_trials
 
 PROFILE = """
@@ -56,15 +56,15 @@ def stored(folder, profile, speed, u, time=None, processed=None):
     (folder / "log.csv").write_text("t,tau,omega\n" + rows)
     processed = processed or folder / "processed"
     report = ingest([folder / "log.csv"], processed, profile=folder / "lab.toml")
-    return report, load_batch(processed, read_trials(processed))
+    return report, load_trials(processed, read_trials(processed))
 
 
 def test_the_difference_of_an_encoder_gives_its_positions_again(tmp_path):
     u, angle, _ = motor()
     read = np.floor(angle / QUANTUM) * QUANTUM
-    _, batch = stored(tmp_path, PROFILE, np.diff(read, prepend=0.0) / T, u)
-    np.testing.assert_allclose(batch.position[0], read, atol=1e-12)
-    np.testing.assert_allclose(batch.velocity[0], np.diff(read, prepend=0.0) / T, atol=1e-9)
+    _, trials = stored(tmp_path, PROFILE, np.diff(read, prepend=0.0) / T, u)
+    np.testing.assert_allclose(trials[0].position, read, atol=1e-12)
+    np.testing.assert_allclose(trials[0].velocity, np.diff(read, prepend=0.0) / T, atol=1e-9)
     stages = ExperimentStages.stored(tmp_path / "processed", "motor", "1")
     np.testing.assert_allclose(stages.column("response", "sensor_quantum"), QUANTUM, rtol=1e-6)
     (extra,) = stages.trials.column("extra").to_pylist()
@@ -90,38 +90,38 @@ def test_a_tachometer_tells_no_quantum_of_the_position(tmp_path):
     """Its readings lie on a grid; the integral does, too, but that is no resolution of a position."""
     u, angle, speed = motor()
     grid = 0.5
-    _, batch = stored(tmp_path, PROFILE.replace("difference", "trapezoid"), np.rint(speed / grid) * grid, u)
-    np.testing.assert_allclose(batch.position[0], angle, atol=400 * T * grid)
+    _, trials = stored(tmp_path, PROFILE.replace("difference", "trapezoid"), np.rint(speed / grid) * grid, u)
+    np.testing.assert_allclose(trials[0].position, angle, atol=400 * T * grid)
     stages = ExperimentStages.stored(tmp_path / "processed", "motor", "1")
     assert stages.column("response", "sensor_quantum").tolist() == [0.0]
 
 
 def test_the_trapezoidal_rule_is_exact_for_an_even_acceleration(tmp_path):
     speed = np.cumsum(np.full(50, 0.3))
-    _, batch = stored(tmp_path, PROFILE.replace("difference", "trapezoid"), speed, 0.06 * (np.arange(50) > 9))
+    _, trials = stored(tmp_path, PROFILE.replace("difference", "trapezoid"), speed, 0.06 * (np.arange(50) > 9))
     k = np.arange(50)
-    np.testing.assert_allclose(batch.position[0], (0.3 * k + 0.15 * k**2) * T, rtol=1e-12)
+    np.testing.assert_allclose(trials[0].position, (0.3 * k + 0.15 * k**2) * T, rtol=1e-12)
 
 
 def test_stamps_and_window_count(tmp_path):
     time = np.array([0, 1.2, 1.9, 3.1, 4.0, 5.0])
     profile = PROFILE.replace("[constants]", "[window]\nfrom_row = 1\n[constants]")
-    _, batch = stored(tmp_path, profile, np.full(6, 2.0), 0.06 * (np.arange(6) > 2), time)
-    np.testing.assert_allclose(batch.position[0], 2e-3 * (time[1:] - time[1]), rtol=1e-12)
+    _, trials = stored(tmp_path, profile, np.full(6, 2.0), 0.06 * (np.arange(6) > 2), time)
+    np.testing.assert_allclose(trials[0].position, 2e-3 * (time[1:] - time[1]), rtol=1e-12)
 
 
 @pytest.mark.parametrize("rule", ["difference", "trapezoid"])
 def test_over_lost_rows_no_position_is_known(tmp_path, rule):
     u, _, speed = motor(60)
     time = np.delete(np.arange(60), 30)
-    report, batch = stored(tmp_path, PROFILE.replace("difference", rule), np.delete(speed, 30), np.delete(u, 30), time)
+    report, trials = stored(tmp_path, PROFILE.replace("difference", rule), np.delete(speed, 30), np.delete(u, 30), time)
     (refusal,) = report.quarantined
-    assert (refusal.row, len(batch)) == (32, 0)
+    assert (refusal.row, len(trials)) == (32, 0)
     assert "rows are missing before 0.031 s" in refusal.reason
     # behind the gap it is known again
     profile = PROFILE.replace("difference", rule).replace("[constants]", "[window]\nfrom_row = 30\n[constants]")
-    report, batch = stored(tmp_path, profile, np.delete(speed, 30), np.delete(u, 30), time)
-    assert (report.ingested, batch.position[0, 0]) == (1, 0.0)
+    report, trials = stored(tmp_path, profile, np.delete(speed, 30), np.delete(u, 30), time)
+    assert (report.ingested, trials[0].position[0]) == (1, 0.0)
 
 
 @pytest.mark.parametrize(

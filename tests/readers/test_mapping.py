@@ -9,7 +9,7 @@ import pytest
 from pipeline.intake.ingest import ingest
 from pipeline.records.table_files import read_table
 from pipeline.records.tables import SAMPLES
-from pipeline.store.samples import load_batch
+from pipeline.store.samples import load_trials
 from pipeline.store.storage import read_trials
 
 HEAD = """
@@ -240,7 +240,7 @@ def test_a_command_at_its_target_in_the_first_row_after_a_long_first_step(lab):
     trial, samples, _ = lab.one(toml, text)
     close(samples["time_s"], [0, 0.0235, 0.0285, 0.0335])
     assert trial["extra"]["step_row"] == "0"
-    assert load_batch(lab.processed, read_trials(lab.processed)).step_row.tolist() == [0]
+    assert load_trials(lab.processed, read_trials(lab.processed)).step_row.tolist() == [0]
     assert (trial["time_quality"]["gaps"], trial["time_quality"]["dropped"]) == (1, 4)
 
 

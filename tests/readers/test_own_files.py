@@ -15,7 +15,7 @@ from pipeline.profiles.profile_files import find_questions, read_profile
 from pipeline.readers.formats import format_of
 from pipeline.shell.cli import application
 from pipeline.shell.profile.draft import draft_profile
-from pipeline.store.samples import load_batch
+from pipeline.store.samples import load_trials
 from pipeline.store.storage import read_trials
 
 ROWS = 400
@@ -63,8 +63,8 @@ def test_a_command_that_no_column_holds_is_stated(tmp_path, start):
     assert (done.exit_code, "step                 row 100" in done.output) == (0, True), done.output
     assert ingest([log], tmp_path / "processed", lab).ingested == 1
     trials = read_trials(tmp_path / "processed")
-    batch = load_batch(tmp_path / "processed", trials)
-    np.testing.assert_array_equal(batch.command[0], 6.0 * (np.arange(ROWS) >= 100))
+    (trial,) = load_trials(tmp_path / "processed", trials)
+    np.testing.assert_array_equal(trial.command, 6.0 * (np.arange(ROWS) >= 100))
 
 
 @pytest.mark.parametrize(
@@ -137,8 +137,8 @@ def test_a_piecewise_constant_command_is_parted_at_its_changes(tmp_path):
     trials = read_trials(tmp_path / "processed").sort_by("label")
     assert trials.column("step").to_pylist() == [6, 6, -6, -6]
     for i, (start, end) in enumerate(((0, 150), (50, 250), (150, 350), (250, 400))):
-        batch = load_batch(tmp_path / "processed", trials.slice(i, 1))
-        np.testing.assert_array_equal(batch.command[0], FOUR[start:end])
+        (trial,) = load_trials(tmp_path / "processed", trials.slice(i, 1))
+        np.testing.assert_array_equal(trial.command, FOUR[start:end])
     done = pipeline("profile", "check", lab, log)
     assert "4 trials would be stored" in done.output
     assert "step 3 of 4 found in the command, by -6 in row 250" in done.output

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,10 @@ from places import ROOT
 from pipeline.base.errors import DeviceError, ParameterError, PipelineError, UsageError
 from pipeline.device.parts import Sensor, SimulationParts
 from pipeline.device_data.devices import find_experiment, load_device, read_device
-from pipeline.records.batch import TrialBatch
+from pipeline.measured.signal.verdict import Verdict
 from pipeline.records.models import Device
 from pipeline.records.native import parse_header
+from pipeline.records.trials import Trial
 from pipeline.simulation import course as course_module
 from pipeline.simulation import procedure
 from pipeline.simulation.course import TRUTH_FILE, Course, run_course, write_course
@@ -28,34 +29,29 @@ from pipeline.simulation.simulate import simulate
 FALCON, LWR = load_device("falcon"), load_device("lwr")
 
 
-@dataclass
-class Judged:
-    verdict: np.ndarray
+Judge = Callable[[Trial], Verdict]
 
 
-Judge = Callable[[TrialBatch], Judged]
+def verdict_of(text: str) -> Verdict:
+    return Verdict(text, np.nan, "")
 
 
-def judge_by_noise(batch: TrialBatch) -> Judged:
+def judge_by_noise(trial: Trial) -> Verdict:
     """Verdict that depends on the noise of the log and is not monotonic in K: hard for speculation."""
-    motion = np.abs(np.diff(batch.position, axis=1))
-    verdict = []
-    for row, count in zip(motion, batch.rows, strict=True):
-        if count < 100:
-            verdict.append("unstable")
-            continue
-        early, late = row[count - 81 : count - 41].max(), row[count - 41 : count - 1].max()
-        verdict.append("unstable" if late > early else "undecided" if late > 0.9 * early else "stable")
-    return Judged(np.array(verdict))
+    motion = np.abs(np.diff(trial.position))
+    if trial.rows < 100:
+        return verdict_of("unstable")
+    early, late = motion[-80:-40].max(), motion[-40:].max()
+    return verdict_of("unstable" if late > early else "undecided" if late > 0.9 * early else "stable")
 
 
 def judge_by_theory(device: Device, experiment: str) -> Judge:
     setup = setup_of(device, find_experiment(device, experiment))
 
-    def judge(batch: TrialBatch) -> Judged:
+    def judge(trial: Trial) -> Verdict:
         # 1e-9: at K = 0 and B = -b the radius is 1 exactly, but for the rounding of an eigenvalue
-        radius = spectral_radius(setup, batch.stiffness, batch.damping)
-        return Judged(np.where(radius > 1 + 1e-9, "unstable", "stable"))
+        radius = spectral_radius(setup, np.array([trial.stiffness]), np.array([trial.damping]))[0]
+        return verdict_of("unstable" if radius > 1 + 1e-9 else "stable")
 
     return judge
 
@@ -79,8 +75,8 @@ def sequential(device: Device, experiment: str, judge: Judge, coarsen: int, seed
 
     def unstable(K: float, B: float) -> bool:
         tested.append((K, B))
-        batch = simulate(setup, np.array([K]), np.array([B]), stream=f"{device.name}/{e.name}", seed=seed)
-        return bool(judge(batch).verdict[0] == "unstable")
+        (trial,) = simulate(setup, np.array([K]), np.array([B]), stream=f"{device.name}/{e.name}", seed=seed)
+        return judge(trial).verdict == "unstable"
 
     step = e.stiffness_step * coarsen
     B = e.damping_first
@@ -109,8 +105,8 @@ def test_course_equals_testing_one_after_the_other(
     for wave in (1, 3, 12):
         monkeypatch.setattr(procedure, "WAVE", wave)
         course = run(judge_by_noise, device, experiment, seed=5, coarsen=coarsen)
-        batch = course.batch
-        assert np.allclose(np.stack((batch.stiffness, batch.damping), axis=1), expected, rtol=1e-12, atol=1e-12)
+        trials = course.trials
+        assert np.allclose(np.stack((trials.stiffness, trials.damping), axis=1), expected, rtol=1e-12, atol=1e-12)
     assert set(course.verdict) == {"stable", "unstable", "undecided"}
     assert set(course.passes) == {1, 2}
 
@@ -121,13 +117,13 @@ def test_course_equals_testing_one_after_the_other(
 def test_size_of_an_ideal_course(run: Callable[..., Course], device: Device, experiment: str, size: int) -> None:
     course = run(judge_by_theory(device, experiment), device, experiment, ideal=True)
     # sizes from DEFINITIONS ("about"); one more fine or K = 0 trial for each of 40 dampings would be 3 %
-    assert len(course.batch) == pytest.approx(size, rel=0.015)
-    assert len(set(course.batch.trial_id)) == len(course.batch)
+    assert len(course.trials) == pytest.approx(size, rel=0.015)
+    assert len(set(course.trials.trial_id)) == len(course.trials)
 
 
 def test_limits_are_bracketed_to_a_fifth_of_the_step(run: Callable[..., Course]) -> None:
     course = run(judge_by_theory(FALCON, "2"), FALCON, "2", ideal=True, coarsen=6)
-    K, B, unstable = course.batch.stiffness, course.batch.damping, course.verdict == "unstable"
+    K, B, unstable = course.trials.stiffness, course.trials.damping, course.verdict == "unstable"
     for damping in np.unique(B[K > 0]):
         here = (damping == B) & (K > 0)
         assert K[here & unstable].min() - K[here & ~unstable].max() == pytest.approx(6 * 200 / 5)
@@ -139,19 +135,19 @@ def test_limits_are_bracketed_to_a_fifth_of_the_step(run: Callable[..., Course])
 def test_where_no_damping_at_zero_stiffness_is_stable_the_limit_is_enclosed(
     run: Callable[..., Course],
 ) -> None:
-    def judge(batch: TrialBatch) -> Judged:
-        return Judged(np.where((batch.stiffness > 0) | (batch.damping < 0.5), "unstable", "stable"))
+    def judge(trial: Trial) -> Verdict:
+        return verdict_of("unstable" if trial.stiffness > 0 or trial.damping < 0.5 else "stable")
 
     course = run(judge, LWR, "delay-2", coarsen=40, ideal=True)
-    free = course.batch.stiffness == 0
-    assert course.batch.damping[free] == pytest.approx([0.0, 0.8, 0.6, 0.4])
+    free = course.trials.stiffness == 0
+    assert course.trials.damping[free] == pytest.approx([0.0, 0.8, 0.6, 0.4])
     assert course.verdict[free].tolist() == ["unstable", "stable", "stable", "unstable"]
 
 
 def test_a_course_without_end_is_given_up(run: Callable[..., Course], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(procedure, "LONGEST_CLIMB", 24)
     with pytest.raises(ParameterError, match=r"no unstable trial after 24 steps \(K = 4800, B = 0\)"):
-        run(lambda b: Judged(np.full(len(b), "stable")), FALCON, "1")
+        run(lambda _: verdict_of("stable"), FALCON, "1")
 
 
 def test_options_replace_the_devices_values(run: Callable[..., Course]) -> None:
@@ -159,9 +155,9 @@ def test_options_replace_the_devices_values(run: Callable[..., Course]) -> None:
     options = {"sensor": Sensor(quantum=1e-5), "jitter_samples": (4,), "duration_s": 0.3, "coarsen": 9}
     course = run(judge_by_noise, FALCON, "6", progress=seen.append, **options)
     assert (course.setup.loop.sensor, course.setup.loop.jitter_samples) == (Sensor(quantum=1e-5), (4,))
-    assert course.batch.rows.max() == 300
+    assert course.trials.rows.max() == 300
     assert seen == sorted(seen)
-    assert seen[-1] == len(course.batch)
+    assert seen[-1] == len(course.trials)
     ideal = run(judge_by_theory(FALCON, "6"), FALCON, "6", ideal=True, coarsen=9)
     assert ideal.setup == idealise(setup_of(FALCON, find_experiment(FALCON, "6")))
 
@@ -183,22 +179,21 @@ def small() -> Course:
 
 
 def test_logs_hold_the_trials_to_the_last_bit(small: Course, tmp_path: Path) -> None:
-    assert write_course(small, tmp_path) == len(small.batch)
+    assert write_course(small, tmp_path) == len(small.trials)
     folder = tmp_path / "falcon" / "6"
-    assert {p.name for p in folder.iterdir()} == {f"{i}.csv" for i in small.batch.trial_id} | {TRUTH_FILE}
-    for i, name in enumerate(small.batch.trial_id):
-        lines = (folder / f"{name}.csv").read_text().splitlines()
+    assert {p.name for p in folder.iterdir()} == {f"{i}.csv" for i in small.trials.trial_id} | {TRUTH_FILE}
+    for trial in small.trials:
+        lines = (folder / f"{trial.trial_id}.csv").read_text().splitlines()
         header = parse_header(lines)
         body = lines.index("time_s,command,position") + 1
         values = np.array([[float(cell) for cell in line.split(",")] for line in lines[body:]])
-        rows = small.batch.rows[i]
-        assert (header.stiffness, header.damping) == (small.batch.stiffness[i], small.batch.damping[i])
+        assert (header.stiffness, header.damping) == (trial.stiffness, trial.damping)
         assert (header.device, header.experiment, header.grip) == ("falcon", "6", "firm")
         assert (header.step, header.sampling_period_s, header.simulated) == (8.0, 0.001, True)
-        assert values.shape == (rows, 3)
-        assert np.array_equal(values[:, 0], small.batch.time[i, :rows])
-        assert np.array_equal(values[:, 1], small.batch.command[i, :rows])
-        assert np.array_equal(values[:, 2], small.batch.position[i, :rows])
+        assert values.shape == (trial.rows, 3)
+        assert np.array_equal(values[:, 0], trial.time)
+        assert np.array_equal(values[:, 1], trial.command)
+        assert np.array_equal(values[:, 2], trial.position)
 
 
 def test_truth_says_what_was_simulated(small: Course, tmp_path: Path) -> None:
@@ -207,10 +202,10 @@ def test_truth_says_what_was_simulated(small: Course, tmp_path: Path) -> None:
     assert truth["plant"] == {"mass": 1.0, "damping": 34.0, "stiffness": 0.0}
     assert (truth["delay_samples"], truth["jitter_samples"], truth["seed"]) == (4.0, [3, 4, 5], 2)
     assert (truth["quantum"], truth["noise"], truth["edge_row"], truth["complete"]) == (2e-6, 5e-7, 20, True)
-    assert list(truth["logs"]) == [f"{name}.csv" for name in small.batch.trial_id]
+    assert list(truth["logs"]) == [f"{name}.csv" for name in small.trials.trial_id]
     first = truth["logs"]["B000_K003600_p1.csv"]
     assert (first["stiffness"], first["damping"], first["verdict"]) == (3600.0, 0.0, small.verdict[0])
-    assert first["rows"] == small.batch.rows[0]
+    assert first["rows"] == small.trials.rows[0]
 
 
 @pytest.mark.parametrize(
@@ -249,8 +244,8 @@ def test_an_earlier_simulation_is_replaced_only_on_request(small: Course, tmp_pa
     own.write_text("recorded by hand")
     with pytest.raises(UsageError, match="overwrite=True"):
         write_course(small, tmp_path)
-    few = small.batch.select(np.arange(5))
-    half = replace(small, batch=few, passes=small.passes[:5], verdict=small.verdict[:5])
+    few = small.trials.select(np.arange(5))
+    half = replace(small, trials=few, passes=small.passes[:5], verdict=small.verdict[:5])
     assert write_course(half, tmp_path, overwrite=True) == 5
     listed = {f"{name}.csv" for name in few.trial_id}
     assert {p.name for p in folder.iterdir()} == listed | {TRUTH_FILE, own.name}
@@ -258,7 +253,7 @@ def test_an_earlier_simulation_is_replaced_only_on_request(small: Course, tmp_pa
 
 
 def test_a_log_that_is_not_listed_is_never_replaced(small: Course, tmp_path: Path, folder: Path) -> None:
-    own = folder / f"{small.batch.trial_id[3]}.csv"
+    own = folder / f"{small.trials.trial_id[3]}.csv"
     own.write_text("recorded by hand")
     for overwrite in (False, True):
         with pytest.raises(UsageError, match=own.name):
@@ -304,8 +299,8 @@ def test_a_broken_run_leaves_complete_logs_that_the_next_run_replaces(
     monkeypatch.undo()
     assert json.loads((folder / TRUTH_FILE).read_text())["complete"] is False
     found = sorted(p.name for p in folder.iterdir() if p.name != TRUTH_FILE)
-    assert found == sorted(f"{name}.csv" for name in small.batch.trial_id[:7])  # whole logs, no temporary file
-    assert write_course(small, tmp_path, overwrite=True) == len(small.batch)
+    assert found == sorted(f"{name}.csv" for name in small.trials.trial_id[:7])  # whole logs, no temporary file
+    assert write_course(small, tmp_path, overwrite=True) == len(small.trials)
     assert json.loads((folder / TRUTH_FILE).read_text())["complete"] is True
 
 
@@ -329,10 +324,10 @@ lost_rows = 0.02
     assert truth["loop"]["mode"]["frequency_hz"] == 40.0
     assert truth["loop"]["friction"]["coulomb"] == 0.2
     assert truth["simulation"]["lost_rows"] == 0.02
-    name, batch = course.batch.trial_id[0], course.batch
-    lines = (tmp_path / "falcon" / "1" / f"{name}.csv").read_text().splitlines()
+    first = course.trials[0]
+    lines = (tmp_path / "falcon" / "1" / f"{first.trial_id}.csv").read_text().splitlines()
     stamps = [float(line.split(",")[0]) for line in lines[lines.index("time_s,command,position") + 1 :]]
-    assert np.array_equal(stamps, batch.time[0, : batch.rows[0]])
+    assert np.array_equal(stamps, first.time)
     assert max(np.diff(stamps)) > 0.0015
 
 

@@ -16,9 +16,9 @@ SHORT = {"coarsen": 23, "duration_s": 0.25}
 def test_every_kind_simulates_a_short_course(name: str) -> None:
     case = KINDS[name](3)
     course = record(case, **SHORT)
-    assert len(course.batch) >= min(FEW, 2)
-    assert np.isfinite(course.batch.position[course.batch.valid]).all()
-    assert np.isfinite(course.batch.command[course.batch.valid]).all()
+    assert len(course.trials) >= min(FEW, 2)
+    assert np.isfinite(course.trials.position).all()
+    assert np.isfinite(course.trials.command).all()
     kept = {"all": {"stable", "unstable"}, "stable": {"stable", "undecided"}, "unstable": {"unstable"}}
     if case.keep != "few":
         assert set(course.verdict) >= kept[case.keep] - {"undecided"}

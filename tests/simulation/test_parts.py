@@ -13,6 +13,7 @@ from pipeline.device.loop import Loop
 from pipeline.device.parts import Butterworth, Difference, Friction, LaterStep, Mode, SimulationParts
 from pipeline.loop.motion import FrictionalMotion
 from pipeline.loop.state_space import Plant
+from pipeline.records.trials import Trial
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import coefficients, external_force, simulate
@@ -71,12 +72,12 @@ LOOPS = {
 @pytest.mark.parametrize("name", sorted(LOOPS))
 def test_a_device_moves_as_the_second_simulator_says(name: str) -> None:
     setup = BASE.with_loop(**LOOPS[name], delay_samples=1.5)
-    found = simulate(setup, np.array([K]), np.array([B]))
+    (found,) = simulate(setup, np.array([K]), np.array([B]))
     b, a = velocity_filter(None, T)
     x, u = run(body_of(setup.loop), K=K, B=B, T=T, external=external_force(setup), delay=(3, 2), b=b, a=a)
     # 1e-12 of the second simulator, for each of 60 rows with a gain of K T^2/m below 1
-    assert np.abs(found.displacement[0] - x).max() < 1e-9 * np.abs(x).max()
-    assert np.abs(found.command[0] - u).max() < 1e-8 * np.abs(u).max()
+    assert np.abs(found.displacement - x).max() < 1e-9 * np.abs(x).max()
+    assert np.abs(found.command - u).max() < 1e-8 * np.abs(u).max()
     assert np.abs(x).max() > 1e-4
 
 
@@ -102,13 +103,13 @@ def test_random_combinations_move_as_the_second_simulator_says(seed: int) -> Non
     )
     setup = replace(BASE, loop=loop, hidden=hidden)
     stiffness, damping = random.uniform(500, 4000), random.uniform(0, 30)
-    found = simulate(setup, np.array([stiffness]), np.array([damping]))
+    (found,) = simulate(setup, np.array([stiffness]), np.array([damping]))
     b, a = velocity_filter("butterworth", T, order, cutoff)
     timing = {"T": T, "external": external_force(setup), "delay": (5, 4), "b": b, "a": a, "true_period": T * 1.02}
     force = {"gain": 1.2 * 0.9, "limit": 9.0, "one_sided": hidden.one_sided_wall}
     x, u = run(body_of(loop), K=stiffness, B=damping, **timing, **force)
-    assert np.abs(found.displacement[0] - x).max() < 1e-8 * np.abs(x).max()
-    assert np.abs(found.command[0] - u).max() < 1e-7 * np.abs(u).max()
+    assert np.abs(found.displacement - x).max() < 1e-8 * np.abs(x).max()
+    assert np.abs(found.command - u).max() < 1e-7 * np.abs(u).max()
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4])
@@ -122,10 +123,10 @@ def test_butterworth_is_that_of_scipy(order: int, cutoff: float) -> None:
 
 def test_difference_over_samples_is_the_mean_of_single_ones() -> None:
     setup = BASE.with_loop(velocity=Difference(kind="difference", samples=5))
-    found = simulate(setup, np.array([K]), np.array([B]))
-    speed = np.diff(found.position[0], prepend=found.position[0, 0]) / T
+    (found,) = simulate(setup, np.array([K]), np.array([B]))
+    speed = np.diff(found.position, prepend=found.position[0]) / T
     mean = np.convolve(speed, np.ones(5) / 5)[:ROWS]
-    assert found.command[0] == pytest.approx(external_force(setup) - K * found.displacement[0] - B * mean, abs=1e-11)
+    assert found.command == pytest.approx(external_force(setup) - K * found.displacement - B * mean, abs=1e-11)
 
 
 def test_a_sliding_mass_stops_at_the_known_distance_and_stays() -> None:
@@ -165,14 +166,14 @@ def test_energy_is_never_created() -> None:
     assert (np.abs(300 * state[0]) <= 1.2 + 1e-9).all()
 
 
-def test_a_trial_with_friction_does_not_depend_on_its_batch() -> None:
+def test_a_trial_with_friction_does_not_depend_on_the_others() -> None:
     low_pass = Butterworth(kind="butterworth", order=3, cutoff_hz=60)
     setup = BASE.with_loop(**LOOPS["all"], delay_samples=1.5, velocity=low_pass)
     stiffness, damping = np.linspace(300, 4000, 13), np.linspace(0, 30, 13)
     together = simulate(setup, stiffness, damping)
     for some in ([4], [4, 7], [0, 4, 12]):
         alone = simulate(setup, stiffness[some], damping[some])
-        assert np.array_equal(alone.position[some.index(4)], together.position[4, : alone.position.shape[1]])
+        assert np.array_equal(alone[some.index(4)].position, together[4].position)
 
 
 @pytest.mark.parametrize("name", ["lag", "mode, load", "spring and lag"])
@@ -181,7 +182,7 @@ def test_spectral_radius_is_the_growth_of_the_simulated_response(name: str) -> N
     setup = replace(BASE, rows=1500).with_loop(**LOOPS[name], velocity=low_pass, delay_samples=2.5)
     rho = spectral_radius(setup, np.array([20_000.0]), np.array([10.0]))[0]
     rows = min(1500, int(np.log(1e12) / np.log(rho)))
-    x = simulate(replace(setup, rows=rows), np.array([20_000.0]), np.array([10.0])).displacement[0, -60:]
+    x = simulate(replace(setup, rows=rows), np.array([20_000.0]), np.array([10.0]))[0].displacement[-60:]
     recurrence = np.linalg.lstsq(np.stack((x[1:-1], x[:-2]), axis=1) / x[-1], x[2:] / x[-1])[0]
     assert np.sqrt(-recurrence[1]) == pytest.approx(rho, rel=1e-6)
     assert rho > 1.003
@@ -190,7 +191,7 @@ def test_spectral_radius_is_the_growth_of_the_simulated_response(name: str) -> N
 def friction_cycle(stiffness: float) -> float:
     """Largest distance from rest in the last fifth of a long trial that starts with a kick."""
     setup = replace(BASE, rows=4000).with_loop(mass=0.58, friction=FRICTION, delay_samples=4.0)
-    x = simulate(setup, np.array([stiffness]), np.array([20.0])).displacement[0, -800:]
+    x = simulate(setup, np.array([stiffness]), np.array([20.0]))[0].displacement[-800:]
     return float(np.abs(x - 8 / stiffness).max())
 
 
@@ -202,48 +203,48 @@ def test_friction_holds_a_wall_that_linear_theory_calls_unstable_up_to_the_descr
     assert friction_cycle(9500.0) > 8 / 9500
 
 
-def one(hidden: SimulationParts, **change: object) -> object:
-    return simulate(replace(BASE, hidden=hidden).with_loop(**change), np.array([K]), np.array([B]), seed=3)
+def one(hidden: SimulationParts, **change: object) -> Trial:
+    return simulate(replace(BASE, hidden=hidden).with_loop(**change), np.array([K]), np.array([B]), seed=3)[0]
 
 
 def test_lost_rows_are_missing_and_show_in_the_time_stamps_unless_hidden() -> None:
     whole = one(SimulationParts())
     lost, hidden = (one(SimulationParts(lost_rows=0.2, lost_rows_hidden=h)) for h in (False, True))
-    kept = np.rint(lost.time[0] / T).astype(int)
+    kept = np.rint(lost.time / T).astype(int)
     assert 30 < len(kept) < 58
     assert kept[0] == 0
-    assert np.array_equal(lost.position[0], whole.position[0, kept])
-    assert np.array_equal(lost.command[0], whole.command[0, kept])
-    assert np.array_equal(hidden.position[0], lost.position[0])
-    assert np.array_equal(hidden.time[0], T * np.arange(len(kept)))
+    assert np.array_equal(lost.position, whole.position[kept])
+    assert np.array_equal(lost.command, whole.command[kept])
+    assert np.array_equal(hidden.position, lost.position)
+    assert np.array_equal(hidden.time, T * np.arange(len(kept)))
 
 
-def residual(batch: object, setup: Setup = BASE) -> np.ndarray:
+def residual(trial: Trial, setup: Setup = BASE) -> np.ndarray:
     """What the logged command lacks of the wall law on the logged positions."""
-    speed = np.diff(batch.position[0], prepend=batch.position[0, 0]) / T
-    return batch.command[0] + K * batch.displacement[0] + B * speed - external_force(setup)
+    speed = np.diff(trial.position, prepend=trial.position[0]) / T
+    return trial.command + K * trial.displacement + B * speed - external_force(setup)
 
 
 def test_held_samples_reach_the_controller_and_repeated_rows_the_log_alone() -> None:
     held, repeated = one(SimulationParts(held_samples=0.2)), one(SimulationParts(repeated_rows=0.2))
-    for batch in (held, repeated):
-        assert 4 < (np.diff(batch.position[0, 10:]) == 0).sum() < 20
+    for trial in (held, repeated):
+        assert 4 < (np.diff(trial.position[10:]) == 0).sum() < 20
     assert np.abs(residual(held)).max() < 1e-11
     assert np.abs(residual(repeated)).max() > 0.1
-    assert np.array_equal(repeated.command[0], one(SimulationParts()).command[0])
+    assert np.array_equal(repeated.command, one(SimulationParts()).command)
 
 
 def test_a_constant_force_is_held_by_the_wall_and_shows_as_a_constant() -> None:
-    batch = one(SimulationParts(constant_force=0.7), force_gain=1.25)
-    assert np.abs(batch.displacement[0, :5]).max() < 1e-15
-    assert residual(batch) == pytest.approx(-0.7 / 1.25, abs=1e-11)
+    trial = one(SimulationParts(constant_force=0.7), force_gain=1.25)
+    assert np.abs(trial.displacement[:5]).max() < 1e-15
+    assert residual(trial) == pytest.approx(-0.7 / 1.25, abs=1e-11)
 
 
 def test_a_wrong_clock_stretches_the_motion_and_not_the_stamps() -> None:
     slow, true = one(SimulationParts(clock_error=0.1)), one(SimulationParts())
     assert np.array_equal(slow.time, true.time)
     # the first motion after the step: a mass under a constant force, with the square of the true period
-    assert slow.displacement[0, 6] / true.displacement[0, 6] == pytest.approx(1.21, rel=1e-3)
+    assert slow.displacement[6] / true.displacement[6] == pytest.approx(1.21, rel=1e-3)
 
 
 def test_ramp_and_later_steps_shape_the_external_force() -> None:
@@ -254,7 +255,7 @@ def test_ramp_and_later_steps_shape_the_external_force() -> None:
 
 def test_a_one_sided_wall_never_acts_outside() -> None:
     setup = replace(BASE, hidden=SimulationParts(one_sided_wall=True), rows=400)
-    batch = simulate(setup, np.array([30_000.0]), np.array([0.0]))
-    outside = batch.displacement[0] < 0
+    (trial,) = simulate(setup, np.array([30_000.0]), np.array([0.0]))
+    outside = trial.displacement < 0
     assert outside.any()
-    assert (batch.command[0, outside] == 8.0).all()
+    assert (trial.command[outside] == 8.0).all()

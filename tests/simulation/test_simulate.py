@@ -13,7 +13,7 @@ from scipy.linalg import expm
 from pipeline.base.errors import ParameterError
 from pipeline.device.parts import SimulationParts
 from pipeline.device_data.devices import load_device
-from pipeline.records.batch import Floats, Integers, TrialBatch
+from pipeline.records.trials import Floats, Trial
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
 from pipeline.simulation.simulate import age_in_force, delays_of, in_force, simulate
@@ -49,14 +49,13 @@ def fine_loop(setup: Setup, K: float, B: float, p: int, q: int) -> tuple[Floats,
 def test_ideal_loop_equals_an_independent_loop(p: int, q: int, k: float, b: float) -> None:
     setup = IDEAL.with_loop(mass=0.58, damping=b, stiffness=k, delay_samples=p / q)
     K, B = np.array([400.0, 4400.0, 200.0]), np.array([4.0, 72.0, -1.0])
-    batch = simulate(setup, K, B)
-    for i in range(3):
+    for i, trial in enumerate(simulate(setup, K, B)):
         position, command = fine_loop(setup, K[i], B[i], p, q)
-        rows = batch.rows[i]
+        rows = trial.rows
         assert rows > 100
         # positions are read at 0.12 m: rounding of 1e-17 m, 1e-14 of a response, times the gain of the loop
-        assert np.abs(batch.displacement[i, :rows] - position[:rows]).max() <= 1e-12 * np.abs(position).max()
-        assert np.abs(batch.command[i, :rows] - command[:rows]).max() <= 1e-12 * np.abs(command).max() * 20
+        assert np.abs(trial.displacement - position[:rows]).max() <= 1e-12 * np.abs(position).max()
+        assert np.abs(trial.command - command[:rows]).max() <= 1e-12 * np.abs(command).max() * 20
 
 
 def test_spectral_radius_at_zero_stiffness_leaves_out_the_integrator() -> None:
@@ -66,66 +65,60 @@ def test_spectral_radius_at_zero_stiffness_leaves_out_the_integrator() -> None:
 
 
 def test_trial_starts_at_rest_at_centre_minus_step_over_stiffness() -> None:
-    batch = simulate(IDEAL, np.array([400.0, 4000.0, 0.0]), np.array([20.0, 60.0, 0.0]))
-    start = np.array([0.12 - 8 / 400, 0.12 - 8 / 4000, 0.12])
+    trials = simulate(IDEAL, np.array([400.0, 4000.0, 0.0]), np.array([20.0, 60.0, 0.0]))
     quiet = IDEAL.edge_row + 5  # the plant feels the step 4 samples later and shows it at the sample after
-    assert (batch.position[:, :quiet] == start[:, None]).all()
-    assert (batch.position[:, quiet] > start).all()
-    assert (batch.command[:, : IDEAL.edge_row] == 0).all()
-    assert (batch.command[:, IDEAL.edge_row] == 8).all()
-    assert batch.position[1, -1] == pytest.approx(0.12, rel=1e-4)
+    for trial, start in zip(trials, (0.12 - 8 / 400, 0.12 - 8 / 4000, 0.12), strict=True):
+        assert (trial.position[:quiet] == start).all()
+        assert trial.position[quiet] > start
+        assert (trial.command[: IDEAL.edge_row] == 0).all()
+        assert trial.command[IDEAL.edge_row] == 8
+    assert trials[1].position[-1] == pytest.approx(0.12, rel=1e-4)
 
 
 def test_without_stiffness_the_travel_is_reached_after_85_ms() -> None:
     setup = IDEAL.with_loop(mass=0.58, damping=0.0)
-    batch = simulate(setup, np.zeros(1), np.zeros(1))
+    (trial,) = simulate(setup, np.zeros(1), np.zeros(1))
     arrival = np.sqrt(2 * 0.05 * 0.58 / 8)  # 85.1 ms
-    assert batch.rows[0] - 1 == IDEAL.edge_row + 4 + np.ceil(arrival / T)
-    assert batch.displacement[0, -1] > 0.05 >= batch.displacement[0, -2]
+    assert trial.rows - 1 == IDEAL.edge_row + 4 + np.ceil(arrival / T)
+    assert trial.displacement[-1] > 0.05 >= trial.displacement[-2]
 
 
 def test_a_wall_of_negative_stiffness_takes_from_a_spring() -> None:
     """An arm of 1,000 N/m with a wall of -600 N/m rests where 400 N/m hold the step."""
     setup = replace(IDEAL, rows=3000).with_loop(mass=0.58, damping=20.0, stiffness=1000.0)
-    batch = simulate(setup, np.array([-600.0]), np.array([20.0]))
-    assert batch.displacement[0, -1] == pytest.approx(8 / 400, rel=1e-3)
+    (trial,) = simulate(setup, np.array([-600.0]), np.array([20.0]))
+    assert trial.displacement[-1] == pytest.approx(8 / 400, rel=1e-3)
 
 
 def test_a_trial_ends_with_the_first_sample_outside_its_travel_and_the_others_go_on() -> None:
-    batch = simulate(IDEAL, np.array([4000.0, 30_000.0]), np.array([60.0, 0.0]))
-    rows = batch.rows[1]
-    assert batch.rows[0] == IDEAL.rows > rows
-    distance = np.abs(batch.position[1] - 0.12)
-    assert distance[rows - 1] > 0.05
-    assert (distance[: rows - 1] <= 0.05).all()
-    assert np.isnan(batch.position[1, rows:]).all()
-    assert np.isnan(batch.command[1, rows:]).all()
-    assert np.isnan(batch.time[1, rows:]).all()
-    alone = simulate(IDEAL, np.array([30_000.0]), np.zeros(1))
-    assert alone.position.shape == (1, rows)
+    stays, leaves = simulate(IDEAL, np.array([4000.0, 30_000.0]), np.array([60.0, 0.0]))
+    assert stays.rows == IDEAL.rows > leaves.rows
+    distance = np.abs(leaves.position - 0.12)
+    assert distance[-1] > 0.05
+    assert (distance[:-1] <= 0.05).all()
+    (alone,) = simulate(IDEAL, np.array([30_000.0]), np.zeros(1))
+    assert alone.rows == leaves.rows
 
 
 def test_a_start_outside_the_travel_does_not_end_the_trial_at_once() -> None:
-    batch = simulate(FALCON, np.array([40.0]), np.array([30.0]))  # starts 0.2 m from the centre, travel 0.05 m
-    assert batch.rows[0] == FALCON.rows
+    (trial,) = simulate(FALCON, np.array([40.0]), np.array([30.0]))  # starts 0.2 m from the centre, travel 0.05 m
+    assert trial.rows == FALCON.rows
 
 
-@given(st.lists(st.lists(st.integers(0, 6), min_size=3, max_size=3), min_size=1, max_size=40))
-@settings(max_examples=60, deadline=None)
-def test_newest_arrived_command_holds(delays: list[list[int]]) -> None:
-    matrix: Integers = np.array(delays)
-    found = in_force(matrix)
-    for trial in range(3):
-        for row in range(len(matrix)):
-            arrived = [sent for sent in range(row + 1) if sent + matrix[sent, trial] <= row]
-            assert found[row, trial] == max(arrived, default=-1)
-    assert (np.diff(found, axis=0) >= 0).all()  # no overtaking
+@given(st.lists(st.integers(0, 6), min_size=1, max_size=40))
+@settings(max_examples=180, deadline=None)
+def test_newest_arrived_command_holds(delays: list[int]) -> None:
+    found = in_force(np.array(delays))
+    for row in range(len(delays)):
+        arrived = [sent for sent in range(row + 1) if sent + delays[sent] <= row]
+        assert found[row] == max(arrived, default=-1)
+    assert (np.diff(found) >= 0).all()  # no overtaking
 
 
 @pytest.mark.parametrize("delays", [(4,), (2, 3), (3, 5), (3, 4, 5), (0, 1, 2, 7)])
 def test_moments_of_the_age_in_force_are_those_of_long_draws(delays) -> None:
-    drawn = np.random.default_rng(1).choice(delays, (100_000, 1)).astype(np.int64)
-    age = (np.arange(len(drawn)) - in_force(drawn)[:, 0])[100:]
+    drawn = np.random.default_rng(1).choice(delays, 100_000).astype(np.int64)
+    age = (np.arange(len(drawn)) - in_force(drawn))[100:]
     assert age_in_force(delays) == pytest.approx((age.mean(), age.std()), abs=0.02)
 
 
@@ -138,9 +131,9 @@ def test_whole_delays_stand_for_any_mean_and_deviation_of_the_age(age, jitter) -
     assert deviation == pytest.approx(jitter, abs=0.12 if age > 1.2 * jitter and jitter > 0.5 else jitter)
 
 
-def felt_command(batch: TrialBatch, row: int, mass: float) -> float:
+def felt_command(trial: Trial, row: int, mass: float) -> float:
     """Command that an undamped plant felt in the interval after a row, from three positions."""
-    x = batch.position[0]
+    x = trial.position
     state = np.array([0.0, 0.0])
     for k in range(row):
         force = mass * (x[k + 1] - x[0] - state[0] - T * state[1]) * 2 / T**2
@@ -152,12 +145,12 @@ def test_jitter_delays_lie_in_the_set_and_commands_do_not_overtake() -> None:
     # an undamped mass: the felt force follows from the positions alone, without the simulator's bookkeeping
     setup = replace(IDEAL, rows=60, edge_row=2, centre=0.0)
     setup = setup.with_loop(mass=0.58, damping=0.0, jitter_samples=(3, 4, 5))
-    batch = simulate(setup, np.array([3000.0]), np.array([60.0]), seed=7)
-    command = batch.command[0]
+    (trial,) = simulate(setup, np.array([3000.0]), np.array([60.0]), seed=7)
+    command = trial.command
     assert len(np.unique(command[10:])) == 50  # every command of the response can be told from the others
     sources = []
     for row in range(16, 40):
-        distance = np.abs(command[: row + 1] - felt_command(batch, row, 0.58))
+        distance = np.abs(command[: row + 1] - felt_command(trial, row, 0.58))
         assert distance.min() < 1e-6
         sources.append(int(distance.argmin()))
     age = np.arange(16, 40) - np.array(sources)
@@ -168,8 +161,7 @@ def test_jitter_delays_lie_in_the_set_and_commands_do_not_overtake() -> None:
 
 def test_positions_lie_on_the_grid_of_the_quantum() -> None:
     setup = FALCON.with_loop(sensor={"quantum": 1e-5, "noise": FALCON.loop.sensor.noise})
-    batch = simulate(setup, np.array([500.0, 4000.0]), np.array([10.0, 60.0]))
-    steps = batch.position / 1e-5
+    steps = simulate(setup, np.array([500.0, 4000.0]), np.array([10.0, 60.0])).position / 1e-5
     assert np.abs(steps - np.rint(steps)).max() < 1e-9
     assert len(np.unique(np.rint(steps))) > 100
 
@@ -177,7 +169,7 @@ def test_positions_lie_on_the_grid_of_the_quantum() -> None:
 def test_noise_has_the_given_size_and_is_not_filtered_into_the_plant() -> None:
     # K = B = 0: the plant rests until the step, so that the baseline is noise alone
     setup = replace(IDEAL, rows=4100, edge_row=4099, travel=1.0).with_loop(sensor={"noise": 1e-6})
-    x = simulate(setup, np.zeros(1), np.zeros(1)).position[0]
+    x = simulate(setup, np.zeros(1), np.zeros(1)).position
     assert x.std() == pytest.approx(1e-6, rel=0.05)  # standard error of 4,100 values: 1.1 %
     assert x.mean() == pytest.approx(0.12, abs=1e-7)
     assert abs(np.corrcoef(x[1:], x[:-1])[0, 1]) < 0.06  # white: 4 standard errors
@@ -185,23 +177,23 @@ def test_noise_has_the_given_size_and_is_not_filtered_into_the_plant() -> None:
 
 def test_force_limit_clips_what_the_plant_feels_and_the_log_only_where_it_says_so() -> None:
     limited = simulate(IDEAL.with_loop(force_limit=3.0), np.array([400.0]), np.array([4.0]))
-    assert np.nanmax(limited.command) == 8.0
+    assert limited.command.max() == 8.0
     hidden = SimulationParts(clipped_command_logged=True)
     clipped = replace(IDEAL, hidden=hidden).with_loop(force_limit=3.0)
     shown = simulate(clipped, np.array([400.0]), np.array([4.0]))
     assert np.array_equal(shown.command, np.clip(limited.command, -3.0, 3.0))
-    assert np.nanmin(shown.command) == -3.0
+    assert shown.command.min() == -3.0
     assert np.array_equal(shown.position, limited.position)
     free = simulate(replace(IDEAL, step=3.0), np.zeros(1), np.zeros(1))
     head = IDEAL.edge_row + 12  # as long as the wall takes less than 5 N off the 8 N
-    assert np.allclose(limited.displacement[0, :head], free.displacement[0, :head], rtol=0, atol=1e-15)
-    assert limited.displacement[0, head - 1] > 1e-4
+    assert np.allclose(limited[0].displacement[:head], free[0].displacement[:head], rtol=0, atol=1e-15)
+    assert limited[0].displacement[head - 1] > 1e-4
 
 
 def test_a_longer_trial_begins_like_the_shorter_one() -> None:
     K, B = np.array([3000.0]), np.array([60.0])
     short, long = simulate(FALCON, K, B), simulate(replace(FALCON, rows=1000), K, B)
-    assert np.array_equal(short.position[0], long.position[0, :400])
+    assert np.array_equal(short.position, long.position[:400])
 
 
 @pytest.mark.parametrize("change", [{"seed": 1}, {"stream": "falcon/2"}, {"repetition": 1}])
@@ -237,5 +229,5 @@ def test_a_stated_constant_force_acts_like_a_hidden_one() -> None:
     assert idealise(IDEAL.with_loop(constant_force=0.7)) == IDEAL
 
 
-def test_no_trials_give_an_empty_batch() -> None:
+def test_no_walls_give_no_trials() -> None:
     assert len(simulate(FALCON, np.empty(0), np.empty(0))) == 0

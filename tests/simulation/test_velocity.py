@@ -8,15 +8,20 @@ from scipy.linalg import expm, solve_discrete_are
 
 from pipeline import Loop
 from pipeline.device.parts import AdaptiveWindow, Kalman, Levant, VelocityFilter
+from pipeline.loop.closed_loop import velocity
 from pipeline.simulation.setup import Setup
-from pipeline.simulation.simulate import external_force, simulate, velocity_of
+from pipeline.simulation.simulate import estimator_of, external_force, simulate
 
 T = 0.001
 
 
 def estimated(kind: VelocityFilter, position: np.ndarray) -> np.ndarray:
-    velocity = velocity_of(kind, T, position.shape[1])
-    return np.array([velocity(position, row) for row in range(len(position))])
+    estimator, numbers, period = estimator_of(kind, T)
+    result = np.empty_like(position)
+    for readings, speed in zip(position.T, result.T, strict=True):
+        memory = np.zeros(numbers.shape[1])
+        speed[:] = [velocity(estimator, numbers, period, memory, readings, row) for row in range(len(readings))]
+    return result
 
 
 def path(quantum: float, rows: int = 300) -> np.ndarray:
@@ -117,12 +122,10 @@ def test_levants_differentiator_follows_a_swing() -> None:
 def test_a_simulated_wall_is_damped_by_the_estimate(kind: VelocityFilter) -> None:
     loop = Loop(0.5, 4.0, T, 2.0, sensor={"quantum": 1e-5}, velocity=kind)
     setup = Setup(loop, step=8.0, rows=120, edge_row=3)
-    found = simulate(setup, np.array([2500.0]), np.array([12.0]))
-    speed = estimated(kind, found.position.T)[:, 0]
-    assert found.command[0] == pytest.approx(
-        external_force(setup) - 2500 * found.displacement[0] - 12 * speed, abs=1e-9
-    )
-    plain = simulate(setup.with_loop(velocity=None), np.array([2500.0]), np.array([12.0]))
+    (found,) = simulate(setup, np.array([2500.0]), np.array([12.0]))
+    speed = estimated(kind, found.position[:, None])[:, 0]
+    assert found.command == pytest.approx(external_force(setup) - 2500 * found.displacement - 12 * speed, abs=1e-9)
+    (plain,) = simulate(setup.with_loop(velocity=None), np.array([2500.0]), np.array([12.0]))
     assert np.abs(found.position - plain.position).max() > 1e-5
 
 

@@ -20,7 +20,7 @@ from pipeline.store import batch_files
 from pipeline.store import objects as objects_module
 from pipeline.store.corrections import exclude
 from pipeline.store.objects import Objects, check_installed, is_url, opened, stored_by
-from pipeline.store.samples import load_batch
+from pipeline.store.samples import load_trials
 from pipeline.store.storage import list_experiments, read_exclusions, read_trials
 
 
@@ -43,9 +43,10 @@ def seen(url, experiment="1"):
     """Stiffness and samples of the trials of an experiment, all of them read."""
     with opened(url, "bench") as processed:
         trials = read_trials(processed, "bench", experiment)
-        batch = load_batch(processed, trials)
-        assert [row[0] for row in batch.command.tolist()] == batch.stiffness.tolist(), "samples are those of the trial"
-        return sorted(batch.stiffness.tolist())
+        loaded = load_trials(processed, trials)
+        for trial in loaded:
+            assert trial.command[0] == trial.stiffness, "samples are those of the trial"
+        return sorted(loaded.stiffness.tolist())
 
 
 def test_the_tables_are_those_of_a_folder(s3, tmp_path):
@@ -58,7 +59,7 @@ def test_the_tables_are_those_of_a_folder(s3, tmp_path):
     with opened(s3) as processed:
         read_trials(processed)
         for experiment in list_experiments(processed, "bench"):
-            load_batch(processed, read_trials(processed, "bench", experiment))
+            load_trials(processed, read_trials(processed, "bench", experiment))
         for tree in ("trials", "quarantine"):
             here = {f.relative_to(processed): f.read_bytes() for f in (processed / tree).rglob("*") if f.is_file()}
             there = [f for f in (tmp_path / "local" / tree).rglob("*") if f.is_file()]
@@ -92,7 +93,7 @@ def test_a_reader_sees_one_moment(s3, tmp_path):
         store(s3, write_logs(tmp_path / "logs", [3]))
         stored_by(s3, merge_all)
         trials = read_trials(processed)
-        assert sorted(load_batch(processed, trials).stiffness.tolist()) == [1, 2], "its objects are still there"
+        assert sorted(load_trials(processed, trials).stiffness.tolist()) == [1, 2], "its objects are still there"
     assert seen(s3) == [1, 2, 3]
 
 

@@ -22,7 +22,7 @@ from pipeline.records.table_files import parquet_bytes
 from pipeline.records.tables import COLUMNS, LOCATION, TABLES, to_arrow
 from pipeline.store.corrections import write_corrections
 from pipeline.store.names import folder_name, name_of_folder, page_against, page_against_document, place_of, report_of
-from pipeline.store.samples import load_batch, load_trial
+from pipeline.store.samples import load_trial, load_trials
 from pipeline.store.storage import (
     IDENTITY,
     Correction,
@@ -124,7 +124,7 @@ def test_devices_that_differ_in_case_are_stored_apart(tmp_path):
     assert len({folder.casefold() for folder in folders}) == 3
     assert not any(refused_by_windows(folder) for folder in folders)
     for number, device in enumerate(("arm", "Arm", "CON")):
-        assert load_batch(processed, read_trials(processed, device)).stiffness.tolist() == [number]
+        assert load_trials(processed, read_trials(processed, device)).stiffness.tolist() == [number]
 
 
 @pytest.fixture
@@ -148,19 +148,16 @@ def test_trials_are_found_by_device_and_experiment(processed):
     assert read_trials(processed, "other").num_rows == 0
 
 
-def test_a_batch_is_ordered_and_padded(processed):
-    batch = load_batch(processed, read_trials(processed, "bench", "1"))
-    assert list(zip(batch.damping, batch.stiffness, batch.rows, strict=True)) == [
+def test_trials_are_ordered_by_damping_and_stiffness_with_their_own_rows(processed):
+    trials = load_trials(processed, read_trials(processed, "bench", "1"))
+    assert list(zip(trials.damping, trials.stiffness, trials.rows, strict=True)) == [
         (1, 6, 5),
         (1, 7, 4),
         (2, 5, 3),
     ]
-    for stiffness, damping, rows, command, position in zip(
-        batch.stiffness, batch.damping, batch.rows, batch.command, batch.position, strict=True
-    ):
-        np.testing.assert_array_equal(command[:rows], np.arange(rows) + stiffness)
-        np.testing.assert_array_equal(position[:rows], np.arange(rows) - damping)
-        assert np.isnan(position[rows:]).all()
+    for trial in trials:
+        np.testing.assert_array_equal(trial.command, np.arange(trial.rows) + trial.stiffness)
+        np.testing.assert_array_equal(trial.position, np.arange(trial.rows) - trial.damping)
 
 
 def test_units_and_meanings_are_stored(processed):
@@ -174,7 +171,7 @@ def test_missing_and_damaged_files_are_named(processed):
     trials = read_trials(processed, "bench", "1")
     (path,) = (processed / "trials" / "bench" / "1").glob("*.parquet")
     path.write_bytes(b"no table")
-    for read in (lambda: load_batch(processed, trials), lambda: read_trials(processed)):
+    for read in (lambda: load_trials(processed, trials), lambda: read_trials(processed)):
         with pytest.raises(StoreError, match="is missing or damaged"):
             read()
     damaged: dict = {}
@@ -182,18 +179,17 @@ def test_missing_and_damaged_files_are_named(processed):
     assert list(damaged) == [path]
     path.unlink()
     with pytest.raises(StoreError, match="3 trials were removed while they were read"):
-        load_batch(processed, trials)
+        load_trials(processed, trials)
 
 
 def test_a_trial_is_read_by_where_it_is_stored(processed):
     trials = read_trials(processed)
     for row in trials.to_pylist():
         place = row["sample_file"], row["sample_row"]
-        table, batch = load_trial(processed, row["trial_id"], *place)
-        assert table.column("stiffness").to_pylist() == [row["stiffness"]] == batch.stiffness.tolist()
-        assert (
-            batch.digests == load_batch(processed, trials.filter(pc.equal(trials["trial_id"], row["trial_id"]))).digests
-        )
+        table, trial = load_trial(processed, row["trial_id"], *place)
+        assert table.column("stiffness").to_pylist() == [row["stiffness"]] == [trial.stiffness]
+        same = load_trials(processed, trials.filter(pc.equal(trials["trial_id"], row["trial_id"])))
+        assert (trial.digest,) == same.digests
         assert load_trial(processed, "another", *place) is None
         assert load_trial(processed, row["trial_id"], row["sample_file"], 99) is None
         assert load_trial(processed, row["trial_id"], "trials/gone.parquet", 0) is None
@@ -230,7 +226,7 @@ def test_what_is_moved_or_deleted_by_hand_stays_so(processed, tmp_path):
             for experiment in list_experiments(processed, device):
                 trials = read_trials(processed, device, experiment)
                 stiffness = sorted(k for _, e, k in own if e == experiment)
-                assert sorted(load_batch(processed, trials).stiffness.tolist()) == stiffness
+                assert sorted(load_trials(processed, trials).stiffness.tolist()) == stiffness
         assert list_devices(processed) == ["bench", "other"]
 
     check()

@@ -14,7 +14,7 @@ from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.simulate import simulate
 from pipeline.studies.accuracy import run
 from pipeline.studies.accuracy import run as page_of
-from pipeline.studies.accuracy.measured import COMPLETE, MODEL, SLOWEST, Trials, drawn, true_costs, truth, whole_sum
+from pipeline.studies.accuracy.measured import COMPLETE, MODEL, SLOWEST, Logs, drawn, true_costs, truth, whole_sum
 from pipeline.theory.boundary import stiffness_limit
 
 pytestmark = pytest.mark.slow
@@ -48,24 +48,24 @@ def test_true_limit_is_that_of_the_simulated_loop() -> None:
 
 
 def test_true_costs_are_those_of_a_long_ideal_log() -> None:
-    few = drawn(20, 3, 100, slow=0.98).batch
+    few = drawn(20, 3, 100, slow=0.98).trials
     setup = replace(truth()[0], rows=2000).with_loop(sensor={})
-    trials = Trials.of(simulate(setup, few.stiffness, few.damping), np.full(20, 4.0))
-    exact = true_costs(trials)
-    for w, values in enumerate(whole_sum(trials, setup.loop.mass)):
+    logs = Logs.of(simulate(setup, few.stiffness, few.damping), np.full(20, 4.0))
+    exact = true_costs(logs)
+    for w, values in enumerate(whole_sum(logs, setup.loop.mass)):
         # 1,980 samples leave 0.98^1980 = 1e-17 of the motion; positions near 0.12 m are rounded to 1e-17 m
         assert values == pytest.approx(exact[f"energy, w = {w}"], rel=1e-9)
-    found = settling(trials.batch, trials.response, trials.verdicts, 4)["settle_2pct"].value
-    assert found.tolist() == exact["settling time"].tolist()
+    measured = [settling(*log, 4)["settle_2pct"].value for log in logs.measured]
+    assert measured == exact["settling time"].tolist()
 
 
 def test_trials_are_stable_seeded_and_may_be_cut() -> None:
-    trials, again = drawn(10, 2, 400, d=4.5), drawn(10, 2, 400, d=4.5)
-    assert (trials.verdicts.verdict == "stable").all()
+    logs, again = drawn(10, 2, 400, d=4.5), drawn(10, 2, 400, d=4.5)
+    assert all(verdict.verdict == "stable" for verdict in logs.verdicts)
     setup = truth(4.5)[0]
-    assert spectral_radius(setup, trials.batch.stiffness, trials.batch.damping).max() <= SLOWEST
-    assert np.array_equal(trials.batch.position, again.batch.position, equal_nan=True)
-    assert trials.shortened(100).batch.rows.tolist() == [100] * 10
+    assert spectral_radius(setup, logs.trials.stiffness, logs.trials.damping).max() <= SLOWEST
+    assert np.array_equal(logs.trials.position, again.trials.position)
+    assert logs.shortened(100).trials.rows.tolist() == [100] * 10
 
 
 def test_errors_are_those_known_of_the_methods(measured: MeasuredAccuracy) -> None:

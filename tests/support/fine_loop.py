@@ -13,7 +13,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.signal import butter, lfilter
 
-from pipeline.records.batch import Floats
+from pipeline.records.trials import Floats
 
 
 @dataclass

@@ -12,10 +12,10 @@ import sys
 
 import numpy as np
 from any_experiment import Rig, Trial, recorded
-from pipeline.measured.identification.identified import identified
-from pipeline.measured.identification.recordings import Recording
 
 from pipeline.base.errors import ParameterError
+from pipeline.measured.identification.identified import identified
+from pipeline.measured.identification.recordings import Recording
 
 Row = tuple[int, str, float, float, float]
 

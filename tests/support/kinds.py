@@ -230,5 +230,5 @@ def record(case: Case, **options: Any) -> Course:
         "few": np.sort(np.random.default_rng(course.seed).permutation(every)[:FEW]),
     }[case.keep]
     return replace(
-        course, batch=course.batch.select(chosen), passes=course.passes[chosen], verdict=course.verdict[chosen]
+        course, trials=course.trials.select(chosen), passes=course.passes[chosen], verdict=course.verdict[chosen]
     )

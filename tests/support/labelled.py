@@ -9,10 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from columns import stacked
 
 from pipeline.device.parts import Sensor, SimulationParts
 from pipeline.device_data.devices import find_experiment, load_device
-from pipeline.records.batch import TrialBatch
+from pipeline.records.trials import Trials
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
 from pipeline.simulation.simulate import simulate
@@ -77,24 +78,21 @@ class Labelled:
     """Trials of one group with their labels; ``kind`` names the construction, ``near`` the boundary."""
 
     group: Group
-    batch: TrialBatch
+    trials: Trials
     label: np.ndarray
     kind: np.ndarray
     near: np.ndarray
 
 
-def join(batches: list[TrialBatch]) -> TrialBatch:
-    """Trials of several batches in one; ``trial_id`` is the running number."""
-    whole = TrialBatch.joined(batches)
-    return replace(whole, trial_id=tuple(map(str, range(len(whole)))))
+def join(parts: list[Trials]) -> Trials:
+    """All trials of some parts; ``trial_id`` is the running number."""
+    trials = enumerate(trial for part in parts for trial in part)
+    return Trials.of(replace(trial, trial_id=str(number)) for number, trial in trials)
 
 
-def cut(batch: TrialBatch, rows: np.ndarray) -> TrialBatch:
+def cut(trials: Trials, rows: np.ndarray) -> Trials:
     """The same trials, recorded for fewer rows."""
-    rows = np.minimum(rows, batch.rows).astype(np.int64)
-    inside = np.arange(rows.max()) < rows[:, None]
-    names = ("time", "command", "position")
-    return replace(batch, rows=rows, **{n: np.where(inside, getattr(batch, n)[:, : rows.max()], np.nan) for n in names})
+    return Trials.of(trial.window(0, most) for trial, most in zip(trials, rows.tolist(), strict=True))
 
 
 def labelled_set(size: int = 200, seed: int = 0, groups: tuple[Group, ...] = GROUPS) -> list[Labelled]:
@@ -108,7 +106,7 @@ class _Maker:
         self.setup = group.setup
         self.loop = self.setup.loop
         self.random = np.random.default_rng(seed)
-        self.parts: list[tuple[TrialBatch, np.ndarray, str, np.ndarray]] = []
+        self.parts: list[tuple[Trials, np.ndarray, str, np.ndarray]] = []
         self.pool = self._pool()
         self.floor = self.loop.sensor.quantum + 6 * self.loop.sensor.noise
 
@@ -134,11 +132,11 @@ class _Maker:
             if kind == "chatter" and not (self.loop.sensor.noise == 0 and self.loop.sensor.quantum >= 1e-5):
                 continue
             count = max(round(share * self.size), 1)
-            batch, label = getattr(self, "_" + kind.replace(" ", "_"))(count)
+            trials, label = getattr(self, "_" + kind.replace(" ", "_"))(count)
             known = label != ""
             if known.any():
                 close = np.char.startswith(label, "~") | np.isin(kind, ("near", "boundary"))
-                self.parts.append((batch.select(known), np.char.lstrip(label[known], "~"), kind, close[known]))
+                self.parts.append((trials.select(known), np.char.lstrip(label[known], "~"), kind, close[known]))
         return Labelled(
             self.group,
             join([p[0] for p in self.parts]),
@@ -173,7 +171,7 @@ class _Maker:
         third = max(self.setup.rows, 400) - self.setup.edge_row
         ideal = idealise(self.setup).with_loop(jitter_samples=self.loop.jitter_samples)
         long = replace(ideal, rows=self.setup.edge_row + 3 * third)
-        far = np.abs(simulate(long, K, B, seed=self.seed).position - self.setup.centre)
+        far = np.abs(stacked(simulate(long, K, B, seed=self.seed), "position") - self.setup.centre)
         second, last = (far[:, -2 * third : -third].max(axis=1), far[:, -third:].max(axis=1))
         return np.where(second > 0, last / np.where(second > 0, second, 1.0), 0.0) ** (1 / third)
 
@@ -195,7 +193,7 @@ class _Maker:
         ideal = simulate(long.with_loop(sensor=Sensor()), K, B, seed=self.seed)
         real = self._run(K, B, long)
         band = np.maximum(BAND * self.setup.step / K, self.floor)[:, None]
-        far, ideal_far = (np.abs(batch.position - self.setup.centre) for batch in (real, ideal))
+        far, ideal_far = (np.abs(stacked(trials, "position") - self.setup.centre) for trials in (real, ideal))
 
         def settled(width, latest):
             inside = ideal_far <= width
@@ -248,8 +246,8 @@ class _Maker:
             return np.full(len(K), "diverged")
         free = idealise(self.setup)
         third = self._after() // 3
-        batch = self._run(K, B, free.with_loop(jitter_samples=self.loop.jitter_samples))
-        far = np.abs(batch.position - self.setup.centre)
+        trials = self._run(K, B, free.with_loop(jitter_samples=self.loop.jitter_samples))
+        far = np.abs(stacked(trials, "position") - self.setup.centre)
         growth = np.log(far[:, -third:].max(axis=1) / far[:, -2 * third : -third].max(axis=1)) / third
         return np.where(growth > NEAR, "diverged", "~diverged")
 
@@ -278,38 +276,39 @@ class _Maker:
     def _chatter(self, count):
         """Stable loops that the quantum keeps in motion, where it is coarse and no noise blurs it."""
         K, B = self._pick(lambda K, B, rho: (rho > 0.95) & (rho < 1 - NEAR), 20 * count)
-        batch, label = self._run(K, B), self._stable_label(K, B, np.full(len(K), self.setup.rows))
+        trials, label = self._run(K, B), self._stable_label(K, B, np.full(len(K), self.setup.rows))
         cycles = np.flatnonzero(label == "limit_cycle")[:count]
-        return batch, np.where(np.isin(np.arange(len(K)), cycles), label, "")
+        return trials, np.where(np.isin(np.arange(len(K)), cycles), label, "")
 
     def _saturated(self, count):
         K, B = self._pick(lambda K, B, rho: (rho < 0.99) | ((rho > 1.003) & (rho < 1.05)), count)
         free = idealise(self.setup)
-        peak = np.nanmax(np.abs(self._run(K, B, free).command[:, : self.setup.edge_row + 150]), axis=1)
+        peak = np.abs(stacked(self._run(K, B, free), "command")[:, : self.setup.edge_row + 150]).max(axis=1)
         limit = self.setup.step * self.random.uniform(0.5, 1.2)
         hidden = SimulationParts(clipped_command_logged=True)
-        batch = self._run(K, B, replace(self.setup, hidden=hidden).with_loop(force_limit=limit))
-        clipped = (np.abs(batch.command) >= limit * (1 - 1e-12)).sum(axis=1)
+        trials = self._run(K, B, replace(self.setup, hidden=hidden).with_loop(force_limit=limit))
+        clipped = np.array([(np.abs(trial.command) >= limit * (1 - 1e-12)).sum() for trial in trials])
         # an ideal response that stays 5 % below the limit is not touched by it, one 5 % above is for some rows
         label = np.where((peak > 1.05 * limit) & (clipped >= 3), "saturated", "")
-        return batch, label
+        return trials, label
 
     def _leaves(self, count):
         travel = load_device(self.group.device).limits.travel * self.random.uniform(0.1, 1.0)
         setup = replace(self.setup, travel=travel)
         K, B = self._pick(lambda K, B, rho: (rho > 1.003) & (rho < 1.2), count)
-        batch = self._run(K, B, setup)
-        return batch, np.where(batch.rows < self.setup.rows, "travel_limit", self._grows(K, B))
+        trials = self._run(K, B, setup)
+        return trials, np.where(trials.rows < self.setup.rows, "travel_limit", self._grows(K, B))
 
     def _stop(self, count):
         travel = load_device(self.group.device).limits.travel * 0.3
         K, B = self._pick(lambda K, B, rho: (rho > 1.01) & (rho < 1.2), count)
         K[: len(K) // 3], B[: len(K) // 3] = 0.0, 0.0
-        batch = self._run(K, B, replace(self.setup, stop=travel, rows=max(self.setup.rows, 400)))
-        batch = cut(batch, np.full(len(K), self.setup.rows))
-        reach = np.maximum(travel, 1.1 * np.abs(batch.position[:, 0] - self.setup.centre))
-        contact = (np.abs(batch.position - self.setup.centre) > reach[:, None] - 0.5 * self.floor - 1e-12).sum(axis=1)
-        return batch, np.where(contact >= 4, "travel_limit", np.where(contact == 0, "diverged", ""))
+        trials = self._run(K, B, replace(self.setup, stop=travel, rows=max(self.setup.rows, 400)))
+        trials = cut(trials, np.full(len(K), self.setup.rows))
+        far = np.abs(stacked(trials, "position") - self.setup.centre)
+        reach = np.maximum(travel, 1.1 * far[:, :1])
+        contact = (far > reach - 0.5 * self.floor - 1e-12).sum(axis=1)
+        return trials, np.where(contact >= 4, "travel_limit", np.where(contact == 0, "diverged", ""))
 
     def _short(self, count):
         K, B = self._pick(lambda K, B, rho: rho < 1.0, count)
@@ -341,19 +340,19 @@ class _Maker:
 
     def _disturbed(self, K, B, force):
         """Disturbed where the force moves a response that would settle by more than the band, else left out."""
-        quiet, batch = self._run(K, B), self._run(K, B, disturbance=force)
-        moved = np.max(np.abs(batch.position - quiet.position), axis=1)
+        quiet, trials = self._run(K, B), self._run(K, B, disturbance=force)
+        moved = np.abs(stacked(trials, "position") - stacked(quiet, "position")).max(axis=1)
         settles = self._stable_label(K, B, quiet.rows) == "settled"
         band = np.maximum(BAND * self.setup.step / K, self.floor)
         # what moves the device by less than two bands is hard to see
         seen = np.where(moved > 2 * band, "disturbed", "~disturbed")
-        return batch, np.where(settles & (moved > band), seen, "")
+        return trials, np.where(settles & (moved > band), seen, "")
 
     def _no_step(self, count):
         K, B = self._pick(lambda K, B, rho: rho < 0.99, count)
         late = replace(self.setup, rows=self.setup.rows + 1, edge_row=self.setup.rows)
-        batch = self._run(K, B, late)
-        return cut(batch, np.full(len(K), self.setup.rows)), np.full(len(K), "no_step")
+        trials = self._run(K, B, late)
+        return cut(trials, np.full(len(K), self.setup.rows)), np.full(len(K), "no_step")
 
     def _step_in_row_0(self, count):
         K, B = self._pick(lambda K, B, rho: rho < 0.99, count)
@@ -372,5 +371,5 @@ class _Maker:
     def _free_leaves(self, count):
         B = -self.loop.damping + self.random.uniform(-5, 5, count)
         setup = replace(self.setup, travel=load_device(self.group.device).limits.travel)
-        batch = self._run(np.zeros(count), B, setup)
-        return batch, np.where(batch.rows < self.setup.rows, "travel_limit", "")
+        trials = self._run(np.zeros(count), B, setup)
+        return trials, np.where(trials.rows < self.setup.rows, "travel_limit", "")

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import signal
 
-from pipeline.records.batch import TrialBatch
+from pipeline.records.trials import Trial, Trials
 
 
 @dataclass(frozen=True)
@@ -131,11 +131,10 @@ def record(
             x[k] = np.where(held[k], x[k - 1], x[k])
     if late:
         u = np.concatenate([np.zeros((late, n)), u[:-late]])
-    valid = np.arange(rows)[None, :] < ends[:, None]
-    return TrialBatch(
-        tuple(f"t{i:04d}" for i in range(n)), np.array(K), np.array(B), np.full(n, rig.step), np.full(n, T), ends,
-        np.where(valid, np.arange(rows) * T, np.nan), np.where(valid, u.T, np.nan), np.where(valid, x.T, np.nan),
-    )  # fmt: skip
+    return Trials.of(
+        Trial(f"t{i:04d}", K[i], B[i], rig.step, T, np.arange(end) * T, u[:end, i], x[:end, i])
+        for i, end in enumerate(ends.tolist())
+    )
 
 
 def printed(text):
@@ -154,63 +153,56 @@ FORMATS = {
 }
 
 
-def written(batch, text, command=None):
+def written(trials, text, command=None):
     """The course with both columns printed in a format, the command perhaps in another."""
-    columns = {"position": batch.position, "command": batch.command}
-    shape = FORMATS[text]
-    columns["position"] = shape(columns["position"])
-    columns["command"] = FORMATS[command or (text if text not in ("mm", "degrees") else "%.6g")](columns["command"])
-    return replace(batch, **columns)
+    command = command or (text if text not in ("mm", "degrees") else "%.6g")
+    return replace(trials, position=FORMATS[text](trials.position), command=FORMATS[command](trials.command))
 
 
-def scattered(batch, share=0.15, seed=0):
+def scattered(trials, share=0.15, seed=0):
     """The course with stamps that the operating system scatters; control is exact."""
-    random = np.random.default_rng(seed)
-    off = share * batch.sampling_period_s[:, None] * random.standard_normal(batch.time.shape)
-    return replace(batch, time=batch.time + off)
+    off = share * np.repeat(trials.sampling_period_s, trials.rows)
+    return replace(trials, time=trials.time + off * np.random.default_rng(seed).standard_normal(len(trials.time)))
 
 
-def thinned(batch, share, seed=0, *, shown=True):
+def with_rows(trial, rows, *, shown=True):
+    """A trial with some of its rows, by index or mask, whose stamps show that the others are missing, or not."""
+    command, position = trial.command[rows], trial.position[rows]
+    time = trial.time[rows] if shown else trial.time[: len(command)]
+    return replace(trial, time=time, command=command, position=position)
+
+
+def thinned(trials, share, seed=0, *, shown=True):
     """The course without some rows behind the step, which the stamps show or not."""
-    random, kept = np.random.default_rng(seed), []
-    for i in range(len(batch)):
-        keep = random.random(int(batch.rows[i])) > share
-        keep[:25] = True
-        kept.append(np.flatnonzero(keep))
-    rows = np.array([len(each) for each in kept])
-    columns = {}
-    for name in ("time", "command", "position"):
-        values = np.full((len(batch), rows.max()), np.nan)
-        for i, each in enumerate(kept):
-            hidden = name == "time" and not shown
-            values[i, : rows[i]] = getattr(batch, name)[i, np.arange(rows[i]) if hidden else each]
-        columns[name] = values
-    return replace(batch, rows=rows, **columns)
-
-
-def repeated(batch, share, seed=0):
-    """The course with rows that repeat the one before."""
     random = np.random.default_rng(seed)
-    command, position = batch.command.copy(), batch.position.copy()
-    for i in range(len(batch)):
-        for k in range(30, int(batch.rows[i])):
+    masks = [(random.random(n) > share) | (np.arange(n) < 25) for n in trials.rows.tolist()]
+    return Trials.of(with_rows(trial, keep, shown=shown) for trial, keep in zip(trials, masks, strict=True))
+
+
+def repeated(trials, share, seed=0, first=30):
+    """The course with rows that repeat the one before."""
+    random, logs = np.random.default_rng(seed), []
+    for trial in trials:
+        command, position = trial.command.copy(), trial.position.copy()
+        for k in range(first, trial.rows):
             if random.random() < share:
-                command[i, k], position[i, k] = command[i, k - 1], position[i, k - 1]
-    return replace(batch, command=command, position=position)
+                command[k], position[k] = command[k - 1], position[k - 1]
+        logs.append(replace(trial, command=command, position=position))
+    return Trials.of(logs)
 
 
-def write(batch, folder, *, text="%.17g", device="bench"):
+def write(trials, folder, *, text="%.17g", device="bench"):
     """Write a course as native logs, columns by a printf format or one of `FORMATS`; K and B in the header in full."""
     folder.mkdir(parents=True, exist_ok=True)
     if " " in text or not text.startswith("%"):
-        batch, text = written(batch, text), "%.17g"
-    for i, rows in enumerate(batch.rows.tolist()):
+        trials, text = written(trials, text), "%.17g"
+    for trial in trials:
         names = ("stiffness", "damping", "step", "sampling_period_s")
-        header = "".join(f"# {name}: {float(getattr(batch, name)[i])!r}\n" for name in names)
-        columns = (getattr(batch, name)[i, :rows].tolist() for name in ("time", "command", "position"))
+        header = "".join(f"# {name}: {getattr(trial, name)!r}\n" for name in names)
+        columns = (trial.time.tolist(), trial.command.tolist(), trial.position.tolist())
         body = "".join(f"{t:.17g},{text % u},{text % x}\n" for t, u, x in zip(*columns, strict=True))
         start = f"# device: {device}\n# experiment: 1\n{header}time_s,command,position\n"
-        (folder / f"{batch.trial_id[i]}.csv").write_text(start + body)
+        (folder / f"{trial.trial_id}.csv").write_text(start + body)
 
 
 def lab(rig, n, seed=0, **controller):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.records.batch import TrialBatch
+from pipeline.records.trials import Trial, Trials
 
 PARTS = 20
 """Steps of the device in one sampling period."""
@@ -58,24 +58,22 @@ def simulate(
                 far = far + h * far_v
             v = np.where(alive, v, 0.0)
             x = x + h * v
-    valid = np.arange(rows)[None, :] < lasted[:, None]
-    batch = TrialBatch(
-        tuple(f"n{i:04d}" for i in range(n)), K.copy(), B.copy(), np.full(n, float(step)), np.full(n, T),
-        lasted.astype(np.int64), np.where(valid, np.arange(rows) * T, np.nan),
-        np.where(valid, command, np.nan), np.where(valid, position, np.nan),
-    )  # fmt: skip
-    return (batch, true) if truth else batch
+    trials = Trials.of(
+        Trial(f"n{i:04d}", K[i], B[i], float(step), T, np.arange(n) * T, command[i, :n], position[i, :n])
+        for i, n in enumerate(lasted.tolist())
+    )
+    return (trials, true) if truth else trials
 
 
 def decays(K, B, rows=400, longer=8, part=0.02, **features):
     """Whether each loop comes to rest with an ideal sensor: at rest, or falling, at the end of a much longer log."""
     features = {**features, "noise": 0.0, "quantum": 0.0}
-    batch, true = simulate(K, B, rows=longer * rows, truth=True, **features)
+    trials, true = simulate(K, B, rows=longer * rows, truth=True, **features)
     quarter = longer * rows // 4
     sizes = [np.ptp(true[:, to - 2 * rows : to], axis=1) for to in (2 * quarter, 3 * quarter, 4 * quarter)]
     middle, late, end = (np.maximum(size, 1e-300) for size in sizes)
     # one mode falls by the same factor again and again, what tends to a limit cycle does not
     before, after = np.log(late / middle), np.log(end / late)
     evenly = (after < -0.005) & (np.abs(after - before) < 0.3 * np.abs(after))
-    rests = (end <= part * np.abs(batch.step) / batch.stiffness) | (end < 0.75 * middle) | evenly
-    return (batch.rows == longer * rows) & rests
+    rests = (end <= part * np.abs(trials.step) / trials.stiffness) | (end < 0.75 * middle) | evenly
+    return (trials.rows == longer * rows) & rests

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from kinds import kinds
-from pipeline.measured.identification.parts import chosen
 
 from pipeline.device_data.devices import load_device
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.measured.cost.costs import settling
+from pipeline.measured.identification.parts import chosen
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.plan.course import Course, Learnt, Wish, learn, wanted_dampings
 from pipeline.plan.next_wall import Tried, bracket
 from pipeline.plan.planner import plan_of
-from pipeline.records.batch import Floats, TrialBatch
+from pipeline.records.trials import Floats, Trial, Trials
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
 from pipeline.theory.costs import point_costs_by_name
@@ -42,25 +42,24 @@ class Rig:
     def __init__(self, kind: str, seed: int) -> None:
         self.case, self.seed = kinds(load_device("falcon"))[KINDS[kind]](seed), seed
         self.setup = setup_of(self.case.device, self.case.device.experiments[0])
-        self.trials: list[TrialBatch] = []
+        self.trials: list[Trial] = []
         self.verdicts: list[tuple[str, float]] = []
         self.learnt: Learnt | None = None
 
     def try_walls(self, stiffness: Floats, damping: Floats, repetition: int = 0) -> np.ndarray:
         """Return the verdicts of walls, which are not kept."""
-        return np.asarray(
-            judge(simulate(self.setup, stiffness, damping, seed=self.seed, repetition=repetition)).verdict
-        )
+        trials = simulate(self.setup, stiffness, damping, seed=self.seed, repetition=repetition)
+        return np.array([judge(trial).verdict for trial in trials])
 
     def measure(self, stiffness: float, damping: float) -> None:
         """Try a wall, keep the trial, and learn from it."""
         wall = np.array([stiffness]), np.array([damping])
-        again = sum(bool(trial.stiffness[0] == stiffness and trial.damping[0] == damping) for trial in self.trials)
-        batch = simulate(self.setup, *wall, seed=self.seed, repetition=again)
-        found = judge(batch)
-        self.trials.append(batch)
-        self.verdicts.append((str(found.verdict[0]), float(found.growth_per_s[0])))
-        self.learnt = learn(TrialBatch.joined(self.trials), len(self.trials), self.learnt, chosen)
+        again = sum(trial.stiffness == stiffness and trial.damping == damping for trial in self.trials)
+        (trial,) = simulate(self.setup, *wall, seed=self.seed, repetition=again)
+        judged = judge(trial)
+        self.trials.append(trial)
+        self.verdicts.append((judged.verdict, judged.growth_per_s))
+        self.learnt = learn(Trials.of(self.trials), len(self.trials), self.learnt, chosen)
 
     @property
     def tried(self) -> Tried:
@@ -69,7 +68,7 @@ class Rig:
             nothing = np.empty(0)
             return Tried(nothing, nothing, np.empty(0, dtype="<U9"), nothing)
         verdict, growth = (np.array(column) for column in zip(*self.verdicts, strict=True))
-        walls = (np.array([float(getattr(each, name)[0]) for each in self.trials]) for name in ("stiffness", "damping"))
+        walls = (np.array([getattr(trial, name) for trial in self.trials]) for name in ("stiffness", "damping"))
         stiffness, damping = walls
         return Tried(stiffness, damping, verdict, growth)
 
@@ -77,14 +76,15 @@ class Rig:
         """Return the trials with their settling times, with the delay that the logs show."""
         if not self.trials:
             return tried
-        batch = TrialBatch.joined(self.trials)
-        return replace(tried, cost=self.settling(batch))
+        return replace(tried, cost=self.settling(self.trials))
 
-    def settling(self, batch: TrialBatch) -> Floats:
+    def settling(self, trials: Iterable[Trial]) -> Floats:
         """Return measured settling times of trials [samples]."""
-        response = find_response(batch)
-        delay = int(self.case.stated.experiments[0].delay_samples)
-        return settling(batch, response, judge(batch, response), delay)["settle_2pct"].value
+        delay, costs = int(self.case.stated.experiments[0].delay_samples), []
+        for trial in trials:
+            response = find_response(trial)
+            costs.append(settling(trial, response, judge(trial, response), delay)["settle_2pct"].value)
+        return np.array(costs)
 
     def course(self, *, costs: bool = False) -> Course:
         """Return the trials so far as the planner reads them."""

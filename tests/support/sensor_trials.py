@@ -5,13 +5,12 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+from columns import stacked
+from measured_logs import Logs
 from simulated import FALCON, simulate, spectral_radius
 
 from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
-from pipeline.measured.cost.reading_error import reading_error
-from pipeline.measured.signal.response import find_response
-from pipeline.measured.signal.verdict import judge
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate as simulate_trials
 from pipeline.theory.boundary import boundary, stiffness_limit
@@ -38,20 +37,18 @@ def trials(count=150):
 def truth(count=150):
     """The same trials, ideal and long, and their displacements from the final position at cost index 0 and later."""
     K, B = trials(count)
-    batch = simulate(K, B, **FREE, rows=3000)
-    return batch, (batch.position - batch.position[:, :1] - 8 / K[:, None])[:, EDGE + DELAY :]
+    ideal = simulate(K, B, **FREE, rows=3000)
+    return ideal, (stacked(ideal) - 8 / K[:, None])[:, EDGE + DELAY :]
 
 
 @cache
 def measured(quantum, noise, count=150):
     K, B = trials(count)
-    batch = simulate(K, B, **FREE, quantum=quantum, noise=noise, seed=5)
-    response = find_response(batch)
-    return batch, response, judge(batch, response), reading_error(batch, response, DELAY)
+    return Logs(simulate(K, B, **FREE, quantum=quantum, noise=noise, seed=5), DELAY)
 
 
 def shipped(name, experiment, count):
-    """Trials of a shipped device without jitter, spread over its region: batch, experiment and exact energies.
+    """Trials of a shipped device without jitter, spread over its region: trials, experiment and exact energies.
 
     Spectral radii are at most 0.985, so that after the 380 rows of a Falcon's log 0.3 % of the motion is left.
     """
@@ -64,7 +61,7 @@ def shipped(name, experiment, count):
     inside = np.flatnonzero((alpha > 0) & (exact_radius(loop, np.maximum(alpha, 1e-9), beta) <= 0.985))[:count]
     alpha, beta = alpha[inside], beta[inside]
     assert len(alpha) == count
-    batch = simulate_trials(setup, alpha * units.stiffness, beta * units.damping, seed=4001)
+    logs = simulate_trials(setup, alpha * units.stiffness, beta * units.damping, seed=4001)
     names = [f"energy_step_w{w}_discrete" for w in range(3)]
     found = point_costs_by_name(loop, alpha, beta, names, 20000)
-    return batch, e, {f"energy_step_w{w}": found[each] for w, each in enumerate(names)}
+    return logs, e, {f"energy_step_w{w}": found[each] for w, each in enumerate(names)}

@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 from scipy.linalg import expm
 
-from pipeline.records.batch import TrialBatch
+from pipeline.records.trials import Trial, Trials
 
 FALCON = {"mass": 0.58, "b": 4.0, "delay": 4, "step": 8.0, "centre": 0.12, "travel": 0.05}
 LWR = {"mass": 0.19, "b": 0.0, "delay": 2, "step": 15.0, "centre": 0.0, "travel": 0.3}
@@ -54,7 +54,7 @@ def simulate(
     K, B, *, mass, b, delay, step, centre, travel, T=1e-3, rows=400, baseline=20, noise=0.0, quantum=0.0,
     jitter=(), seed=0,
 ):  # fmt: skip
-    """Step responses of every (K, B) pair, as a `TrialBatch`."""
+    """Step responses of every (K, B) pair."""
     K, B = np.atleast_1d(np.asarray(K, float)), np.atleast_1d(np.asarray(B, float))
     n = len(K)
     random = np.random.default_rng(seed)
@@ -86,16 +86,7 @@ def simulate(
         u = np.where(newest >= 0, command[np.arange(n), np.maximum(newest, 0)], 0.0)
         u = np.where(alive, u, 0.0)
         x, v = A[0, 0] * x + A[0, 1] * v + g[0] * u, A[1, 0] * x + A[1, 1] * v + g[1] * u
-    valid = np.arange(rows)[None, :] < last[:, None]
-    time = np.where(valid, np.arange(rows)[None, :] * T, np.nan)
-    return TrialBatch(
-        trial_id=tuple(f"t{i:05d}" for i in range(n)),
-        stiffness=K,
-        damping=B,
-        step=np.full(n, float(step)),
-        sampling_period_s=np.full(n, T),
-        rows=last.astype(np.int64),
-        time=time,
-        command=np.where(valid, command, np.nan),
-        position=np.where(valid, position, np.nan),
+    return Trials.of(
+        Trial(f"t{i:05d}", K[i], B[i], float(step), T, np.arange(n) * T, command[i, :n], position[i, :n])
+        for i, n in enumerate(last.tolist())
     )

@@ -12,7 +12,7 @@ from pipeline.base.disk import writing
 from pipeline.records.table_files import parquet_bytes
 from pipeline.store.batch_files import remove_incomplete, rewrite, tidy
 from pipeline.store.objects import publish
-from pipeline.store.samples import load_batch
+from pipeline.store.samples import load_trials
 from pipeline.store.storage import read_trials, trials_files
 
 
@@ -65,20 +65,18 @@ def check_whole(processed: Path, logs: dict[str, float], former: dict[str, set[f
     trials = read_trials(processed)
     paths = trials.column("source_path").to_pylist()
     assert len(set(paths)) == len(paths)
-    batch = load_batch(processed, trials)
-    assert len(batch) == trials.num_rows
-    for name, stiffness, damping, command in zip(
-        trials.column("trial_id").to_pylist(), batch.stiffness, batch.damping, batch.command, strict=False
-    ):
-        assert name
-        assert damping == 2
-        np.testing.assert_array_equal(command[:3], stiffness + np.arange(3))
+    loaded = load_trials(processed, trials)
+    assert len(loaded) == trials.num_rows
+    for trial in loaded:
+        assert trial.trial_id
+        assert trial.damping == 2
+        np.testing.assert_array_equal(trial.command[:3], trial.stiffness + np.arange(3))
     found = dict(zip(paths, trials.column("stiffness").to_pylist(), strict=True))
     allowed = {path: {logs.get(path, k)} | (former or {}).get(path, set()) for path, k in found.items()}
     assert {path: k for path, k in found.items() if k not in allowed[path]} == {}
     return set(paths)
 
 
-def batch_of(stages):
-    """All samples of an experiment as one batch."""
-    return load_batch(stages.processed, stages.trials)
+def trials_of(stages):
+    """All trials of an experiment with their samples."""
+    return load_trials(stages.processed, stages.trials)

@@ -31,13 +31,13 @@ STIFFNESS, DAMPING = (300.0, 500.0, 700.0, 900.0), (5.0, 8.0, 11.0, 14.0)
 def logs(stiffness=STIFFNESS, damping=DAMPING, **parts):
     """Logs of walls of a loop, an exact step each."""
     loop = replace(IDEAL, **parts)
-    batch = simulate(Setup(loop, 4.0, 400, edge_row=20), np.array(stiffness), np.array(damping))
+    trials = simulate(Setup(loop, 4.0, 400, edge_row=20), np.array(stiffness), np.array(damping))
     return [
         Log(
             NativeHeader("arm", "1", float(K), float(B), 4.0, loop.sampling_period_s, motion=loop.motion),
-            *(batch.time[i], batch.command[i], batch.position[i]),
+            *(trial.time, trial.command, trial.position),
         )
-        for i, (K, B) in enumerate(zip(stiffness, damping, strict=True))
+        for K, B, trial in zip(stiffness, damping, trials, strict=True)
     ]
 
 

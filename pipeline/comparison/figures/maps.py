@@ -16,10 +16,10 @@ import numpy as np
 from pipeline.comparison.scene.scene import SceneData, layouts
 from pipeline.comparison.scores.deviation import FEWEST, smooth_of
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.batch import Booleans, Floats
 from pipeline.records.criteria import OVERSHOOT, criterion_of
 from pipeline.records.findings import Optimum
 from pipeline.records.results import ExperimentResult
+from pipeline.records.trials import Booleans, Floats
 from pipeline.rendering.figures.boundaries import by_theory, measured
 from pipeline.rendering.figures.drawing import BLUE, GREEN, INK, PAPER, VERMILLION, Figure, Panel, Series, dots, reach
 from pipeline.rendering.labels import (

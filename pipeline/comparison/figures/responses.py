@@ -16,16 +16,16 @@ from pipeline.comparison.loops.loop_basis import adequate_theory
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.measured.law.log_rows import LogRows
 from pipeline.measured.signal.response import find_response
-from pipeline.measured.stages.stage_groups import TrialGroup
+from pipeline.measured.stages.measured_trial import MeasuredTrial
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.measured.thesis import first_change
-from pipeline.records.batch import Booleans, Floats, TrialBatch
 from pipeline.records.models import Motion
 from pipeline.records.results import ExperimentResult
+from pipeline.records.trials import Booleans, Floats, Trial
 from pipeline.rendering.figures.drawing import Figure, Panel, Series, around
 from pipeline.rendering.figures.overview import thinned
 from pipeline.rendering.labels import UNITS, damping_text, decimal, significant, size_text, stiffness_text
-from pipeline.store.samples import load_batch, load_groups
+from pipeline.store.samples import load_trials
 from pipeline.store.storage import read_trials
 from pipeline.theory.predictions import Theory
 
@@ -72,12 +72,12 @@ def response_figures(data: SceneData) -> list[Figure]:
     grips = {stages.experiment: set(stages.trials.column("grip").to_pylist()) for stages in data.experiments}
     for stages in sorted(data.experiments, key=lambda stages: grips[stages.experiment] != {"none"}):
         found = list(_candidates(stages))
-        for batch, edge, change, period in [*(each for each in found if each[3] is not None), *found][:1]:
-            return [_response_figure(stages, batch, edge, change, period, data.motion)]
+        for trial, edge, change, period in [*(each for each in found if each[3] is not None), *found][:1]:
+            return [_response_figure(stages, trial, edge, change, period, data.motion)]
     return []
 
 
-def _candidates(stages: ExperimentStages) -> Iterator[tuple[TrialBatch, int, int, tuple[float, float] | None]]:
+def _candidates(stages: ExperimentStages) -> Iterator[tuple[Trial, int, int, tuple[float, float] | None]]:
     """Yield the softest trials: log, row of the edge, rows to the first change, times of the first two maxima."""
     k, b = stages.column("response", "stiffness"), stages.column("response", "damping")
     chosen = softest(k, b, stages.verdicts.verdict == "stable")
@@ -85,18 +85,14 @@ def _candidates(stages: ExperimentStages) -> Iterator[tuple[TrialBatch, int, int
         return
     names = stages.texts("response", "trial_id")
     wanted = pa.array([names[i] for i in chosen])
-    samples = load_groups(
-        stages.processed, stages.trials.filter(pc.is_in(stages.trials.column("trial_id"), value_set=wanted))
-    )
-    for place in np.argsort(samples.of_trials("stiffness"), kind="stable").tolist():
-        batch = next(one for _, one in samples.pick(np.array([place])))
-        response = find_response(batch)
-        first = int(first_change(batch, response).first_row[0])
-        edge = int(response.edge_row[0])
+    rows = stages.trials.filter(pc.is_in(stages.trials.column("trial_id"), value_set=wanted))
+    for trial in sorted(load_trials(stages.processed, rows), key=lambda trial: trial.stiffness):
+        response = find_response(trial)
+        first, edge = first_change(trial, response).first_row, response.edge_row
         if first >= 0:
-            rows = slice(edge, min(int(batch.rows[0]), edge + LONGEST_SHOWN))
-            time, final = batch.time[0, rows] - batch.time[0, edge], float(batch.step[0] / batch.stiffness[0])
-            yield batch, edge, first - edge, oscillation_period(time, batch.displacement[0, rows], final)
+            shown = slice(edge, edge + LONGEST_SHOWN)
+            time, final = trial.time[shown] - trial.time[edge], trial.step / trial.stiffness
+            yield trial, edge, first - edge, oscillation_period(time, trial.displacement[shown], final)
 
 
 def softest(stiffness: Floats, damping: Floats, stable: Booleans) -> np.ndarray:
@@ -124,16 +120,16 @@ def oscillation_period(time: Floats, displacement: Floats, final: float) -> tupl
 
 def _response_figure(
     stages: ExperimentStages,
-    batch: TrialBatch,
+    trial: Trial,
     edge: int,
     change: int,
     period: tuple[float, float] | None,
     motion: Motion,
 ) -> Figure:
-    rows = min(int(batch.rows[0]), edge + LONGEST_SHOWN)
-    time, position = MILLI * (batch.time[0, :rows] - batch.time[0, edge]), MILLI * batch.displacement[0, :rows]
-    K, B, step = (float(values[0]) for values in (batch.stiffness, batch.damping, MILLI * batch.sampling_period_s))
-    final = MILLI * float(batch.step[0]) / K
+    rows = min(trial.rows, edge + LONGEST_SHOWN)
+    time, position = MILLI * (trial.time[:rows] - trial.time[edge]), MILLI * trial.displacement[:rows]
+    K, B, step = trial.stiffness, trial.damping, MILLI * trial.sampling_period_s
+    final = MILLI * trial.step / K
     ends, units, at = np.array([time[0], time[-1]]), UNITS[motion], change * step
     whole = [Series("_log", "log", *thinned(time, position)), Series("_final value", "final", ends, np.full(2, final))]
     words = f"K = {stiffness_text(K)} {units.stiffness}, B = {damping_text(B)} {units.damping}"
@@ -145,7 +141,7 @@ def _response_figure(
     near = (time >= -(BEFORE + 0.5) * step) & (time <= at + (AFTER + 0.5) * step)
     spans = Series("_delay", "span", np.array([at - step, at]), np.zeros(2))
     first = Series("first change", "mark", np.array([at]), position[near][np.argmin(np.abs(time[near] - at))][None])
-    command = np.repeat(batch.command[0, :rows][near], 2)[:-1]
+    command = np.repeat(trial.command[:rows][near], 2)[:-1]
     below = Panel(
         "",
         (TIME, f"force [{_force(motion)}]"),
@@ -165,7 +161,7 @@ def _response_figure(
         ),
     )
     caption = (
-        f"Trial {batch.trial_id[0]} of experiment {stages.experiment}: {words}.{told} Right, the beginning: the "
+        f"Trial {trial.trial_id} of experiment {stages.experiment}: {words}.{told} Right, the beginning: the "
         f"position first changes at t_obs = {decimal(at, 3)} ms, so that the delay lies in the shaded period (6.3)."
     )
     return Figure("response", "first-response", "Step response", caption, panels, size=(440.0, 290.0))
@@ -185,18 +181,18 @@ def trial_figure(stages: ExperimentStages, result: ExperimentResult, trial: str,
     """
     stored = read_trials(stages.processed, stages.device, stages.experiment)
     own = stored.filter(pc.equal(stored.column("trial_id"), trial))
-    group = TrialGroup(load_batch(stages.processed, own))
-    batch, edge = group.batch, max(int(group.found.edge_row[0]), 0)
-    rows = min(int(batch.rows[0]), edge + LONGEST_SHOWN)
-    time, measured = MILLI * (batch.time[0, :rows] - batch.time[0, edge]), batch.displacement[0, :rows]
-    log = LogRows.of(group.logged, group.found, 0)
+    of = MeasuredTrial(load_trials(stages.processed, own)[0])
+    edge = max(of.response.edge_row, 0)
+    rows = min(of.trial.rows, edge + LONGEST_SHOWN)
+    time, measured = MILLI * (of.trial.time[:rows] - of.trial.time[edge]), of.trial.displacement[:rows]
+    log = LogRows.of(of.logged, of.response)
     residual, rounding = log.residual[:rows], float(log.rounding.max())
-    beside, told = _beside(stages, result, trial, group, measured)
+    beside, told = _beside(stages, result, of, measured)
     series = [Series("log", "wide log", *thinned(time, MILLI * measured))]
     series += [Series(label, kind, *thinned(time, MILLI * position)) for label, kind, position in beside]
-    stiffness, ends = float(batch.stiffness[0]), np.array([time[0], time[-1]])
+    stiffness, ends = of.trial.stiffness, np.array([time[0], time[-1]])
     if stiffness > 0:
-        series.append(Series("_final value", "final", ends, np.full(2, MILLI * float(batch.step[0]) / stiffness)))
+        series.append(Series("_final value", "final", ends, np.full(2, MILLI * of.trial.step / stiffness)))
     limits = (float(ends[0]), float(ends[1]) if ends[1] > ends[0] else float(ends[0]) + 1.0)
     law = [Series("_residual", "log", *thinned(time, residual))]
     law += [
@@ -273,13 +269,13 @@ def response(theory: Theory, stiffness: float, damping: float, force: Floats) ->
 
 
 def _beside(
-    stages: ExperimentStages, result: ExperimentResult, trial: str, group: TrialGroup, measured: Floats
+    stages: ExperimentStages, result: ExperimentResult, of: MeasuredTrial, measured: Floats
 ) -> tuple[list[tuple[str, str, Floats]], list[str]]:
     """Return label, kind and displacement of the responses beside a log, and how far off they are or why missing."""
-    batch, edge, rows = group.batch, int(group.found.edge_row[0]), len(measured)
+    trial, edge, rows = of.trial, of.response.edge_row, len(measured)
     if edge < 0:
         return [], ["No step was found in this log, so that no loop can be held against it"]
-    force = np.where(np.arange(rows) >= edge, float(batch.step[0]), 0.0)
+    force = np.where(np.arange(rows) >= edge, trial.step, 0.0)
     fitted = adequate_theory(result, stages)
     loops = [("fitted loop", "fitted", fitted)] if fitted is not None else []
     if result.theory is not None and (fitted is None or result.theory != fitted.described):
@@ -298,7 +294,7 @@ def _beside(
 
     for label, kind, theory in loops:
         try:
-            position = response(theory, float(batch.stiffness[0]), float(batch.damping[0]), force)
+            position = response(theory, trial.stiffness, trial.damping, force)
         except ParameterError as error:
             missing.append(f"No {label}: {error}")
         else:

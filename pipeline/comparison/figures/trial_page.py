@@ -19,12 +19,12 @@ from pipeline.comparison.loops.wall_replay import usual_trial
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.device.loop import Loop
 from pipeline.measured.signal.outcome import OUTCOMES
-from pipeline.measured.stages.stage_groups import TrialGroup
+from pipeline.measured.stages.measured_trial import MeasuredTrial
 from pipeline.measured.stages.stages import ExperimentStages, cost_column
 from pipeline.plan.loop_limits import StepTrial, simulate_behind
-from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.records.criteria import CRITERIA, criterion_of
 from pipeline.records.results import ExperimentResult
+from pipeline.records.trials import Floats, Integers, Trial
 from pipeline.rendering.figures.boundaries import by_theory, measured
 from pipeline.rendering.figures.drawing import few_digits
 from pipeline.rendering.labels import UNITS, cost_text, criterion_label, printed_scale, significant
@@ -124,6 +124,11 @@ class _Experiment:
         self.verdict = self.stages.verdicts.verdict
         self.ids = self.stages.texts("response", "trial_id")
         self.costs = {c: self.stages.column(*cost_column(c)) for c in self.criteria}
+        nothing = np.full(len(self.ids), np.nan)
+        self.model = {
+            name: self.stages.column("model", f"model_{name}") if self.modelled else nothing
+            for name in ("mass", "damping", "delay")
+        }
 
     def content(self, share: int | None) -> dict[str, Any]:
         """What the page holds of the experiment, with responses of so many samples."""
@@ -175,7 +180,7 @@ class _Experiment:
     def _responses(self, share: int | None) -> Iterator[dict[str, Any]]:
         order, taken = self._order(), 0
         for first in range(0, len(order), PORTION):
-            for entry in self._entries(order[first : first + PORTION]):
+            for entry in self._entries(order[first : first + PORTION].tolist()):
                 taken += len(entry["x"]["r"]) if entry["x"] else 0
                 if share is not None and taken > share:
                     return
@@ -193,39 +198,30 @@ class _Experiment:
         both = np.concatenate([edge, grid])[np.argsort(turn, kind="stable")]
         return _each_once(np.concatenate([np.array(best, dtype=np.int64), both]))
 
-    def _entries(self, rows: Integers) -> list[dict[str, Any]]:
+    def _entries(self, rows: Sequence[int]) -> list[dict[str, Any]]:
         """Responses of some trials."""
-        entries: dict[int, dict[str, Any]] = {}
-        for index, batch in self.stages.samples.pick(rows):
-            entries |= zip(index.tolist(), self._entries_of(rows[index], batch), strict=True)
-        return [entries[place] for place in range(len(rows))]
-
-    def _entries_of(self, rows: Integers, batch: TrialBatch) -> list[dict[str, Any]]:
-        stages, found = self.stages, TrialGroup(batch).found
-        nothing = np.full(len(rows), np.nan)
-        model = {
-            name: stages.column("model", f"model_{name}")[rows] if self.modelled else nothing
-            for name in ("mass", "damping", "delay")
-        }
-        device = identified_device(stages) if self.modelled else None
-        run = np.full(batch.position.shape, np.nan)
+        measured = [MeasuredTrial(self.stages.samples[row]) for row in rows]
+        device, alone = identified_device(self.stages) if self.modelled else None, {}
         if device is not None:
-            usual = replace(usual_trial(self.result, stages), quantum=0.0, jitter=0.0)
-            for i, edge, moved in _alone(device.loop, batch, found.edge_row, usual):
-                rest = found.position_start[i]
-                run[i, :edge], run[i, edge : edge + len(moved)] = rest, rest + moved
-        start = found.position_start[:, None]
-        position, ghost = batch.position - start, run - start
-        final = found.position_final_expected - found.position_start
-        return [
-            {
-                "i": int(row),
-                **_signals(position[i], ghost[i], int(batch.rows[i]), max(int(found.edge_row[i]), 0), quantum),
-                **({} if np.isnan(final[i]) else {"f": few_digits(final[i], 6)}),
-                **self._texts(int(row), {n: float(v[i]) for n, v in model.items()}),
-            }
-            for i, (row, quantum) in enumerate(zip(rows.tolist(), found.sensor_quantum.tolist(), strict=True))
-        ]
+            usual = replace(usual_trial(self.result, self.stages), quantum=0.0, jitter=0.0)
+            alone = _alone(device.loop, measured, usual)
+        return [self._entry(row, measured[place], alone.get(place)) for place, row in enumerate(rows)]
+
+    def _entry(self, row: int, of: MeasuredTrial, alone: Floats | None) -> dict[str, Any]:
+        """Response of a trial, with that of the device alone from its edge on."""
+        trial, response, ghost = of.logged, of.response, np.full(of.logged.rows, np.nan)
+        edge = max(response.edge_row, 0)
+        if alone is not None:
+            ghost[:edge] = 0.0
+            ghost[edge : edge + len(alone)] = alone
+        final = response.position_final_expected - response.position_start
+        model = {name: float(values[row]) for name, values in self.model.items()}
+        return {
+            "i": row,
+            **_signals(trial.displacement, ghost, edge, response.sensor_quantum),
+            **({} if np.isnan(final) else {"f": few_digits(final, 6)}),
+            **self._texts(row, model),
+        }
 
     def _texts(self, row: int, model: Mapping[str, float]) -> dict[str, Any]:
         """What is said of a trial: id, verdict, evidence, model, costs with intervals or the reason for none."""
@@ -251,22 +247,24 @@ class _Experiment:
         return f"{cost_text(criterion, cost)}{told}"
 
 
-def _alone(loop: Loop, batch: TrialBatch, edge_row: Integers, usual: StepTrial) -> Iterator[tuple[int, int, Floats]]:
-    """Yield of each trial with a step its place, its edge, and how a device alone moves from there on [m, rad].
+def _alone(loop: Loop, measured: Sequence[MeasuredTrial], usual: StepTrial) -> dict[int, Floats]:
+    """Return, by the place of each trial with a step, how a device alone moves from its edge on [m, rad].
 
     The motion of a linear device is that of the usual step times the size; friction and a constant force take another
     share of each step.
     """
     linear = not (loop.friction or loop.constant_force)
-    stepped = np.flatnonzero((edge_row >= 0) & (batch.step != 0))
-    steps = np.full(len(stepped), usual.step) if linear else batch.step[stepped]
-    for step in np.unique(steps):
-        some = stepped[steps == step]
-        alone = simulate_behind(loop, batch.stiffness[some], batch.damping[some], replace(usual, step=float(step)))
-        for row, i in enumerate(some.tolist()):
-            edge = int(edge_row[i])
-            moved = alone.displacement[row, 1 : min(int(batch.rows[i]) - edge, int(alone.rows[row]) - 1) + 1]
-            yield i, edge, moved * (batch.step[i] / step)
+    places = [i for i, of in enumerate(measured) if of.response.edge_row >= 0 and of.logged.step != 0]
+    trials: list[Trial] = [measured[i].logged for i in places]
+    steps = np.array([usual.step if linear else trial.step for trial in trials])
+    moved = {}
+    for step in np.unique(steps).tolist():
+        some = np.flatnonzero(steps == step).tolist()
+        K, B = np.array([(trials[i].stiffness, trials[i].damping) for i in some]).T
+        for i, alone in zip(some, simulate_behind(loop, K, B, replace(usual, step=step)), strict=True):
+            rows = trials[i].rows - measured[places[i]].response.edge_row
+            moved[places[i]] = alone.displacement[1 : min(rows, alone.rows - 1) + 1] * (trials[i].step / step)
+    return moved
 
 
 def reason_of(criterion: str, reasons: str) -> str:
@@ -281,8 +279,9 @@ def reason_of(criterion: str, reasons: str) -> str:
     return "; ".join(dict.fromkeys(own))
 
 
-def _signals(position: Floats, ghost: Floats, rows: int, edge: int, quantum: float) -> dict[str, Any]:
+def _signals(position: Floats, ghost: Floats, edge: int, quantum: float) -> dict[str, Any]:
     """Log and model of one trial, coded; row of the command edge among the rows that are kept."""
+    rows = len(position)
     kept = visible_rows((position, ghost), edge, rows)
     shown = {} if kept is None else {"rows": np.diff(kept, prepend=0).tolist()}
     kept = np.arange(rows) if kept is None else kept

@@ -16,11 +16,11 @@ from pipeline.device.parts import VelocityFilter
 from pipeline.measured.experiment.identified_loop import FEWEST_LOGS, MOST
 from pipeline.measured.law.velocity_filter import VelocityFilterFound
 from pipeline.measured.signal.verdict import judge
-from pipeline.measured.stages.stage_groups import TrialGroup
+from pipeline.measured.stages.measured_trial import MeasuredTrial
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.batch import Floats
 from pipeline.records.findings import MATTERS
 from pipeline.records.results import Cause
+from pipeline.records.trials import Floats
 from pipeline.rendering.labels import range_text, significant
 
 SAME_FILTER = 0.05
@@ -139,15 +139,15 @@ class LawRows:
         )
 
     @classmethod
-    def of_groups(cls, groups: Sequence[TrialGroup]) -> LawRows:
-        """Return the rows of logs that are not stored, of one group at least."""
+    def of_logs(cls, logs: Sequence[MeasuredTrial]) -> LawRows:
+        """Return the rows of logs that are not stored."""
         return cls(
-            [[each.code for each in departures] for group in groups for departures in group.law.departures],
-            [text for group in groups for text in group.law.evidence],
-            [shown for group in groups for shown in group.law.filters],
-            np.concatenate([group.law.residual for group in groups]),
-            np.concatenate([group.other_walls.obeyed[:, 0] for group in groups]),
-            np.concatenate([judge(group.batch, group.found).verdict for group in groups]),
+            [[departure.code for departure in log.law.departures] for log in logs],
+            [log.law.evidence for log in logs],
+            [log.law.filter for log in logs],
+            np.array([log.law.residual for log in logs]),
+            np.array([log.other_walls.obeyed[0] for log in logs]),
+            np.array([judge(log.trial, log.response).verdict for log in logs]),
         )
 
     @property

@@ -32,10 +32,10 @@ from pipeline.comparison.loops.wall_replay import (
 from pipeline.device.loop import Loop
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.loop_limits import limits_of
-from pipeline.records.batch import Floats
 from pipeline.records.findings import Quantity
 from pipeline.records.models import Device, Experiment
 from pipeline.records.results import LIMITS_WITHIN, ExperimentResult, LoopFindings, LoopResult, WallReplay
+from pipeline.records.trials import Floats
 from pipeline.rendering.labels import Units, significant
 
 OTHER_WALL = (

@@ -18,9 +18,9 @@ from pipeline.measured.experiment.identified_loop import IdentifiedLoop, identif
 from pipeline.measured.identification.intervals import Interval
 from pipeline.measured.law.log_rows import SET_DIGITS
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.batch import Floats
 from pipeline.records.findings import Quantity
 from pipeline.records.results import ExperimentResult, SourcedLoop
+from pipeline.records.trials import Floats
 from pipeline.theory.predictions import Theory
 
 

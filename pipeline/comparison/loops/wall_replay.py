@@ -19,12 +19,12 @@ from pipeline.measured.identification.identified import FOLDS
 from pipeline.measured.signal.release import find_release
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
-from pipeline.measured.stages.stage_groups import Given, TrialGroup
+from pipeline.measured.stages.measured_trial import MeasuredTrial
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.loop_limits import StepTrial, linear_limits, simulate_behind
-from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.findings import MATTERS, Limit
 from pipeline.records.results import ExperimentResult, WallReplay
+from pipeline.records.trials import Booleans, Floats, Integers, Trial
 from pipeline.rendering.labels import share_text, significant
 
 MOST_WALLS = 150
@@ -60,14 +60,14 @@ def usual_step(stages: ExperimentStages) -> float:
     size = np.abs(stages.step_sizes)
     size = size[size > 0]
     if not len(size):
-        size = np.concatenate([np.empty(0), *stages.of_each(excitations)])
+        size = np.array(stages.map_trials(excitation))
         size = size[np.isfinite(size) & (size > 0)]
     return float(np.median(size)) if len(size) else 1.0
 
 
-def excitations(group: TrialGroup, given: Given) -> Floats:
-    """Return the force that set each trial of a group in motion without a step [N, Nm], NaN where none is known."""
-    return find_release(group.batch).size
+def excitation(of: MeasuredTrial) -> float:
+    """Return the force that set a trial in motion without a step [N, Nm], NaN where none is known."""
+    return find_release(of.trial).size
 
 
 def softest(result: ExperimentResult, stages: ExperimentStages) -> Floats:
@@ -118,21 +118,22 @@ def wall_replay(
     said, fits, costs = np.empty(len(chosen), dtype="<U9"), np.full(len(chosen), np.nan), np.full(len(chosen), np.nan)
     steps = stages.step_sizes
     repeats = REPEATS if trial.jitter else 1
-    logged = dict(pair for part in stages.of_each(motions, chosen=[ids[i] for i in chosen]) for pair in part)
+    logged = stages.map_trials(motion, chosen.tolist())
     for number, loop in enumerate(_without_each_fold(device)):
         some = np.flatnonzero(fold == number)
         if not len(some):
             continue
         walls = chosen[some]
-        batch, *others = (_behind(loop, K[walls], B[walls], steps[walls], trial, run) for run in range(repeats))
-        # a spring that holds the device lets it rest at x_0 + F_0/(K + k)
-        batch = replace(batch, stiffness=batch.stiffness + loop.stiffness)
-        response = find_response(batch)
-        verdicts = judge(batch, response)
-        same = np.all([judge(other).verdict == verdicts.verdict for other in others], axis=0)
-        said[some] = np.where(same, verdicts.verdict, "undecided")
-        fits[some] = [_fit(logged[ids[chosen[i]]], batch, row) for row, i in enumerate(some)]
-        costs[some] = settling(batch, response, verdicts, int(loop.delay_samples))["settle_2pct"].value
+        runs = [_behind(loop, K[walls], B[walls], steps[walls], trial, run) for run in range(repeats)]
+        for i, simulated, *others in zip(some.tolist(), *runs, strict=True):
+            # a spring that acts on the device lets it rest at x_0 + F_0/(K + k)
+            simulated = replace(simulated, stiffness=simulated.stiffness + loop.stiffness)
+            response = find_response(simulated)
+            judged = judge(simulated, response)
+            same = all(judge(other).verdict == judged.verdict for other in others)
+            said[i] = judged.verdict if same else "undecided"
+            fits[i] = _fit(logged[i], simulated)
+            costs[i] = settling(simulated, response, judged, int(loop.delay_samples))["settle_2pct"].value
     stable = (verdict[chosen] == "stable") & (said == "stable")
     decided = said != "undecided"
     off, known, outside = _limit_errors(result, limits)
@@ -147,18 +148,18 @@ def wall_replay(
     )
 
 
-def _behind(loop: Loop, K: Floats, B: Floats, steps: Floats, trial: StepTrial, run: int) -> TrialBatch:
+def _behind(loop: Loop, K: Floats, B: Floats, steps: Floats, trial: StepTrial, run: int) -> list[Trial]:
     """Return a device behind walls, each with the step of its log: friction and a constant force are no linear parts.
 
     Where a log has no step it is the usual one.
     """
     steps = np.where(steps != 0, steps, trial.step)
-    parts, order = [], []
+    trials: dict[int, Trial] = {}
     for step in np.unique(steps):
         some = np.flatnonzero(steps == step)
-        parts.append(simulate_behind(loop, K[some], B[some], replace(trial, step=float(step)), run))
-        order.append(some)
-    return parts[0] if len(parts) == 1 else TrialBatch.joined(parts).select(np.argsort(np.concatenate(order)))
+        simulated = simulate_behind(loop, K[some], B[some], replace(trial, step=float(step)), run)
+        trials |= dict(zip(some.tolist(), simulated, strict=True))
+    return [trials[place] for place in range(len(steps))]
 
 
 def _of_chance(result: ExperimentResult, K: Floats, B: Floats) -> Booleans:
@@ -265,20 +266,15 @@ def _limit_errors(result: ExperimentResult, predicted: Floats) -> tuple[Floats, 
     return off, known, outside[np.isfinite(outside)]
 
 
-def motions(group: TrialGroup, given: Given) -> list[tuple[str, Floats]]:
-    """Return name and positions from the step on, relative to rest, of the chosen trials of a group."""
-    batch, found, chosen = group.batch, group.found, set(given["chosen"])
-    return [
-        (name, batch.position[i, max(int(found.edge_row[i]), 0) : int(batch.rows[i])] - found.position_start[i])
-        for i, name in enumerate(batch.trial_id)
-        if name in chosen
-    ]
+def motion(of: MeasuredTrial) -> Floats:
+    """Return the positions of a trial from the step on, relative to rest, shape (rows,) [m, rad]."""
+    return of.trial.position[max(of.response.edge_row, 0) :] - of.response.position_start
 
 
-def _fit(position: Floats, batch: TrialBatch, trial: int) -> float:
+def _fit(position: Floats, simulated: Trial) -> float:
     """Return the fit 100 (1 - |y - found| / |y - mean y|) of a simulated motion to a logged one, NaN without motion."""
-    rows = min(len(position), int(batch.rows[trial]) - 1)
-    y, found = position[:rows], batch.position[trial, 1 : rows + 1] - batch.position[trial, 0]
+    rows = min(len(position), simulated.rows - 1)
+    y, found = position[:rows], simulated.displacement[1 : rows + 1]
     size = float(np.linalg.norm(y - y.mean())) if rows else 0.0
     return 100 * (1 - float(np.linalg.norm(y - found)) / size) if size > 0 else np.nan
 

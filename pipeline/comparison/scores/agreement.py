@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.comparison.limits import MeasuredLimits
-from pipeline.records.batch import Booleans, Floats
 from pipeline.records.findings import MATTERS
 from pipeline.records.results import DistanceScore, VerdictScore
+from pipeline.records.trials import Booleans, Floats
 
 NEAR_ZERO = 0.25
 """Theoretical limit relative to the largest one below which no distance is divided by it: at both ends of a boundary it

@@ -15,10 +15,10 @@ import numpy as np
 
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.criteria import DISCRETE, criterion_of
 from pipeline.records.findings import MATTERS, Optimum
 from pipeline.records.models import Deviation
+from pipeline.records.trials import Booleans, Floats, Integers
 from pipeline.theory.costs import costs_at
 from pipeline.theory.predictions import Predictions, Theory
 

@@ -12,8 +12,8 @@ from pipeline.comparison.loops.departures import other_gains
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import boundary_distance, verdict_agreement
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.batch import Floats
 from pipeline.records.results import ExperimentResult, RegionScore, Scores, StiffnessScore
+from pipeline.records.trials import Floats
 from pipeline.theory.boundary import is_inside
 from pipeline.theory.crossings import stretches
 from pipeline.theory.predictions import Theory

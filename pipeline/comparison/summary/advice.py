@@ -9,9 +9,9 @@ import numpy as np
 
 from pipeline.comparison.limits import NARROW, MeasuredLimits, measured_limits
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.batch import Booleans, Floats
 from pipeline.records.findings import Optimum
 from pipeline.records.results import STIFFEST, CostRange, ExperimentResult, UsePoint, UseRegion
+from pipeline.records.trials import Booleans, Floats
 from pipeline.rendering.labels import criterion_name
 
 PREFERRED = ("settle_2pct", "settle_5pct", "settle_1pct", "energy_step_w1", "energy_step_w0", "energy_step_w2")

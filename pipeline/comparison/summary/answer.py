@@ -21,7 +21,7 @@ from pipeline.comparison.scores.agreement import FEWEST_COMPARISONS, boundary_di
 from pipeline.comparison.summary.summary_warnings import NEEDED
 from pipeline.measured.experiment.boundary import spread_over_plane
 from pipeline.measured.identification.identifiability import Recorded
-from pipeline.measured.stages.stage_device import recordings
+from pipeline.measured.stages.stage_device import recording
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.course import TRIALS, Wish, course_of
 from pipeline.plan.planner import NOTES, plan_of
@@ -290,6 +290,4 @@ def _directions(stages: ExperimentStages) -> int:
     """Return in how many directions the device moves in logs that are spread over the walls."""
     stiffness, damping = (stages.column("response", name) for name in ("stiffness", "damping"))
     places = spread_over_plane(stiffness, damping, np.ones(len(stiffness), dtype=np.bool_), TRIALS)
-    ids = stages.texts("response", "trial_id")
-    parts = stages.of_each(recordings, chosen=[ids[i] for i in places])
-    return Recorded.of([recording for part in parts for recording in part]).directions
+    return Recorded.of(stages.map_trials(recording, places.tolist())).directions

@@ -7,7 +7,7 @@ far as their errors may have moved them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Any
@@ -17,44 +17,41 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.measured.cost.reading_error import ReadingError
 from pipeline.measured.signal.response import SETTLED_SAMPLES, Response, reach
-from pipeline.measured.signal.verdict import Verdicts
+from pipeline.measured.signal.verdict import Verdict
 from pipeline.measured.student import CONFIDENCE, NORMAL_95
-from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.criteria import OVERSHOOT, RISE_LEVELS, SETTLING_BANDS
+from pipeline.records.trials import Floats, Trial
+
+TAIL = 0.5 * (1 - CONFIDENCE)
+"""Chance of a value beyond each end of an interval."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Cost:
-    """A cost of each trial with its 95 % interval; NaN, with a reason, where there is none.
+    """A cost of a trial with its 95 % interval; NaN, with a reason, where there is none.
 
-    ``low`` and ``high`` are NaN, too, where no error of the readings was given or told.
+    ``low`` and ``high`` are NaN, too, where the error of the readings was not given or is not known.
     """
 
-    value: Floats
-    low: Floats
-    high: Floats
-    reason: tuple[str, ...]
-
-    def columns(self, name: str) -> dict[str, Floats]:
-        """Return the columns that store the cost under a name."""
-        return {name: self.value, f"{name}_low": self.low, f"{name}_high": self.high}
+    value: float = np.nan
+    low: float = np.nan
+    high: float = np.nan
+    reason: str = ""
 
 
-def joined(*reasons: Iterable[str]) -> tuple[str, ...]:
-    """Return the reasons of each trial, joined; empty where there is none."""
-    return tuple("; ".join(dict.fromkeys(text for text in texts if text)) for texts in zip(*reasons, strict=True))
+def joined(*reasons: str) -> str:
+    """Return different reasons, joined; empty where there is none."""
+    return "; ".join(dict.fromkeys(text for text in reasons if text))
 
 
-def cost_start(
-    batch: TrialBatch, response: Response, verdicts: Verdicts, delay_samples: int
-) -> tuple[Integers, Booleans, tuple[str, ...]]:
-    """Return the row of cost index 0, which trials can have costs, and why the others have none.
+def cost_start(trial: Trial, response: Response, verdict: Verdict, delay_samples: int) -> tuple[int, str]:
+    """Return the row of cost index 0, and why a trial can have no cost: empty where it can.
 
     Parameters
     ----------
-    batch : TrialBatch
-    response, verdicts : Response, Verdicts
-        Of the same trials.
+    trial : Trial
+    response, verdict : Response, Verdict
+        Of this trial.
     delay_samples : int
         Integer delay factor d of the experiment.
 
@@ -67,22 +64,19 @@ def cost_start(
     """
     if delay_samples < 0:
         raise ParameterError(f"delay of {delay_samples} samples: expected an integer >= 0.")
-    first = np.maximum(response.edge_row, 0) + delay_samples
-    reasons = []
-    for i, (start, rows, k) in enumerate(zip(first, batch.rows, batch.stiffness, strict=True)):
-        if verdicts.verdict[i] == "unstable":
-            reasons.append("unstable: no cost")
-        elif response.edge_row[i] < 0:
-            reasons.append(f"no start of the response: {response.edge_reason[i]}")
-        elif k <= 0:
-            reasons.append(f"no final position: x_0 + F_0/K needs K > 0, found K = {k:g}")
-        elif response.position_final_expected[i] == response.position_start[i]:
-            reasons.append(f"no final displacement: F_0/K = {batch.step[i] / k:.3g} is below the rounding of positions")
-        elif start >= rows:
-            reasons.append(f"the log of {rows} rows ends before the command takes effect in row {start}")
-        else:
-            reasons.append("")
-    return first.astype(np.int64), np.array([not text for text in reasons], dtype=np.bool_), tuple(reasons)
+    first, stiffness = max(response.edge_row, 0) + delay_samples, trial.stiffness
+    if verdict.verdict == "unstable":
+        return first, "unstable: no cost"
+    if response.edge_row < 0:
+        return first, f"no start of the response: {response.edge_reason}"
+    if stiffness <= 0:
+        return first, f"no final position: x_0 + F_0/K needs K > 0, found K = {stiffness:g}"
+    if response.position_final_expected == response.position_start:
+        travel = trial.step / stiffness
+        return first, f"no final displacement: F_0/K = {travel:.3g} is below the rounding of positions"
+    if first >= trial.rows:
+        return first, f"the log of {trial.rows} rows ends before the command takes effect in row {first}"
+    return first, ""
 
 
 def delay_bounds(delay_samples: int, delay_range: tuple[int, int] | None) -> tuple[int, int]:
@@ -104,43 +98,36 @@ def delay_bounds(delay_samples: int, delay_range: tuple[int, int] | None) -> tup
 
 @dataclass(frozen=True, eq=False)
 class _Readings:
-    """Readings from cost index 0 on, shape (n, N), and per trial whether it can have a cost and an interval (n,)."""
+    """Readings of a trial from cost index 0 on, shape (rows,).
 
-    first: Integers
-    counted: Booleans
+    ``offset`` is their distance from the final position, ``deviation`` their standard error; None, perhaps with a
+    reason, where it is not known.
+    """
+
+    first: int
+    final: float
+    travel: float
     offset: Floats
-    deviation: Floats
-    travel: Floats
-    usable: Booleans
-    known: Booleans
-    reason: tuple[str, ...]
+    deviation: Floats | None
+    reason: str = ""
 
 
 def _readings(
-    batch: TrialBatch, response: Response, verdicts: Verdicts, delay_samples: int, error: ReadingError | None
-) -> _Readings:
-    first, usable, why = cost_start(batch, response, verdicts, delay_samples)
-    counted = batch.valid & (np.arange(batch.position.shape[1])[None, :] >= first[:, None]) & usable[:, None]
-    final = np.where(usable, response.position_final_expected, 0.0)
-    untold = ("",) * len(batch) if error is None else error.reason
-    known = usable & np.array([not text for text in untold], dtype=np.bool_) & (error is not None)
-    deviation = np.zeros_like(batch.position) if error is None else np.nan_to_num(error.deviation)
-    return _Readings(
-        first=first,
-        counted=counted,
-        offset=np.where(counted, batch.position - final[:, None], 0.0),
-        deviation=deviation,
-        travel=np.where(usable, final - response.position_start, 1.0),
-        usable=usable,
-        known=known,
-        reason=tuple(a or b for a, b in zip(why, untold, strict=True)),
-    )
+    trial: Trial, response: Response, verdict: Verdict, delay_samples: int, error: ReadingError | None
+) -> _Readings | Cost:
+    """Return the readings that a cost is computed from, or no cost and why."""
+    first, reason = cost_start(trial, response, verdict, delay_samples)
+    if reason:
+        return Cost(reason=reason)
+    final, reason = response.position_final_expected, "" if error is None else error.reason
+    deviation = None if error is None or reason else error.deviation[first:]
+    return _Readings(first, final, final - response.position_start, trial.position[first:] - final, deviation, reason)
 
 
 def settling(
-    batch: TrialBatch,
+    trial: Trial,
     response: Response,
-    verdicts: Verdicts,
+    verdict: Verdict,
     delay_samples: int,
     error: ReadingError | None = None,
     *,
@@ -150,13 +137,13 @@ def settling(
 
     Parameters
     ----------
-    batch : TrialBatch
-    response, verdicts : Response, Verdicts
-        Of the same trials.
+    trial : Trial
+    response, verdict : Response, Verdict
+        Of this trial.
     delay_samples : int
         Integer delay factor d of the experiment.
     error : ReadingError, optional
-        Of the same trials; without it there is no interval.
+        Of this trial; without it there is no interval.
     delay_range : tuple of int, optional
         Smallest and largest integer delay factor that the experiment leaves open.
 
@@ -174,72 +161,61 @@ def settling(
 
     Source: Hulin 2017, secs. 5.1.1 and 6.1.4 (discrete settling time, first d samples dropped).
     """
-    delays = delay_bounds(delay_samples, delay_range)
-    of = _readings(batch, response, verdicts, delay_samples, error)
-    margin = NORMAL_95 * of.deviation
-    late = np.take_along_axis(of.deviation, np.maximum(batch.rows - 1, 0)[:, None], axis=1)[:, 0]
-    growth = verdicts.growth_per_s * batch.sampling_period_s
-    final = np.where(of.usable, response.position_final_expected, 0.0)
-    found = {}
+    low, high = delay_bounds(delay_samples, delay_range)
+    readings = _readings(trial, response, verdict, delay_samples, error)
+    if isinstance(readings, Cost):
+        return dict.fromkeys(SETTLING_BANDS, readings)
+    rows, size, deviation = len(readings.offset), np.abs(readings.offset), readings.deviation
+    growth = verdict.growth_per_s * trial.sampling_period_s
+    costs = {}
     for name, band in SETTLING_BANDS.items():
-        width = band * np.abs(of.travel)
-        wider, entry, narrower = (
-            _last(of.counted & ~(np.abs(of.offset) <= width[:, None] + shift), of.first)
-            for shift in (margin, 0.0, -margin)
+        width = band * abs(readings.travel)
+        settled = _settled(size, width)
+        text = ""
+        if width < response.floor:
+            text = f"band of {width:.3g} is below the sensor floor {response.floor:.3g}"
+        elif rows - settled < SETTLED_SAMPLES:
+            text = "not settled at the end of the log"
+        if text or deviation is None:
+            prefix = f"{name}: " if text and not readings.reason else ""
+            costs[name] = Cost(np.nan if text else settled, reason=prefix + (text or readings.reason))
+            continue
+        soonest, latest = (_settled(size, width + shift * deviation) for shift in (NORMAL_95, -NORMAL_95))
+        entry = readings.first + latest
+        far, off = reach(trial, readings.final, readings.first, entry, growth, float(deviation[-1]))
+        stays = far <= width + NORMAL_95 * off and rows - latest >= SETTLED_SAMPLES
+        costs[name] = Cost(
+            settled,
+            max(soonest - (high - delay_samples), 0),
+            latest + (delay_samples - low) if stays else np.nan,
+            "" if stays else f"{name}: it may leave the band again after the end of the log",
         )
-        resolved, settled = width >= response.floor, batch.rows - entry >= SETTLED_SAMPLES
-        good = of.usable & resolved & settled
-        far, open_ = reach(batch, final, of.first, narrower, growth, late)
-        stays = (far <= width + NORMAL_95 * open_) & (batch.rows - narrower >= SETTLED_SAMPLES)
-        reason = [
-            _why_unsettled(why, error is not None, *each)
-            for why, *each in zip(of.reason, of.usable, resolved, settled, stays, width, response.floor, strict=True)
-        ]
-        told = good & of.known
-        found[name] = Cost(
-            np.where(good, entry - of.first, np.nan),
-            np.where(told, np.maximum(wider - of.first - (delays[1] - delay_samples), 0), np.nan),
-            np.where(told & stays, narrower - of.first + (delay_samples - delays[0]), np.nan),
-            tuple(f"{name}: {text}" if text and not why else text for text, why in zip(reason, of.reason, strict=True)),
-        )
-    return found
+    return costs
 
 
-def _why_unsettled(
-    why: str, asked: bool, usable: bool, resolved: bool, settled: bool, stays: bool, *sizes: float
-) -> str:
-    """Return why one trial has no settling time, or no upper end of it; ``sizes`` are its band and sensor floor."""
-    if why and not usable:
-        return why
-    if not resolved:
-        return "band of {:.3g} is below the sensor floor {:.3g}".format(*sizes)
-    if not settled:
-        return "not settled at the end of the log"
-    return why or ("" if stays or not asked else "it may leave the band again after the end of the log")
+def _settled(size: Floats, width: float | Floats) -> int:
+    """Return the index behind the last one outside a band."""
+    outside = np.flatnonzero(size > width)
+    return int(outside[-1]) + 1 if len(outside) else 0
 
 
-def _last(outside: Booleans, first: Integers) -> Integers:
-    """Return the row behind the last one outside, the first row where none is, shape (n,)."""
-    return np.where(outside.any(axis=1), outside.shape[1] - np.argmax(outside[:, ::-1], axis=1), first)
+def overshoot_floor(trial: Trial, response: Response) -> float:
+    """Return the overshoot that quantum, noise and a motion before the step can feign; 0 without a wall or a step."""
+    if trial.stiffness <= 0 or trial.step == 0:
+        return 0.0
+    return (response.floor + response.baseline_motion) / abs(trial.step / trial.stiffness)
 
 
-def overshoot_floor(batch: TrialBatch, response: Response) -> Floats:
-    """Return the overshoot that quantum, noise and a motion before the step can feign, shape (n,)."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        floor = (response.floor + response.baseline_motion) / np.abs(batch.step / batch.stiffness)
-    return np.where(batch.stiffness > 0, np.nan_to_num(floor, posinf=0.0), 0.0)
-
-
-def overshoot(batch: TrialBatch, response: Response, verdicts: Verdicts, error: ReadingError | None = None) -> Cost:
+def overshoot(trial: Trial, response: Response, verdict: Verdict, error: ReadingError | None = None) -> Cost:
     """Return the overshoot over the whole response, max(0, max (x - x_inf)/(x_inf - x_0)).
 
     Parameters
     ----------
-    batch : TrialBatch
-    response, verdicts : Response, Verdicts
-        Of the same trials.
+    trial : Trial
+    response, verdict : Response, Verdict
+        Of this trial.
     error : ReadingError, optional
-        Of the same trials; without it there is no interval.
+        Of this trial; without it there is no interval.
 
     Notes
     -----
@@ -250,93 +226,93 @@ def overshoot(batch: TrialBatch, response: Response, verdicts: Verdicts, error: 
 
     Source: Hulin 2017, sec. 5.1.1; footnote 4 of 5.2.2 for the tolerance 1e-12 of "no overshoot".
     """
-    of = _readings(batch, response, verdicts, 0, error)
-    relative = np.where(of.counted, of.offset / of.travel[:, None], -np.inf)
-    peak = np.argmax(relative, axis=1)[:, None]
-    largest = np.take_along_axis(relative, peak, axis=1)[:, 0]
-    size = np.abs(of.travel)
-    spread = np.take_along_axis(of.deviation, peak, axis=1)[:, 0] / size
-    tail = 0.5 * (1 - CONFIDENCE)
-    everywhere = _quantile(tail / np.maximum(of.counted.sum(axis=1), 1))
-    rivals = np.maximum((relative >= (largest - 2 * everywhere * spread)[:, None]).sum(axis=1), 1)
-    late = np.take_along_axis(of.deviation, np.maximum(batch.rows - 1, 0)[:, None], axis=1)[:, 0]
-    final = np.where(of.usable, response.position_final_expected, 0.0)
-    last = np.maximum(batch.rows - SETTLED_SAMPLES, of.first)
-    far, open_ = reach(batch, final, of.first, last, verdicts.growth_per_s * batch.sampling_period_s, late)
-    beyond = (far - everywhere * open_) / size
-    ends = (
-        np.maximum(largest - _quantile(tail / rivals) * spread, 0.0),
-        np.maximum(np.maximum(largest, beyond) + NORMAL_95 * spread, OVERSHOOT.none),
-    )
-    value = np.where(of.usable, np.maximum(largest, 0.0), np.nan)
-    low, high = (np.where(of.known, end, np.nan) for end in ends)
-    return Cost(value, low, high, of.reason)
+    readings = _readings(trial, response, verdict, 0, error)
+    if isinstance(readings, Cost):
+        return readings
+    relative, size = readings.offset / readings.travel, abs(readings.travel)
+    peak = int(np.argmax(relative))
+    largest = float(relative[peak])
+    if readings.deviation is None:
+        return Cost(max(largest, 0.0), reason=readings.reason)
+    spread, late = float(readings.deviation[peak]) / size, float(readings.deviation[-1])
+    everywhere = _quantile(TAIL / len(relative))
+    rivals = int((relative >= largest - 2 * everywhere * spread).sum())
+    last = max(trial.rows - SETTLED_SAMPLES, readings.first)
+    growth = verdict.growth_per_s * trial.sampling_period_s
+    far, off = reach(trial, readings.final, readings.first, last, growth, late)
+    low = largest - _quantile(TAIL / rivals) * spread
+    high = max(largest, (far - everywhere * off) / size) + NORMAL_95 * spread
+    return Cost(max(largest, 0.0), max(low, 0.0), max(high, OVERSHOOT.none))
 
 
-def _quantile(chance: Floats) -> Floats:
-    """Standard normal deviate that is exceeded with a chance, of the shape of the chances."""
-    values, where = np.unique(chance, return_inverse=True)
-    table = np.array([-NormalDist().inv_cdf(float(value)) for value in values])
-    result: Floats = table[where].reshape(chance.shape)
-    return result
+def _quantile(chance: float) -> float:
+    """Standard normal deviate that is exceeded with a chance."""
+    return -NormalDist().inv_cdf(chance)
 
 
-def rise_time(batch: TrialBatch, response: Response, verdicts: Verdicts, error: ReadingError | None = None) -> Cost:
+def rise_time(trial: Trial, response: Response, verdict: Verdict, error: ReadingError | None = None) -> Cost:
     """Return the time from 10 to 90 % of the final displacement, between two readings on a straight line [samples]."""
-    of = _readings(batch, response, verdicts, 0, error)
-    share = 1 + of.offset / of.travel[:, None]
-    margin = NORMAL_95 * of.deviation / np.abs(of.travel)[:, None]
-    # rows of the readings, and of the earliest and the latest that their errors leave open
-    (begin, soonest_begin, latest_begin), (end, soonest_end, latest_end) = (
-        [_first_reached(share + shift, of.counted, level) for shift in (0.0, margin, -margin)] for level in RISE_LEVELS
+    readings = _readings(trial, response, verdict, 0, error)
+    if isinstance(readings, Cost):
+        return readings
+    size = abs(readings.travel)
+    share, (low, high) = 1 + readings.offset / readings.travel, RISE_LEVELS
+    if low * size < response.floor:
+        text = f"rise_time: {low:.0%} of the final displacement lies below the sensor floor"
+        return Cost(reason=joined(readings.reason, text))
+    begin, end = _reached(share, low), _reached(share, high)
+    if np.isnan(end):
+        text = f"rise_time: {high:.0%} of the final displacement is not reached by the end of the log"
+        return Cost(reason=joined(readings.reason, text))
+    if readings.deviation is None:
+        return Cost(end - begin, reason=readings.reason)
+    margin = NORMAL_95 * readings.deviation / size
+    (soonest_begin, soonest_end), (latest_begin, latest_end) = (
+        [_reached(shifted, level) for level in RISE_LEVELS] for shifted in (share + margin, share - margin)
     )
-    resolved = RISE_LEVELS[0] * np.abs(of.travel) >= response.floor
-    value = np.where(of.usable & resolved, end - begin, np.nan)
-    known = of.known & np.isfinite(value)
-    low = np.fmax(value - np.hypot(end - soonest_end, latest_begin - begin), 0.0)
-    high = value + np.hypot(latest_end - end, begin - soonest_begin)
-    short = of.usable & ~resolved, of.usable & resolved & np.isnan(value), known & np.isnan(high)
-    texts = (
-        f"rise_time: {RISE_LEVELS[0]:.0%} of the final displacement lies below the sensor floor",
-        f"rise_time: {RISE_LEVELS[1]:.0%} of the final displacement is not reached by the end of the log",
-        f"rise_time: with the error of the sensor it may not reach {RISE_LEVELS[1]:.0%} by the end of the log",
-    )
-    reason = joined(of.reason, *(np.where(*pair, "").tolist() for pair in zip(short, texts, strict=True)))
-    return Cost(value, np.where(known, low, np.nan), np.where(known, high, np.nan), reason)
+    shortest = end - begin - np.hypot(end - soonest_end, latest_begin - begin)
+    longest = end - begin + np.hypot(latest_end - end, begin - soonest_begin)
+    late = f"rise_time: with the error of the sensor it may not reach {high:.0%} by the end of the log"
+    return Cost(end - begin, float(np.fmax(shortest, 0.0)), float(longest), late if np.isnan(longest) else "")
 
 
-def _first_reached(share: Floats, counted: Booleans, level: float) -> Floats:
-    """Row at which a share is first reached, between two readings on a straight line, shape (n,); NaN for never."""
-    reached = counted & (share >= level)
-    row = np.argmax(reached, axis=1)
-    trial = np.arange(len(row))
-    before, after = share[trial, np.maximum(row - 1, 0)], share[trial, row]
-    part = np.divide(level - before, after - before, out=np.ones(len(row)), where=after > before)
-    return np.where(reached[trial, row], row - 1 + np.clip(part, 0.0, 1.0), np.nan)
+def _reached(share: Floats, level: float) -> float:
+    """Index at which a share is first reached, between two readings on a straight line; NaN for never."""
+    index = int(np.argmax(share >= level))
+    if share[index] < level:
+        return np.nan
+    if index == 0:
+        return 0.0
+    before, after = float(share[index - 1]), float(share[index])
+    return index - 1 + (level - before) / (after - before)
 
 
 Columns = dict[str, Any]
 
-Measure = Callable[[TrialBatch, Response, Verdicts, ReadingError, Mapping[str, Any]], Columns]
-"""Columns of `pipeline.records.tables` by name, of shape (n,), from trials, their responses, verdicts and reading
-errors, and what the experiment gives: ``delay`` [samples], and where needed also ``delay_range`` and ``mass``."""
+Measure = Callable[[Trial, Response, Verdict, ReadingError, Mapping[str, Any]], Columns]
+"""Columns of `pipeline.records.tables` by name, from a trial, its response, verdict and reading error, and what the
+experiment gives: ``delay`` [samples], and where needed also ``delay_range``, ``mass`` and ``mass_error``."""
 
 
-def _settling(batch: TrialBatch, response: Response, verdicts: Verdicts, error: ReadingError, given: Any) -> Columns:
-    found = settling(batch, response, verdicts, given["delay"], error, delay_range=tuple(given["delay_range"]))
-    columns: Columns = {"reason": joined(*(cost.reason for cost in found.values()))}
-    return columns | {part: values for name, cost in found.items() for part, values in cost.columns(name).items()}
+def _columns(costs: Mapping[str, Cost], **more: float) -> Columns:
+    """Return the columns that store some costs."""
+    columns: Columns = {**more, "reason": joined(*(cost.reason for cost in costs.values()))}
+    for name, cost in costs.items():
+        columns |= {name: cost.value, f"{name}_low": cost.low, f"{name}_high": cost.high}
+    return columns
 
 
-def _overshoot(batch: TrialBatch, response: Response, verdicts: Verdicts, error: ReadingError, _: Any) -> Columns:
-    found = overshoot(batch, response, verdicts, error)
-    floor = overshoot_floor(batch, response)
-    return {**found.columns("overshoot"), "overshoot_floor": floor, "reason": found.reason}
+def _settling(trial: Trial, response: Response, verdict: Verdict, error: ReadingError, given: Any) -> Columns:
+    return _columns(settling(trial, response, verdict, given["delay"], error, delay_range=tuple(given["delay_range"])))
 
 
-def _rise(batch: TrialBatch, response: Response, verdicts: Verdicts, error: ReadingError, _: Any) -> Columns:
-    found = rise_time(batch, response, verdicts, error)
-    return {**found.columns("rise_time"), "reason": found.reason}
+def _overshoot(trial: Trial, response: Response, verdict: Verdict, error: ReadingError, _: Any) -> Columns:
+    cost = overshoot(trial, response, verdict, error)
+    return _columns({"overshoot": cost}, overshoot_floor=overshoot_floor(trial, response))
+
+
+def _rise(trial: Trial, response: Response, verdict: Verdict, error: ReadingError, _: Any) -> Columns:
+    return _columns({"rise_time": rise_time(trial, response, verdict, error)})
 
 
 BY_FAMILY: dict[str, Measure] = {"settling": _settling, "overshoot": _overshoot, "rise": _rise}

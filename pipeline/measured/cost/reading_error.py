@@ -1,21 +1,23 @@
 """How far each reading may lie from what an ideal sensor would have shown in the same trial.
 
 A sensor error does two things: it shifts its own reading, and the wall answers it with a force that moves the
-device. Both are in the log, and both can be told from the log alone: the wall's answer to an error enters where
+device. Both are in the log, and both can be estimated from the log alone: the wall's answer to an error enters where
 the external force does, so that the step response itself is the answer of the loop to it.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.base.compiled import compiled
 from pipeline.base.errors import ParameterError
 from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.verdict import REST_FLOORS
-from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.criteria import SETTLING_BANDS
+from pipeline.records.trials import Floats, Integers, Trial
 
 NOISES = np.linspace(1e-3, 1.0, 200)
 """Noise relative to the quantum: with more of it the rounding is independent from reading to reading."""
@@ -28,6 +30,9 @@ READING = NOISES**2 + 1 / 12
 
 LASTING = np.sum(np.exp(-((2 * np.pi * HARMONICS * NOISES) ** 2)) / HARMONICS**2, axis=0) / (2 * np.pi**2)
 """Part of it that lasts while a device rests, as the mean over all places on the grid, and so is not seen there."""
+
+LASTING_PART = LASTING / READING
+"""The same relative to the variance of the error."""
 
 WANDERING = READING - LASTING
 """Scatter of the readings of a device that rests anywhere on the grid [squared quanta]."""
@@ -67,51 +72,31 @@ class ReadingError:
 
     Parameters
     ----------
-    sensor : float64, shape (n,)
+    sensor : float
         Standard deviation of the error of one reading [m, rad], noise and quantum; the same for all trials.
-    lasting, wandering : float64, shape (n,)
+    lasting, wandering : float
         Parts of its variance while a device rests: of the rounding, which all readings share, and what is left to each
         reading after the wall has pulled the device away from the edge of a quantum.
-    gain : float64, shape (n,)
-        Variance of what the loop made of earlier errors, relative to what the weights tell.
-    weight : float64, shape (n, N)
+    gain : float
+        Variance of what the loop made of earlier errors, relative to that by the weights.
+    weight : float64, shape (rows,)
         Answer of a reading to an error of 1 m (1 rad) j samples before, as the wall feeds it back: 1 for
         j = 0, 0 behind the end of the log.
-    deviation, change : float64, shape (n, N)
+    deviation, change : float64, shape (rows,)
         Standard error of each reading relative to the first one [m, rad], and of its change since the sample
         before, both against the same trial with an ideal sensor.
-    reason : tuple of str
+    reason : str
         Why there is no value.
     """
 
-    sensor: Floats
-    lasting: Floats
-    wandering: Floats
-    gain: Floats
+    sensor: float
+    lasting: float
+    wandering: float
+    gain: float
     weight: Floats
     deviation: Floats
     change: Floats
-    reason: tuple[str, ...]
-
-    def select(self, some: slice) -> ReadingError:
-        """Return the errors of the trials in a slice."""
-        return ReadingError(*(getattr(self, name)[some] for name in self.__dataclass_fields__))
-
-
-@dataclass(frozen=True, eq=False)
-class _Variances:
-    """Variances of some trials in squared sensor errors, shape (n, N) unless said otherwise.
-
-    ``answered`` is what the wall's answers make of the errors of row 1 up to the row before, ``kept`` the other errors:
-    the row's own and, as an error that lasts, that of the first reading. ``change`` is that of the change since the
-    sample before. ``gain`` (n,) is what ``answered`` needs to explain the motion at rest, NaN where there is none.
-    """
-
-    weight: Floats
-    answered: Floats
-    kept: Floats
-    change: Floats
-    gain: Floats
+    reason: str = ""
 
 
 def sensor_error(noise: Floats, quantum: Floats, rows: Integers) -> float:
@@ -141,15 +126,15 @@ def sensor_error(noise: Floats, quantum: Floats, rows: Integers) -> float:
 
 def usual_gain(gain: Floats) -> float:
     """Return the gain of trials without any of their own: the median of the others; 1 without any."""
-    told = gain[np.isfinite(gain)]
-    return as_known(float(np.median(told))) if len(told) else 1.0
+    finite = gain[np.isfinite(gain)]
+    return as_known(float(np.median(finite))) if len(finite) else 1.0
 
 
 def as_known(value: float, error: float | None = None) -> float:
     """Return a value in three digits more than its error has, or a spread in its own first three.
 
-    What all trials rest on is taken so: a log more, which moves it by far less than it is known, then leaves their
-    results alone.
+    Values that all trials depend on are rounded so: one more log, which moves them by far less than their error,
+    leaves the results of the others as they are.
     """
     scale = value if error is None else error
     if not np.isfinite(scale) or scale <= 0:
@@ -157,44 +142,36 @@ def as_known(value: float, error: float | None = None) -> float:
     return round(value, 2 - int(np.floor(np.log10(scale))) + (error is not None))
 
 
-def gain_at_rest(batch: TrialBatch, response: Response, delay_samples: int, sensor: float) -> Floats:
-    """Return the gain that the motion at the end of each trial shows, NaN where it is not at rest, shape (n,).
+def gain_at_rest(trial: Trial, response: Response, delay_samples: int, sensor: float) -> float:
+    """Return the gain that the motion at the end of a trial shows, NaN where it is not at rest.
 
     Parameters
     ----------
-    batch, response, delay_samples
+    trial, response, delay_samples
         As in `reading_error`.
     sensor : float
         Standard deviation of the error of one reading [m, rad], see `sensor_error`.
     """
-    known = response.has_edge & np.isfinite(sensor)
-    found = (
-        _variances(part, response.select(some), delay_samples, np.full(len(part), sensor), known[some]).gain
-        for some, part in batch.portions()
-    )
-    return np.concatenate(list(found))
+    if response.edge_row < 0 or not np.isfinite(sensor):
+        return float("nan")
+    return _gain_at_rest(trial, response, sensor, _answers_of(trial, response, delay_samples, sensor)[1])
 
 
 def reading_error(
-    batch: TrialBatch,
-    response: Response,
-    delay_samples: int = 0,
-    *,
-    sensor: float | None = None,
-    gain: float | None = None,
+    trial: Trial, response: Response, delay_samples: int = 0, *, sensor: float, gain: float = 1.0
 ) -> ReadingError:
     """Return the standard error of each reading against the same trial with an ideal sensor.
 
     Parameters
     ----------
-    batch : TrialBatch
+    trial : Trial
     response : Response
-        Of the same trials.
+        Of this trial.
     delay_samples : int
         Integer delay factor, up to which nothing can be fed back; a smaller one (0 where none is known) does no
         harm but takes the noise of some more samples for an answer.
-    sensor, gain : float, optional
-        `sensor_error` and `usual_gain` of the experiment; by default those of these trials.
+    sensor, gain : float
+        `sensor_error` and `usual_gain` of the experiment.
 
     Returns
     -------
@@ -221,121 +198,94 @@ def reading_error(
     The loop may answer by more than its step response tells: where the delay jitters, the forces of two successive
     errors no longer cancel (Falcon, 3 to 5 samples: 4 to 7 times the deviation). That is seen in the motion at
     rest at the end of the log, where it neither decays (`STAYS`) nor is as large as `LARGEST_REST`; the fed back
-    part is scaled to it, where it is `EXCESS` times what is told. Trials that have not come to rest take the median
+    part is scaled to it, where it is `EXCESS` times the expected one. Trials that have not come to rest take the median
     gain of the others. Two standard errors then hold 94 to 99 % of the readings of simulated Falcon trials
     (2 and 10 um quantum, noise of 0 to 1 um), 90 to 92 % with jitter, and 86 % at 60 um.
 
-    What jitter itself does to the response, friction and force limits are not told: the truth is the same trial.
+    What jitter itself does to the response, friction and force limits are not included: the truth is the same trial.
 
     Source: Hulin 2017, eq. 3.18 (the wall force, here driven by the error of the sensor).
     """
     if delay_samples < 0:
         raise ParameterError(f"delay of {delay_samples} samples: expected an integer >= 0.")
-    n, columns = batch.position.shape
-    one = sensor_error(response.sensor_noise, response.sensor_quantum, response.edge_row) if sensor is None else sensor
-    reason = tuple(
-        ("" if edge >= 0 else f"no start of the response: {why}")
-        or ("" if np.isfinite(one) else "noise of the sensor not known: too few rows before the step in all trials")
-        for edge, why in zip(response.edge_row, response.edge_reason, strict=True)
-    )
-    known = np.array([not text for text in reason], dtype=np.bool_)
-    each = np.where(known, one, np.nan)
-    found = [
-        _variances(part, response.select(some), delay_samples, each[some], known[some])
-        for some, part in batch.portions()
-    ]
-    weight, own = (np.concatenate([getattr(part, name) for part in found]) for name in ("weight", "gain"))
-    gain_of_each = np.where(np.isfinite(own), own, usual_gain(own) if gain is None else gain)
-    deviation, change = np.empty((n, columns)), np.empty((n, columns))
-    for (some, part), variances in zip(batch.portions(), found, strict=True):
-        hidden = ~(known[some, None] & part.valid)
-        # slow motion, which hardly adds to the changes from reading to reading
-        square = variances.kept + gain_of_each[some, None] * variances.answered
-        for result, value in ((deviation, square), (change, variances.change)):
-            result[some] = np.where(hidden, np.nan, each[some, None] * np.sqrt(value))
-            # the first reading is its own reference
-            result[some, 0] = np.where(hidden[:, 0], np.nan, 0.0)
-    quanta = np.where(
-        response.sensor_quantum > 0, np.nan_to_num(each) / np.maximum(response.sensor_quantum, 1e-100), 1.0
-    )
-    lasting, held = (np.interp(quanta**2, READING, part) for part in (LASTING / READING, HELD))
-    baseline = np.maximum(response.edge_row, 0)
-    return ReadingError(
-        sensor=each,
-        lasting=lasting,
-        wandering=(1 - lasting) * (1 - held * baseline / (baseline + PULLED_ROWS)),
-        gain=gain_of_each,
-        weight=weight,
-        deviation=deviation,
-        change=change,
-        reason=reason,
-    )
+    edge, quantum, nothing = response.edge_row, response.sensor_quantum, np.full(trial.rows, np.nan)
+    if edge < 0 or not np.isfinite(sensor):
+        unknown = "noise of the sensor not known: too few rows before the step in all trials"
+        reason = f"no start of the response: {response.edge_reason}" if edge < 0 else unknown
+        return ReadingError(np.nan, np.nan, np.nan, np.nan, nothing, nothing, nothing, reason)
+    (weight, kept, answered, change), at_end = _answers_of(trial, response, delay_samples, sensor)
+    at_rest = _gain_at_rest(trial, response, sensor, at_end)
+    gain = gain if math.isnan(at_rest) else at_rest
+    # slow motion, which hardly adds to the changes from reading to reading
+    deviation = sensor * np.sqrt(kept + gain * answered)
+    change = sensor * np.sqrt(change)
+    # the first reading is its own reference
+    deviation[0] = change[0] = 0.0
+    variance = (sensor / quantum) ** 2 if quantum > 0 else 1.0
+    lasting, hidden = (float(np.interp(variance, READING, part)) for part in (LASTING_PART, HELD))
+    wandering = (1 - lasting) * (1 - hidden * edge / (edge + PULLED_ROWS))
+    return ReadingError(sensor, lasting, wandering, gain, weight, deviation, change)
 
 
-def _variances(
-    batch: TrialBatch, response: Response, delay_samples: int, sensor: Floats, known: Booleans
-) -> _Variances:
-    edge = np.maximum(response.edge_row, 0)
-    lag = np.arange(batch.position.shape[1])[None, :]
-    take = np.minimum(edge[:, None] + lag, np.maximum(batch.rows - 1, 0)[:, None])
-    moved = np.take_along_axis(batch.position, take, axis=1)
-    step = np.where(known, batch.step, 1.0)  # a trial without a step has no edge, and is not known
-    impulse = np.diff(moved, axis=1, prepend=moved[:, :1]) / step[:, None]
-    impulse = np.where(known[:, None] & (lag > delay_samples), impulse, 0.0)
-    stiffness, damping = batch.stiffness, batch.damping / batch.sampling_period_s
-    weight = -(stiffness[:, None] * impulse + damping[:, None] * np.diff(impulse, axis=1, prepend=0.0))
-    weight[:, :1] = 1.0
+def _answers_of(trial: Trial, response: Response, delay_samples: int, sensor: float) -> tuple[Floats, Floats]:
+    final = response.position_final_expected
+    x = (trial.position - (response.position_start if math.isnan(final) else final)) / trial.step
+    damping = trial.damping / trial.sampling_period_s
+    return _answers(x, response.edge_row, trial.stiffness, damping, delay_samples, sensor / trial.step)
+
+
+@compiled("Tuple((f8[:, ::1], f8[::1]))(f8[::1], i8, f8, f8, i8, f8)")
+def _answers(x: Floats, edge: int, K: float, B: float, d: int, sigma: float) -> tuple[Floats, Floats]:
+    """Return what the wall makes of errors of the readings, shape (4, rows), and means at the end, shape (5,).
+
+    ``x`` (rows,) are the positions from the final one over the step [m/N, 1/Nm], ``K`` and ``B`` stiffness and damping
+    per sample [N/m, Nm/rad], ``d`` the delay [samples], ``sigma`` the error of a reading over the step. Row 0 of the
+    first result are the weights: with h_j = x_{e+j} - x_{e+j-1} for j > d, else 0, e the row of the command edge,
+
+        c_0 = 1,    c_j = -(K h_j + B (h_j - h_{j-1})).
+
+    The others are variances of reading k in squared errors of a reading: its own error and that of the first reading,
+    which lasts, 1 + (sum_{j<k} c_j)^2; the answers to the errors in between, sum_{0<j<k} c_j^2; and the change of the
+    reading, 1 + c_{k-1}^2 + sum_{0<j<k} (c_j - c_{j-1})^2. Less what noise adds to the squares. The means are those of
+    x^2 in the last fifth of the response and in two more before it, then those of the first two variances in the last.
+
+    Source: Hulin 2017, eq. 3.18 (the wall force, here driven by the error of the sensor).
+    """
+    rows = len(x)
+    result, means = np.empty((4, rows)), np.zeros(5)
     # coefficients of three, and four, neighbouring readings in one weight, and in one change of it
-    of_weight = (stiffness + damping, -(stiffness + 2 * damping), damping)
-    of_change = (stiffness + damping, -(2 * stiffness + 3 * damping), stiffness + 3 * damping, -damping)
-    relative = (np.where(known, sensor, 0.0) / step) ** 2
-    weight_noise, change_noise = (relative * sum(part**2 for part in parts) for parts in (of_weight, of_change))
-    fed_back = np.maximum(lag - delay_samples, 0)
-    change = np.diff(weight, axis=1, prepend=0.0)
-    # the first column of both is 1: the reading's own error
-    answered, answered_change = (
-        # a row has the errors of row 1 up to itself
-        np.maximum(_one_later(np.cumsum(part**2, axis=1) - 1.0 - added[:, None] * fed_back), 0.0)
-        for part, added in ((weight, weight_noise), (change, change_noise))
-    )
-    # of the first reading: what has not yet been answered of an error that lasts
-    kept, kept_change = (1.0 + _one_later(part) ** 2 for part in (np.cumsum(weight, axis=1), weight))
-    square = sensor[:, None] ** 2
-    gain = _gain_at_rest(batch, response, square * kept, square * answered, known)
-    return _Variances(weight, answered, kept, kept_change + answered_change, gain)
+    of_weight = sigma**2 * ((K + B) ** 2 + (K + 2 * B) ** 2 + B**2)
+    of_change = sigma**2 * ((K + B) ** 2 + (2 * K + 3 * B) ** 2 + (K + 3 * B) ** 2 + B**2)
+    part = max((rows - edge) // LAST_PART, 1)
+    h, c, total, squares, changes = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(rows):
+        noisy = max(k - 1 - d, 0)
+        result[1, k] = 1 + total**2
+        result[2, k] = max(squares - 1 - of_weight * noisy, 0.0)
+        result[3, k] = 1 + c**2 + max(changes - 1 - of_change * noisy, 0.0)
+        h_before, c_before = h, c
+        h = x[edge + k] - x[edge + k - 1] if d < k < rows - edge else 0.0
+        c = 1.0 if k == 0 else -(K * h + B * (h - h_before))
+        result[0, k] = c
+        total += c
+        squares += c**2
+        changes += (c - c_before) ** 2
+        fifth = (rows - 1 - k) // part
+        if fifth < 3:
+            means[fifth] += x[k] ** 2 / min(part, rows - fifth * part)
+        if fifth == 0:
+            means[3] += result[1, k] / part
+            means[4] += result[2, k] / part
+    return result, means
 
 
-def _one_later(values: Floats) -> Floats:
-    result: Floats = np.concatenate([np.zeros((len(values), 1)), values[:, :-1]], axis=1)
-    return result
-
-
-def _gain_at_rest(batch: TrialBatch, response: Response, kept: Floats, answered: Floats, known: Booleans) -> Floats:
-    """Gain of the variances ``answered`` that with ``kept`` explains the motion at rest, NaN where none, shape (n,)."""
-    column = np.arange(batch.position.shape[1])[None, :]
-    part = np.maximum((batch.rows - response.edge_row) // LAST_PART, 1)
-    distance = (batch.position - response.position_final_expected[:, None]) ** 2
-    last = [
-        batch.valid
-        & (column >= (batch.rows - number * part)[:, None])
-        & (column < (batch.rows - (number - 1) * part)[:, None])
-        for number in (1, 2, 3)
-    ]
-    squares = [_mean(distance, some) for some in last]
-    own, fed_back = (_mean(variance, last[0]) for variance in (kept, answered))
+def _gain_at_rest(trial: Trial, response: Response, sensor: float, at_end: Floats) -> float:
+    """Gain of the answers that explains the motion at rest, NaN where it is none; ``at_end`` as of `_answers`."""
+    last, before, first = (float(mean) * trial.step**2 for mean in at_end[:3])
+    kept, fed_back = (float(mean) * sensor**2 for mean in at_end[3:])
+    travel = abs(response.position_final_expected - response.position_start)
     # NaN, and so false, where K <= 0
-    travel = np.abs(response.position_final_expected - response.position_start)
-    rests = known & (np.sqrt(squares[0]) <= LARGEST_REST * travel) & (fed_back > 0)
-    rests &= squares[0] >= STAYS**2 * squares[1]
-    small = squares[0] <= (REST_FLOORS * response.floor) ** 2
-    rests &= small | (squares[0] >= STAYS**2 * squares[2])
-    more = rests & (squares[0] > EXCESS**2 * (own + fed_back))
-    gain = np.divide(squares[0] - own, fed_back, out=np.ones(len(batch)), where=more)
-    result: Floats = np.where(rests, gain, np.nan)
-    return result
-
-
-def _mean(values: Floats, some: Booleans) -> Floats:
-    """Mean of some values of each trial, 0 where there are none, shape (n,)."""
-    result: Floats = np.where(some, values, 0.0).sum(axis=1) / np.maximum(some.sum(axis=1), 1)
-    return result
+    rests = last <= (LARGEST_REST * travel) ** 2 and fed_back > 0 and last >= STAYS**2 * before
+    if not rests or (last > (REST_FLOORS * response.floor) ** 2 and last < STAYS**2 * first):
+        return float("nan")
+    return (last - kept) / fed_back if last > EXCESS**2 * (kept + fed_back) else 1.0

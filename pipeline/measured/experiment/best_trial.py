@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.measured.student import ROUNDING
-from pipeline.records.batch import Booleans, Floats
 from pipeline.records.criteria import OVERSHOOT
 from pipeline.records.findings import Optimum
+from pipeline.records.trials import Booleans, Floats
 
 LARGEST_OVERSHOOT_FLOOR = 0.01
 """Uncertainty of the overshoot from which on "none" is no finding: a tenth of the distance between contour

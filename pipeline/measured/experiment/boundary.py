@@ -16,8 +16,8 @@ from pipeline.base.errors import ParameterError
 from pipeline.base.wording import counted
 from pipeline.measured.student import NORMAL_95, NORMAL_QUARTILE, SIGMAS, SMALLEST, student_95
 from pipeline.recording.samples import NOISE_GAIN
-from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.findings import BoundaryPoint, Estimate
+from pipeline.records.trials import Booleans, Floats, Integers
 
 NEAREST = 10
 """Trials next to the limit that are fitted: two coarse and the fine steps of a course (6.1.1), and some more."""

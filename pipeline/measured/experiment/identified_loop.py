@@ -18,8 +18,8 @@ from pipeline.measured.experiment.stored import Stored
 from pipeline.measured.identification.identifiability import IdentifiableCombination
 from pipeline.measured.identification.intervals import Interval
 from pipeline.measured.student import NORMAL_95
-from pipeline.records.batch import Floats
 from pipeline.records.findings import ROUNDING, Estimate
+from pipeline.records.trials import Floats
 
 METHOD = "one device, the likeliest of all trials"
 

@@ -10,8 +10,8 @@ from pipeline.measured.experiment.identified_loop import FEWEST_LOGS
 from pipeline.measured.experiment.stored import Experiment
 from pipeline.measured.signal.sensor import sensor_floor
 from pipeline.measured.student import SMALLEST
-from pipeline.records.batch import Booleans, Floats
 from pipeline.records.findings import MATTERS
+from pipeline.records.trials import Booleans, Floats
 
 RESTS = 3.0
 """Distance from x_0 + F_0/K, in sensor floors, from which on a device rests elsewhere."""

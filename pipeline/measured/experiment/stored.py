@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
+import numpy as np
 import pyarrow as pa
 
 from pipeline.device.parameters import Motion
-from pipeline.measured.signal.verdict import Verdicts
-from pipeline.records.batch import Floats, TrialGroups
+from pipeline.records.trials import Floats, Trials
 
 Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, eq=False)
+class Verdicts:
+    """Verdict of each trial of an experiment as stored, shape (n,); fields as those of `signal.verdict.Verdict`."""
+
+    verdict: np.ndarray[tuple[int, ...], np.dtype[np.str_]]
+    growth_per_s: Floats
+    reason: tuple[str, ...]
 
 
 class Stored(Protocol):
@@ -58,12 +68,12 @@ class Experiment(Stored, Protocol):
         """Stiffness k of the device that its file declares [N/m, Nm/rad], 0 for none."""
 
     @property
-    def samples(self) -> TrialGroups:
-        """All samples."""
+    def samples(self) -> Trials:
+        """All trials with their samples."""
 
     @property
     def verdicts(self) -> Verdicts:
         """Verdict of each trial."""
 
-    def of_each(self, function: Callable[..., Result], **given: Any) -> list[Result]:
-        """Results of a function of each group."""
+    def map_trials(self, function: Callable[[Any], Result], places: Sequence[int] | None = None) -> list[Result]:
+        """Result of a function of each `MeasuredTrial`, or of those at some places, in this order."""

@@ -11,8 +11,8 @@ import numpy as np
 
 from pipeline.base.wording import true_minus
 from pipeline.measured.student import NORMAL_QUARTILE, ROUNDING, SMALLEST, student_95
-from pipeline.records.batch import Floats
 from pipeline.records.findings import DRIFTS, Trend
+from pipeline.records.trials import Floats
 
 MOST_RELATIVE = 10.0
 """Change, relative to the value, up to which it is told in percent of it."""

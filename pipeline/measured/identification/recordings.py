@@ -112,4 +112,4 @@ def rounding(position: Floats) -> float:
 
     A fast motion may change by several steps of the sensor in every row, a steady one by a whole number of them.
     """
-    return float(position_quantum(position[None])[0]) / float(np.sqrt(12.0))
+    return position_quantum(position) / float(np.sqrt(12.0))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.sensor import FEWEST_ON_GRID, GRID_TOLERANCE
 from pipeline.measured.student import ROUNDING
-from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+from pipeline.records.trials import Booleans, Floats, Integers, Trial
 
 FULL_DIGITS = int(np.finfo(np.float64).precision)
 """Digits that a double holds whatever its size; more are those of arithmetic."""
@@ -50,7 +50,7 @@ class Printed:
     single : bool
         Whether they are, or were before they were printed, of single precision.
     half : float64, shape (N,)
-        Half a unit in the last digit of each number; 0 for 0 and for NaN.
+        Half a unit in the last digit of each number; 0 for 0.
     """
 
     digits: int
@@ -72,12 +72,12 @@ def printed(values: Floats) -> Printed:
     Numbers with decimals have as many significant digits as their size allows, and few where they are small: of both
     the coarser counts. No number is better than `FULL_DIGITS` digits.
     """
-    found = _printed(np.where(np.isfinite(values), np.abs(values), 0.0))
-    if found.digits < FULL_DIGITS or found.single:
-        return found
-    degrees = _printed(np.rad2deg(np.where(np.isfinite(values), np.abs(values), 0.0)))
+    result = _printed(np.abs(values))
+    if not result.in_full:
+        return result
+    degrees = _printed(np.rad2deg(np.abs(values)))
     if degrees.digits == FULL_DIGITS:
-        return found
+        return result
     return replace(degrees, half=np.deg2rad(degrees.half), decimal=float(np.deg2rad(degrees.decimal)), single=False)
 
 
@@ -87,19 +87,14 @@ def _printed(size: Floats) -> Printed:
         return Printed(FULL_DIGITS, 0.0, False, full)
     digits, decimal = _digits(size), _of_decimals(size)
     half = np.maximum(_half(size, digits), decimal)
-    single = size.astype(np.float32).astype(np.float64)
-    if np.array_equal(single, size):
+    rounded = size.astype(np.float32).astype(np.float64)
+    if np.array_equal(rounded, size):
         # single precision has its own digits; fewer are those of print
         half = np.maximum(half * (digits < SINGLE_DIGITS[0]), 0.5 * _SINGLE * size)
         return Printed(digits, decimal, True, np.maximum(half, full))
-    near = np.abs(single - size) <= half + ROUNDED * _EPS * size  # some lie half way between two of their digits
-    rounded = SINGLE_DIGITS[0] <= digits <= SINGLE_DIGITS[1] and bool(near.all())
-    return Printed(digits, decimal, rounded, np.maximum(half + 0.5 * _SINGLE * size * rounded, full))
-
-
-def full_resolution(values: Floats) -> Floats:
-    """Return half a unit in the last digit of numbers that are printed in full, shape (N,)."""
-    return _half(np.where(np.isfinite(values), np.abs(values), 0.0), FULL_DIGITS)
+    near = np.abs(rounded - size) <= half + ROUNDED * _EPS * size  # some lie half way between two of their digits
+    single = SINGLE_DIGITS[0] <= digits <= SINGLE_DIGITS[1] and bool(near.all())
+    return Printed(digits, decimal, single, np.maximum(half + 0.5 * _SINGLE * size * single, full))
 
 
 def stated_resolution(values: Floats) -> Floats:
@@ -113,7 +108,8 @@ def stated_resolution(values: Floats) -> Floats:
 
 
 def _digits(size: Floats) -> int:
-    return next((n for n in range(1, FULL_DIGITS) if _on_grid(size, n - 1 - _exponent(size)).all()), FULL_DIGITS)
+    exponent = _exponent(size)
+    return next((n for n in range(1, FULL_DIGITS) if _on_grid(size, n - 1 - exponent).all()), FULL_DIGITS)
 
 
 def _exponent(size: Floats) -> Floats:
@@ -139,8 +135,7 @@ def _on_grid(size: Floats, decimals: Floats | int) -> Booleans:
 def _of_decimals(size: Floats) -> float:
     """Return half a unit in the last decimal that all numbers have, 0 where they have more than digits allow."""
     top = int(_exponent(np.array([size.max()]))[0])
-    found = (n for n in range(-top, FULL_DIGITS - 1 - top) if _on_grid(size, n).all())
-    decimals = next(found, None)
+    decimals = next((n for n in range(-top, FULL_DIGITS - 1 - top) if _on_grid(size, n).all()), None)
     return 0.0 if decimals is None else 0.5 * 10.0**-decimals
 
 
@@ -152,13 +147,13 @@ def converted(values: Floats, half: float, others: Floats) -> float:
     Source: Euclid's algorithm. A grid that ``others`` are on as well is theirs: all forces of a wall on a coarse sensor
     may be multiples of one.
     """
-    levels = np.unique(values[np.isfinite(values)])
+    levels = np.unique(values)
     if len(levels) < FEWEST_ON_GRID:
         return 0.0
     change = np.diff(levels)
-    some = np.sort(change)[:FEWEST_ON_GRID].tolist()
-    common, left_open = some[0], max(ROUNDED * half, GRID_TOLERANCE * some[0])
-    for rest in some[1:]:
+    common, *smallest = np.sort(change)[:FEWEST_ON_GRID].tolist()
+    left_open = max(ROUNDED * half, GRID_TOLERANCE * common)
+    for rest in smallest:
         while rest > left_open:  # ends: at most half is left of the smaller one
             common, rest = rest, abs(common - rest * round(common / rest))
     if common < left_open / GRID:
@@ -166,8 +161,8 @@ def converted(values: Floats, half: float, others: Floats) -> float:
     counts = np.rint(change / common)
     step = float(change @ counts / (counts @ counts))
     share = others / step
-    own = (np.abs(share - np.rint(share)) > GRID).any() or not others.any()
-    return step if own and (np.abs(change - counts * step) <= GRID * step).all() else 0.0
+    separate = (np.abs(share - np.rint(share)) > GRID).any() or not others.any()
+    return step if separate and (np.abs(change - counts * step) <= GRID * step).all() else 0.0
 
 
 ROUNDINGS = 16.0
@@ -205,26 +200,24 @@ class LogRows:
     coarser: Floats | None = None
 
     @classmethod
-    def of(cls, batch: TrialBatch, response: Response, i: int) -> LogRows:
-        """Return the rows of a trial of a batch."""
-        rows = slice(0, int(batch.rows[i]))
-        command, position = batch.command[i, rows], batch.position[i, rows]
-        K, B, T = float(batch.stiffness[i]), float(batch.damping[i]), float(batch.sampling_period_s[i])
-        of_command, of_position = printed(command), printed(position)
-        exact, quantum = full_resolution(position), float(response.sensor_quantum[i])
-        step = converted(command, float(of_command.half.max()), quantum * np.array([K, B / T]))
+    def of(cls, trial: Trial, response: Response) -> LogRows:
+        """Return the rows of a trial."""
+        command, position = printed(trial.command), printed(trial.position)
+        K, B, T = trial.stiffness, trial.damping, trial.sampling_period_s
+        forces = response.sensor_quantum * np.array([K, B / T])
+        step = converted(trial.command, float(command.half.max()), forces)
         # of positions with fewer digits than a file has room for, the digits are those of the sensor
-        finer = of_position.digits < of_command.digits and of_position.decimal > of_command.decimal
-        read = of_command.in_full or of_position.in_full or (finer and not of_position.single)
+        finer = position.digits < command.digits and position.decimal > command.decimal
+        read = command.in_full or position.in_full or (finer and not position.single)
         return cls(
-            *(K, B, float(batch.step[i]), T, int(response.edge_row[i])),
-            *(float(response.floor[i]), quantum),
-            *(batch.time[i, rows], command, position),
-            *(np.maximum(of_command.half, 0.5 * step), exact if read else of_position.half),
-            stated_resolution(np.array([K, B])),
-            ROUNDINGS * _EPS if not of_command.single else _SINGLE,
-            np.ones(len(position), dtype=np.bool_),
-            of_position.half if read and not of_command.in_full else None,
+            *(K, B, trial.step, T, response.edge_row, response.floor, response.sensor_quantum),
+            *(trial.time, trial.command, trial.position),
+            of_command=np.maximum(command.half, 0.5 * step),
+            of_position=_half(np.abs(trial.position), FULL_DIGITS) if read else position.half,
+            left_open=stated_resolution(np.array([K, B])),
+            arithmetic=_SINGLE if command.single else ROUNDINGS * _EPS,
+            kept=np.ones(trial.rows, dtype=np.bool_),
+            coarser=position.half if read and not command.in_full else None,
         )
 
     @property
@@ -253,12 +246,12 @@ class LogRows:
 
     @cached_property
     def external(self) -> Floats:
-        """What the command holds beside the wall [N, Nm]."""
+        """Command less the force of the wall [N, Nm]."""
         return self.command + self.wall
 
     @cached_property
     def residual(self) -> Floats:
-        """What it holds beside wall and step [N, Nm]."""
+        """Command less wall and step [N, Nm]."""
         return self.external - self.step * self.after
 
     @cached_property
@@ -285,28 +278,30 @@ class LogRows:
 
     def moved(self, rows: int) -> LogRows:
         """Return the log with commands so many rows earlier; its edge is the first row beyond half the step."""
-        own = slice(max(rows, 0), len(self.command) + min(rows, 0))
-        other = slice(max(-rows, 0), len(self.command) + min(-rows, 0))
-        commands = {name: getattr(self, name)[own] for name in ("command", "of_command")}
-        others = {name: getattr(self, name)[other] for name in ("time", "position", "of_position")}
-        # a row is none of both where either was
-        coarser = None if self.coarser is None else self.coarser[other]
-        found = replace(self, **commands, **others, kept=self.kept[own] & self.kept[other], coarser=coarser)
-        return replace(found, edge=int(np.argmax(found.external * np.sign(self.step) > 0.5 * abs(self.step))))
+        later = slice(max(rows, 0), len(self.command) + min(rows, 0))
+        earlier = slice(max(-rows, 0), len(self.command) + min(-rows, 0))
+        commands = {name: getattr(self, name)[later] for name in ("command", "of_command")}
+        readings = {name: getattr(self, name)[earlier] for name in ("time", "position", "of_position")}
+        coarser = None if self.coarser is None else self.coarser[earlier]
+        # a row that either part of is left out is left out
+        log = replace(self, **commands, **readings, kept=self.kept[later] & self.kept[earlier], coarser=coarser)
+        return replace(log, edge=int(np.argmax(log.external * np.sign(self.step) > 0.5 * abs(self.step))))
 
     def off(self, predicted: NDArray[np.floating[Any]], rows: Booleans | None = None) -> bool:
         """Whether the command is not the predicted one, over some rows or all that are kept."""
-        some = self.kept if rows is None else self.kept & rows
-        return bool((np.abs(self.command - predicted)[some] > self.rounding[some]).any())
+        inside = self.kept if rows is None else self.kept & rows
+        return bool((np.abs(self.command - predicted)[inside] > self.rounding[inside]).any())
 
 
-def stands_still(change: Floats, after: Booleans, least: float | Floats) -> Booleans:
-    """Return which rows stand still while the device moves by more than ``least`` before and after them."""
+def stands_still(change: Floats, first: int, least: float | Floats) -> Integers:
+    """Return the rows from one on that stand still while the device moves by more than ``least`` before and behind."""
+    rows = first + np.flatnonzero(change[first:] == 0)
     # the row behind makes up for the way of the one that stood still; a device that turns comes back instead
-    behind = np.concatenate([change[..., 1:], np.zeros_like(change[..., :1])], axis=-1)
-    before = np.where(np.roll(change, 1, axis=-1) != 0, np.roll(change, 1, axis=-1), np.roll(change, 2, axis=-1))
-    still = (change == 0) & after & (np.abs(behind) > least) & (np.abs(before) > least) & (behind * before > 0)
-    result: Booleans = still & (np.abs(behind) > CAUGHT_UP * np.abs(before))
+    behind = np.append(change[1:], 0.0)[rows]
+    last, last_but_one = (np.take(change, rows - lag, mode="wrap") for lag in (1, 2))
+    before = np.where(last != 0, last, last_but_one)
+    moves = (np.abs(before) > np.broadcast_to(least, change.shape)[rows]) & (behind * before > 0)
+    result: Integers = rows[moves & (np.abs(behind) > CAUGHT_UP * np.abs(before))]
     return result
 
 
@@ -325,24 +320,22 @@ GRID = 0.05
 
 def hidden_rows(log: LogRows) -> Integers:
     """Return the rows before which rows are missing by the wall law, while the stamps may not show it."""
-    none = np.empty(0, dtype=np.int64)
     off = (np.abs(log.residual) > log.rounding) & log.after
     moving = off & (log.change != 0)
     if not moving.any() or log.damping == 0:
-        return none
+        return np.empty(0, dtype=np.int64)
     # over a row that is missing the position changed by more than since the row before: the residual is the damping
-    # force of the change that is lost, which is like those beside it
+    # force of the change that is lost, which is like its neighbours
     lost = log.residual * log.period / log.damping
-    beside = np.max(np.abs([np.roll(log.change, 1), log.change, np.roll(log.change, -1)]), axis=0)
-    like = np.mean((np.abs(lost) < 2 * (beside + log.floor))[off]) > 0.9
+    near = np.max(np.abs([np.roll(log.change, 1), log.change, np.roll(log.change, -1)]), axis=0)
+    like = np.mean((np.abs(lost) < 2 * (near + log.floor))[off]) > 0.9
     onward = np.median((lost * log.change)[moving]) > 0
     # a row that stands still amid a motion is repeated
     same = (log.change == 0) & (np.diff(log.command, prepend=np.nan) == 0)
-    repeated = same & (beside > STILL_FLOORS * log.floor)
-    single = off & ~np.roll(off, 1)
-    if like and onward and repeated[off].mean() < 0.4 and single.sum() >= 0.7 * off.sum() - 1:
-        return np.flatnonzero(off) if _on_sensor_grid(log, off) else none
-    return none
+    repeated = same & (near > STILL_FLOORS * log.floor)
+    single = (off & ~np.roll(off, 1)).sum() >= 0.7 * off.sum() - 1
+    missing = like and onward and repeated[off].mean() < 0.4 and single and _on_sensor_grid(log, off)
+    return np.flatnonzero(off & missing)
 
 
 def _on_sensor_grid(log: LogRows, off: Booleans) -> bool:
@@ -350,27 +343,26 @@ def _on_sensor_grid(log: LogRows, off: Booleans) -> bool:
     scale = log.period / abs(log.damping)
     tolerance = GRID * log.quantum + scale * log.rounding[off]
     lost = scale * np.abs(log.residual[off])
-    told = tolerance < 2 * GRID * log.quantum
+    resolved = tolerance < 2 * GRID * log.quantum
     away = np.abs(lost - np.rint(lost / log.quantum) * log.quantum) if log.quantum else lost
-    return bool((away <= tolerance)[told].all())
+    return bool((away <= tolerance)[resolved].all())
 
 
-def repeated_rows(log: LogRows, *, by_law: bool = True) -> Integers:
-    """Return the rows that stand still while the device moves before and after them; one alone may be chance.
+def repeated_rows(log: LogRows) -> tuple[Integers, Integers]:
+    """Return the rows that stand still while the device moves before and behind them, in all two or more.
 
-    ``by_law`` counts those, too, that only the plain wall law tells from a device that is slow, and one alone.
+    Then the same with those that only the plain wall law distinguishes from a slow device; one counts, too.
     """
     digits = STILL_DIGITS * log.of_position
     # a quantum that print hides is at most the least change
     hidden = np.abs(log.change)[np.abs(log.change) > digits].min(initial=np.inf) if not log.quantum else 0.0
     least = STILL_FLOORS * max(log.floor, hidden) + ROUNDING * np.ptp(log.position) + digits
-    still = stands_still(log.change, log.after, least)
+    still = stands_still(log.change, log.edge, least)
     # the row itself is off the law where the device moved before, the row behind where it moves on
     off = np.abs(log.residual) > log.rounding
     same = np.diff(log.command, prepend=np.nan) == 0
-    still |= by_law & log.after & (log.change == 0) & ((same & off) | ((same | off) & np.append(off[1:], False)))
-    rows = np.flatnonzero(still)
-    return rows if by_law or len(rows) >= PLATEAU else rows[:0]
+    by_law = log.after & (log.change == 0) & ((same & off) | ((same | off) & np.append(off[1:], False)))
+    return still if len(still) >= PLATEAU else still[:0], np.union1d(still, np.flatnonzero(by_law))
 
 
 def is_equal(values: Floats, limit: float) -> Booleans:

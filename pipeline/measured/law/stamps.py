@@ -13,11 +13,11 @@ import numpy as np
 
 from pipeline.measured.law.log_rows import SET_DIGITS
 from pipeline.measured.student import NORMAL_QUARTILE
-from pipeline.records.batch import Floats, Integers, TrialBatch
+from pipeline.records.trials import Floats, Integers, Trial
 
 EVEN = 0.01
 """Part of a period up to which distances of stamps are even, and that of the header: a hundredth of the period is two
-of the mass. An ingest keeps logs of other periods apart."""
+of the mass. An ingest separates logs of other periods."""
 
 SURE = 4.0
 """Standard errors of the usual distance of stamps by which it differs from the sampling period where one is wrong: by
@@ -89,15 +89,16 @@ def read_stamps(time: Floats, period: float) -> Stamps:
     if ((np.abs(steps / period - whole) > UNEVEN) | (whole < 1)).any():  # what is late comes back, lost rows do not
         stays = _behind(np.append(late, np.full(WINDOW - 1, np.median(late[-WINDOW:]))), WINDOW, np.median)
         stays = _behind(np.append(stays, np.full(CATCH_UP - 1, np.inf)), CATCH_UP, np.min)
-    skipped, level = none.copy(), float(np.median(late[:WINDOW]) if stays is not late else late[0])
-    for row in range(1, len(late)):
-        skipped[row - 1] = max(int(np.rint(stays[row] - level)), 0)
-        level += skipped[row - 1]
-        level += FOLLOWED * float(np.clip(late[row] - level, -ODD, ODD))
+    skipped, level = none, float(np.median(late[:WINDOW]) if stays is not late else late[0])
+    for row, (stay, stamp) in enumerate(zip(stays[1:].tolist(), late[1:].tolist(), strict=True)):
+        lost = max(round(stay - level), 0)
+        skipped[row] = lost
+        level += lost
+        level += FOLLOWED * min(max(stamp - level, -ODD), ODD)
     rest = late - np.append(0, np.cumsum(skipped))
-    apart = np.diff(rest)
-    odd, scatter = int((np.abs(apart) > ODD).sum()), _scatter(rest)
-    return Stamps(skipped, period, scatter, odd, scatter < _scatter(apart))
+    changes = np.diff(rest)
+    odd, scatter = int((np.abs(changes) > ODD).sum()), _scatter(rest)
+    return Stamps(skipped, period, scatter, odd, scatter < _scatter(changes))
 
 
 def _scatter(values: Floats) -> float:
@@ -105,17 +106,15 @@ def _scatter(values: Floats) -> float:
     return float(np.median(np.abs(values - np.median(values))) / NORMAL_QUARTILE)
 
 
-def even(batch: TrialBatch) -> TrialBatch:
-    """Return trials with the stamps of their samples where those of the log scatter; rows that are missing stay so."""
-    steps = np.diff(batch.time, axis=1) / batch.sampling_period_s[:, None]
-    uneven = np.flatnonzero((np.abs(steps - 1) > EVEN).any(axis=1))
-    time = batch.time.copy() if len(uneven) else batch.time
-    for i in uneven.tolist():
-        rows, period = int(batch.rows[i]), float(batch.sampling_period_s[i])
-        stamps = read_stamps(time[i, :rows], period)
-        if stamps.scatters:
-            time[i, :rows] = time[i, 0] + period * np.append(0, np.cumsum(stamps.skipped + 1))
-    return replace(batch, time=time) if len(uneven) else batch
+def even(trial: Trial) -> Trial:
+    """Return a trial with the stamps of its samples where those of the log scatter; rows that are missing stay so."""
+    period = trial.sampling_period_s
+    if not (np.abs(np.diff(trial.time) / period - 1) > EVEN).any():
+        return trial
+    stamps = read_stamps(trial.time, period)
+    if not stamps.scatters:
+        return trial
+    return replace(trial, time=trial.time[0] + period * np.append(0, np.cumsum(stamps.skipped + 1)))
 
 
 def _behind(values: Floats, rows: int, of: Callable[..., Floats]) -> Floats:

@@ -6,13 +6,17 @@ filtered change. Both are exact, so that a filter that is found leaves nothing.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from pipeline.base.compiled import compiled
 from pipeline.device.parts import Butterworth, Coefficients, Difference, VelocityFilter
 from pipeline.measured.law.log_rows import SET_DIGITS
-from pipeline.records.batch import Booleans, Floats
+from pipeline.records.trials import Booleans, Floats
 
 HIGHEST_ORDER = 4
 """Of a recursive velocity filter that is looked for; the thesis and drives use 1 or 2."""
@@ -53,6 +57,15 @@ class VelocityFilterFound:
             return Butterworth(kind="butterworth", order=len(self.a) - 1, cutoff_hz=self.cutoff_hz)
         return Coefficients(kind="coefficients", b=self.b, a=self.a)
 
+    def gain(self, angles: Floats) -> NDArray[np.complex128]:
+        """Return its complex gain at some frequencies [rad a sample]."""
+        from numpy.polynomial.polynomial import polyval
+
+        delay = np.exp(-1j * angles)
+        # a pole may be as near to 1 as rounding
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(polyval(delay, self.b) / polyval(delay, self.a))
+
     def words(self) -> str:
         """Return what the filter does to the velocity."""
         if self.difference:
@@ -83,10 +96,10 @@ def find_filter(
     -----
     At an even speed a filter gives that speed: its gain at rest is 1. What has another one is another wall law.
     """
-    found = _difference(change, output, rows, tolerance) or _recursive(change, output, rows, tolerance)
-    if found is None or found.difference:
-        return found
-    return _butterworth(change, output, rows, found, tolerance, sampling_period_s) or found
+    result = _difference(change, output, rows, tolerance) or _recursive(change, output, rows, tolerance)
+    if result is None or result.difference:
+        return result
+    return _butterworth(change, output, rows, result, tolerance, sampling_period_s) or result
 
 
 def _difference(change: Floats, output: Floats, rows: Booleans, tolerance: Floats) -> VelocityFilterFound | None:
@@ -105,28 +118,24 @@ def _recursive(change: Floats, output: Floats, known: Booleans, tolerance: Float
     """
     for order in range(1, HIGHEST_ORDER + 1):
         back = range(1, order + 1)
-        columns = [change - _delayed(output, i) for i in back] + [_delayed(change, j) - change for j in back]
+        terms = np.stack(
+            [change - _delayed(output, i) for i in back] + [_delayed(change, j) - change for j in back], axis=1
+        )
         unknown = np.any([_delayed((~known).astype(np.float64), i) > 0 for i in (0, *back)], axis=0)
         rows = np.flatnonzero(~unknown)
-        terms = np.stack(columns, axis=1)
         if len(rows) < 4 * terms.shape[1] or (np.abs(output - change) <= tolerance)[rows].all():
             return None
-        # a row says as much as its digits do
+        # a row counts as much as its digits allow
         fitted = rows[rows >= np.argmax(change != 0)][:FITTED_ROWS]
         if not len(fitted):  # what is known all lies before the motion
             return None
-        weighed = terms[fitted] / tolerance[fitted, None]
-        scale = np.abs(weighed).max(axis=0)
-        scale[scale == 0] = 1.0
-        wanted = (output - change)[fitted] / tolerance[fitted]
-        coefficients = np.linalg.lstsq(weighed / scale, wanted, rcond=None)[0] / scale
+        error_sizes = tolerance[fitted]
+        coefficients = least_squares(terms[fitted] / error_sizes[:, None], (output - change)[fitted] / error_sizes)
         error = np.abs(terms @ coefficients - (output - change))
         feedback, forward = coefficients[:order], coefficients[order:]
         a, b = (1.0, *feedback.tolist()), (float(1 + feedback.sum() - forward.sum()), *forward.tolist())
         # one unit of rounding in each term of the sum
-        allowed = abs(b[0]) * tolerance + sum(
-            (abs(a[i]) * (i < len(a)) + abs(b[i]) * (i > 0)) * _delayed(tolerance, i) for i in (0, *back)
-        )
+        allowed = (1 + abs(b[0])) * tolerance + sum((abs(a[i]) + abs(b[i])) * _delayed(tolerance, i) for i in back)
         if (error <= allowed)[rows].all() and np.abs(np.roots(a)).max(initial=0.0) < 1:
             return VelocityFilterFound(b, a)
     return None
@@ -141,32 +150,81 @@ def _butterworth(
     too. Here the filter runs along the log, which is not.
     """
     from scipy.optimize import minimize_scalar
-    from scipy.signal import butter, freqz, lfilter
 
-    with np.errstate(divide="ignore", invalid="ignore"):  # a pole may be as near to 1 as rounding
-        angles, gain = freqz(near.b, near.a, 2048)
-    below = np.flatnonzero(np.abs(gain) < np.sqrt(0.5) * np.abs(gain[0]))
+    angles = np.linspace(0.0, np.pi, 2048, endpoint=False)
+    gain = np.abs(near.gain(angles))
+    below = np.flatnonzero(gain < np.sqrt(0.5) * gain[0])
     if not len(below) or below[0] == 0:
         return None
-    nyquist = 0.5 / period
-    middle = float(angles[below[0]] / np.pi)
+    nyquist, middle = 0.5 / period, float(np.log(angles[below[0]] / np.pi))
+    bounds = (middle - np.log(2.0), min(middle + np.log(2.0), 0.0))
 
     def error(logarithm: float, order: int) -> float:
-        b, a = butter(order, min(np.exp(logarithm), 1 - 1e-9))
-        return float((np.abs(lfilter(b, a, change) - output) / tolerance)[rows].max(initial=0.0))
+        output_of = filtered(*butterworth(order, min(np.exp(logarithm), 1 - 1e-9)), change)
+        return float((np.abs(output_of - output) / tolerance)[rows].max(initial=0.0))
 
     for order in range(len(near.a) - 1, HIGHEST_ORDER + 1):
-        width = np.log(2.0)
-        best = minimize_scalar(
-            error, bounds=(np.log(middle) - width, min(np.log(middle) + width, 0.0)), args=(order,), method="bounded",
-            options={"xatol": 1e-10},
-        )  # fmt: skip
+        best = minimize_scalar(error, bounds=bounds, args=(order,), method="bounded", options={"xatol": 1e-10})
         exact = np.exp(best.x) * nyquist
         for cutoff in (float(f"{exact:.{SET_DIGITS}g}"), float(f"{exact:.8g}")):
             if error(np.log(cutoff / nyquist), order) <= ROUNDED_CUTOFF:
-                b, a = butter(order, cutoff / nyquist)
+                b, a = butterworth(order, cutoff / nyquist)
                 return VelocityFilterFound(tuple(b.tolist()), tuple(a.tolist()), cutoff_hz=cutoff)
     return None
+
+
+def butterworth(order: int, cutoff: float) -> tuple[Floats, Floats]:
+    """Return b and a of a Butterworth low-pass by the bilinear transform, prewarped at the cut-off.
+
+    The cut-off is relative to half the sampling frequency.
+
+    Examples
+    --------
+    >>> b, a = butterworth(1, 0.5)
+    >>> b.round(3).tolist(), (a.round(3) + 0.0).tolist()
+    ([0.5, 0.5], [1.0, 0.0])
+    """
+    poles = -np.tan(0.5 * np.pi * cutoff) * np.exp(0.5j * np.pi * np.arange(1 - order, order, 2) / order)
+    gain = float(np.prod(-poles / (1 - poles)).real)
+    b = gain * np.array([math.comb(order, i) for i in range(order + 1)])
+    return b, np.asarray(np.poly((1 + poles) / (1 - poles)).real, np.float64)
+
+
+def filtered(b: Sequence[float] | Floats, a: Sequence[float] | Floats, x: Floats) -> Floats:
+    """Return what a filter b(z)/a(z), a[0] = 1, makes of a signal (N,) from rest.
+
+    Examples
+    --------
+    >>> filtered([0.5, 0.5], [1.0], np.array([1.0, 1.0, 0.0])).tolist()
+    [0.5, 1.0, 0.5]
+    """
+    order = max(len(b), len(a))
+    padded = [np.append(part, np.zeros(order - len(part))) for part in (b, a)]
+    return _filtered(padded[0], padded[1], np.ascontiguousarray(x))
+
+
+@compiled("f8[::1](f8[::1], f8[::1], f8[::1])")
+def _filtered(b: Floats, a: Floats, x: Floats) -> Floats:
+    """Return y = b(z)/a(z) x, shape (N,): y_k = b_0 x_k + z_0, z_i = z_{i+1} + b_{i+1} x_k - a_{i+1} y_k.
+
+    ``b`` and ``a`` have the same length, a[0] = 1. Source: Oppenheim and Schafer, Discrete-Time Signal Processing,
+    transposed direct form II.
+    """
+    y = np.empty_like(x)
+    z = np.zeros(len(b))
+    for k in range(len(x)):
+        y[k] = b[0] * x[k] + z[0]
+        for i in range(len(b) - 1):
+            z[i] = z[i + 1] + b[i + 1] * x[k] - a[i + 1] * y[k]
+    return y
+
+
+def least_squares(terms: Floats, values: Floats) -> Floats:
+    """Return the factors of terms, shape (N, terms), whose sum is nearest to values; 0 for a term of zeros."""
+    size = np.abs(terms).max(axis=0)
+    size[size == 0] = 1.0
+    result: Floats = np.linalg.lstsq(terms / size, values, rcond=None)[0] / size
+    return result
 
 
 def _delayed(values: Floats, samples: int) -> Floats:

@@ -1,8 +1,8 @@
 """Does a logged command obey the wall law, and if not, why: seen in the log alone, before anything rests on it.
 
 The law is u_k = F_k - K (x_k - x_0) - B (x_k - x_{k-1})/T with F_k = 0 before the edge and F_0 from it on. Of a
-controller that applies it nothing but rounding is left in u + K (x - x_0) + B dx/T - F. What is left otherwise has a
-shape by which its cause is known: `candidates` are held against the command in the order of what they leave free.
+controller that applies it only rounding remains in u + K (x - x_0) + B dx/T - F. What remains otherwise has a shape
+that shows its cause: `candidates` are compared with the command in the order of the numbers that they leave free.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from pipeline.measured.law.stamps import ODD, Stamps, read_stamps
 from pipeline.measured.law.velocity_filter import VelocityFilterFound
 from pipeline.measured.signal.response import Response, external_force
 from pipeline.measured.student import ROUNDING
-from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.findings import MATTERS
+from pipeline.records.trials import Booleans, Integers, Trial
 
 PRINTED_IN_FULL = float(ROUNDINGS**2 * np.finfo(np.float64).eps)
 """Rounding of the law relative to its largest force where all numbers are printed in full, as `LogRows.of` has it."""
@@ -27,65 +27,62 @@ PRINTED_IN_FULL = float(ROUNDINGS**2 * np.finfo(np.float64).eps)
 
 @dataclass(frozen=True, eq=False)
 class WallLaw:
-    """Residual of the law of each trial, shape (n,), and why it is not rounding.
+    """Residual of the law of a trial, and why it is not rounding.
 
     Parameters
     ----------
-    residual : float64
+    residual : float
         Largest |u + K (x - x_0) + B dx/T - F| relative to |F_0|; NaN without a command edge.
-    rounding : float64
-        What rounding of the printed numbers leaves of it at most.
-    departures : tuple of tuple of Departure
-        Why it is more, most certain first; empty where the law holds.
-    accounts : tuple of Account or None
-        What explains the rows of each log that was looked at row by row.
+    rounding : float
+        Largest part of it that rounding of the printed numbers can cause.
+    departures : tuple of Departure
+        Why it is more, most certain first; empty where the law is obeyed.
+    account : Account, optional
+        What explains the rows of a log that was examined row by row.
     """
 
-    residual: Floats
-    rounding: Floats
-    departures: tuple[tuple[Departure, ...], ...]
-    accounts: tuple[Account | None, ...]
+    residual: float
+    rounding: float
+    departures: tuple[Departure, ...] = ()
+    account: Account | None = None
 
     @property
-    def evidence(self) -> list[str]:
-        """Evidence of the departures of each trial, as one text."""
-        return ["; ".join(each.evidence for each in departures) for departures in self.departures]
+    def evidence(self) -> str:
+        """Evidence of the departures as one text."""
+        return "; ".join(departure.evidence for departure in self.departures)
 
     @property
-    def filters(self) -> list[VelocityFilterFound | None]:
-        """Velocity filter of each trial, None where its log shows none."""
-        return [next((each.filter for each in shown if each.filter is not None), None) for shown in self.departures]
+    def filter(self) -> VelocityFilterFound | None:
+        """Velocity filter; None where the log shows none."""
+        return next((departure.filter for departure in self.departures if departure.filter is not None), None)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class OtherWalls:
-    """Of each trial K, B and step that its command obeys, shape (n, 3), NaN where the stated ones; and this in words.
+    """K, B and step that a command obeys, NaN where they are the stated ones; and in words, empty where they are."""
 
-    ``reason`` is empty where the command obeys what its header states.
-    """
-
-    obeyed: Floats
-    reason: tuple[str, ...]
+    obeyed: tuple[float, float, float] = (np.nan, np.nan, np.nan)
+    reason: str = ""
 
 
 def other_walls(law: WallLaw) -> OtherWalls:
-    """Return which commands obey another wall or step than stated: nothing in K and B rests on them."""
-    obeyed, reason = np.full((len(law.departures), 3), np.nan), [""] * len(law.departures)
-    for i, found in enumerate(law.departures):
-        other = next((each for each in found if each.obeyed is not None), None)
-        if other is not None and law.residual[i] > MATTERS:
-            obeyed[i], reason[i] = other.obeyed, other.evidence
-    return OtherWalls(obeyed, tuple(reason))
+    """Return which other wall or step than stated a command obeys: its log says nothing of the stated K and B."""
+    if law.residual > MATTERS:
+        for departure in law.departures:
+            if departure.obeyed is not None:
+                return OtherWalls(departure.obeyed, departure.evidence)
+    return OtherWalls()
 
 
-def wall_law(batch: TrialBatch, response: Response) -> WallLaw:
-    """Hold the logged command of each trial against the wall law.
+def wall_law(trial: Trial, response: Response) -> WallLaw:
+    """Compare the logged command of a trial with the wall law.
 
     Parameters
     ----------
-    batch : TrialBatch
+    trial : Trial
+        With the stamps as logged.
     response : Response
-        Of the same trials.
+        Of this trial.
 
     Returns
     -------
@@ -98,46 +95,30 @@ def wall_law(batch: TrialBatch, response: Response) -> WallLaw:
 
     Source: Hulin 2017, eqs. 3.9 and 3.10 (wall), sec. 6.1.1 (command as logged).
     """
-    n = len(batch)
-    residual, rounding = np.full(n, np.nan), np.full(n, np.nan)
-    departures: list[tuple[Departure, ...]] = [()] * n
-    accounts: list[Account | None] = [None] * n
-    for place, some in batch.portions():
-        of, external = response.select(place), external_force(some)
-        seen = of.has_edge & (some.step != 0)
-        size = np.abs(np.where(seen, some.step, np.nan))
-        off, least = _largest_residual(some, of, external)
-        residual[place], rounding[place] = off / size, least / size
-        for i in np.flatnonzero(seen & ((off > least) | _odd_rows(some, of))):
-            log = LogRows.of(some, of, int(i))
-            rounding[place.start + i] = log.rounding.max() / size[i]
-            accounts[place.start + i] = of_rows = account(log)
-            departures[place.start + i] = tuple(_departures(of_rows, log))
-    for i in np.flatnonzero(response.steps > 1):
-        found = Departure("several_steps", response.edge_reason[i], int(batch.rows[i]))
-        departures[i] = (found,)
-    return WallLaw(residual, rounding, tuple(departures), tuple(accounts))
+    if response.steps > 1:
+        return WallLaw(np.nan, np.nan, (Departure("several_steps", response.edge_reason, trial.rows),))
+    edge, size = response.edge_row, abs(trial.step)
+    if edge < 0 or size == 0:
+        return WallLaw(np.nan, np.nan)
+    residuals = external_force(trial)
+    rounding = PRINTED_IN_FULL * float(np.abs(residuals).max())
+    residuals[edge:] -= trial.step
+    residual = float(np.abs(residuals).max())
+    if residual <= rounding and not _has_odd_rows(trial, response):
+        return WallLaw(residual / size, rounding / size)
+    log = LogRows.of(trial, response)
+    rows = account(log)
+    return WallLaw(residual / size, float(log.rounding.max()) / size, tuple(_departures(rows, log)), rows)
 
 
-def _largest_residual(batch: TrialBatch, response: Response, external: Floats) -> tuple[Floats, Floats]:
-    """Return the largest residual of each log, and what rounding leaves of it where all is printed in full [N, Nm]."""
-    after = np.arange(external.shape[1]) >= response.edge_row[:, None]
-    off = np.abs(external - batch.step[:, None] * after)
-    return np.fmax.reduce(off, axis=1), PRINTED_IN_FULL * np.fmax.reduce(np.abs(external), axis=1)
-
-
-def _odd_rows(batch: TrialBatch, response: Response) -> Booleans:
-    """Return which logs skip rows by their stamps, or stand still in single rows, shape (n,)."""
-    steps = np.diff(batch.time, axis=1) / batch.sampling_period_s[:, None]
-    odd: Booleans = np.any(np.abs(steps - 1) > ODD, axis=1, keepdims=True)[:, 0]
-    change = np.diff(batch.position, axis=1, prepend=batch.position[:, :1])
-    # most logs of a device that is read exactly never stand still after the step
-    after = np.arange(change.shape[1]) >= response.edge_row[:, None]
-    some = np.flatnonzero(((change == 0) & after).any(axis=1))
-    span = np.fmax.reduce(batch.position[some], axis=1) - np.fmin.reduce(batch.position[some], axis=1)
-    still = stands_still(change[some], after[some], (STILL_FLOORS * response.floor[some] + ROUNDING * span)[:, None])
-    odd[some] |= still.sum(axis=1) >= PLATEAU
-    return odd
+def _has_odd_rows(trial: Trial, response: Response) -> bool:
+    """Return whether a log skips rows by its stamps, or stands still in single rows."""
+    steps = (trial.time[1:] - trial.time[:-1]) / trial.sampling_period_s
+    if (np.abs(steps - 1) > ODD).any():
+        return True
+    change = np.diff(trial.position, prepend=trial.position[:1])
+    least = STILL_FLOORS * response.floor + ROUNDING * float(np.ptp(trial.position))
+    return len(stands_still(change, response.edge_row, least)) >= PLATEAU
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,34 +151,40 @@ def account(log: LogRows) -> Account:
     log = log.without(np.append(0, stamps.skipped) > 0)
     if stamps.period != log.period and explanation(log) != ():  # else the control keeps the time of the header
         log = replace(log, period=stamps.period)
-    held, repeats = repeated_rows(log, by_law=False), repeated_rows(log)
-    found = explanation(log)
-    if found is None and len(repeats):
-        found = explanation(log.without(_beside(repeats, len(log.command))))
-        held = held if found is None else repeats
-    if found is not None:
-        return Account(log, stamps, held, 0, found)
-    found = hidden(replace(log, kept=np.ones_like(log.kept)))
-    return Account(log, stamps, held[: 0 if found else None], found[0].rows if found else 0, found)
+    still, repeated = repeated_rows(log)
+    departures = explanation(log)
+    if departures is not None:
+        return Account(log, stamps, still, 0, departures)
+    if len(repeated):
+        departures = explanation(log.without(_with_next(repeated, len(log.command))))
+        if departures is not None:
+            return Account(log, stamps, repeated, 0, departures)
+    departures = hidden(replace(log, kept=np.ones_like(log.kept)))
+    if departures is not None:
+        return Account(log, stamps, still[:0], departures[0].rows, departures)
+    return Account(log, stamps, still, 0, None)
 
 
-def _departures(of: Account, log: LogRows) -> Iterator[Departure]:
+def _departures(rows: Account, log: LogRows) -> Iterator[Departure]:
     """Yield what departs from the law: what the stamps show, then the rows and the law that explain the command."""
-    if of.departures and of.departures[0].code == "decimated_rows":
-        yield from of.departures  # stamps and header may both be right
+    if rows.departures and rows.departures[0].code == "decimated_rows":
+        yield from rows.departures  # stamps and header may both be right
         return
-    yield from (told := [*_by_stamps(of.stamps, log)])
-    codes = {each.code for each in told}
-    if of.departures is not None:
-        yield from (each for each in (*_repeated(log, of.repeated), *of.departures) if each.code not in codes)
+    by_stamps = tuple(_by_stamps(rows.stamps, log))
+    yield from by_stamps
+    if rows.departures is not None:
+        codes = {departure.code for departure in by_stamps}
+        others = (*_repeated(log, rows.repeated), *rows.departures)
+        yield from (departure for departure in others if departure.code not in codes)
         return
-    off = of.log.kept & (np.abs(of.log.residual) > of.log.rounding)
-    largest = np.abs(of.log.residual[of.log.kept]).max(initial=0.0)
+    log = rows.log
+    off = log.kept & (np.abs(log.residual) > log.rounding)
+    largest = np.abs(log.residual[log.kept]).max(initial=0.0)
     text = f"the logged command departs from the wall law by up to {largest:.3g}"
     yield Departure("unknown", f"{text}, in {int(off.sum())} of {len(off)} rows", int(off.sum()))
 
 
-def _beside(rows: Integers, count: int) -> Booleans:
+def _with_next(rows: Integers, count: int) -> Booleans:
     """Return those rows and the ones behind them: a change that is too small makes the next too large."""
     result = np.zeros(count + 1, dtype=np.bool_)
     result[rows] = result[rows + 1] = True
@@ -217,9 +204,10 @@ def _by_stamps(stamps: Stamps, log: LogRows) -> Iterator[Departure]:
         yield Departure("scattered_stamps", text, stamps.odd)
 
 
-def _repeated(log: LogRows, rows: Integers) -> Iterator[Departure]:
-    if len(rows):
-        both = int((log.command[rows] == log.command[rows - 1]).sum())
-        what = "rows repeat the one before" if both > len(rows) / 2 else "readings of the position are held"
-        text = f"{len(rows)} {what} while the device moves, first row {rows[0]}"
-        yield Departure("repeated_rows", text, len(rows))
+def _repeated(log: LogRows, rows: Integers) -> tuple[Departure, ...]:
+    if not len(rows):
+        return ()
+    whole = int((log.command[rows] == log.command[rows - 1]).sum()) > len(rows) / 2
+    what = "rows repeat the one before" if whole else "readings of the position are held"
+    text = f"{len(rows)} {what} while the device moves, first row {rows[0]}"
+    return (Departure("repeated_rows", text, len(rows)),)

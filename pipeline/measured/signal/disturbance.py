@@ -6,13 +6,15 @@ and delay that fit the experiment's trials best are taken for known; what is lef
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from pipeline.measured.signal.response import NO_ROW, Response
-from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch, TrialGroups
 from pipeline.records.criteria import SETTLING_BANDS
+from pipeline.records.trials import Floats, Integers, Trial, Trials
 
 LONGEST_DELAY = 12
 """Largest delay that is tried [samples], as many as the window of `modes` has room for."""
@@ -39,22 +41,22 @@ TYPICAL = 3.0
 event. It is told of eight trials and more."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Disturbance:
-    """Force beside the command in each trial, shape (n,).
+    """Force beside the command in a trial.
 
     Parameters
     ----------
-    first_row, largest_row : int64
+    first_row, largest_row : int
         First row about which the balance is broken, and row about which that force is largest; -1 where it is not
         broken, or cannot be told.
-    force : float64
+    force : float
         Largest such force, with its sign, averaged over some samples [N, Nm]; 0 where there is none.
     """
 
-    first_row: Integers
-    largest_row: Integers
-    force: Floats
+    first_row: int = NO_ROW
+    largest_row: int = NO_ROW
+    force: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -73,17 +75,16 @@ class PushResponse:
     least: float = 1.0
 
 
-def find_disturbance(batch: TrialBatch, response: Response, device: PushResponse) -> Disturbance:
+def find_disturbance(trial: Trial, response: Response, device: PushResponse) -> Disturbance:
     """Find the force that acts beside the command.
 
     Parameters
     ----------
-    batch : TrialBatch
-        Trials of one experiment: they share device and delay. Few and disturbed trials are judged worse.
+    trial : Trial
     response : Response
-        Of the same trials.
     device : PushResponse
-        What was learnt from all trials of the experiment (`fit_push_response`).
+        What was learnt from all trials of the experiment (`fit_push_response`): they share device and delay. From few
+        and disturbed trials less is learnt.
 
     Notes
     -----
@@ -92,99 +93,98 @@ def find_disturbance(batch: TrialBatch, response: Response, device: PushResponse
     and those in the first and last w samples of a log, are not seen. Valid for a device that is one mass in the range
     of the loop.
     """
-    n = len(batch)
-    first, largest, force = np.full(n, NO_ROW), np.full(n, NO_ROW), np.zeros(n)
-    for some, part in batch.portions():
-        if device.mass > 0 and part.position.shape[1] > 2 * device.span:
-            ratio, left = _ratio(part, response.edge_row[some], response.floor[some], device)
-            at, trial = np.argmax(ratio, axis=1), np.arange(len(part))
-            broken = ratio[trial, at] > device.least
-            first[some] = np.where(broken, np.argmax(ratio > device.least, axis=1) + device.span, NO_ROW)
-            largest[some] = np.where(broken, at + device.span, NO_ROW)
-            force[some] = np.where(broken, left[trial, at], 0.0)
-    return Disturbance(first, largest, force)
+    if not (device.mass > 0 and trial.rows > 2 * device.span):
+        return Disturbance()
+    ratio, left = _ratio(trial, response.edge_row, response.floor, device)
+    largest = int(ratio.argmax())
+    if not ratio[largest] > device.least:
+        return Disturbance()
+    first = int(np.argmax(ratio > device.least))
+    return Disturbance(first + device.span, largest + device.span, float(left[largest]))
 
 
-def fit_push_response(
-    groups: TrialGroups, edge_row: Integers, floor: Floats, rows: Integers, step: Floats, period_s: Floats
-) -> PushResponse:
+def fit_push_response(trials: Trials, edge_row: Integers, floor: Floats) -> PushResponse:
     """Fit the device of an experiment to some of its trials, by the least absolute error: disturbed ones hardly count.
 
     Parameters
     ----------
-    groups : TrialGroups
-        All samples of the experiment.
-    edge_row, floor, rows, step, period_s : shape (n,)
-        Of all trials, in its order: command edge (-1 for none), sensor floor [m, rad], number of samples, step
-        [N, Nm], sampling period [s].
+    trials : Trials
+        All trials of the experiment.
+    edge_row, floor : shape (n,)
+        Command edge (-1 for none) and sensor floor [m, rad] of each.
     """
+    rows = trials.rows
     usable = np.flatnonzero((edge_row >= 0) & (rows > edge_row + 2 * SHORTEST_SPAN))
     if not len(usable):
         return PushResponse()
-    by_hash = np.argsort(groups.of_trials("digests")[usable], kind="stable")
-    some = np.sort(usable[by_hash[:FITTED_TRIALS]])
-    first = np.where(rows[some] > FITTED_ROWS, np.maximum(edge_row[some] - 4 * SHORTEST_SPAN, 0), 0)
-    trials, edge = groups.cut(some, first, np.minimum(rows[some] - first, FITTED_ROWS)), edge_row[some] - first
-    device = _fit(trials, edge)
+    by_hash = np.argsort(np.array(trials.digests)[usable], kind="stable")
+    fitted = np.sort(usable[by_hash[:FITTED_TRIALS]])
+    first = np.where(rows > FITTED_ROWS, np.maximum(edge_row - 4 * SHORTEST_SPAN, 0), 0)
+    windows = [
+        (trials[place].window(int(first[place]), min(int(rows[place] - first[place]), FITTED_ROWS)), edge)
+        for place, edge in zip(fitted.tolist(), (edge_row - first)[fitted].tolist(), strict=True)
+    ]
+    device = _fit(windows)
     if not device.mass > 0:
         return PushResponse()
     sensor = SENSOR_FLOORS * np.percentile(floor[usable], 75) * device.mass
-    smallest = SMALLEST_FORCE * float(np.median(np.abs(step[usable])))
-    span = np.ceil(np.sqrt(sensor / smallest) / float(np.median(period_s)))
+    smallest = SMALLEST_FORCE * float(np.median(np.abs(trials.step[usable])))
+    span = np.ceil(np.sqrt(sensor / smallest) / float(np.median(trials.sampling_period_s)))
     device = replace(device, span=int(np.clip(span, SHORTEST_SPAN, LONGEST_SPAN)))
-    if len(some) >= 8 and trials.position.shape[1] > 2 * device.span:
-        largest = _ratio(trials, edge, floor[some], device)[0].max(axis=1, initial=0.0)
+    if len(fitted) >= 8 and max(trial.rows for trial, _ in windows) > 2 * device.span:
+        floors = floor[fitted].tolist()
+        ratios = (_ratio(trial, edge, own, device)[0] for (trial, edge), own in zip(windows, floors, strict=True))
+        largest = [ratio.max(initial=0.0) for ratio in ratios]
         device = replace(device, least=max(1.0, TYPICAL * float(np.median(largest))))
     return device
 
 
-def _fit(trials: TrialBatch, edge: Integers) -> PushResponse:
-    """Fit mass, damping, stiffness and delay to trials of an experiment."""
-    span, command = SHORTEST_SPAN, np.nan_to_num(trials.command)
-    acceleration = _second_difference(trials.displacement, span) / trials.sampling_period_s[:, None] ** 2
-    inside = _inside(trials, edge, span)
-    scale = np.max(np.where(inside, np.abs(_triangle(_held(command), span)), 0.0), axis=1, initial=0.0)
-    scale = np.where(scale > 0, scale, 1.0)[:, None]
-    own = (_triangle(values, span) for values in (_velocity(trials), np.nan_to_num(trials.displacement)))
-    y, v, x = ((values / scale)[inside] for values in (acceleration, *own))
+def _fit(trials: Sequence[tuple[Trial, int]]) -> PushResponse:
+    """Fit mass, damping, stiffness and delay to trials of an experiment, each with its edge row."""
+    span = SHORTEST_SPAN
+    behind = [slice(max(edge + 1 - span, 0), None) for _, edge in trials]
+    forces = [_triangle(_held(trial.command), span)[rows] for (trial, _), rows in zip(trials, behind, strict=True)]
+    scales = [float(np.abs(force).max(initial=0.0)) or 1.0 for force in forces]
+
+    def scaled(values: Callable[[Trial], Floats]) -> Floats:
+        parts = zip(trials, behind, scales, strict=True)
+        return np.concatenate([values(trial)[rows] / scale for (trial, _), rows, scale in parts])
+
+    y = scaled(lambda trial: _second_difference(trial.displacement, span) / trial.sampling_period_s**2)
+    v = scaled(lambda trial: _triangle(_velocity(trial), span))
+    x = scaled(lambda trial: _triangle(trial.displacement, span))
     best, least = PushResponse(), np.inf
-    for delay in range(min(LONGEST_DELAY, command.shape[1] - 1) + 1):
-        u = (_triangle(_held(_late(command, delay)), span) / scale)[inside]
+    for delay in range(min(LONGEST_DELAY, max(trial.rows for trial, _ in trials) - 1) + 1):
+        u = scaled(partial(_late_force, delay=delay))
         (inertia, damping, stiffness), error = _least_absolute(np.stack([u, v, x]), y)
         if error < least and inertia > 0:
             best, least = PushResponse(1 / inertia, -damping / inertia, -stiffness / inertia, delay), error
     return best
 
 
-def _inside(trials: TrialBatch, edge: Integers, span: int) -> Booleans:
-    """Return the rows from ``span`` on, about which a force is told: behind the step, with as many rows behind them."""
-    column = np.arange(max(trials.position.shape[1] - 2 * span, 0))[None, :] + span
-    inside: Booleans = (edge >= 0)[:, None] & (column > edge[:, None]) & (column < (trials.rows - span)[:, None])
-    return inside
+def _late_force(trial: Trial, delay: int) -> Floats:
+    return _triangle(_held(_late(trial.command, delay)), SHORTEST_SPAN)
 
 
-def _ratio(trials: TrialBatch, edge: Integers, floor: Floats, device: PushResponse) -> tuple[Floats, Floats]:
+def _ratio(trial: Trial, edge: int, floor: float, device: PushResponse) -> tuple[Floats, Floats]:
     """Return forces beyond all commands that may be in force, in units of the smallest to be believed, and as such.
 
-    From row span on [1], [N, Nm].
+    Shape (rows - 2 span,) each, from row span on [1], [N, Nm]; the former are 0 up to the step.
     """
-    span, period = device.span, trials.sampling_period_s[:, None]
-    weight = float(span * span)
-    acceleration = device.mass * _second_difference(trials.displacement, span) / (period * span) ** 2
-    own = device.damping * _velocity(trials) + device.stiffness * np.nan_to_num(trials.displacement)
-    own = _triangle(own, span) / weight
-    command = np.nan_to_num(trials.command)
-    choice = [_late(command, max(device.delay + shift, 0)) for shift in (-1, 0, 1)]
-    lowest, highest = (
-        _triangle(_held(edge_of), span) / weight for edge_of in (np.minimum.reduce(choice), np.maximum.reduce(choice))
-    )
+    span, period = device.span, trial.sampling_period_s
+    weight, displacement = float(span * span), trial.displacement
+    acceleration = device.mass * _second_difference(displacement, span) / (period * span) ** 2
+    own = _triangle(device.damping * _velocity(trial) + device.stiffness * displacement, span) / weight
+    choice = [_late(trial.command, max(device.delay + shift, 0)) for shift in (-1, 0, 1)]
+    lowest, highest = (_triangle(_held(extreme.reduce(choice)), span) / weight for extreme in (np.minimum, np.maximum))
     outside = acceleration + own
     left = np.maximum(outside - highest, 0.0) + np.minimum(outside - lowest, 0.0)
-    sensor = SENSOR_FLOORS * device.mass * floor[:, None] / (period * span) ** 2
+    sensor = SENSOR_FLOORS * device.mass * floor / (period * span) ** 2
     model = SMALLEST_FORCE * (np.maximum(np.abs(lowest), np.abs(highest)) + 2 * np.abs(own))
-    limit = np.maximum(SMALLEST_FORCE * np.abs(trials.step)[:, None], sensor) + model
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(_inside(trials, edge, span), np.nan_to_num(np.abs(left) / limit), 0.0), left
+    limit = max(SMALLEST_FORCE * abs(trial.step), sensor) + model
+    ratio = np.divide(np.abs(left), limit, out=np.zeros_like(left), where=limit > 0)
+    ratio[: max(edge + 1 - span, 0) if edge >= 0 else None] = 0.0
+    return ratio, left
 
 
 def _least_absolute(design: Floats, values: Floats) -> tuple[Floats, float]:
@@ -203,35 +203,33 @@ def _least_absolute(design: Floats, values: Floats) -> tuple[Floats, float]:
     return solution / size, float(error.mean())
 
 
-def _velocity(trials: TrialBatch) -> Floats:
-    x = np.nan_to_num(trials.displacement)
-    velocity = np.zeros_like(x)
-    velocity[:, 1:-1] = (x[:, 2:] - x[:, :-2]) / (2 * trials.sampling_period_s[:, None])
+def _velocity(trial: Trial) -> Floats:
+    x, velocity = trial.displacement, np.zeros(trial.rows)
+    velocity[1:-1] = (x[2:] - x[:-2]) / (2 * trial.sampling_period_s)
     return velocity
 
 
 def _late(command: Floats, delay: int) -> Floats:
     shifted = np.zeros_like(command)
-    shifted[:, delay:] = command[:, : command.shape[1] - delay]
+    shifted[delay:] = command[: max(len(command) - delay, 0)]
     return shifted
 
 
 def _held(command: Floats) -> Floats:
     """Mean of the command over the two intervals at each row: its second difference is exact for held commands."""
-    before = np.zeros_like(command)
-    before[:, 1:] = command[:, :-1]
-    mean: Floats = 0.5 * (command + before)
-    return mean
+    mean = command.copy()
+    mean[1:] += command[:-1]
+    return 0.5 * mean
 
 
-def _second_difference(position: Floats, span: int) -> Floats:
-    x = np.nan_to_num(position)
-    result: Floats = x[:, 2 * span :] - 2 * x[:, span : x.shape[1] - span] + x[:, : x.shape[1] - 2 * span]
-    return result
+def _second_difference(values: Floats, span: int) -> Floats:
+    """Return values_{k+span} - 2 values_k + values_{k-span}, for each row k that has span rows before and behind it."""
+    rows = max(len(values) - 2 * span, 0)
+    return values[2 * span :][:rows] - 2 * values[span : span + rows] + values[:rows]
 
 
 def _triangle(values: Floats, span: int) -> Floats:
     """Sum of (span - |i|) values_{k+i}, for each row k that has span rows before and behind it."""
-    twice = np.zeros((len(values), values.shape[1] + 1))
-    np.cumsum(np.cumsum(values, axis=1), axis=1, out=twice[:, 1:])
-    return _second_difference(twice, span)[:, :-1] if values.shape[1] > 2 * span else np.zeros((len(values), 0))
+    twice = np.zeros(len(values) + 1)
+    np.cumsum(np.cumsum(values), out=twice[1:])
+    return _second_difference(twice, span)[: max(len(values) - 2 * span, 0)]

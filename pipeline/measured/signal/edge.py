@@ -12,7 +12,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+from pipeline.base.compiled import compiled
+from pipeline.recording.samples import middle
+from pipeline.records.trials import Booleans, Floats, Integers, Trial
 
 NO_ROW = -1
 """Edge row of a trial without an identifiable command edge."""
@@ -62,32 +64,38 @@ AGAINST = (
 """Why a log has no edge."""
 
 
-@dataclass(frozen=True, eq=False)
-class Edges:
-    """Row of the command edge (-1 for none), level before it, number of steps, and why there is no edge, shape (n,)."""
+@dataclass(frozen=True)
+class Edge:
+    """Row of the command edge (-1 for none), level before it [N, Nm], number of steps, and why there is no edge."""
 
-    row: Integers
-    level: Floats
-    steps: Integers
-    reason: tuple[str, ...]
+    row: int
+    level: float
+    steps: int
+    reason: str
 
 
-def external_force(batch: TrialBatch) -> Floats:
-    """Return command plus wall force, shape (n, N) [N, Nm]: the external step as the controller added it.
+def external_force(trial: Trial) -> Floats:
+    """Return command plus wall force, shape (rows,) [N, Nm]: the external step as the controller added it.
 
     The wall force is K (x_k - x_0) + B (x_k - x_{k-1})/T with x_{-1} = x_0.
     """
-    change = np.diff(batch.position, axis=1, prepend=batch.position[:, :1])
-    damping_per_sample = batch.damping / batch.sampling_period_s
-    return batch.command + batch.stiffness[:, None] * batch.displacement + damping_per_sample[:, None] * change
+    damping_per_sample = trial.damping / trial.sampling_period_s
+    return trial.command + trial.stiffness * trial.displacement + damping_per_sample * position_change(trial)
 
 
-def find_edges(batch: TrialBatch) -> Edges:
-    """Find the one step of each trial.
+def position_change(trial: Trial) -> Floats:
+    """Return the change of the position since the row before, 0 in the first row, shape (rows,) [m, rad]."""
+    change = np.zeros_like(trial.position)
+    np.subtract(trial.position[1:], trial.position[:-1], out=change[1:])
+    return change
+
+
+def find_edge(trial: Trial) -> Edge:
+    """Find the one step of a trial.
 
     Parameters
     ----------
-    batch : TrialBatch
+    trial : Trial
 
     Notes
     -----
@@ -95,56 +103,52 @@ def find_edges(batch: TrialBatch) -> Edges:
     level than 0, as at an operating point, the edge is the first row in which it leaves that, by the step. Two or more
     jumps between levels are several steps, which no row tells apart.
     """
-    external = external_force(batch)
-    sign, half = np.sign(batch.step)[:, None], 0.5 * np.abs(batch.step)[:, None]
-    towards = np.nan_to_num(external * sign)
-    first, found = _first_run(towards > half)
-    opposite, against = _first_run(towards < -half)
-    against &= opposite < first
-    moves = _moves(batch, towards, half, first + EDGE_SAMPLES)
-    row = np.where(found & (first > 0) & moves & ~against, first, NO_ROW).astype(np.int64)
-    level, count = np.zeros(len(batch)), np.zeros(len(batch), dtype=np.int64)
-    reasons = []
-    for i, step in enumerate(batch.step.tolist()):
-        force, reason = external[i, : batch.rows[i]], ""
-        steps = _steps(force, step, batch.damping[i]) if step else []
-        count[i] = len(steps)
-        if step == 0:
-            reason = "no step was commanded (step is 0)"
-        elif len(steps) > 1:
-            row[i], reason = NO_ROW, _told(force, steps)
-        elif (raised := _from_level(force, step)) is not None:
-            row[i], level[i], reason = raised
-        elif row[i] != NO_ROW:
-            level[i] = level_before(force, int(row[i]), step)
-        elif not found[i]:
-            reason = NEVER.format(step=step, samples=EDGE_SAMPLES)
-        else:
-            why = NO_BASELINE if first[i] == 0 else OTHER_COMMAND if not moves[i] else AGAINST
-            reason = why.format(step=step, row=opposite[i] if why is AGAINST else first[i])
-        reasons.append(reason)
-    return Edges(row, level, count, tuple(reasons))
+    step = trial.step
+    if step == 0:
+        return Edge(NO_ROW, 0.0, 0, "no step was commanded (step is 0)")
+    force = external_force(trial)
+    steps = _steps(force, step, trial.damping)
+    if len(steps) > 1:
+        return Edge(NO_ROW, 0.0, len(steps), _list_steps(force, steps))
+    raised = _from_level(force, step)
+    if raised is not None:
+        return Edge(raised[0], raised[1], len(steps), raised[2])
+    towards, half = force * np.sign(step), 0.5 * abs(step)
+    row = first_run(towards > half)
+    opposite = first_run(towards < -half)
+    reason = ""
+    if row == NO_ROW:
+        reason = NEVER.format(step=step, samples=EDGE_SAMPLES)
+    elif row == 0:
+        reason = NO_BASELINE
+    elif not _moves(trial, towards, half, row + EDGE_SAMPLES):
+        reason = OTHER_COMMAND.format(step=step, row=row)
+    elif NO_ROW < opposite < row:
+        reason = AGAINST.format(step=step, row=opposite)
+    if reason:
+        return Edge(NO_ROW, 0.0, len(steps), reason)
+    return Edge(row, level_before(force, row, step), len(steps), "")
 
 
-def _moves(batch: TrialBatch, towards: Floats, half: Floats, until: Integers) -> Booleans:
-    """Return whether the command itself takes part in a force that reaches half the step, shape (n,).
+def _moves(trial: Trial, towards: Floats, half: float, until: int) -> bool:
+    """Return whether the command itself takes part in a force that reaches half the step.
 
     Where it has a wrong unit or is another signal, the wall force alone crosses half the step, only later; a chatter
     before the step may be larger than it, of either sign. Of a slow ramp the wall takes before it reaches half the
     step; what stays on its level while the command still moves is no wall force either.
     """
-    column, command = np.arange(towards.shape[1])[None, :], np.nan_to_num(np.abs(batch.command))
-    early = column < until[:, None]
-    off = batch.valid & ~(np.abs(towards - 2 * half) <= 2 * LEVEL * half)
-    behind = batch.valid & (column > np.max(np.where(off, column, -1), axis=1, initial=-1)[:, None])
-    moves = ((command > half) & early) | ((command > 2 * JUMP * half) & behind)
-    return np.asarray(np.any(moves, axis=1, keepdims=True)[:, 0])
+    command = np.abs(trial.command)
+    if (command[:until] > half).any():
+        return True
+    off = np.flatnonzero(np.abs(towards - 2 * half) > 2 * LEVEL * half)
+    behind = int(off[-1]) + 1 if len(off) else 0
+    return bool((command[behind:] > 2 * JUMP * half).any())
 
 
 def level_before(force: Floats, row: int, step: float) -> float:
     """Return the level of a force in the rows before one [N, Nm]; 0 where it is on none, or on one near to 0."""
     near = LEVEL * abs(step)
-    level = float(np.median(force[:row])) if row > 0 else 0.0
+    level = middle(force[:row]) if row > 0 else 0.0
     return level if abs(level) > near and np.abs(force[:row] - level).max() <= near else 0.0
 
 
@@ -156,12 +160,11 @@ def _from_level(force: Floats, step: float) -> tuple[int, float, str] | None:
     start = level_before(force, EDGE_SAMPLES, step)
     if start == 0:
         return None
-    away, leaves = _first_run((np.abs(force - start) > LEVEL * abs(step))[None, :])
-    edge = int(away[0])
+    edge = first_run(np.abs(force - start) > LEVEL * abs(step))
     reached = force[edge : edge + EDGE_SAMPLES]
-    if not leaves[0] or np.ptp(reached) > LEVEL * abs(step):
+    if edge == NO_ROW or np.ptp(reached) > LEVEL * abs(step):
         return None
-    jump = float(np.median(reached)) - start
+    jump = middle(reached) - start
     if abs(jump - step) <= JUMP * abs(step):
         return edge, start, ""
     return (
@@ -171,52 +174,75 @@ def _from_level(force: Floats, step: float) -> tuple[int, float, str] | None:
     )
 
 
-def first_step_alone(batch: TrialBatch) -> TrialBatch:
+def first_step_alone(trial: Trial) -> Trial:
     """Return a trial with several steps up to its second one."""
-    force = external_force(batch)[0, : batch.rows[0]]
-    return batch.window(0, _steps(force, float(batch.step[0]), batch.damping[0])[1])
+    return trial.window(0, _steps(external_force(trial), trial.step, trial.damping)[1])
 
 
 def _steps(force: Floats, step: float, damping: float) -> list[int]:
     """Return the rows in which a force jumps from a level to another one."""
     smallest = JUMP if damping else UNDAMPED_JUMP
-    near = LEVEL * abs(step)
-    rows = np.flatnonzero(np.abs(np.diff(force)) > smallest * abs(step)) + 1
-    if len(rows) < 2:
-        return [int(row) for row in rows]
-    before = (force[max(row - LEVEL_ROWS, 0) : row] for row in rows)
-    behind = (force[row : row + LEVEL_ROWS] for row in rows)
-    return [
-        int(row)
-        for row, a, b in zip(rows, before, behind, strict=True)
-        if np.ptp(a) <= near and np.ptp(b) <= near and min(len(a), len(b)) >= EDGE_SAMPLES
-    ]
+    rows = np.flatnonzero(np.abs(force[1:] - force[:-1]) > smallest * abs(step)) + 1
+    if len(rows) >= 2:
+        rows = rows[_between_levels(force, rows, LEVEL * abs(step), LEVEL_ROWS, EDGE_SAMPLES)]
+    return [int(row) for row in rows]
 
 
-def _told(force: Floats, steps: list[int]) -> str:
+@compiled("b1[::1](f8[::1], i8[::1], f8, i8, i8)")
+def _between_levels(force: Floats, rows: Integers, near: float, most: int, fewest: int) -> Booleans:
+    """Return whether a force is on a level before and behind each of some rows.
+
+    Parameters
+    ----------
+    force : float64, shape (rows of the trial,)
+    rows : int64, shape (jumps,)
+        First row behind each jump.
+    near : float
+        Largest range of a level [N, Nm].
+    most, fewest : int
+        Rows on either side that are looked at, and that there must be.
+    """
+    result = np.ones(len(rows), dtype=np.bool_)
+    for jump in range(len(rows)):
+        row = rows[jump]
+        for first, end in ((max(row - most, 0), row), (row, min(row + most, len(force)))):
+            low = high = force[first]
+            for k in range(first, end):
+                low, high = min(low, force[k]), max(high, force[k])
+            if high - low > near or end - first < fewest:
+                result[jump] = False
+    return result
+
+
+def _list_steps(force: Floats, steps: list[int]) -> str:
     ends = [*steps[1:], len(force)]
     levels = [
-        float(np.median(force[: steps[0]])),
-        *(float(np.median(force[a:b])) for a, b in zip(steps, ends, strict=True)),
+        middle(force[: steps[0]]),
+        *(middle(force[a:b]) for a, b in zip(steps, ends, strict=True)),
     ]
-    told = [f"row {row} ({a:.4g} to {b:.4g})" for row, (a, b) in zip(steps, pairwise(levels), strict=True)]
-    more = f" and {len(told) - LISTED_STEPS} more" if len(told) > LISTED_STEPS else ""
+    listed = [f"row {row} ({a:.4g} to {b:.4g})" for row, (a, b) in zip(steps, pairwise(levels), strict=True)]
+    more = f" and {len(listed) - LISTED_STEPS} more" if len(listed) > LISTED_STEPS else ""
     return (
-        f"several steps: {', '.join(told[:LISTED_STEPS])}{more}; cut the log into one step each, by [[steps]] of a "
+        f"several steps: {', '.join(listed[:LISTED_STEPS])}{more}; cut the log into one step each, by [[steps]] of a "
         "profile or by recording them apart"
     )
 
 
 def lasting(rows: Booleans, samples: int) -> Booleans:
-    """Return the rows from which on so many are true, shape (n, N)."""
-    padded = np.pad(rows, ((0, 0), (0, samples)))
-    runs = np.lib.stride_tricks.sliding_window_view(padded, samples, axis=1)[:, :-1]
-    return np.asarray(runs.all(axis=2))
+    """Return the rows from which on so many are true, shape (rows,)."""
+    result = rows.copy()
+    for ahead in range(1, samples):
+        result[:-ahead] &= rows[ahead:]
+        result[-ahead:] = False
+    return result
 
 
-def _first_run(rows: Booleans) -> tuple[Integers, Booleans]:
-    """Return the first row from which on `EDGE_SAMPLES` rows are true, shape (n,), and whether there is one."""
+def first_run(rows: Booleans) -> int:
+    """Return the first row from which on `EDGE_SAMPLES` rows are true, -1 where there is none.
+
+    >>> first_run(np.array([True, False, True, True, True, True]))
+    2
+    """
     stays = lasting(rows, EDGE_SAMPLES)
-    first = np.argmax(stays, axis=1) if stays.shape[1] else np.zeros(len(stays))
-    found: Booleans = np.any(stays, axis=1, keepdims=True)[:, 0]
-    return first.astype(np.int64), found
+    first = int(stays.argmax()) if len(stays) else 0
+    return first if len(stays) and stays[first] else NO_ROW

@@ -8,7 +8,7 @@ from pipeline.measured.signal.disturbance import LONGEST_DELAY, Disturbance, Pus
 from pipeline.measured.signal.edge import BENT, lasting
 from pipeline.measured.signal.modes import FEWEST_SAMPLES
 from pipeline.measured.signal.response import NO_ROW, SETTLED_SAMPLES, Response, external_force
-from pipeline.records.batch import Floats, Integers, TrialBatch
+from pipeline.records.trials import Booleans, Floats, Integers, Trial
 
 IMPACT = 6.0
 """Last change before a stand, in floors: a smooth turn that stays within a floor and the rounding of a quantum for 5
@@ -32,14 +32,13 @@ def usual_length(rows: Integers) -> int:
     return int(lengths[len(counts) - 1 - np.argmax(counts[::-1])]) if len(counts) else 0
 
 
-def left_travel(batch: TrialBatch, response: Response, usual: int) -> Integers:
-    """Return the last row of logs that ended because the device left its travel, -1 for others, shape (n,).
+def left_travel(trial: Trial, response: Response, usual: int) -> int:
+    """Return the last row of a log that ended because the device left its travel, -1 for another.
 
     Parameters
     ----------
-    batch : TrialBatch
+    trial : Trial
     response : Response
-        Of the same trials.
     usual : int
         Rows of most logs of the experiment: a shorter one ended early.
 
@@ -50,26 +49,24 @@ def left_travel(batch: TrialBatch, response: Response, usual: int) -> Integers:
     recording was stopped by hand at that moment looks the same. In an experiment whose logs all end early, or
     of a single log, it cannot be told.
     """
-    centre = np.where(batch.stiffness > 0, response.position_final_expected, response.position_start)
-    distance = np.where(batch.valid, np.abs(batch.position - centre[:, None]), 0.0)
-    last = np.maximum(batch.rows[:, None] - [[1, 2]], 0)
-    end, before = np.take_along_axis(distance, last, axis=1).T
-    farthest = end >= distance.max(axis=1, initial=0.0)
-    beyond = np.where(batch.stiffness > 0, np.abs(response.position_start - centre), 0.0)
-    left = (batch.rows < usual) & farthest & (end > beyond + response.floor) & (end - before > response.floor)
+    if trial.rows >= usual:
+        return NO_ROW
+    wall, start = trial.stiffness > 0, response.position_start
+    centre = response.position_final_expected if wall else start
+    distance = np.abs(trial.position - centre)
+    end, before = float(distance[-1]), float(distance[max(trial.rows - 2, 0)])
+    outwards = end > (abs(start - centre) if wall else 0.0) + response.floor and end - before > response.floor
     # with K = 0 a device always moves outwards: only a log that lasted for a while can have reached a limit
-    left &= (batch.stiffness > 0) | (free_samples(batch, response) >= FEWEST_SAMPLES)
-    return np.where(left, batch.rows - 1, NO_ROW).astype(np.int64)
+    lasted = wall or free_samples(trial, response) >= FEWEST_SAMPLES
+    return trial.rows - 1 if outwards and lasted and end >= distance.max() else NO_ROW
 
 
-def first_stop(batch: TrialBatch, response: Response, outside: Disturbance, device: PushResponse) -> Integers:
-    """Return the first row at a rigid stop, -1 where there is none, shape (n,).
+def first_stop(trial: Trial, response: Response, outside: Disturbance, device: PushResponse) -> int:
+    """Return the first row at a rigid stop, -1 where there is none.
 
     Parameters
     ----------
-    batch : TrialBatch
-    response, outside, device : Response, Disturbance, PushResponse
-        Of the same trials.
+    trial, response, outside, device : Trial, Response, Disturbance, PushResponse
 
     Notes
     -----
@@ -78,41 +75,56 @@ def first_stop(batch: TrialBatch, response: Response, outside: Disturbance, devi
     several times, each time faster on the way there than on the way back, where a free oscillation is as fast. A
     stop that is touched gently is not seen, nor is a soft one.
     """
-    x, columns = batch.position, batch.position.shape[1]
-    column = np.arange(columns)[None, :]
-    after = batch.valid & (column >= np.maximum(response.edge_row, 0)[:, None])
-    highest = np.max(np.where(after, x, -np.inf), axis=1, initial=-np.inf)[:, None]
-    lowest = np.min(np.where(after, x, np.inf), axis=1, initial=np.inf)[:, None]
+    edge = max(response.edge_row, 0)
+    after = trial.position[edge:]
+    highest, lowest = after.max(), after.min()
     # rounding of positions is far below a billionth of their range
-    floor = np.maximum(response.floor[:, None], 1e-9 * (highest - lowest))
-    change = np.abs(np.diff(x, axis=1, prepend=x[:, :1]))
-    # the device may arrive between two samples: then the change before that one tells its speed
-    speed = np.nan_to_num(np.maximum(change, np.roll(change, 1, axis=1)))
-    before, behind = np.zeros_like(x), np.full_like(x, np.inf)
-    before[:, 2:] = np.nan_to_num(np.abs(x[:, 2:] - x[:, :-2]))
-    behind[:, :-2] = np.where(batch.valid[:, 2:], before[:, 2:], np.inf)
-    blown = (outside.first_row >= 0) & (np.abs(outside.force) > BLOW * np.abs(batch.step))
-    about = np.abs(column - outside.largest_row[:, None]) <= device.span
-    first = np.full(len(batch), columns, dtype=np.int64)
-    for side, depth in ((-1, highest - x), (1, x - lowest)):
+    floor = max(response.floor, 1e-9 * (highest - lowest))
+    blown = outside.first_row >= 0 and abs(outside.force) > BLOW * abs(trial.step)
+    first = trial.rows
+    for side, depth in ((-1, highest - after), (1, after - lowest)):
         # twice the floor: from a quiet baseline the noise of a coarse sensor is read too small
-        there = after & (depth <= 2 * floor)
+        there = depth <= 2 * floor
         # a device that rests at its extreme before it moves has reached no stop
-        there &= np.maximum.accumulate(after & ~there, axis=1)
-        near = there & (depth <= 1.001 * floor)  # as far as rounding moves a position over the edge of a quantum
-        arrives = near.copy()
-        arrives[:, 1:] &= ~near[:, :-1]
-        rebounds = arrives & (behind < before / ABRUPT) & (before > LOUD * floor)
-        rebounds &= rebounds.sum(axis=1, keepdims=True) >= REBOUNDS
+        there[: int(there.argmin()) if not there.all() else None] = False
+        rows = edge + np.flatnonzero(there)
         # the force is inwards, at the extreme: the first time that the device was there
-        thrown = there & (blown & (np.sign(outside.force) == side) & (there & about).any(axis=1))[:, None]
-        hit = thrown | rebounds | (lasting(near, SETTLED_SAMPLES) & arrives & (speed > IMPACT * floor))
-        first = np.where(hit.any(axis=1), np.minimum(first, np.argmax(hit, axis=1)), first)
-    return np.where(first < columns, first, NO_ROW).astype(np.int64)
+        about = (np.abs(rows - outside.largest_row) <= device.span).any()
+        hits = rows[:1] if blown and np.sign(outside.force) == side and about else rows[:0]
+        # as far as rounding moves a position over the edge of a quantum
+        near = there & (depth <= 1.001 * floor)
+        hits = np.concatenate((hits, _arrivals(trial.position, edge, near, floor)))
+        first = min(first, int(hits.min(initial=first)))
+    return first if first < trial.rows else NO_ROW
 
 
-def first_clipped(batch: TrialBatch) -> tuple[Integers, Floats]:
-    """Return the first row with a clipped command (-1: none) and the largest command [N, Nm], shape (n,) each.
+def _arrivals(x: Floats, edge: int, near: Booleans, floor: float) -> Integers:
+    """Return the rows in which a device arrives at an extreme at speed, and stays or is thrown back.
+
+    Parameters
+    ----------
+    x : float64, shape (rows,)
+    edge : int
+    near : bool, shape (rows - edge,)
+        Rows from the edge on in which the device is at the extreme.
+    floor : float
+        Sensor floor [m, rad].
+    """
+    begins = np.flatnonzero(near[1:] & ~near[:-1]) + 1
+    stays = lasting(near, SETTLED_SAMPLES)[begins]
+    rows = edge + begins
+    # the device may arrive between two samples: then the change before that one tells its speed
+    speed = np.maximum(np.abs(x[rows] - x[rows - 1]), np.abs(x[rows - 1] - x[np.maximum(rows - 2, 0)]))
+    before = np.where(rows > 1, np.abs(x[rows] - x[np.maximum(rows - 2, 0)]), 0.0)
+    last = len(x) - 1
+    behind = np.where(rows + 2 <= last, np.abs(x[np.minimum(rows + 2, last)] - x[rows]), np.inf)
+    rebounds = (behind < before / ABRUPT) & (before > LOUD * floor)
+    rebounds &= rebounds.sum() >= REBOUNDS
+    return rows[rebounds | (stays & (speed > IMPACT * floor))]
+
+
+def first_clipped(trial: Trial) -> tuple[int, float]:
+    """Return the first row with a clipped command (-1: none) and the largest command [N, Nm].
 
     Notes
     -----
@@ -120,18 +132,20 @@ def first_clipped(batch: TrialBatch) -> tuple[Integers, Floats]:
     nearer to zero by more than rounding. A velocity filter departs from the wall law too, but its extremes are not
     equal.
     """
-    size = np.where(batch.valid, np.abs(batch.command), 0.0)
-    largest = size.max(axis=1, initial=0.0)
-    departure, step = external_force(batch), batch.step[:, None]
+    size = np.abs(trial.command)
+    largest = float(size.max())
+    rows = np.flatnonzero(size >= (1 - 1e-9) * largest)
+    if len(rows) < 2:
+        return NO_ROW, largest
+    departure = external_force(trial)[rows]
     # 0 or F_0 was asked for, whichever is nearer: before the edge and after it
-    departure = np.where(np.abs(departure) < np.abs(departure - step), departure, departure - step)
-    clipped = np.nan_to_num(-departure * np.sign(batch.command)) > BENT * np.abs(step)
-    clipped &= size >= (1 - 1e-9) * largest[:, None]
-    return np.where(clipped.sum(axis=1) >= 2, np.argmax(clipped, axis=1), NO_ROW).astype(np.int64), largest
+    departure = np.where(np.abs(departure) < np.abs(departure - trial.step), departure, departure - trial.step)
+    rows = rows[-departure * np.sign(trial.command[rows]) > BENT * abs(trial.step)]
+    return int(rows[0]) if len(rows) >= 2 else NO_ROW, largest
 
 
-def free_samples(batch: TrialBatch, response: Response) -> Integers:
-    """Return the number of samples of free motion, shape (n,): after the step and twice the delay that it shows.
+def free_samples(trial: Trial, response: Response) -> int:
+    """Return the number of samples of free motion: after the step and twice the delay that it shows.
 
     Notes
     -----
@@ -139,11 +153,11 @@ def free_samples(batch: TrialBatch, response: Response) -> Integers:
     soft device before the step does: a hundredth of the motion near the step is none. A log without any movement
     holds none.
     """
-    column = np.arange(batch.position.shape[1])[None, :]
-    edge = np.maximum(response.edge_row, 0)
-    size = np.nan_to_num(np.abs(batch.displacement))
-    largest = np.where(column <= (edge + UNMOVED_SAMPLES)[:, None], size, 0.0).max(axis=1, initial=0.0)
-    still = np.maximum(np.maximum(response.floor, response.baseline_motion), 0.01 * largest)
-    moved = (size > still[:, None]) & (column > response.edge_row[:, None])
-    count = np.where(moved.any(axis=1), batch.rows - 1 - (2 * np.argmax(moved, axis=1) - edge), 0)
-    return np.maximum(count, 0).astype(np.int64)
+    edge = max(response.edge_row, 0)
+    size = np.abs(trial.displacement)
+    largest = float(size[: edge + UNMOVED_SAMPLES + 1].max())
+    moved = size[response.edge_row + 1 :] > max(response.floor, response.baseline_motion, 0.01 * largest)
+    if not moved.any():
+        return 0
+    onset = response.edge_row + 1 + int(moved.argmax())
+    return max(trial.rows - 1 - (2 * onset - edge), 0)

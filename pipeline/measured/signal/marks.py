@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.measured.law.stamps import ODD
-from pipeline.records.batch import Floats, Integers
+from pipeline.records.trials import Floats, Integers
 
 JUMP = 0.2
 """Change from one row to the next, relative to the range of the column, that is a jump."""

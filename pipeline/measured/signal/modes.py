@@ -1,4 +1,4 @@
-"""Growth rates of the modes in a free motion, from samples alone (matrix pencil, vectorised over trials).
+"""Growth rates of the modes in a free motion, from samples alone (matrix pencil).
 
 A sum of modes z_m^k seen through a window of samples spans as many directions as there are modes. Moving the
 window multiplies each direction by its mode, so the moduli of the z_m are eigenvalues, and neither plant nor
@@ -7,12 +7,13 @@ controller need be known.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.measured.student import SIGMAS
-from pipeline.records.batch import Booleans, Floats, Integers
+from pipeline.records.trials import Floats
 
 WINDOW_POINTS = 16
 """Points of a window, more than the modes of a loop with 12 samples of delay; 2,300 trials cost 0.5 s."""
@@ -39,40 +40,40 @@ WIDE, NARROW = 2, 3
 """Parts of the motion over which a window is spread (a half, a third): two views of a noisy motion."""
 
 
-@dataclass(frozen=True, eq=False)
+UPPER = np.triu(np.ones((WINDOW_POINTS, WINDOW_POINTS)))
+"""Of what a decomposition by reflections returns, the part that is R."""
+
+
+@dataclass(frozen=True)
 class Growth:
-    """Fastest growing visible mode of each trial, shape (n,); NaN where no mode is visible.
+    """Fastest growing visible mode of a motion; NaN where no mode is visible.
 
     Parameters
     ----------
-    per_sample : float64
+    per_sample : float
         ln|z| of that mode; negative where it decays.
-    amplitude : float64
+    amplitude : float
         Root mean square of that mode at the end of the fit.
-    noise : float64
+    noise : float
         Standard deviation of what the modes do not explain: the noise given, or more where there is more.
     clean : bool
         Whether few modes explain the signal down to rounding.
     """
 
-    per_sample: Floats
-    amplitude: Floats
-    noise: Floats
-    clean: Booleans
+    per_sample: float
+    amplitude: float
+    noise: float
+    clean: bool
 
 
-def fastest_growth(
-    signal: Floats, length: Integers, noise: Floats, window_part: int = WIDE, least_part: float = NOISY_FRACTION
-) -> Growth:
+def fastest_growth(signal: Floats, noise: float, window_part: int = WIDE, least_part: float = NOISY_FRACTION) -> Growth:
     """Return the growth of the fastest growing mode that is visible at the end of a free motion.
 
     Parameters
     ----------
-    signal : float64, shape (n, N)
-        Motion without a constant part (differences of positions); what lies beyond ``length`` is not read.
-    length : int64, shape (n,)
-        Number of samples of each trial.
-    noise : float64, shape (n,)
+    signal : float64, shape (samples,)
+        Motion without a constant part (differences of positions).
+    noise : float
         Standard deviation of the noise of the signal, in its unit; rounding for an ideal log.
     window_part : int
         The window is spread over the motion divided by this.
@@ -85,74 +86,61 @@ def fastest_growth(
     free of aliasing. A signal whose windows span every direction is no sum of few modes (jitter, friction):
     what is left over is taken as its noise. Fewer than `FEWEST_SAMPLES` samples, or a motion below the noise,
     give NaN.
+
+    Examples
+    --------
+    >>> swing = 0.97 ** np.arange(100) * np.cos(0.3 * np.arange(100))
+    >>> growth = fastest_growth(swing, 1e-12)
+    >>> bool(np.isclose(growth.per_sample, np.log(0.97))), growth.clean
+    (True, True)
     """
-    n = len(signal)
-    per_sample, amplitude, left_over = np.full(n, np.nan), np.full(n, np.nan), noise.copy()
-    clean = np.zeros(n, dtype=np.bool_)
-    for points, chosen in (
-        (SHORT_WINDOW_POINTS, (length >= FEWEST_SAMPLES) & (length < 3 * WINDOW_POINTS)),
-        (WINDOW_POINTS, length >= 3 * WINDOW_POINTS),
-    ):
-        index = np.flatnonzero(chosen)
-        if len(index):
-            found = _grow(signal[index], length[index], noise[index], points, window_part, least_part)
-            per_sample[index], amplitude[index], left_over[index], clean[index] = found
-    return Growth(per_sample, amplitude, left_over, clean)
-
-
-def _solved(vectors: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return the amounts of eigenvectors in some columns; the smallest where two of a trial's vectors are the same."""
-    try:
-        return np.linalg.solve(vectors, right)
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.pinv(vectors) @ right)
-
-
-def _grow(
-    signal: Floats, length: Integers, noise: Floats, points: int, window_part: int, least_part: float
-) -> tuple[Floats, Floats, Floats, Booleans]:
-    stride = np.maximum(length // (window_part * points), 1)
+    length = len(signal)
+    if length < FEWEST_SAMPLES:
+        return Growth(np.nan, np.nan, noise, False)
+    points = SHORT_WINDOW_POINTS if length < 3 * WINDOW_POINTS else WINDOW_POINTS
+    stride = max(length // (window_part * points), 1)
     rows = length - stride * (points - 1)
-    hop = np.maximum(rows // LARGEST_WINDOWS, 1)
-    windows = -(-rows // hop)
-    row = np.arange(int(windows.max()))[None, :] * hop[:, None]
-    inside = row < rows[:, None]
-    begin = row + signal.shape[1] * np.arange(len(signal))[:, None]
-    # a window beyond the motion may reach into another trial's: it is set to 0
-    hankel = signal.ravel().take(begin[:, :, None] + (stride[:, None] * np.arange(points))[:, None, :], mode="clip")
-    hankel *= inside[:, :, None]
-    _, values, right = np.linalg.svd(np.linalg.qr(hankel, mode="r"))
+    row = np.arange(0, rows, max(rows // LARGEST_WINDOWS, 1))
+    hankel = signal[row[:, None] + stride * np.arange(points)]
+    reflected = np.linalg.qr(hankel, mode="raw")[0].T[:points]
+    _, values, right = np.linalg.svd(reflected * UPPER[: len(reflected), :points])
     # of a noise matrix: largest singular value is sigma (sqrt(windows) + sqrt(points)), smallest sigma sqrt(windows)
-    spread = np.sqrt(windows) + np.sqrt(points)
-    level = np.maximum(noise * spread * SIGMAS, DYNAMIC_RANGE * values[:, 0])
-    clean = (values[:, -1] <= level) & (level < CLEAN_FRACTION * 1e-3 * values[:, 0])
-    left_over = np.maximum(noise, values[:, -1] / np.sqrt(windows))
-    level = np.where(values[:, -1] <= level, level, left_over * spread * SIGMAS)
-    rank = np.minimum((values > level[:, None]).sum(axis=1), points - 1)
-    at_end = (np.arange(signal.shape[1])[None, :] >= (0.75 * length)[:, None]) & (
-        np.arange(signal.shape[1])[None, :] < length[:, None]
-    )
-    motion = np.sqrt(np.where(at_end, signal**2, 0.0).sum(axis=1) / np.maximum(at_end.sum(axis=1), 1))
-    visible = np.maximum(np.where(clean, CLEAN_FRACTION, least_part) * motion, left_over)
-    rate, amplitude = np.full(len(signal), np.nan), np.full(len(signal), np.nan)
-    last_quarter = inside & (row >= (0.75 * rows)[:, None])
-    for r in np.unique(rank[rank > 0]):
-        index = np.flatnonzero(rank == r)
-        basis = np.swapaxes(right[index, :r, :], 1, 2)
-        shifted = np.linalg.pinv(basis[:, :-1]) @ basis[:, 1:]
-        poles, vectors = np.linalg.eig(shifted)
-        late = last_quarter[index]
-        since = int(np.argmax(late.any(axis=0)))
-        late = late[:, since:]
-        course = hankel[index, since:] @ basis
-        parts = np.swapaxes(_solved(vectors, np.swapaxes(course, 1, 2).astype(np.complex128)), 1, 2)
-        first_point = (basis[:, :1] @ vectors)[:, 0, :]
-        squares = np.where(late[:, :, None], np.abs(parts * first_point[:, None, :]) ** 2, 0.0)
-        at_row = np.sqrt(squares.sum(axis=1) / late.sum(axis=1)[:, None])
-        modulus = np.maximum(np.abs(poles), np.finfo(np.float64).tiny)
-        size = at_row * modulus ** (points - 1)
-        growth = np.where(size > visible[index][:, None], np.log(modulus) / stride[index][:, None], -np.inf)
-        pick = (np.arange(len(index)), np.argmax(growth, axis=1))
-        rate[index] = np.where(np.isfinite(growth[pick]), growth[pick], np.nan)
-        amplitude[index] = np.where(np.isfinite(growth[pick]), size[pick], np.nan)
-    return rate, amplitude, left_over, clean
+    spread = np.sqrt(len(row)) + np.sqrt(points)
+    level = max(noise * spread * SIGMAS, DYNAMIC_RANGE * values[0])
+    left_over = max(noise, float(values[-1] / np.sqrt(len(row))))
+    explained = values[-1] <= level
+    clean = bool(explained and level < CLEAN_FRACTION * 1e-3 * values[0])
+    level = level if explained else left_over * spread * SIGMAS
+    rank = min(int((values > level).sum()), points - 1)
+    if rank == 0:
+        return Growth(np.nan, np.nan, left_over, clean)
+    late = hankel[int(np.argmax(row >= 0.75 * rows)) :]
+    modulus, size = _modes(right[:rank].T, late)
+    end = signal[math.ceil(0.75 * length) :]
+    motion = math.sqrt(float(end @ end) / len(end))
+    visible = size > max((CLEAN_FRACTION if clean else least_part) * motion, left_over)
+    if not visible.any():
+        return Growth(np.nan, np.nan, left_over, clean)
+    fastest = int(np.argmax(np.where(visible, modulus, 0.0)))
+    return Growth(float(np.log(modulus[fastest]) / stride), float(size[fastest]), left_over, clean)
+
+
+def _modes(basis: Floats, late: Floats) -> tuple[Floats, Floats]:
+    """Return modulus and amplitude of the modes of a motion, shape (rank,) each.
+
+    Parameters
+    ----------
+    basis : float64, shape (points, rank)
+        Directions of a window that the modes span.
+    late : float64, shape (windows, points)
+        Windows at the end of the motion, in which the amplitude is the root mean square at their last point.
+    """
+    poles, vectors = np.linalg.eig(np.linalg.lstsq(basis[:-1], basis[1:], rcond=None)[0])
+    projected = (late @ basis).T
+    try:
+        parts = np.linalg.solve(vectors, projected)
+    except np.linalg.LinAlgError:  # two of the vectors are the same: the smallest amounts
+        parts = np.linalg.pinv(vectors) @ projected
+    modulus = np.maximum(np.abs(poles), np.finfo(np.float64).tiny)
+    at_first = np.sqrt(np.mean(np.abs(parts * (basis[0] @ vectors)[:, None]) ** 2, axis=1))
+    return modulus, at_first * modulus ** (len(basis) - 1)

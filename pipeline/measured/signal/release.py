@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.measured.signal.edge import EDGE_SAMPLES, LEVEL, NO_ROW, external_force
-from pipeline.measured.signal.sensor import sensor_floor, sensor_quantum, white_noise
-from pipeline.records.batch import Floats, Integers, TrialBatch
+from pipeline.measured.signal.sensor import position_quantum, sensor_floor, white_noise
+from pipeline.records.trials import Floats, Trial
 
 NOISE_ROWS = 10
 """Rows at the begin of a log that show the noise of its sensor; a motion that begins in them counts as noise."""
@@ -28,38 +28,38 @@ NO_WALL = "without a wall and damping a motion shows no loop"
 """Why a trial without a step has no free motion to judge."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Release:
-    """What set each trial of a batch in motion, shape (n,); of trials with a step nothing.
+    """What set a trial in motion; nothing does in a trial with a step.
 
     Parameters
     ----------
-    begin : int64
+    begin : int
         First row in which the external force has changed, or the last one at rest before a hand moves the device;
         -1 where there is no free motion.
-    free : int64
+    free : int
         First row from which on the external force is constant; -1 likewise.
-    level : float64
+    level : float
         External force from then on, less that before [N, Nm]: 0 after a hit.
-    size : float64
+    size : float
         Largest change of the external force; where there is none, the force of the wall at the first turn [N, Nm].
-    reason : tuple of str
+    reason : str
         Why there is no free motion; empty where there is.
     """
 
-    begin: Integers
-    free: Integers
-    level: Floats
-    size: Floats
-    reason: tuple[str, ...]
+    begin: int = NO_ROW
+    free: int = NO_ROW
+    level: float = 0.0
+    size: float = np.nan
+    reason: str = ""
 
 
-def find_release(batch: TrialBatch) -> Release:
-    """Find the free motion of the trials without a step.
+def find_release(trial: Trial) -> Release:
+    """Find the free motion of a trial without a step.
 
     Parameters
     ----------
-    batch : TrialBatch
+    trial : Trial
 
     Notes
     -----
@@ -67,68 +67,38 @@ def find_release(batch: TrialBatch) -> Release:
     external force is off it while the device moves; then a release or a hit counts whose force stays within half of its
     size, as an edge does.
     """
-    n = len(batch)
-    begin, free = np.full(n, NO_ROW), np.full(n, NO_ROW)
-    level, size, reason = np.zeros(n), np.full(n, np.nan), [""] * n
-    some = np.flatnonzero(batch.step == 0)
-    if len(some):
-        external = external_force(batch)
-        quantum = sensor_quantum(batch)
-    for i in some.tolist():
-        rows = int(batch.rows[i])
-        if batch.stiffness[i] == 0 and batch.damping[i] == 0:
-            reason[i] = NO_WALL
-            continue
-        force, displacement = external[i, :rows], batch.displacement[i, :rows]
-        found = _release(force, force - batch.command[i, :rows], displacement, float(quantum[i]))
-        if isinstance(found, str):
-            reason[i] = found
-        else:
-            begin[i], free[i], level[i], size[i] = found.begin, found.free, found.level, found.size
-    return Release(begin.astype(np.int64), free.astype(np.int64), level, size, tuple(reason))
-
-
-@dataclass(frozen=True)
-class _Found:
-    """What set one trial in motion, as in `Release`."""
-
-    begin: int
-    free: int
-    level: float
-    size: float
-
-
-def _release(force: Floats, wall: Floats, displacement: Floats, quantum: float) -> _Found | str:
-    """Return what set one trial in motion, or why there is no free motion.
-
-    ``wall`` is the force of the wall by the law, up to rounding ``force`` less the command.
-    """
-    onset = _onset(displacement, quantum)
+    if trial.step != 0:
+        return Release()
+    if trial.stiffness == 0 and trial.damping == 0:
+        return Release(reason=NO_WALL)
+    displacement = trial.displacement
+    onset = _onset(displacement, position_quantum(trial.position))
     if onset is None:
-        return RESTS
+        return Release(reason=RESTS)
+    force = external_force(trial)
+    wall = force - trial.command
     change = force - float(np.median(force[: max(onset, 1)]))
-    if np.abs(change).max() <= CONSTANT * np.abs(wall).max():
-        return _by_hand(wall, displacement, onset)
     size = float(np.abs(change).max())
+    if size <= CONSTANT * np.abs(wall).max():
+        return _by_hand(wall, displacement, onset)
     level = float(np.median(change[len(change) // 2 :]))
     level = level if abs(level) > LEVEL * size else 0.0
     begin = int(np.argmax(np.abs(change) > 0.5 * size))
     off = np.flatnonzero(np.abs(change - level) > LEVEL * size)
     free = int(off[-1]) + 1 if len(off) else begin
     if free <= begin + (len(change) - begin) // 2:
-        return _Found(begin, free, level, size)
+        return Release(begin, free, level, size)
     return _bent(change, onset)
 
 
 def _onset(displacement: Floats, quantum: float) -> int | None:
     """Return the first row in which a device has moved by more than quantum and noise; None where it never does."""
-    few = displacement[:NOISE_ROWS][None, :]
-    noise = white_noise(few, np.ones(few.shape, dtype=np.bool_)) if len(displacement) > 2 * NOISE_ROWS else np.zeros(1)
-    moved = np.flatnonzero(np.abs(displacement) > sensor_floor(np.array([quantum]), noise))
+    noise = white_noise(displacement[:NOISE_ROWS]) if len(displacement) > 2 * NOISE_ROWS else 0.0
+    moved = np.flatnonzero(np.abs(displacement) > sensor_floor(quantum, noise))
     return int(moved[0]) if len(moved) else None
 
 
-def _bent(change: Floats, onset: int) -> _Found | str:
+def _bent(change: Floats, onset: int) -> Release:
     """Return a release or a hit of which the external force stays within half of its size of a level."""
     early = np.abs(change[: onset + 1])
     size = float(early.max())
@@ -136,14 +106,14 @@ def _bent(change: Floats, onset: int) -> _Found | str:
     ahead = change[begin:] * np.sign(change[begin])
     high = ahead > 0.5 * size
     if size > 0 and high.all():
-        return _Found(begin, begin, float(np.sign(change[begin]) * size), size)
+        return Release(begin, begin, float(np.sign(change[begin]) * size), size)
     back = begin + int(np.argmin(high))
     if size > 0 and len(change) - back >= EDGE_SAMPLES and (np.abs(change[back:]) <= 0.5 * size).all():
-        return _Found(begin, back, 0.0, size)
-    return CHANGES
+        return Release(begin, back, 0.0, size)
+    return Release(reason=CHANGES)
 
 
-def _by_hand(wall: Floats, displacement: Floats, onset: int) -> _Found:
+def _by_hand(wall: Floats, displacement: Floats, onset: int) -> Release:
     """Return a release or a hit by hand: the external force stays, and the motion begins.
 
     The hand is gone when the device is fastest in its first swing, at the latest.
@@ -154,11 +124,10 @@ def _by_hand(wall: Floats, displacement: Floats, onset: int) -> _Found:
     swing = np.abs(speed[: int(turns[0])]) if len(turns) else speed[:1]
     fastest = begin + int(np.argmax(swing))
     size = float(np.abs(wall[begin : begin + len(swing) + 1] - wall[begin]).max())
-    return _Found(begin, fastest, 0.0, max(size, float(np.finfo(np.float64).tiny)))
+    return Release(begin, fastest, 0.0, max(size, float(np.finfo(np.float64).tiny)))
 
 
-def at_rest_before(batch: TrialBatch, begin: Integers) -> tuple[Floats, Floats]:
-    """Return the floor of the sensor and its noise by the rows before a motion begins [m, rad], shape (n,) each."""
-    baseline = np.arange(batch.position.shape[1])[None, :] < begin[:, None]
-    quantum, noise = sensor_quantum(batch), white_noise(batch.position, baseline)
-    return sensor_floor(quantum, noise), noise
+def at_rest_before(trial: Trial, begin: int) -> tuple[float, float]:
+    """Return the floor of the sensor and its noise by the rows before a motion begins [m, rad]."""
+    noise = white_noise(trial.position[:begin])
+    return sensor_floor(position_quantum(trial.position), noise), noise

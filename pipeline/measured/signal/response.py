@@ -6,84 +6,77 @@ The edge is that of the external force, which is recovered from the log itself (
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
+from pipeline.base.compiled import compiled
 from pipeline.base.errors import ParameterError
 from pipeline.measured.signal.edge import NO_ROW as NO_ROW
 from pipeline.measured.signal.edge import external_force as external_force
-from pipeline.measured.signal.edge import find_edges, level_before
-from pipeline.measured.signal.sensor import sensor_floor, sensor_quantum, white_noise
-from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+from pipeline.measured.signal.edge import find_edge, level_before
+from pipeline.measured.signal.sensor import position_quantum, sensor_floor, white_noise
 from pipeline.records.criteria import RISE_LEVELS
+from pipeline.records.trials import Floats, Trial
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Response:
-    """Edge, rest positions and resolution of each trial, shape (n,) each; NaN where there is a reason.
+    """Edge, rest positions and resolution of a trial; NaN where there is a reason.
 
     Parameters
     ----------
-    edge_row : int64
+    edge_row : int
         Row of the command edge k0, counted from 0; -1 where there is none.
-    level : float64
+    level : float
         External force before the step [N, Nm]; 0 but for a step at an operating point.
-    steps : int64
+    steps : int
         Jumps of the external force from level to level; a log with several has no edge, whatever its metadata say.
-    position_start : float64
+    position_start : float
         First position, where the wall rests [m, rad].
-    position_final_expected : float64
+    position_final_expected : float
         x_0 + F_0/K (6.1) [m, rad]; NaN where K <= 0, and without a step.
-    position_final_measured : float64
+    position_final_measured : float
         Mean over the last tenth of the log [m, rad].
-    sensor_quantum : float64
+    sensor_quantum : float
         Step of the grid on which all positions lie [m, rad]; 0 where there is none, and for integrals of a velocity.
-    sensor_noise : float64
+    sensor_noise : float
         Standard deviation of the white noise of the positions before the edge [m, rad]; NaN without a
         baseline.
-    floor : float64
+    floor : float
         Position amplitude that quantum and noise alone can cause [m, rad]; 0 for an ideal log.
-    baseline_motion : float64
+    baseline_motion : float
         Peak to peak of the positions before the step where the sensor alone cannot cause it [m, rad], else 0.
-    reason : tuple of str
+    reason : str
         Why values are missing; empty where all are there.
-    edge_reason : tuple of str
+    edge_reason : str
         Why there is no command edge; empty where there is one.
     """
 
-    edge_row: Integers
-    level: Floats
-    steps: Integers
-    position_start: Floats
-    position_final_expected: Floats
-    position_final_measured: Floats
-    sensor_quantum: Floats
-    sensor_noise: Floats
-    floor: Floats
-    baseline_motion: Floats
-    reason: tuple[str, ...]
-    edge_reason: tuple[str, ...]
+    edge_row: int
+    level: float
+    steps: int
+    position_start: float
+    position_final_expected: float
+    position_final_measured: float
+    sensor_quantum: float
+    sensor_noise: float
+    floor: float
+    baseline_motion: float
+    reason: str
+    edge_reason: str
 
     @property
-    def has_edge(self) -> Booleans:
-        """Where a command edge was found, shape (n,)."""
+    def has_edge(self) -> bool:
+        """Whether a command edge was found."""
         return self.edge_row >= 0
 
-    def select(self, which: Integers | slice) -> Response:
-        """Return the response of the trials at indices or in a slice."""
-        arrays = {name: value[which] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
-        index = range(len(self.reason))[which] if isinstance(which, slice) else which
-        texts = {name: tuple(getattr(self, name)[i] for i in index) for name in ("reason", "edge_reason")}
-        return replace(self, **arrays, **texts)  # type: ignore[arg-type]
 
-
-def find_response(batch: TrialBatch) -> Response:
-    """Find the command edge and the resolution of each trial.
+def find_response(trial: Trial) -> Response:
+    """Find the command edge and the resolution of a trial.
 
     Parameters
     ----------
-    batch : TrialBatch
+    trial : Trial
 
     Returns
     -------
@@ -91,7 +84,7 @@ def find_response(batch: TrialBatch) -> Response:
 
     Notes
     -----
-    Level and edge are those of `edge.find_edges`. The external force is exact for a controller that uses the plain
+    Level and edge are those of `edge.find_edge`. The external force is exact for a controller that uses the plain
     difference of positions. With a velocity filter or a force limit it is wrong once the device moves, but not before,
     so that the edge stays right for any delay of at least one sample.
 
@@ -107,43 +100,38 @@ def find_response(batch: TrialBatch) -> Response:
 
     Source: Hulin 2017, sec. 6.1.1 (procedure) and eq. 6.1 (final position).
     """
-    edges = find_edges(batch)
-    quantum = sensor_quantum(batch)
-    if batch.integrated is not None:
-        quantum = np.where(batch.integrated, 0.0, quantum)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        travel = np.where((batch.stiffness > 0) & (batch.step != 0), batch.step / batch.stiffness, np.nan)
-    start = batch.position[:, :1].reshape(-1)
-    reason = tuple(
-        "; ".join(part for part in (text, "" if k > 0 else _no_final(k)) if part)
-        for text, k in zip(edges.reason, batch.stiffness, strict=True)
-    )
+    edge = find_edge(trial)
+    quantum = 0.0 if trial.integrated else position_quantum(trial.position)
+    noise, floor, motion = _baseline(trial, quantum, edge.row)
+    start = float(trial.position[0])
+    stepped = trial.stiffness > 0 and trial.step != 0
     return Response(
-        edge_row=edges.row,
-        level=edges.level,
-        steps=edges.steps,
+        edge_row=edge.row,
+        level=edge.level,
+        steps=edge.steps,
         position_start=start,
-        position_final_expected=start + travel,
-        position_final_measured=_last_tenth(batch),
+        position_final_expected=start + trial.step / trial.stiffness if stepped else np.nan,
+        position_final_measured=float(trial.position[-max(trial.rows // 10, 1) :].mean()),
         sensor_quantum=quantum,
-        **_baseline(batch, quantum, edges.row),
-        reason=reason,
-        edge_reason=edges.reason,
+        sensor_noise=noise,
+        floor=floor,
+        baseline_motion=motion,
+        reason="; ".join(text for text in (edge.reason, _no_final(trial.stiffness)) if text),
+        edge_reason=edge.reason,
     )
 
 
-def declare_edge(batch: TrialBatch, response: Response, edge_row: int | Integers) -> Response:
+def declare_edge(trial: Trial, response: Response, edge_row: int) -> Response:
     """Return the response with the command edge where the trial's metadata say that it is.
 
     Parameters
     ----------
-    batch : TrialBatch
+    trial : Trial
     response : Response
-        Of the same trials.
-    edge_row : int or int64, shape (n,)
+    edge_row : int
         Row in which the command first holds the step, counted from 0; it replaces what the log shows, and the rows
-        before it are the baseline. Row 0 is legal: such a log has none, so that its noise is unknown. -1 leaves a
-        trial as it is, and so do several steps.
+        before it are the baseline. Row 0 is legal: such a log has none, so that its noise is unknown. -1 leaves the
+        response as it is, and so do several steps.
 
     Returns
     -------
@@ -152,79 +140,60 @@ def declare_edge(batch: TrialBatch, response: Response, edge_row: int | Integers
     Raises
     ------
     ParameterError
-        If a row lies outside its log.
+        If the row lies outside the log.
     """
-    edge = np.broadcast_to(np.asarray(edge_row, dtype=np.int64), (len(batch),)).copy()
-    kept = (edge == NO_ROW) | (response.steps > 1)
-    outside = ~kept & ((edge < 0) | (edge >= batch.rows))
-    if outside.any():
-        i = int(np.argmax(outside))
+    if edge_row == NO_ROW or response.steps > 1:
+        return response
+    if not 0 <= edge_row < trial.rows:
         raise ParameterError(
-            f"declared command edge of trial {batch.trial_id[i]!r}: row {edge[i]}; expected 0 to {batch.rows[i] - 1}. "
+            f"declared command edge of trial {trial.trial_id!r}: row {edge_row}; expected 0 to {trial.rows - 1}. "
             "Correct the declared row."
         )
-    final = ("" if k > 0 else _no_final(k) for k in batch.stiffness)
-    edge = np.where(kept, response.edge_row, edge)
-    force = external_force(batch)
-    level = [level_before(f, k, step) for f, k, step in zip(force, edge.tolist(), batch.step.tolist(), strict=True)]
+    noise, floor, motion = _baseline(trial, response.sensor_quantum, edge_row)
     return replace(
         response,
-        edge_row=edge,
-        level=np.where(kept, response.level, level),
-        **_baseline(batch, response.sensor_quantum, edge),
-        reason=tuple(old if same else new for same, old, new in zip(kept, response.reason, final, strict=True)),
-        edge_reason=tuple(old if same else "" for same, old in zip(kept, response.edge_reason, strict=True)),
+        edge_row=edge_row,
+        level=level_before(external_force(trial), edge_row, trial.step),
+        sensor_noise=noise,
+        floor=floor,
+        baseline_motion=motion,
+        reason=_no_final(trial.stiffness),
+        edge_reason="",
     )
 
 
 def _no_final(stiffness: float) -> str:
-    return f"no final position: x_0 + F_0/K needs K > 0, found K = {stiffness:g}"
+    return "" if stiffness > 0 else f"no final position: x_0 + F_0/K needs K > 0, found K = {stiffness:g}"
 
 
-def _baseline(batch: TrialBatch, quantum: Floats, edge: Integers) -> dict[str, Any]:
-    """Return what the rows before the edge tell: noise, sensor floor and motion, each of shape (n,)."""
-    baseline = np.arange(batch.position.shape[1])[None, :] < edge[:, None]
-    noise = white_noise(batch.position, baseline)
+def _baseline(trial: Trial, quantum: float, edge: int) -> tuple[float, float, float]:
+    """Return noise, sensor floor and motion by the rows before the edge [m, rad]."""
+    baseline = trial.position[: max(edge, 0)]
+    noise = white_noise(baseline)
     floor = sensor_floor(quantum, noise)
-    return {"sensor_noise": noise, "floor": floor, "baseline_motion": _motion(batch.displacement, baseline, floor)}
-
-
-def _motion(displacement: Floats, baseline: Booleans, floor: Floats) -> Floats:
-    """Peak to peak of the baseline where it exceeds the sensor floor, else 0, shape (n,)."""
-    # row 0 is its reference, so that 0 is one of the values
-    inside = np.where(baseline, displacement, 0.0)
-    spread = inside.max(axis=1, initial=0.0) - inside.min(axis=1, initial=0.0)
-    result: Floats = np.where(spread > floor, spread, 0.0)
-    return result
-
-
-def _last_tenth(batch: TrialBatch) -> Floats:
-    first = batch.rows - np.maximum(batch.rows // 10, 1)
-    column = np.arange(batch.position.shape[1])[None, :]
-    where = batch.valid & (column >= first[:, None])
-    mean: Floats = np.where(where, batch.position, 0.0).sum(axis=1) / np.maximum(where.sum(axis=1), 1)
-    return mean
+    # the displacement may be rounded to less than the positions
+    moved = baseline - trial.position[:1]
+    spread = float(moved.max(initial=0.0) - moved.min(initial=0.0))
+    return noise, floor, spread if spread > floor else 0.0
 
 
 SETTLED_SAMPLES = 5
 """Samples in a band at the end of a log: fewer may be a mere passage of it."""
 
 
-def reach(
-    batch: TrialBatch, final: Floats, first: Integers, entry: Integers, growth: Floats, noise: Floats
-) -> tuple[Floats, Floats]:
-    """Return how far from its final position a motion can still come [m, rad], and the error of that, shape (n,) each.
+def reach(trial: Trial, final: float, first: int, entry: int, growth: float, noise: float) -> tuple[float, float]:
+    """Return how far from its final position a motion can still come, and the error of that [m, rad].
 
     Parameters
     ----------
-    batch : TrialBatch
-    final : float64, shape (n,)
+    trial : Trial
+    final : float
         Position about which the response swings [m, rad].
-    first, entry : int64, shape (n,)
+    first, entry : int
         Row in which it begins, and row from which on it is inside the band that is asked for.
-    growth : float64, shape (n,)
+    growth : float
         Growth rate of its slowest mode per sample, NaN where none is told.
-    noise : float64, shape (n,)
+    noise : float
         Standard error of a late reading [m, rad].
 
     Notes
@@ -235,44 +204,68 @@ def reach(
     has a quarter of a period more to decay in. The last half radian of the log counts, as far as it is inside the band.
     A motion that does not grow is bounded by its last whole swing, too.
     """
-    column = np.arange(batch.position.shape[1])[None, :]
-    first = np.minimum(first, np.maximum(batch.rows - 1, 0))
-    inside = batch.valid & (column >= first[:, None])
-    error = np.where(inside, batch.position - final[:, None], 0.0)
-    radian = _radian(error, inside, first, noise)
+    first = min(first, trial.rows - 1)
+    error = trial.position[first:] - final
+    return _reach(error, entry - first, growth, noise, *RISE_LEVELS)
+
+
+@compiled("UniTuple(f8, 2)(f8[::1], i8, f8, f8, f8, f8)")
+def _reach(e: Floats, entry: int, growth: float, noise: float, low: float, high: float) -> tuple[float, float]:
+    """Return the farthest swing after the end of a motion, and its error [m, rad], as `reach`.
+
+    The time of one radian r of its slowest swing is 1/pi of the longest time between two passes of 0, or by the rise
+    time. With the change over a span s of half of that, v/w = (e_k - e_{k-s}) r/s, and a swing comes as far as
+
+        hypot(e, v/w)    outwards,        max(|e|, exp(growth pi r/2) hypot(e, v/w))    inwards.
+
+    Parameters
+    ----------
+    e : float64, shape (rows,)
+        Distance from the final position, from the first row of the response on [m, rad].
+    entry : int
+        Row from which on it is inside the band.
+    growth, noise : float
+        As for `reach`.
+    low, high : float
+        Shares of the way between which the rise time is counted.
+    """
+    n = len(e)
+    side, last, longest, passes = 0.0, 0, 0, False
+    size, farthest, quarter = 0.0, -1.0, 0
+    for k in range(n):
+        size = max(size, abs(e[k]))
+        now = np.sign(e[k]) if abs(e[k]) > 4 * noise else side
+        if now * side < 0:
+            passes, longest, last = True, max(longest, k - last), k
+            farthest = -1.0
+        if abs(e[k]) > farthest:  # of the swing that has not ended, a quarter is seen up to its farthest reading
+            farthest, quarter = abs(e[k]), k - last
+        side = now
+    if passes:
+        radian = max(longest, 2 * quarter) / np.pi
+    else:
+        begin = end = -1
+        for k in range(n):
+            share = abs(e[k]) / max(size, 2.2250738585072014e-308)
+            begin = k if begin < 0 and share <= 1 - low else begin
+            end = k if end < 0 and share <= 1 - high else end
+        radian = max(end - max(begin, 0), 0) / np.log(9.0)  # rows by which so much of the way is made
+    falls = 0.0 if np.isnan(growth) else min(growth, 0.0)
     # a swing that decays is slower than it would be without damping, which is what bounds it
-    radian = np.maximum(radian / np.hypot(1.0, radian * np.minimum(np.nan_to_num(growth), 0.0)), 1.0)
-    span = np.clip(np.rint(radian / 2), 1, np.maximum(batch.rows - first - 1, 1)).astype(np.int64)
-    before = np.take_along_axis(error, np.maximum(column - span[:, None], first[:, None]), axis=1)
-    way = (error - before) * (radian / span)[:, None]
-    swing = np.hypot(error, way)
-    decay = np.exp(np.minimum(np.nan_to_num(growth), 0.0) * 0.5 * np.pi * radian)
-    swing = np.where(way * error < 0, np.maximum(np.abs(error), decay[:, None] * swing), swing)
-    last = batch.valid & (column >= np.maximum(batch.rows - span, entry)[:, None])
-    far: Floats = np.max(np.where(last, swing, 0.0), axis=1, initial=0.0)
-    whole = batch.rows - np.ceil(2 * np.pi * radian)
-    widest = np.max(np.where(inside & (column >= whole[:, None]), np.abs(error), 0.0), axis=1, initial=0.0)
-    far = np.where((whole >= first) & ~(growth > 0), np.minimum(far, widest), far)
-    return np.where(last.any(axis=1), far, np.inf), noise * np.hypot(1.0, np.sqrt(2) * radian / span)
-
-
-def _radian(error: Floats, inside: Booleans, first: Integers, noise: Floats) -> Floats:
-    """Return the time of one radian of the slowest swing [samples], shape (n,)."""
-    column = np.arange(error.shape[1])[None, :]
-    # the side of the last reading that surely lies on one
-    side = np.where(inside & (np.abs(error) > 4 * noise[:, None]), np.sign(error), 0.0)
-    side = np.take_along_axis(side, np.maximum.accumulate(np.where(side != 0, column, 0), axis=1), axis=1)
-    passes = np.zeros_like(inside)
-    passes[:, 1:] = inside[:, 1:] & (side[:, 1:] * side[:, :-1] < 0)
-    last = np.maximum.accumulate(np.where(passes, column, first[:, None]), axis=1)
-    gaps = np.where(passes, column - np.roll(last, 1, axis=1), 0).max(axis=1, initial=0)
-    # of the swing that has not ended, a quarter is seen up to its farthest reading
-    since_pass = np.where(inside & (column >= last[:, -1:]), np.abs(error), 0.0)
-    quarter = np.argmax(since_pass, axis=1) - last[:, -1]
-    longest = np.maximum(gaps, 2 * quarter)
-    share = np.abs(error) / np.maximum(np.abs(error).max(axis=1, initial=0.0), np.finfo(np.float64).tiny)[:, None]
-    begin, end = (
-        np.argmax(inside & (column >= first[:, None]) & (share <= 1 - level), axis=1) for level in RISE_LEVELS
-    )  # rows by which so much of the way is made
-    result: Floats = np.where(passes.any(axis=1), longest / np.pi, (end - begin) / np.log(9.0))
-    return result
+    radian = max(radian / np.hypot(1.0, radian * falls), 1.0)
+    span = int(min(max(np.rint(radian / 2), 1.0), max(n - 1, 1)))
+    decay = np.exp(falls * 0.5 * np.pi * radian)
+    far = -1.0
+    for k in range(max(n - span, entry, 0), n):
+        way = (e[k] - e[max(k - span, 0)]) * (radian / span)
+        swing = np.hypot(e[k], way)
+        if way * e[k] < 0:
+            swing = max(abs(e[k]), decay * swing)
+        far = max(far, swing)
+    whole = n - int(np.ceil(min(2 * np.pi * radian, n + 1.0)))
+    if whole >= 0 and not growth > 0:
+        widest = 0.0
+        for k in range(whole, n):
+            widest = max(widest, abs(e[k]))
+        far = min(far, widest)
+    return far if entry < n else np.inf, noise * np.hypot(1.0, np.sqrt(2.0) * radian / span)

@@ -7,17 +7,19 @@ With K = 0 the position runs away at constant force, and the trial is stable if 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
-from pipeline.measured.signal.edge import BENT, external_force, first_step_alone
-from pipeline.measured.signal.modes import FEWEST_SAMPLES, NARROW, WIDE, fastest_growth
+from pipeline.measured.signal.edge import BENT, NO_ROW, external_force, first_step_alone
+from pipeline.measured.signal.modes import FEWEST_SAMPLES, NARROW, WIDE, Growth, fastest_growth
 from pipeline.measured.signal.release import at_rest_before, find_release
 from pipeline.measured.signal.response import Response, find_response
 from pipeline.measured.signal.sensor import NOISE_FACTOR
 from pipeline.measured.student import SIGMAS
-from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+from pipeline.records.trials import Floats, Integers, Trial
 
 REST_FLOORS = 8.0
 """Amplitude at the end, in sensor floors, up to which quanta may keep an oscillation up in a stable loop: the
@@ -44,43 +46,38 @@ ROUNDING = 1e3 * float(np.finfo(np.float64).eps)
 """Motion relative to the positions that is arithmetic in a log without a sensor; of its own peak a billionth is."""
 
 
-@dataclass(frozen=True, eq=False)
-class Verdicts:
-    """Verdict of each trial, all of length n.
+@dataclass(frozen=True)
+class Verdict:
+    """Verdict of a trial.
 
     Parameters
     ----------
-    verdict : array of str
+    verdict : str
         ``stable``, ``unstable`` or ``undecided``.
-    growth_per_s : float64
+    growth_per_s : float
         Growth rate of the fastest growing (slowest decaying) visible mode [1/s]; NaN where none can be told.
         Where K = 0: growth rate of the acceleration, -(b + B)/m for small (b + B).
-    reason : tuple of str
+    reason : str
         Why a trial is undecided, or has no growth rate; empty otherwise.
     """
 
-    verdict: np.ndarray[tuple[int, ...], np.dtype[np.str_]]
-    growth_per_s: Floats
-    reason: tuple[str, ...]
-
-    def select(self, some: Integers | slice) -> Verdicts:
-        """Return the verdicts of the trials at indices or in a slice."""
-        reason = self.reason[some] if isinstance(some, slice) else tuple(self.reason[i] for i in some)
-        return Verdicts(self.verdict[some], self.growth_per_s[some], reason)
+    verdict: str
+    growth_per_s: float
+    reason: str
 
 
-def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
-    """Judge the stability of each trial from its log.
+def judge(trial: Trial, response: Response | None = None) -> Verdict:
+    """Judge the stability of a trial from its log.
 
     Parameters
     ----------
-    batch : TrialBatch
+    trial : Trial
     response : Response, optional
-        What `find_response` said of the same trials, if it is there already.
+        Of the same trial, if it is there already.
 
     Returns
     -------
-    Verdicts
+    Verdict
 
     Notes
     -----
@@ -94,164 +91,127 @@ def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
 
     Source: Hulin 2017, sec. 3.3 (stability), eq. 3.25 (K = 0) and sec. 6.1.1 (procedure).
     """
-    response = find_response(batch) if response is None else response
-    parts = [_judge(part, response.select(some), _stepped(part)) for some, part in batch.portions()]
-    verdict = np.concatenate([part.verdict for part in parts] or [np.empty(0, dtype="<U9")])
-    growth = np.concatenate([part.growth_per_s for part in parts] or [np.empty(0)])
-    reason = [text for part in parts for text in part.reason]
-    some = np.flatnonzero(batch.step == 0)
-    if len(some):
-        released = _judge_released(batch.select(some), response.select(some))
-        verdict[some], growth[some] = released.verdict, released.growth_per_s
-        for place, text in zip(some.tolist(), released.reason, strict=True):
-            reason[place] = text
-    for i in np.flatnonzero(response.steps > 1):
-        alone = judge(first_step_alone(batch.select(slice(i, i + 1))))
-        verdict[i], growth[i], reason[i] = alone.verdict[0], alone.growth_per_s[0], alone.reason[0]
-    return Verdicts(verdict, growth, tuple(reason))
+    response = find_response(trial) if response is None else response
+    if trial.step == 0:
+        return _judge_released(trial, response)
+    if response.steps > 1:
+        return judge(first_step_alone(trial))
+    return _judge(trial, response, _Excitation(NO_ROW, abs(trial.step), float(np.sign(trial.step))))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class _Excitation:
-    """What set each trial in motion, shape (n,): row from which on it acts no more, size of its force, direction."""
+    """What set a trial in motion: row from which on it acts no more (-1: the edge), size of its force, direction."""
 
-    free: Integers | None
-    size: Floats
-    way: Floats
-
-
-def _stepped(batch: TrialBatch) -> _Excitation:
-    return _Excitation(None, np.abs(batch.step), np.sign(batch.step))
+    free: int
+    size: float
+    way: float
 
 
-def _judge_released(batch: TrialBatch, response: Response) -> Verdicts:
-    """Judge trials without a step by their free motion."""
-    found = find_release(batch)
-    verdict = np.full(len(batch), "undecided", dtype="<U9")
-    growth = np.full(len(batch), np.nan)
-    reason = [f"{no_step}; {why}" for no_step, why in zip(response.edge_reason, found.reason, strict=True)]
-    some = np.flatnonzero(found.free >= 0)
-    if len(some):
-        batch, response = batch.select(some), response.select(some)
-        floor, noise = at_rest_before(batch, found.begin[some])
-        displacement = np.nan_to_num(batch.displacement)
-        onset = np.argmax(np.abs(displacement) > floor[:, None], axis=1)
-        begun = np.take_along_axis(displacement, onset[:, None], axis=1)[:, 0]
-        level = found.level[some]
-        final = np.divide(level, batch.stiffness, out=np.full(len(some), np.nan), where=batch.stiffness > 0)
-        final[level == 0] = np.nan
-        response = replace(
-            response,
-            edge_row=found.begin[some],
-            floor=floor,
-            sensor_noise=noise,
-            position_final_expected=response.position_start + final,
-        )
-        way = np.where(level != 0, np.sign(level), np.sign(begun))
-        cause = _Excitation(found.free[some], found.size[some], way)
-        judged = _judge(replace(batch, step=level), response, cause)
-        verdict[some], growth[some] = judged.verdict, judged.growth_per_s
-        for i, text in zip(some.tolist(), judged.reason, strict=True):
-            reason[i] = text
-    return Verdicts(verdict, growth, tuple(reason))
+def _judge_released(trial: Trial, response: Response) -> Verdict:
+    """Judge a trial without a step by its free motion."""
+    release = find_release(trial)
+    if release.free < 0:
+        return Verdict("undecided", np.nan, f"{response.edge_reason}; {release.reason}")
+    floor, noise = at_rest_before(trial, release.begin)
+    displacement, level = trial.displacement, release.level
+    begun = displacement[np.argmax(np.abs(displacement) > floor)]
+    final = level / trial.stiffness if trial.stiffness > 0 and level != 0 else np.nan
+    response = replace(
+        response,
+        edge_row=release.begin,
+        floor=floor,
+        sensor_noise=noise,
+        position_final_expected=response.position_start + final,
+    )
+    way = float(np.sign(level if level != 0 else begun))
+    return _judge(replace(trial, step=level), response, _Excitation(release.free, release.size, way))
 
 
-def _judge(batch: TrialBatch, response: Response, cause: _Excitation) -> Verdicts:
-    floor, wall = response.floor, batch.stiffness != 0
-    rounding = ROUNDING * np.nanmax(np.abs(batch.position), axis=1, initial=0.0)
-    signal, start, count = _free_motion(batch, response, cause.free)
-    size = np.abs(signal)
-    peak = size.max(axis=1, initial=0.0)
-    rest = np.where(floor > 0, floor, np.maximum(1e-9 * peak, rounding))
-    moving = size > np.where(wall, rest, 2 * rest)[:, None]
-    lasted = np.where(moving.any(axis=1), signal.shape[1] - np.argmax(moving[:, ::-1], axis=1), 0)
-    begin = _half_range(batch, start, count, 0.0)
+def _judge(trial: Trial, response: Response, cause: _Excitation) -> Verdict:
+    floor, wall = response.floor, trial.stiffness != 0
+    rounding = ROUNDING * float(np.abs(trial.position).max())
+    signal, start = _free_motion(trial, response, cause.free)
+    count, size = len(signal), np.abs(signal)
+    peak = float(size.max(initial=0.0))
+    rest = floor if floor > 0 else max(1e-9 * peak, rounding)
+    moving = np.flatnonzero(size > (rest if wall else 2 * rest))
+    lasted = int(moving[-1]) + 1 if len(moving) else 0
+    begin = _half_range(trial.position[start:])
     # at a turn a swing looks like rest: its end is no shorter than from one turn to the next
-    end = _half_range(batch, start, count, np.minimum(END, 1 - _last_swing(signal, moving) / np.maximum(count, 1)))
+    since = min(END, 1 - _last_swing(signal, moving) / max(count, 1))
+    end = _half_range(trial.position[math.ceil(start + since * count) :])
     # what is left may be a limit cycle of the sensor, if it came down from far above
-    left = np.where(floor > 0, end <= REST_FLOORS * floor, lasted < END * count) & wall
-    above = (begin >= LEAST_FALL * np.where(left, end, np.minimum(end, floor))) | ~wall
-    enough = (count >= FEWEST_SAMPLES) & (peak > np.where(wall, 0.0, 4 * floor))
+    left = wall and (end <= REST_FLOORS * floor if floor > 0 else lasted < END * count)
+    above = not wall or begin >= LEAST_FALL * (end if left else min(end, floor))
+    enough = count >= FEWEST_SAMPLES and peak > (0.0 if wall else 4 * floor)
     # a motion that comes to rest is seen while it lasts, with some rest behind it where that is too short
-    seen = np.where(~wall | left | (floor == 0), np.maximum(lasted, np.minimum(count, 2 * FEWEST_SAMPLES)), count)
+    seen = max(lasted, min(count, 2 * FEWEST_SAMPLES)) if not wall or left or floor == 0 else count
     # the floor is six standard deviations of the noise wide, or one quantum, whose error is far smaller
-    noise = np.where(wall, 1.0, np.sqrt(6)) * np.maximum(floor / NOISE_FACTOR, 1e-3 * rounding)
-    rate, error, clean = _growth(signal, seen, noise)
-    slope, scatter, fades = _slope(signal, seen, noise)
+    noise = (1.0 if wall else np.sqrt(6)) * max(floor / NOISE_FACTOR, 1e-3 * rounding)
+    rate, error, clean = _growth(signal[:seen], noise)
+    slope, scatter, fades = _slope(signal[:seen], noise)
     # a motion without modes, or whose views differ, has the rate of its size
-    sized = ~clean & ~(np.abs(rate) > SIGMAS * error)
-    change = np.maximum(SIGMAS * scatter, np.log(LEAST_FALL) / np.maximum(seen, 1))
-    falls, grows = slope < -SIGMAS * scatter, slope > change
+    sized = not clean and not abs(rate) > SIGMAS * error
+    change = max(SIGMAS * scatter, np.log(LEAST_FALL) / max(seen, 1))
+    falls = slope < -SIGMAS * scatter
     # a growing mode shows once the others have died away: what fades to its end is braked
-    rises = np.where(sized, grows, (rate > SIGMAS * error) & (clean | ~fades))
-    lasts = _bent(batch, start, count, cause.size) & ~falls & wall
-    early = wall & _in_first_swing(batch, response, cause.way) & ~falls & ~left
-    rises = (rises | lasts) & enough & ~left & ~early
-    sinks = (np.where(sized, slope < -change, rate < -SIGMAS * error) & ~lasts) | left
-    sinks &= above & enough & ~rises & ~early
+    rises = slope > change if sized else rate > SIGMAS * error and (clean or not fades)
+    sinks = slope < -change if sized else rate < -SIGMAS * error
+    lasts = wall and not falls and _bent(trial, start, count, cause.size)
+    early = wall and not falls and not left and _in_first_swing(trial, response, cause.way)
+    rises = (rises or lasts) and enough and not left and not early
+    sinks = ((sinks and not lasts) or left) and above and enough and not rises and not early
     # a mode that the step hardly excites begins below the floor, whatever has died away above it
-    hidden = np.full(len(batch), np.nan)
-    some = np.flatnonzero(sinks & wall & (floor > 0))
-    if len(some):
-        hidden[some] = _hidden(signal[some], count[some], noise[some], response.select(some))
-    sinks &= np.isnan(hidden)
-    verdict = np.where(rises, "unstable", np.where(sinks, "stable", "undecided"))
-    rate = np.where(np.isnan(hidden), np.where(sized & (rises | sinks), np.where(rises, slope, rate), rate), hidden)
-    rate = np.where((sinks & (rate > 0)) | ~enough, np.nan, rate) / batch.sampling_period_s
-    reason = [
-        NOT_TOLD if text == "stable" and np.isnan(r) else _undecided(*each) if text == "undecided" else ""
-        for text, r, *each in zip(
-            verdict, rate, enough, early, count, end, hidden / batch.sampling_period_s, rate,
-            SIGMAS * error / batch.sampling_period_s, strict=True,
-        )
-    ]  # fmt: skip
-    return Verdicts(verdict, rate, tuple(reason))
-
-
-def _undecided(visible: bool, early: bool, samples: int, left: float, hidden: float, rate: float, error: float) -> str:
-    if not visible:
-        return (
-            f"no visible motion to judge: {samples} samples after the step, of which {FEWEST_SAMPLES} must stand above "
+    hidden = _hidden(signal, noise, response) if sinks and wall and floor > 0 else np.nan
+    sinks = sinks and np.isnan(hidden)
+    rate = hidden if not np.isnan(hidden) else slope if sized and rises else rate
+    rate = np.nan if (sinks and rate > 0) or not enough else rate / trial.sampling_period_s
+    if rises:
+        return Verdict("unstable", rate, "")
+    if sinks:
+        return Verdict("stable", rate, NOT_TOLD if np.isnan(rate) else "")
+    if not enough:
+        reason = (
+            f"no visible motion to judge: {count} samples after the step, of which {FEWEST_SAMPLES} must stand above "
             "the sensor floor"
         )
-    if early:
-        return "the log ends before the motion turns or passes its final position: behind any wall it speeds up so far"
-    if hidden > 0:
-        return f"a mode grows at {hidden:.3g} 1/s in a motion that falls to an amplitude of {left:.3g}"
-    told = f" (growth rate {rate:.3g} +- {error:.2g} 1/s)" if np.isfinite(rate) else ""
-    return f"at the limit: an amplitude of {left:.3g} is left that neither grows nor decays for sure{told}"
+    elif early:
+        reason = (
+            "the log ends before the motion turns or passes its final position: behind any wall it speeds up so far"
+        )
+    elif hidden > 0:
+        reason = f"a mode grows at {rate:.3g} 1/s in a motion that falls to an amplitude of {end:.3g}"
+    else:
+        reason = f"at the limit: an amplitude of {end:.3g} is left that neither grows nor decays for sure"
+        if np.isfinite(rate):
+            reason += f" (growth rate {rate:.3g} +- {SIGMAS * error / trial.sampling_period_s:.2g} 1/s)"
+    return Verdict("undecided", rate, reason)
 
 
-def _free_motion(batch: TrialBatch, response: Response, free: Integers | None) -> tuple[Floats, Integers, Integers]:
-    """Return the free motion without a constant part, its first row, and its number of samples.
+def _free_motion(trial: Trial, response: Response, free: int) -> tuple[Floats, int]:
+    """Return the free motion without a constant part, shape (samples,), and its first row.
 
     The input is constant, from ``free`` on where that is not the edge, and the delay line filled by it: the first
     movement after the edge shows one delay; after another one the past before the step is forgotten. Behind a wall it
     is the change from sample to sample; with K = 0 the second difference over a third of the motion, in which the
     uniform motion leaves nothing.
     """
-    edge = np.maximum(response.edge_row, 0)
-    column = np.arange(batch.position.shape[1])[None, :]
-    moved = (np.abs(np.nan_to_num(batch.displacement)) > response.floor[:, None]) & (column > edge[:, None])
-    onset = np.where(moved.any(axis=1), np.argmax(moved, axis=1), edge)
-    start = 2 * onset - edge if free is None else free + 2 * (onset - edge)
-    wall = batch.stiffness != 0
+    edge = max(response.edge_row, 0)
+    moved = np.abs(trial.displacement[edge + 1 :]) > response.floor
+    delay = int(moved.argmax()) + 1 if moved.any() else 0
+    start = (edge if free == NO_ROW else free) + 2 * delay
+    if trial.stiffness != 0:
+        position = trial.position[start:]
+        return position[1:] - position[:-1], start
     # without a wall the fast modes of the delay line are forgotten after some more delays
-    extra = np.minimum(3 * np.maximum(start - edge, 2), (batch.rows - start) // 4)
-    start = np.where(wall, start, start + np.maximum(extra, 0))
-    lag = np.where(wall, 1, np.maximum((batch.rows - start) // 3, 1))
-    count = np.maximum(batch.rows - start - np.where(wall, 1, 2) * lag, 0)
-    here, there, beyond = (
-        np.take_along_axis(
-            batch.position, np.minimum(start[:, None] + column + times * lag[:, None], len(column[0]) - 1), axis=1
-        )
-        for times in (0, 1, 2)
-    )
-    motion = np.where(wall[:, None], there - here, beyond - 2 * there + here)
-    return np.where(column < count[:, None], motion, 0.0), start.astype(np.int64), count.astype(np.int64)
+    start += max(min(3 * max(start - edge, 2), (trial.rows - start) // 4), 0)
+    position = trial.position[start:]
+    lag = max(len(position) // 3, 1)
+    return position[2 * lag :] - 2 * position[lag:-lag] + position[: -2 * lag], start
 
 
-def _growth(signal: Floats, length: Integers, noise: Floats) -> tuple[Floats, Floats, Booleans]:
+def _growth(signal: Floats, noise: float) -> tuple[float, float, bool]:
     """Return the growth of the slowest mode and its standard error, per sample, and where few modes explain all.
 
     Over n samples that of a mode of amplitude A in the middle is sqrt(6) s/(A n^1.5) by white noise s at least. What
@@ -259,106 +219,101 @@ def _growth(signal: Floats, length: Integers, noise: Floats) -> tuple[Floats, Fl
     the amplitude over the log by twice itself. Two views, by windows of different width, err by their difference, too:
     the nearer to zero counts, and none where one grows and one decays.
     """
-    views = [fastest_growth(signal, length, noise, part) for part in (WIDE, NARROW)]
-    errors = []
-    for view in views:
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            middle = view.amplitude * np.exp(np.minimum(-view.per_sample * length / 2, 300.0))
-            white = np.sqrt(6 / np.maximum(length, 1)) * np.minimum(view.noise, 3 * noise)
-            unexplained = np.sqrt(np.maximum(view.noise**2 - (3 * noise) ** 2, 0.0))
-            errors.append(np.hypot(white, 2 * unexplained) / (middle * length))
-    rates = np.stack([view.per_sample for view in views])
-    rate = np.where(np.abs(rates[0]) <= np.abs(rates[1]), *rates)
-    error = np.where(rates[0] * rates[1] > 0, np.hypot(np.maximum(*errors), rates[1] - rates[0]), np.inf)
-    clean = views[0].clean
     # as far as rounding of positions lets a rate be told over a log
-    least = 1e-9 / np.maximum(length, 1)
-    return np.where(clean, rates[0], rate), np.maximum(np.where(clean, errors[0], error), least), clean
+    least = 1e-9 / max(len(signal), 1)
+    wide = fastest_growth(signal, noise, WIDE)
+    error = _error(wide, len(signal), noise)
+    if wide.clean:
+        return wide.per_sample, max(error, least), True
+    narrow = fastest_growth(signal, noise, NARROW)
+    rates = wide.per_sample, narrow.per_sample
+    rate = rates[0] if abs(rates[0]) <= abs(rates[1]) else rates[1]
+    if not rates[0] * rates[1] > 0:
+        return rate, np.inf, False
+    error = math.hypot(max(error, _error(narrow, len(signal), noise)), rates[1] - rates[0])
+    return rate, max(error, least), False
 
 
-def _hidden(signal: Floats, count: Integers, noise: Floats, response: Response) -> Floats:
+def _error(view: Growth, samples: int, noise: float) -> float:
+    """Return the standard error of a growth rate, per sample."""
+    if np.isnan(view.per_sample):
+        return np.nan
+    middle = view.amplitude * math.exp(min(-view.per_sample * samples / 2, 300.0))
+    white = math.sqrt(6 / samples) * min(view.noise, 3 * noise)
+    unexplained = math.sqrt(max(view.noise**2 - (3 * noise) ** 2, 0.0))
+    return math.hypot(white, 2 * unexplained) / (middle * samples) if middle > 0 else np.inf
+
+
+def _hidden(signal: Floats, noise: float, response: Response) -> float:
     """Return the growth per sample of what grows beside or below a motion that falls, NaN where none is told.
 
     Differences show it where a slow motion hides a vibration; they bear twice the error. A quantum errs by a pattern
     and not by chance, as far as noise does not blur it: growth must add more than half of it.
     """
-    growth = np.full(len(signal), np.nan)
-    pattern = np.maximum(0.5 * response.sensor_quantum - np.nan_to_num(response.sensor_noise), 0.0)
-    for motion, n, more in ((signal, count, 1), (np.diff(signal, axis=1), count - 1, 2)):
-        views = []
+    blur = 0.0 if np.isnan(response.sensor_noise) else response.sensor_noise
+    pattern = max(0.5 * response.sensor_quantum - blur, 0.0)
+    growth = np.nan
+    for motion, more in ((signal, 1), (np.diff(signal), 2)):
+        rates = []
         for part in (WIDE, NARROW):
-            view = fastest_growth(motion, n, more * noise, part, 0.0)
-            rate = view.per_sample
-            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                error = np.sqrt(6) * view.noise / (view.amplitude * np.exp(-rate * n / 2) * n**1.5)
-                told = (rate > SIGMAS * error) & (-view.amplitude * np.expm1(-rate * n) > more * pattern)
-            views.append(np.where(told, rate, np.nan))
-        growth = np.fmax(growth, np.minimum(*views))
-    return growth
+            view = fastest_growth(motion, more * noise, part, 0.0)
+            n, rate = len(motion), view.per_sample
+            if not rate > 0 or -view.amplitude * math.expm1(-rate * n) <= more * pattern:
+                break
+            if not rate * view.amplitude * math.exp(-rate * n / 2) * n**1.5 > SIGMAS * math.sqrt(6) * view.noise:
+                break
+            rates.append(rate)
+        if len(rates) == 2:
+            growth = np.fmax(growth, min(rates))
+    return float(growth)
 
 
-def _slope(signal: Floats, length: Integers, noise: Floats) -> tuple[Floats, Floats, Booleans]:
+def _slope(signal: Floats, noise: float) -> tuple[float, float, bool]:
     """Return the growth per sample of the size of a motion over its parts, with its standard error by their scatter.
 
     And whether it fades: from each of its last quarters to the next.
     """
-    place = np.arange(signal.shape[1])[None, :] * BLOCKS / np.maximum(length, 1)[:, None]
-    blocks = [(place >= i) & (place < i + 1) for i in range(BLOCKS)]
-    power = np.stack([np.where(part, signal**2, 0.0).sum(axis=1) / np.maximum(part.sum(axis=1), 1) for part in blocks])
+    bounds = [-(-block * len(signal) // BLOCKS) for block in range(BLOCKS + 1)]
+    blocks = [signal[first:end] for first, end in pairwise(bounds)]
+    power = np.array([block @ block / max(len(block), 1) for block in blocks])
     size = 0.5 * np.log(np.maximum(power - noise**2, np.finfo(np.float64).tiny) + noise**2)
     x = np.arange(BLOCKS) - 0.5 * (BLOCKS - 1)
     square = float(x @ x)
-    slope = x @ size / square
-    rest = size - size.mean(axis=0) - np.outer(x, slope)
-    step = np.maximum(length, 1) / BLOCKS
+    slope = float(x @ size) / square
+    rest = size - size.mean() - slope * x
+    step = max(len(signal), 1) / BLOCKS
     quarter = power[2::2] + power[3::2]
-    fades = (quarter[2] < FADES**2 * quarter[1]) & (quarter[1] < FADES**2 * quarter[0])
-    return slope / step, np.sqrt((rest**2).sum(axis=0) / (BLOCKS - 2) / square) / step, fades
+    fades = bool((quarter[1:] < FADES**2 * quarter[:-1]).all())
+    return slope / step, math.sqrt(float(rest @ rest) / (BLOCKS - 2) / square) / step, fades
 
 
-def _bent(batch: TrialBatch, start: Integers, count: Integers, size: Floats) -> Booleans:
-    """Return whether the command stands at a limit, or at the step alone, late in the motion, shape (n,).
+def _bent(trial: Trial, start: int, count: int, size: float) -> bool:
+    """Return whether the command stands at a limit, or at the step alone, late in the motion.
 
     It does so in two rows or more of the last quarter although the wall law asks for more: it is clipped, or the wall
     does not push.
     """
-    column = np.arange(batch.position.shape[1])[None, :] - start[:, None]
-    after = batch.valid & (column >= 0)
-    step = batch.step[:, None]
-    off = after & (column >= (0.75 * count)[:, None])
-    off &= np.abs(np.nan_to_num(external_force(batch) - step)) > BENT * size[:, None]
-    lowest = np.where(after, batch.command, np.inf).min(axis=1, initial=np.inf)
-    highest = np.where(after, batch.command, -np.inf).max(axis=1, initial=-np.inf)
-    bent = np.zeros(len(batch), dtype=np.bool_)
-    for limit in (lowest, highest, batch.step):
-        bent |= (off & np.isclose(batch.command, limit[:, None], rtol=1e-9, atol=0.0)).sum(axis=1) >= 2
-    return bent
+    command, late = trial.command[start:], math.ceil(0.75 * count)
+    off = command[late:][np.abs((external_force(trial) - trial.step)[start + late :]) > BENT * size]
+    limits = (command.min(), command.max(), trial.step) if len(off) >= 2 else ()
+    return any((np.abs(off - limit) <= 1e-9 * abs(limit)).sum() >= 2 for limit in limits)
 
 
-def _last_swing(signal: Floats, moving: Booleans) -> Floats:
-    """Return the rows between the last two changes of direction of each motion, 0 where there are fewer, shape (n,)."""
-    rows = np.arange(signal.shape[1])
-    seen = np.maximum.accumulate(np.where(moving, rows, -1), axis=1)
-    ahead = np.take_along_axis(signal, np.maximum(seen, 0), axis=1) > 0
-    turns = (ahead[:, 1:] != ahead[:, :-1]) & (seen[:, :-1] >= 0)
-    last = np.where(turns, rows[1:], 0).max(axis=1, initial=0)
-    before = np.where(turns & (rows[1:] < last[:, None]), rows[1:], 0).max(axis=1, initial=0)
-    return np.where(before > 0, last - before, 0).astype(np.float64)
+def _last_swing(signal: Floats, moving: Integers) -> int:
+    """Return the rows between the last two changes of direction of a motion, by its rows in motion; 0 for fewer."""
+    ahead = signal[moving] > 0
+    turns = moving[1:][ahead[1:] != ahead[:-1]]
+    return int(turns[-1] - turns[-2]) if len(turns) > 1 else 0
 
 
-def _half_range(batch: TrialBatch, start: Integers, count: Integers, since: float | Floats) -> Floats:
-    """Return half the range of the position from a part of the motion on, shape (n,)."""
-    inside = batch.valid & (np.arange(batch.position.shape[1])[None, :] >= (start + since * count)[:, None])
-    high = np.max(np.where(inside, batch.position, -np.inf), axis=1, initial=-np.inf)
-    low = np.min(np.where(inside, batch.position, np.inf), axis=1, initial=np.inf)
-    result: Floats = np.where(high >= low, 0.5 * (high - low), 0.0)
-    return result
+def _half_range(position: Floats) -> float:
+    """Return half the range of positions, 0 for none."""
+    return 0.5 * float(position.max() - position.min()) if len(position) else 0.0
 
 
-def _in_first_swing(batch: TrialBatch, response: Response, way: Floats) -> Booleans:
-    """Return which motions have neither turned nor passed their final position: behind any wall these speed up."""
-    way, floor = way[:, None], response.floor[:, None]
-    travel = np.abs(response.position_final_expected - response.position_start)[:, None]
-    moved = np.nan_to_num(batch.displacement) * way
-    turns = (np.nan_to_num(np.diff(batch.position, axis=1)) * way < -floor).any(axis=1)
-    return np.asarray(~(turns | (moved > travel + floor).any(axis=1)))
+def _in_first_swing(trial: Trial, response: Response, way: float) -> bool:
+    """Return whether a motion has neither turned nor passed its final position: behind any wall it speeds up."""
+    travel = abs(response.position_final_expected - response.position_start)
+    if (trial.displacement * way > travel + response.floor).any():
+        return False
+    return not ((trial.position[1:] - trial.position[:-1]) * way < -response.floor).any()

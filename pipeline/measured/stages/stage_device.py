@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any
 
@@ -18,10 +17,10 @@ from pipeline.measured.identification.intervals import with_delay
 from pipeline.measured.identification.recordings import SHORTEST, Recording
 from pipeline.measured.identification.scatter import FEWEST
 from pipeline.measured.identification.segments import GAP
-from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
-from pipeline.records.batch import TrialBatch
+from pipeline.measured.stages.measured_trial import Columns, MeasuredTrial
 from pipeline.records.findings import Finding, unsafe_reason
 from pipeline.records.tables import TABLES
+from pipeline.records.trials import Trial
 
 MOST_ROWS = 600
 """Rows of a log from shortly before the step on: behind any wall that is of use motion has come to its end."""
@@ -60,10 +59,8 @@ def identification(of: Experiment) -> tuple[Identification | None, str]:
         return None, reason
     usable &= ~np.array([any(each.leaves_out for each in found) for found in findings])
     ids = of.texts("response", "trial_id")
-    parts = of.of_each(recordings, chosen=[ids[i] for i in np.flatnonzero(usable)])
     order = np.lexsort((np.array(ids), stiffness, of.column("response", "damping")))
-    rank = {ids[i]: number for number, i in enumerate(order.tolist())}
-    found = sorted((one for part in parts for one in part), key=lambda one: rank[one.name])
+    found = of.map_trials(recording, order[usable[order]].tolist())
     if not found:
         fault = next((each for some in findings for each in some if each.leaves_out), None)
         return None, fault.sentence if fault is not None else "no log's command is that of its wall and time"
@@ -155,7 +152,7 @@ def _row(found: Identification, of: Experiment) -> dict[str, Any]:
         "fit_percent": found.fit_percent,
         "saturated": _saturated(of, values.get("force_limit", np.inf)),
         "largest_command": found.units.command,
-        "largest_step": float(np.abs(of.samples.of_trials("step")).max(initial=0.0)) or found.units.command,
+        "largest_step": float(np.abs(of.samples.step).max(initial=0.0)) or found.units.command,
         "travel": found.units.position,
     }
 
@@ -164,42 +161,36 @@ def _saturated(of: Experiment, limit: float) -> float:
     """Return the share of the stable trials that command more than a force."""
     if not np.isfinite(limit):
         return 0.0
-    largest = np.concatenate(of.of_each(_largest_command))
     stable = of.verdicts.verdict == "stable"
-    return float((largest[stable] > limit).mean()) if stable.any() else 0.0
+    largest = np.array(of.map_trials(_largest_command))[stable]
+    return float((largest > limit).mean()) if len(largest) else 0.0
 
 
-def _largest_command(group: TrialGroup, given: Given) -> Any:
-    return np.nanmax(np.abs(group.batch.command), axis=1)
+def _largest_command(of: MeasuredTrial) -> float:
+    return float(np.abs(of.trial.command).max())
 
 
-def recordings(group: TrialGroup, given: Mapping[str, Any]) -> list[Recording]:
-    """Return the chosen trials of a group as the model takes them."""
-    chosen = set(given["chosen"])
-    batch, found = group.batch, []
-    for i in np.flatnonzero([name in chosen for name in batch.trial_id]).tolist():
-        edge = max(int(group.found.edge_row[i]), 0)
-        declared = batch.step_row is not None and int(batch.step_row[i]) >= 0
-        first = max(edge - AHEAD, 0)
-        stops = [each.first_row or 0 for each in group.findings[i] if each.severity == "cut"]
-        rows = _complete(batch, i, slice(first, min(int(batch.rows[i]), first + MOST_ROWS, *stops)))
-        found.append(
-            Recording(
-                batch.trial_id[i],
-                batch.time[i, rows],
-                batch.command[i, rows],
-                batch.position[i, rows],
-                float(batch.sampling_period_s[i]),
-                edge - first if declared and rows.start == first else None,
-            )
-        )
-    return found
+def recording(of: MeasuredTrial) -> Recording:
+    """Return a trial as the model takes it: rows from shortly before the step on."""
+    trial, edge = of.trial, max(of.response.edge_row, 0)
+    first = max(edge - AHEAD, 0)
+    stops = [finding.first_row or 0 for finding in of.findings if finding.severity == "cut"]
+    rows = _complete(trial, slice(first, min(trial.rows, first + MOST_ROWS, *stops)))
+    declared = trial.step_row is not None and rows.start == first
+    return Recording(
+        trial.trial_id,
+        trial.time[rows],
+        trial.command[rows],
+        trial.position[rows],
+        trial.sampling_period_s,
+        edge - first if declared else None,
+    )
 
 
-def _complete(batch: TrialBatch, trial: int, rows: slice) -> slice:
+def _complete(trial: Trial, rows: slice) -> slice:
     """Return the rows between two that are lost in which the device moves most; all where none is lost."""
-    time, position = batch.time[trial, rows], batch.position[trial, rows]
-    gaps = np.flatnonzero(np.diff(time) > GAP * batch.sampling_period_s[trial]) + 1
+    time, position = trial.time[rows], trial.position[rows]
+    gaps = np.flatnonzero(np.diff(time) > GAP * trial.sampling_period_s) + 1
     bounds = [0, *gaps.tolist(), len(time)]
     way = [float(np.abs(np.diff(position[a:b])).sum()) for a, b in pairwise(bounds)]
     best = int(np.argmax(way)) if way else 0

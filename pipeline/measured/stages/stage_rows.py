@@ -1,18 +1,19 @@
-"""What each stage makes of an experiment: rows of some trials, or columns of the whole; the table of them is `stages`.
+"""What each stage makes of an experiment: the row of a trial, or columns of the whole; the table of them is `stages`.
 
-A stage of trials returns where its columns are found: results that bear the columns' names, and a mapping of the rest.
-What is stored of it is declared once, in `records.tables`: by that each column is found, a negative row or count and an
-empty text are null, and the columns by which trials are known are added.
+A stage of trials returns where its columns are found: records that have the columns' names, and a mapping of the rest.
+What is stored of it is declared once, in `records.tables`: by that each column is found, and a negative row or count
+and an empty text are null.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict
+from collections import ChainMap
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from functools import partial
 
 import numpy as np
-import pyarrow as pa
 
 from pipeline.measured import thesis
 from pipeline.measured.cost.costs import Measure, joined
@@ -30,94 +31,76 @@ from pipeline.measured.experiment.stored import Experiment
 from pipeline.measured.signal import outcome, verdict
 from pipeline.measured.signal.disturbance import PushResponse, fit_push_response
 from pipeline.measured.signal.events import usual_length
-from pipeline.measured.signal.response import NO_ROW
+from pipeline.measured.signal.response import NO_ROW, Response
 from pipeline.measured.signal.sensor import sensor_floor
-from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
-from pipeline.records.batch import Floats
-from pipeline.records.tables import COLUMNS, TABLES, to_arrow
+from pipeline.measured.stages.measured_trial import Columns, Given, MeasuredTrial
+from pipeline.records.tables import COLUMNS, TABLES
+from pipeline.records.trials import Trial
 
 Sources = Sequence[object]
-"""Where the columns of a stage are found: records with attributes of their names, and mappings."""
+"""Where the columns of a stage are found: records with fields of their names, and dictionaries."""
+
+OF_TRIAL = ("trial_id", "samples_sha256", "stiffness", "damping")
+"""Columns by which the rows of all stages are known."""
 
 
-def stage_rows(
-    of: TrialGroup, stage: str, columns: Callable[[TrialGroup, Given], Sources], given: Given, *, rotation: bool
-) -> pa.Table:
-    """Return the rows of a stage for some trials; nulls and the reason where the experiment lacks what it needs."""
-    known: Columns = {
-        "trial_id": list(of.batch.trial_id),
-        "samples_sha256": list(of.logged.digests),
-        "stiffness": of.batch.stiffness,
-        "damping": of.batch.damping,
-    }
-    if "missing" in given:
-        nothing: Columns = dict.fromkeys(TABLES[stage], [None] * len(of.batch))
-        return to_arrow(stage, nothing | known | {"reason": [given["missing"]] * len(of.batch)}, rotation=rotation)
-    sources = [known, *columns(of, given)]
-    return to_arrow(stage, {name: _stored(name, sources) for name in TABLES[stage]}, rotation=rotation)
+def stage_row(
+    of: MeasuredTrial, stage: str, columns: Callable[[MeasuredTrial, Given], Sources], given: Given
+) -> Columns:
+    """Return the row of a stage for a trial, but for the columns by which the trial is known."""
+    values = ChainMap(*(source if isinstance(source, dict) else vars(source) for source in columns(of, given)))
+    return {name: _stored(name, values[name]) for name in TABLES[stage] if name not in OF_TRIAL}
 
 
-def _stored(name: str, sources: Sources) -> object:
-    """Return a column from the first source that has it, in the form in which it is stored."""
-    found = (one[name] if isinstance(one, Mapping) else getattr(one, name) for one in sources if _has(one, name))
-    values = next(found)
-    column = COLUMNS[name]
-    if isinstance(values, np.ndarray) and values.dtype.kind == "i" and column.nullable:
-        return pa.array(values, mask=values < 0)
-    if column.nullable and isinstance(values, tuple):
-        return [text or None for text in values]
-    return values if isinstance(values, np.ndarray) else list(values)
+def _stored(name: str, value: object) -> object:
+    """Return a value in the form in which it is stored."""
+    missing = value == "" or (isinstance(value, int) and value < 0)
+    return None if missing and COLUMNS[name].nullable else value
 
 
-def _has(source: object, name: str) -> bool:
-    return name in source if isinstance(source, Mapping) else hasattr(source, name)
-
-
-def response(of: TrialGroup, given: Given) -> Sources:
-    """Return edge, final position, resolution and verdict of each trial."""
-    judged = verdict.judge(of.batch, of.found)
+def response(of: MeasuredTrial, given: Given) -> Sources:
+    """Return edge, final position, resolution and verdict of a trial."""
+    judged = verdict.judge(of.trial, of.response)
     # whatever it shows, it shows of another wall, or of a wrong recording
-    other = np.array([bool(text) for text in of.unsafe])
-    told = {
-        "verdict": np.where(other, "undecided", judged.verdict).tolist(),
-        "reason": joined(of.unsafe, judged.reason, of.found.reason),
-        "growth_per_s": np.where(other, np.nan, judged.growth_per_s),
-        "findings": tuple(
-            json.dumps([finding.model_dump() for finding in found]) if found else "" for found in of.findings
-        ),
+    columns = {
+        "verdict": "undecided" if of.unsafe else judged.verdict,
+        "reason": joined(of.unsafe, judged.reason, of.response.reason),
+        "growth_per_s": np.nan if of.unsafe else judged.growth_per_s,
+        "findings": json.dumps([finding.model_dump() for finding in of.findings]) if of.findings else "",
     }
-    return told, of.found
+    return columns, of.response
 
 
-def wall_law(of: TrialGroup, given: Given) -> Sources:
-    """Return whether the logged command of each trial obeys the wall law, and why not."""
-    law, obeyed = of.law, of.other_walls.obeyed
-    return (
-        {
-            "law_residual": law.residual,
-            "law_rounding": law.rounding,
-            "law_codes": [",".join(each.code for each in found) for found in law.departures],
-            "law_evidence": law.evidence,
-            "law_rows": [max((each.rows for each in found), default=0) for found in law.departures],
-            **{f"obeyed_{name}": obeyed[:, i] for i, name in enumerate(("stiffness", "damping", "step"))},
-            "velocity_filter": [found and json.dumps(asdict(found)) for found in law.filters],
-        },
-    )
+def wall_law(of: MeasuredTrial, given: Given) -> Sources:
+    """Return whether the logged command of a trial obeys the wall law, and why not."""
+    law, (stiffness, damping, step) = of.law, of.other_walls.obeyed
+    columns = {
+        "law_residual": law.residual,
+        "law_rounding": law.rounding,
+        "law_codes": ",".join(departure.code for departure in law.departures),
+        "law_evidence": law.evidence,
+        "law_rows": max((departure.rows for departure in law.departures), default=0),
+        "obeyed_stiffness": stiffness,
+        "obeyed_damping": damping,
+        "obeyed_step": step,
+        "velocity_filter": law.filter and json.dumps(asdict(law.filter)),
+    }
+    return (columns,)
 
 
 def given_to_outcome(of: Experiment) -> Given:
     """Return what the outcome of a trial takes from the whole experiment."""
     quantum, noise = (of.column("response", f"sensor_{name}") for name in ("quantum", "noise"))
     edge = np.nan_to_num(of.column("response", "edge_row"), nan=NO_ROW).astype(np.int64)
-    rows, step, period = (of.samples.of_trials(name) for name in ("rows", "step", "sampling_period_s"))
-    device = fit_push_response(of.samples, edge, sensor_floor(quantum, noise), rows, step, period)
-    return {"usual_rows": usual_length(rows), "device": asdict(device)}
+    device = fit_push_response(of.samples, edge, sensor_floor(quantum, noise))
+    return {"usual_rows": usual_length(of.samples.rows), "device": asdict(device)}
 
 
-def outcomes(of: TrialGroup, given: Given) -> Sources:
-    """Return how each trial ended, and what shows it."""
-    found = outcome.classify(of.batch, of.found, of.verdicts, given["usual_rows"], PushResponse(**given["device"]))
-    return found, {"outcome_row": found.first_row}
+def outcomes(of: MeasuredTrial, given: Given) -> Sources:
+    """Return how a trial ended, and what shows it."""
+    device = PushResponse(**given["device"])
+    ended = outcome.classify(of.trial, of.response, of.verdict, given["usual_rows"], device)
+    return ended, {"outcome_row": ended.first_row}
 
 
 def boundary(of: Experiment) -> Columns:
@@ -132,10 +115,10 @@ def boundary(of: Experiment) -> Columns:
     return {name: [getattr(p, name) for p in points] for name in TABLES["boundary"]}
 
 
-def delays(of: TrialGroup, given: Given) -> Sources:
-    """Return the delay of each trial by its first position change."""
-    found = thesis.first_change(of.batch, of.found)
-    return {"first_change_samples": found.delay_samples}, found
+def delays(of: MeasuredTrial, given: Given) -> Sources:
+    """Return the delay of a trial by its first position change."""
+    change = thesis.first_change(of.trial, of.response)
+    return {"first_change_samples": change.delay_samples}, change
 
 
 def given_to_mass(of: Experiment) -> Given:
@@ -144,9 +127,9 @@ def given_to_mass(of: Experiment) -> Given:
     return {"missing": "needs the delay, which is not known"} if value is None else {"delay": int(value)}
 
 
-def masses(of: TrialGroup, given: Given) -> Sources:
-    """Return the mass of each trial by the momentum balance."""
-    return (thesis.by_momentum(of.batch, of.found, given["delay"]),)
+def masses(of: MeasuredTrial, given: Given) -> Sources:
+    """Return the mass of a trial by the momentum balance."""
+    return (thesis.by_momentum(of.trial, of.response, given["delay"]),)
 
 
 def given_to_costs(of: Experiment) -> Given:
@@ -179,12 +162,25 @@ def _sensor(of: Experiment, samples: int, spring: float) -> Given:
     sensor = sensor_error(noise[begun], quantum[begun], rows[begun].astype(np.int64))
     if not np.isfinite(sensor):
         return {"delay": samples, "sensor": None, "gain": 1.0, "spring": spring}
-    gain = np.concatenate(of.of_each(_gain_at_rest, delay=samples, sensor=sensor, spring=spring))
+    gain = np.array(of.map_trials(partial(_gain_at_rest, delay=samples, sensor=sensor, spring=spring)))
     return {"delay": samples, "sensor": sensor, "gain": usual_gain(gain), "spring": spring}
 
 
-def _gain_at_rest(of: TrialGroup, given: Given) -> Floats:
-    return of.held_by(given["spring"]).once(gain_at_rest, given["delay"], given["sensor"])
+def _gain_at_rest(of: MeasuredTrial, delay: int, sensor: float, spring: float) -> float:
+    return gain_at_rest(*_with_spring(of.trial, of.response, spring, of.unsafe), delay, sensor)
+
+
+def _with_spring(trial: Trial, response: Response, spring: float, unsafe: str) -> tuple[Trial, Response]:
+    """Return a trial as costs see it where a spring k acts on the device.
+
+    It rests at x_0 + F_0/(K + k), and the wall that stores the energy has K + k (5.7). A log that is
+    unsafe has no start of a response by which costs in these units would count.
+    """
+    if spring and trial.stiffness > 0:
+        trial = replace(trial, stiffness=trial.stiffness + spring)
+        final = response.position_start + trial.step / trial.stiffness
+        response = replace(response, position_final_expected=final)
+    return trial, replace(response, edge_row=NO_ROW, edge_reason=unsafe) if unsafe else response
 
 
 def _spring(of: Experiment) -> float:
@@ -195,26 +191,24 @@ def _spring(of: Experiment) -> float:
     return max(as_known(k.value, standard_error(k)), 0.0)
 
 
-def costs(of: TrialGroup, given: Given, measure: Measure, names: Sequence[str]) -> Sources:
-    """Return the columns of a family of costs for some trials; ``names`` are those of costs that count time.
+def costs(of: MeasuredTrial, given: Given, measure: Measure, names: Sequence[str]) -> Sources:
+    """Return the columns of a family of costs for a trial; ``names`` are those of costs that count time.
 
-    Of logs with missing or repeated rows they are counted on the grid of samples, with intervals that hold those of
-    rows which lie on straight lines, too.
+    Of logs with missing or repeated rows they are counted on the grid of samples, with intervals that include those of
+    rows which lie on straight lines.
     """
+
+    def measured(trial: Trial, response: Response) -> Columns:
+        trial, response = _with_spring(trial, response, given["spring"], of.unsafe)
+        sensor = float("nan") if given["sensor"] is None else given["sensor"]
+        error = reading_error(trial, response, given["delay"], sensor=sensor, gain=given["gain"])
+        return measure(trial, response, of.verdict, error, given)
+
     if not names:
-        return (_costs(of, given, measure),)
-    made, straight = _costs(of.on_grid, given, measure), of.on_straight_grid
-    return (made if straight is None else _hull(made, _costs(straight, given, measure), names),)
-
-
-def _costs(of: TrialGroup, given: Given, measure: Measure) -> Columns:
-    held = of.held_by(given["spring"])
-    sensor = float("nan") if given["sensor"] is None else given["sensor"]
-    error = reading_error(held.batch, held.found, given["delay"], sensor=sensor, gain=given["gain"])
-    return measure(held.batch, held.found, held.verdicts, error, given)
-
-
-def _hull(made: Columns, other: Columns, names: Iterable[str]) -> Columns:
-    """Return columns whose intervals ``<name>_low`` and ``<name>_high`` hold those of other ones, too."""
+        return (measured(of.trial, of.response),)
+    columns = measured(of.grid.trial, of.grid.response)
+    if of.grid.straight is None:
+        return (columns,)
+    other = measured(of.grid.straight, of.grid.response)
     ends = {f"{name}_low": np.fmin for name in names} | {f"{name}_high": np.fmax for name in names}
-    return made | {end: widest(made[end], other[end]) for end, widest in ends.items()}
+    return (columns | {end: widest(columns[end], other[end]) for end, widest in ends.items()},)

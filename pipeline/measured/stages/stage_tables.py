@@ -8,7 +8,7 @@ reused whose samples are the same, computed by the same code with the same value
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -22,15 +22,15 @@ from pipeline.base.disk import if_writable, write_kept
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import code_digest, digest, stamp
 from pipeline.device.parameters import Motion
-from pipeline.measured.experiment.stored import Experiment
+from pipeline.measured.experiment.stored import Experiment, Verdicts
 from pipeline.measured.law.stamps import EVEN
-from pipeline.measured.signal.verdict import Verdicts
-from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
-from pipeline.measured.stages.stage_rows import Sources, stage_rows
-from pipeline.records.batch import Booleans, Floats, TrialGroups
+from pipeline.measured.signal.verdict import Verdict
+from pipeline.measured.stages.measured_trial import Columns, Given, MapTrials, MeasuredTrial, MeasuredTrials
+from pipeline.measured.stages.stage_rows import OF_TRIAL, Sources, stage_row
 from pipeline.records.table_files import parquet_bytes, read_metadata, read_table
-from pipeline.records.tables import arrow_schema, to_arrow
-from pipeline.store.samples import load_groups
+from pipeline.records.tables import TABLES, arrow_schema, to_arrow
+from pipeline.records.trials import Floats, Trials
+from pipeline.store.samples import in_order, load_trials
 from pipeline.store.storage import (
     TABLE,
     Exclusion,
@@ -59,22 +59,19 @@ class Stage:
     needs : tuple of str
         Stages whose results it takes.
     rows : callable, optional
-        Makes the columns of some trials, for a stage with one row a trial.
+        Makes the columns of a trial, for a stage with one row a trial.
     given : callable
         What the rows take from the whole experiment.
     whole : callable, optional
         Makes the columns from the whole experiment, for a stage without a row a trial.
-    derived : callable, optional
-        Makes columns that follow from the others by a value of the whole experiment, anew with each.
     sprung : bool
         Whether the rows take the declared spring of the experiment.
     """
 
     needs: tuple[str, ...] = ()
-    rows: Callable[[TrialGroup, Given], Sources] | None = None
+    rows: Callable[[MeasuredTrial, Given], Sources] | None = None
     given: Callable[[Experiment], Given] = lambda _: {}
     whole: Callable[[Experiment], Columns] | None = None
-    derived: Callable[[Experiment, pa.Table], Columns] | None = None
     sprung: bool = False
 
 
@@ -106,7 +103,6 @@ class StageTables:
     spring: float = 0.0
     _tables: dict[str, pa.Table] = field(default_factory=dict)
     _found: dict[Callable[..., Any], Any] = field(default_factory=dict, init=False)
-    _mapped: Callable[..., Iterable[Any]] = map
 
     @classmethod
     def stored(cls, processed: Path, device: str, experiment: str, spring: float = 0.0) -> Self:
@@ -145,20 +141,14 @@ class StageTables:
         return digest(sorted("|".join(map(str, row)) for row in rows))
 
     @cached_property
-    def samples(self) -> TrialGroups:
-        """All samples of the experiment, read when a stage has to be computed."""
-        return load_groups(self.processed, self.trials)
+    def samples(self) -> Trials:
+        """All trials of the experiment with their samples, read when a stage has to be computed."""
+        return load_trials(self.processed, self.trials)
 
     @cached_property
-    def _groups(self) -> list[TrialGroup]:
-        return [TrialGroup(part) for part in self.samples.parts]
-
-    @cached_property
-    def _judged(self) -> list[TrialGroup]:
-        """The groups with the verdicts of their trials."""
-        for group, places in zip(self._groups, self.samples.places, strict=True):
-            group.verdicts = self.verdicts.select(places)
-        return self._groups
+    def _map(self) -> MapTrials:
+        """Maps functions over the trials: in this process, unless a stage is computed in others."""
+        return MeasuredTrials(self.samples)
 
     def once(self, function: Callable[[Any], Result]) -> Result:
         """Return what a function finds in this experiment, which is kept."""
@@ -167,9 +157,14 @@ class StageTables:
         found: Result = self._found[function]
         return found
 
-    def of_each(self, function: Callable[..., Result], **given: Any) -> list[Result]:
-        """Return the results of a function of each group or part of one, `TrialGroup` and what is given, in order."""
-        return list(self._mapped(partial(function, given=given), self._judged))
+    def map_trials(
+        self, function: Callable[[MeasuredTrial], Result], places: Sequence[int] | None = None
+    ) -> list[Result]:
+        """Return the result of a function of each trial, or of those at some places, in this order."""
+        places = range(len(self.samples)) if places is None else places
+        columns = self.verdicts.verdict, self.verdicts.growth_per_s, self.verdicts.reason
+        judged = [Verdict(str(columns[0][place]), float(columns[1][place]), columns[2][place]) for place in places]
+        return self._map(function, places, judged)
 
     def key(self, stage: str) -> str:
         """Return the key under which the result of a stage is valid."""
@@ -213,14 +208,14 @@ class StageTables:
                     write_kept(folder, stage, TABLE, parquet_bytes(self._tables[stage]))
         return self._tables[stage]
 
-    def compute(self, stages: Sequence[str], mapped: Callable[..., Iterable[Any]]) -> None:
-        """Compute and store some stages, in this order, by a ``map`` that may cut groups and send them elsewhere."""
-        self._mapped = mapped
+    def compute(self, stages: Sequence[str], mapped: MapTrials) -> None:
+        """Compute and store some stages, in this order, by a map that may send trials to other processes."""
+        self.__dict__["_map"] = mapped
         try:
             for stage in stages:
                 self.table(stage)
         finally:
-            self._mapped = map
+            del self.__dict__["_map"]
 
     def take_over(self, tables: Mapping[str, pa.Table]) -> None:
         """Take results that another process has computed of the same trials."""
@@ -229,7 +224,7 @@ class StageTables:
     def count_new_trials(self) -> int:
         """Return how many trials have no stored row of the first stage that would be reused."""
         former = self._former(SAMPLED, self._common(SAMPLED, {}))
-        return len(set(self.samples.of_trials("digests").tolist()) - set(former.column(ROW_KEY).to_pylist()))
+        return len(set(self.samples.digests) - set(former.column(ROW_KEY).to_pylist()))
 
     def _common(self, stage: str, given: Given) -> str:
         """Return a hash of all that the rows of a stage rest on beside their samples."""
@@ -244,26 +239,32 @@ class StageTables:
     def _of_trials(self, stage: str, made: Stage) -> pa.Table:
         """Compute a stage with one row a trial, but for the rows that are stored and rest on the same."""
         assert made.rows is not None, "a stage is made by rows or as a whole"
-        given = made.given(self)
+        given, samples = made.given(self), self.samples
         common = self._common(stage, given)
         former = self._former(stage, common)
         kept = set(former.column(ROW_KEY).to_pylist())
-        groups = self._groups if stage == SAMPLED else self._judged
-        masks = [np.array([key not in kept for key in group.logged.digests]) for group in groups]
-        new = [number for number, mask in enumerate(masks) if mask.any()]
-        compute = partial(_new_rows, stage=stage, columns=made.rows, given=given, rotation=self.rotation)
-        rows = pa.concat_tables([former, *self._mapped(compute, [groups[i] for i in new], [masks[i] for i in new])])
-        if made.derived is not None:
-            for name, values in made.derived(self, rows).items():
-                index = rows.schema.get_field_index(name)
-                rows = rows.set_column(index, rows.schema.field(name), pa.array(values, from_pandas=True))
-        place = {key: row for row, key in enumerate(rows.column(ROW_KEY).to_pylist())}
-        order = [place[key] for key in self.samples.of_trials("digests").tolist()]
-        samples = {"samples": self.samples.digest} if stage == SAMPLED else {}
+        new = [place for place, key in enumerate(samples.digests) if key not in kept]
+        columns: Columns = {
+            "trial_id": [samples.trial_id[place] for place in new],
+            ROW_KEY: [samples.digests[place] for place in new],
+            "stiffness": samples.stiffness[new],
+            "damping": samples.damping[new],
+        }
+        names = [name for name in TABLES[stage] if name not in OF_TRIAL]
+        if "missing" in given:
+            columns |= dict.fromkeys(names, [None] * len(new)) | {"reason": [given["missing"]] * len(new)}
+        else:
+            measure = partial(stage_row, stage=stage, columns=made.rows, given=given)
+            rows = self._map(measure, new, None) if stage == SAMPLED else self.map_trials(measure, new)
+            columns |= {name: [row[name] for row in rows] for name in names}
+        table = pa.concat_tables([former, to_arrow(stage, columns, rotation=self.rotation)])
+        place = {key: row for row, key in enumerate(table.column(ROW_KEY).to_pylist())}
+        order = [place[key] for key in samples.digests]
+        more = {"samples": samples.digest} if stage == SAMPLED else {}
         if stage == SAMPLED and self.excluded:
-            samples["excluded"] = " ".join(one.trial_id for one in self.excluded)
-        metadata = self._stamp(stage, given=json.dumps(given), common=common, **samples)
-        return rows.take(order).cast(arrow_schema(stage, rotation=self.rotation, metadata=metadata))
+            more["excluded"] = " ".join(trial.trial_id for trial in self.excluded)
+        metadata = self._stamp(stage, given=json.dumps(given), common=common, **more)
+        return table.take(order).cast(arrow_schema(stage, rotation=self.rotation, metadata=metadata))
 
     def _former(self, stage: str, common: str) -> pa.Table:
         """Return the stored rows of a stage that rest on the same of the experiment; none where they are damaged."""
@@ -294,7 +295,7 @@ class StageTables:
     @property
     def step_sizes(self) -> Floats:
         """Step F_0 of each trial by its header [N, Nm]."""
-        return np.asarray(self.trials.column("step").to_numpy(), dtype=np.float64)
+        return np.asarray(in_order(self.trials).column("step").to_numpy(), dtype=np.float64)
 
     @cached_property
     def verdicts(self) -> Verdicts:
@@ -321,7 +322,3 @@ class StageTables:
                 "expected one. Name the experiments apart in the logs' headers and ingest them into a new folder."
             )
         return float(periods[len(periods) // 2])
-
-
-def _new_rows(of: TrialGroup, new: Booleans, **what: Any) -> pa.Table:
-    return stage_rows(of.select(new), **what)

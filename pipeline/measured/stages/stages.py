@@ -14,9 +14,9 @@ from pipeline.measured.experiment import best_trial, estimates
 from pipeline.measured.stages import stage_device
 from pipeline.measured.stages import stage_rows as rows
 from pipeline.measured.stages.stage_tables import SAMPLED, Stage, StageTables
-from pipeline.records.batch import Floats
 from pipeline.records.criteria import ENERGY, FAMILIES, Family, criterion_of, members
 from pipeline.records.findings import BoundaryPoint, Estimate, ModelCheck, Optimum
+from pipeline.records.trials import Floats
 
 MEASURES: dict[str, Measure] = {**BY_FAMILY, "energy": energy}
 """What computes the costs of each family of criteria."""

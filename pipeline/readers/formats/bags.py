@@ -19,7 +19,7 @@ from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.formats.json import column, columns_of
 from pipeline.readers.frame import LISTED_ELEMENTS, Contents, with_gaps
-from pipeline.records.batch import Integers
+from pipeline.records.trials import Integers
 
 zstd = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
 

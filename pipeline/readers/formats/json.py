@@ -18,7 +18,7 @@ from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.formats.delimited import unpacked
 from pipeline.readers.frame import Array, Contents, with_gaps
-from pipeline.records.batch import Integers
+from pipeline.records.trials import Integers
 
 Cells = dict[int, Any]
 """Values of a column by the number of their record, from 0."""

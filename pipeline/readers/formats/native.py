@@ -19,8 +19,8 @@ from pipeline.profiles.profile_model import Profile
 from pipeline.readers.formats import refuse_other_kind
 from pipeline.readers.frame import LONGEST_HEADER
 from pipeline.readers.log import Log, RawLog, check_samples
-from pipeline.records.batch import Floats
 from pipeline.records.native import COLUMN_LINE, NativeHeader, parse_header
+from pipeline.records.trials import Floats
 
 _NAMES = COLUMN_LINE.split(",")
 _BLANK = b"\r\n\t "

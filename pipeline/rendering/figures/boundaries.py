@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.records.batch import Floats
 from pipeline.records.findings import BoundaryPoint
 from pipeline.records.models import FigureKind, Motion, Overlay, Shown
 from pipeline.records.results import ExperimentResult, SourcedLoop
+from pipeline.records.trials import Floats
 from pipeline.rendering.figures.drawing import Figure, Panel, Series, reach
 from pipeline.rendering.labels import UNITS, damping_text, stiffness_text
 from pipeline.theory.boundary import robust_outline

@@ -20,8 +20,8 @@ import numpy as np
 
 from pipeline.base.disk import replacing, write_text
 from pipeline.base.errors import UsageError
-from pipeline.records.batch import Floats
 from pipeline.records.models import FigureKind
+from pipeline.records.trials import Floats
 from pipeline.rendering.labels import shortened
 
 if TYPE_CHECKING:  # takes half a second, which who draws nothing need not wait for

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.records.batch import Floats
 from pipeline.records.models import ComparisonRow
 from pipeline.records.results import ComparisonResult
+from pipeline.records.trials import Floats
 from pipeline.rendering.figures.drawing import Figure, Panel, Series, around
 from pipeline.rendering.frames import frames
 from pipeline.rendering.labels import criterion_label, printed_scale, quantity_name, shortened, significant, unit_text

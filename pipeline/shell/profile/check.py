@@ -19,16 +19,16 @@ from pipeline.base.provenance import __version__
 from pipeline.base.wording import counted
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.sources import find_sources, logs_of, motion_of
+from pipeline.measured.signal.edge import NO_ROW, find_edge
 from pipeline.measured.signal.marks import gaps, jumps, rests
-from pipeline.measured.signal.response import NO_ROW, find_response
 from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, QUANTITIES, Profile, si_unit
 from pipeline.readers import Log
 from pipeline.readers.log import step_flags
 from pipeline.readers.mapping import entry_of, statements
 from pipeline.readers.obeyed import other_gains
-from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.models import Motion
+from pipeline.records.trials import Floats, Trial
 from pipeline.rendering.figures.drawing import draw
 from pipeline.rendering.figures.overview import RecordedColumn, recorded_figure
 from pipeline.rendering.report.page_template import fill_template
@@ -150,15 +150,11 @@ def step_of(log: Log) -> tuple[int | None, str]:
     if "step_row" in header.extra:
         row = int(header.extra["step_row"])
         return row, f"declared, at {log.time[row]:.9g} s"
-    gains = {key: np.array([getattr(header, key)]) for key in ("stiffness", "damping", "step", "sampling_period_s")}
-    samples = {key: getattr(log, key)[None] for key in ("time", "command", "position")}
-    found = find_response(TrialBatch(("sample",), rows=np.array([len(log.time)]), **gains, **samples))
-    row = int(found.edge_row[0])
-    if row == NO_ROW:
-        return None, found.edge_reason[0]
-    several = f"; it has {int(found.steps[0])} steps. Declare each by [[steps]] (label, from_s, to_s), or the first "
-    several += "alone by window = { to_s = ... }"
-    return row, f"found in the command, at {log.time[row]:.9g} s{several if found.steps[0] > 1 else ''}"
+    wall = header.stiffness, header.damping, header.step, header.sampling_period_s
+    edge = find_edge(Trial("sample", *wall, log.time, log.command, log.position))
+    if edge.row == NO_ROW:
+        return None, edge.reason
+    return edge.row, f"found in the command, at {log.time[edge.row]:.9g} s"
 
 
 def _other_step(log: Log, step_row: int | None) -> Iterator[str]:

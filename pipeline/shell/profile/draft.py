@@ -36,8 +36,8 @@ from pipeline.readers.formats.delimited import Layout, text_layout, unpacked
 from pipeline.readers.frame import Contents
 from pipeline.readers.isolation import read_file
 from pipeline.readers.obeyed import Law, law_of
-from pipeline.records.batch import Floats
 from pipeline.records.models import Motion
+from pipeline.records.trials import Floats
 
 Keys = dict[str, tuple[Any, str]]
 """Value and question of keys; the question is empty where the value is known, the value None where there is none."""

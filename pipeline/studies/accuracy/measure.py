@@ -18,7 +18,7 @@ import numpy as np
 
 from pipeline.base.errors import PipelineError
 from pipeline.records.accuracy import Rung
-from pipeline.records.batch import Floats
+from pipeline.records.trials import Floats
 
 FAILURES = (ArithmeticError, np.linalg.LinAlgError, PipelineError, ValueError)
 """What a method raises that cannot give a number; anything else is a defect here."""

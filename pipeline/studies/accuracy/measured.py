@@ -17,15 +17,15 @@ from pipeline.device.parts import Sensor
 from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.measured.cost import costs
-from pipeline.measured.cost.energy import energy_interval
-from pipeline.measured.cost.reading_error import reading_error
+from pipeline.measured.cost.energy import EnergyInputs, energy_interval
+from pipeline.measured.cost.reading_error import ReadingError, gain_at_rest, reading_error, sensor_error, usual_gain
 from pipeline.measured.identification.identified import OWN, identified, own_numbers
 from pipeline.measured.signal.response import Response, find_response
-from pipeline.measured.signal.verdict import Verdicts, judge
-from pipeline.measured.stages.stage_device import recordings
-from pipeline.measured.stages.stage_groups import TrialGroup
-from pipeline.measured.thesis import Masses, by_momentum, first_change
-from pipeline.records.batch import Floats, TrialBatch
+from pipeline.measured.signal.verdict import Verdict, judge
+from pipeline.measured.stages.measured_trial import MeasuredTrial
+from pipeline.measured.stages.stage_device import recording
+from pipeline.measured.thesis import by_momentum, first_change
+from pipeline.records.trials import Floats, Trial, Trials
 from pipeline.simulation.setup import Setup, setup_of
 from pipeline.simulation.simulate import simulate
 from pipeline.studies.accuracy.measure import Row, Table, Values, mean, median
@@ -67,30 +67,33 @@ MODEL, SETTLE, LARGEST, COMPLETE = RECOMMENDED = (
 
 
 @dataclass(frozen=True, eq=False)
-class Trials:
+class Logs:
     """Simulated trials with what every estimator starts from; ``delay`` (n,) is the true one [samples]."""
 
-    batch: TrialBatch
+    trials: Trials
     delay: Floats
-    response: Response
-    verdicts: Verdicts
+    responses: tuple[Response, ...]
+    verdicts: tuple[Verdict, ...]
 
     @classmethod
-    def of(cls, batch: TrialBatch, delay: Floats) -> Trials:
-        """Return trials with their response and verdicts."""
-        response = find_response(batch)
-        return cls(batch, delay, response, judge(batch, response))
+    def of(cls, trials: Trials, delay: Floats) -> Logs:
+        """Return trials with their responses and verdicts."""
+        responses = tuple(map(find_response, trials))
+        return cls(trials, delay, responses, tuple(map(judge, trials, responses)))
 
-    def shortened(self, rows: int) -> Trials:
+    def shortened(self, rows: int) -> Logs:
         """Return the trials as if recording had stopped after some rows."""
-        b = self.batch
-        cut = {name: getattr(b, name)[:, :rows] for name in ("time", "command", "position")}
-        return Trials.of(replace(b, rows=np.minimum(b.rows, rows), **cut), self.delay)
+        return Logs.of(Trials.of(trial.window(0, rows) for trial in self.trials), self.delay)
 
     @property
     def samples(self) -> int:
         """Integer delay factor."""
         return round(float(self.delay[0]))
+
+    @property
+    def measured(self) -> Iterator[tuple[Trial, Response, Verdict]]:
+        """Each trial with its response and verdict."""
+        return zip(self.trials, self.responses, self.verdicts, strict=True)
 
 
 def truth(delay_samples: float = DELAY) -> tuple[Setup, LoopUnits, NormalisedLoop]:
@@ -102,7 +105,7 @@ def truth(delay_samples: float = DELAY) -> tuple[Setup, LoopUnits, NormalisedLoo
 
 def drawn(
     count: int, seed: int, rows: int, sensor: Sensor = SENSOR, *, d: float = DELAY, slow: float = SLOWEST
-) -> Trials:
+) -> Logs:
     """Return simulated trials with a delay d at random stable pairs below a spectral radius."""
     setup, units, loop = truth(d)
     random, last = np.random.default_rng(seed), boundary(loop).beta_max
@@ -111,13 +114,13 @@ def drawn(
     some = np.flatnonzero(spectral_radius(loop, alpha, beta) <= slow)[:count]
     setup = replace(setup, rows=rows).with_loop(sensor=sensor)
     walls = alpha[some] * units.stiffness, beta[some] * units.damping
-    return Trials.of(simulate(setup, *walls, seed=seed), np.full(len(some), d))
+    return Logs.of(simulate(setup, *walls, seed=seed), np.full(len(some), d))
 
 
-def true_costs(trials: Trials) -> Values:
+def true_costs(logs: Logs) -> Values:
     """Return the exact costs of the sampled, noise-free responses by quantity, shape (n,) each."""
     _, units, loop = truth()
-    wall = trials.batch.stiffness / units.stiffness, trials.batch.damping / units.damping
+    wall = logs.trials.stiffness / units.stiffness, logs.trials.damping / units.damping
     found = point_costs_by_name(loop, *wall, [f"{name}_discrete" for name in COSTS.values()], LONGEST)
     return {quantity: found[f"{name}_discrete"] for quantity, name in COSTS.items()}
 
@@ -128,57 +131,57 @@ def measured_tables(quick: bool = False) -> Iterator[Table]:
     for name, sensor in ((DELAY_OF, SENSOR), (f"{DELAY_OF}, coarse sensor", Sensor(quantum=QUANTA[-1], noise=1e-6))):
         delays = DELAYS[::4] if quick else DELAYS
         parts = [drawn(count // len(delays), i, lengths[-1], sensor, d=d) for i, d in enumerate(delays)]
-        batch = TrialBatch.joined([part.batch for part in parts])
-        yield _delay(name, Trials.of(batch, np.concatenate([part.delay for part in parts])), lengths)
+        trials = Trials.of(trial for part in parts for trial in part.trials)
+        yield _delay(name, Logs.of(trials, np.concatenate([part.delay for part in parts])), lengths)
     yield _mass_and_damping(drawn(count, 11, lengths[-1]), lengths)
-    trials = drawn(count, 51, lengths[-1], slow=SLOWEST_COST)
-    yield _costs("", trials, "{} rows", lengths[1:], trials.shortened)
+    logs = drawn(count, 51, lengths[-1], slow=SLOWEST_COST)
+    yield _costs("", logs, "{} rows", lengths[1:], logs.shortened)
 
-    def with_quantum(quantum: float) -> Trials:
+    def with_quantum(quantum: float) -> Logs:
         return drawn(count, 51, USUAL_ROWS, Sensor(quantum=quantum, noise=quantum / 4), slow=SLOWEST_COST)
 
-    yield _costs(", over the sensor's quantum", trials, "{:.0e} m", QUANTA, with_quantum)
+    yield _costs(", over the sensor's quantum", logs, "{:.0e} m", QUANTA, with_quantum)
 
 
-def _delay(name: str, trials: Trials, lengths: tuple[int, ...]) -> Table:
-    logs, words = trials.shortened(USUAL_ROWS), ("{} rows", lengths)
+def _delay(name: str, logs: Logs, lengths: tuple[int, ...]) -> Table:
+    usual, words = logs.shortened(USUAL_ROWS), ("{} rows", lengths)
 
     def by_first_change() -> Values:
         """Middle of the period in which the position changes first (6.3)."""
-        found = first_change(logs.batch, logs.response).delay_samples
-        return {name: np.where(found >= 0, found + 0.5, np.nan)}
+        factor = np.array([first_change(trial, response).delay_samples for trial, response, _ in usual.measured])
+        return {name: np.where(factor >= 0, factor + 0.5, np.nan)}
 
     return Table(
-        {name: trials.delay},
+        {name: logs.delay},
         (
             Row("first change (6.2, 6.3)", by_first_change),
-            Row(MODEL, lambda of: {name: by_model(of)["delay_samples"]}, *words, given=trials.shortened),
+            Row(MODEL, lambda of: {name: by_model(of)["delay_samples"]}, *words, given=logs.shortened),
         ),
-        *(median, {name: 1.0}, len(trials.delay)),
+        *(median, {name: 1.0}, len(logs.delay)),
     )
 
 
-def by_model(of: Trials) -> Values:
+def by_model(of: Logs) -> Values:
     """Return mass, damping and delay of each trial by the likelihood of all that have the same delay."""
     values = np.full((len(of.delay), 2 * len(OWN)), np.nan)
     for delay in np.unique(of.delay):
         some = np.flatnonzero(of.delay == delay)
-        batch = of.batch.select(some)
-        found = own_numbers(identified(recordings(TrialGroup(batch), {"chosen": batch.trial_id})))
-        for row, trial in zip(some, batch.trial_id, strict=True):
-            values[row] = found.get(trial, np.nan)
+        trials = of.trials.select(some)
+        numbers = own_numbers(identified([recording(MeasuredTrial(trial)) for trial in trials]))
+        for row, trial in zip(some, trials.trial_id, strict=True):
+            values[row] = numbers.get(trial, np.nan)
     return {name: values[:, 2 * place] for place, name in enumerate(OWN)}
 
 
-def _mass_and_damping(trials: Trials, lengths: tuple[int, ...]) -> Table:
-    device, count = truth()[0].loop, len(trials.delay)
-    logs = trials.shortened(USUAL_ROWS)
-    of_logs = logs.batch, logs.response, logs.samples
+def _mass_and_damping(logs: Logs, lengths: tuple[int, ...]) -> Table:
+    device, count = truth()[0].loop, len(logs.delay)
+    usual = logs.shortened(USUAL_ROWS)
 
-    def momentum(window_ms: float) -> Masses:
-        return by_momentum(*of_logs, window_s=window_ms / 1000)
+    def momentum(window_ms: float) -> Values:
+        balance = partial(by_momentum, delay_samples=usual.samples, window_s=window_ms / 1000)
+        return {MASS: np.array([balance(trial, response).mass_momentum for trial, response, _ in usual.measured])}
 
-    def model(of: Trials) -> Values:
+    def model(of: Logs) -> Values:
         found = by_model(of)
         return {MASS: found["mass"], DAMPING: found["damping"]}
 
@@ -186,8 +189,8 @@ def _mass_and_damping(trials: Trials, lengths: tuple[int, ...]) -> Table:
     return Table(
         {MASS: np.full(count, device.mass), DAMPING: np.full(count, device.damping)},
         (
-            Row("momentum balance (6.4)", lambda w: {MASS: momentum(w).mass_momentum}, *windows, of=(MASS,)),
-            Row(MODEL, model, *shortened, given=trials.shortened),
+            Row("momentum balance (6.4)", momentum, *windows, of=(MASS,)),
+            Row(MODEL, model, *shortened, given=logs.shortened),
         ),
         median,
         trials=count,
@@ -196,30 +199,28 @@ def _mass_and_damping(trials: Trials, lengths: tuple[int, ...]) -> Table:
 
 def _costs(
     over: str,
-    trials: Trials,
+    logs: Logs,
     words: str,
     settings: tuple[Any, ...],
-    given: Callable[[Any], Trials],
+    given: Callable[[Any], Logs],
 ) -> Table:
     """Return the table of all costs over settings of which the trials are ``given``; mass and delay are known."""
-    energies, weight = tuple(COSTS)[2:], truth()[0].loop.mass
+    energies, weight, shared = tuple(COSTS)[2:], truth()[0].loop.mass, cache(given)
 
-    logs = cache(given)
+    def settling(of: Logs) -> list[Floats]:
+        return [np.array([costs.settling(*trial, of.samples)["settle_2pct"].value for trial in of.measured])]
 
-    def settling(of: Trials) -> list[Floats]:
-        found = costs.settling(of.batch, of.response, of.verdicts, of.samples)
-        return [found["settle_2pct"].value]
+    def about_last(of: Logs) -> list[Floats]:
+        last = (replace(each, position_final_expected=each.position_final_measured) for each in of.responses)
+        return settling(replace(of, responses=tuple(last)))
 
-    def about_last(of: Trials) -> list[Floats]:
-        last = replace(of.response, position_final_expected=of.response.position_final_measured)
-        return settling(replace(of, response=last))
+    def overshoot(of: Logs) -> list[Floats]:
+        return [np.array([costs.overshoot(*trial).value for trial in of.measured])]
 
-    def overshoot(of: Trials) -> list[Floats]:
-        return [costs.overshoot(of.batch, of.response, of.verdicts).value]
-
-    def complete(of: Trials) -> list[Floats]:
-        error = reading_error(of.batch, of.response, of.samples)
-        return list(energy_interval(of.batch, of.response, of.verdicts, error, of.samples, weight).value.T)
+    def complete(of: Logs) -> list[Floats]:
+        inputs, errors = EnergyInputs(of.samples, weight), reading_errors(of)
+        measured = zip(of.measured, errors, strict=True)
+        return list(np.array([energy_interval(*trial, error, inputs).value for trial, error in measured]).T)
 
     rows = (
         (SETTLE, settling, ("settling time",)),
@@ -229,30 +230,39 @@ def _costs(
         (COMPLETE, complete, energies),
     )
 
-    def row(name: str, run: Callable[[Trials], list[Floats]], of: tuple[str, ...]) -> Row:
+    def row(name: str, run: Callable[[Logs], list[Floats]], of: tuple[str, ...]) -> Row:
         quantities = tuple(f"{quantity}{over}" for quantity in of)
 
-        def found(logs: Trials) -> Values:
+        def found(logs: Logs) -> Values:
             return dict(zip(quantities, run(logs), strict=True))
 
-        return Row(name, found, words, settings, given=logs, of=quantities)
+        return Row(name, found, words, settings, given=shared, of=quantities)
 
-    exact = {f"{quantity}{over}": values for quantity, values in true_costs(trials).items()}
+    exact = {f"{quantity}{over}": values for quantity, values in true_costs(logs).items()}
     table = [row(*each) for each in rows]
-    return Table(exact, table, mean, {f"overshoot{over}": 1.0}, len(trials.delay))
+    return Table(exact, table, mean, {f"overshoot{over}": 1.0}, len(logs.delay))
 
 
-def whole_sum(of: Trials, weight: float) -> list[Floats]:
+def reading_errors(of: Logs) -> list[ReadingError]:
+    """Return the error of the readings of each trial, with sensor and usual gain of all."""
+    names = ("sensor_noise", "sensor_quantum", "edge_row")
+    sensor = sensor_error(*(np.array([getattr(response, name) for response in of.responses]) for name in names))
+    logs = [(trial, response, of.samples) for trial, response, _ in of.measured]
+    gain = usual_gain(np.array([gain_at_rest(*log, sensor) for log in logs]))
+    return [reading_error(*log, sensor=sensor, gain=gain) for log in logs]
+
+
+def whole_sum(of: Logs, weight: float) -> list[Floats]:
     """Return the discrete energy costs summed to the end of the log, as a plain script has them, by weight.
 
     sum of k^w [(K/F_0)^2 (x_k - x_inf)^2 + K m/F_0^2 ((x_k - x_{k-1})/T)^2], k from the command edge plus the delay.
     """
-    b, response = of.batch, of.response
-    first = int(response.edge_row[0]) + of.samples
-    k = np.arange(b.position.shape[1] - first, dtype=np.float64)
-    position = b.position[:, first:]
-    error = position - response.position_final_expected[:, None]
-    speed = np.diff(position, axis=1, prepend=position[:, :1]) / b.sampling_period_s[:, None]
-    stiffness, step = b.stiffness[:, None], b.step[:, None]
-    energy = (stiffness / step * error) ** 2 + stiffness * weight * (speed / step) ** 2
-    return [np.nansum(k**w * energy, axis=1) for w in range(3)]
+    sums = []
+    for trial, response, _ in of.measured:
+        position = trial.position[response.edge_row + of.samples :]
+        k = np.arange(len(position), dtype=np.float64)
+        speed = np.diff(position, prepend=position[:1]) / trial.sampling_period_s
+        error, K, F = position - response.position_final_expected, trial.stiffness, trial.step
+        energy = (K / F * error) ** 2 + K * weight * (speed / F) ** 2
+        sums.append([k**w @ energy for w in range(3)])
+    return list(np.array(sums).T)

@@ -20,7 +20,7 @@ from scipy.linalg import expm, solve_discrete_lyapunov
 from scipy.optimize import minimize
 from scipy.signal import cont2discrete, dlsim
 
-from pipeline.records.batch import Floats
+from pipeline.records.trials import Floats
 
 _NODES = 24
 """Gauss points over a sample for the energy; exact to rounding for the plants of the ladder."""

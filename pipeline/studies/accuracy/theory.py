@@ -20,7 +20,7 @@ from pipeline.device.parts import Butterworth
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.loop.state_space import Plant
 from pipeline.records.accuracy import OURS, reference_file
-from pipeline.records.batch import Floats
+from pipeline.records.trials import Floats
 from pipeline.studies.accuracy import peers
 from pipeline.studies.accuracy.measure import Row, Table, Values
 from pipeline.studies.accuracy.peers import Case

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from stored import batch_of
+from stored import trials_of
 from trial_pages import decode, unpack
 
 from pipeline.comparison.experiment_result import experiment_result, nominal_theories
@@ -52,7 +52,7 @@ def parts(page):
 def test_every_trial_is_there_with_its_condition_verdict_outcome_and_costs(scene, page):
     stages = scene[0].experiments[0]
     columns, _ = parts(page)
-    assert page.trials == len(batch_of(stages)) == len(columns["k"]) > 150
+    assert page.trials == len(trials_of(stages)) == len(columns["k"]) > 150
     assert columns["k"] == pytest.approx(stages.column("response", "stiffness"), rel=1e-5)
     assert columns["b"] == pytest.approx(stages.column("response", "damping"), rel=1e-5)
     assert [page.content["verdicts"][int(v)] for v in columns["v"]] == stages.texts("response", "verdict")
@@ -66,13 +66,13 @@ def test_every_trial_is_there_with_its_condition_verdict_outcome_and_costs(scene
 
 
 def test_responses_are_those_of_the_logs_within_half_a_step(scene, page):
-    batch = batch_of(scene[0].experiments[0])
+    trials = trials_of(scene[0].experiments[0])
     _, responses = parts(page)
     assert len(responses) == page.responses > 50
     for trial in responses[::7]:
         row = trial["i"]
-        assert trial["id"] == batch.trial_id[row]
-        log = batch.displacement[row, : batch.rows[row]]
+        assert trial["id"] == trials.trial_id[row]
+        log = trials[row].displacement
         # "q" is written with six digits, which some hundred steps turn into a thousandth of a step
         assert np.abs(decode(trial["x"], trial["q"]) - log).max() <= 0.51 * trial["q"]
         assert trial["q"] <= max(1.001 * np.ptp(log) / LEVELS, 2.1e-6)
@@ -94,7 +94,7 @@ def test_trials_that_tables_name_come_first_and_are_found_by_their_place(scene, 
     best = {str(o.trial_id) for o in result.optimum.values()}
     assert {t["id"] for t in responses[: len(best) + 1]} >= best
     for trial in best:
-        assert batch_of(stages).trial_id[int(page.places["1", trial].split("-")[1])] == trial
+        assert trials_of(stages).trial_id[int(page.places["1", trial].split("-")[1])] == trial
     edges = [(p.damping, k, v) for p in result.boundary for k, v in ((p.stable, "0"), (p.unstable, "1")) if k]
     assert len(edges) > 10
     for damping, stiffness, verdict in edges:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from columns import stacked
 
 from pipeline.device.parts import Butterworth, Friction
 from pipeline.device_data.devices import load_device
@@ -13,8 +14,8 @@ from pipeline.intake.ingest import ingest
 from pipeline.measured.experiment.identified_loop import identified_loop
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.loop_limits import limits_of
-from pipeline.records.batch import TrialBatch
 from pipeline.records.models import Device
+from pipeline.records.trials import Trials
 from pipeline.simulation.course import Course, write_course
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import setup_of
@@ -36,14 +37,14 @@ def true_limits(setup, damping):
     return low
 
 
-def simulated(setup, K, B, scatter: float) -> TrialBatch:
+def simulated(setup, K, B, scatter: float) -> Trials:
     """Trials of one device whose friction is another one in each."""
     if not scatter:
         return simulate(setup, K, B, seed=91)
     coulomb = setup.loop.friction.coulomb * (1 + scatter * np.random.default_rng(91).standard_normal(len(K)))
     setups = [setup.with_loop(friction=Friction(coulomb=max(c, 0.0))) for c in coulomb]
     each = zip(setups, K, B, strict=True)
-    return TrialBatch.joined([simulate(one, np.array([k]), np.array([b]), seed=91) for one, k, b in each])
+    return Trials.of(simulate(one, np.array([k]), np.array([b]), seed=91)[0] for one, k, b in each)
 
 
 def soft_course(parts: dict, folder, scatter=0.0, **experiment) -> tuple[ExperimentStages, Course, np.ndarray]:
@@ -60,9 +61,9 @@ def soft_course(parts: dict, folder, scatter=0.0, **experiment) -> tuple[Experim
     damping = np.linspace(0.05, 0.8, 5) * highest
     limit = true_limits(setup, damping)
     K, B = np.outer(SHARES, limit).ravel(), np.tile(damping, len(SHARES))
-    batch = simulated(setup, K, B, scatter)
-    batch = replace(batch, trial_id=tuple(f"soft{i}" for i in range(len(batch))))
-    course = Course(device, one, setup, 91, batch, np.ones(len(K), int), np.full(len(K), "stable"))
+    trials = simulated(setup, K, B, scatter)
+    trials = replace(trials, trial_id=tuple(f"soft{i}" for i in range(len(trials))))
+    course = Course(device, one, setup, 91, trials, np.ones(len(K), int), np.full(len(K), "stable"))
     write_course(course, folder / "raw")
     ingest([folder / "raw"], folder / "processed", jobs=1)
     return ExperimentStages.stored(folder / "processed", "soft", one.name), course, limit
@@ -87,7 +88,7 @@ def test_limits_from_soft_walls_are_those_of_the_device(tmp_path, parts, experim
     assert set(device.parts) == expected
     assert device.tells
     velocity = Butterworth(**FILTER) if "velocity" in parts else None
-    damping = course.batch.damping[: len(limit)]
+    damping = course.trials.damping[: len(limit)]
     found, reach = limits_of(replace(device, velocity=velocity), damping)
     assert found == pytest.approx(limit, rel=0.05)
     # three half widths, and what the course's bisection and the noise's stand-in leave
@@ -121,11 +122,11 @@ def test_costs_behind_a_lag_are_counted_from_the_delay_and_not_from_the_motion_t
     exact = simulate(
         replace(setup.with_loop(sensor={}), rows=3000), stiffness, stages.column("response", "damping"), seed=1
     )
-    T, first = setup.loop.sampling_period_s, 3 + int(np.flatnonzero(exact.command[0])[0])
+    T, first = setup.loop.sampling_period_s, 3 + int(np.flatnonzero(exact[0].command)[0])
     for weight in (0, 1):
         cost, _ = stages.cost(f"energy_step_w{weight}")
         low, high = stages.cost_interval(f"energy_step_w{weight}")
-        x = exact.position[:, first:]
+        x = stacked(exact, "position")[:, first:]
         K, rest = stiffness[:, None], (exact.step / stiffness)[:, None]
         change = np.diff(x, axis=1, prepend=x[:, :1])
         energy = 0.5 * K * (x - x[:, :1] - rest) ** 2 + 0.5 * 0.47 * (change / T) ** 2

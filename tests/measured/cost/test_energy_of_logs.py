@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from columns import stacked
+from measured_logs import Logs
 from sensor_trials import DELAY, EDGE, FEWEST, FREE, SENSORS, measured, shipped, trials, truth
 from simulated import FALCON, simulate
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.cost.energy import energy_interval, energy_terms
-from pipeline.measured.cost.reading_error import reading_error
 from pipeline.measured.signal.response import find_response
-from pipeline.measured.signal.verdict import judge
 
 MASS = FALCON["mass"]
 
 
-def energies(batch, K, delay=DELAY, mass=MASS):
+def energies(logs, K, delay=DELAY, mass=MASS):
     """Costs for w = 0, 1, 2 by their definition, and what of them lies in the last 100 samples."""
-    x = batch.displacement[:, EDGE + delay :]
+    x = stacked(logs)[:, EDGE + delay :]
     k = np.arange(x.shape[1])
     speed = np.diff(x, axis=1, prepend=x[:, :1]) / 1e-3
     stored = (K[:, None] / 2 * (x - 8 / K[:, None]) ** 2 + mass / 2 * speed**2) / (32 / K[:, None])
@@ -35,11 +35,8 @@ def known_truth(count=150):
     return np.where(rest < 1e-4 * total, total, np.nan)
 
 
-def interval(batch, **more):
-    response = find_response(batch)
-    verdicts = judge(batch, response)
-    error = reading_error(batch, response, DELAY)
-    return energy_interval(batch, response, verdicts, error, DELAY, MASS, **more)
+def interval(logs, mass=MASS, **more):
+    return Logs(logs, DELAY).energy(mass, **more)
 
 
 def held(found, true):
@@ -51,8 +48,8 @@ def held(found, true):
 
 @pytest.mark.parametrize(("quantum", "noise"), SENSORS)
 def test_intervals_hold_the_truth(quantum, noise):
-    batch, response, verdicts, error = measured(quantum, noise)
-    found = energy_interval(batch, response, verdicts, error, DELAY, MASS)
+    logs = measured(quantum, noise)
+    found = logs.energy(MASS)
     true = known_truth()
     assert min(held(found, true)) >= FEWEST
     assert (np.isnan(found.value).any(axis=1) == [bool(text) for text in found.reason]).all()
@@ -60,7 +57,7 @@ def test_intervals_hold_the_truth(quantum, noise):
     width = 0.5 * (found.high - found.low) / found.value
     assert (np.nanmedian(width, axis=0) < [0.04, 0.1, 0.15]).all()
     # their values are better than those of the plain sum
-    sums = energy_terms(batch, response, verdicts, DELAY).summed(MASS)
+    sums = logs.summed(MASS)
     both = np.isfinite(sums) & np.isfinite(found.value) & np.isfinite(true)
     for w in (1, 2):
         ours, theirs = (np.median(np.abs(part / true - 1)[:, w][both[:, w]]) for part in (found.value, sums))
@@ -70,10 +67,8 @@ def test_intervals_hold_the_truth(quantum, noise):
 @pytest.mark.slow
 @pytest.mark.parametrize(("quantum", "noise"), [*SENSORS, (2e-6, 0.0), (1e-5, 0.0)])
 def test_intervals_hold_the_truth_of_500_trials(quantum, noise):
-    batch, response, verdicts, error = measured(quantum, noise, 500)
-    found = energy_interval(batch, response, verdicts, error, DELAY, MASS)
     # without any noise the errors of slow readings depend on each other, which is not told
-    assert min(held(found, known_truth(500))) >= (0.92 if noise else 0.90)
+    assert min(held(measured(quantum, noise, 500).energy(MASS), known_truth(500))) >= (0.92 if noise else 0.90)
 
 
 SHIPPED = [
@@ -86,17 +81,14 @@ SHIPPED = [
 @pytest.mark.parametrize("of", SHIPPED)
 def test_95_of_100_intervals_of_shipped_devices_hold_the_exact_cost(of):
     """93 to 97 %, 1,000 trials each: chance moves a share by 0.7 % (standard error)."""
-    batch, experiment, costs = shipped(*of.split(), 1000)
-    response, delay = find_response(batch), round(experiment.delay_samples)
-    error = reading_error(batch, response, delay)
-    found = energy_interval(batch, response, judge(batch, response), error, delay, experiment.mass)
+    logs, experiment, costs = shipped(*of.split(), 1000)
+    found = Logs(logs, round(experiment.delay_samples)).energy(experiment.mass)
     shares = held(found, np.stack(list(costs.values()), axis=1))
     assert 0.93 <= min(shares) <= max(shares) <= 0.97
 
 
 def test_a_coarse_sensor_is_refused_rather_than_guessed():
-    batch, response, verdicts, error = measured(6e-5, 1e-6)
-    found = energy_interval(batch, response, verdicts, error, DELAY, MASS)
+    found = measured(6e-5, 1e-6).energy(MASS)
     assert np.isfinite(found.value).mean(axis=0)[2] < 0.1
     assert (np.isnan(found.value).any(axis=1) == [bool(text) for text in found.reason]).all()
     assert any("too much for a final displacement" in text for text in found.reason)
@@ -123,26 +115,22 @@ def test_the_tail_is_carried_on():
 
 
 def test_ideal_logs():
-    batch, _ = truth()
-    K, _ = trials()
-    short = simulate(*trials(), **FREE)
-    found, true = interval(short), known_truth()
+    found, true = interval(simulate(*trials(), **FREE)), known_truth()
     assert (found.bias[np.isfinite(found.bias)] == 0).all()
     # a relative 1e-9 for rounding, where the response has died away and the interval is empty
-    rounded = dataclasses.replace(found, low=found.low * (1 - 1e-9), high=found.high * (1 + 1e-9))
+    rounded = SimpleNamespace(value=found.value, low=found.low * (1 - 1e-9), high=found.high * (1 + 1e-9))
     assert min(held(rounded, true)) >= 0.95
-    long = interval(batch)
+    long = interval(truth()[0])
     done = np.isfinite(true) & np.isfinite(long.value)
     # the tail of a log of 3,000 samples is what the truth lacks, less than 1e-4 of it in its last 100 samples
     np.testing.assert_allclose(long.value[done], true[done], rtol=2e-3)
-    assert K.size == len(short)
 
 
 def test_another_delay_moves_the_sums():
     K, B = np.array([4469.0, 4000.0]), np.array([73.05, 72.0])
-    batch = simulate(K, B, **FREE, rows=1500)
-    exact, loose = interval(batch), interval(batch, delay_range=(3, 6))
-    earlier, later = energies(batch, K, 3)[0], energies(batch, K, 6)[0]
+    logs = simulate(K, B, **FREE, rows=1500)
+    exact, loose = interval(logs), interval(logs, delay_range=(3, 6))
+    earlier, later = energies(logs, K, 3)[0], energies(logs, K, 6)[0]
     # the samples that a smaller delay takes in are at rest in an ideal log: exact
     np.testing.assert_allclose(loose.high - exact.high, earlier - exact.value, rtol=1e-6)
     # of those that a larger one drops the second has moved a little: 1 % of their energy
@@ -150,10 +138,9 @@ def test_another_delay_moves_the_sums():
 
 
 def test_an_uncertain_mass_widens_the_interval():
-    batch, response, verdicts, error = measured(2e-6, 5e-7)
-    terms = energy_terms(batch, response, verdicts, DELAY)
-    kinetic = terms.summed(1.0)[:, 0] - terms.summed(0.0)[:, 0]
-    sharp, wide = (energy_interval(batch, response, verdicts, error, DELAY, MASS, mass_error=e) for e in (0.0, 0.06))
+    logs = measured(2e-6, 5e-7)
+    kinetic = logs.summed(1.0)[:, 0] - logs.summed(0.0)[:, 0]
+    sharp, wide = (logs.energy(MASS, mass_error=error) for error in (0.0, 0.06))
     np.testing.assert_array_equal(sharp.bias[np.isfinite(wide.value)], wide.bias[np.isfinite(wide.value)])
     up = np.sqrt((wide.high - wide.value) ** 2 - (sharp.high - sharp.value) ** 2)[:, 0]
     told = np.isfinite(up) & np.isfinite(kinetic)
@@ -162,40 +149,36 @@ def test_an_uncertain_mass_widens_the_interval():
 
 
 def test_a_motion_that_lasts_has_no_value():
-    batch = simulate([4000.0], [80.0], **FALCON, quantum=2e-6, noise=5e-7)
+    logs = Logs(simulate([4000.0], [80.0], **FALCON, quantum=2e-6, noise=5e-7))
     row = np.arange(400)
     swing = 0.2 * 8 / 4000 * np.sin(2 * np.pi * (row - 20) / 25) * (row >= 20)
-    moved = dataclasses.replace(batch, position=batch.position + swing)
-    response, verdicts = find_response(batch), judge(batch)
-    error = reading_error(moved, response, DELAY)
-    found = energy_interval(moved, response, verdicts, error, DELAY, MASS)
+    moved = replace(logs.trials, position=logs.trials.position + swing)
+    found = Logs(moved, DELAY, given_responses=logs.responses, given_verdicts=logs.verdicts).energy(MASS)
     assert np.isnan(found.value).all()
     assert "record longer" in found.reason[0]
 
 
 def test_reasons_and_wrong_arguments():
-    batch = simulate([4000.0, 0.0, 20000.0], [70.0, 0.0, 60.0], **FALCON, quantum=2e-6, noise=5e-7)
-    found = interval(batch)
+    logs = simulate([4000.0, 0.0, 20000.0], [70.0, 0.0, 60.0], **FALCON, quantum=2e-6, noise=5e-7)
+    found = interval(logs)
     assert [text.split(":")[0].split(" ")[0] for text in found.reason] == ["", "no", "unstable"]
     assert np.isnan(found.value).tolist() == [[False] * 3, [True] * 3, [True] * 3]
     brief = interval(simulate([4000.0], [70.0], **FALCON, quantum=2e-6, noise=5e-7, rows=40))
     assert np.isnan(brief.value).all()
     assert brief.reason[0]
     for wrong in ({"mass": 0.0}, {"mass": 1.0, "mass_error": -1.0}, {"mass": 1.0, "delay_range": (5, 6)}):
-        response = find_response(batch)
         with pytest.raises(ParameterError):
-            energy_interval(batch, response, judge(batch, response), reading_error(batch, response), DELAY, **wrong)
+            interval(logs, **wrong)
 
 
 def test_a_response_that_rests_beside_its_final_position_has_what_the_log_adds():
     """Readings moved for the rest of the log stand for friction, which holds the device there."""
     K, B = np.array([3000.0, 6000.0]), np.array([70.0, 90.0])
-    batch = simulate(K, B, **FREE, quantum=2e-6, noise=5e-7)
-    row = np.arange(batch.position.shape[1])
-    off = dataclasses.replace(batch, position=batch.position + np.where(row > 120, 8e-6, 0.0))
-    far = dataclasses.replace(batch, position=batch.position + np.where(row > 120, 1e-4, 0.0))
-    near, beside, away = (interval(each) for each in (batch, off, far))
-    assert (find_response(batch).floor < 8e-6).all()
+    logs = simulate(K, B, **FREE, quantum=2e-6, noise=5e-7)
+    late = np.tile(np.arange(400) > 120, 2)
+    off, far = (replace(logs, position=logs.position + late * size) for size in (8e-6, 1e-4))
+    near, beside, away = map(interval, (logs, off, far))
+    assert all(find_response(trial).floor < 8e-6 for trial in logs)
     whole = energies(off, K)[0]
     # of the plain sum noise is a part, too
     assert (beside.high[:, 1] >= 0.97 * whole[:, 1]).all()

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from logged import repeated, with_rows
 from not_ideal import simulate
 
 from pipeline.measured.cost.energy import WEIGHTS
+from pipeline.measured.law.sample_grid import sample_grid
+from pipeline.measured.law.wall_law import wall_law
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
-from pipeline.measured.stages.stage_groups import TrialGroup
+from pipeline.measured.stages.measured_trial import MeasuredTrial
 from pipeline.measured.stages.stages import STAGES
 from pipeline.records.criteria import SETTLING_BANDS
+from pipeline.records.trials import Trials
 
 STIFFNESS = np.linspace(800.0, 6000.0, 12)
 DAMPING = np.linspace(25.0, 75.0, 12)
@@ -25,49 +27,35 @@ def whole(seed):
     return simulate(STIFFNESS, DAMPING, rows=600, noise=5e-7, quantum=2e-6, seed=seed)
 
 
-def group(batch):
-    return TrialGroup(batch, judge(batch, find_response(batch)))
+def grid(trial):
+    response = find_response(trial)
+    return sample_grid(trial, response, wall_law(trial, response))
 
 
-def costs(batch):
-    of = group(batch)
-    (made,), (energies,) = (STAGES[name].rows(of, GIVEN) for name in ("settling", "energy"))
-    made |= energies
-    names = [*SETTLING_BANDS, *ENERGIES]
-    return {
-        key: np.array(made[key].to_pylist() if hasattr(made[key], "to_pylist") else made[key], dtype=float)
-        for name in names
-        for key in (name, f"{name}_low", f"{name}_high")
-    }, made["reason"]
+def costs(trials):
+    """Costs by name of each trial, and why they are missing."""
+    rows = []
+    for trial in trials:
+        of = MeasuredTrial(trial, judge(trial, find_response(trial)))
+        (settling,), (energies,) = (STAGES[name].rows(of, GIVEN) for name in ("settling", "energy"))
+        rows.append(settling | energies)
+    names = [f"{name}{end}" for name in (*SETTLING_BANDS, *ENERGIES) for end in ("", "_low", "_high")]
+    return {name: np.array([row[name] for row in rows], dtype=float) for name in names}, [row["reason"] for row in rows]
 
 
-def without(batch, share, seed, *, stamps=True, edge=20):
+def without(trials, share, seed, *, stamps=True, edge=20):
     """The same logs without some of their rows; the edge, where the response begins, and the end are kept."""
-    random = np.random.default_rng(seed)
-    parts = []
-    for i in range(len(batch)):
-        keep = random.random(int(batch.rows[i])) >= share
+    random, damaged = np.random.default_rng(seed), []
+    for trial in trials:
+        keep = random.random(trial.rows) >= share
         keep[[0, edge - 1, edge, -1]] = True
-        one = batch.select(np.array([i]))
-        count = int(keep.sum())
-        time = one.time[:, keep] if stamps else np.arange(count)[None, :] * one.sampling_period_s[0]
-        parts.append(
-            replace(
-                one, rows=np.array([count]), time=time, command=one.command[:, keep], position=one.position[:, keep]
-            )
-        )
-    return type(batch).joined(parts)
+        damaged.append(with_rows(trial, keep, shown=stamps))
+    return Trials.of(damaged)
 
 
-def repeating(batch, share, seed):
+def repeating(trials, share, seed):
     """The same logs, some rows of which repeat the one before."""
-    random = np.random.default_rng(seed)
-    command, position = batch.command.copy(), batch.position.copy()
-    for i in range(len(batch)):
-        rows = np.flatnonzero(random.random(int(batch.rows[i])) < share)
-        rows = rows[rows > 25]
-        command[i, rows], position[i, rows] = command[i, rows - 1], position[i, rows - 1]
-    return replace(batch, command=command, position=position)
+    return repeated(trials, share, seed, first=26)
 
 
 def outside(damaged, truth):
@@ -87,9 +75,9 @@ def outside(damaged, truth):
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("damage", [without, repeating])
 def test_costs_of_damaged_logs_hold_those_of_whole_ones(damage, seed):
-    batch = whole(seed)
-    truth, _ = costs(batch)
-    found, _ = costs(damage(batch, 0.02, seed))
+    trials = whole(seed)
+    truth, _ = costs(trials)
+    found, _ = costs(damage(trials, 0.02, seed))
     shares = outside(found, truth)
     for wrong, told in shares.values():
         assert wrong <= 0.03
@@ -97,28 +85,22 @@ def test_costs_of_damaged_logs_hold_those_of_whole_ones(damage, seed):
 
 
 def test_rows_that_the_stamps_do_not_show_leave_no_cost():
-    batch = whole(4)
-    found, reason = costs(without(batch, 0.02, 4, stamps=False))
+    found, reason = costs(without(whole(4), 0.02, 4, stamps=False))
     assert np.isnan(found["settle_2pct"]).all()
     assert np.isnan(found["energy_w1"]).all()
     assert all("where the stamps do not show it" in text for text in reason)
 
 
 def test_whole_logs_are_not_touched():
-    of = group(whole(5))
-    assert of.on_grid is of
-    assert of.on_straight_grid is None
+    for trial in whole(5):
+        on_grid = grid(trial)
+        assert on_grid.trial is trial
+        assert on_grid.straight is None
 
 
 def test_a_long_gap_leaves_no_cost():
-    batch = whole(6)
-    keep = np.ones(600, dtype=bool)
-    keep[60:75] = False
-    n = len(batch)
-    batch = replace(
-        batch, rows=np.full(n, 585), **{name: getattr(batch, name)[:, keep] for name in ("time", "command", "position")}
-    )
-    found, reason = costs(batch)
+    rows = np.delete(np.arange(600), np.arange(60, 75))
+    found, reason = costs([with_rows(trial, rows) for trial in whole(6)])
     assert np.isnan(found["settle_2pct"]).all()
     assert all("15 of 600 rows are missing, 15 of them in a row" in text for text in reason)
 
@@ -133,10 +115,12 @@ def test_a_long_gap_leaves_no_cost():
     ],
 )
 def test_a_motion_is_interpolated_over_eight_rows_and_a_tenth_of_a_log(lost, told):
-    batch = whole(3).select(slice(0, 1))
-    keep = np.delete(np.arange(600), list(lost))
-    columns = {name: getattr(batch, name)[:, keep] for name in ("time", "command", "position")}
-    grid = group(replace(batch, rows=np.array([len(keep)]), **columns)).grid
-    assert grid.filled.tolist() == [600 - len(keep)]
-    assert (grid.response.edge_reason == ("",)) == told
-    assert told or "too many to interpolate" in grid.response.edge_reason[0]
+    rows = np.delete(np.arange(600), list(lost))
+    on_grid = grid(with_rows(whole(3)[0], rows))
+    if told:
+        assert on_grid.trial.rows == on_grid.straight.rows == 600
+        assert on_grid.response.edge_reason == ""
+    else:
+        text = f"{600 - len(rows)} of 600 rows are missing"
+        assert on_grid.response.edge_reason.startswith(text)
+        assert "too many to interpolate" in on_grid.response.edge_reason

@@ -6,15 +6,15 @@ import dataclasses
 
 import numpy as np
 import pytest
+from columns import Columns, stacked
+from measured_logs import Logs
 from sensor_trials import DELAY, EDGE, FREE, SENSORS, measured, shipped, trials, truth
 from simulated import FALCON, plant, simulate
 
 from pipeline.device.loop import Loop
 from pipeline.device_data.devices import load_device
-from pipeline.measured.cost.energy import energy_interval, energy_terms
 from pipeline.measured.cost.reading_error import reading_error, sensor_error
 from pipeline.measured.signal.response import find_response
-from pipeline.measured.signal.verdict import judge
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import simulate as simulate_device
 
@@ -37,22 +37,21 @@ def injected(K, B, row, size, rows=120):
 
 def test_weights_are_the_answer_of_the_loop_to_an_error():
     K, B = np.array([4000.0, 9000.0]), np.array([70.0, 110.0])
-    batch = simulate(K, B, **FREE)
-    error = reading_error(batch, find_response(batch), DELAY)
-    for i in range(2):
+    for i, trial in enumerate(simulate(K, B, **FREE)):
+        weight = reading_error(trial, find_response(trial), DELAY, sensor=1e-6).weight
         answer = injected(K[i], B[i], 30, 1e-6)
         # the loop is linear: only rounding differs, of positions of 0.1 m against errors of 1 um
-        np.testing.assert_allclose(error.weight[i, :90], answer[30:] / 1e-6, atol=1e-4)
+        np.testing.assert_allclose(weight[:90], answer[30:] / 1e-6, atol=1e-4)
         # an error of the first reading lasts, since the wall rests on it: all later errors are relative to it
         first = injected(K[i], B[i], 0, 1e-6)[1:] / 1e-6 - 1.0
-        np.testing.assert_allclose(-np.cumsum(error.weight[i])[:99], first[:99], atol=1e-3)
+        np.testing.assert_allclose(-np.cumsum(weight)[:99], first[:99], atol=1e-3)
 
 
 @pytest.mark.parametrize(("quantum", "noise"), SENSORS)
 def test_standard_errors_of_readings(quantum, noise):
-    batch, _, _, error = measured(quantum, noise)
-    ideal, _ = truth()
-    off = (batch.displacement - ideal.displacement[:, : batch.position.shape[1]])[:, EDGE + DELAY :]
+    logs = measured(quantum, noise)
+    error, seen, ideal = Columns(logs.errors), stacked(logs.trials), stacked(truth()[0])
+    off = (seen - ideal[:, : seen.shape[1]])[:, EDGE + DELAY :]
     inside = np.abs(off) < 1.96 * error.deviation[:, EDGE + DELAY :]
     assert 0.90 < inside.mean() < 0.99
     # what the wall feeds back is no small part: the sensor alone would explain fewer
@@ -72,7 +71,8 @@ def test_noise_of_a_rounded_baseline_counts_once(noise):
 @pytest.mark.parametrize("of", ["falcon 1", "lwr delay-2", "lwr delay-8"])
 def test_a_wall_that_pulls_the_device_off_the_edge_of_a_quantum_hides_no_noise(of):
     """Within 5.5 %: chance moves it by 2 %, and walls behind a long delay, which pull late, by 3 %."""
-    sensor, found = load_device(of.split()[0]).sensor, find_response(shipped(*of.split(), 600)[0])
+    sensor = load_device(of.split()[0]).sensor
+    found = Columns(find_response(trial) for trial in shipped(*of.split(), 600)[0])
     error = sensor_error(found.sensor_noise, found.sensor_quantum, found.edge_row)
     assert error == pytest.approx(np.hypot(sensor.noise, sensor.quantum / np.sqrt(12)), rel=0.055)
 
@@ -83,17 +83,17 @@ def test_jitter_magnifies_the_errors_and_that_is_seen():
     loop = Loop(FALCON["mass"], FALCON["b"], 1e-3, DELAY, jitter_samples=(3, 4, 5))
     setup = Setup(loop, 8.0, 400, EDGE, 0.12, 10.0)
     ideal = simulate_device(setup, K, B, seed=2)
-    batch = simulate_device(setup.with_loop(sensor={"quantum": 2e-6, "noise": 5e-7}), K, B, seed=2)
-    error = reading_error(batch, find_response(batch), DELAY)
-    off = np.abs(batch.displacement - ideal.displacement)[:, EDGE + DELAY :]
-    settled = judge(batch).verdict == "stable"
+    logs = Logs(simulate_device(setup.with_loop(sensor={"quantum": 2e-6, "noise": 5e-7}), K, B, seed=2), DELAY)
+    error = Columns(logs.errors)
+    off = np.abs(stacked(logs.trials) - stacked(ideal))[:, EDGE + DELAY :]
+    settled = Columns(logs.verdicts).verdict == "stable"
     inside = off < 1.96 * error.deviation[:, EDGE + DELAY :]
     assert inside[settled].mean() > 0.85
     # of what the step response alone explains far fewer would hold
-    alone = reading_error(ideal, find_response(ideal), DELAY, sensor=error.sensor[0], gain=1.0).deviation
+    alone = Columns(Logs(ideal, DELAY, sensor=error.sensor[0], gain=1.0).errors).deviation
     assert (off < 1.96 * alone[:, EDGE + DELAY :])[settled].mean() < 0.6
     assert np.median(error.gain) > 4
-    assert np.median(measured(2e-6, 5e-7)[3].gain) == 1.0
+    assert np.median(Columns(measured(2e-6, 5e-7).errors).gain) == 1.0
 
 
 def test_a_mode_that_decays_slowly_is_no_rest():
@@ -102,14 +102,11 @@ def test_a_mode_that_decays_slowly_is_no_rest():
     B = np.array([30.0, 31.0, 32.0, 33.0, 34.0, 35.0, 20.0, 21.0])
     loop = Loop(0.19, 0.0, 1e-3, 7.0)
     read = dataclasses.replace(loop, sensor={"quantum": 5e-6})
-    batch = simulate_device(Setup(read, 15.0, 350, EDGE, travel=1.0), K, B, seed=1)
-    error = reading_error(batch, find_response(batch), 7)
+    logs = Logs(simulate_device(Setup(read, 15.0, 350, EDGE, travel=1.0), K, B, seed=1), 7)
     # the model of a constant delay explains the sensor's part: nothing exceeds it
-    assert (error.gain == 1).all()
+    assert (Columns(logs.errors).gain == 1).all()
     # so that the last two, which end in the sensor's noise, are summed down to it: 60 samples would end at 5 %
-    verdicts = judge(batch)
-    found = energy_interval(batch, find_response(batch), verdicts, error, 7, 0.19)
+    found = logs.energy(0.19)
     assert (found.horizon_samples[-2:] > 120).all()
-    ideal = simulate_device(Setup(loop, 15.0, 2000, EDGE, travel=1.0), K, B, seed=1)
-    true = energy_terms(ideal, find_response(ideal), judge(ideal), 7).summed(0.19)
+    true = Logs(simulate_device(Setup(loop, 15.0, 2000, EDGE, travel=1.0), K, B, seed=1), 7).summed(0.19)
     np.testing.assert_allclose(found.value[-2:], true[-2:], rtol=0.01)

@@ -5,12 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from columns import verdicts
 
 from pipeline.base.errors import ParameterError
 from pipeline.comparison.limits import measured_limits
 from pipeline.device_data.devices import load_device
 from pipeline.measured.experiment.boundary import boundary_area, boundary_band
-from pipeline.measured.signal.verdict import judge
 from pipeline.measured.student import NORMAL_95
 from pipeline.records.findings import BoundaryPoint
 from pipeline.simulation.course import run_course
@@ -39,9 +39,8 @@ def limit(setup, damping):
 
 
 def band(of):
-    batch = of.batch
-    verdicts = judge(batch)
-    return boundary_band(batch.stiffness, batch.damping, verdicts.verdict, verdicts.growth_per_s)
+    judged = verdicts(of.trials)
+    return boundary_band(of.trials.stiffness, of.trials.damping, judged.verdict, judged.growth_per_s)
 
 
 def covered(of):
@@ -80,7 +79,7 @@ def test_intervals_of_courses_of_twenty_trials_hold_the_limits():
         setup = setup_of(device, device.experiments[0].model_copy(update=conditions | delay))
         limits = limit(setup, dampings)
         K = (random.uniform(0.3, 1.5, (5, 4)) * limits[:, None]).ravel()
-        points = band(SimpleNamespace(batch=simulate(setup, K, np.repeat(dampings, 4), seed=seed)))
+        points = band(SimpleNamespace(trials=simulate(setup, K, np.repeat(dampings, 4), seed=seed)))
         known = [(p, k) for p, k in zip(points, limits, strict=True) if p.high is not None]
         inside += [p.low <= k <= p.high for p, k in known]
         wide += [(p.high - p.low) / k for p, k in known]
@@ -358,10 +357,10 @@ def test_undecided_logs_far_below_the_limit_move_no_limit():
     At B = 176 Ns/m four are, from 5,600 N/m on; runs of 4 s die away up to 6,400 N/m and grow from 6,800 N/m on.
     """
     of = run_course(load_device("falcon"), "1", seed=8, coarsen=4)
-    points, said = {p.damping: p for p in band(of)}, judge(of.batch).verdict
+    points, said = {p.damping: p for p in band(of)}, verdicts(of.trials).verdict
     assert sum(p.undecided for p in points.values()) >= 6
     for p in points.values():
-        stable = of.batch.stiffness[(of.batch.damping == p.damping) & (said == "stable")]
+        stable = of.trials.stiffness[(of.trials.damping == p.damping) & (said == "stable")]
         # two stable trials outvote what is undecided below them
         assert not p.undecided or p.low >= 0.8 * np.sort(stable)[-2]
     last = points[176.0]

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pipeline.measured.identification.intervals import GROUPS, Errors
 from scipy.stats import norm, t
 
+from pipeline.measured.identification.intervals import GROUPS, Errors
 from pipeline.measured.student import NORMAL_95, student_95
 
 SAMPLE = np.random.default_rng(8).normal(5.0, 2.0, 8)

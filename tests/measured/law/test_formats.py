@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from logged import FORMATS, RIGS, lab, repeated, scattered, thinned, written
+from logged import FORMATS, RIGS, lab, repeated, scattered, thinned, with_rows, written
 from scipy import signal
 
 from pipeline.measured.law.wall_law import wall_law
 from pipeline.measured.signal.response import find_response
+from pipeline.records.trials import Trials
 
 FEW = 3
 """Logs below which nothing is concluded of a course."""
@@ -20,11 +21,10 @@ FAST = [("falcon", "%.6g"), ("motor", "%.9g"), ("motor", "float32"), ("robot", "
 ALL = [(rig, text) for rig in RIGS for text in FORMATS]
 
 
-def named(batch):
+def named(trials):
     """How many logs show each departure."""
-    response = find_response(batch)
-    found = wall_law(batch, response).departures
-    return Counter(each.code for departures in found for each in departures)
+    laws = (wall_law(trial, find_response(trial)) for trial in trials)
+    return Counter(departure.code for law in laws for departure in law.departures)
 
 
 def butterworth(order):
@@ -91,12 +91,12 @@ def test_what_a_controller_does_is_found_in_few_digits_too(rig, what, text):
 
 
 ROWS = {
-    "gaps": (lambda batch: thinned(batch, 0.02, 5), "missing_rows"),
-    "hidden gaps": (lambda batch: thinned(batch, 0.02, 5, shown=False), "missing_rows"),
-    "gaps among scattered stamps": (lambda batch: scattered(thinned(batch, 0.02, 5), seed=5), "missing_rows"),
-    "repeated": (lambda batch: repeated(batch, 0.03, 5), "repeated_rows"),
-    "scattered stamps": (lambda batch: scattered(batch, seed=5), "scattered_stamps"),
-    "halved period": (lambda b: replace(b, sampling_period_s=b.sampling_period_s / 2), "sampling_period"),
+    "gaps": (lambda trials: thinned(trials, 0.02, 5), "missing_rows"),
+    "hidden gaps": (lambda trials: thinned(trials, 0.02, 5, shown=False), "missing_rows"),
+    "gaps among scattered stamps": (lambda trials: scattered(thinned(trials, 0.02, 5), seed=5), "missing_rows"),
+    "repeated": (lambda trials: repeated(trials, 0.03, 5), "repeated_rows"),
+    "scattered stamps": (lambda trials: scattered(trials, seed=5), "scattered_stamps"),
+    "halved period": (lambda t: replace(t, sampling_period_s=t.sampling_period_s / 2), "sampling_period"),
 }
 
 
@@ -111,8 +111,8 @@ def test_what_a_logger_does_is_named(rig, what):
 
 @pytest.mark.parametrize("rig", RIGS)
 def test_a_command_in_counts_of_a_converter_is_no_departure(rig):
-    batch, step = lab(RIGS[rig], 25, seed=508), RIGS[rig].step / 700
-    counted = replace(batch, command=step * np.rint(batch.command / step))
+    trials, step = lab(RIGS[rig], 25, seed=508), RIGS[rig].step / 700
+    counted = replace(trials, command=step * np.rint(trials.command / step))
     assert named(counted) == {}
     assert named(thinned(counted, 0.02, 5))["missing_rows"] >= 18
 
@@ -121,10 +121,9 @@ def test_a_command_in_counts_of_a_converter_is_no_departure(rig):
 @pytest.mark.parametrize("header", ["of rows", "of the loop"])
 @pytest.mark.parametrize("rig", ["falcon", *(pytest.param(r, marks=pytest.mark.slow) for r in ("motor", "robot"))])
 def test_a_logger_that_is_slower_than_the_loop_is_named(rig, header, every):
-    batch = lab(RIGS[rig], 25, seed=507)
-    period = batch.sampling_period_s * (every if header == "of rows" else 1)
-    columns = {name: getattr(batch, name)[:, ::every] for name in ("time", "command", "position")}
-    found = named(replace(batch, rows=-(-batch.rows // every), sampling_period_s=period, **columns))
+    trials = Trials.of(with_rows(trial, slice(None, None, every)) for trial in lab(RIGS[rig], 25, seed=507))
+    period = trials.sampling_period_s * (every if header == "of rows" else 1)
+    found = named(replace(trials, sampling_period_s=period))
     assert found["decimated_rows"] >= 18
     assert set(found) <= {"decimated_rows", "sampling_period", "unknown"}
 

@@ -9,7 +9,7 @@ from simulated import FALCON, plant, simulate
 
 from pipeline.measured.law.wall_law import wall_law
 from pipeline.measured.signal.response import find_response
-from pipeline.records.batch import TrialBatch
+from pipeline.records.trials import Trial
 
 T = 1e-3
 
@@ -36,24 +36,17 @@ def log(
     return np.arange(rows) * T, u, x
 
 
-def batch_of(logs, K=2000.0, B=30.0, step=8.0):
-    n = len(logs)
-    time, command, position = (np.stack([entry[i] for entry in logs]) for i in range(3))
-    same = np.ones(n)
-    return TrialBatch(
-        tuple(f"t{i}" for i in range(n)), K * same, B * same, step * same, T * same,
-        np.full(n, time.shape[1]), time, command, position,
-    )  # fmt: skip
+def trial_of(entry, K=2000.0, B=30.0, step=8.0):
+    return Trial("1", K, B, step, T, *entry)
 
 
 def found(entry, **conditions):
-    batch = batch_of([entry], **conditions)
-    law = wall_law(batch, find_response(batch))
-    return law, law.departures[0]
+    trial = trial_of(entry, **conditions)
+    return wall_law(trial, find_response(trial))
 
 
 def only(entry, code, **conditions):
-    _, departures = found(entry, **conditions)
+    departures = found(entry, **conditions).departures
     assert [d.code for d in departures] == [code], departures
     return departures[0]
 
@@ -63,26 +56,25 @@ def only(entry, code, **conditions):
 def test_ideal_logs_leave_rounding(sensor, seed):
     random = np.random.default_rng(seed)
     K, B = random.uniform(0, 9000, 24), random.uniform(0, 120, 24)
-    batch = simulate(K, B, **FALCON, **sensor, seed=seed)
-    response = find_response(batch)
-    law = wall_law(batch, response)
-    seen = response.has_edge
-    assert seen.sum() > 15
-    assert law.residual[seen].max() < 1e-9
-    assert [d for d, has in zip(law.departures, seen, strict=True) if has and d] == []
+    trials = list(simulate(K, B, **FALCON, **sensor, seed=seed))
+    responses = [find_response(trial) for trial in trials]
+    laws = [wall_law(trial, seen) for trial, seen in zip(trials, responses, strict=True) if seen.has_edge]
+    assert len(laws) > 15
+    assert max(law.residual for law in laws) < 1e-9
+    assert [law.departures for law in laws if law.departures] == []
 
 
 @pytest.mark.parametrize(("command", "position"), [(4, 7), (3, 6), (6, 9), (2, 12)])
 def test_printed_decimals_are_rounding(command, position):
     t, u, x = log(quantum=1e-6)
-    law, departures = found((t, np.round(u, command), np.round(x, position)))
-    assert departures == ()
-    assert law.rounding[0] < 0.2
+    law = found((t, np.round(u, command), np.round(x, position)))
+    assert law.departures == ()
+    assert law.rounding < 0.2
 
 
 def test_single_precision_is_rounding():
     t, u, x = log()
-    assert found((t, u.astype(np.float32).astype(float), x.astype(np.float32).astype(float)))[1] == ()
+    assert found((t, u.astype(np.float32).astype(float), x.astype(np.float32).astype(float))).departures == ()
 
 
 def test_clipped_command():
@@ -106,7 +98,7 @@ def test_constant_beside_the_law(value):
 @pytest.mark.parametrize(("quanta", "codes"), [(2, []), (-2, []), (30, ["constant_force"])])
 def test_a_wall_that_rests_two_quanta_beside_the_first_reading_is_followed(quanta, codes):
     force = (np.arange(500) >= 20) * 8.0 - 500.0 * 2e-6 * quanta
-    _, departures = found(log(K=500.0, B=0.0, b=20.0, force=force, quantum=2e-6, noise=1e-6), K=500.0, B=0.0)
+    departures = found(log(K=500.0, B=0.0, b=20.0, force=force, quantum=2e-6, noise=1e-6), K=500.0, B=0.0).departures
     assert [d.code for d in departures] == codes
 
 
@@ -125,12 +117,10 @@ def test_ramp(rows, wall):
 def test_a_slow_ramp_is_an_edge_and_a_command_in_another_unit_is_none():
     wall = {"K": 6400.0, "B": 160.0}
     time, command, position = log(force=8.0 * np.clip((np.arange(500) - 19) / 40, 0, 1), **wall)
-    assert find_response(batch_of([(time, command, position)], **wall)).edge_row[0] in (
-        39,
-        40,
-    )  # half of a ramp of 40 rows
+    half_way = (39, 40)  # of a ramp of 40 rows
+    assert find_response(trial_of((time, command, position), **wall)).edge_row in half_way
     for unit in (1e-3, 1e-2, 0.3):
-        assert find_response(batch_of([(time, unit * command, position)], **wall)).edge_row[0] < 0
+        assert find_response(trial_of((time, unit * command, position), **wall)).edge_row < 0
 
 
 def test_staircase():
@@ -168,7 +158,7 @@ def test_a_slow_device_before_a_coarse_sensor_repeats_and_misses_no_rows(samples
         return (x[-1] - x[max(len(x) - 1 - samples, 0)]) / (samples * T)
 
     sensor = {"quantum": quantum, "noise": 0.1 * quantum, "seed": seed}
-    _, departures = found(log(K=3000.0, B=80.0, filtered=filtered, **sensor), K=3000.0, B=80.0)
+    departures = found(log(K=3000.0, B=80.0, filtered=filtered, **sensor), K=3000.0, B=80.0).departures
     # where the sensor is coarse, the edge itself is not found in every log
     assert [d.code for d in departures] == ["velocity_filter"] or (quantum > 5e-6 and not departures), departures
 
@@ -196,7 +186,9 @@ def test_butterworth_velocity(order, cutoff, quantum):
 
 def test_filter_with_a_clipped_command():
     b, a = signal.butter(2, 40.0, fs=1 / T)
-    _, departures = found(log(K=6000.0, B=30.0, filtered=lambda v, x: signal.lfilter(b, a, v)[-1], limit=8.5), K=6000.0)
+    departures = found(
+        log(K=6000.0, B=30.0, filtered=lambda v, x: signal.lfilter(b, a, v)[-1], limit=8.5), K=6000.0
+    ).departures
     assert [d.code for d in departures] == ["saturation", "velocity_filter"]
 
 
@@ -223,4 +215,4 @@ def test_what_does_not_touch_the_law_leaves_it():
     t, _, x = log()
     x2 = x + 1e-4 * np.sin(np.arange(500) / 7.0) * (np.arange(500) > 30)
     u2 = 8.0 * (np.arange(500) >= 20) - 2000.0 * (x2 - x2[0]) - 30.0 * np.diff(x2, prepend=x2[0]) / T
-    assert found((t, u2, x2))[1] == ()
+    assert found((t, u2, x2)).departures == ()

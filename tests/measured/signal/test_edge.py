@@ -6,17 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from columns import changed, responses
 from simulated import FALCON, simulate
 
 from pipeline.measured.signal.response import NO_ROW, declare_edge, find_response
-from pipeline.measured.stages.stage_groups import TrialGroup
-from pipeline.records.batch import TrialBatch
+from pipeline.measured.stages.measured_trial import MeasuredTrial
+from pipeline.records.trials import Trial
 
 ROWS, EDGE, T = 600, 100, 1e-3
 MOTOR = {"mass": 1.2e-4, "b": 7e-5}
 
 
-def motor(levels, rows=(EDGE,), step=None, balance=0.0, delay=2, noise=0.0, seed=0) -> TrialBatch:
+def motor(levels, rows=(EDGE,), step=None, balance=0.0, delay=2, noise=0.0, seed=0) -> Trial:
     """A motor without a wall, driven from level to level; a constant torque beside it takes ``balance`` away.
 
     The motion is the closed solution of J w' = u - b w over each row, no code of the package.
@@ -33,26 +34,22 @@ def motor(levels, rows=(EDGE,), step=None, balance=0.0, delay=2, noise=0.0, seed
         x += final * T + (w - final) * (1 - fade) / rate
         w = final + (w - final) * fade
     position += np.random.default_rng(seed).normal(size=ROWS) * noise
-    one = np.ones(1)
     change = levels[1] - levels[0] if step is None else step
-    return TrialBatch(
-        ("motor",), 0 * one, 0 * one, change * one, T * one, np.array([ROWS]), np.arange(ROWS)[None] * T,
-        command[None], position[None],
-    )  # fmt: skip
+    return Trial("motor", 0.0, 0.0, float(change), T, np.arange(ROWS) * T, command, position)
 
 
 @pytest.mark.parametrize("levels", [(0.05, 0.065), (-0.1, 0.065), (0.02, 0.085), (0.065, 0.05), (-0.05, -0.065)])
 def test_a_step_from_an_operating_point(levels):
     """0.05 to 0.065 was refused: 'already there in row 0'."""
-    found = find_response(motor(levels, balance=levels[0]))
-    assert found.edge_row.tolist() == [EDGE], found.edge_reason
-    np.testing.assert_allclose(found.level, levels[0])
+    response = find_response(motor(levels, balance=levels[0]))
+    assert response.edge_row == EDGE, response.edge_reason
+    assert response.level == pytest.approx(levels[0])
 
 
 def test_the_step_of_a_log_is_the_change():
-    found = find_response(motor((0.05, 0.065), step=0.065, balance=0.05))
-    assert found.edge_row.tolist() == [NO_ROW]
-    assert "from 0.05 to 0.065 in row 100, a change of 0.015, but the step is 0.065" in found.edge_reason[0]
+    response = find_response(motor((0.05, 0.065), step=0.065, balance=0.05))
+    assert response.edge_row == NO_ROW
+    assert "from 0.05 to 0.065 in row 100, a change of 0.015, but the step is 0.065" in response.edge_reason
 
 
 @pytest.mark.parametrize("level", [0.05, -0.2])
@@ -61,19 +58,18 @@ def test_command_at_an_operating_point_is_that_at_rest(level):
     from_zero = motor((0.0, 0.015), noise=1e-6)
     raised = motor((level, level + 0.015), balance=level, noise=1e-6)
     np.testing.assert_allclose(raised.position, from_zero.position, atol=1e-12)
-    groups = [TrialGroup(batch) for batch in (from_zero, raised)]
-    np.testing.assert_allclose(groups[1].batch.command, groups[0].batch.command, atol=1e-12)
-    assert groups[1].logged.digests == raised.digests
-    assert groups[1].select(np.array([True])).batch.command[0, 0] == 0
+    measured = [MeasuredTrial(trial) for trial in (from_zero, raised)]
+    np.testing.assert_allclose(measured[1].trial.command, measured[0].trial.command, atol=1e-12)
+    assert measured[1].logged is raised
+    assert measured[1].trial.command[0] == 0
 
 
 def test_a_wall_keeps_its_command():
     """A constant force beside a wall is no operating point of the wall: that is for the wall law to tell."""
-    batch = simulate([3000.0], [20.0], **FALCON)
-    raised = replace(batch, command=batch.command + 1.0)
-    group = TrialGroup(raised)
-    assert group.found.edge_row.tolist() == [20]
-    assert group.batch is raised
+    (trial,) = simulate([3000.0], [20.0], **FALCON)
+    raised = MeasuredTrial(replace(trial, command=trial.command + 1.0))
+    assert raised.response.edge_row == 20
+    assert raised.trial is raised.logged
 
 
 STAIRCASES = {
@@ -92,31 +88,28 @@ def test_a_staircase_is_no_step(name, step):
     size = {"first": levels[1] - levels[0], "last level": levels[2], "whole": levels[2] - levels[0]}[step]
     if size == 0:
         pytest.skip("a step of 0 is none")
-    batch = motor(levels, rows=(EDGE, 400), step=size)
-    found = find_response(batch)
-    assert found.edge_row.tolist() == [NO_ROW]
-    assert found.steps.tolist() == [2]
-    assert found.edge_reason[0].startswith(f"several steps: row 100 ({levels[0]:.4g} to {levels[1]:.4g}), row 400 (")
-    declared = declare_edge(batch, found, EDGE)
-    assert declared.edge_row.tolist() == [NO_ROW]
-    assert declared.edge_reason == found.edge_reason
+    trial = motor(levels, rows=(EDGE, 400), step=size)
+    response = find_response(trial)
+    assert response.edge_row == NO_ROW
+    assert response.steps == 2
+    assert response.edge_reason.startswith(f"several steps: row 100 ({levels[0]:.4g} to {levels[1]:.4g}), row 400 (")
+    assert declare_edge(trial, response, EDGE) == response
 
 
 def test_a_staircase_of_many_small_steps():
     levels = np.linspace(0, 0.2, 16)
-    found = find_response(motor(levels, rows=range(100, 550, 30), step=0.2))
-    assert found.steps.tolist() == [15]
-    assert "and 9 more" in found.edge_reason[0]
+    response = find_response(motor(levels, rows=range(100, 550, 30), step=0.2))
+    assert response.steps == 15
+    assert "and 9 more" in response.edge_reason
 
 
 def test_a_staircase_against_a_wall():
-    batch = simulate([900.0, 900.0], [10.0, 10.0], **FALCON, rows=900)
+    (trial,) = simulate([900.0], [10.0], **FALCON, rows=900)
     # the wall acts on what the device does: the second step is commanded on top
-    command = batch.command.copy()
-    command[0, 500:] += 4.0
-    found = find_response(replace(batch, command=command))
-    assert found.edge_row.tolist() == [NO_ROW, 20]
-    assert "row 20 (0 to 8), row 500 (8 to 12)" in found.edge_reason[0]
+    response = find_response(replace(trial, command=trial.command + 4.0 * (np.arange(900) >= 500)))
+    assert response.edge_row == NO_ROW
+    assert "row 20 (0 to 8), row 500 (8 to 12)" in response.edge_reason
+    assert find_response(trial).edge_row == 20
 
 
 @pytest.mark.parametrize(
@@ -134,10 +127,10 @@ def test_a_staircase_against_a_wall():
 )
 def test_a_second_step_is_larger_than_quanta_and_lies_between_levels(damping, second, ripple, apart, steps):
     """Relative to the step: 0.1 with damping, 0.04 without, levels within 0.02 for 20 rows."""
-    batch = simulate([300.0], [damping], **FALCON, rows=900)
-    command = batch.command + 8.0 * ripple * (np.arange(900) % 2)
-    command[0, 20 + apart :] += 8.0 * second
-    assert find_response(replace(batch, command=command)).steps.tolist() == [steps]
+    (trial,) = simulate([300.0], [damping], **FALCON, rows=900)
+    command = trial.command + 8.0 * ripple * (np.arange(900) % 2)
+    command[20 + apart :] += 8.0 * second
+    assert find_response(replace(trial, command=command)).steps == steps
 
 
 @pytest.mark.parametrize("samples", [1, 3, 10, 30])
@@ -146,18 +139,21 @@ def test_a_filtered_velocity_and_a_coarse_sensor_are_no_steps(samples, quantum):
     """A velocity over N rows leaves a plateau of N rows behind each quantum."""
     stiffness = np.array([200.0, 3000.0, 9000.0, 15000.0])
     damping = np.array([4.0, 184.0, 90.0, 120.0])
-    batch = simulate(stiffness, damping, **FALCON, quantum=quantum, noise=2e-6, seed=5)
-    x = np.concatenate([np.repeat(batch.position[:, :1], samples, axis=1), batch.position], axis=1)
-    velocity = (x[:, samples:] - x[:, :-samples]) / (samples * T)
-    force = 8.0 * (np.arange(x.shape[1] - samples) >= 20)
-    command = force - stiffness[:, None] * batch.displacement - damping[:, None] * velocity
-    found = find_response(replace(batch, command=command))
+
+    def filtered(trial):
+        x = np.concatenate([np.repeat(trial.position[:1], samples), trial.position])
+        velocity = (x[samples:] - x[:-samples]) / (samples * T)
+        force = 8.0 * (np.arange(trial.rows) >= 20)
+        return force - trial.stiffness * trial.displacement - trial.damping * velocity
+
+    trials = simulate(stiffness, damping, **FALCON, quantum=quantum, noise=2e-6, seed=5)
+    found = responses(changed(trials, command=filtered))
     assert (found.steps < 2).all()
     assert not found.level.any()
 
 
 def test_clipped_and_one_sided_commands_are_no_steps():
-    batch = simulate(np.linspace(2000, 26000, 12), np.linspace(5, 60, 12), **FALCON)
-    for command in (np.clip(batch.command, -12, 12), np.maximum(batch.command, 0.0)):
-        found = find_response(replace(batch, command=command))
+    trials = simulate(np.linspace(2000, 26000, 12), np.linspace(5, 60, 12), **FALCON)
+    for bend in (lambda trial: np.clip(trial.command, -12, 12), lambda trial: np.maximum(trial.command, 0.0)):
+        found = responses(changed(trials, command=bend))
         assert not any(text.startswith("several") for text in found.edge_reason)

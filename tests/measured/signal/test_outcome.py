@@ -7,17 +7,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from columns import Columns, responses, stacked
 from labelled import GROUPS, Group, Labelled, cut, join, labelled_set
 
 from pipeline.base.errors import ParameterError
 from pipeline.device.parts import Butterworth, Sensor, SimulationParts
 from pipeline.measured.cost import costs
-from pipeline.measured.signal.disturbance import LONGEST_SPAN, PushResponse, find_disturbance, fit_push_response
+from pipeline.measured.signal.disturbance import (
+    LONGEST_SPAN,
+    Disturbance,
+    PushResponse,
+    find_disturbance,
+    fit_push_response,
+)
 from pipeline.measured.signal.events import usual_length
-from pipeline.measured.signal.outcome import BAND, OUTCOMES, Outcomes, classify
-from pipeline.measured.signal.response import Response, find_response
+from pipeline.measured.signal.outcome import BAND, OUTCOMES, classify
+from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
-from pipeline.records.batch import TrialBatch, TrialGroups
+from pipeline.records.trials import Trial, Trials
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import simulate
 
@@ -29,24 +36,28 @@ IDEAL = FALCON.with_loop(sensor=Sensor())
 OF_THE_LOOP = {"diverged", "limit_cycle", "moving", "settled"}
 
 
-def outcomes(batch: TrialBatch) -> Outcomes:
-    response = find_response(batch)
-    return classify(batch, response, judge(batch, response), usual_length(batch.rows), device_of(batch, response))
+def outcomes(trials: Trials) -> Columns:
+    """The outcome of each trial, with the others of its experiment."""
+    seen, usual, device = [find_response(trial) for trial in trials], usual_length(trials.rows), device_of(trials)
+    return Columns(
+        classify(trial, response, judge(trial, response), usual, device)
+        for trial, response in zip(trials, seen, strict=True)
+    )
 
 
-def device_of(batch: TrialBatch, response: Response) -> PushResponse:
-    """The device that the trials of a batch show."""
-    groups = TrialGroups((np.arange(len(batch)),), (batch,))
-    return fit_push_response(groups, response.edge_row, response.floor, batch.rows, batch.step, batch.sampling_period_s)
+def device_of(trials: Trials) -> PushResponse:
+    """The device that the trials of an experiment show."""
+    seen = responses(trials)
+    return fit_push_response(trials, seen.edge_row, seen.floor)
 
 
-def run(setup: Setup, K: list[float], B: list[float], **options) -> TrialBatch:
+def run(setup: Setup, K: list[float], B: list[float], **options) -> Trials:
     return simulate(setup, np.array(K, float), np.array(B, float), **options)
 
 
-def among(batch: TrialBatch, setup: Setup = FALCON) -> TrialBatch:
+def among(trials: Trials, setup: Setup = FALCON) -> Trials:
     """The trials with others of the same experiment behind them, which tell device and usual length."""
-    return join([batch, run(setup, list(np.linspace(1500, 6000, 20)), [60.0] * 20)])
+    return join([trials, run(setup, list(np.linspace(1500, 6000, 20)), [60.0] * 20)])
 
 
 def confusion(pairs: Counter) -> str:
@@ -58,7 +69,7 @@ def confusion(pairs: Counter) -> str:
 def check(trials: list[Labelled], at_least: int) -> None:
     clear, near, by_kind, wrong = Counter(), Counter(), {}, []
     for part in trials:
-        found = outcomes(part.batch)
+        found = outcomes(part.trials)
         for i, (label, name) in enumerate(zip(part.label.tolist(), found.outcome.tolist(), strict=True)):
             (near if part.near[i] else clear)[label, name] += 1
             if not part.near[i]:
@@ -90,25 +101,21 @@ def test_outcomes_meet_the_labels_of_a_large_set() -> None:
 
 
 def test_outcome_of_a_trial_hangs_on_its_neighbours_by_length_and_device_only() -> None:
-    batch = run(FALCON, list(np.linspace(500, 12000, 40)), list(np.linspace(5, 120, 40)))
-    together = outcomes(batch).outcome
+    trials = run(FALCON, list(np.linspace(500, 12000, 40)), list(np.linspace(5, 120, 40)))
+    together = outcomes(trials).outcome
     assert len(set(together)) > 1
-    assert outcomes(batch.select(np.arange(40)[::-1])).outcome.tolist() == together[::-1].tolist()
-
-
-def test_no_trials_have_no_outcomes() -> None:
-    batch = run(FALCON, [3000.0], [60.0])
-    assert outcomes(batch.select(np.array([], dtype=np.int64))).evidence == ()
+    assert outcomes(trials.select(np.arange(40)[::-1])).outcome.tolist() == together[::-1].tolist()
 
 
 def test_evidence_of_settling_is_the_settling_time() -> None:
-    batch = among(run(IDEAL, [3000.0, 4400.0], [60.0, 72.0]), IDEAL)
-    response = find_response(batch)
-    found = outcomes(batch)
-    settling = costs.settling(batch, response, judge(batch, response), 4)["settle_2pct"].value
+    trials = among(run(IDEAL, [3000.0, 4400.0], [60.0, 72.0]), IDEAL)
+    found = outcomes(trials)
     assert set(found.outcome) == {"settled"}
-    assert (found.first_row - response.edge_row - 4).tolist() == settling.tolist()
-    np.testing.assert_allclose(found.band, BAND * 8.0 / batch.stiffness, rtol=1e-12)
+    for trial, row in zip(trials, found.first_row.tolist(), strict=True):
+        response = find_response(trial)
+        cost = costs.settling(trial, response, judge(trial, response), 4)["settle_2pct"]
+        assert row - response.edge_row - 4 == cost.value
+    np.testing.assert_allclose(found.band, BAND * 8.0 / trials.stiffness, rtol=1e-12)
     assert all(f"sample {row} of the log on" in text for row, text in zip(found.first_row, found.evidence, strict=True))
 
 
@@ -116,26 +123,23 @@ def test_evidence_of_settling_is_the_settling_time() -> None:
 def test_push_is_dated_and_measured(size: float) -> None:
     row = np.arange(FALCON.rows)
     force = np.where((row >= 250) & (row < 290), size * np.sin(np.pi * (row - 250) / 40), 0.0)[:, None]
-    batch = among(run(FALCON, [3000.0], [60.0], disturbance=force))
-    response = find_response(batch)
-    found = find_disturbance(batch, response, device_of(batch, response))
+    trials = among(run(FALCON, [3000.0], [60.0], disturbance=force))
+    device = device_of(trials)
+    found = Columns(find_disturbance(trial, find_response(trial), device) for trial in trials)
     # told from 8 rows on each side of a row, of which the mean is 3 % below the peak; up to a fifth of a push is
     # taken for commands that came a sample early or late, where quiet trials do not tell the delay sharply
     assert 242 <= found.first_row[0] <= 265
     assert 262 <= found.largest_row[0] <= 278
     assert 0.77 * abs(size) < found.force[0] * np.sign(size) <= abs(size)
     assert (found.first_row[1:] == -1).all()
-    assert outcomes(batch).outcome[0] == "disturbed"
+    assert outcomes(trials).outcome[0] == "disturbed"
 
 
 def test_a_log_shorter_than_two_spans_shows_no_force() -> None:
     """As beside a coarse sensor, whose errors are told from a force over many rows."""
-    whole = run(FALCON, [3000.0, 4000.0], [60.0, 60.0])
-    batch = whole.window(0, FALCON.edge_row + 30)
+    trial = run(FALCON, [3000.0], [60.0])[0].window(0, FALCON.edge_row + 30)
     device = PushResponse(0.58, 4.0, 0.0, 4, span=LONGEST_SPAN, least=1.2)
-    found = find_disturbance(batch, find_response(batch), device)
-    assert found.first_row.tolist() == found.largest_row.tolist() == [-1, -1]
-    assert found.force.tolist() == [0.0, 0.0]
+    assert find_disturbance(trial, find_response(trial), device) == Disturbance(-1, -1, 0.0)
 
 
 def test_device_that_rests_elsewhere_is_held_by_another_force() -> None:
@@ -148,11 +152,10 @@ def test_device_that_rests_elsewhere_is_held_by_another_force() -> None:
 
 def test_clipping_is_dated_by_the_unclipped_command() -> None:
     setup = replace(IDEAL, hidden=SimulationParts(clipped_command_logged=True)).with_loop(force_limit=11.0)
-    batch = among(run(setup, [9000.0, 3000.0], [40.0, 60.0]), IDEAL)
-    free = run(IDEAL, [9000.0], [40.0])
-    found = outcomes(batch)
+    (free,) = run(IDEAL, [9000.0], [40.0])
+    found = outcomes(among(run(setup, [9000.0, 3000.0], [40.0, 60.0]), IDEAL))
     assert found.outcome[:2].tolist() == ["saturated", "settled"]
-    assert found.first_row[0] == np.argmax(np.abs(free.command[0]) > 11.0)
+    assert found.first_row[0] == np.argmax(np.abs(free.command) > 11.0)
     assert "clipped at 11 " in found.evidence[0]
 
 
@@ -165,11 +168,10 @@ def test_velocity_filter_is_no_clipping() -> None:
 def test_travel_limit_and_stop_are_dated() -> None:
     left = run(replace(FALCON, travel=0.02), [25000.0, 0.0], [90.0, 0.0])
     held = run(replace(FALCON, stop=0.01), [25000.0, 0.0], [90.0, 0.0])
-    batch = among(join([left, held]))
-    found = outcomes(batch)
+    found = outcomes(among(join([left, held])))
     assert found.outcome[:4].tolist() == ["travel_limit"] * 4, found.evidence[:4]
     assert (found.first_row[:2] == left.rows - 1).all()
-    at_stop = np.abs(held.position - FALCON.centre) > 0.01 - 1e-5
+    at_stop = np.abs(stacked(held, "position") - FALCON.centre) > 0.01 - 1e-5
     # a blow is dated by the first time at that place, a rebound by the first abrupt one: some contacts later at most
     assert (found.first_row[2:4] >= np.argmax(at_stop, axis=1)).all()
     assert found.first_row[3] <= np.argmax(at_stop[1]) + 2
@@ -182,27 +184,26 @@ def test_without_others_a_log_that_ended_early_is_not_known_to_have() -> None:
 
 def test_reasons_of_the_missing_step_are_handed_on() -> None:
     whole = run(FALCON, [3000.0], [60.0])
-    batch = join([whole, run(replace(FALCON, edge_row=0), [3000.0], [60.0]), cut(whole, np.array([FALCON.edge_row]))])
-    found = outcomes(batch)
+    late = run(replace(FALCON, edge_row=0), [3000.0], [60.0])
+    found = outcomes(join([whole, late, cut(whole, np.array([FALCON.edge_row]))]))
     assert found.outcome.tolist() == ["settled", "no_step", "no_step"]
     assert "row 0" in found.evidence[1]
     assert "never stays above half the step" in found.evidence[2]
 
 
-def shaped(positions: np.ndarray, K: float = 1.0, step: float = 1.0) -> TrialBatch:
+def shaped(positions: np.ndarray, K: float = 1.0, step: float = 1.0) -> Trials:
     """A log with these positions that obeys the wall law (B = 0), step in row 5."""
-    x = np.asarray(positions, float)[None]
-    external = np.where(np.arange(x.shape[1]) >= 5, step, 0.0)
-    one = np.ones(1)
-    rows, time = np.array([x.shape[1]]), 1e-3 * np.arange(x.shape[1])[None]
-    return TrialBatch(("0",), K * one, 0 * one, step * one, 1e-3 * one, rows, time, external - K * (x - x[:, :1]), x)
+    x = np.asarray(positions, float)
+    external = np.where(np.arange(len(x)) >= 5, step, 0.0)
+    return Trials.of([Trial("0", K, 0.0, step, 1e-3, 1e-3 * np.arange(len(x)), external - K * (x - x[0]), x)])
 
 
-def settling(batch: TrialBatch) -> tuple[float, str, float]:
-    response = find_response(batch)
-    verdicts = judge(batch, response)
-    found = costs.settling(batch, response, verdicts, 0)["settle_2pct"]
-    return float(found.value[0]), found.reason[0], float(costs.overshoot(batch, response, verdicts).value[0])
+def settling(trials: Trials) -> tuple[float, str, float]:
+    (trial,) = trials
+    response = find_response(trial)
+    verdict = judge(trial, response)
+    cost = costs.settling(trial, response, verdict, 0)["settle_2pct"]
+    return cost.value, cost.reason, costs.overshoot(trial, response, verdict).value
 
 
 def decaying(start: float, end: float, rows: int = 400) -> np.ndarray:
@@ -228,13 +229,13 @@ def test_final_value_of_zero_is_one_like_any_other() -> None:
 
 
 def test_90_percent_never_reached_is_a_reason() -> None:
-    batch = shaped(1.0 - np.exp(-np.maximum(np.arange(400) - 5, 0) / 200.0))
-    assert batch.position.max() < 0.9
-    time, reason, over = settling(batch)
+    trials = shaped(1.0 - np.exp(-np.maximum(np.arange(400) - 5, 0) / 200.0))
+    assert trials.position.max() < 0.9
+    time, reason, over = settling(trials)
     assert np.isnan(time)
     assert "settle_2pct: not settled at the end of the log" in reason
     assert over == 0.0
-    assert outcomes(batch).outcome.tolist() == ["moving"]
+    assert outcomes(trials).outcome.tolist() == ["moving"]
 
 
 def test_noise_alone_has_no_settling_time() -> None:
@@ -248,50 +249,51 @@ def test_noise_alone_has_no_settling_time() -> None:
 def test_oscillations_that_last_or_grow_have_no_settling_time() -> None:
     t = np.maximum(np.arange(800) - 5, 0)
     for growth, outcome in ((0.0, "limit_cycle"), (2e-3, "diverged")):
-        batch = shaped(1.0 - np.exp(growth * t) * np.cos(0.15 * t))
-        time, reason, _ = settling(batch)
+        trials = shaped(1.0 - np.exp(growth * t) * np.cos(0.15 * t))
+        time, reason, _ = settling(trials)
         assert np.isnan(time)
         assert reason
-        assert outcomes(batch).outcome.tolist() == [outcome], outcomes(batch).evidence
+        assert outcomes(trials).outcome.tolist() == [outcome], outcomes(trials).evidence
 
 
 @pytest.mark.parametrize(("rate", "outcome"), [(0.0, "limit_cycle"), (-2e-3, "moving"), (-4e-3, "settled")])
 def test_fading_oscillation_of_few_quanta_is_no_limit_cycle(rate: float, outcome: str) -> None:
     """Its last swings are so few quanta that no growth rate is told: their ratio to the earlier ones is."""
     t = np.maximum(np.arange(800) - 5, 0)
-    batch = shaped(np.round((1.0 - np.exp(rate * t) * np.cos(0.15 * t)) / 0.1) * 0.1)
-    assert outcomes(batch).outcome.tolist() == [outcome], outcomes(batch).evidence
+    trials = shaped(np.round((1.0 - np.exp(rate * t) * np.cos(0.15 * t)) / 0.1) * 0.1)
+    assert outcomes(trials).outcome.tolist() == [outcome], outcomes(trials).evidence
 
 
 def test_disturbance_of_the_simulator_moves_the_rest_by_its_share() -> None:
     setup = replace(IDEAL, rows=1500)
-    quiet = run(setup, [3000.0], [60.0])
-    pushed = run(setup, [3000.0], [60.0], disturbance=np.full((1500, 1), 1.2))
+    (quiet,) = run(setup, [3000.0], [60.0])
+    (pushed,) = run(setup, [3000.0], [60.0], disturbance=np.full((1500, 1), 1.2))
     # held by K alone at the end: F/K; 1,500 rows leave nothing of the transient
-    assert pushed.position[0, -1] - quiet.position[0, -1] == pytest.approx(1.2 / 3000.0, rel=1e-9)
+    assert pushed.position[-1] - quiet.position[-1] == pytest.approx(1.2 / 3000.0, rel=1e-9)
     with pytest.raises(ParameterError, match="expected \\(rows, n\\) = \\(1500, 1\\)"):
         run(setup, [3000.0], [60.0], disturbance=np.zeros((1500, 2)))
 
 
 def test_stop_of_the_simulator_is_never_passed_and_holds_against_the_force() -> None:
-    batch = run(replace(IDEAL, stop=0.01), [0.0, 25000.0], [0.0, 90.0])
+    trials = run(replace(IDEAL, stop=0.01), [0.0, 25000.0], [0.0, 90.0])
     # rounding of a position of 0.1 m
-    assert np.abs(batch.position - FALCON.centre).max() <= 0.01 + 1e-16
-    reached = np.argmax(batch.position[0] >= FALCON.centre + 0.01 - 1e-16)
+    assert np.abs(trials.position - FALCON.centre).max() <= 0.01 + 1e-16
+    position = trials[0].position
+    reached = np.argmax(position >= FALCON.centre + 0.01 - 1e-16)
     # 8 N on 0.58 kg go 10 mm in sqrt(2 m x/F) = 38 ms, some more with b = 4 N s/m and the delay of 4 ms
     assert 38 + 4 <= reached - FALCON.edge_row <= 38 + 4 + 6
-    assert (batch.position[0, reached:] == batch.position[0, -1]).all()
+    assert (position[reached:] == position[-1]).all()
 
 
 @pytest.mark.parametrize(("more", "outcome"), [(3, "moving"), (8, "settled"), (40, "settled")])
 def test_a_log_has_settled_once_some_samples_lie_within_the_band(more: int, outcome: str) -> None:
     whole = run(IDEAL, [3000.0], [90.0])
-    response = find_response(whole)
+    final = find_response(whole[0]).position_final_expected
     entry = int(outcomes(whole).first_row[0])
     log = run(replace(IDEAL, rows=entry + more), [3000.0], [90.0])
     assert outcomes(log).outcome.tolist() == [outcome]
-    settled = costs.settling(log, find_response(log), judge(log), 4)["settle_2pct"].value[0]
+    settled = costs.settling(log[0], find_response(log[0]), judge(log[0]), 4)["settle_2pct"].value
     assert np.isnan(settled) if more < 5 else settled == entry - 24
     # the band is 2 % of the final displacement
-    error = np.abs(whole.position[0] - response.position_final_expected[0]) * 3000.0 / IDEAL.step
+    error = np.abs(whole[0].position - final) * 3000.0 / IDEAL.step
     assert error[entry:].max() <= 0.02 < error[entry - 1]

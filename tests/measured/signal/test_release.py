@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from columns import changed, responses, verdicts
 from simulated import plant, spectral_radius
 
-from pipeline.measured.signal.response import find_response
-from pipeline.measured.signal.verdict import judge
-from pipeline.records.batch import TrialBatch
+from pipeline.records.trials import Trial, Trials
 
 RIGS = {
     "paddle": {"mass": 7e-4, "b": 2e-4, "delay": 1, "T": 5e-3, "size": 0.1, "quantum": 7.67e-4},
@@ -59,26 +58,21 @@ def walls(rig, way, rows=300, begin=12):
             if abs(state[0]) > 20 * abs(size):
                 count[i] = row + 1
                 break
-    time = np.broadcast_to(np.arange(rows) * T, position.shape).copy()
-    for i, n in enumerate(count):
-        position[i, n:], command[i, n:], time[i, n:] = np.nan, np.nan, np.nan
-    zeros, period = np.zeros(len(K)), np.full(len(K), T)
-    names = tuple(map(str, range(len(K))))
-    batch = TrialBatch(
-        trial_id=names, stiffness=K, damping=B, step=zeros, sampling_period_s=period, rows=count.astype(np.int64),
-        time=time, command=command, position=position,
-    )  # fmt: skip
+    trials = Trials.of(
+        Trial(str(i), K[i], B[i], 0.0, T, np.arange(n) * T, command[i, :n], position[i, :n])
+        for i, n in enumerate(count.tolist())
+    )
     radius = [
         spectral_radius(k, b, **{n: about[n] for n in ("mass", "b", "delay", "T")}) for k, b in zip(K, B, strict=True)
     ]
-    return batch, np.array(radius)
+    return trials, np.array(radius)
 
 
 @pytest.mark.parametrize("rig", RIGS)
 @pytest.mark.parametrize("way", WAYS)
 def test_release_or_hit_is_judged_by_its_growth(rig, way):
-    batch, radius = walls(rig, way)
-    found = judge(batch)
+    trials, radius = walls(rig, way)
+    found = verdicts(trials)
     assert not ((found.verdict == "stable") & (radius > 1)).any()
     assert not ((found.verdict == "unstable") & (radius < 1)).any()
     assert (found.verdict != "undecided").sum() >= len(radius) - 1, found.reason
@@ -86,7 +80,7 @@ def test_release_or_hit_is_judged_by_its_growth(rig, way):
 
 @pytest.mark.parametrize("rig", RIGS)
 def test_a_trial_without_a_step_has_no_edge_and_no_final_position(rig):
-    found = find_response(walls(rig, WAYS[0])[0])
+    found = responses(walls(rig, WAYS[0])[0])
     assert (found.edge_row == -1).all()
     assert np.isnan(found.position_final_expected).all()
     assert set(found.edge_reason) == {"no step was commanded (step is 0)"}
@@ -94,15 +88,11 @@ def test_a_trial_without_a_step_has_no_edge_and_no_final_position(rig):
 
 @pytest.mark.parametrize("rig", RIGS)
 def test_a_trajectory_is_no_free_motion(rig):
-    batch, _ = walls(rig, "hit by the controller")
-    swing = batch.stiffness[:, None] * abs(RIGS[rig]["size"]) * np.sin(0.3 * np.arange(batch.position.shape[1]))
-    found = judge(
-        TrialBatch(
-            **{
-                **{n: v for n, v in vars(batch).items() if n in TrialBatch.__dataclass_fields__},
-                "command": batch.command + swing,
-            }
-        )
-    )
+    trials, _ = walls(rig, "hit by the controller")
+
+    def swung(trial):
+        return trial.command + trial.stiffness * abs(RIGS[rig]["size"]) * np.sin(0.3 * np.arange(trial.rows))
+
+    found = verdicts(changed(trials, command=swung))
     assert set(found.verdict) == {"undecided"}
     assert all("no step was commanded" in text for text in found.reason)

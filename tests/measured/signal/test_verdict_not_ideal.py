@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from columns import responses, stacked, verdicts
 from not_ideal import decays, simulate
 from simulated import FALCON, spectral_radius
 
 from pipeline.device.parts import SimulationParts
 from pipeline.device_data.devices import load_device
-from pipeline.measured.signal.response import find_response
-from pipeline.measured.signal.verdict import judge
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate as simulate_loop
 
@@ -33,7 +32,7 @@ B = np.repeat(DAMPING, len(SHARE))
 def judged(seed, **features):
     """Verdicts, and whether each loop truly comes to rest."""
     shift = np.random.default_rng(seed).uniform(0, 1e-3, len(K))
-    found = judge(simulate(K, B, seed=seed, shift=shift, **features))
+    found = verdicts(simulate(K, B, seed=seed, shift=shift, **features))
     return found, decays(K, B, **{**features, "rows": 400})
 
 
@@ -70,10 +69,10 @@ def test_several_steps_are_judged_by_the_response_to_the_first():
     setup = setup_of(device, device.experiments[0].model_copy(update={"simulation": later, "jitter_samples": ()}))
     loop = setup.loop
     true = {**FALCON, "delay": int(loop.delay_samples), "mass": loop.mass, "b": loop.damping}
-    batch = simulate_loop(setup, K, B)
+    trials = simulate_loop(setup, K, B)
     growth = np.log([spectral_radius(k, b, **true) for k, b in zip(K, B, strict=True)]) / loop.sampling_period_s
-    found = judge(batch)
-    assert (find_response(batch).steps > 1).any()
+    found = verdicts(trials)
+    assert (responses(trials).steps > 1).any()
     known = np.isfinite(found.growth_per_s)
     assert known.sum() > 0.7 * len(K)
     # the second step stirs the motion up again: over both, rates are off by 1 to 20 /s
@@ -92,8 +91,8 @@ def test_a_motion_that_friction_brakes_has_no_growth_rate():
 def test_a_vibration_that_grows_without_a_wall_is_not_stable(sensor):
     device = {"delay": 7.0, "mode": (60.0, 0.02, 0.2)}
     damping = np.array([-12.0, -6.0, 0.0, 6.0, 17.0, 40.0, 50.0])
-    found = judge(simulate(0 * damping, damping, seed=5, **device, **sensor))
-    bend = np.diff(simulate(0 * damping, damping, rows=1600, **device).position, n=2, axis=1)
+    found = verdicts(simulate(0 * damping, damping, seed=5, **device, **sensor))
+    bend = np.diff(stacked(simulate(0 * damping, damping, rows=1600, **device)), n=2, axis=1)
     early, late = (np.sqrt((bend[:, rows] ** 2).mean(axis=1)) for rows in (slice(800, 1100), slice(1300, 1600)))
     truth = np.log(late / early) / 0.5
     assert (truth[-2:] > 5).all()
@@ -109,8 +108,8 @@ def test_a_mode_that_rises_from_below_the_floor_is_not_stable(B, seed):
     stiffness = np.array([1600.0, 3200.0, 4800.0, 6400.0, 7200.0, 8000.0])
     device = {"mass": 0.715, "b": 4.66, "mode": (86.6, 0.0228, 0.177)}
     damping = np.full(len(stiffness), B)
-    found = judge(simulate(stiffness, damping, seed=seed, **device, **SENSOR))
-    ideal = judge(simulate(stiffness, damping, **device))
+    found = verdicts(simulate(stiffness, damping, seed=seed, **device, **SENSOR))
+    ideal = verdicts(simulate(stiffness, damping, **device))
     # a growth of less than 1.2 /s is not seen in 0.4 s of this sensor
     grows = ideal.growth_per_s > 1.2
     assert grows.sum() >= 5
@@ -121,8 +120,8 @@ def test_a_mode_that_rises_from_below_the_floor_is_not_stable(B, seed):
 def test_a_vibration_that_rises_beside_a_slow_motion_is_not_stable():
     stiffness, damping = np.array([250.0, 320.0, 640.0]), np.full(3, 70.0)
     device = {"mass": 0.715, "b": 4.66, "mode": (86.6, 0.0228, 0.177)}
-    found = judge(simulate(stiffness, damping, seed=4, **device, **SENSOR))
-    ideal = judge(simulate(stiffness, damping, **device))
+    found = verdicts(simulate(stiffness, damping, seed=4, **device, **SENSOR))
+    ideal = verdicts(simulate(stiffness, damping, **device))
     assert (ideal.growth_per_s > 2).all()
     assert (found.verdict != "stable").all()
     np.testing.assert_allclose(found.growth_per_s, ideal.growth_per_s, atol=0.2)

@@ -17,20 +17,15 @@ WHITE = np.random.default_rng(1).normal(size=400)
 
 def moved(motion, quantum=QUANTUM, noise=0.0):
     """A trial of the Falcon whose free motion after the first delay is another one [m], as its sensor shows it."""
-    batch = simulate([2000.0], [20.0], **FALCON, quantum=QUANTUM)
-    position = batch.position.copy()
-    position[0, 24:] = position[0, 0] + 8 / 2000 + motion
+    (trial,) = simulate([2000.0], [20.0], **FALCON, quantum=QUANTUM)
+    position = trial.position.copy()
+    position[24:] = position[0] + 8 / 2000 + motion
     position = np.round(position / quantum) * quantum if quantum else position
-    return replace(batch, position=position + noise * WHITE)
-
-
-def first(batch, rows):
-    window = {name: getattr(batch, name)[:, :rows] for name in ("time", "command", "position")}
-    return replace(batch, rows=np.array([rows]), **window)
+    return replace(trial, position=position + noise * WHITE)
 
 
 def unstable(rows):
-    return first(simulate([20000.0], [20.0], **FALCON), rows)
+    return simulate([20000.0], [20.0], **FALCON)[0].window(0, rows)
 
 
 def growing(rate):
@@ -53,14 +48,14 @@ def stopped(part, rate):
 
 def clipped(departure):
     """A lasting oscillation whose command lacks its peaks, by a part of the step."""
-    batch = moved(-1e-3 * np.cos(0.035 * K), 0.0)
-    change = np.diff(batch.position, axis=1, prepend=batch.position[:, :1])
-    law = 8.0 * (np.arange(400) >= 20)[None] - 2000 * batch.displacement - 20 * change / 1e-3
-    return replace(batch, command=np.minimum(law, law[:, 40:].max() - 8 * departure))
+    trial = moved(-1e-3 * np.cos(0.035 * K), 0.0)
+    change = np.diff(trial.position, prepend=trial.position[:1])
+    law = 8.0 * (np.arange(400) >= 20) - 2000 * trial.displacement - 20 * change / 1e-3
+    return replace(trial, command=np.minimum(law, law[40:].max() - 8 * departure))
 
 
 @pytest.mark.parametrize(
-    ("name", "factor", "batch", "told", "otherwise"),
+    ("name", "factor", "trial", "told", "otherwise"),
     [
         ("FEWEST_SAMPLES", 0.7, unstable(42), "undecided", "unstable"),
         ("FEWEST_SAMPLES", 1.3, unstable(46), "unstable", "undecided"),
@@ -76,10 +71,10 @@ def clipped(departure):
         ("BENT", 1.3, clipped(1.2e-3), "unstable", "undecided"),
     ],
 )
-def test_a_threshold_holds_what_lies_on_either_side(monkeypatch, name, factor, batch, told, otherwise):
-    assert verdict.judge(batch).verdict.tolist() == [told]
+def test_a_threshold_holds_what_lies_on_either_side(monkeypatch, name, factor, trial, told, otherwise):
+    assert verdict.judge(trial).verdict == told
     moved_by = factor * getattr(verdict, name)
     for module in (verdict, modes) if name == "FEWEST_SAMPLES" else (verdict,):
         monkeypatch.setattr(module, name, round(moved_by) if name == "FEWEST_SAMPLES" else moved_by)
     with np.errstate(invalid="ignore"):
-        assert verdict.judge(batch).verdict.tolist() == [otherwise]
+        assert verdict.judge(trial).verdict == otherwise

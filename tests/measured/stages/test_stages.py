@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 import simulated
-from stored import batch_of, replace_table
+from stored import replace_table, trials_of
 
 from pipeline.base.errors import StoreError
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
@@ -41,9 +41,9 @@ def lasting(patient):
 @pytest.fixture(scope="module")
 def decayed(lasting):
     """Stable trials with K > 0 whose motion beyond the log adds less than 1e-10 to any sum, by independent poles."""
-    K, B = batch_of(lasting).stiffness, batch_of(lasting).damping
+    K, B = trials_of(lasting).stiffness, trials_of(lasting).damping
     radius = np.array([simulated.spectral_radius(k, b, **simulated.FALCON) for k, b in zip(K, B, strict=True)])
-    counted = batch_of(lasting).rows.max() - 20 - DELAY
+    counted = trials_of(lasting).rows.max() - 20 - DELAY
     # the energy falls with the square of the radius; k^2 and the sum over the rest add at most counted^3
     chosen = (K > 0) & (radius < 1)
     chosen &= radius ** (2 * counted) * float(counted) ** 3 < 1e-12
@@ -74,17 +74,18 @@ def test_all_seven_delays_of_the_lwr(sweep, samples):
     assert of.damping_estimate.value == pytest.approx(0.0, abs=0.02)
 
 
-def interval_means(batch, first, last):
+def interval_means(trials, first, last):
     """Mean position and velocity over the interval after row ``last`` of a device that gets the logged commands.
 
     Twenty steps a sample with the matrix exponential, in exact arithmetic of the plant: no code of the package.
     """
     fine = 20
     A, g = simulated.plant(TRUE_MASS, TRUE_DAMPING, T / fine)
-    n = len(batch)
+    n = len(trials)
+    command = np.array([trial.command[: last + 1] for trial in trials])
     x, v = np.zeros(n), np.zeros(n)
     for row in range(last + 1):
-        u = batch.command[:, row - DELAY] if row - DELAY >= first else np.zeros(n)
+        u = command[:, row - DELAY] if row - DELAY >= first else np.zeros(n)
         path = [x]
         for _ in range(fine):
             x, v = A[0, 0] * x + A[0, 1] * v + g[0] * u, A[1, 0] * x + A[1, 1] * v + g[1] * u
@@ -96,7 +97,7 @@ def interval_means(batch, first, last):
 
 
 def test_mass_has_exactly_the_bias_of_viscous_damping(ideal):
-    x, v = interval_means(batch_of(ideal), 20, 20 + 15 - 1)
+    x, v = interval_means(trials_of(ideal), 20, 20 + 15 - 1)
     expected = TRUE_MASS + TRUE_DAMPING * x / v
     found = ideal.column("mass", "mass_momentum")
     np.testing.assert_allclose(found, expected, rtol=1e-5)
@@ -123,7 +124,7 @@ def test_ideal_logs_obey_the_wall_law(ideal):
 
 @pytest.mark.slow
 def test_settling_and_overshoot_of_logs_are_those_of_theory(lasting, decayed):
-    loop, alpha, beta = normalised(batch_of(lasting).stiffness[decayed], batch_of(lasting).damping[decayed])
+    loop, alpha, beta = normalised(trials_of(lasting).stiffness[decayed], trials_of(lasting).damping[decayed])
     theory = transient_costs(loop, alpha, beta, continuous=False)
     for name in ("settle_1pct", "settle_2pct", "settle_5pct"):
         np.testing.assert_array_equal(lasting.column("settling", name)[decayed], theory[f"{name}_discrete"])
@@ -135,7 +136,7 @@ def test_settling_and_overshoot_of_logs_are_those_of_theory(lasting, decayed):
 
 @pytest.mark.slow
 def test_energy_of_logs_is_that_of_theory(lasting, decayed):
-    loop, alpha, beta = normalised(batch_of(lasting).stiffness[decayed], batch_of(lasting).damping[decayed])
+    loop, alpha, beta = normalised(trials_of(lasting).stiffness[decayed], trials_of(lasting).damping[decayed])
     theory = energy_costs(loop, alpha, beta)
     for w in range(3):
         expected = theory[f"energy_step_w{w}_discrete"]
@@ -155,7 +156,7 @@ def test_measured_boundary_encloses_the_closed_form_at_every_damping(grid, reque
         plant = {"mass": e.mass, "b": e.damping, "delay": int(e.delay_samples)}
         points = lab.stages(name).boundary_points
         assert [p.damping for p in points] == sorted({b for b, k in zip(
-            course.batch.damping, course.batch.stiffness, strict=True) if k > 0})  # fmt: skip
+            course.trials.damping, course.trials.stiffness, strict=True) if k > 0})  # fmt: skip
         for p in points:
             assert not p.censored
             limit = stiffness_limit(loop, np.array([p.damping / units.damping]))[0] * units.stiffness
@@ -231,7 +232,7 @@ def forbid(monkeypatch):
         for name in ("measured_boundary", "settling", "overshoot", "energy", "from_trials", "first_change"):
             if hasattr(module, name):
                 monkeypatch.setattr(module, name, refuse)
-    monkeypatch.setattr(stage_tables, "load_groups", refuse)
+    monkeypatch.setattr(stage_tables, "load_trials", refuse)
 
 
 def test_stored_stages_are_read_and_not_computed(falcon, copy, monkeypatch):

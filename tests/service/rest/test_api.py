@@ -12,7 +12,7 @@ import pytest
 
 from pipeline import __version__
 from pipeline.records.criteria import REPORTED
-from pipeline.store.samples import load_batch
+from pipeline.store.samples import load_trials
 
 
 def pages(client, path, limit):
@@ -125,7 +125,7 @@ def test_a_foreign_cursor_is_refused(served, cursor):
 
 def test_samples_in_every_form(served, falcon):
     trials = falcon.stages("1").trials.slice(3, 1)
-    batch = load_batch(falcon.processed, trials)
+    (trial,) = load_trials(falcon.processed, trials)
     trial = trials.column("trial_id")[0].as_py()
     document = served.get(f"trials/{trial}/samples").content
     assert document["units"]["position"] == "m"
@@ -141,8 +141,8 @@ def test_samples_in_every_form(served, falcon):
     ]
     for columns in forms:
         assert list(columns) == ["time_s", "command", "position"]
-        np.testing.assert_array_equal(columns["command"], batch.command[0])
-        np.testing.assert_array_equal(columns["position"], batch.position[0])
+        np.testing.assert_array_equal(columns["command"], trial.command)
+        np.testing.assert_array_equal(columns["position"], trial.position)
     assert served.get(f"trials/{trial}/samples", Accept="image/png").status == 406
 
 

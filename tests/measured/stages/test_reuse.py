@@ -1,4 +1,4 @@
-"""Trials in groups of like length: nothing that is said of a trial depends on the others in its group."""
+"""Stored rows of stages are reused as long as their trial, its experiment and the code are the same."""
 
 from __future__ import annotations
 
@@ -15,8 +15,6 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from failing_disk import FailingOs
-from hypothesis import given
-from hypothesis import strategies as st
 from labs import make_lab
 from logged import RIGS, record
 from places import ROOT
@@ -27,34 +25,13 @@ from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.measured.cost import costs
-from pipeline.measured.signal.verdict import judge
 from pipeline.measured.stages import stage_rows as rows_of
 from pipeline.measured.stages import stage_tables, stages
-from pipeline.measured.stages.stage_groups import TrialGroup
-from pipeline.measured.stages.stage_rows import stage_rows
+from pipeline.measured.stages.stage_rows import stage_row
 from pipeline.measured.stages.stages import STAGES
-from pipeline.records import batch as groups
-from pipeline.records.batch import LENGTHS, TrialGroups, group_trials, padded_length
 from pipeline.shell import console
 from pipeline.shell.cli import run as run_cli
-from pipeline.store.samples import load_batch, load_groups
 from pipeline.store.storage import read_trials
-
-GIVEN = {
-    "delay": 4,
-    "delay_range": [3, 5],
-    "open_loop": False,
-    "pendulum": False,
-    "rotation": False,
-    "sensor": 1e-6,
-    "gain": 1.3,
-    "spring": 0.0,
-    "mass": 0.58,
-    "mass_error": 0.01,
-    "usual_rows": 400,
-    "device": {"mass": 0.58, "damping": 4.0, "stiffness": 0.0, "delay": 4, "span": 9, "least": 1.2},
-}
-"""What every stage may take of an experiment: here it does not matter where it came from."""
 
 
 @pytest.fixture(scope="module")
@@ -68,60 +45,6 @@ def lab(tmp_path_factory):
     shutil.rmtree(lab.processed)
     ingest([lab.raw], lab.processed, jobs=1)
     return lab
-
-
-@given(st.lists(st.integers(1, 10**7), min_size=1, max_size=40))
-def test_groups_hold_each_trial_once_with_little_padding(lengths):
-    rows = np.array(lengths)
-    found = group_trials(rows)
-    assert sorted(np.concatenate(found).tolist()) == list(range(len(rows)))
-    for index in found:
-        width = padded_length(rows[index])
-        assert len(set(width.tolist())) == 1, "all are padded to the same, which each of them alone would be"
-        assert (rows[index] <= width).all()
-        assert (width <= (1 + 1 / LENGTHS) * rows[index]).all()
-        assert len(index) == 1 or width[0] * len(index) <= groups.READINGS
-
-
-def test_groups_hold_the_samples_of_one_batch(lab, monkeypatch):
-    trials = read_trials(lab.processed)
-    whole = load_batch(lab.processed, trials)
-    monkeypatch.setattr(groups, "READINGS", 1200)
-    parts = load_groups(lab.processed, trials)
-    assert len(parts.parts) > 8
-    assert parts.of_trials("trial_id").tolist() == list(whole.trial_id)
-    assert parts.of_trials("digests").tolist() == list(whole.digests), "a hash does not know of the padding"
-    which = np.array([7, 0, 3])
-    for index, batch in parts.pick(which):
-        for one, place in zip(range(len(batch)), which[index], strict=True):
-            rows = int(whole.rows[place])
-            np.testing.assert_array_equal(batch.position[one, :rows], whole.position[place, :rows])
-    window = parts.cut(which, np.array([5, 6, 7]), np.array([40, 30, 20]))
-    np.testing.assert_array_equal(window.command[1, :30], whole.command[0, 6:36])
-    assert np.isnan(window.position[2, 20:]).all()
-
-
-@pytest.mark.sampled
-@pytest.mark.parametrize("stage", [stage for stage in STAGES if STAGES[stage].rows])
-@pytest.mark.parametrize("readings", [1, 1300])
-def test_rows_of_a_trial_are_the_same_bits_in_any_company(lab, monkeypatch, stage, readings):
-    trials = read_trials(lab.processed)
-    if stage == "model":  # some: a fit takes as long as all else of a trial
-        trials = trials.take(np.arange(0, trials.num_rows, 4))
-
-    def rows():
-        found = []
-        for part in load_groups(lab.processed, trials).parts:
-            group = TrialGroup(part)
-            group.verdicts = judge(part, group.found)
-            found.append(stage_rows(group, stage, STAGES[stage].rows, GIVEN, rotation=False))
-        return pa.concat_tables(found).sort_by("trial_id")
-
-    together = rows()
-    monkeypatch.setattr(groups, "READINGS", readings)
-    apart = rows()
-    for name in together.column_names:
-        assert apart.column(name).combine_chunks().equals(together.column(name).combine_chunks()), name
 
 
 def tables(lab, processed):
@@ -162,16 +85,16 @@ def test_after_a_change_all_is_as_from_scratch_and_little_is_computed(lab, tmp_p
 
     computed = []
 
-    def counting(of, stage, *arguments, **more):
-        computed.append((stage, len(of.batch)))
-        return stage_rows(of, stage, *arguments, **more)
+    def counting(of, stage, **more):
+        computed.append(stage)
+        return stage_row(of, stage, **more)
 
-    monkeypatch.setattr(stage_tables, "stage_rows", counting)
+    monkeypatch.setattr(stage_tables, "stage_row", counting)
     of = stages.ExperimentStages(processed, "falcon", "1", trials)
     assert not of.is_stored("model")
     now = {stage: of.table(stage) for stage in STAGES}
     for stage in ("response", "delay"):
-        assert sum(count for name, count in computed if name == stage) == (change != "a log less"), stage
+        assert computed.count(stage) == (change != "a log less"), stage
     fresh = tmp_path / "fresh"
     shutil.copytree(processed, fresh, ignore=shutil.ignore_patterns("stages"))
     order = pa.array(range(trials.num_rows - 1, -1, -1))
@@ -194,22 +117,21 @@ def test_no_row_outlives_what_it_rests_on(lab, tmp_path, monkeypatch, edit, chan
     elif changed == "given":
         monkeypatch.setattr(rows_of, "delay_factor", lambda _: (5, 5, 6))
     else:
-        moved = [replace(part, position=part.position + 1e-9 * (part.position > 0)) for part in of.samples.parts]
-        of.__dict__["samples"] = TrialGroups(of.samples.places, tuple(moved))
+        moved = of.samples.position + 1e-9 * (of.samples.position > 0)
+        of.__dict__["samples"] = replace(of.samples, position=moved)
     computed = []
 
-    def counting(group, *arguments, **more):
-        computed.append(len(group.batch))
-        return stage_rows(group, *arguments, **more)
+    def counting(of, **more):
+        computed.append(of.logged.trial_id)
+        return stage_row(of, **more)
 
-    monkeypatch.setattr(stage_tables, "stage_rows", counting)
+    monkeypatch.setattr(stage_tables, "stage_row", counting)
     of.table("settling")
-    assert sum(computed) == of.trials.num_rows
+    assert sorted(computed) == sorted(of.trials.column("trial_id").to_pylist())
 
 
 @pytest.mark.slow
 def test_one_long_log_costs_as_much_as_itself(lab, tmp_path, monkeypatch):
-    """Padded to the longest, the experiment would take seven times the long log."""
     rows = 1 << 15
     raw = tmp_path / "raw"
     raw.mkdir()
@@ -321,10 +243,11 @@ TRIALS = 4
 
 
 def test_digests_tell_equal_trials_from_others():
-    batch = record(RIGS["falcon"], TRIALS, rows=60)
-    assert batch.digests == record(RIGS["falcon"], TRIALS, rows=60).digests
-    others = [replace(batch, damping=batch.damping + 1e-9), replace(batch, position=np.nextafter(batch.position, 1.0))]
-    known = {each for one in (batch, *others) for each in one.digests}
+    trials = record(RIGS["falcon"], TRIALS, rows=60)
+    assert trials.digests == record(RIGS["falcon"], TRIALS, rows=60).digests
+    moved = replace(trials, position=np.nextafter(trials.position, 1.0))
+    others = [replace(trials, damping=trials.damping + 1e-9), moved]
+    known = {each for one in (trials, *others) for each in one.digests}
     assert len(known) == 3 * TRIALS
     # 64 bits: of a million trials two are alike once in 4e7
     assert {len(each) for each in known} == {16}

@@ -1,0 +1,122 @@
+"""A trial with what several stages measure of it.
+
+A stage sees nothing else of a trial, so that its row is known by the trial's samples, by what the experiment gives, and
+by the code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from pipeline.measured.law.sample_grid import SampleGrid, sample_grid
+from pipeline.measured.law.stamps import even
+from pipeline.measured.law.wall_law import OtherWalls, WallLaw, other_walls, wall_law
+from pipeline.measured.signal.response import Response, declare_edge, find_response
+from pipeline.measured.signal.verdict import Verdict
+from pipeline.recording.check import check_trial
+from pipeline.records.findings import Finding
+from pipeline.records.trials import Trial, Trials
+
+Given = Mapping[str, Any]
+"""Values of the whole experiment by name, as JSON holds them."""
+
+Columns = dict[str, Any]
+
+Result = TypeVar("Result")
+
+NOT_JUDGED = Verdict("undecided", np.nan, "")
+"""Verdict of a trial before the stage that judges it."""
+
+
+@dataclass(eq=False)
+class MeasuredTrial:
+    """A trial and what several stages need of it, each measured once and when it is first asked for.
+
+    Parameters
+    ----------
+    logged : Trial
+        As the log has it.
+    verdict : Verdict
+        As stored.
+    """
+
+    logged: Trial
+    verdict: Verdict = NOT_JUDGED
+
+    @cached_property
+    def response(self) -> Response:
+        """Edge and resolution; a declared step row replaces what the log shows."""
+        response, declared = find_response(self.logged), self.logged.step_row
+        return response if declared is None else declare_edge(self.logged, response, declared)
+
+    @cached_property
+    def trial(self) -> Trial:
+        """The trial; at an operating point of a device without a wall, forces count from the level before the step.
+
+        What holds the device there, gravity or a friction at its limit, is as large, so that the motion is that of the
+        change alone. A wall has its operating point in the position at which it rests. Stamps that scatter are those of
+        the samples that they count.
+        """
+        trial, level = even(self.logged), self.response.level
+        return trial.relative_to(level) if trial.stiffness == 0 and level else trial
+
+    @cached_property
+    def law(self) -> WallLaw:
+        """How the logged command obeys the wall law, by stamps as logged."""
+        return wall_law(replace(self.trial, time=self.logged.time), self.response)
+
+    @cached_property
+    def other_walls(self) -> OtherWalls:
+        """Which other wall than stated the command obeys."""
+        return other_walls(self.law)
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """Faults of the recording."""
+        return check_trial(self.logged)
+
+    @cached_property
+    def unsafe(self) -> str:
+        """Why the trial says nothing of its wall: its recording, or another wall than stated; empty where it does."""
+        sentences = (finding.sentence for finding in self.findings if finding.is_unsafe)
+        return next(sentences, "") or self.other_walls.reason
+
+    @cached_property
+    def grid(self) -> SampleGrid:
+        """The trial with a row for every sample."""
+        return sample_grid(self.trial, self.response, self.law)
+
+
+class MapTrials(Protocol):
+    """Maps a function over trials of an experiment: in this process (`MeasuredTrials`), or in others."""
+
+    def __call__(
+        self, function: Callable[[MeasuredTrial], Result], places: Sequence[int], verdicts: Sequence[Verdict] | None
+    ) -> list[Result]:
+        """Return the results of a function of the trials at some places, which have these verdicts, in this order."""
+
+
+class MeasuredTrials:
+    """Trials of which each is measured once in this process.
+
+    Parameters
+    ----------
+    trials : Trials
+    """
+
+    def __init__(self, trials: Trials) -> None:
+        self._measured = [MeasuredTrial(trial) for trial in trials]
+
+    def __call__(
+        self, function: Callable[[MeasuredTrial], Result], places: Sequence[int], verdicts: Sequence[Verdict] | None
+    ) -> list[Result]:
+        """Return the results of a function of the trials at some places, in this order, as `MapTrials`."""
+        measured = [self._measured[place] for place in places]
+        for trial, verdict in zip(measured, verdicts or (), strict=False):
+            trial.verdict = verdict
+        return [function(trial) for trial in measured]
