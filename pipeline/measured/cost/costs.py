@@ -67,8 +67,8 @@ def cost_start(trial: Trial, response: Response, verdict: Verdict, delay_samples
     first, stiffness = max(response.edge_row, 0) + delay_samples, trial.stiffness
     if verdict.verdict == "unstable":
         return first, "unstable: no cost"
-    if response.edge_row < 0:
-        return first, f"no start of the response: {response.edge_reason}"
+    if response.edge_row < 0 or trial.step == 0:
+        return first, f"no start of the response: {response.edge_reason or 'the step is 0'}"
     if stiffness <= 0:
         return first, f"no final position: x_0 + F_0/K needs K > 0, found K = {stiffness:g}"
     if response.position_final_expected == response.position_start:

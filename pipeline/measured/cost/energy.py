@@ -152,7 +152,8 @@ def energy_terms(
     # chi_{-1} = chi_0: the response is at rest at its index 0
     position = trial.position[first : first + len(error)]
     change = np.diff(position, prepend=position[:1])
-    spring, inertia = (trial.stiffness / trial.step) ** 2, trial.stiffness / (trial.step * trial.sampling_period_s) ** 2
+    per_step = trial.stiffness / trial.step
+    spring, inertia = per_step * per_step, per_step / trial.step / trial.sampling_period_s**2
     return EnergyTerms(first, first + len(error), error, change, spring, inertia)
 
 

@@ -152,7 +152,7 @@ def gain_at_rest(trial: Trial, response: Response, delay_samples: int, sensor: f
     sensor : float
         Standard deviation of the error of one reading [m, rad], see `sensor_error`.
     """
-    if response.edge_row < 0 or not np.isfinite(sensor):
+    if response.edge_row < 0 or trial.step == 0 or not np.isfinite(sensor):
         return float("nan")
     return _gain_at_rest(trial, response, sensor, _answers_of(trial, response, delay_samples, sensor)[1])
 
@@ -209,9 +209,10 @@ def reading_error(
     if delay_samples < 0:
         raise ParameterError(f"delay of {delay_samples} samples: expected an integer >= 0.")
     edge, quantum, nothing = response.edge_row, response.sensor_quantum, np.full(trial.rows, np.nan)
-    if edge < 0 or not np.isfinite(sensor):
-        unknown = "noise of the sensor not known: too few rows before the step in all trials"
-        reason = f"no start of the response: {response.edge_reason}" if edge < 0 else unknown
+    if edge < 0 or trial.step == 0 or not np.isfinite(sensor):
+        reason = f"no start of the response: {response.edge_reason or 'the step is 0'}"
+        if edge >= 0 and trial.step != 0:
+            reason = "noise of the sensor not known: too few rows before the step in all trials"
         return ReadingError(np.nan, np.nan, np.nan, np.nan, nothing, nothing, nothing, reason)
     (weight, kept, answered, change), at_end = _answers_of(trial, response, delay_samples, sensor)
     at_rest = _gain_at_rest(trial, response, sensor, at_end)
@@ -221,8 +222,8 @@ def reading_error(
     change = sensor * np.sqrt(change)
     # the first reading is its own reference
     deviation[0] = change[0] = 0.0
-    variance = (sensor / quantum) ** 2 if quantum > 0 else 1.0
-    lasting, hidden = (float(np.interp(variance, READING, part)) for part in (LASTING_PART, HELD))
+    quanta = sensor / quantum if quantum > 0 else 1.0
+    lasting, hidden = (float(np.interp(quanta * quanta, READING, part)) for part in (LASTING_PART, HELD))
     wandering = (1 - lasting) * (1 - hidden * edge / (edge + PULLED_ROWS))
     return ReadingError(sensor, lasting, wandering, gain, weight, deviation, change)
 
