@@ -188,6 +188,15 @@ def test_trials_without_costs():
         evaluate(short, -1)
 
 
+def test_a_declared_edge_without_a_step_leaves_no_cost():
+    trial = dataclasses.replace(simulate([4000.0], [70.0], **FALCON)[0], step=0.0)
+    responses = [dataclasses.replace(find_response(trial), edge_row=20, edge_reason="")]
+    logs = Logs([trial], sensor=1e-6, given_responses=responses)
+    for found in (logs.settling()["settle_2pct"], logs.overshoot(), logs.terms(), logs.energy(0.58)):
+        assert found.reason == ["no start of the response: the step is 0"]
+    assert overshoot_floor(trial, responses[0]) == 0
+
+
 def last_outside(error, width):
     outside = np.abs(error) > width[:, None]
     return np.where(outside.any(axis=1), error.shape[1] - np.argmax(outside[:, ::-1], axis=1), 0)
