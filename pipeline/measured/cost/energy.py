@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from typing import Any
 
 import numpy as np
 
+from pipeline.base.compiled import compiled
 from pipeline.base.errors import ParameterError
 from pipeline.measured.cost.costs import cost_start, delay_bounds
 from pipeline.measured.cost.reading_error import ReadingError
@@ -97,19 +98,13 @@ class EnergyTerms:
     inertia: float = np.nan
     reason: str = ""
 
-    @cached_property
-    def weights(self) -> Floats:
-        """k^w of each sample for w = 0, 1, 2, shape (3, stop - first)."""
-        index = np.arange(self.stop - self.first, dtype=np.float64)
-        return np.stack([index**w for w in WEIGHTS])
-
-    def energy(self, mass: float) -> Floats:
-        """Return E_k/E_0 of each sample, shape (stop - first,)."""
-        return self.spring * self.error**2 + mass * self.inertia * self.change**2
-
     def summed(self, mass: float) -> Floats:
         """Return the plain sums of k^w E_k/E_0 up to the horizon for w = 0, 1, 2; NaN where there can be no cost."""
-        return np.full(len(WEIGHTS), np.nan) if self.reason else self.weights @ self.energy(mass)
+        if self.reason:
+            return np.full(len(WEIGHTS), np.nan)
+        exact = np.zeros(len(self.error))
+        _, sums = _sums(self.error, self.change, exact, exact, self.spring, mass * self.inertia)
+        return np.asarray(sums[0])
 
 
 def energy_terms(
@@ -225,16 +220,15 @@ def energy_interval(
     nothing, horizon = np.full(len(WEIGHTS), np.nan), terms.stop - terms.first
     if reason := terms.reason or error.reason:
         return EnergyInterval(nothing, nothing, nothing, nothing, nothing, horizon, reason)
-    weights, energy = terms.weights, terms.energy(mass)
-    squares = error.change[terms.first : terms.stop] ** 2
-    squares[:1] = 0.0  # the first sample has no change
-    noise = terms.spring * error.deviation[terms.first : terms.stop] ** 2 + mass * terms.inertia * squares
-    bias = weights @ noise
+    inside, inertia = slice(terms.first, terms.stop), mass * terms.inertia
+    deviations = error.deviation[inside], error.change[inside]
+    slopes, sums = _sums(terms.error, terms.change, *deviations, terms.spring, inertia)
     growth = verdict.growth_per_s * trial.sampling_period_s
-    tail, tail_low, tail_high = _tail(energy, noise, growth, sunk=terms.stop < trial.rows)
-    value, rest = weights @ energy - bias + tail, _at_rest(trial, response, terms)
-    of_mass = mass_error * terms.inertia * (weights @ terms.change**2)
-    random = NORMAL_95**2 * (_sensor_variance(terms, error, mass, noise) + of_mass**2)
+    tail, tail_low, tail_high = _tail(sums[4:], horizon, growth, sunk=terms.stop < trial.rows)
+    bias = sums[1]
+    value, rest = sums[0] - bias + tail, _at_rest(trial, response, terms)
+    of_sensor = _sensor_variance(terms, error, inertia, slopes, sums[3])
+    random = NORMAL_95**2 * (of_sensor + (mass_error * terms.inertia * sums[2]) ** 2)
     low = value - np.sqrt(random + (tail_low - tail) ** 2)
     high = value + np.sqrt(random + (tail_high - tail) ** 2)
     low = np.maximum(low + _shifted(value, longest - delay) - value, 0.0)
@@ -265,21 +259,62 @@ def energy(trial: Trial, response: Response, verdict: Verdict, error: ReadingErr
     }
 
 
-def _tail(energy: Floats, noise: Floats, growth: float, *, sunk: bool) -> tuple[Floats, Floats, Floats]:
+@compiled("Tuple((f8[:, ::1], f8[:, ::1]))(f8[::1], f8[::1], f8[::1], f8[::1], f8, f8)")
+def _sums(x: Floats, v: Floats, s: Floats, z: Floats, a: float, c: float) -> tuple[Floats, Floats]:
+    """Return the slopes of sum k^w E_k to each x_k for w = 0, 1, 2, shape (3, h), and sums over k, shape (6, 3).
+
+    E_k = a x_k^2 + c v_k^2, where v_k = x_k - x_{k-1} and v_0 = 0. Standard errors s_k of x_k and z_k of v_k add
+    n_k = a s_k^2 + c z_k^2 to it on average. Rows of the sums: k^w E_k, k^w n_k, k^w v_k^2 and (k^w n_k)^2 for each w;
+    E_k - n_k in both halves of the last half, and n_k in the second; n_k^2 in the last half, the largest E_k and its k.
+
+    Parameters
+    ----------
+    x, v, s, z : float64, shape (h,)
+        In [m, rad].
+    a, c : float
+        In [1/m^2, 1/rad^2].
+    """
+    h = len(x)
+    slopes, sums, half = np.zeros((3, h)), np.zeros((6, 3)), max(h // 2, 1)
+    for k in range(h):
+        energy, noise = a * x[k] ** 2 + c * v[k] ** 2, a * s[k] ** 2
+        if k > 0:  # the first sample has no change
+            noise += c * z[k] ** 2
+        weight = 1.0
+        for w in range(3):
+            sums[0, w] += weight * energy
+            sums[1, w] += weight * noise
+            sums[2, w] += weight * v[k] ** 2
+            sums[3, w] += (weight * noise) ** 2
+            slopes[w, k] += 2 * weight * (a * x[k] + c * v[k])
+            if k > 0:
+                slopes[w, k - 1] -= 2 * weight * c * v[k]
+            weight *= k
+        if k >= h - half // 2:
+            sums[4, 1] += energy - noise
+            sums[4, 2] += noise
+        elif k >= h - half:
+            sums[4, 0] += energy - noise
+        if k >= h - half:
+            sums[5, 0] += noise**2
+        if energy > sums[5, 1]:
+            sums[5, 1], sums[5, 2] = energy, k
+    return slopes, sums
+
+
+def _tail(at_end: Floats, horizon: int, growth: float, *, sunk: bool) -> tuple[Floats, Floats, Floats]:
     """Return the energies beyond the horizon, sum k^w E_k/E_0, and both ends of their interval, shape (3,) each.
 
-    A stable response is its slowest mode there, whose energy falls by a constant factor a sample: by its growth rate,
-    else by the halves of the last half of the horizon, else, where it has sunk into the noise, by its mean decay since
-    the peak of its energy. It is carried on from the sum over that last half.
+    ``at_end`` are the last two rows of the sums of `_sums`. A stable response is its slowest mode there, whose energy
+    falls by a constant factor a sample: by its growth rate, else by the halves of the last half of the horizon, else,
+    where it has sunk into the noise, by its mean decay since the peak of its energy. It is carried on from the sum over
+    that last half.
     """
-    horizon, nothing, endless = len(energy), np.zeros(len(WEIGHTS)), np.full(len(WEIGHTS), np.inf)
-    if not horizon:
-        return nothing, nothing, endless
-    width, net = max(horizon // 2, 1), energy - noise
-    middle = horizon - width // 2
-    before, after = float(net[horizon - width : middle].sum()), float(net[middle:].sum())
-    total, unsure = before + after, math.sqrt((noise[horizon - width :] ** 2).sum())
-    sunk |= after <= LEVEL_SIGMAS * float(noise[middle:].sum())
+    nothing, endless = np.zeros(len(WEIGHTS)), np.full(len(WEIGHTS), np.inf)
+    (before, after, late_noise), (squares, peak, at) = at_end.tolist()
+    width = max(horizon // 2, 1)
+    total, unsure = before + after, math.sqrt(squares)
+    sunk |= after <= LEVEL_SIGMAS * late_noise
     long, above = horizon >= SHORTEST_HORIZON, after > 2 * unsure
     by_halves = its_error = departure = 0.0
     if clear := long and above and before > after:
@@ -287,7 +322,11 @@ def _tail(energy: Floats, noise: Floats, growth: float, *, sunk: bool) -> tuple[
     if by_growth := growth < 0 and long and (clear or not above):
         decay = -growth
     else:
-        decay = by_halves if clear else _mean_decay(energy, total + unsure, sunk=sunk)
+        # of an ideal response that has died away rounding is left
+        rest = max(total + unsure, ROUNDING**2 * peak) / width
+        since = 2 * max(horizon - width // 2 - int(at), 1)
+        mean = math.log(peak / rest) / since if peak > rest and (sunk or rest < ROUNDING * peak) else 0.0
+        decay = by_halves if clear else mean
     doubt = (GROWTH_ERROR if by_growth or clear else MEAN_ERROR) * decay
     if by_growth and clear:
         # one departure shows the size of others to a factor of two
@@ -317,16 +356,6 @@ def _tail(energy: Floats, noise: Floats, growth: float, *, sunk: bool) -> tuple[
     return value, np.where(np.isfinite(low), low, 0.0), np.maximum(high, value)
 
 
-def _mean_decay(energy: Floats, rest: float, *, sunk: bool) -> float:
-    """Return the mean decay a sample since the peak to what is left in the last half; 0 where that is no rounding."""
-    peak, width = float(energy.max()), max(len(energy) // 2, 1)
-    # of an ideal response that has died away rounding is left
-    level = max(rest, ROUNDING**2 * peak) / width
-    if peak <= level or not (sunk or level < ROUNDING * peak):
-        return 0.0
-    return math.log(peak / level) / (2 * max(len(energy) - width // 2 - int(np.argmax(energy)), 1))
-
-
 def _moments(horizon: int, decay: float) -> Floats:
     """Sum over j >= 0 of (h + j)^w exp(-2 decay j) for w = 0, 1, 2."""
     h, ratio, rest = float(horizon), math.exp(-2 * decay), -math.expm1(-2 * decay)
@@ -348,22 +377,20 @@ def _at_rest(trial: Trial, response: Response, terms: EnergyTerms) -> Floats:
     return terms.spring * offset**2 * np.array([(index**w).sum() for w in WEIGHTS])
 
 
-def _sensor_variance(terms: EnergyTerms, error: ReadingError, mass: float, noise: Floats) -> Floats:
+def _sensor_variance(
+    terms: EnergyTerms, error: ReadingError, inertia: float, slopes: Floats, noise_squares: Floats
+) -> Floats:
     """Variance of the sum by noise and quantum, shape (3,).
 
     The slope of the sum to each reading, correlated with the wall's answer to an error, is the slope to each error.
     """
-    rows, first, weights = len(error.weight), terms.first, terms.weights
-    spring, inertia = terms.spring, mass * terms.inertia
+    rows, first = len(error.weight), terms.first
     length = 1 << (2 * rows - 1).bit_length()
     weight = math.sqrt(error.gain) * error.weight
     weight[:1] = 1.0
     answer = np.fft.rfft(weight, length).conj()
-    moving = weights * (inertia * terms.change)
     slope = np.zeros((len(WEIGHTS), length))
-    inside = slope[:, first : terms.stop]
-    inside[:] = 2 * (weights * (spring * terms.error) + moving)
-    inside[:, :-1] -= 2 * moving[:, 1:]
+    slope[:, first : terms.stop] = slopes
     slopes = np.fft.irfft(np.fft.rfft(slope) * answer, length)
     start = max(first, 1)
     resting, moved = slopes[:, 1:start], slopes[:, start:rows]
@@ -374,10 +401,10 @@ def _sensor_variance(terms: EnergyTerms, error: ReadingError, mass: float, noise
     variance = error.sensor**2 * (_squares(moved) + error.wandering * alone + error.lasting * in_motion**2)
     # slopes that errors made steeper count their squares twice over: of 4 (x + e)^2 s^2 the mean is 4 x^2 s^2 + 4 s^4,
     # but (x + e)^2 has the variance 4 x^2 s^2 + 2 s^4; what the wall answers to errors that do not last depends on them
-    spectrum = (answer.real**2 + answer.imag**2) * (spring + inertia * _difference_gain(len(answer)))
+    spectrum = (answer.real**2 + answer.imag**2) * (terms.spring + inertia * _difference_gain(len(answer)))
     # sum of the squared covariances relative to those of each sample alone, by Parseval's theorem
     depends = len(answer) * (spectrum @ spectrum) / spectrum.sum() ** 2
-    twice = _squares(weights * noise) * (1 + (1 - error.lasting) * (depends - 1))
+    twice = noise_squares * (1 + (1 - error.lasting) * (depends - 1))
     result: Floats = np.maximum(variance - 2 * twice, 0.5 * variance)
     return result
 
