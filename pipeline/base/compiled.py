@@ -38,8 +38,8 @@ _loaders: dict[str, list[Callable[[], object]]] = {}
 _inlined: list[Callable[..., Any]] = []
 """Functions that numba does not know yet."""
 
-_listeners: list[Callable[[str], None]] = []
-"""Who hears that something is compiled, the first time."""
+_listeners: list[tuple[Callable[[str], None], float]] = []
+"""Who hears that something is compiled, the first time that it takes longer than some seconds."""
 
 
 def compiled(*signatures: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
@@ -98,20 +98,24 @@ def load_compiled(*modules: str) -> None:
                 load()
 
 
-def on_compiling(listener: Callable[[str], None] | None) -> None:
-    """Call a function with a message, once, when something takes longer than `NOTICED_S` to compile; None: nothing."""
-    _listeners[:] = [] if listener is None else [listener]
+def on_compiling(listener: Callable[[str], None] | None, after_s: float = NOTICED_S) -> None:
+    """Call a function with a message, once, when something takes longer to compile; by None nothing is called."""
+    _listeners[:] = [] if listener is None else [(listener, after_s)]
 
 
 @contextmanager
 def _noticed() -> Iterator[None]:
     """Say that something is compiled if the block takes long."""
+    if not _listeners:
+        yield
+        return
+    listener, after_s = _listeners[0]
 
     def say() -> None:
-        while _listeners:
-            _listeners.pop()("compiling, once")
+        _listeners.clear()
+        listener("compiling, once")
 
-    timer = threading.Timer(NOTICED_S, say)
+    timer = threading.Timer(after_s, say)
     timer.daemon = True
     timer.start()
     try:
@@ -127,7 +131,10 @@ def _machine_code(function: Callable[P, R], signatures: tuple[str, ...]) -> Call
     options: dict[str, Any] = {"signature_or_function": list(signatures), "error_model": "numpy"}
     config: Any = numba.config
     if config.DISABLE_JIT:
-        return function
+        import numpy
+
+        plain: Callable[P, R] = numpy.errstate(all="ignore")(function)
+        return plain
     from numba.extending import register_jitable
 
     with _ONE_THREAD, _noticed():

@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 import pyarrow as pa
 
+from pipeline.base.compiled import load_compiled
 from pipeline.base.disk import if_writable
 from pipeline.base.errors import StoreError
 from pipeline.base.process import process_pool
@@ -31,6 +32,9 @@ from pipeline.records.trials import Trials
 from pipeline.store.objects import is_url, opened, origin, publish, renewed
 
 Result = TypeVar("Result")
+
+COMPILED = ("pipeline.measured", "pipeline.loop.free_run")
+"""Modules and packages whose compiled functions stages call."""
 
 LARGE = 1000
 """New trials from which on an experiment is shared among processes: some 3 s of work, against 1 s to start them."""
@@ -58,6 +62,7 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
     if not large and len(small) < 2:
         return
     wanted = sorted(needed, key=list(STAGES).index)
+    load_compiled(*COMPILED)
     with single_processes(processors if large else min(len(small), processors)) as pools:
         try:
             for experiment in large:

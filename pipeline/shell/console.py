@@ -17,6 +17,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
+from pipeline.base.compiled import on_compiling
 from pipeline.base.disk import naming
 from pipeline.base.errors import EXIT_ERROR, PipelineError
 from pipeline.base.process import Ended, ending_on_signals
@@ -50,6 +51,7 @@ def command(work: Callable[..., int | None]) -> Callable[..., None]:
     @wraps(work)
     def run(as_json: bool = False, **given: Any) -> None:
         _JSON.set(as_json)
+        on_compiling(None if as_json or not _is_watched() else note)
         raise typer.Exit(work(**given) or 0)
 
     signature = inspect.signature(work, eval_str=True)
@@ -194,10 +196,15 @@ def _text(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
+def _is_watched() -> bool:
+    """Return whether stderr is a terminal."""
+    return sys.stderr is not None and sys.stderr.isatty()
+
+
 @contextmanager
 def progress(label: str, unit: str) -> Iterator[Advance]:
     """Show progress as a bar on stderr where that is a terminal, and not with ``--json``."""
-    if _JSON.get() or not sys.stderr.isatty():
+    if _JSON.get() or not _is_watched():
         yield lambda done, total: None
         return
     from rich.console import Console

@@ -10,13 +10,17 @@ import pytest
 from places import ROOT
 
 MODULE = """
-from pipeline.base.compiled import compiled
+from pipeline.base.compiled import compiled, inlined
+
+@inlined
+def square(value):
+    return value * value
 
 @compiled("f8(f8[::1])", "c16(c16[::1])")
 def squares(values):
     total = 0 * values[0]
     for value in values:
-        total += value * value
+        total += square(value)
     return total
 """
 USE = (
@@ -77,6 +81,53 @@ def test_a_folder_that_takes_no_files_is_no_error(started, tmp_path):
     assert printed(started(NUMBA_CACHE_DIR=tmp_path / "file" / "folder")) == expected
     assert printed(started(HOME=tmp_path / "file")) == expected
     assert not list(tmp_path.rglob("*.nb?"))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="has no file system that takes no files from anybody")
+def test_a_file_system_that_takes_no_files_is_no_error(started, tmp_path):
+    expected = printed(started(NUMBA_DISABLE_JIT=1, HOME=tmp_path))
+    assert printed(started(NUMBA_CACHE_DIR="/proc")) == expected
+
+
+def test_a_changed_function_that_is_inlined_is_compiled_again(started, tmp_path):
+    folder, file = tmp_path / "cache", tmp_path / "code" / "loops.py"
+    expected = printed(started(NUMBA_CACHE_DIR=folder))
+    file.write_text(MODULE.replace("return value * value", "return value * value * 2"))
+    real, imaginary = expected.split()
+    changed = printed(started(NUMBA_CACHE_DIR=folder)).split()
+    assert (float(changed[0]), complex(changed[1])) == (2 * float(real), 2 * complex(imaginary))
+
+
+LISTENED = "from pipeline.base.compiled import load_compiled, on_compiling; on_compiling(print, {}); import loops; "
+
+
+@pytest.mark.parametrize(("after_s", "message"), [(0, "compiling, once\n"), (60, "")])
+def test_compiling_is_said_once_where_it_takes_long(started, tmp_path, after_s, message):
+    use = LISTENED.format(after_s) + "load_compiled(); "
+    assert printed(started(use, NUMBA_CACHE_DIR=tmp_path / "cache")) == message
+
+
+def test_functions_of_some_modules_are_loaded_alone(started, tmp_path):
+    use = "import sys, loops; from pipeline.base.compiled import load_compiled; "
+    use += "load_compiled('loop', 'loops.more'); print('numba' in sys.modules); load_compiled('loops')"
+    assert printed(started(use, NUMBA_CACHE_DIR=tmp_path / "cache")) == "False\n"
+    assert len(kept(tmp_path / "cache")) == 3
+
+
+PLAIN = [
+    "tests/loop/test_free_run.py",
+    "tests/measured/model/test_kalman.py",
+    "tests/simulation/test_parts.py",
+    "tests/simulation/test_velocity.py",
+]
+"""Tests of compiled functions that are fast in plain Python, too."""
+
+
+@pytest.mark.slow
+def test_a_part_of_the_suite_passes_without_compiling():
+    words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "not energy", *PLAIN]
+    done = subprocess.run(words, cwd=ROOT, env=os.environ | {"NUMBA_DISABLE_JIT": "1"}, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
 
 
 @pytest.mark.parametrize("ending", [".nbi", ".nbc", ".lock"])

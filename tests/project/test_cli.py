@@ -2,10 +2,12 @@
 
 import inspect
 import json
+import os
 import re
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
@@ -67,6 +69,7 @@ LOADED = {
     "theory map --delay 2 --size 5 --out map.parquet": {"numpy", "pyarrow", "pyarrow.parquet"},
     "ingest 0.csv": INGEST,
     "ingest 0.csv 1.csv": INGEST,
+    "simulate lwr -e delay-8 --coarsen 8": {"numba", "numpy", "numpy.ma", "pydantic", "scipy"},
 }
 """What each command may load of these and of numpy and pyarrow, which would load pandas where it is installed."""
 
@@ -111,6 +114,27 @@ def test_usage_errors_leave_with_2(call, arguments):
 
 
 # simulate
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="has no pseudo-terminals")
+@pytest.mark.parametrize("more", [[], ["--json"]])
+def test_a_terminal_says_once_that_something_is_compiled(tmp_path, more):
+    import pty
+
+    reader, terminal = pty.openpty()
+    words = [sys.executable, "-c", "from pipeline.shell.cli import run; run()"]
+    words += ["simulate", "lwr", "-e", "delay-8", "--coarsen", "8", *more]
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    process = subprocess.Popen(words, cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL, stderr=terminal)
+    os.close(terminal)
+    text = b""
+    with suppress(OSError):  # when nobody writes to it any more
+        while more_text := os.read(reader, 10_000):
+            text += more_text
+    os.close(reader)
+    assert process.wait() == 0
+    assert text.count(b"compiling, once") == (0 if more else 1)
 
 
 def test_simulate_writes_logs_and_counts_them(call, tmp_path):
