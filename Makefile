@@ -47,6 +47,7 @@ bench: .venv/.bench
 	$(BIN)/python benchmarks/theory.py
 	$(BIN)/python benchmarks/watch.py
 	$(BIN)/python benchmarks/growth.py
+	$(BIN)/python benchmarks/rows.py
 	$(BIN)/python benchmarks/plan.py
 
 docs: .venv/.dev

@@ -15,7 +15,8 @@ from pathlib import Path
 import pyarrow as pa, pyarrow.csv as csv, pyarrow.parquet as pq
 options = csv.ReadOptions(skip_rows=10)
 files = sorted(Path(sys.argv[1]).iterdir())
-pq.write_table(pa.concat_tables([csv.read_csv(file, read_options=options) for file in files]), sys.argv[2])
+tables = [csv.read_csv(file, read_options=options) for file in files]
+pq.write_table(pa.concat_tables(tables, promote_options="permissive"), sys.argv[2])
 """
 
 

@@ -318,14 +318,15 @@ def run_trial(
     estimator : kind, numbers, period
         See `velocity`.
     motion : rest, sensed, intervals
-        State per unit of a lasting command, row of the state that the sensor sees, and the parts of an interval.
+        State per unit of a lasting command, row of the state that the sensor sees, and both parts of an interval; the
+        second is not used where ``slots`` has one.
     """
     K, B, depth, side = wall
     external, push, noise, held, slots = signals
     start, centre, travel, stop = place
     quantum, limit, gain = ranges
     kind, numbers, period = estimator
-    rest, sensed, intervals = motion
+    rest, sensed, (early, late) = motion
     rows, n = len(external), len(rest)
     position, command, force = np.empty(rows), np.empty(rows), np.empty(rows + 1)
     memory, z = np.zeros(numbers.shape[1]), np.zeros(n + 3)
@@ -348,9 +349,11 @@ def run_trial(
         if abs(true - centre) > travel:
             return command[: k + 1], position[: k + 1]
         z[n + 1] = push[k]
-        for part in range(len(slots)):
-            z[n] = force[slots[part, k]]
-            advance(z, intervals[part])
+        z[n] = force[slots[0, k]]
+        advance(z, early)
+        if len(slots) > 1:
+            z[n] = force[slots[1, k]]
+            advance(z, late)
         reached = min(max(z[0], centre - stop - start), centre + stop - start)
         if reached != z[0]:
             z[0], z[1] = reached, 0.0
