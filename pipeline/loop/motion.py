@@ -1,9 +1,10 @@
-"""Exact motion of a device under constant forces, with vibration mode, actuator lag and friction: the one stepper.
+"""Exact motion of a device under constant forces, with vibration mode, actuator lag and friction: its matrices.
 
-Without friction the motion is that of `pipeline.loop.state_space`, and a step of time is one product with its
-exponential. Friction makes it piecewise linear: the motor rests (stick), creeps below the Stribeck velocity, or slides
-above it. The time at which it leaves one region for another is found on the exact motion. Between stiction at rest and
-Coulomb friction at the Stribeck velocity the force falls linearly.
+The compiled loops of `pipeline.loop.closed_loop` step by them. Without friction the motion is that of
+`pipeline.loop.state_space`, and a step of time is one product with its exponential. Friction makes it piecewise linear:
+the motor rests (stick), creeps below the Stribeck velocity, or slides above it. The time at which it leaves one region
+for another is found on the exact motion. Between stiction at rest and Coulomb friction at the Stribeck velocity the
+force falls linearly.
 """
 
 from __future__ import annotations
