@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.measured.identification.kernels import exponentials, free_run
+from pipeline.loop.free_run import free_run
+from pipeline.measured.identification.kernels import exponentials
 from pipeline.measured.identification.likelihood import LINEAR, Device, columns_of
 from pipeline.measured.identification.motion import Pieces, matrices_of
 from pipeline.measured.identification.noise import WHITE
@@ -80,19 +81,26 @@ def _runs(segments: Segments, device: Device, starts: Floats) -> Floats:
     """Return free runs from several starts (S, V, n) of each segment, (rows of all segments, V)."""
     matrices, sensors = matrices_of(device.shape, ())
     pieces, n, limit = Pieces.of(segments, [device.shape.delay]), sensors.shape[1], device.numbers.get("limit", np.inf)
-    spans, place = np.unique(np.round(pieces.begin - pieces.end, 12), return_inverse=True)
-    parts = exponentials(matrices, spans / PARTS)[:, 0]
-    return free_run(
-        (
-            *(segments.first, segments.behind, segments.begin),
-            np.stack([device.own(name, segments.trial) for name in LINEAR], axis=1),
-        ),
-        np.clip(segments.command, -limit, limit),
-        (np.ascontiguousarray(matrices[0, :n, :n]), np.ascontiguousarray(matrices[0, :n, n]), sensors[0]),
-        (
-            *(pieces.offset, pieces.back, place.astype(np.int64)),
-            *(np.ascontiguousarray(each) for each in (parts[:, :n, :n], parts[:, :n, n:])),
-        ),
-        PARTS,
-        np.ascontiguousarray(starts),
-    )
+    spans, kind = np.unique(np.round(pieces.begin - pieces.end, 12), return_inverse=True)
+    # behind the pieces of an interval that has fewer than others nothing moves
+    over = exponentials(matrices, np.append(spans, 0.0) / PARTS)[:, 0]
+    F, G = (np.ascontiguousarray(each) for each in (over[:, :n, :n], over[:, :n, n:]))
+    system = (sensors[0], np.ascontiguousarray(matrices[0, 1, :n]), float(matrices[0, 1, n]))
+    command = np.clip(segments.command, -limit, limit)
+    gain, coulomb, force = (device.own(name, segments.trial).tolist() for name in LINEAR)
+    runs = []
+    for s, (first, behind, begin) in enumerate(zip(segments.first, segments.behind, segments.begin, strict=True)):
+        row = np.arange(first, behind)
+        at = np.minimum(row, len(pieces.offset) - 2)
+        count = pieces.offset[at + 1] - pieces.offset[at]
+        number = np.arange(max(int(count.max()), 1))[:, None]
+        piece = np.minimum(pieces.offset[at] + number, len(pieces.back) - 1)
+        place = np.where(number < count, kind[piece], len(spans)).astype(np.int64)
+        driven = gain[s] * command[np.clip(row - pieces.back[piece], begin, behind - 1)]
+        forces = (force[s], coulomb[s])
+        runs.append(
+            np.stack(
+                [free_run(system, (F, G, place), driven, forces, start.copy(), PARTS) for start in starts[s]], axis=1
+            )
+        )
+    return np.concatenate(runs)
