@@ -66,7 +66,7 @@ def test_free_flight_before_the_wall_answers():
     """With a delay the first samples are a parabola, alpha t^2/2 of the way: known in closed form."""
     alpha = np.array([0.5, 0.8, 1.7])
     found = point_costs_by_name(NormalisedLoop.ideal(0, 0, 1), alpha, np.full(3, 0.3), NAMES, 100)
-    np.testing.assert_allclose(found.value, (np.sqrt(1.8) - np.sqrt(0.2)) / np.sqrt(alpha), rtol=1e-13)
+    np.testing.assert_allclose(found["rise_time"], (np.sqrt(1.8) - np.sqrt(0.2)) / np.sqrt(alpha), rtol=1e-13)
     expected = [
         first_reached(a * np.arange(3) ** 2 / 2, 0.9) - first_reached(a * np.arange(3) ** 2 / 2, 0.1) for a in alpha
     ]

@@ -24,7 +24,7 @@ def compared(folder, batch, text="%.17g"):
     [("robot", 2, "%.17g"), ("falcon", 9, "%.17g"), pytest.param("motor", 25, "%.8g", marks=pytest.mark.slow)],
 )
 def test_a_command_logged_one_row_late_is_named_and_no_wall_is_passive(tmp_path, rig, trials, text):
-    found = compared(tmp_path, lab(RIGS[rig], max(trials, 9), seed=7, late=1).select(slice(0, trials)), text)
+    found = compared(tmp_path, lab(RIGS[rig], max(trials, 9), seed=7, late=1).select(range(trials)), text)
     assert found.causes[0].code == "command_shifted"
     assert "velocity_filter" not in {cause.code for cause in found.causes}
     assert (found.loop.adequate, found.passive, found.loop_boundary) == (False, None, None)
