@@ -28,11 +28,14 @@ from pipeline.measured.identification.estimated import ESTIMATED
 from pipeline.measured.identification.identified import Identification, identified
 from pipeline.measured.identification.intervals import Interval
 from pipeline.measured.identification.recordings import Recording
+from pipeline.measured.stages.measured_trial import MeasuredTrial
+from pipeline.measured.stages.stage_device import usable_recordings
 from pipeline.measured.student import NORMAL_95
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.recording.signals import same_samples
 from pipeline.records.findings import are_unsafe
+from pipeline.records.trials import Trial
 from pipeline.rendering.frames import frame_of
 from pipeline.simulation.simulate import age_in_force, delays_of
 from pipeline.surface.wall_filter import WallFilter, wall_filter
@@ -52,6 +55,12 @@ FOLLOWS = 50.0
 
 DRIFT = "behind walls a free run drifts, as nothing corrects it: `pipeline compare` replays the walls"
 """Why the replay of wall trials says little."""
+
+SHIFTED = (
+    "the command of all logs is that of another row than its position, or their sampling period is another one, so "
+    "that no delay and no limit follows from them. `pipeline compare` names what each log shows; record again"
+)
+"""Why logs of walls that no device can be identified from are refused."""
 
 WITHOUT_WALL = {"device": "device", "experiment": "1", "stiffness": "0", "damping": "0", "step": "0"}
 """What a native log of no wall need not state."""
@@ -146,18 +155,21 @@ def identified_device(
     read, refused = _read(sources)
     if not read:
         raise UsageError(f"{', '.join(map(str, paths))}: no log found. Give logs, or folders with logs.")
-    # neighbours are left out together, so that what the model lacks behind alike walls widens intervals
-    read.sort(key=lambda pair: (pair[1].header.damping, pair[1].header.stiffness))
     known = {name: device.motion for name, device in known_devices().items()}
     motions = {motion_of(log, known) for _, log in read}
     if len(motions) > 1:
         raise ParameterError("some logs are of a translation, some of a rotation. Give the logs of one device.")
-    recordings = usable_recordings(read)
+    check_findings(read)
+    usable = ((name, log) for name, log in read if not any(each.leaves_out for each in log.findings))
+    trials = [measured_trial(name, log) for name, log in usable]
+    recordings = usable_recordings(trials)
+    if not recordings:
+        raise ParameterError(SHIFTED)
     try:
         found = identified(recordings)
     except ParameterError as error:
         raise ParameterError(" ".join([str(error), *_first_findings(read)])) from error
-    velocity = wall_filter([log for _, log in read])
+    velocity = wall_filter(trials)
     document = _document(found, recordings, motions.pop(), velocity, period, delay)
     rows = [{"log": name, **each.document} for name, log in read for each in log.findings]
     return document | {"findings": rows, "refused": refused}
@@ -204,8 +216,22 @@ def _first_findings(read: Sequence[tuple[str, Log]]) -> list[str]:
     return list(found.values())
 
 
-def usable_recordings(read: Sequence[tuple[str, Log]]) -> list[Recording]:
-    """Return the logs that a device can be identified from, each up to its travel stop.
+def measured_trial(name: str, log: Log) -> MeasuredTrial:
+    """Return a log as a trial that is not stored, under a name."""
+    header = log.header
+    declared = header.extra.get("step_row")
+    return MeasuredTrial(
+        Trial(
+            *(name, header.stiffness, header.damping, header.step, header.sampling_period_s),
+            *(log.time, log.command, log.position),
+            step_row=None if declared is None else int(declared),
+            integrated=header.extra.get("integrated") == "trapezoid",
+        )
+    )
+
+
+def check_findings(read: Sequence[tuple[str, Log]]) -> None:
+    """Refuse logs most of which were recorded wrongly, or that can all not be used.
 
     Raises
     ------
@@ -218,21 +244,11 @@ def usable_recordings(read: Sequence[tuple[str, Log]]) -> list[Recording]:
         name, first = unsafe[0]
         others = f" ({len(names)} of {counted(len(read), 'log')} are at fault.)" if len(read) > 1 else ""
         raise ParameterError(f"{name}: {first.sentence}{others}")
-    found = []
-    for name, log in read:
-        if any(each.leaves_out for each in log.findings):
-            continue
-        end = min((each.first_row or 0 for each in log.findings if each.severity == "cut"), default=len(log.time))
-        row = log.header.extra.get("step_row")
-        edge = int(row) if row is not None and int(row) < end else None
-        columns = (log.time[:end], log.command[:end], log.position[:end])
-        found.append(Recording(name, *columns, log.header.sampling_period_s, edge))
-    if found:
-        return found
-    name, log = read[0]
-    finding = next(each for each in log.findings if each.leaves_out)
-    others = f" (So is it with all {len(read)} logs.)" if len(read) > 1 else ""
-    raise ParameterError(f"{name}: {finding.sentence}{others}")
+    if all(any(each.leaves_out for each in log.findings) for _, log in read):
+        name, log = read[0]
+        finding = next(each for each in log.findings if each.leaves_out)
+        others = f" (So is it with all {len(read)} logs.)" if len(read) > 1 else ""
+        raise ParameterError(f"{name}: {finding.sentence}{others}")
 
 
 def _logs(source: Source) -> tuple[Log, ...]:

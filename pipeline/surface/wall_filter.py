@@ -10,8 +10,6 @@ from pipeline.comparison.loops.departures import SENTENCES, LawRows, course_filt
 from pipeline.device.parts import Butterworth, VelocityFilter
 from pipeline.measured.experiment.identified_loop import MOST
 from pipeline.measured.stages.measured_trial import MeasuredTrial
-from pipeline.readers import Log
-from pipeline.records.trials import Trial
 
 OPEN = (
     *("velocity_filter", "adaptive_velocity", "position_filter"),
@@ -53,13 +51,13 @@ class WallFilter:
         return replace(self, sentence=f"{self.sentence} It is assumed to be the same at T = {wall_period:g} s.")
 
 
-def wall_filter(logs: Sequence[Log]) -> WallFilter | None:
-    """Return the velocity filter that logs of walls (K > 0) show; None without such a log."""
-    walls = [log for log in logs if log.header.stiffness > 0]
-    damped = [log for log in walls if log.header.damping != 0]
+def wall_filter(trials: Sequence[MeasuredTrial]) -> WallFilter | None:
+    """Return the velocity filter that trials at walls (K > 0) show; None without such a trial."""
+    walls = [each for each in trials if each.logged.stiffness > 0]
+    damped = [each for each in walls if each.logged.damping != 0]
     if not damped:
         return WallFilter(None, (), NOT_KNOWN.format("all walls have a damping of 0")) if walls else None
-    rows = LawRows.of_logs([MeasuredTrial(_trial(log)) for log in damped])
+    rows = LawRows.of_logs(damped)
     if rows.misled:
         return WallFilter(None, (), NOT_KNOWN.format("most logs obey another wall than their headers state"))
     if not rows.compared:
@@ -81,14 +79,3 @@ def wall_filter(logs: Sequence[Log]) -> WallFilter | None:
         why = SENTENCES[departures[0].code].rstrip(".")
         why = f"{why[0].lower()}{why[1:]} ({departures[0].shown})"
     return WallFilter(None, (), NOT_KNOWN.format(why), left_out=True)
-
-
-def _trial(log: Log) -> Trial:
-    header = log.header
-    declared = header.extra.get("step_row")
-    return Trial(
-        *(log.samples_sha256, header.stiffness, header.damping, header.step, header.sampling_period_s),
-        *(log.time, log.command, log.position),
-        step_row=None if declared is None else int(declared),
-        integrated=header.extra.get("integrated") == "trapezoid",
-    )

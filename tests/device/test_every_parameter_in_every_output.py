@@ -368,8 +368,8 @@ def simulated(cell: Cell) -> None:
     """The log that `pipeline simulate` writes of the device file, against other steppers."""
     device = read_device(cell.file)
     setup, (K, B) = setup_of(device, device.experiments[0]), cell.wall
-    log = simulate(setup, np.array([K]), np.array([B]))
-    position = log.position[0] - log.position[0][0]
+    log = simulate(setup, np.array([K]), np.array([B]))[0]
+    position = log.displacement
     loop, edge, step = cell.loop, setup.edge_row, setup.step
     external = np.where(np.arange(setup.rows) < edge, 0.0, step)
     linear = step * step_response(loop, K, B, setup.rows)[: setup.rows - edge]

@@ -17,8 +17,8 @@ from pipeline.records.native import NativeHeader, format_header
 from pipeline.shell.cli import application
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import age_in_force, simulate
-from pipeline.surface.identify import device_text, wall_loop
-from pipeline.surface.wall_filter import wall_filter
+from pipeline.surface import wall_filter as walls
+from pipeline.surface.identify import device_text, measured_trial, wall_loop
 
 IDEAL = Loop(0.5, 3.0, 1e-3, 2.0)
 DIFFERENCE = {"kind": "difference", "samples": 4}
@@ -39,6 +39,11 @@ def logs(stiffness=STIFFNESS, damping=DAMPING, **parts):
         )
         for K, B, trial in zip(stiffness, damping, trials, strict=True)
     ]
+
+
+def wall_filter(recorded):
+    """The filter that logs show."""
+    return walls.wall_filter([measured_trial(str(number), log) for number, log in enumerate(recorded)])
 
 
 def files(folder, recorded):

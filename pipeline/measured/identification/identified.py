@@ -114,7 +114,7 @@ class Identification:
 
 
 def identified(recordings: list[Recording]) -> Identification:
-    """Return the device that made recordings.
+    """Return the device that made recordings, whatever their order.
 
     Raises
     ------
@@ -122,6 +122,7 @@ def identified(recordings: list[Recording]) -> Identification:
         If nothing moves in them, no command is given, or they are too short.
     """
     check_recordings(recordings)
+    recordings = sorted(recordings, key=lambda each: each.rank)
     choice = chosen(recordings)
     fit, units, errors = choice.fit, choice.units, Errors.of(choice.fit)
     names = estimated_names(errors.numbers)

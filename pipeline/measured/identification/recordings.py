@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from hashlib import sha256
 
 import numpy as np
 
@@ -21,7 +22,8 @@ SURE = 4.0
 class Recording:
     """One log: time [s], command [N, Nm] and position [m, rad], shape (rows,); its name and sampling period [s].
 
-    ``edge`` is the row, counted from 0, that is declared as that of a step from rest.
+    ``edge`` is the row, counted from 0, that is declared as that of a step from rest; ``wall`` damping and stiffness
+    that it was recorded behind.
     """
 
     name: str
@@ -30,6 +32,15 @@ class Recording:
     position: Floats
     period: float
     edge: int | None = None
+    wall: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def rank(self) -> tuple[float, float, bytes]:
+        """Place among others: by its wall, and by its samples where walls are equal.
+
+        Neighbours are left out together, so that what the model lacks at similar walls widens intervals.
+        """
+        return *self.wall, sha256(np.ascontiguousarray(self.position).data).digest()
 
     @cached_property
     def motion(self) -> Motion:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -58,9 +59,7 @@ def identification(of: Experiment) -> tuple[Identification | None, str]:
     if reason := unsafe_reason(findings):
         return None, reason
     usable &= ~np.array([any(each.leaves_out for each in found) for found in findings])
-    ids = of.texts("response", "trial_id")
-    order = np.lexsort((np.array(ids), stiffness, of.column("response", "damping")))
-    found = of.map_trials(recording, order[usable[order]].tolist())
+    found = of.map_trials(recording, np.flatnonzero(usable).tolist())
     if not found:
         fault = next((each for some in findings for each in some if each.leaves_out), None)
         return None, fault.sentence if fault is not None else "no log's command is that of its wall and time"
@@ -171,20 +170,44 @@ def _largest_command(of: MeasuredTrial) -> float:
 
 
 def recording(of: MeasuredTrial) -> Recording:
-    """Return a trial as the model takes it: rows from shortly before the step on."""
+    """Return a trial as the estimator takes it, up to a travel stop.
+
+    Of a trial with a step: rows from shortly before it on, of those between two that are lost the ones in which the
+    device moves most. Of any other motion: all rows.
+    """
     trial, edge = of.trial, max(of.response.edge_row, 0)
-    first = max(edge - AHEAD, 0)
-    stops = [finding.first_row or 0 for finding in of.findings if finding.severity == "cut"]
-    rows = _complete(trial, slice(first, min(trial.rows, first + MOST_ROWS, *stops)))
-    declared = trial.step_row is not None and rows.start == first
+    last = min([trial.rows, *(finding.first_row or 0 for finding in of.findings if finding.severity == "cut")])
+    rows = slice(0, last)
+    if trial.step != 0:
+        first = max(edge - AHEAD, 0)
+        rows = _complete(trial, slice(first, min(last, first + MOST_ROWS)))
+    declared = trial.step_row is not None and rows.start <= edge < rows.stop and rows.start == max(edge - AHEAD, 0)
     return Recording(
         trial.trial_id,
         trial.time[rows],
         trial.command[rows],
         trial.position[rows],
         trial.sampling_period_s,
-        edge - first if declared else None,
+        edge - rows.start if declared else None,
+        (trial.damping, trial.stiffness),
     )
+
+
+def usable_recordings(trials: Sequence[MeasuredTrial]) -> list[Recording]:
+    """Return trials that are not stored as the estimator takes them: those that `identification` would use.
+
+    Whether a command obeys the wall that its header states does not matter: it drives the device whatever it obeys.
+    """
+    walls = any(each.trial.stiffness > 0 for each in trials)
+    usable = [
+        each
+        for each in trials
+        if not any(finding.leaves_out for finding in each.findings)
+        and (not walls or each.trial.stiffness > 0)
+        and (not walls or WITHOUT.isdisjoint(departure.code for departure in each.law.departures))
+    ]
+    found = [recording(each) for each in usable]
+    return [each for each in found if len(each.time) >= SHORTEST] or found
 
 
 def _complete(trial: Trial, rows: slice) -> slice:

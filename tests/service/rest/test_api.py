@@ -126,13 +126,12 @@ def test_a_foreign_cursor_is_refused(served, cursor):
 def test_samples_in_every_form(served, falcon):
     trials = falcon.stages("1").trials.slice(3, 1)
     (trial,) = load_trials(falcon.processed, trials)
-    trial = trials.column("trial_id")[0].as_py()
-    document = served.get(f"trials/{trial}/samples").content
+    document = served.get(f"trials/{trial.trial_id}/samples").content
     assert document["units"]["position"] == "m"
-    text = served.get(f"trials/{trial}/samples", Accept="text/csv").content.decode()
+    text = served.get(f"trials/{trial.trial_id}/samples", Accept="text/csv").content.decode()
     rows = list(csv.DictReader(io.StringIO(text)))
-    parquet = served.get(f"trials/{trial}/samples", Accept="application/vnd.apache.parquet").content
-    stream = served.get(f"trials/{trial}/samples", Accept="application/vnd.apache.arrow.stream").content
+    parquet = served.get(f"trials/{trial.trial_id}/samples", Accept="application/vnd.apache.parquet").content
+    stream = served.get(f"trials/{trial.trial_id}/samples", Accept="application/vnd.apache.arrow.stream").content
     forms = [
         document["columns"],
         {name: [float(row[name]) for row in rows] for name in rows[0]},
@@ -143,7 +142,7 @@ def test_samples_in_every_form(served, falcon):
         assert list(columns) == ["time_s", "command", "position"]
         np.testing.assert_array_equal(columns["command"], trial.command)
         np.testing.assert_array_equal(columns["position"], trial.position)
-    assert served.get(f"trials/{trial}/samples", Accept="image/png").status == 406
+    assert served.get(f"trials/{trial.trial_id}/samples", Accept="image/png").status == 406
 
 
 MISSING = ("trials/0", "trials/0/samples", "trials/0/notes", "jobs/0", "experiments/falcon/9/optima", "nothing")
