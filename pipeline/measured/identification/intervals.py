@@ -61,7 +61,9 @@ class Errors:
         steps = np.stack([-(inverse(rest) @ each) for rest, each in zip(without, score, strict=True)])
         freedom = max(float(informative.sum() - 1), 1.0)
         nothing = unidentified(total)
-        sizes = [max(abs(value), numbers.get("gain", 0.0) * (name in LINEAR), 1e-6) for name, value in numbers.items()]
+        # those of the shape are per sample and with a mass of 1
+        least = {name: numbers.get("gain", 0.0) if name in LINEAR else 1.0 for name in numbers}
+        sizes = [max(abs(value), least[name], 1e-6) for name, value in numbers.items()]
         nothing *= FAR / np.abs(nothing / sizes).max(axis=1, keepdims=True, initial=1e-300)
         # equal readings count as one
         known = fit.alike * inverse(total) + nothing.T @ nothing

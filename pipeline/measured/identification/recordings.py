@@ -35,12 +35,13 @@ class Recording:
     wall: tuple[float, float] = (0.0, 0.0)
 
     @property
-    def rank(self) -> tuple[float, float, bytes]:
+    def rank(self) -> tuple[float, float, bytes, bytes]:
         """Place among others: by its wall, and by its samples where walls are equal.
 
         Neighbours are left out together, so that what the model lacks at similar walls widens intervals.
         """
-        return *self.wall, sha256(np.ascontiguousarray(self.position).data).digest()
+        samples = (sha256(np.ascontiguousarray(each).data).digest() for each in (self.command, self.position))
+        return *self.wall, *samples
 
     @cached_property
     def motion(self) -> Motion:

@@ -264,13 +264,18 @@ def _variances(work: _Mixed, random: Integers, start: Floats | None = None) -> F
     Source: Searle, Casella and McCulloch 1992, Variance Components, sec. 8.3.
     """
     p = work.columns.shape[2]
-    unit = 1 / np.maximum((work.columns**2).sum(axis=1).mean(axis=0)[random], 1e-300)
+    usual: Floats = (work.columns**2).sum(axis=1).mean(axis=0)
+    # columns have a unit size: what is less is rounding, and has no scatter
+    random = random[usual[random] > ROUNDED]
+    unit = 1 / usual[random]
 
     def solved(logs: Floats) -> tuple[Floats, _Solution]:
         variances = np.zeros(p)
         variances[random] = unit * np.exp(logs)
         return variances, work.solution(variances)
 
+    if not len(random):
+        return np.zeros(p)
     logs = np.full(len(random), 1.0)
     if start is not None:
         logs = np.clip(np.log(np.maximum(start[random] / unit, 1e-12)), LEAST_LOG, MOST_LOG)
