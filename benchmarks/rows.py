@@ -29,16 +29,14 @@ FIT = """
 import json, sys, time
 import numpy as np
 from pipeline.device_data.devices import load_device
-from pipeline.measured.model.identified import identified
-from pipeline.measured.model.recordings import Recording
+from pipeline.measured.identification.identified import identified
+from pipeline.measured.identification.recordings import Recording
 from pipeline.simulation.course import run_course
 device, experiment, coarsen, count = sys.argv[1:]
-batch = run_course(load_device(device), experiment, seed=1, coarsen=int(coarsen)).batch
-logs = []
-for place in range(len(batch)):
-    rows = int(batch.rows[place])
-    samples = (getattr(batch, name)[place, :rows] for name in ("time", "command", "position"))
-    logs.append(Recording(batch.trial_id[place], *samples, float(batch.sampling_period_s[place])))
+course = run_course(load_device(device), experiment, seed=1, coarsen=int(coarsen))
+logs = [
+    Recording(each.trial_id, each.time, each.command, each.position, each.sampling_period_s) for each in course.trials
+]
 if int(count):
     whole = [log for log in logs if len(log.time) == 400]
     logs = [whole[place] for place in np.linspace(0, len(whole) - 1, int(count) + 2).astype(int)[1:-1]]

@@ -41,7 +41,8 @@ class Recording:
         Neighbours are left out together, so that what the model lacks at similar walls widens intervals.
         """
         samples = (sha256(np.ascontiguousarray(each).data).digest() for each in (self.command, self.position))
-        return *self.wall, *samples
+        of_command, of_position = samples
+        return *self.wall, of_command, of_position
 
     @cached_property
     def motion(self) -> Motion:
