@@ -11,7 +11,10 @@ from typer.testing import CliRunner
 import pipeline
 from pipeline.base.errors import LogError, ParameterError
 from pipeline.device_data.devices import read_device
+from pipeline.measured.identification.identified import identified
+from pipeline.measured.stages.stage_device import identification
 from pipeline.shell.cli import application
+from pipeline.surface import identify as surface
 from pipeline.surface.identify import wall_loop
 
 MASS, DAMPING, DELAY, T = 0.5, 3.0, 2, 1e-3
@@ -151,3 +154,39 @@ def test_a_refused_log_is_named(tmp_path):
     )
     with pytest.raises(LogError, match=r"bad\.csv, row 4: .*number"):
         pipeline.identify(log)
+
+
+def test_identify_and_compare_give_equal_numbers_from_the_same_logs(noisy, monkeypatch):
+    """Whatever the order of the logs: both take the same rows of each, and rank them by walls and samples."""
+    stored, _ = identification(noisy.stages("1"))
+    results = []
+    monkeypatch.setattr(surface, "identified", lambda logs: results.append(identified(logs)) or results[-1])
+    for logs in (sorted(noisy.raw.rglob("*.csv")), sorted(noisy.raw.rglob("*.csv"), reverse=True)):
+        pipeline.identify(logs)
+    for result in results:
+        assert result.parameters == stored.parameters
+        assert result.parts == stored.parts
+        assert result.choice.fit.device.noise == stored.choice.fit.device.noise
+        np.testing.assert_array_equal(result.covariance, stored.covariance)
+
+
+@pytest.mark.parametrize("moved", [1, -1])
+def test_walls_whose_command_is_that_of_another_row_are_refused(tmp_path, moved):
+    """Their delay would be wrong by a sample, and the limit with it: `compare` names no wall, either."""
+    logs = []
+    for number, (K, B) in enumerate([(300.0, 5.0), (500.0, 8.0), (700.0, 11.0)]):
+        x, v, command = np.zeros(401), 0.0, np.zeros(400)
+        for row in range(400):
+            step = 4.0 * (row >= 20)
+            command[row] = step - K * x[row] - B * (x[row] - x[max(row - 1, 0)]) / T
+            force = command[max(row - DELAY, 0)]
+            x[row + 1], v = x[row] + T * v + 0.5 * T**2 * force / MASS, v + T * (force - DAMPING * v) / MASS
+        rows = np.stack([T * np.arange(398), np.roll(command, moved)[1:399], x[1:399]], axis=1).tolist()
+        header = (
+            f"# device: arm\n# experiment: 1\n# stiffness: {K}\n# damping: {B}\n# step: 4\n# sampling_period_s: {T}\n"
+        )
+        lines = [",".join(map(repr, row)) for row in rows]
+        logs.append(tmp_path / f"{number}.csv")
+        logs[-1].write_text("\n".join([header + "time_s,command,position", *lines, ""]))
+    with pytest.raises(ParameterError, match="another row than its position|obeys the wall with the position"):
+        pipeline.identify(logs)
