@@ -22,6 +22,9 @@ JITTERS = (0.02, 1.5)
 """Least and largest jitter of the delay that is looked for [samples]: with nine ages of the command in force; of eight
 whole delays that are drawn alike it is 1.5."""
 
+FIRST_JITTERS, FIRST_FORCES = (0.08, 0.25, 0.6, 1.2), (1.0, 0.1, 1e-2, 1e-4)
+"""Jitters [samples], and random forces relative to that without a jitter, from which the likeliest are looked for."""
+
 READINGS = (0.1, 10.0)
 """Least and largest variance of a reading that is looked for beside a jitter, in that by third differences."""
 
@@ -108,11 +111,11 @@ def noise_and_jitter(segments: Segments, device: Device, *, jitters: bool) -> No
     still, least = (Noise(force), by_force) if by_force < none - WORTH else (WHITE, none)
     if not jitters or none - by_force <= WORTH + ROUNDED_ROW * float(cost.segments.rows.sum()):
         return still
-    near = former.jitter or _likeliest(lambda jitter: cost(0.0, jitter), JITTERS)[0]
+    near = former.jitter or min(FIRST_JITTERS, key=lambda jitter: cost(0.0, jitter))
     reading = device.numbers["gain"] ** 2 / (former.late * cost.white) if former.late else 1.0
     numbers, lost = _minimum(lambda *numbers: cost(0.0, *numbers), (near, reading), (JITTERS, READINGS))
-    beside, more = _likeliest(lambda force: cost(force, *numbers), MEMORIES, former.force if former.jitter else 0.0)
     strength = 0.0
+    more, beside = min((cost(share * force, *numbers), share * force) for share in FIRST_FORCES)
     if more < lost - WORTH:
         (strength, *numbers), lost = _minimum(cost, (beside, *numbers), (MEMORIES, JITTERS, READINGS))
     jitter, reading = numbers
