@@ -26,6 +26,9 @@ from pipeline.rendering.labels import range_text, significant
 SAME_FILTER = 0.05
 """Difference of the gains of two filters, at any frequency, up to which they are one: logs show theirs by rounding."""
 
+ANGLES = 512
+"""Frequencies between rest and half the sampling frequency at which gains are compared."""
+
 NAMED = 10
 """Logs that are named; the others are undecided in the list of trials, each with its reason."""
 
@@ -210,7 +213,8 @@ def course_filter(rows: LawRows) -> CourseFilter | None:
     if not filters:
         return None
     usual = Counter(filters).most_common(1)[0][0]
-    difference = np.abs(np.array([_gain(shown) for shown in filters]) - _gain(usual)).max(axis=1)
+    angles = np.linspace(0.0, np.pi, ANGLES, endpoint=False)
+    difference = np.abs(np.array([shown.gain(angles) for shown in filters]) - usual.gain(angles)).max(axis=1)
     if (difference <= SAME_FILTER).mean() <= MOST:
         return None
     return CourseFilter(usual.declared, [shown.declared for shown in filters], usual.words())
@@ -219,13 +223,6 @@ def course_filter(rows: LawRows) -> CourseFilter | None:
 def experiment_filter(stages: ExperimentStages) -> CourseFilter | None:
     """Return the velocity filter that most logs of an experiment show and agree on, None where they do not."""
     return course_filter(stages.once(LawRows.of))
-
-
-def _gain(found: VelocityFilterFound) -> NDArray[np.complex128]:
-    """Return the gain of a filter between rest and half the sampling frequency."""
-    from scipy.signal import freqz
-
-    return np.asarray(freqz(found.b, found.a)[1], dtype=np.complex128)
 
 
 def _filter(text: str) -> VelocityFilterFound:
