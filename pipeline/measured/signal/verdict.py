@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from pipeline.measured.signal.edge import BENT, NO_ROW, external_force, first_step_alone
-from pipeline.measured.signal.modes import FEWEST_SAMPLES, NARROW, WIDE, Growth, fastest_growth
+from pipeline.measured.signal.modes import FEWEST_SAMPLES, NARROW, WIDE, Growth, MotionWindows
 from pipeline.measured.signal.release import at_rest_before, find_release
 from pipeline.measured.signal.response import Response, find_response
 from pipeline.measured.signal.sensor import NOISE_FACTOR
@@ -41,6 +41,9 @@ BLOCKS = 8
 
 NOT_TOLD = "growth rate not told: the motion has died away"
 """Reason of a stable trial without a growth rate."""
+
+Views = tuple[MotionWindows, MotionWindows]
+"""A motion by windows of different width, wide and narrow."""
 
 ROUNDING = 1e3 * float(np.finfo(np.float64).eps)
 """Motion relative to the positions that is arithmetic in a log without a sensor; of its own peak a billionth is."""
@@ -149,7 +152,8 @@ def _judge(trial: Trial, response: Response, cause: _Excitation) -> Verdict:
     seen = max(lasted, min(count, 2 * FEWEST_SAMPLES)) if not wall or left or floor == 0 else count
     # the floor is six standard deviations of the noise wide, or one quantum, whose error is far smaller
     noise = (1.0 if wall else np.sqrt(6)) * max(floor / NOISE_FACTOR, 1e-3 * rounding)
-    rate, error, clean = _growth(signal[:seen], noise)
+    views = _views(signal[:seen], noise)
+    rate, error, clean = _growth(views)
     slope, scatter, fades = _slope(signal[:seen], noise)
     # a motion without modes, or whose views differ, has the rate of its size
     sized = not clean and not abs(rate) > SIGMAS * error
@@ -163,7 +167,9 @@ def _judge(trial: Trial, response: Response, cause: _Excitation) -> Verdict:
     rises = (rises or lasts) and enough and not left and not early
     sinks = ((sinks and not lasts) or left) and above and enough and not rises and not early
     # a mode that the step hardly excites begins below the floor, whatever has died away above it
-    hidden = _hidden(signal, noise, response) if sinks and wall and floor > 0 else np.nan
+    hidden = np.nan
+    if sinks and wall and floor > 0:
+        hidden = _hidden(views if seen == count else _views(signal, noise), response)
     sinks = sinks and np.isnan(hidden)
     rate = hidden if not np.isnan(hidden) else slope if sized and rises else rate
     rate = np.nan if (sinks and rate > 0) or not enough else rate / trial.sampling_period_s
@@ -211,7 +217,12 @@ def _free_motion(trial: Trial, response: Response, free: int) -> tuple[Floats, i
     return position[2 * lag :] - 2 * position[lag:-lag] + position[: -2 * lag], start
 
 
-def _growth(signal: Floats, noise: float) -> tuple[float, float, bool]:
+def _views(motion: Floats, noise: float) -> Views:
+    """Return two views of a motion, by windows of different width."""
+    return MotionWindows(motion, noise, WIDE), MotionWindows(motion, noise, NARROW)
+
+
+def _growth(views: Views) -> tuple[float, float, bool]:
     """Return the growth of the slowest mode and its standard error, per sample, and where few modes explain all.
 
     Over n samples that of a mode of amplitude A in the middle is sqrt(6) s/(A n^1.5) by white noise s at least. What
@@ -220,17 +231,18 @@ def _growth(signal: Floats, noise: float) -> tuple[float, float, bool]:
     the nearer to zero counts, and none where one grows and one decays.
     """
     # as far as rounding of positions lets a rate be told over a log
-    least = 1e-9 / max(len(signal), 1)
-    wide = fastest_growth(signal, noise, WIDE)
-    error = _error(wide, len(signal), noise)
+    samples, noise = len(views[0].signal), views[0].noise
+    least = 1e-9 / max(samples, 1)
+    wide = views[0].fastest_growth()
+    error = _error(wide, samples, noise)
     if wide.clean:
         return wide.per_sample, max(error, least), True
-    narrow = fastest_growth(signal, noise, NARROW)
+    narrow = views[1].fastest_growth()
     rates = wide.per_sample, narrow.per_sample
     rate = rates[0] if abs(rates[0]) <= abs(rates[1]) else rates[1]
     if not rates[0] * rates[1] > 0:
         return rate, np.inf, False
-    error = math.hypot(max(error, _error(narrow, len(signal), noise)), rates[1] - rates[0])
+    error = math.hypot(max(error, _error(narrow, samples, noise)), rates[1] - rates[0])
     return rate, max(error, least), False
 
 
@@ -244,7 +256,7 @@ def _error(view: Growth, samples: int, noise: float) -> float:
     return math.hypot(white, 2 * unexplained) / (middle * samples) if middle > 0 else np.inf
 
 
-def _hidden(signal: Floats, noise: float, response: Response) -> float:
+def _hidden(views: Views, response: Response) -> float:
     """Return the growth per sample of what grows beside or below a motion that falls, NaN where none is told.
 
     Differences show it where a slow motion hides a vibration; they bear twice the error. A quantum errs by a pattern
@@ -253,14 +265,16 @@ def _hidden(signal: Floats, noise: float, response: Response) -> float:
     blur = 0.0 if np.isnan(response.sensor_noise) else response.sensor_noise
     pattern = max(0.5 * response.sensor_quantum - blur, 0.0)
     growth = np.nan
-    for motion, more in ((signal, 1), (np.diff(signal), 2)):
+    for both, more in ((views, 1), (_views(np.diff(views[0].signal), 2 * views[0].noise), 2)):
         rates = []
-        for part in (WIDE, NARROW):
-            view = fastest_growth(motion, more * noise, part, 0.0)
-            n, rate = len(motion), view.per_sample
-            if not rate > 0 or -view.amplitude * math.expm1(-rate * n) <= more * pattern:
+        for view in both:
+            if not view.grows:
                 break
-            if not rate * view.amplitude * math.exp(-rate * n / 2) * n**1.5 > SIGMAS * math.sqrt(6) * view.noise:
+            n, mode = len(view.signal), view.fastest_growth(0.0)
+            rate = mode.per_sample
+            if not rate > 0 or -mode.amplitude * math.expm1(-rate * n) <= more * pattern:
+                break
+            if not rate * mode.amplitude * math.exp(-rate * n / 2) * n**1.5 > SIGMAS * math.sqrt(6) * mode.noise:
                 break
             rates.append(rate)
         if len(rates) == 2:
