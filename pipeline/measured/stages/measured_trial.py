@@ -7,16 +7,17 @@ by the code.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from pipeline.measured.cost.reading_error import ReadingError, reading_error
 from pipeline.measured.law.sample_grid import SampleGrid, sample_grid
 from pipeline.measured.law.stamps import even
 from pipeline.measured.law.wall_law import OtherWalls, WallLaw, other_walls, wall_law
-from pipeline.measured.signal.response import Response, declare_edge, find_response
+from pipeline.measured.signal.response import NO_ROW, Response, declare_edge, find_response
 from pipeline.measured.signal.verdict import Verdict
 from pipeline.recording.check import check_trial
 from pipeline.records.findings import Finding
@@ -33,6 +34,37 @@ NOT_JUDGED = Verdict("undecided", np.nan, "")
 """Verdict of a trial before the stage that judges it."""
 
 
+@dataclass(frozen=True)
+class ReadingInputs:
+    """What the errors of the readings of a trial take from the whole experiment.
+
+    Parameters
+    ----------
+    delay : int
+        Samples up to which nothing is fed back.
+    sensor : float, optional
+        Standard deviation of the error of one reading [m, rad], None where it is not known.
+    gain : float
+        `usual_gain` of the trials.
+    spring : float
+        Stiffness k [N/m, Nm/rad] that acts on the device.
+    """
+
+    delay: int
+    sensor: float | None
+    gain: float
+    spring: float
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """A trial and its response as costs see them, with the errors of its readings."""
+
+    trial: Trial
+    response: Response
+    error: ReadingError
+
+
 @dataclass(eq=False)
 class MeasuredTrial:
     """A trial and what several stages need of it, each measured once and when it is first asked for.
@@ -47,6 +79,7 @@ class MeasuredTrial:
 
     logged: Trial
     verdict: Verdict = NOT_JUDGED
+    _readings: dict[tuple[ReadingInputs, bool], tuple[Readings, ...]] = field(default_factory=dict, init=False)
 
     @cached_property
     def response(self) -> Response:
@@ -90,6 +123,37 @@ class MeasuredTrial:
     def grid(self) -> SampleGrid:
         """The trial with a row for every sample."""
         return sample_grid(self.trial, self.response, self.law)
+
+    def readings(self, inputs: ReadingInputs, *, on_grid: bool) -> tuple[Readings, ...]:
+        """Return what costs are computed from: the trial, or that on its grid and, if there is one, on straight lines.
+
+        The same inputs serve several costs.
+        """
+        # most trials are their own grid
+        on_grid = on_grid and not (self.grid.trial is self.trial and self.grid.response is self.response)
+        if (inputs, on_grid) not in self._readings:
+            response = self.grid.response if on_grid else self.response
+            trials = (self.grid.trial, self.grid.straight) if on_grid else (self.trial,)
+            read = tuple(self._read(trial, response, inputs) for trial in trials if trial is not None)
+            self._readings[inputs, on_grid] = read
+        return self._readings[inputs, on_grid]
+
+    def _read(self, trial: Trial, response: Response, inputs: ReadingInputs) -> Readings:
+        trial, response = self.with_spring(trial, response, inputs.spring)
+        sensor = np.nan if inputs.sensor is None else inputs.sensor
+        return Readings(trial, response, reading_error(trial, response, inputs.delay, sensor=sensor, gain=inputs.gain))
+
+    def with_spring(self, trial: Trial, response: Response, spring: float) -> tuple[Trial, Response]:
+        """Return this trial, perhaps on its grid, as costs see it where a spring k acts on the device.
+
+        It rests at x_0 + F_0/(K + k), and the wall that stores the energy has K + k (5.7). A log that is
+        unsafe has no start of a response by which costs in these units would count.
+        """
+        if spring and trial.stiffness > 0:
+            trial = replace(trial, stiffness=trial.stiffness + spring)
+            final = response.position_start + trial.step / trial.stiffness
+            response = replace(response, position_final_expected=final)
+        return trial, replace(response, edge_row=NO_ROW, edge_reason=self.unsafe) if self.unsafe else response
 
 
 class MapTrials(Protocol):

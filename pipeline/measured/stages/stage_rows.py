@@ -10,20 +10,14 @@ from __future__ import annotations
 import json
 from collections import ChainMap
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 
 import numpy as np
 
 from pipeline.measured import thesis
 from pipeline.measured.cost.costs import Measure, joined
-from pipeline.measured.cost.reading_error import (
-    as_known,
-    gain_at_rest,
-    reading_error,
-    sensor_error,
-    usual_gain,
-)
+from pipeline.measured.cost.reading_error import as_known, gain_at_rest, sensor_error, usual_gain
 from pipeline.measured.experiment.boundary import boundary_band
 from pipeline.measured.experiment.estimates import by_model, delay_factor, first_change, standard_error
 from pipeline.measured.experiment.rest_forces import rest_spring
@@ -31,11 +25,10 @@ from pipeline.measured.experiment.stored import Experiment
 from pipeline.measured.signal import outcome, verdict
 from pipeline.measured.signal.disturbance import PushResponse, fit_push_response
 from pipeline.measured.signal.events import usual_length
-from pipeline.measured.signal.response import NO_ROW, Response
+from pipeline.measured.signal.response import NO_ROW
 from pipeline.measured.signal.sensor import sensor_floor
-from pipeline.measured.stages.measured_trial import Columns, Given, MeasuredTrial
+from pipeline.measured.stages.measured_trial import Columns, Given, MeasuredTrial, ReadingInputs
 from pipeline.records.tables import COLUMNS, TABLES
-from pipeline.records.trials import Trial
 
 Sources = Sequence[object]
 """Where the columns of a stage are found: records with fields of their names, and dictionaries."""
@@ -152,7 +145,7 @@ def given_to_energy(of: Experiment) -> Given:
     if found.value is None:
         return {"missing": f"energy needs the mass: {found.reason}"}
     error = as_known(standard_error(found))
-    return {**given_to_timed(of), "mass": as_known(found.value, error), "mass_error": error}
+    return {**of.once(given_to_timed), "mass": as_known(found.value, error), "mass_error": error}
 
 
 def _sensor(of: Experiment, samples: int, spring: float) -> Given:
@@ -167,20 +160,7 @@ def _sensor(of: Experiment, samples: int, spring: float) -> Given:
 
 
 def _gain_at_rest(of: MeasuredTrial, delay: int, sensor: float, spring: float) -> float:
-    return gain_at_rest(*_with_spring(of.trial, of.response, spring, of.unsafe), delay, sensor)
-
-
-def _with_spring(trial: Trial, response: Response, spring: float, unsafe: str) -> tuple[Trial, Response]:
-    """Return a trial as costs see it where a spring k acts on the device.
-
-    It rests at x_0 + F_0/(K + k), and the wall that stores the energy has K + k (5.7). A log that is
-    unsafe has no start of a response by which costs in these units would count.
-    """
-    if spring and trial.stiffness > 0:
-        trial = replace(trial, stiffness=trial.stiffness + spring)
-        final = response.position_start + trial.step / trial.stiffness
-        response = replace(response, position_final_expected=final)
-    return trial, replace(response, edge_row=NO_ROW, edge_reason=unsafe) if unsafe else response
+    return gain_at_rest(*of.with_spring(of.trial, of.response, spring), delay, sensor)
 
 
 def _spring(of: Experiment) -> float:
@@ -197,18 +177,12 @@ def costs(of: MeasuredTrial, given: Given, measure: Measure, names: Sequence[str
     Of logs with missing or repeated rows they are counted on the grid of samples, with intervals that include those of
     rows which lie on straight lines.
     """
-
-    def measured(trial: Trial, response: Response) -> Columns:
-        trial, response = _with_spring(trial, response, given["spring"], of.unsafe)
-        sensor = float("nan") if given["sensor"] is None else given["sensor"]
-        error = reading_error(trial, response, given["delay"], sensor=sensor, gain=given["gain"])
-        return measure(trial, response, of.verdict, error, given)
-
-    if not names:
-        return (measured(of.trial, of.response),)
-    columns = measured(of.grid.trial, of.grid.response)
-    if of.grid.straight is None:
-        return (columns,)
-    other = measured(of.grid.straight, of.grid.response)
+    inputs = ReadingInputs(given["delay"], given["sensor"], given["gain"], given["spring"])
+    columns, *others = (
+        measure(read.trial, read.response, of.verdict, read.error, given)
+        for read in of.readings(inputs, on_grid=bool(names))
+    )
     ends = {f"{name}_low": np.fmin for name in names} | {f"{name}_high": np.fmax for name in names}
-    return (columns | {end: widest(columns[end], other[end]) for end, widest in ends.items()},)
+    for other in others:
+        columns |= {end: widest(columns[end], other[end]) for end, widest in ends.items()}
+    return (columns,)

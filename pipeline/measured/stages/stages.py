@@ -26,7 +26,12 @@ def _cost_stage(family: Family) -> Stage:
     mass, delay = "mass" in family.needs, "delay" in family.needs
     given = rows.given_to_energy if mass else rows.given_to_timed if delay else rows.given_to_costs
     timed = tuple(c.column for c in members(family)) if family.unit == "samples" or family is ENERGY else ()
-    return Stage(family.needs, partial(rows.costs, measure=MEASURES[family.name], names=timed), given, sprung=True)
+    return Stage(
+        family.needs,
+        partial(rows.costs, measure=MEASURES[family.name], names=timed),
+        lambda of: of.once(given),
+        sprung=True,
+    )
 
 
 STAGES: dict[str, Stage] = {
