@@ -20,7 +20,7 @@ from pipeline.measured.identification.identifiability import Recorded, is_identi
 from pipeline.measured.identification.identified import check_recordings
 from pipeline.measured.identification.intervals import Errors, with_delay
 from pipeline.measured.identification.parts import Choice, again
-from pipeline.measured.identification.parts import chosen as look_at_once
+from pipeline.measured.identification.parts import choose_parts as look_at_once
 from pipeline.measured.identification.recordings import SHORTEST, Recording
 from pipeline.measured.law.wall_law import wall_law
 from pipeline.measured.signal.response import find_response

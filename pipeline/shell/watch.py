@@ -293,7 +293,7 @@ def plan_beside(
     """
     from pipeline.base.process import process_pool
     from pipeline.intake.ingest import ingest
-    from pipeline.measured.identification.parts import Choice, chosen
+    from pipeline.measured.identification.parts import Choice, choose_parts
     from pipeline.measured.identification.recordings import Recording
     from pipeline.plan.course import open_course
     from pipeline.plan.planner import plan_of, remember
@@ -302,7 +302,7 @@ def plan_beside(
 
     def parts(recordings: list[Recording]) -> Choice | None:
         if not running:
-            running.append(pool.submit(chosen, recordings))
+            running.append(pool.submit(choose_parts, recordings))
         return running.pop().result() if running[0].done() else None
 
     with process_pool(1) as pool:

@@ -10,7 +10,7 @@ from kinds import kinds
 
 from pipeline.device_data.devices import load_device
 from pipeline.measured.experiment.identified_loop import nominal_loop
-from pipeline.measured.identification.parts import chosen
+from pipeline.measured.identification.parts import choose_parts
 from pipeline.plan.course import Wish, foretold, learn, open_course
 from pipeline.plan.loop_limits import limits_of, linear_limits
 from pipeline.simulation.setup import setup_of
@@ -34,7 +34,7 @@ def truth(device):
 )
 def test_limits_of_devices_that_three_logs_show(kind):
     device, trials = logs(kind)
-    found = learn(trials, 3, None, chosen)
+    found = learn(trials, 3, None, choose_parts)
     assert linear_limits(found.device.loop, DAMPINGS) == pytest.approx(truth(device), rel=0.01)
     assert (limits_of(found.device, DAMPINGS)[1] < 0.02 * truth(device).max()).all()
     assert found.looked == 3
@@ -44,7 +44,7 @@ def test_no_search_for_parts_is_waited_for_and_one_is_asked_for_when_there_are_t
     device, trials = logs("ideal")
     asked = []
     assert learn(trials, 3, None, lambda recordings: asked.append(len(recordings))) is None
-    known = learn(trials, 3, None, chosen)
+    known = learn(trials, 3, None, choose_parts)
     for count in (4, 8, 9):
         found = learn(trials, count, known, lambda recordings: asked.append(len(recordings)))
         assert linear_limits(found.device.loop, DAMPINGS) == pytest.approx(truth(device), rel=0.01)

@@ -11,7 +11,7 @@ from kinds import kinds
 from pipeline.device_data.devices import load_device
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.measured.cost.costs import settling
-from pipeline.measured.identification.parts import chosen
+from pipeline.measured.identification.parts import choose_parts
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.plan.course import Course, Learnt, Wish, learn, wanted_dampings
@@ -59,7 +59,7 @@ class Rig:
         judged = judge(trial)
         self.trials.append(trial)
         self.verdicts.append((judged.verdict, judged.growth_per_s))
-        self.learnt = learn(Trials.of(self.trials), len(self.trials), self.learnt, chosen)
+        self.learnt = learn(Trials.of(self.trials), len(self.trials), self.learnt, choose_parts)
 
     @property
     def tried(self) -> Tried:

@@ -53,7 +53,7 @@ def first_guess(segments: Segments, names: tuple[str, ...], most_delay: float) -
     ParameterError
         If it moves against its command.
     """
-    some = segments.chosen(spread(segments, MOST_SEGMENTS))
+    some = segments.select(spread(segments, MOST_SEGMENTS))
     known = [name for name in BALANCED if name in names]
     noise = np.asarray(some.rows * some.white, dtype=np.float64)
     once = _way(some)

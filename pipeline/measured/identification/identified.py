@@ -22,7 +22,7 @@ from pipeline.measured.identification.identifiability import (
 )
 from pipeline.measured.identification.intervals import Errors, Interval
 from pipeline.measured.identification.likelihood import Device, Fit
-from pipeline.measured.identification.parts import Choice, chosen
+from pipeline.measured.identification.parts import Choice, choose_parts
 from pipeline.measured.identification.quasi_static import damping_without_inertia
 from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
 from pipeline.measured.identification.replay import replay_fit
@@ -123,7 +123,7 @@ def identified(recordings: list[Recording]) -> Identification:
     """
     check_recordings(recordings)
     recordings = sorted(recordings, key=lambda each: each.rank)
-    choice = chosen(recordings)
+    choice = choose_parts(recordings)
     fit, units, errors = choice.fit, choice.units, Errors.of(choice.fit)
     names = estimated_names(errors.numbers)
     parameters = _opened({name: errors.parameter(name, units) for name in names}, choice)

@@ -233,7 +233,7 @@ def blocks(segments: Segments, columns: int) -> list[Segments]:
     most = max(1, TOGETHER // columns)
     part = (np.cumsum(segments.rows) - segments.rows) // most
     cuts = [0, *(np.flatnonzero(np.diff(part)) + 1).tolist(), len(segments)]
-    return [segments.chosen(slice(a, b)) for a, b in pairwise(cuts)] if len(cuts) > 2 else [segments]
+    return [segments.select(slice(a, b)) for a, b in pairwise(cuts)] if len(cuts) > 2 else [segments]
 
 
 def portions_of(segments: Segments) -> int:

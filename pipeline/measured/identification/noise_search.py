@@ -102,7 +102,7 @@ def noise_and_jitter(segments: Segments, device: Device, *, jitters: bool) -> No
 
     A random force is looked for, and a jitter of the delay if asked for; from the device's own noise on.
     """
-    cost = NoiseCost(segments.chosen(spread(segments, NOISE_SEGMENTS)).shorter(NOISE_ROWS), device)
+    cost = NoiseCost(segments.select(spread(segments, NOISE_SEGMENTS)).split(NOISE_ROWS), device)
     none, former = cost(0.0), device.noise
     if none >= IMPOSSIBLE:
         return WHITE

@@ -167,7 +167,7 @@ def held_out(fit: Fit) -> float:
     return fit.likelihood + lost
 
 
-def chosen(recordings: list[Recording]) -> Choice:
+def choose_parts(recordings: list[Recording]) -> Choice:
     """Return the likeliest device of recordings with the parts that held-out ones ask for.
 
     A spring may be the device's own, relaxed in one place, or a hand's, relaxed where each log begins: logs that begin
@@ -378,7 +378,7 @@ def _begin(recordings: list[Recording], units: LogUnits, base: tuple[str, ...], 
             f"no log has {SHORTEST} rows in sequence behind the {lead} whose commands a delay may need; record longer "
             "logs, with the step nearer to their begin"
         )
-    parts = [segments, *(segments.shorter(rows) for rows in SHORTER if segments.rows.max() > 2 * rows)]
+    parts = [segments, *(segments.split(rows) for rows in SHORTER if segments.rows.max() > 2 * rows)]
     return [device for part in parts for device in _first_devices(part, names, lead)]
 
 
@@ -505,7 +505,7 @@ def _further(segments: Segments, fit: Fit, parts: dict[str, float]) -> tuple[Fit
 def _some(segments: Segments) -> Segments:
     """Return segments of about `LOOKED_AT` rows; all themselves where there are no more."""
     count = int(LOOKED_AT / np.mean(segments.rows)) + 1
-    return segments if count >= len(segments) else segments.chosen(spread(segments, count))
+    return segments if count >= len(segments) else segments.select(spread(segments, count))
 
 
 def _is_inside(device: Device, part: str) -> bool:

@@ -143,17 +143,17 @@ class Segments:
         """Largest distance of a reading from the origin."""
         return float(np.abs(self.position[self.places]).max(initial=0.0))
 
-    def chosen(self, which: Integers | Booleans | slice) -> Segments:
+    def select(self, which: Integers | Booleans | slice) -> Segments:
         """Return some of the segments."""
         arrays = ("first", "behind", "trial", "edge", "direction", "distinct", "least")
         return replace(self, **{name: getattr(self, name)[which] for name in arrays})
 
-    def shorter(self, most: int) -> Segments:
+    def split(self, most: int) -> Segments:
         """Return the segments as parts of at most so many rows, each with a start of its own."""
         parts = -(-self.rows // most)
         size = np.repeat(-(-self.rows // parts), parts)
         number = np.arange(int(parts.sum())) - np.repeat(np.cumsum(parts) - parts, parts)
-        whole = self.chosen(np.repeat(np.arange(len(self)), parts))
+        whole = self.select(np.repeat(np.arange(len(self)), parts))
         first = whole.first + number * size
         cut = replace(
             whole,
@@ -161,7 +161,7 @@ class Segments:
             behind=np.minimum(first + size, whole.behind),
             edge=np.where(number == 0, whole.edge, ALWAYS),
         )
-        return cut.chosen(cut.rows >= SHORTEST)
+        return cut.select(cut.rows >= SHORTEST)
 
 
 def segments_of(recordings: list[Recording], units: LogUnits, lead: int, moving: bool) -> Segments:
