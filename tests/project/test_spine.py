@@ -157,12 +157,12 @@ def test_costs_do_not_depend_on_when_the_command_came(tmp_path):
 
 def bare_log(stiffness, damping, rows=300, **header):
     """A stable response whose record begins at the command edge: no baseline."""
-    found = simulated.simulate([stiffness], [damping], **simulated.FALCON, rows=rows, baseline=0)
+    found = simulated.simulate([stiffness], [damping], **simulated.FALCON, rows=rows, baseline=0)[0]
     native = NativeHeader(
         device=header.get("device", "bare"), experiment=header.get("experiment", "a"), stiffness=stiffness,
         damping=damping, step=8.0, sampling_period_s=1e-3,
     )  # fmt: skip
-    rows = zip(found.time[0], found.command[0], found.position[0], strict=True)
+    rows = zip(found.time, found.command, found.position, strict=True)
     return format_header(native) + "".join("{:.17g},{:.17g},{:.17g}\n".format(*map(float, row)) for row in rows)
 
 
