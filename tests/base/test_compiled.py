@@ -116,7 +116,7 @@ def test_functions_of_some_modules_are_loaded_alone(started, tmp_path):
 
 PLAIN = [
     "tests/loop/test_free_run.py",
-    "tests/measured/identification/test_kernels.py",
+    "tests/measured/identification/test_compiled_loops.py",
     "tests/simulation/test_parts.py",
     "tests/simulation/test_velocity.py",
 ]

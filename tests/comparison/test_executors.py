@@ -44,7 +44,8 @@ def local(logs, tmp_path_factory):
     ingest([logs], folder / "trials-only")
     shutil.copytree(folder / "trials-only", folder / "whole")
     for own in experiments(folder / "whole"):
-        own.compute(sorted(NEEDED, key=list(own.stages).index), map)
+        for stage in sorted(NEEDED, key=list(own.stages).index):
+            own.table(stage)
     return folder
 
 

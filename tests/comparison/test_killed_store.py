@@ -40,7 +40,8 @@ def test_a_store_that_is_killed_is_whole_when_it_is_back(tmp_path, monkeypatch):
     logs = copied_experiments(tmp_path, load_device("lwr"), "delay-2", names, ideal=True, coarsen=10)
     ingest([logs], tmp_path / "local")
     for own in experiments(tmp_path / "local"):
-        own.compute(["response", "boundary", "delay", "outcome"], map)
+        for stage in ("response", "boundary", "delay", "outcome"):
+            own.table(stage)
     (tmp_path / "weed").mkdir()
     server = Seaweed(tmp_path / "weed")
     with server.running() as s3:

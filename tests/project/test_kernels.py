@@ -54,7 +54,7 @@ FILES = [
         "theory/test_energy",
         "theory/test_costs_by_name",
         "measured/signal/test_modes",
-        "measured/identification/test_kernels",
+        "measured/identification/test_compiled_loops",
         "measured/identification/test_model",
     )
 ]
