@@ -16,9 +16,9 @@ time, command, position : float64, shape (R,)
     Rows of all trials.
 first, behind : int64, shape (S,)
     Rows of segment s are ``first[s]`` to ``behind[s]``; ``begin`` is the first row of its trial, ``edge`` the row from
-    which on forces act on a device that friction holds before, -1 where they always do.
+    which on forces act on a device that friction fixes before, `ALWAYS` where they act in all rows.
 kind : int64, shape (1,) or (R,)
-    Which of m transitions F (m, n, n) the interval behind a row has; one value where all intervals are alike.
+    Which of m transitions F (m, n, n) the interval behind a row has; one value where all intervals are equal.
 offset : int64, shape (2,) or (R + 1,)
     Pieces of the interval behind row r are ``offset[r]`` to ``offset[r + 1]``. In each of them one command is in force:
     that ``back`` rows before, of age ``age``, for the part ``width`` of the interval; G (Q, n, 2) is the motion by a
@@ -112,7 +112,7 @@ def exponentials(matrices: Floats, times: Floats) -> Floats:
 
 
 DOUBLINGS = 60
-"""Most doublings of a filter's memory until it is steady: 2^40 samples are the longest that doubles tell from none."""
+"""Most doublings of a filter's memory until it is steady: doubles distinguish up to 2^40 samples from none."""
 
 STEADY = 1e-14
 """Change of a filter's variance in a doubling, relative to it, that is rounding."""
@@ -323,7 +323,7 @@ def filter_gains(
 
 GAIN, COULOMB, FORCE, LIMIT, SPRING, SHAPE = 0, 1, 2, 3, 4, 5
 """Codes of the columns of `whitened`: acceleration by a unit command, by Coulomb friction, by a constant force, what a
-largest command takes, a spring of its own; from SHAPE on the parameters of a motion's shape, in their order."""
+largest command takes, by a separate spring; from SHAPE on the parameters of a motion's shape, in their order."""
 
 
 @compiled(
@@ -347,9 +347,9 @@ def whitened(
 
         e' = -H x' - H' x        x' <- F (x' + K e') + F' (x + K e) + W c' a' + W' c' a + u'
 
-    The unknowns z of a start (states, and what a lag holds) are columns, too. Of them it is known before that they are
-    no larger than some sizes: a row each, below those of the errors. Their likeliest values are taken out of all
-    columns (least squares by Gram and Schmidt, twice), and are the start of the motion along which tangents are taken.
+    The unknowns z of a start (states, and the force in a lag) are columns, too. A row each, below those of the errors,
+    states that they are no larger than some sizes. Their likeliest values (least squares by Gram and Schmidt, twice)
+    are subtracted from all columns, and are the start of the motion along which tangents are taken.
 
     Parameters
     ----------
@@ -374,7 +374,7 @@ def whitened(
     columns : float64, shape (rows of all segments + S q, p + 1)
         -e' of each code, and e; behind each segment the rows of what is known before.
     known : float64, shape (S,)
-        How many unknowns of the start the readings tell.
+        How many unknowns of the start the readings determine.
     lost : float
         By how much the spreads, and what is known of the starts, make the readings less likely.
     """
@@ -505,7 +505,7 @@ def whitened(
             for i in range(n):
                 moved[i, 0] += driven[i] * own_gain + acting[i] * direct
                 if q:
-                    # friction holds a device at rest against the spring
+                    # friction fixes a device at rest against the spring
                     moved[i, L] += gamma * resting[i]
                 for j in range(p):
                     if codes[j] == GAIN:

@@ -78,7 +78,7 @@ WORTH = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """Numbers of a device by name, and the noise beside it; ``effects`` (T, p) are what trials differ by, ``reading``
+    """Numbers of a device by name, and its noise; ``effects`` (T, p) are what trials differ by, ``reading``
     the variance of a reading where a fit has one."""
 
     numbers: dict[str, float]
@@ -120,7 +120,7 @@ class Fit:
     ``solved`` at the device, with its ``moments`` and the ``places`` of numbers that scatter; units are portions of
     ``few`` logs, else trials. ``alike`` is the mean number of equal readings in a row, which count as one, ``open``
     (p,) how far the numbers move with a jitter that is larger by its error, ``phases`` (8, p) what each phase of the
-    motion adds to them: nothing but noise where the model holds all. None of a fit that has not `ended`. ``optima``
+    motion adds to them: nothing but noise where the model is complete. None of a fit that has not `ended`. ``optima``
     (k, p) are the steps to other optima of the likelihood that the logs do not exclude.
     """
 
@@ -164,7 +164,7 @@ class Columns:
     starts : int
         q, unknowns of a start.
     known : float64, shape (S,)
-        How many of them the readings tell.
+        How many of them the readings determine.
     lost : float
         By how much the filter's spreads and the starts make the readings less likely.
     """
@@ -296,7 +296,7 @@ def phases_of(segments: Segments, fit: Fit) -> Floats:
 
     Phases are both directions on both sides of the middle of all readings, each slow and fast. Each adds the product of
     the inverse information and its own sum of scores, whose scatter between phases is that of the numbers: what a model
-    that holds all leaves in them is noise.
+    that is complete leaves in them is noise.
 
     Source: the sandwich estimate with few clusters; White 1982, "Maximum likelihood estimation of misspecified models".
     """

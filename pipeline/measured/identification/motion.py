@@ -46,8 +46,8 @@ class PlantShape:
     load_damping : float
         Part of ``delta`` that acts on the load.
     spring_damping_fraction : float
-        Where the load's position is read, any fraction of the mass moves it alike: in its place the part of the loss
-        that the damper between both sides has; the motor has the rest.
+        Where the load's position is read, any fraction of the mass gives the same motion: the parameter is then the
+        part of the loss that the damper between both sides has; the motor has the rest.
     """
 
     delta: float = 0.0
@@ -101,7 +101,8 @@ class PlantShape:
 def matrices_of(shape: PlantShape, along: tuple[str, ...]) -> tuple[Floats, Floats]:
     """Return the matrix of a shape's motion and inputs, (1 + P, n + 2, n + 2), and its sensor's row, (1 + P, n).
 
-    The inputs are a command and a force on the motor; behind the first the derivatives along P parameters.
+    The inputs are a command and a force on the motor; behind the first the derivatives along P parameters. The
+    arrays are kept for the next call, and not to be changed.
 
     Source: Squire and Trapp 1998, "Using complex variables to estimate derivatives of real functions" (of the entries
     of the state space, which are rational in the parameters).
@@ -120,7 +121,7 @@ def matrices_of(shape: PlantShape, along: tuple[str, ...]) -> tuple[Floats, Floa
 
 
 OFF_BY_ONE = 0.7
-"""Most of a variance of ages [samples^2] by commands that come one sample early or late, as is left for 0.5 beside a
+"""Most of a variance of ages [samples^2] by commands that come one sample early or late, as is left for 0.5 from a
 whole one; what is more comes from further ones."""
 
 
@@ -137,7 +138,7 @@ class Ages:
     def of(cls, delay: float, jitter: float) -> Ages:
         """Return the ages by their mean and standard deviation [samples].
 
-        Commands arrive on whole samples as far as the deviation allows: of whole delays whose mean lies ``off`` beside
+        Commands arrive on whole samples as far as the deviation allows: of whole delays whose mean lies ``off`` from
         one the variance is at least |off| - off^2.
         """
         if jitter <= 0:

@@ -1,4 +1,4 @@
-"""Noise beside that of the readings, and the Kalman filter that makes prediction errors independent under it."""
+"""Noise other than that of readings, and the Kalman filter that makes prediction errors independent under it."""
 
 from __future__ import annotations
 

@@ -20,13 +20,13 @@ in a thousand samples to one that forgets in one."""
 
 JITTERS = (0.02, 1.5)
 """Least and largest jitter of the delay that is looked for [samples]: with nine ages of the command in force; of eight
-whole delays that are drawn alike it is 1.5."""
+equally likely whole delays it is 1.5."""
 
 FIRST_JITTERS, FIRST_FORCES = (0.08, 0.25, 0.6, 1.2), (1.0, 0.1, 1e-2, 1e-4)
 """Jitters [samples], and random forces relative to that without a jitter, from which the likeliest are looked for."""
 
 READINGS = (0.1, 10.0)
-"""Least and largest variance of a reading that is looked for beside a jitter, in that by third differences."""
+"""Least and largest variance of a reading that is looked for with a jitter, in that by third differences."""
 
 ROUGH = 0.7
 """Change of the logarithm of a variance that is near enough for a start: intervals grow with its root."""
@@ -38,7 +38,7 @@ ASIDE = 0.2
 """Change of the logarithm of a variance, or of a jitter, to another one that is tried first."""
 
 NEWTON, FARTHEST = 6, 1.5
-"""Most steps in the search for a jitter beside the noise of readings, and a random force; their largest change of a
+"""Most steps in the search for a jitter, the noise of readings and a random force; their largest change of a
 logarithm."""
 
 ENOUGH = 0.1
@@ -75,7 +75,7 @@ class NoiseCost:
     def __call__(self, force: float, jitter: float = 0.0, reading: float = 1.0) -> float:
         """Return the negative logarithm of the likelihood.
 
-        ``force`` as in `Noise`; ``jitter`` [samples]; ``reading`` the variance of a reading beside a jitter, in that by
+        ``force`` as in `Noise`; ``jitter`` [samples]; ``reading`` the variance of a reading with a jitter, in that by
         third differences. The constant force of each segment is free, so that it is not taken for a random one.
         """
         some, noise = self.segments, self.noise(force, jitter, reading)
@@ -86,7 +86,7 @@ class NoiseCost:
         pushed = np.maximum(factors[:, 0, 0] ** 2, 1e-300)
         squares = np.maximum(factors[:, 1, 1] ** 2, 1e-300)
         rows = np.maximum(some.rows - columns.known - 1, 1)
-        # the strength of a jitter is that of its forces, beside the noise of a reading
+        # the strength of a jitter is that of its forces, relative to the noise of a reading
         variance = reading * self.white if jitter else np.maximum(squares / rows, some.least)
         lost = 0.5 * float((rows * np.log(variance) + squares / variance + np.log(pushed)).sum()) + columns.lost
         return lost if np.isfinite(lost) else IMPOSSIBLE
@@ -121,7 +121,7 @@ def noise_and_jitter(segments: Segments, device: Device, *, jitters: bool) -> No
     jitter, reading = numbers
     if lost >= least - WORTH or jitter < LEAST_JITTER:
         return still
-    # half a sample beside a delay of half a sample is at a bend of the likelihood: its flatter side tells the error
+    # a jitter and a delay of half a sample are at a bend of the likelihood: its flatter side gives the error
     falls = min(cost(strength, jitter * float(np.exp(sign * NEAR)), reading) for sign in (-1, 1)) - lost
     error = float(np.hypot(NEAR / np.sqrt(2 * max(falls, 1e-3)), OTHER_AGES * max(jitter - 0.5, 0.0)))
     return replace(cost.noise(strength, jitter, reading), jitter_error=jitter * error)
@@ -147,8 +147,8 @@ def _minimum(
 ) -> tuple[list[float], float]:
     """Return the positive numbers within limits that cost least, from some near them on, and that cost.
 
-    By Newton's steps in their logarithms, with derivatives from differences over `ASIDE`, which are exact for a
-    parabola: a jitter bends the likelihood where its ages change, and no nearer ones would show its course.
+    By Newton's steps in their logarithms. Derivatives are differences over `ASIDE`, exact for a parabola: the
+    likelihood has a kink where the number of ages changes, over which smaller differences would mislead.
     """
     bounds, n = np.log(limits), len(near)
     at = np.clip(np.log(near), bounds[:, 0] + ASIDE, bounds[:, 1] - ASIDE)

@@ -64,7 +64,7 @@ def _left_with_friction(segments: Segments, device: Device) -> Floats:
         start[s, 1] = 0.0 if rests else (y[few] - y[0]) / max(few, 1)
     tried, least, left = start, np.full(len(start), np.inf), [y * 0.0 for y in readings]
     for _ in range(STARTS + 1):
-        # the run itself, and one beside it for each state
+        # the run itself, and one with a change of each state
         versions = np.concatenate([tried[:, None], tried[:, None] + NUDGE * np.eye(states)], axis=1)
         runs = np.split(_runs(segments, device, versions), ends[:-1])
         tried = start.copy()

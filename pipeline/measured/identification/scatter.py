@@ -14,13 +14,13 @@ import numpy as np
 from pipeline.records.trials import Floats, Integers
 
 FEWEST = 8
-"""Trials from which on a scatter between them is estimated: fewer tell a variance to a factor of three at best."""
+"""Trials from which on a scatter between them is estimated: fewer give a variance to a factor of three at best."""
 
 OWN_ROWS = 20.0
 """Degrees of freedom of the noise of single trials: one that was bumped is noisier than the others, and weighs less."""
 
 ROUNDS = 4
-"""Rounds of weights and variances between trials, of which each rests on the other."""
+"""Rounds of weights and variances between trials, each of which depends on the other."""
 
 ROUNDED = 1e-16
 """Share of the motion below which what is left of it is rounding."""
@@ -51,7 +51,7 @@ class Moments:
     R'R are the sums of their products, without the digits that squares lose.
 
     ``least`` is the variance of an error that rounding of the readings alone leaves, ``log_spread`` the sum of the
-    logarithms of the filter's spreads over all rows, and of what the readings tell of the unknown starts.
+    logarithms of the filter's spreads over all rows, and of what the readings determine of the unknown starts.
     ``before`` (2, p) is what is known of each number without logs: information, and the slope of its likelihood.
     """
 
@@ -96,14 +96,14 @@ class Solved:
 
 
 def inverse(information: Floats) -> Floats:
-    """Return the inverse of an information matrix, 0 along directions of which it tells nothing."""
+    """Return the inverse of an information matrix, 0 along directions without information."""
     scale, values, vectors = _scaled(information)
     known = np.where(values > RIDGE, 1 / np.maximum(values, RIDGE), 0.0)
     return np.asarray((vectors * known) @ vectors.T * scale[:, None] * scale[None, :])
 
 
 def unidentified(information: Floats) -> Floats:
-    """Return the directions of which an information matrix tells nothing, shape (k, p)."""
+    """Return the directions in which an information matrix has no information, shape (k, p)."""
     scale, values, vectors = _scaled(information)
     return np.asarray(vectors[:, values <= RIDGE].T * scale)
 
@@ -247,7 +247,7 @@ class _Mixed:
 
 
 LEAST_LOG, MOST_LOG = -9.0, 25.0
-"""Logarithms of the variances between units that are looked for, in that by which a usual unit tells a number."""
+"""Logarithms of the variances between units that are tried, relative to the variance of a number by a usual unit."""
 
 SCORING = 30
 """Most steps of the search for these variances."""

@@ -53,12 +53,12 @@ class Segments:
         Rows of each segment.
     trial : int64, shape (S,)
     edge : int64, shape (S,)
-        Row from which on forces act on a device that friction holds at rest before; `ALWAYS` for a segment that does
+        Row from which on forces act on a device that friction fixes at rest before; `ALWAYS` for a segment that does
         not start at rest.
     direction : float64, shape (S,)
         Of motion; 0 where it is not asked for.
     distinct, least : float64, shape (S,)
-        Number of readings that say something of their own, and variance that rounding alone leaves of a reading.
+        Number of readings with information not in the one before, and variance that rounding alone leaves of a reading.
     lead : int
         Rows of commands before a segment that its motion depends on.
     even : bool
@@ -149,7 +149,7 @@ class Segments:
         return replace(self, **{name: getattr(self, name)[which] for name in arrays})
 
     def split(self, most: int) -> Segments:
-        """Return the segments as parts of at most so many rows, each with a start of its own."""
+        """Return the segments as parts of at most so many rows, each with its own start."""
         parts = -(-self.rows // most)
         size = np.repeat(-(-self.rows // parts), parts)
         number = np.arange(int(parts.sum())) - np.repeat(np.cumsum(parts) - parts, parts)
@@ -261,7 +261,7 @@ def _edge(each: Recording, seen: Motion, first: int, moves: int, lead: int) -> i
 
 
 def _distinct(position: Floats, rounding: float) -> int:
-    """Return the number of readings that say something of their own.
+    """Return the number of readings with information that is not in the one before.
 
     One that repeats the one before says nothing new; nor does, of a sensor with steps, one of a motion by as many steps
     as in the row before: its rounding is the same.
