@@ -259,8 +259,9 @@ def _logs(source: Source) -> tuple[Log, ...]:
     (outcome,) = reader_of(source.profile)(source.profile, [whole])
     if isinstance(outcome, LogError):
         added = whole.data[0].count(b"\n") - raw.data[0].count(b"\n")
-        row = "" if outcome.row is None else f", row {max(outcome.row - added, 1)}"
-        raise outcome.reworded(f"{source.shown}{row}: {outcome.reason}")
+        row = None if outcome.row is None else max(outcome.row - added, 1)
+        place = source.shown if row is None else f"{source.shown}, row {row}"
+        raise LogError(f"{place}: {outcome.reason}", row, code=outcome.code, profile_line=outcome.profile_line)
     return outcome
 
 

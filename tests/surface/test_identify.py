@@ -190,3 +190,14 @@ def test_walls_whose_command_is_that_of_another_row_are_refused(tmp_path, moved)
         logs[-1].write_text("\n".join([header + "time_s,command,position", *lines, ""]))
     with pytest.raises(ParameterError, match=r"another row than its position|obeys the wall with the position"):
         pipeline.identify(logs)
+
+
+def test_a_refused_log_among_others_is_named_once(tmp_path):
+    for number, size in enumerate((2.0, -2.0, 4.0)):
+        written(tmp_path / f"{number}.csv", np.append(np.zeros(30), np.full(270, size)), seed=number)
+    bad = written(tmp_path / "bad.csv", np.full(40, 2.0))
+    bad.write_text(bad.read_text().replace("2.0,", "x,", 1))
+    shown = CliRunner().invoke(application("identify"), ["identify", str(tmp_path)])
+    (line,) = (line for line in shown.output.splitlines() if line.startswith("Refused"))
+    assert line.count("bad.csv") == 1
+    assert "found 'x'" in line

@@ -109,7 +109,8 @@ def identify(
         console.note(f"warning: {line}")
     for each in document["refused"]:
         row = "" if each["row"] is None else f", row {each['row']}"
-        console.note(f"Refused: {each['path']}{row}: {each['reason']}")
+        place = f"{each['path']}{row}: "
+        console.note(f"Refused: {place}{each['reason'].removeprefix(place)}")
     if out is not None:
         write_text(out, device_text(document, out.stem))
         console.note(f"wrote {out}")
