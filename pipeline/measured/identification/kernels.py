@@ -34,7 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.base.compiled import compiled
+from pipeline.base.compiled import compiled, inlined
 from pipeline.records.trials import Floats, Integers
 
 ALWAYS = -1_000_000_000
@@ -200,6 +200,47 @@ def steady_gain(F: Floats, W: Floats, H: Floats, q: float) -> tuple[Floats, floa
     return gain / variance, variance
 
 
+@inlined
+def next_ages(result: Floats, chances: Floats, ages: Floats, top: int, columns: int) -> None:
+    """Write M' a into a result for some columns a of ages; rows from ``top`` on are ages.
+
+    By sums over the ages from each on, in which M is a product with few numbers: see `motion.Ages.ageing`.
+    """
+    reached, left, chance = chances[0], chances[1], chances[2]
+    last = len(chance) - 1
+    for col in range(columns):
+        result[top + last, col] = ages[top + last, col]
+    for i in range(last - 1, -1, -1):
+        for col in range(columns):
+            result[top + i, col] = result[top + i + 1, col] + ages[top + i, col]
+    for i in range(last, 0, -1):
+        for col in range(columns):
+            result[top + i, col] = (
+                reached[i] * result[top + i, col] - chance[i] * result[top, col] + left[i - 1] * ages[top + i - 1, col]
+            )
+    for col in range(columns):
+        result[top, col] *= reached[0] - chance[0]
+        # what is older than the oldest age stays there
+        result[top + last, col] += left[last] * ages[top + last, col]
+
+
+@inlined
+def advance(result: Floats, P: Floats, F: Floats, W: Floats, c: Floats, chances: Floats) -> None:
+    """Write Phi P into a result, Phi = [F, W c'; 0, M']."""
+    n, A, m = len(F), len(c), len(P)
+    for i in range(n):
+        for j in range(m):
+            result[i, j] = 0.0
+        for a in range(A):
+            for j in range(m):
+                result[i, j] += W[i] * c[a] * P[n + a, j]
+        for h in range(n):
+            for j in range(m):
+                result[i, j] += F[i, h] * P[h, j]
+    if A:
+        next_ages(result, chances, P, n, m)
+
+
 @compiled(
     "Tuple((f8[:,::1],f8[::1]))(Tuple((i8[::1],i8[::1],i8[::1],i8[::1])),f8[::1],"
     "Tuple((i8[::1],f8[:,:,::1],f8[:,::1],f8[::1])),Tuple((i8[::1],i8[::1],i8[::1],f8[::1])),"
@@ -220,8 +261,8 @@ def filter_gains(
     command : float64, shape (R,)
     motion : kind, F, W, H
     pieces : offset, back, age, width
-    ages : M, C, float64, shape (A, A)
-        Chances of an age after another less those of it after any, and covariance of the ages.
+    ages : M, C
+        Chances (3, A) of an age after another as `motion.Ages.ageing`, and covariance (A, A) of the ages.
     noise : q, late
         Variance of the random force, and standard deviation of a force that a unit command makes.
 
@@ -236,20 +277,24 @@ def filter_gains(
     offset, back, age, width = pieces
     M, C = ages
     q, late = noise
-    n, A = len(H), len(M)
+    n, A = len(H), len(C)
     m = n + A
     rows = 0
     for s in range(len(first)):
         rows += behind[s] - first[s]
     gains, spread = np.zeros((rows, m)), np.ones(rows)
-    P, moved, seen, c, pushed = np.empty((m, m)), np.empty((m, m)), np.empty(m), np.empty(A), np.empty(m)
-    v = np.empty((A, A))
-    for i in range(A):
-        for j in range(A):
-            v[i, j] = C[i, j]
-            for a in range(A):
-                for b in range(A):
-                    v[i, j] -= M[a, i] * C[a, b] * M[b, j]
+    P, moved, seen, c = np.empty((m, m)), np.empty((m, m)), np.empty(m), np.empty(A)
+    v = np.zeros((A, A))
+    if A:
+        half, whole = np.empty((A, A)), np.empty((A, A))
+        next_ages(half, M, C, 0, A)
+        for i in range(A):
+            for j in range(A):
+                v[i, j] = half[j, i]
+        next_ages(whole, M, v, 0, A)
+        for i in range(A):
+            for j in range(A):
+                v[i, j] = C[i, j] - whole[j, i]
     place = 0
     for s in range(len(first)):
         for i in range(m):
@@ -281,42 +326,18 @@ def filter_gains(
                     row = r - back[piece]
                     if row >= edge[s]:
                         c[age[piece]] += late * command[min(max(row, begin[s]), behind[s] - 1)] * width[piece]
-            # Phi P, Phi = [F, W c'; 0, M']: rows of P are summed, so that the innermost loop is along them
-            for j in range(m):
-                pushed[j] = 0.0
-            for a in range(A):
-                for j in range(m):
-                    pushed[j] += c[a] * P[n + a, j]
-            for i in range(n):
-                for j in range(m):
-                    moved[i, j] = g[i] * pushed[j]
-                for h in range(n):
-                    for j in range(m):
-                        moved[i, j] += f[i, h] * P[h, j]
-            for i in range(A):
-                for j in range(m):
-                    moved[n + i, j] = 0.0
-                for a in range(A):
-                    for j in range(m):
-                        moved[n + i, j] += M[a, i] * P[n + a, j]
-            # (Phi P) Phi' + Q
+            advance(moved, P, f, g, c, M)
             for i in range(m):
-                force = 0.0
-                for a in range(A):
-                    force += c[a] * moved[i, n + a]
-                for j in range(n):
-                    P[i, j] = force * g[j]
+                for j in range(m):
+                    P[i, j] = moved[j, i]
+            advance(moved, P, f, g, c, M)
+            for i in range(m):
+                for j in range(i + 1):
+                    P[i, j] = moved[i, j]
                     if i < n:
                         P[i, j] += q * g[i] * g[j]
-                    for h in range(n):
-                        P[i, j] += moved[i, h] * f[j, h]
-                for j in range(A):
-                    P[i, n + j] = v[i - n, j] if i >= n else 0.0
-                for a in range(A):
-                    for j in range(A):
-                        P[i, n + j] += moved[i, n + a] * M[a, j]
-            for i in range(m):
-                for j in range(i):
+                    elif j >= n:
+                        P[i, j] += v[i - n, j - n]
                     P[j, i] = P[i, j]
     return gains, spread
 
@@ -362,8 +383,8 @@ def whitened(
         Derivatives of shape (m, P, n, n), (m, P, n), (P, n) along P parameters of the shape.
     pieces : offset, back, age, width, G, G'
     gains : K, spread, M, late
-        K (1 or all rows, n + A), standard deviation of the errors, chances of ages less those after any, and standard
-        deviation of a force that a unit command makes.
+        K (1 or all rows, n + A), standard deviation of the errors, chances (3, A) of an age after another, and
+        standard deviation of a force that a unit command makes.
     asked : codes, places, constants, sizes
         Codes (p,) of the columns; places of stiffness, lag and delay among the parameters of the shape, -1 for none;
         largest command, stiffness, lag, delay, variance of a reading, and rows of commands before a
@@ -384,7 +405,7 @@ def whitened(
     offset, back, age, width, G, dG = pieces
     K, spread, M, late = gains
     codes, places, constants, sizes = asked
-    n, A, P, p, q, S = len(H), len(M), dF.shape[1], len(codes), len(sizes), len(first)
+    n, A, P, p, q, S = len(H), M.shape[1], dF.shape[1], len(codes), len(sizes), len(first)
     limit, gamma, lag, delay, variance = constants[0], constants[1], constants[2], constants[3], constants[4]
     reach = int(constants[5])
     longest, total = 0, 0
@@ -524,10 +545,7 @@ def whitened(
                 for i in range(A):
                     for col in range(T):
                         e[col] += c[i] * a[i, col]
-                        aged[i, col] = 0.0
-                    for j in range(A):
-                        for col in range(T):
-                            aged[i, col] += M[j, i] * a[j, col]
+                next_ages(aged, M, a, 0, T)
                 for i in range(n):
                     for col in range(T):
                         moved[i, col] += w[i] * e[col]
@@ -645,14 +663,10 @@ def whitened(
                         e_t[j] = 0.0
                     for i in range(A):
                         force += c[i] * a[i, 0]
-                        aged[i, 0] = 0.0
                         for j in range(P):
                             e_t[j] += c[i] * ta[i, j]
-                            ta_aged[i, j] = 0.0
-                        for h in range(A):
-                            aged[i, 0] += M[h, i] * a[h, 0]
-                            for j in range(P):
-                                ta_aged[i, j] += M[h, i] * ta[h, j]
+                    next_ages(aged, M, a, 0, 1)
+                    next_ages(ta_aged, M, ta, 0, P)
                     for i in range(n):
                         moved[i, 0] += w[i] * force
                         for j in range(P):

@@ -166,22 +166,20 @@ class Ages:
 
     @property
     def ageing(self) -> Floats:
-        """Chances (A, A) of an age in force after another less those of it after any, for delays drawn independently.
+        """Chances of an age in force after another for delays drawn independently, three numbers an age, (3, A).
 
         The newest command that has arrived is in force: one of age i has arrived with probability F_i, and the next
-        row finds those that were on their way before with (F_i - F_(i-1))/(1 - F_(i-1)).
+        row finds those that were on their way before with (F_i - F_(i-1))/(1 - F_(i-1)). So the chance of age j is
+        the same behind every age i >= j; the second number is that of i + 1 behind i, which is what is left, and the
+        third that of an age after any.
         """
-        count = len(self.chance)
         left = 1 - np.append(0.0, np.cumsum(self.chance)[:-1])
         arrived = np.clip(self.chance / np.maximum(left, 1e-12), 0.0, 1.0)
         arrived = np.maximum.accumulate(np.append(arrived[:-1], 1.0))
         before = np.append(0.0, arrived[:-1])
         now = np.where(before < 1, (arrived - before) / np.where(before < 1, 1 - before, 1.0), 1.0)
         reached = now * np.append(1.0, np.cumprod(1 - now)[:-1])
-        result = np.tril(np.broadcast_to(reached, (count, count)))
-        oldest = np.minimum(np.arange(count) + 1, count - 1)
-        result[np.arange(count), oldest] += 1 - result.sum(axis=1)
-        return result - self.chance
+        return np.stack([reached, 1 - np.cumsum(reached), self.chance])
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,13 +49,14 @@ def gains_of(segments: Segments, transitions: Transitions, noise: Noise, limit: 
 
     ``limit`` is the largest command that the drive has a force for.
     """
-    n, none = transitions.states, np.zeros((0, 0))
+    n, none = transitions.states, np.zeros((3, 0))
     if noise == WHITE:
         return np.zeros((1, n)), np.ones(1), none, 0.0
     kind, F, _, W, _, H, _ = transitions.motion
     if segments.even and noise.late == 0:
         return *_steady(F[0], W[0], H, noise.force), none, 0.0
-    ageing, covariance = (transitions.ages.ageing, transitions.ages.covariance) if noise.late else (none, none)
+    ages = transitions.ages
+    ageing, covariance = (ages.ageing, ages.covariance) if noise.late else (none, np.zeros((0, 0)))
     gains, spread = filter_gains(
         (segments.first, segments.behind, segments.begin, segments.edge),
         np.clip(segments.command, -limit, limit),

@@ -153,7 +153,7 @@ def test_likelihood_is_the_dense_normal_density_of_all_readings(kind, noise, eve
         forces = noise.force * np.eye(rows)
         for k in range(rows if noise.late else 0):
             for m in range(k, rows):
-                both = ages.covariance @ np.linalg.matrix_power(ages.ageing, m - k)
+                both = ages.covariance @ np.linalg.matrix_power(dense_ageing(ages), m - k)
                 forces[k, m] += noise.late * commands[k] @ both @ commands[m]
                 forces[m, k] = forces[k, m]
         covariance = np.eye(rows) + pulse @ forces @ pulse.T + (unknown * sizes**2) @ unknown.T
@@ -164,6 +164,13 @@ def test_likelihood_is_the_dense_normal_density_of_all_readings(kind, noise, eve
         dense += multivariate_normal(mean, covariance).logpdf(y)
     squares, rows = float((columns.values[:, -1] ** 2).sum()), int(each.rows.sum())
     assert -0.5 * squares - columns.lost - 0.5 * rows * np.log(2 * np.pi) == pytest.approx(dense, rel=1e-9)
+
+
+def dense_ageing(ages):
+    """Chances (A, A) of an age after another less those of it after any."""
+    result = np.empty_like(ages.covariance)
+    kernels.next_ages(result, ages.ageing, np.eye(len(result)), 0, len(result))
+    return result.T
 
 
 def loop_arguments(each, shape, along, gains=None, noise=None):
