@@ -27,7 +27,7 @@ from pipeline.measured.signal.response import find_response
 from pipeline.measured.stages.stage_device import recording_findings
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.measured.student import NORMAL_95
-from pipeline.plan.loop_limits import StepTrial, damping_of_stiffest, limits_of, linear_limits, lowest_limits
+from pipeline.plan.loop_limits import NARROW, StepTrial, damping_of_stiffest, limits_of, linear_limits, lowest_limits
 from pipeline.plan.next_wall import Forecast, Tried
 from pipeline.plan.requests import Answer, stored_requests
 from pipeline.recording.check import check_trial
@@ -374,7 +374,9 @@ def _by_logs(course: Course, device: IdentifiedLoop, wall: Floats) -> Forecast |
     if course.is_sure and not unsure:
         # friction raises the limit for the step, as far as it is known
         by_friction = np.sqrt(np.maximum(reach**2 - linear_reach**2, 0.0))
-        lowest = np.maximum(limit - np.hypot(linear - lowest, by_friction), lowest)
+        raised = limit - np.hypot(linear - lowest, by_friction)
+        # where the linear limit is hardly known, so is what friction adds to it
+        lowest = np.where(linear - lowest <= NARROW * linear, np.maximum(raised, lowest), lowest)
     scale = float(limit.max())
     if not scale > 0 and not len(course.tried):
         scale = _stiffest(device.loop)

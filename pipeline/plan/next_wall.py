@@ -419,7 +419,8 @@ def corrected(by: Forecast, ends: Floats, dampings: Floats) -> Forecast:
     gain = np.linalg.solve(toward[known] + np.diag(noise**2 + 1e-8), toward.T).T
     limit = np.maximum(by.limit + largest * (gain @ missed[known]), 0.0)
     error = largest * np.sqrt(np.maximum(size**2 - (gain * toward).sum(axis=1), 1e-6))
-    low = np.maximum(limit - (by.limit - by.low) * error / (largest * size), 0.0)
+    # what verdicts at other dampings say does not exclude the device of the lowest limit here
+    low = np.clip(limit - (by.limit - by.low) * error / (largest * size), 0.0, by.low)
     return Forecast(limit, error, misfit, low)
 
 

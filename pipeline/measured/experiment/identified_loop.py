@@ -17,6 +17,7 @@ from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.experiment.stored import Stored
 from pipeline.measured.identification.identifiability import IdentifiableCombination
 from pipeline.measured.identification.intervals import Interval
+from pipeline.measured.identification.parts import UNSEEN_FRICTION
 from pipeline.measured.student import NORMAL_95
 from pipeline.records.findings import ROUNDING, Estimate
 from pipeline.records.trials import Floats
@@ -201,7 +202,8 @@ class IdentifiedLoop:
     @property
     def may_have_friction(self) -> bool:
         """Whether it has friction, or friction cannot be excluded."""
-        return "friction.coulomb" in self.values
+        unseen = self.bounds.get("friction.coulomb", 0.0)
+        return "friction.coulomb" in self.values or unseen > UNSEEN_FRICTION * self.step
 
     def interval(self, name: str) -> Interval:
         """Return one of the numbers that it has with its 95 % interval."""

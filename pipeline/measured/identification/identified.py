@@ -49,6 +49,10 @@ LAST = 0.4
 """Share of a single log that is replayed by the device fitted to what came before."""
 
 
+NO_FIT = "no single device fits these logs ({}): exclude logs of another device or wall, or record more trials"
+"""Reason where the equations of a fit have no solution."""
+
+
 @dataclass(frozen=True, eq=False)
 class Identification:
     """What recordings say of a device; parameters are in SI by their names in `ESTIMATED`.
@@ -119,11 +123,18 @@ def identified(recordings: list[Recording]) -> Identification:
     Raises
     ------
     ParameterError
-        If nothing moves in them, no command is given, or they are too short.
+        If nothing moves in them, no command is given, they are too short, or no device fits them.
     """
     check_recordings(recordings)
     recordings = sorted(recordings, key=lambda each: each.rank)
-    choice = choose_parts(recordings)
+    try:
+        return _identified(recordings, choose_parts(recordings))
+    except np.linalg.LinAlgError as error:
+        raise ParameterError(NO_FIT.format(str(error).rstrip(".").lower())) from error
+
+
+def _identified(recordings: list[Recording], choice: Choice) -> Identification:
+    """Return what the parts that were chosen say of recordings."""
     fit, units, errors = choice.fit, choice.units, Errors.of(choice.fit)
     names = estimated_names(errors.numbers)
     parameters = _opened({name: errors.parameter(name, units) for name in names}, choice)

@@ -167,6 +167,8 @@ class Columns:
         How many of them the readings determine.
     lost : float
         By how much the filter's spreads and the starts make the readings less likely.
+    spread : float64, shape (rows of all segments,), or (1,)
+        Standard deviations of the errors, in that of a reading.
     """
 
     values: Floats
@@ -175,12 +177,7 @@ class Columns:
     starts: int
     known: Floats
     lost: float
-
-    def factors(self, units: int, unit: Integers) -> Floats:
-        """Return the triangular factors of units, (units, p + 1, p + 1), by the unit of each segment; once."""
-        result = np.zeros((units, self.values.shape[1], self.values.shape[1]))
-        kernels.triangles(result, self.values, self.first, self.behind + self.starts, unit)
-        return result
+    spread: Floats
 
 
 def columns_of(
@@ -211,12 +208,13 @@ def columns_of(
     if segments.rests.all():
         sizes = sizes[:1]
     constants = [device.numbers.get("limit", np.inf), shape.gamma, shape.lag, shape.delay, variance, segments.lead]
+    gains = gains_of(segments, transitions, noise, constants[0])
     values, known, lost = kernels.whitened(
         (segments.time, segments.command, segments.position, segments.position),
         (segments.first, segments.behind, segments.begin, segments.edge, segments.direction, own, shifts),
         transitions.motion,
         transitions.pieces,
-        gains_of(segments, transitions, noise, constants[0]),
+        gains,
         (
             np.array([CODES[name] if name in CODES else kernels.SHAPE + along.index(name) for name in names], np.int64),
             np.array([along.index(name) if name in along else -1 for name in ("gamma", "lag", "delay")], np.int64),
@@ -225,7 +223,7 @@ def columns_of(
         ),
     )
     ends = np.cumsum(segments.rows + len(sizes))
-    return Columns(values, ends - len(sizes) - segments.rows, ends - len(sizes), len(sizes), known, lost)
+    return Columns(values, ends - len(sizes) - segments.rows, ends - len(sizes), len(sizes), known, lost, gains[1])
 
 
 def blocks(segments: Segments, columns: int) -> list[Segments]:
@@ -243,7 +241,7 @@ def portions_of(segments: Segments) -> int:
 
 @np.errstate(all="ignore")  # numbers far off overflow: they are impossible, and a search leaves them
 def moments_of(segments: Segments, device: Device) -> Moments:
-    """Return the moments of all units (trials, or portions) at a device."""
+    """Return the moments of all units (trials, or portions) at a device; none where doubles overflow."""
     p, portions = len(device.names), portions_of(segments)
     units = len(segments) * portions if portions else segments.trials
     factors, rows, lost, place = np.zeros((units, p + 1, p + 1)), np.zeros(units), 0.0, 0
@@ -265,15 +263,14 @@ def moments_of(segments: Segments, device: Device) -> Moments:
         place += len(first)
     before = np.array([BEFORE.get(name, (0.0, 0.0)) for name in device.names]).T
     before = np.stack([before[1], before[1] * (before[0] - list(device.numbers.values()))])
+    if not (np.abs(factors) < LARGEST_FACTOR).all() or not np.isfinite(lost):
+        factors, rows, lost = np.zeros_like(factors), np.ones(units), np.inf
     return Moments(factors, rows, float(np.median(segments.least)), lost, before)
 
 
 def fitted(segments: Segments, device: Device, places: Integers) -> Fit:
     """Return what the likelihood says at a device, with scatter between trials of the numbers at some places."""
     moments = moments_of(segments, device)
-    if not (np.abs(moments.factors) < LARGEST_FACTOR).all() or not np.isfinite(moments.log_spread):
-        nothing, rows = np.zeros_like(moments.factors), np.ones(len(moments.factors))
-        moments = replace(moments, factors=nothing, rows=rows, log_spread=np.inf)
     solved = solve(moments, places)
     alike = float(segments.rows.sum() / max(segments.distinct.sum(), 1.0)) if device.noise == WHITE else 1.0
     device = replace(device, effects=solved.effects if len(places) else None, reading=solved.noise)

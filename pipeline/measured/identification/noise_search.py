@@ -34,14 +34,14 @@ ROUGH = 0.7
 NEAR = 0.05
 """Change of the logarithm of a variance, or of a jitter, within which the likelihood is a parabola."""
 
-ASIDE = 0.2
-"""Change of the logarithm of a variance, or of a jitter, to another one that is tried first."""
+ASIDE = 0.1
+"""Change of the logarithm of a variance, or of a jitter, to the one by which derivatives are taken."""
 
-NEWTON, FARTHEST = 6, 1.5
+SCORING, FARTHEST = 6, 1.5
 """Most steps in the search for a jitter, the noise of readings and a random force; their largest change of a
 logarithm."""
 
-ENOUGH = 0.1
+ENOUGH = 0.05
 """Gain of log-likelihood by a step below which the next one is none."""
 
 OTHER_AGES = 0.08
@@ -58,6 +58,15 @@ IMPOSSIBLE = 1e30
 """Cost, as a logarithm of a likelihood, of a noise under which a device cannot be computed: any other is less."""
 
 
+@dataclass(frozen=True, eq=False)
+class NoiseLikelihood:
+    """What a noise costs, the errors of all rows in their standard deviations, and the logarithms of these, (R,)."""
+
+    lost: float
+    errors: Floats
+    log_deviations: Floats
+
+
 @dataclass(eq=False)
 class NoiseCost:
     """The likelihood of segments of a device as a function of its noise, with its other numbers fixed."""
@@ -66,14 +75,23 @@ class NoiseCost:
     device: Device
     _transitions: tuple[float, Transitions] | None = None
 
+    @classmethod
+    def of(cls, segments: Segments, device: Device) -> NoiseCost:
+        """Return the likelihood of parts of some segments, spread over all."""
+        return cls(segments.select(spread(segments, NOISE_SEGMENTS)).split(NOISE_ROWS), device)
+
     @cached_property
     def white(self) -> float:
         """Variance of a reading by third differences."""
         return self.segments.white
 
-    @np.errstate(all="ignore")  # as in `likelihood.moments_of`
     def __call__(self, force: float, jitter: float = 0.0, reading: float = 1.0) -> float:
-        """Return the negative logarithm of the likelihood.
+        """Return the negative logarithm of the likelihood."""
+        return self.likelihood(force, jitter, reading).lost
+
+    @np.errstate(all="ignore")  # as in `likelihood.moments_of`
+    def likelihood(self, force: float, jitter: float = 0.0, reading: float = 1.0) -> NoiseLikelihood:
+        """Return the likelihood of a noise.
 
         ``force`` as in `Noise`; ``jitter`` [samples]; ``reading`` the variance of a reading with a jitter, in that by
         third differences. The constant force of each segment is free, so that it is not taken for a random one.
@@ -82,14 +100,18 @@ class NoiseCost:
         if self._transitions is None or self._transitions[0] != jitter:
             self._transitions = (jitter, Transitions.of(some, self.device.shape, jitter))
         columns = columns_of(some, replace(self.device, noise=noise), ("force",), self._transitions[1])
-        factors = columns.factors(len(some), np.arange(len(some)))
-        pushed = np.maximum(factors[:, 0, 0] ** 2, 1e-300)
-        squares = np.maximum(factors[:, 1, 1] ** 2, 1e-300)
+        pushed, errors = columns.values.T
+        squares = np.maximum(np.add.reduceat(pushed**2, columns.first), 1e-300)
+        own_force = np.add.reduceat(pushed * errors, columns.first) / squares
+        errors = errors - pushed * np.repeat(own_force, some.rows + columns.starts)
         rows = np.maximum(some.rows - columns.known - 1, 1)
         # the strength of a jitter is that of its forces, relative to the noise of a reading
-        variance = reading * self.white if jitter else np.maximum(squares / rows, some.least)
-        lost = 0.5 * float((rows * np.log(variance) + squares / variance + np.log(pushed)).sum()) + columns.lost
-        return lost if np.isfinite(lost) else IMPOSSIBLE
+        left = np.add.reduceat(errors**2, columns.first)
+        variance = np.full(len(some), reading * self.white) if jitter else np.maximum(left / rows, some.least)
+        lost = 0.5 * float((rows * np.log(variance) + left / variance + np.log(squares)).sum()) + columns.lost
+        deviations = np.log(columns.spread) + 0.5 * np.log(np.repeat(variance, some.rows))
+        errors = errors / np.sqrt(np.repeat(variance, some.rows + columns.starts))
+        return NoiseLikelihood(lost if np.isfinite(lost) else IMPOSSIBLE, errors, deviations)
 
     def noise(self, force: float, jitter: float = 0.0, reading: float = 1.0) -> Noise:
         """Return the noise of some numbers."""
@@ -102,8 +124,8 @@ def noise_and_jitter(segments: Segments, device: Device, *, jitters: bool) -> No
 
     A random force is looked for, and a jitter of the delay if asked for; from the device's own noise on.
     """
-    cost = NoiseCost(segments.select(spread(segments, NOISE_SEGMENTS)).split(NOISE_ROWS), device)
-    none, former = cost(0.0), device.noise
+    cost, former = NoiseCost.of(segments, device), device.noise
+    none = cost(0.0)
     if none >= IMPOSSIBLE:
         return WHITE
     force, by_force = _likeliest(cost, MEMORIES, 0.0 if former.jitter else former.force)
@@ -113,18 +135,25 @@ def noise_and_jitter(segments: Segments, device: Device, *, jitters: bool) -> No
         return still
     near = former.jitter or min(FIRST_JITTERS, key=lambda jitter: cost(0.0, jitter))
     reading = device.numbers["gain"] ** 2 / (former.late * cost.white) if former.late else 1.0
-    numbers, lost = _minimum(lambda *numbers: cost(0.0, *numbers), (near, reading), (JITTERS, READINGS))
+    numbers, lost = _minimum(lambda *numbers: cost.likelihood(0.0, *numbers), (near, reading), (JITTERS, READINGS))
     strength = 0.0
     more, beside = min((cost(share * force, *numbers), share * force) for share in FIRST_FORCES)
     if more < lost - WORTH:
-        (strength, *numbers), lost = _minimum(cost, (beside, *numbers), (MEMORIES, JITTERS, READINGS))
+        (strength, *numbers), lost = _minimum(cost.likelihood, (beside, *numbers), (MEMORIES, JITTERS, READINGS))
     jitter, reading = numbers
-    if lost >= least - WORTH or jitter < LEAST_JITTER:
-        return still
-    # a jitter and a delay of half a sample are at a bend of the likelihood: its flatter side gives the error
-    falls = min(cost(strength, jitter * float(np.exp(sign * NEAR)), reading) for sign in (-1, 1)) - lost
-    error = float(np.hypot(NEAR / np.sqrt(2 * max(falls, 1e-3)), OTHER_AGES * max(jitter - 0.5, 0.0)))
-    return replace(cost.noise(strength, jitter, reading), jitter_error=jitter * error)
+    return still if lost >= least - WORTH or jitter < LEAST_JITTER else cost.noise(strength, jitter, reading)
+
+
+def with_jitter_error(segments: Segments, device: Device) -> Noise:
+    """Return the noise of a device with the standard error of its jitter."""
+    noise, cost = device.noise, NoiseCost.of(segments, device)
+    reading = device.numbers["gain"] ** 2 / (noise.late * cost.white)
+    lost = [cost(noise.force, noise.jitter * float(np.exp(way * NEAR)), reading) for way in range(-2, 3)]
+    # a jitter and a delay of half a sample are at a kink of the likelihood: its flatter side gives the error
+    bends = np.diff(lost, 2)[[0, 2]]
+    bend = max(float(min(bends, key=lambda each: each if each > 0 else np.inf)), 2e-3)
+    error = float(np.hypot(NEAR / np.sqrt(bend), OTHER_AGES * max(noise.jitter - 0.5, 0.0)))
+    return replace(noise, jitter_error=noise.jitter * error)
 
 
 def _likeliest(cost: Callable[[float], float], limits: tuple[float, float], near: float = 0.0) -> tuple[float, float]:
@@ -143,36 +172,51 @@ def _likeliest(cost: Callable[[float], float], limits: tuple[float, float], near
 
 
 def _minimum(
-    cost: Callable[..., float], near: tuple[float, ...], limits: tuple[tuple[float, float], ...]
+    likelihood: Callable[..., NoiseLikelihood], near: tuple[float, ...], limits: tuple[tuple[float, float], ...]
 ) -> tuple[list[float], float]:
     """Return the positive numbers within limits that cost least, from some near them on, and that cost.
 
-    By Newton's steps in their logarithms. Derivatives are differences over `ASIDE`, exact for a parabola: the
-    likelihood has a kink where the number of ages changes, over which smaller differences would mislead.
+    By Fisher's scoring in their logarithms: with errors e in their standard deviations s the information is
+
+        e_i' e_j + (ln s)_i' (ln s)_j          subscripts are derivatives
+
+    Derivatives are differences over `ASIDE`, less the part of the information that is in them: the likelihood has a
+    kink where the number of ages changes, over which smaller differences would mislead. Where a step by those ahead
+    leads to no lower cost, those on both sides give the slope.
+
+    Source: Gupta and Mehra 1974, IEEE Transactions on Automatic Control 19, p. 774.
     """
     bounds, n = np.log(limits), len(near)
-    at = np.clip(np.log(near), bounds[:, 0] + ASIDE, bounds[:, 1] - ASIDE)
+    steps = ASIDE * np.eye(n)
 
-    def value(logs: Floats) -> float:
-        return cost(*np.exp(np.clip(logs, bounds[:, 0], bounds[:, 1])).tolist())
+    def at(logs: Floats) -> tuple[Floats, NoiseLikelihood]:
+        inside = np.clip(logs, bounds[:, 0], bounds[:, 1])
+        return inside, likelihood(*np.exp(inside).tolist())
 
-    lowest, steps = value(at), ASIDE * np.eye(n)
-    for _ in range(NEWTON):
-        ahead, behind = (np.array([value(at + sign * step) for step in steps]) for sign in (1, -1))
-        slope, bend = (ahead - behind) / (2 * ASIDE), np.diag(ahead - 2 * lowest + behind) / ASIDE**2
-        for i in range(n):
-            for j in range(i):
-                both = value(at + steps[i] + steps[j])
-                bend[i, j] = bend[j, i] = (both - ahead[i] - ahead[j] + lowest) / ASIDE**2
-        values, vectors = np.linalg.eigh(bend)
-        step = -vectors @ ((vectors.T @ slope) / np.maximum(np.abs(values), 1.0))
-        tried = np.clip(at + np.clip(step, -FARTHEST, FARTHEST), bounds[:, 0], bounds[:, 1])
-        candidates = [tried, *(at + steps), *(at - steps)]
-        costs = [value(tried), *ahead.tolist(), *behind.tolist()]
-        best = int(np.argmin(costs))
-        if costs[best] >= lowest:
+    here, value = at(np.clip(np.log(near), bounds[:, 0] + ASIDE, bounds[:, 1] - ASIDE))
+    for _ in range(SCORING):
+        ahead = [at(here + step) for step in steps]
+        errors = np.array([(other.errors - value.errors) / ASIDE for _, other in ahead])
+        deviations = np.array([(other.log_deviations - value.log_deviations) / ASIDE for _, other in ahead])
+        information = np.nan_to_num(errors @ errors.T + deviations @ deviations.T, posinf=0.0)
+        values, vectors = np.linalg.eigh(information)
+        inverse = (vectors / np.maximum(values, 1.0)) @ vectors.T
+        slope = np.array([other.lost - value.lost for _, other in ahead]) / ASIDE - 0.5 * ASIDE * np.diag(information)
+        tried = ahead
+        for one_sided in (True, False):
+            if not one_sided:
+                behind = [at(here - step) for step in steps]
+                differences = [up.lost - down.lost for (_, up), (_, down) in zip(ahead, behind, strict=True)]
+                slope, tried = np.array(differences) / (2 * ASIDE), tried + behind
+            if slope @ inverse @ slope < 2 * ENOUGH:
+                break
+            tried = [*tried, at(here + np.clip(-inverse @ slope, -FARTHEST, FARTHEST))]
+            if tried[-1][1].lost < value.lost:
+                break
+        best = min(tried, key=lambda each: each[1].lost)
+        if (gain := value.lost - best[1].lost) <= 0:
             break
-        gain, lowest, at = lowest - costs[best], costs[best], np.clip(candidates[best], bounds[:, 0], bounds[:, 1])
+        here, value = best
         if gain < ENOUGH:
             break
-    return np.exp(at).tolist(), lowest
+    return np.exp(here).tolist(), value.lost

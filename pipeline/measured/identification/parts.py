@@ -114,7 +114,7 @@ SLOW = 4 * np.pi
 APART = 10.0
 """Range of the first positions of logs, in noises of a reading, up to which they begin in one place."""
 
-OPEN = 0.02
+UNSEEN_FRICTION = 0.02
 """Friction, relative to the largest command, that may act unseen before it must be taken along as unknown: a mass is
 too large by as much."""
 
@@ -307,7 +307,7 @@ def _first(
         fit, parts = _worth(segments, whole, begin[0])
         gain, numbers = _loss(fit, "coulomb"), fit.device.numbers
         rubs = gain > WORTH and numbers["coulomb"] / numbers["gain"] > SLIGHT
-        if rubs or _upper(fit, "friction.coulomb", units) >= OPEN * units.command:
+        if rubs or _upper(fit, "friction.coulomb", units) >= UNSEEN_FRICTION * units.command:
             return fit, segments, {"friction": gain if rubs else 0.0} | parts, bounds
     segments = segments_of(recordings, units, lead, False)
     starts = [_sliding(each) for each in begin]
@@ -442,7 +442,7 @@ def _pruned(
             parts = parts | {name: parts[name] or gain}
             continue
         if name == "friction":
-            if _upper(fit, "friction.coulomb", units) >= OPEN * units.command:
+            if _upper(fit, "friction.coulomb", units) >= UNSEEN_FRICTION * units.command:
                 parts = parts | {"friction": 0.0}
                 continue
             segments = segments_of(recordings, units, lead, False)

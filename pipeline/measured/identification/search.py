@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.measured.identification.likelihood import DONE, SCATTERED, WORTH, Device, Fit, fitted, phases_of
 from pipeline.measured.identification.noise import WHITE
-from pipeline.measured.identification.noise_search import noise_and_jitter
+from pipeline.measured.identification.noise_search import noise_and_jitter, with_jitter_error
 from pipeline.measured.identification.scatter import FEWEST
 from pipeline.measured.identification.segments import Segments
 
@@ -90,9 +90,10 @@ def ended(segments: Segments, device: Device) -> Fit:
     """Return the likeliest fit from a device on that is near it, with what its jitter leaves open."""
     fit = refined(segments, device, LAST_STEPS, far=False, noisy=False)
     fit = replace(fit, phases=phases_of(segments, fit))
-    noise = fit.device.noise
-    if not noise.jitter:
+    if not fit.device.noise.jitter:
         return fit
+    noise = with_jitter_error(segments, fit.device)
+    fit = replace(fit, device=replace(fit.device, noise=noise))
     other = replace(noise, jitter=noise.jitter + noise.jitter_error)
     return replace(fit, open=fitted(segments, replace(fit.device, noise=other), fit.places).solved.step)
 

@@ -36,9 +36,6 @@ WITHOUT = {"command_shifted", "sampling_period"}
 """Departures from the wall law by which a logged command is not the one that drives the device at that time, or the
 time is not known."""
 
-NO_FIT = "no single device fits these logs ({}): exclude logs of another device or wall, or record more trials"
-"""Reason where the equations of a fit have no solution."""
-
 INSEPARABLE = "mass and force on the device cannot be separated in these logs; record {}, or walls"
 
 OTHER_WALLS = (
@@ -69,8 +66,6 @@ def identification(of: Experiment) -> tuple[Identification | None, str]:
         result = identified(found)
     except ParameterError as error:
         return None, str(error)
-    except np.linalg.LinAlgError as error:
-        return None, NO_FIT.format(str(error).rstrip(".").lower())
     remedy = Recorded.of(found).remedy()
     if "mass" not in result.unidentifiable:
         return result, remedy
