@@ -428,6 +428,7 @@ def learn(trials: Trials, count: int, known: Learnt | None, look: Look) -> Learn
         sampling_period_s=float(np.median(trials.sampling_period_s)),
         velocity=velocity,
         explained=len(recordings),
+        step=float(np.abs(trials.step).max(initial=0.0)) or device.command,
         trials=tuple(each.name for each in recordings),
         directions=Recorded.of(recordings).directions,
     )
@@ -470,4 +471,12 @@ def loop_of_choice(choice: Choice) -> IdentifiedLoop | None:
     values = {name: ESTIMATED[name].quantity(units)(errors.numbers) for name in names}
     values, covariance = with_delay(values, errors.covariance(names, units))
     parts, mode_sensor = parts_of(choice.parts)
-    return IdentifiedLoop(values, covariance, units.period, parts=parts, mode_sensor=mode_sensor)
+    return IdentifiedLoop(
+        values,
+        covariance,
+        units.period,
+        parts=parts,
+        mode_sensor=mode_sensor,
+        bounds=choice.bounds,
+        command=units.command,
+    )
