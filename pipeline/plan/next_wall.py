@@ -218,6 +218,9 @@ class Aim:
         Stiffest wall to try, relative to the stiffest stable one; infinite where a device is identified for sure.
     few : bool
         Whether so few logs do not identify it that a rig is spared all walls that may be unstable.
+    foresees : bool
+        Whether a wall stiffer than all stable ones may be expected to be stable by the device: not by few logs, nor
+        by logs without a verdict, which contradict nothing.
     """
 
     dampings: tuple[float, ...]
@@ -228,6 +231,7 @@ class Aim:
     force: float = inf
     bold: float = inf
     few: bool = False
+    foresees: bool = True
 
     @property
     def start(self) -> float:

@@ -235,6 +235,7 @@ def aim_of(
         force=wish.largest_force,
         bold=bold,
         few=bold < inf and course.few,
+        foresees=not len(course.tried) or (not course.few and bool((course.tried.verdict != "undecided").any())),
     )
     if aim.lowest >= aim.highest:
         raise UsageError(
@@ -383,7 +384,7 @@ def _next(column: Column, found: State, aim: Aim, course: Course, rig: RigRange 
     # above what was stable a verdict is predicted by all devices that the logs allow, or by none
     lowest = float(found.forecast.low[[each.damping for each in found.columns].index(column.damping)])
     if expected == "stable" and wall > bracket.bottom:
-        is_predicted = found.forecast.misfit <= MOST_MISFIT and wall <= lowest
+        is_predicted = aim.foresees and found.forecast.misfit <= MOST_MISFIT and wall <= lowest
         expected = "stable" if is_predicted else "undecided"
     if column.note == "softer":
         basis = "too few logs for a stiffer wall: record this one"
@@ -392,7 +393,8 @@ def _next(column: Column, found: State, aim: Aim, course: Course, rig: RigRange 
         basis = "no device is identified: " + (
             f"at most {aim.bold:g} times the stiffest stable wall" if bracket.low is not None else "near what was tried"
         )
-    if aim.gentle and wall < min(column.estimate or 0, lowest) and found.forecast.misfit <= aim.accuracy:
+    is_low = wall < min(column.estimate or 0, lowest) and found.forecast.misfit <= aim.accuracy
+    if aim.gentle and aim.foresees and is_low:
         expected = "stable"
     return Next(stiffness=wall, damping=column.damping, expected=expected, why=f"{known}; {basis}{lasting}")
 
