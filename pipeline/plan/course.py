@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import floor, inf, log10
 from pathlib import Path
@@ -14,26 +14,24 @@ from pipeline.base.errors import DeviceError, ParameterError, UsageError
 from pipeline.device.loop import Loop
 from pipeline.device_data.devices import declared_spring, find_experiment, known_devices, read_device
 from pipeline.measured.experiment.boundary import spread_over_plane
-from pipeline.measured.experiment.identified_loop import IdentifiedLoop, nominal_loop, parts_of
-from pipeline.measured.identification.estimated import ESTIMATED, estimated_names
-from pipeline.measured.identification.identifiability import Recorded, is_identifiable
-from pipeline.measured.identification.identified import check_recordings
-from pipeline.measured.identification.intervals import Errors, with_delay
+from pipeline.measured.experiment.identified_loop import IdentifiedLoop, loop_of_row, nominal_loop
+from pipeline.measured.identification.identifiability import Recorded
+from pipeline.measured.identification.identified import check_recordings, described
 from pipeline.measured.identification.parts import Choice, again
 from pipeline.measured.identification.parts import choose_parts as look_at_once
-from pipeline.measured.identification.recordings import SHORTEST, Recording
+from pipeline.measured.identification.recordings import Recording
 from pipeline.measured.law.wall_law import wall_law
 from pipeline.measured.signal.response import find_response
-from pipeline.measured.stages.stage_device import recording_findings
+from pipeline.measured.stages.measured_trial import MeasuredTrial
+from pipeline.measured.stages.stage_device import device_row, recording, recording_findings, usable_recordings
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.measured.student import NORMAL_95
 from pipeline.plan.loop_limits import NARROW, StepTrial, damping_of_stiffest, limits_of, linear_limits, lowest_limits
 from pipeline.plan.next_wall import Forecast, Tried
 from pipeline.plan.requests import Answer, stored_requests
-from pipeline.recording.check import check_trial
 from pipeline.records.findings import unsafe_reason
 from pipeline.records.models import Device, Experiment
-from pipeline.records.trials import Floats, Trial, Trials
+from pipeline.records.trials import Floats, Trials
 from pipeline.store.samples import in_order, load_trials
 from pipeline.store.storage import list_experiments, read_trials
 from pipeline.theory.cases import tested_grid
@@ -41,9 +39,9 @@ from pipeline.theory.cases import tested_grid
 DAMPINGS = 12
 """Dampings at which limits are looked for where none are named."""
 
-TRIALS, ROWS, AHEAD = 16, 300, 10
-"""Logs that a device is fitted to, their rows from the step on, and those before it: a number known to 1 % from one log
-is known to 0.3 % from these, and a log waits for it."""
+TRIALS = 16
+"""Logs that a device is fitted to: a number known to 1 % from one log is known to 0.3 % from these, and a log waits for
+it."""
 
 FEW = 3
 """Logs below which a device with friction is not identified for sure: they may be explained by another delay."""
@@ -214,7 +212,7 @@ def open_course(
     found = known.device if known else None
     unknown = ""
     if found is None:
-        recordings = recordings_of(spread)
+        recordings = _recordings(spread)
         unknown = unusable(recordings) or NOT_IDENTIFIED.format(Recorded.of(recordings).remedy())
     walls = tuple(zip(K.tolist(), B.tolist(), strict=True))
     answers = stored_requests(processed, name, chosen).answered(walls)
@@ -400,38 +398,33 @@ def learn(trials: Trials, count: int, known: Learnt | None, look: Look) -> Learn
     """
     order = np.lexsort((trials.stiffness, trials.damping))
     spread = trials.select(order[np.unique(np.linspace(0, len(order) - 1, TRIALS).astype(np.int64))])
-    recordings = recordings_of(spread)
+    recordings = _recordings(spread)
     if unusable(recordings):
         return known
     choice, looked = (None, 0) if known is None else (known.choice, known.looked)
     try:
-        if count >= AGAIN * looked and (found := look(recordings)) is not None:
-            choice, looked = found, count
-        elif choice is not None:
+        fresh = look(recordings) if count >= AGAIN * looked else None
+        choice, looked = (choice, looked) if fresh is None else (fresh, count)
+        if choice is None:
+            return None
+        # the search may have ended after other logs were recorded
+        if choice is not fresh or choice.segments.trials != len(recordings):
             choice = again(choice, recordings)
-        device = None if choice is None else loop_of_choice(choice)
+        found = described(recordings, choice)
     except (ParameterError, np.linalg.LinAlgError):
         # a device that cannot be fitted is none
         return known
-    if choice is None:
-        return None
-    if device is None:
+    if found.unidentifiable & {"mass", "delay_samples"}:
         return Learnt(choice, None, looked)
+    row = device_row(found, float(np.abs(trials.step).max(initial=0.0))) | {"remedy": Recorded.of(recordings).remedy()}
+    device = loop_of_row(row, float(np.median(trials.sampling_period_s)))
     # a filter shows most where there is most damping
     most = spread[int(np.argmax(spread.damping))]
     velocity = known.device.velocity if known is not None and known.device is not None else None
     if velocity is None:
         shown = wall_law(most, find_response(most)).filter
         velocity = None if shown is None else shown.declared
-    device = replace(
-        device,
-        sampling_period_s=float(np.median(trials.sampling_period_s)),
-        velocity=velocity,
-        explained=len(recordings),
-        step=float(np.abs(trials.step).max(initial=0.0)) or device.command,
-        trials=tuple(each.name for each in recordings),
-        directions=Recorded.of(recordings).directions,
-    )
+    device = replace(device, velocity=velocity, directions=Recorded.of(recordings).directions)
     return Learnt(choice, device, looked)
 
 
@@ -444,39 +437,7 @@ def unusable(recordings: list[Recording]) -> str:
     return ""
 
 
-def recordings_of(trials: Iterable[Trial]) -> list[Recording]:
-    """Return trials from shortly before the step on up to a travel stop, as the model takes them.
-
-    Logs that are too short or were recorded wrongly are left out, where there are others.
-    """
-    recordings, usable = [], []
-    for number, trial in enumerate(trials):
-        findings, edge = check_trial(trial), find_response(trial).edge_row
-        stops = [finding.first_row or 0 for finding in findings if finding.severity == "cut"]
-        rows = slice(max(edge - AHEAD, 0), min(trial.rows, max(edge, 0) + ROWS, *stops))
-        logged = trial.time[rows], trial.command[rows], trial.position[rows], trial.sampling_period_s
-        recording = Recording(str(number), *logged, edge - rows.start if edge >= rows.start else None)
-        recordings.append(recording)
-        if len(recording.time) >= SHORTEST and not any(finding.leaves_out for finding in findings):
-            usable.append(recording)
-    return usable or recordings
-
-
-def loop_of_choice(choice: Choice) -> IdentifiedLoop | None:
-    """Return the loop of a fit with the covariance of its numbers; None where the fit does not tell the mass."""
-    errors, units = Errors.of(choice.fit), choice.units
-    if not is_identifiable(errors.parameter("mass", units)):
-        return None
-    names = estimated_names(errors.numbers)
-    values = {name: ESTIMATED[name].quantity(units)(errors.numbers) for name in names}
-    values, covariance = with_delay(values, errors.covariance(names, units))
-    parts, mode_sensor = parts_of(choice.parts)
-    return IdentifiedLoop(
-        values,
-        covariance,
-        units.period,
-        parts=parts,
-        mode_sensor=mode_sensor,
-        bounds=choice.bounds,
-        command=units.command,
-    )
+def _recordings(trials: Trials) -> list[Recording]:
+    """Return usable trials as the estimator takes them, in the order of their ranks; all where none is usable."""
+    measured = [MeasuredTrial(trial) for trial in trials]
+    return sorted(usable_recordings(measured) or map(recording, measured), key=lambda each: each.rank)

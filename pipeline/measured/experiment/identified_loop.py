@@ -257,13 +257,17 @@ def parts_of(gains: Mapping[str, float]) -> tuple[tuple[str, ...], Literal["moto
 def identified_loop(of: Stored) -> IdentifiedLoop | None:
     """Return the loop of an experiment as its stage `device` has it, None where its logs tell no mass."""
     (row,) = of.table("device").to_pylist()
-    if (names := row["parameter_names"]) is None:
-        return None
+    return None if row["parameter_names"] is None else loop_of_row(row, of.sampling_period_s, of.motion)
+
+
+def loop_of_row(row: Mapping[str, Any], sampling_period_s: float, motion: Motion = "translation") -> IdentifiedLoop:
+    """Return the loop of a row of the stage `device`."""
+    names = row["parameter_names"]
     return IdentifiedLoop(
         dict(zip(names, row["parameter_values"], strict=True)),
         np.array(row["covariance"]).reshape(len(names), -1),
-        of.sampling_period_s,
-        of.motion,
+        sampling_period_s,
+        motion,
         tuple(row["parts"]),
         row["mode_sensor"],
         explained=row["explained"],

@@ -128,13 +128,13 @@ def identified(recordings: list[Recording]) -> Identification:
     check_recordings(recordings)
     recordings = sorted(recordings, key=lambda each: each.rank)
     try:
-        return _identified(recordings, choose_parts(recordings))
+        return described(recordings, choose_parts(recordings))
     except np.linalg.LinAlgError as error:
         raise ParameterError(NO_FIT.format(str(error).rstrip(".").lower())) from error
 
 
-def _identified(recordings: list[Recording], choice: Choice) -> Identification:
-    """Return what the parts that were chosen say of recordings."""
+def described(recordings: list[Recording], choice: Choice) -> Identification:
+    """Return what recordings, in the order of their ranks, say of a device with the parts of their fit."""
     fit, units, errors = choice.fit, choice.units, Errors.of(choice.fit)
     names = estimated_names(errors.numbers)
     parameters = _opened({name: errors.parameter(name, units) for name in names}, choice)

@@ -85,7 +85,11 @@ def recording_findings(of: Experiment) -> list[list[Finding]]:
 def device(of: Experiment) -> Columns:
     """Return the one row of the stage `device`."""
     found, words = of.once(identification)
-    row: dict[str, Any] = {"reason": words} if found is None else _row(found, of) | {"remedy": words}
+    row: dict[str, Any] = {"reason": words}
+    if found is not None:
+        limit = found.parameters["force_limit"].value if "force_limit" in found.parameters else np.inf
+        more = {"remedy": words, "saturated": _saturated(of, limit)}
+        row = device_row(found, float(np.abs(of.samples.step).max(initial=0.0))) | more
     return {name: [row.get(name)] for name in TABLES["device"]}
 
 
@@ -109,8 +113,8 @@ def model(of: Experiment) -> Columns:
     return columns
 
 
-def _row(found: Identification, of: Experiment) -> dict[str, Any]:
-    """Return what the logs identify as the stage stores it."""
+def device_row(found: Identification, largest_step: float) -> dict[str, Any]:
+    """Return what logs identify as the stage stores it; ``largest_step`` of their headers [N, Nm], 0 for none."""
     # an interval may be wider than the likelihood alone says
     errors = np.array([each.error for each in found.parameters.values()])
     wider = np.maximum(errors / np.sqrt(np.maximum(found.covariance.diagonal(), LEAST)), 1.0)
@@ -144,9 +148,9 @@ def _row(found: Identification, of: Experiment) -> dict[str, Any]:
         "fitted_trials": found.names,
         "explained": found.explained,
         "fit_percent": found.fit_percent,
-        "saturated": _saturated(of, values.get("force_limit", np.inf)),
+        "saturated": 0.0,
         "largest_command": found.units.command,
-        "largest_step": float(np.abs(of.samples.step).max(initial=0.0)) or found.units.command,
+        "largest_step": largest_step or found.units.command,
         "travel": found.units.position,
     }
 
