@@ -17,12 +17,14 @@ from pipeline.base.errors import DeviceError, PipelineError
 from pipeline.device_data.devices import read_device
 from pipeline.intake.ingest import ingest
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop
+from pipeline.measured.identification.estimated import ESTIMATED
 from pipeline.plan.course import Course, Wish, open_course
 from pipeline.plan.loop_limits import linear_limits, lowest_limits
 from pipeline.plan.next_wall import Aim, Bracket, Forecast, Tried, bracket, state, stiffest_stable
 from pipeline.plan.planner import plan, plan_of, rounded_down
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.shell.commands.cli_device import plan_lines
+from pipeline.surface.identify import identify
 
 T = 1e-3
 
@@ -297,6 +299,26 @@ def test_one_short_estimate(tmp_path, stiffness):
     assert (limit.estimate, limit.low, limit.high) == (None, None, None)
     assert asked.stiffness == stiffness
     assert "longer than 0.026 s" in asked.why
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_few_logs_expect_no_stiffer_wall_to_be_stable(tmp_path, count):
+    processed = store(tmp_path, Body(0.5, 3.0, 2.4), [(1500.0, 15.0), (2000.0, 15.0)][:count], noisy=True)
+    for gentle in (False, True):
+        for wall in plan("dev", processed, wish=Wish(gentle=gentle, dampings=(15.0, 30.0))).next:
+            assert wall.expected != "stable"
+
+
+def test_the_device_of_a_plan_is_that_of_identify(tmp_path):
+    walls = [(1000.0, 10.0), (1500.0, 15.0, -4.0), (2000.0, 15.0), (800.0, 5.0, -4.0)]
+    processed = store(tmp_path, Body(0.5, 3.0, 2.4, 0.1), walls, noisy=True)
+    planned = open_course("dev", processed, None, Wish()).found
+    estimates = identify(tmp_path / "logs").estimates.set_index("name")
+    for name in ("mass", "damping", "delay_samples", "friction.coulomb"):
+        each, stated = planned.interval(name), estimates.loc[ESTIMATED[name].key]
+        unit = T if stated["unit"] == "s" else 1.0
+        ends = np.array([stated["value"], stated["low"], stated["high"]]) / unit
+        np.testing.assert_allclose([each.value, each.low, each.high], ends, rtol=1e-9, err_msg=name)
 
 
 def walls_at(*trials):
