@@ -123,8 +123,10 @@ def deleted(processed: Path) -> list[Correction]:
 
 def in_bin(processed: Path) -> list[Correction]:
     """Return the deleted trials that are still stored."""
+    if not (corrections := deleted(processed)):
+        return []
     stored = set(read_rows(processed, ["trial_id"], {}).column("trial_id"))
-    return [one for one in deleted(processed) if one.trial_id in stored]
+    return [correction for correction in corrections if correction.trial_id in stored]
 
 
 def empty_bin(processed: Path, wait_s: float = WAIT_S, say: Say = None) -> int:

@@ -19,7 +19,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
-from glob import escape, glob
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -36,6 +35,7 @@ from pipeline.records.table_files import damaged_file, metadata_of, open_table, 
 from pipeline.records.tables import LOCATION, OF_TRIALS, TABLES, arrow_schema
 from pipeline.records.trials import Booleans, Integers
 from pipeline.store.names import name_of_folder, place_of
+from pipeline.store.trial_index import INDEXED, MIN_INDEXED_FILES, FileRows, indexed_rows
 
 Result = TypeVar("Result")
 
@@ -102,7 +102,18 @@ def trials_files(processed: Path, *names: str) -> list[Path]:
 
 def _listing(folder: Path) -> list[str]:
     """Return the Parquet files below a folder, sorted: a file that changed has another name."""
-    return sorted(glob(os.path.join(escape(os.fspath(folder)), "**", f"*{TABLE}"), recursive=True))
+    files, folders = list[str](), [os.fspath(folder)]
+    while folders:
+        try:
+            with os.scandir(folders.pop()) as entries:
+                for entry in entries:
+                    if entry.is_dir():
+                        folders.append(entry.path)
+                    elif entry.name.endswith(TABLE) and not entry.name.startswith("."):
+                        files.append(entry.path)
+        except OSError:
+            continue  # no folder, one that was removed meanwhile, or one that may not be read
+    return sorted(files)
 
 
 def steadily(folder: Path, read: Callable[[], Result]) -> Result:
@@ -169,7 +180,9 @@ def read_trials(
     place = tuple(name for name in (device, experiment) if name is not None)
     for names in [place, *moved_from(corrections.values(), place)]:
         rows = read_rows(processed, needed, damaged, *names)
-        tables.append(rows.table.filter(pa.array(rows.current)))
+        current = rows.current
+        # to filter would import what takes longer than reading
+        tables.append(rows.table if current.all() else rows.table.filter(pa.array(current)))
     return applied(pa.concat_tables(tables), corrections, place).select(wanted)
 
 
@@ -214,39 +227,48 @@ class Rows(NamedTuple):
 
 def read_rows(processed: Path, columns: Sequence[str], damaged: dict[Path, str] | None = None, *names: str) -> Rows:
     """Return columns of all rows of the files of trials, as `trials_files` names them; else as `read_trials`."""
-    schema, own = _schema(tuple(columns)), [name for name in columns if name not in LOCATION]
     broken: dict[Path, str] = {}
 
-    def rows_of(file: Path, replaced: set[str]) -> pa.Table:
+    def part_of(file: Path, columns: Sequence[str]) -> FileRows | None:
         try:
-            with open_table(file) as stored:
-                replaced.update(metadata_of(stored.schema_arrow).get("pipeline.replaces", "").split())
-                table = stored.read(own, use_threads=False)
+            return _file_rows(processed, file, columns)
         except StoreError as error:
             broken[file] = str(error)
-            return schema.empty_table()
-        found = dict(zip(own, table.columns, strict=True))
-        if len(own) < len(columns):
-            name = file.relative_to(processed).as_posix()
-            found |= {"sample_file": pa.array([name] * len(table)), "sample_row": pa.array(np.arange(len(table)))}
-        # the types are checked; a cast would import what takes longer than reading
-        return pa.Table.from_arrays([found[name] for name in columns], schema=schema)
+            return None
 
     def read() -> Rows:
         broken.clear()
-        files, replaces = trials_files(processed, *names), set[str]()
-        tables = {file: rows_of(file, replaces) for file in files if file not in (damaged or {})}
-        counting = [file for file in tables if file.stem not in replaces]
-        kept = [tables[file] for file in counting]
-        of = np.repeat(np.arange(len(kept)), [len(table) for table in kept])
+        files = trials_files(processed, *names)
+        readable = [file for file in files if file not in (damaged or {})]
+        if not names and len(readable) >= MIN_INDEXED_FILES and set(INDEXED).issuperset(columns):
+            parts = indexed_rows(processed, readable, part_of)
+        else:
+            parts = {file: part for file in readable if (part := part_of(file, columns)) is not None}
+        replaces = {stem for part in parts.values() for stem in part.replaces.split()}
+        counting = [file for file in parts if file.stem not in replaces]
+        kept = [parts[file].table.select(list(columns)) for file in counting]
+        of = np.repeat(np.arange(len(kept)), np.array([len(table) for table in kept], dtype=np.int64))
         replaced = [file for file in files if file.stem in replaces]
-        return Rows(pa.concat_tables([schema.empty_table(), *kept]), of, counting, replaced)
+        return Rows(pa.concat_tables([_schema(tuple(columns)).empty_table(), *kept]), of, counting, replaced)
 
     rows = steadily(trials_folder(processed, *names), read)
     if broken and damaged is None:
         raise StoreError(next(iter(broken.values())))
     (damaged if damaged is not None else {}).update(broken)
     return rows
+
+
+def _file_rows(processed: Path, file: Path, columns: Sequence[str]) -> FileRows:
+    own = [name for name in columns if name not in LOCATION]
+    with open_table(file) as stored:
+        replaces = metadata_of(stored.schema_arrow).get("pipeline.replaces", "")
+        table = stored.read(own, use_threads=False)
+    arrays = dict(zip(own, table.columns, strict=True))
+    if len(own) < len(columns):
+        name = file.relative_to(processed).as_posix()
+        arrays |= {"sample_file": pa.array([name] * len(table)), "sample_row": pa.array(np.arange(len(table)))}
+    # the types are checked; a cast would import what takes longer than reading
+    return FileRows(pa.Table.from_arrays([arrays[name] for name in columns], schema=_schema(tuple(columns))), replaces)
 
 
 @cache

@@ -153,10 +153,14 @@ def status(processed: Processed = Path("processed")) -> int:
     _must_exist(processed)
     damaged: dict[Path, str] = {}
     stored = read_trials(processed, columns=["device", "experiment", "rows"], damaged=damaged)
-    places = stored.group_by(["device", "experiment"]).aggregate([("rows", "count"), ("rows", "sum")])
-    names = {"rows_count": "trials", "rows_sum": "rows"}
-    rows = [{names.get(key, key): value for key, value in row.items()} for row in places.to_pylist()]
-    rows.sort(key=lambda row: (row["device"], row["experiment"]))
+    trials, samples = Counter[tuple[str, str]](), Counter[tuple[str, str]]()
+    for device, experiment, count in zip(*(column.to_pylist() for column in stored.columns), strict=True):
+        trials[device, experiment] += 1
+        samples[device, experiment] += count
+    rows = [
+        {"device": place[0], "experiment": place[1], "trials": trials[place], "rows": samples[place]}
+        for place in sorted(trials)
+    ]
     excluded = [one.model_dump(mode="json") for one in read_exclusions(processed).values()]
     refused = Counter(record.code or "other" for record in list_quarantine(processed, damaged))
     document = {
