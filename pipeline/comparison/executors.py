@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.base.errors import PipelineError, UsageError
 from pipeline.comparison.stage_pool import compute_stages, do, job_of, take, unstored
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.store.objects import check_installed
 
 if TYPE_CHECKING:

@@ -20,9 +20,17 @@ from pipeline.comparison.summary.advice import region_to_use
 from pipeline.device.loop import Loop
 from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.experiment.boundary import boundary_area
-from pipeline.measured.experiment.estimates import by_model
+from pipeline.measured.experiment.estimates import (
+    by_model,
+    damping_estimate,
+    delay_estimate,
+    jitter_estimate,
+    mass_estimate,
+    model_check,
+)
 from pipeline.measured.experiment.identified_loop import identified_loop
-from pipeline.measured.stages.stages import STAGES, ExperimentStages
+from pipeline.measured.stages.stage_needs import NEEDS
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.findings import BoundaryPoint, Estimate
 from pipeline.records.models import Experiment
 from pipeline.records.results import NOT_ADEQUATE, ExperimentResult, LoopFindings, SourcedLoop
@@ -66,7 +74,7 @@ def estimated_theories(results: Sequence[ExperimentResult], data: SceneData) -> 
 def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory | None) -> ExperimentResult:
     """Compute what is needed of one experiment and gather it."""
     needed = needed_stages(data)
-    for stage in sorted(needed, key=list(STAGES).index):
+    for stage in sorted(needed, key=list(NEEDS).index):
         stages.table(stage)
     units = data.units
     named: dict[str, Experiment] = {e.name: e for e in data.device.experiments} if data.device else {}
@@ -85,7 +93,7 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
         trials=stages.trials.num_rows,
         verdicts=dict(sorted(Counter(stages.verdicts.verdict.tolist()).items())),
         outcomes=dict(Counter(stages.texts("outcome", "outcome"))) if "outcome" in needed else {},
-        model_check=stages.model_check if "model" in needed else None,
+        model_check=model_check(stages) if "model" in needed else None,
         estimates=_estimates(stages, needed, units),
         boundary=_known_points(stages),
         optimum=optimum,
@@ -145,7 +153,7 @@ def _findings(data: SceneData, stages: ExperimentStages, result: ExperimentResul
     Simulating the found device behind the tested walls takes longer than reading all stages.
     """
     device = data.device.model_dump_json() if data.device else ""
-    keys = [stages.key(stage) for stage in sorted(STAGES)]
+    keys = [stages.key(stage) for stage in sorted(NEEDS)]
     key = digest([result.model_dump_json(), device, code_digest("report"), *keys])
     folder = stage_folder(stages.processed, stages.device, stages.experiment)
     stored = json.loads(read_kept(folder, FINDINGS, ".json") or b"{}")
@@ -173,14 +181,14 @@ def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) 
         of = {"delay_samples": "samples", "mass": units.mass, "damping": units.damping}
         return {name: _without(unit, why) for name, unit in of.items()} | {"boundary_area": area}
     return {
-        "delay_samples": stages.delay_estimate,
-        "mass": stages.mass_estimate if "mass" in needed else by_model(stages, "mass"),
-        "damping": stages.damping_estimate,
+        "delay_samples": stages.once(delay_estimate),
+        "mass": stages.once(mass_estimate) if "mass" in needed else by_model(stages, "mass"),
+        "damping": stages.once(damping_estimate),
         "boundary_area": area,
         "friction": by_model(stages, "friction.coulomb"),
         "device_stiffness": by_model(stages, "stiffness"),
         "constant_force": by_model(stages, "constant_force"),
-        "jitter_samples": stages.jitter_estimate,
+        "jitter_samples": jitter_estimate(stages),
     }
 
 

@@ -27,7 +27,8 @@ from pipeline.base.process import process_pool
 from pipeline.base.provenance import __version__, code_digest, digest
 from pipeline.measured.signal.verdict import Verdict
 from pipeline.measured.stages.measured_trial import MeasuredTrial, MeasuredTrials
-from pipeline.measured.stages.stages import STAGES, ExperimentStages
+from pipeline.measured.stages.stage_needs import NEEDS
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.trials import Trials
 from pipeline.store.objects import is_url, opened, origin, publish, renewed
 
@@ -61,7 +62,7 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
     small = [e for e in waiting if all(e is not other for other in large)]
     if not large and len(small) < 2:
         return
-    wanted = sorted(needed, key=list(STAGES).index)
+    wanted = sorted(needed, key=list(NEEDS).index)
     load_compiled(*COMPILED)
     with single_processes(processors if large else min(len(small), processors)) as pools:
         try:
@@ -111,7 +112,7 @@ def job_of(experiment: ExperimentStages, needed: Collection[str]) -> StageJob:
     """Return the job of computing some stages of an experiment."""
     place = origin(experiment.processed)
     place = place if is_url(place) else str(Path(place).absolute())
-    wanted = tuple(sorted(needed, key=list(STAGES).index))
+    wanted = tuple(sorted(needed, key=list(NEEDS).index))
     return StageJob(place, experiment.device, experiment.experiment, experiment.spring, wanted, _code())
 
 

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from pipeline.base.errors import ParameterError
 from pipeline.device.loop import Loop
 from pipeline.device.parts import LoopTable
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.findings import BoundaryPoint, Estimate, holds
 from pipeline.records.results import ExperimentResult, SourcedLoop, Truth, TruthHeld
 from pipeline.simulation.simulate import age_in_force

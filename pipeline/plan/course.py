@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from math import floor, inf, log10
 from pathlib import Path
 from typing import Literal
@@ -24,7 +24,7 @@ from pipeline.measured.law.wall_law import wall_law
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.stages.measured_trial import MeasuredTrial
 from pipeline.measured.stages.stage_device import device_row, recording, recording_findings, usable_recordings
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.measured.student import NORMAL_95
 from pipeline.plan.loop_limits import NARROW, StepTrial, damping_of_stiffest, limits_of, linear_limits, lowest_limits
 from pipeline.plan.next_wall import Forecast, Tried
@@ -416,8 +416,8 @@ def learn(trials: Trials, count: int, known: Learnt | None, look: Look) -> Learn
         return known
     if found.unidentifiable & {"mass", "delay_samples"}:
         return Learnt(choice, None, looked)
-    row = device_row(found, float(np.abs(trials.step).max(initial=0.0))) | {"remedy": Recorded.of(recordings).remedy()}
-    device = loop_of_row(row, float(np.median(trials.sampling_period_s)))
+    row = device_row(found, Recorded.of(recordings).remedy(), float(np.abs(trials.step).max(initial=0.0)))
+    device = loop_of_row(asdict(row), float(np.median(trials.sampling_period_s)))
     # a filter shows most where there is most damping
     most = spread[int(np.argmax(spread.damping))]
     velocity = known.device.velocity if known is not None and known.device is not None else None

@@ -12,7 +12,8 @@ from typing import Any
 import pyarrow as pa
 
 from pipeline.base.process import without_pandas
-from pipeline.records.criteria import FAMILIES, MEASURED, Criterion, criterion_of, members
+from pipeline.records.criteria import MEASURED, Criterion, criterion_of
+from pipeline.records.stage_records import ROWS, columns_of
 
 without_pandas(pa)
 
@@ -184,14 +185,6 @@ COLUMNS: dict[str, Column] = {
     "undecided": _same(_I, "", "undecided ones of them below the largest stable stiffness"),
 }
 
-_BESIDE = {
-    "overshoot": ("overshoot_floor",),
-    "energy": (*(name for pair in zip(_BIASES, _TAILS, strict=True) for name in pair), "horizon_samples"),
-}
-"""Columns of a cost stage beside those of the costs."""
-
-_TRIAL = "trial_id samples_sha256 stiffness damping"
-
 _NAMES = {
     "trials": """
         trial_id label device experiment motion stiffness damping step sampling_period_s added_delay_samples grip
@@ -200,27 +193,13 @@ _NAMES = {
         time_s command position force velocity raw_time raw_count""",
     "corrections": """trial_id label device experiment source_path source_sha256 exclusion_reason excluded_since
         moved_device moved_experiment deleted corrected_ns""",
-    "response": f"""{_TRIAL} verdict reason growth_per_s edge_row position_start
-        position_final_expected position_final_measured sensor_quantum sensor_noise findings""",
-    "wall_law": f"""{_TRIAL} law_residual law_rounding law_codes law_evidence law_rows
-        obeyed_stiffness obeyed_damping obeyed_step velocity_filter""",
-    "outcome": f"{_TRIAL} outcome evidence outcome_row band amplitude_end",
-    "device": """parameter_names parameter_values covariance parts mode_sensor unidentifiable bound_names bound_values
-        scatter_names scatter_values fold_values combination_codes combination_members combination_values
-        combination_units combination_remedies jitter jitter_error fitted_trials explained fit_percent saturated
-        largest_command largest_step travel remedy reason""",
-    "model": f"""{_TRIAL} model_mass model_mass_error model_damping model_damping_error model_delay model_delay_error
-        reason""",
-    "delay": f"{_TRIAL} first_change_samples reason",
-    "mass": f"{_TRIAL} mass_momentum reason",
-    **{
-        name: " ".join((_TRIAL, *(c for m in members(family) for c in _cost(m)), *_BESIDE.get(name, ()), "reason"))
-        for name, family in FAMILIES.items()
-    },
-    "boundary": "damping stable unstable censored estimate low high trials undecided",
 }
 
-TABLES: dict[str, tuple[str, ...]] = {table: tuple(names.split()) for table, names in _NAMES.items()}
+TABLES: dict[str, tuple[str, ...]] = {
+    **{table: tuple(names.split()) for table, names in _NAMES.items()},
+    **{stage: columns_of(stage) for stage in ROWS},
+}
+"""Columns of each table; those of a stage are the fields of its record."""
 
 SAMPLES = ("time_s", "command", "position", "force", "velocity", "raw_time", "raw_count")
 """Columns of the trials table that hold a list of samples."""

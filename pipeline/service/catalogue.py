@@ -24,7 +24,8 @@ import pyarrow as pa
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import digest
 from pipeline.device_data.devices import declared_spring, known_devices
-from pipeline.measured.stages.stages import ExperimentStages, cost_column
+from pipeline.measured.stages.stage_needs import cost_column
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.criteria import REPORTED
 from pipeline.records.findings import FINDINGS, Finding
 from pipeline.records.tables import LOCATION
@@ -69,7 +70,7 @@ _READ = (
 COSTS = {
     f"{c}{end}": (cost_column(c)[0], f"{cost_column(c)[1]}{end}") for c in REPORTED for end in ("", "_low", "_high")
 }
-STAGES = ("response", "outcome", *sorted({stage for stage, _ in COSTS.values()}))
+NEEDS = ("response", "outcome", *sorted({stage for stage, _ in COSTS.values()}))
 SORTS = ("id", *WORDS, "stiffness", "damping", "recorded", "uploader", *REPORTED)
 SORTED = (*SORTS, *(f"-{name}" for name in SORTS))
 """Orders of trials: rising, and falling."""
@@ -303,7 +304,7 @@ class Catalogue:
                 concerned.setdefault(place, []).append(one.model_dump())
         signs = {}
         for place, own in places.items():
-            files = [*own, *(stage_file(self.processed, *place, stage) for stage in STAGES)]
+            files = [*own, *(stage_file(self.processed, *place, stage) for stage in NEEDS)]
             signs[place] = digest([[_sign(file) for file in files if file], concerned.get(place), whole])
         known = {(row["device"], row["experiment"]): row["sign"] for row in self._run("SELECT * FROM parts")}
         state = digest([sorted(signs.items()), self.database.all_words()])
@@ -342,7 +343,7 @@ class Catalogue:
             spring = declared_spring(known_devices().get(device), experiment)
             used, excluded = split_trials(stored, read_exclusions(self.processed))
             stages = ExperimentStages(self.processed, device, experiment, used, excluded, spring)
-            found = {stage: stages.table(stage) for stage in STAGES if stages.is_stored(stage)}
+            found = {stage: stages.table(stage) for stage in NEEDS if stages.is_stored(stage)}
         except StoreError as error:
             return [], str(error)
         ids, paths = (stored.column(name).to_pylist() for name in ("trial_id", "source_path"))

@@ -23,7 +23,8 @@ from pipeline.comparison.stage_pool import compute_stages
 from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.intake.ingest import ingest
 from pipeline.intake.kept import StoredSources
-from pipeline.measured.stages.stages import STAGES, ExperimentStages
+from pipeline.measured.stages.stage_needs import NEEDS
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.plan.course import Wish
 from pipeline.plan.planner import plan
 from pipeline.records.findings import Note
@@ -149,7 +150,7 @@ def _computed(settings: Settings, place: tuple[str, str], failed: dict[str, str]
         with nullcontext() if verdicts else writing(own, LONGEST_S):
             data = open_scene(place[0], settings.processed, [place[1]], None)
             (stages,) = data.experiments
-            needed = ("response", "outcome") if verdicts else sorted(needed_stages(data), key=list(STAGES).index)
+            needed = ("response", "outcome") if verdicts else sorted(needed_stages(data), key=list(NEEDS).index)
             if all(stages.is_stored(stage) for stage in needed):
                 return False
             compute_stages([stages], needed)

@@ -17,7 +17,8 @@ from pipeline.comparison.stage_pool import compute_stages
 from pipeline.device_data.devices import known_devices
 from pipeline.device_data.published import HumanArm
 from pipeline.device_data.published import human_arms as all_arms
-from pipeline.measured.stages.stages import ExperimentStages, cost_column
+from pipeline.measured.stages.stage_needs import cost_column
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.criteria import MEASURED
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.frames import MOTIONS, boundary_frame, estimates_frame, frame_of, optima_frame, units_of

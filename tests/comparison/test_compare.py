@@ -73,7 +73,7 @@ def nothing_is_computed(monkeypatch):
     """Call it: from then on reading a log, computing a stage or an optimum, and drawing fail."""
 
     def forbid():
-        monkeypatch.setattr(stage_tables.StageTables, "_computed", refuse)
+        monkeypatch.setattr(stage_tables.ExperimentStages, "_computed", refuse)
         monkeypatch.setattr(stage_tables, "load_trials", refuse)
         monkeypatch.setattr(predictions, "optimal_point", refuse)
         monkeypatch.setattr(comparison, "write_report", refuse)
@@ -269,7 +269,7 @@ def test_a_damaged_document_beside_the_report_is_written_anew(own, change):
 def test_a_missing_report_is_written_again_without_computing_stages(own, monkeypatch):
     outcome = run(own)
     outcome.report.unlink()
-    monkeypatch.setattr(stage_tables.StageTables, "_computed", refuse)
+    monkeypatch.setattr(stage_tables.ExperimentStages, "_computed", refuse)
     monkeypatch.setattr(predictions, "optimal_point", refuse)
     assert actions(run(own))["report"] == RUN
     assert outcome.report.is_file()

@@ -21,7 +21,7 @@ from pipeline.comparison.stage_pool import compute_stages
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages import stage_tables
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.store import objects
 from pipeline.store.objects import opened, stored_by
 from pipeline.store.storage import list_experiments

@@ -13,7 +13,7 @@ from pipeline.base.errors import StoreError
 from pipeline.comparison.executors import executor_of
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.store.objects import Objects, opened
 from pipeline.store.storage import list_experiments, read_trials
 

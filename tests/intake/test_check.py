@@ -11,7 +11,7 @@ from stored import check_whole, flip, merge_all
 from pipeline.comparison.compare import compare
 from pipeline.intake.check import check
 from pipeline.intake.ingest import ingest
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.store import batch_files
 from pipeline.store.corrections import exclude, use_again
 from pipeline.store.samples import load_trials

@@ -20,7 +20,7 @@ from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.check import check
 from pipeline.intake.ingest import ingest
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.rendering.report.report_against import render
 from pipeline.rendering.report.report_parts import take_apart
 from pipeline.shell.cli import application

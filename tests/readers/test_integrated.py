@@ -7,7 +7,8 @@ import pytest
 
 from pipeline.base.errors import ProfileError
 from pipeline.intake.ingest import ingest
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.experiment.estimates import mass_estimate
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.profiles.profile_files import load_profile
 from pipeline.shell.profile.check import check_lines, check_samples
 from pipeline.store.samples import load_trials
@@ -70,7 +71,7 @@ def test_the_difference_of_an_encoder_gives_its_positions_again(tmp_path):
     (extra,) = stages.trials.column("extra").to_pylist()
     assert '"integrated": "difference"' in extra
     # friction may have held any constant force before one step: only its sum with the command is told
-    assert "record steps of two sizes" in stages.mass_estimate.reason
+    assert "record steps of two sizes" in mass_estimate(stages).reason
 
 
 @pytest.mark.slow
@@ -81,7 +82,7 @@ def test_two_sizes_of_a_step_tell_the_inertia_by_integrated_speeds(tmp_path):
         (tmp_path / str(size)).mkdir()
         profile = PROFILE.replace("step = 0.06", f"step = {0.06 * size}")
         stored(tmp_path / str(size), profile, np.diff(read, prepend=0.0) / T, size * u, processed=tmp_path / "both")
-    mass = ExperimentStages.stored(tmp_path / "both", "motor", "1").mass_estimate
+    mass = mass_estimate(ExperimentStages.stored(tmp_path / "both", "motor", "1"))
     assert mass.low < J < mass.high
     assert mass.value == pytest.approx(J, rel=2e-3)
 

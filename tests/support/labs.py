@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pipeline.comparison.compare import Outcome, compare
 from pipeline.intake.ingest import ingest
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.models import Device
 from pipeline.simulation.course import Course, run_course, write_course
 from pipeline.store.storage import read_trials

@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.comparison.scene.scene import SceneData, layouts
 from pipeline.comparison.scores.deviation import FEWEST, smooth_of
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.criteria import OVERSHOOT, criterion_of
 from pipeline.records.findings import Optimum
 from pipeline.records.results import ExperimentResult

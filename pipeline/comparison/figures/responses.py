@@ -17,7 +17,7 @@ from pipeline.comparison.scene.scene import SceneData
 from pipeline.measured.law.log_rows import LogRows
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.stages.measured_trial import MeasuredTrial
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.measured.thesis import first_change
 from pipeline.records.models import Motion
 from pipeline.records.results import ExperimentResult

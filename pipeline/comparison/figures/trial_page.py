@@ -20,7 +20,8 @@ from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.device.loop import Loop
 from pipeline.measured.signal.outcome import OUTCOMES
 from pipeline.measured.stages.measured_trial import MeasuredTrial
-from pipeline.measured.stages.stages import ExperimentStages, cost_column
+from pipeline.measured.stages.stage_needs import cost_column
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.plan.loop_limits import StepTrial, simulate_behind
 from pipeline.records.criteria import CRITERIA, criterion_of
 from pipeline.records.results import ExperimentResult

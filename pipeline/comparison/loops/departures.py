@@ -17,7 +17,7 @@ from pipeline.measured.experiment.identified_loop import FEWEST_LOGS, MOST
 from pipeline.measured.law.velocity_filter import VelocityFilterFound
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.stages.measured_trial import MeasuredTrial
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.findings import MATTERS
 from pipeline.records.results import Cause
 from pipeline.records.trials import Floats

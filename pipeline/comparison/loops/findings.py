@@ -30,7 +30,7 @@ from pipeline.comparison.loops.wall_replay import (
     wall_replay,
 )
 from pipeline.device.loop import Loop
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.plan.loop_limits import limits_of
 from pipeline.records.findings import Quantity
 from pipeline.records.models import Device, Experiment

@@ -6,7 +6,7 @@ from pathlib import PurePath
 
 from pipeline.base.wording import counted
 from pipeline.measured.stages.stage_device import recording_findings
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.findings import Finding, are_unsafe
 from pipeline.records.results import Cause, RecordingFault
 

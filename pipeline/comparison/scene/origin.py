@@ -15,7 +15,7 @@ from pipeline.base.paths import path_of_text
 from pipeline.base.provenance import __version__, digest, sha256
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.device_data.devices import digest_of
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.criteria import REPORTED
 from pipeline.records.findings import ExcludedTrial
 from pipeline.records.results import HeaderLine, LogList

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 from pipeline.base.errors import DeviceError, StoreError, UsageError
 from pipeline.device_data.devices import declared_spring, known_devices
-from pipeline.measured.stages.stages import STAGES, ExperimentStages, required
+from pipeline.measured.stages.stage_needs import NEEDS, required
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.criteria import CRITERIA, FAMILIES, MEASURED, REPORTED, criterion_of, members
 from pipeline.records.models import Device, Motion, Scene, Shown, TableLayout
 from pipeline.records.results import Truth
@@ -165,7 +166,7 @@ def plan_measured(data: SceneData) -> list[PlannedStage]:
     needed = needed_stages(data)
     plan = []
     for experiment in data.experiments:
-        for stage in STAGES:
+        for stage in NEEDS:
             name = f"{experiment.experiment}: {stage}"
             if stage not in needed:
                 plan += [PlannedStage(name, LEAVE_OUT, _LEFT_OUT[stage])] if stage in _LEFT_OUT else []

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.criteria import DISCRETE, criterion_of
 from pipeline.records.findings import MATTERS, Optimum
 from pipeline.records.models import Deviation

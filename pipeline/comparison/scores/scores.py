@@ -11,7 +11,7 @@ from pipeline.comparison.limits import MeasuredLimits, Overlap, Stretches, measu
 from pipeline.comparison.loops.departures import other_gains
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import boundary_distance, verdict_agreement
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.results import ExperimentResult, RegionScore, Scores, StiffnessScore
 from pipeline.records.trials import Floats
 from pipeline.theory.boundary import is_inside

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.comparison.limits import NARROW, MeasuredLimits, measured_limits
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.findings import Optimum
 from pipeline.records.results import STIFFEST, CostRange, ExperimentResult, UsePoint, UseRegion
 from pipeline.records.trials import Booleans, Floats

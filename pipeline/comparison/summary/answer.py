@@ -22,7 +22,7 @@ from pipeline.comparison.summary.summary_warnings import NEEDED
 from pipeline.measured.experiment.boundary import spread_over_plane
 from pipeline.measured.identification.identifiability import Recorded
 from pipeline.measured.stages.stage_device import recording
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.plan.course import TRIALS, Wish, course_of
 from pipeline.plan.planner import NOTES, plan_of
 from pipeline.records.findings import DRIFTS, MATTERS

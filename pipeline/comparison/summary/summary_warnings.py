@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.loop.normalised_loop import LARGEST_DELAY
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.criteria import ENERGY, members
 from pipeline.records.findings import DRIFTS
 from pipeline.records.models import Device

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from pipeline.measured.signal.response import SETTLED_SAMPLES, Response, reach
 from pipeline.measured.signal.verdict import Verdict
 from pipeline.measured.student import CONFIDENCE, NORMAL_95
 from pipeline.records.criteria import OVERSHOOT, RISE_LEVELS, SETTLING_BANDS
+from pipeline.records.stage_records import CostRow, OvershootRow, RiseRow, SettlingRow
 from pipeline.records.trials import Floats, Trial
 
 TAIL = 0.5 * (1 - CONFIDENCE)
@@ -287,33 +287,77 @@ def _reached(share: Floats, level: float) -> float:
     return index - 1 + (level - before) / (after - before)
 
 
-Columns = dict[str, Any]
+@dataclass(frozen=True)
+class ReadingInputs:
+    """What the errors of the readings of a trial take from the whole experiment.
 
-Measure = Callable[[Trial, Response, Verdict, ReadingError, Mapping[str, Any]], Columns]
-"""Columns of `pipeline.records.tables` by name, from a trial, its response, verdict and reading error, and what the
-experiment gives: ``delay`` [samples], and where needed also ``delay_range``, ``mass`` and ``mass_error``."""
+    Parameters
+    ----------
+    delay : int
+        Samples up to which nothing is fed back.
+    sensor : float, optional
+        Standard deviation of the error of one reading [m, rad], None where it is not known.
+    gain : float
+        `usual_gain` of the trials.
+    spring : float
+        Stiffness k [N/m, Nm/rad] that acts on the device.
+    """
+
+    delay: int
+    sensor: float | None
+    gain: float
+    spring: float
 
 
-def _columns(costs: Mapping[str, Cost], **more: float) -> Columns:
-    """Return the columns that store some costs."""
-    columns: Columns = {**more, "reason": joined(*(cost.reason for cost in costs.values()))}
-    for name, cost in costs.items():
-        columns |= {name: cost.value, f"{name}_low": cost.low, f"{name}_high": cost.high}
-    return columns
+@dataclass(frozen=True)
+class CostInputs:
+    """What costs of a trial take from the whole experiment.
+
+    Parameters
+    ----------
+    readings : ReadingInputs
+    delay_range : tuple of int, optional
+        Smallest and largest integer delay factor, for costs that are counted from the delay on.
+    mass, mass_error : float
+        Mass or inertia that the wall feels, and its standard error [kg, kg m^2]; 0 for costs that need none.
+    """
+
+    readings: ReadingInputs
+    delay_range: tuple[int, int] | None = None
+    mass: float = 0.0
+    mass_error: float = 0.0
 
 
-def _settling(trial: Trial, response: Response, verdict: Verdict, error: ReadingError, given: Any) -> Columns:
-    return _columns(settling(trial, response, verdict, given["delay"], error, delay_range=tuple(given["delay_range"])))
+Measure = Callable[[Trial, Response, Verdict, ReadingError, CostInputs], CostRow]
+"""Stored costs of a family of a trial, from its response, verdict and reading error."""
 
 
-def _overshoot(trial: Trial, response: Response, verdict: Verdict, error: ReadingError, _: Any) -> Columns:
+def _columns(costs: Mapping[str, Cost]) -> dict[str, float]:
+    """Return the columns that store costs, by the columns' names."""
+    return {
+        f"{name}{end}": value
+        for name, cost in costs.items()
+        for end, value in (("", cost.value), ("_low", cost.low), ("_high", cost.high))
+    }
+
+
+def settling_row(
+    trial: Trial, response: Response, verdict: Verdict, error: ReadingError, inputs: CostInputs
+) -> SettlingRow:
+    """Return the settling times of a trial as they are stored."""
+    costs = settling(trial, response, verdict, inputs.readings.delay, error, delay_range=inputs.delay_range)
+    return SettlingRow(**_columns(costs), reason=joined(*(cost.reason for cost in costs.values())))
+
+
+def overshoot_row(
+    trial: Trial, response: Response, verdict: Verdict, error: ReadingError, _: CostInputs
+) -> OvershootRow:
+    """Return the overshoot of a trial as it is stored."""
     cost = overshoot(trial, response, verdict, error)
-    return _columns({"overshoot": cost}, overshoot_floor=overshoot_floor(trial, response))
+    return OvershootRow(cost.value, cost.low, cost.high, overshoot_floor(trial, response), cost.reason)
 
 
-def _rise(trial: Trial, response: Response, verdict: Verdict, error: ReadingError, _: Any) -> Columns:
-    return _columns({"rise_time": rise_time(trial, response, verdict, error)})
-
-
-BY_FAMILY: dict[str, Measure] = {"settling": _settling, "overshoot": _overshoot, "rise": _rise}
-"""What computes the costs of a family, but for the energies, which need the mass."""
+def rise_row(trial: Trial, response: Response, verdict: Verdict, error: ReadingError, _: CostInputs) -> RiseRow:
+    """Return the rise time of a trial as it is stored."""
+    cost = rise_time(trial, response, verdict, error)
+    return RiseRow(cost.value, cost.low, cost.high, cost.reason)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import numpy as np
 
 from pipeline.base.compiled import compiled
 from pipeline.base.errors import ParameterError
-from pipeline.measured.cost.costs import cost_start, delay_bounds
+from pipeline.measured.cost.costs import CostInputs, cost_start, delay_bounds
 from pipeline.measured.cost.reading_error import ReadingError
 from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.sensor import AT_REST
@@ -19,6 +18,7 @@ from pipeline.measured.signal.verdict import Verdict
 from pipeline.measured.student import NORMAL_95
 from pipeline.records.criteria import ENERGY, members
 from pipeline.records.findings import ROUNDING
+from pipeline.records.stage_records import EnergyRow
 from pipeline.records.trials import Floats, Trial
 
 WEIGHTS = tuple(sorted({c.weight for c in members(ENERGY)}))
@@ -247,16 +247,18 @@ def energy_interval(
     return EnergyInterval(value, low, high, bias, tail, horizon, reason)
 
 
-def energy(trial: Trial, response: Response, verdict: Verdict, error: ReadingError, given: Any) -> dict[str, Any]:
-    """Return the energies of a trial with their intervals as columns, as a family of costs (`costs.Measure`)."""
-    inputs = EnergyInputs(given["delay"], given["mass"], given["mass_error"], tuple(given["delay_range"]))
-    cost = energy_interval(trial, response, verdict, error, inputs)
+def energy_row(
+    trial: Trial, response: Response, verdict: Verdict, error: ReadingError, inputs: CostInputs
+) -> EnergyRow:
+    """Return the energies of a trial with their intervals as they are stored."""
+    known = EnergyInputs(inputs.readings.delay, inputs.mass, inputs.mass_error, inputs.delay_range)
+    cost = energy_interval(trial, response, verdict, error, known)
     parts = {"": cost.value, "_low": cost.low, "_high": cost.high, "_bias": cost.bias, "_tail": cost.tail}
-    return {
+    return EnergyRow(
         **{f"{c.column}{part}": float(values[c.weight]) for c in members(ENERGY) for part, values in parts.items()},
-        "horizon_samples": cost.horizon_samples or np.nan,
-        "reason": cost.reason,
-    }
+        horizon_samples=cost.horizon_samples or np.nan,
+        reason=cost.reason,
+    )
 
 
 @compiled("Tuple((f8[:, ::1], f8[:, ::1]))(f8[::1], f8[::1], f8[::1], f8[::1], f8, f8)")

@@ -6,13 +6,14 @@ by the code.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
+from pipeline.measured.cost.costs import ReadingInputs
 from pipeline.measured.cost.reading_error import ReadingError, reading_error
 from pipeline.measured.law.sample_grid import SampleGrid, sample_grid
 from pipeline.measured.law.stamps import even
@@ -23,37 +24,10 @@ from pipeline.recording.check import check_trial
 from pipeline.records.findings import Finding
 from pipeline.records.trials import Trial, Trials
 
-Given = Mapping[str, Any]
-"""Values of the whole experiment by name, as JSON holds them."""
-
-Columns = dict[str, Any]
-
 Result = TypeVar("Result")
 
 NOT_JUDGED = Verdict("undecided", np.nan, "")
 """Verdict of a trial before the stage that judges it."""
-
-
-@dataclass(frozen=True)
-class ReadingInputs:
-    """What the errors of the readings of a trial take from the whole experiment.
-
-    Parameters
-    ----------
-    delay : int
-        Samples up to which nothing is fed back.
-    sensor : float, optional
-        Standard deviation of the error of one reading [m, rad], None where it is not known.
-    gain : float
-        `usual_gain` of the trials.
-    spring : float
-        Stiffness k [N/m, Nm/rad] that acts on the device.
-    """
-
-    delay: int
-    sensor: float | None
-    gain: float
-    spring: float
 
 
 @dataclass(frozen=True, eq=False)

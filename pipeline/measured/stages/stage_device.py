@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -18,9 +18,9 @@ from pipeline.measured.identification.intervals import with_delay
 from pipeline.measured.identification.recordings import SHORTEST, Recording
 from pipeline.measured.identification.scatter import FEWEST
 from pipeline.measured.identification.segments import GAP
-from pipeline.measured.stages.measured_trial import Columns, MeasuredTrial
+from pipeline.measured.stages.measured_trial import MeasuredTrial
 from pipeline.records.findings import Finding, unsafe_reason
-from pipeline.records.tables import TABLES
+from pipeline.records.stage_records import DeviceRow, ModelRow
 from pipeline.records.trials import Trial
 
 MOST_ROWS = 600
@@ -82,38 +82,37 @@ def recording_findings(of: Experiment) -> list[list[Finding]]:
     ]
 
 
-def device(of: Experiment) -> Columns:
+def device(of: Experiment) -> list[DeviceRow]:
     """Return the one row of the stage `device`."""
     found, words = of.once(identification)
-    row: dict[str, Any] = {"reason": words}
-    if found is not None:
-        limit = found.parameters["force_limit"].value if "force_limit" in found.parameters else np.inf
-        more = {"remedy": words, "saturated": _saturated(of, limit)}
-        row = device_row(found, float(np.abs(of.samples.step).max(initial=0.0))) | more
-    return {name: [row.get(name)] for name in TABLES["device"]}
+    if found is None:
+        return [DeviceRow(reason=words)]
+    limit = found.parameters["force_limit"].value if "force_limit" in found.parameters else np.inf
+    row = device_row(found, words, float(np.abs(of.samples.step).max(initial=0.0)))
+    return [replace(row, saturated=_saturated(of, limit))]
 
 
-def model(of: Experiment) -> Columns:
+def model(of: Experiment) -> list[ModelRow]:
     """Return what each trial says alone of mass, damping and delay: a step from the common ones."""
     found, reason = of.once(identification)
-    ids = of.texts("response", "trial_id")
-    columns: Columns = {name: of.column("response", name) for name in ("stiffness", "damping")}
-    columns |= {name: of.texts("response", name) for name in ("trial_id", "samples_sha256")}
+    ids, samples = (of.texts("response", name) for name in ("trial_id", "samples_sha256"))
+    walls = zip(*(of.column("response", name).tolist() for name in ("stiffness", "damping")), strict=True)
     own = {} if found is None else own_numbers(found)
     fitted = set(ids) if found is None else set(found.names)
     if found is not None:
         few = f"with fewer than {FEWEST} logs none is told apart from the others"
         reason = few if found.choice.fit.few else "its motion tells none of them alone"
-    for place, name in enumerate(name for name in TABLES["model"] if name.startswith("model_")):
-        columns[name] = [own[trial][place] if trial in own else None for trial in ids]
-    columns["reason"] = [
-        None if trial in own else reason if trial in fitted else "left out: its command is not that which moves it"
-        for trial in ids
-    ]
-    return columns
+    rows = []
+    for trial, digest, (stiffness, damping) in zip(ids, samples, walls, strict=True):
+        numbers: Sequence[float | None] = own.get(trial, [None] * 6)
+        m, m_error, b, b_error, d, d_error = numbers
+        why = reason if trial in fitted else "left out: its command is not that which moves it"
+        words = None if trial in own else why
+        rows.append(ModelRow(trial, digest, stiffness, damping, m, m_error, b, b_error, d, d_error, words))
+    return rows
 
 
-def device_row(found: Identification, largest_step: float) -> dict[str, Any]:
+def device_row(found: Identification, remedy: str, largest_step: float) -> DeviceRow:
     """Return what logs identify as the stage stores it; ``largest_step`` of their headers [N, Nm], 0 for none."""
     # an interval may be wider than the likelihood alone says
     errors = np.array([each.error for each in found.parameters.values()])
@@ -126,33 +125,34 @@ def device_row(found: Identification, largest_step: float) -> dict[str, Any]:
     parts, mode_sensor = parts_of(found.parts)
     intervals = [each.interval for each in found.combinations]
     noise, bounds = found.choice.fit.device.noise, found.choice.bounds
-    return {
-        "parameter_names": [*values],
-        "parameter_values": [*values.values()],
-        "covariance": covariance.ravel(),
-        "parts": parts,
-        "mode_sensor": mode_sensor,
-        "unidentifiable": sorted(unknown),
-        "bound_names": [*bounds],
-        "bound_values": [*bounds.values()],
-        "scatter_names": [*found.scatter],
-        "scatter_values": [*found.scatter.values()],
-        "fold_values": [fold.get(name, 0.0) for fold in found.folds for name in values],
-        "combination_codes": [each.code for each in found.combinations],
-        "combination_members": [",".join(each.members) for each in found.combinations],
-        "combination_values": [value for each in intervals for value in (each.value, each.low, each.high, each.error)],
-        "combination_units": [each.unit for each in found.combinations],
-        "combination_remedies": [each.record for each in found.combinations],
-        "jitter": noise.jitter,
-        "jitter_error": noise.jitter_error,
-        "fitted_trials": found.names,
-        "explained": found.explained,
-        "fit_percent": found.fit_percent,
-        "saturated": 0.0,
-        "largest_command": found.units.command,
-        "largest_step": largest_step or found.units.command,
-        "travel": found.units.position,
-    }
+    return DeviceRow(
+        parameter_names=[*values],
+        parameter_values=[*values.values()],
+        covariance=covariance.ravel().tolist(),
+        parts=parts,
+        mode_sensor=mode_sensor,
+        unidentifiable=sorted(unknown),
+        bound_names=[*bounds],
+        bound_values=[*bounds.values()],
+        scatter_names=[*found.scatter],
+        scatter_values=[*found.scatter.values()],
+        fold_values=[fold.get(name, 0.0) for fold in found.folds for name in values],
+        combination_codes=[each.code for each in found.combinations],
+        combination_members=[",".join(each.members) for each in found.combinations],
+        combination_values=[value for each in intervals for value in (each.value, each.low, each.high, each.error)],
+        combination_units=[each.unit for each in found.combinations],
+        combination_remedies=[each.record for each in found.combinations],
+        jitter=noise.jitter,
+        jitter_error=noise.jitter_error,
+        fitted_trials=found.names,
+        explained=found.explained,
+        fit_percent=found.fit_percent,
+        saturated=0.0,
+        largest_command=found.units.command,
+        largest_step=largest_step or found.units.command,
+        travel=found.units.position,
+        remedy=remedy,
+    )
 
 
 def _saturated(of: Experiment, limit: float) -> float:

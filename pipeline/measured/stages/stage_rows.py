@@ -1,102 +1,97 @@
-"""What each stage makes of an experiment: the row of a trial, or columns of the whole; the table of them is `stages`.
-
-A stage of trials returns where its columns are found: records that have the columns' names, and a mapping of the rest.
-What is stored of it is declared once, in `records.tables`: by that each column is found, and a negative row or count
-and an empty text are null.
-"""
+"""What each stage measures: a row of a trial, or rows of the whole experiment; the table of stages is `stages`."""
 
 from __future__ import annotations
 
 import json
-from collections import ChainMap
-from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from pipeline.measured import thesis
-from pipeline.measured.cost.costs import Measure, joined
+from pipeline.measured.cost.costs import CostInputs, Measure, ReadingInputs, joined
 from pipeline.measured.cost.reading_error import as_known, gain_at_rest, sensor_error, usual_gain
 from pipeline.measured.experiment.boundary import boundary_band
 from pipeline.measured.experiment.estimates import by_model, delay_factor, first_change, standard_error
 from pipeline.measured.experiment.rest_forces import rest_spring
 from pipeline.measured.experiment.stored import Experiment
-from pipeline.measured.signal import outcome, verdict
 from pipeline.measured.signal.disturbance import PushResponse, fit_push_response
 from pipeline.measured.signal.events import usual_length
+from pipeline.measured.signal.outcome import classify
 from pipeline.measured.signal.response import NO_ROW
 from pipeline.measured.signal.sensor import sensor_floor
-from pipeline.measured.stages.measured_trial import Columns, Given, MeasuredTrial, ReadingInputs
-from pipeline.records.tables import COLUMNS, TABLES
-
-Sources = Sequence[object]
-"""Where the columns of a stage are found: records with fields of their names, and dictionaries."""
-
-OF_TRIAL = ("trial_id", "samples_sha256", "stiffness", "damping")
-"""Columns by which the rows of all stages are known."""
-
-
-def stage_row(
-    of: MeasuredTrial, stage: str, columns: Callable[[MeasuredTrial, Given], Sources], given: Given
-) -> Columns:
-    """Return the row of a stage for a trial, but for the columns by which the trial is known."""
-    values = ChainMap(*(source if isinstance(source, dict) else vars(source) for source in columns(of, given)))
-    return {name: _stored(name, values[name]) for name in TABLES[stage] if name not in OF_TRIAL}
+from pipeline.measured.signal.verdict import judge
+from pipeline.measured.stages.measured_trial import MeasuredTrial
+from pipeline.measured.stages.stage import Missing, NoInputs
+from pipeline.records.stage_records import (
+    BoundaryRow,
+    CostRow,
+    DelayRow,
+    MassRow,
+    OutcomeRow,
+    ResponseRow,
+    WallLawRow,
+)
 
 
-def _stored(name: str, value: object) -> object:
-    """Return a value in the form in which it is stored."""
-    missing = value == "" or (isinstance(value, int) and value < 0)
-    return None if missing and COLUMNS[name].nullable else value
-
-
-def response(of: MeasuredTrial, given: Given) -> Sources:
+def response(of: MeasuredTrial, _: NoInputs) -> ResponseRow:
     """Return edge, final position, resolution and verdict of a trial."""
-    judged = verdict.judge(of.trial, of.response)
+    judged, shown = judge(of.trial, of.response), of.response
     # whatever it shows, it shows of another wall, or of a wrong recording
-    columns = {
-        "verdict": "undecided" if of.unsafe else judged.verdict,
-        "reason": joined(of.unsafe, judged.reason, of.response.reason),
-        "growth_per_s": np.nan if of.unsafe else judged.growth_per_s,
-        "findings": json.dumps([finding.model_dump() for finding in of.findings]) if of.findings else "",
-    }
-    return columns, of.response
+    return ResponseRow(
+        verdict="undecided" if of.unsafe else judged.verdict,
+        reason=joined(of.unsafe, judged.reason, shown.reason),
+        growth_per_s=np.nan if of.unsafe else judged.growth_per_s,
+        edge_row=shown.edge_row,
+        position_start=shown.position_start,
+        position_final_expected=shown.position_final_expected,
+        position_final_measured=shown.position_final_measured,
+        sensor_quantum=shown.sensor_quantum,
+        sensor_noise=shown.sensor_noise,
+        findings=json.dumps([finding.model_dump() for finding in of.findings]) if of.findings else "",
+    )
 
 
-def wall_law(of: MeasuredTrial, given: Given) -> Sources:
+def wall_law(of: MeasuredTrial, _: NoInputs) -> WallLawRow:
     """Return whether the logged command of a trial obeys the wall law, and why not."""
     law, (stiffness, damping, step) = of.law, of.other_walls.obeyed
-    columns = {
-        "law_residual": law.residual,
-        "law_rounding": law.rounding,
-        "law_codes": ",".join(departure.code for departure in law.departures),
-        "law_evidence": law.evidence,
-        "law_rows": max((departure.rows for departure in law.departures), default=0),
-        "obeyed_stiffness": stiffness,
-        "obeyed_damping": damping,
-        "obeyed_step": step,
-        "velocity_filter": law.filter and json.dumps(asdict(law.filter)),
-    }
-    return (columns,)
+    return WallLawRow(
+        law_residual=law.residual,
+        law_rounding=law.rounding,
+        law_codes=",".join(departure.code for departure in law.departures),
+        law_evidence=law.evidence,
+        law_rows=max((departure.rows for departure in law.departures), default=0),
+        obeyed_stiffness=stiffness,
+        obeyed_damping=damping,
+        obeyed_step=step,
+        velocity_filter=json.dumps(asdict(law.filter)) if law.filter else "",
+    )
 
 
-def given_to_outcome(of: Experiment) -> Given:
+@dataclass(frozen=True)
+class OutcomeInputs:
+    """What the outcome of a trial takes from the whole experiment: usual rows of a log, and how the device moves."""
+
+    usual_rows: int
+    device: PushResponse
+
+
+def outcome_inputs(of: Experiment) -> OutcomeInputs:
     """Return what the outcome of a trial takes from the whole experiment."""
     quantum, noise = (of.column("response", f"sensor_{name}") for name in ("quantum", "noise"))
     edge = np.nan_to_num(of.column("response", "edge_row"), nan=NO_ROW).astype(np.int64)
     device = fit_push_response(of.samples, edge, sensor_floor(quantum, noise))
-    return {"usual_rows": usual_length(of.samples.rows), "device": asdict(device)}
+    return OutcomeInputs(usual_length(of.samples.rows), device)
 
 
-def outcomes(of: MeasuredTrial, given: Given) -> Sources:
+def outcome(of: MeasuredTrial, inputs: OutcomeInputs) -> OutcomeRow:
     """Return how a trial ended, and what shows it."""
-    device = PushResponse(**given["device"])
-    ended = outcome.classify(of.trial, of.response, of.verdict, given["usual_rows"], device)
-    return ended, {"outcome_row": ended.first_row}
+    ended = classify(of.trial, of.response, of.verdict, inputs.usual_rows, inputs.device)
+    return OutcomeRow(ended.outcome, ended.evidence, ended.first_row, ended.band, ended.amplitude_end)
 
 
-def boundary(of: Experiment) -> Columns:
+def boundary(of: Experiment) -> list[BoundaryRow]:
     """Return the measured boundary, a row a damping, of the trials whose command obeys the stated wall."""
     stated = np.isnan(of.column("wall_law", "obeyed_stiffness"))
     points = boundary_band(
@@ -105,58 +100,84 @@ def boundary(of: Experiment) -> Columns:
         of.verdicts.verdict[stated],
         of.verdicts.growth_per_s[stated],
     )
-    return {name: [getattr(p, name) for p in points] for name in TABLES["boundary"]}
+    return [
+        BoundaryRow(
+            damping=point.damping,
+            stable=point.stable,
+            unstable=point.unstable,
+            censored=point.censored,
+            estimate=point.estimate,
+            low=point.low,
+            high=point.high,
+            trials=point.trials,
+            undecided=point.undecided,
+        )
+        for point in points
+    ]
 
 
-def delays(of: MeasuredTrial, given: Given) -> Sources:
+def delay(of: MeasuredTrial, _: NoInputs) -> DelayRow:
     """Return the delay of a trial by its first position change."""
     change = thesis.first_change(of.trial, of.response)
-    return {"first_change_samples": change.delay_samples}, change
+    return DelayRow(change.delay_samples, change.reason)
 
 
-def given_to_mass(of: Experiment) -> Given:
-    """Return what the momentum balance takes from the whole experiment: the delay that the thesis would take."""
+@dataclass(frozen=True)
+class MassInputs:
+    """What the momentum balance takes from the whole experiment: the delay that the thesis would take [samples]."""
+
+    delay: int
+
+
+def mass_inputs(of: Experiment) -> MassInputs | Missing:
+    """Return what the momentum balance takes from the whole experiment."""
     value = of.once(first_change).value
-    return {"missing": "needs the delay, which is not known"} if value is None else {"delay": int(value)}
+    return Missing(NO_DELAY) if value is None else MassInputs(int(value))
 
 
-def masses(of: MeasuredTrial, given: Given) -> Sources:
+NO_DELAY = "needs the delay, which is not known"
+
+
+def mass(of: MeasuredTrial, inputs: MassInputs) -> MassRow:
     """Return the mass of a trial by the momentum balance."""
-    return (thesis.by_momentum(of.trial, of.response, given["delay"]),)
+    found = thesis.by_momentum(of.trial, of.response, inputs.delay)
+    return MassRow(found.mass_momentum, found.reason)
 
 
-def given_to_costs(of: Experiment) -> Given:
+def cost_inputs(of: Experiment) -> CostInputs:
     """Return what costs take from the whole experiment that need nothing of the device."""
-    return _sensor(of, 0, rest_spring(of))
+    return CostInputs(_reading_inputs(of, 0, rest_spring(of)))
 
 
-def given_to_timed(of: Experiment) -> Given:
+def timed_inputs(of: Experiment) -> CostInputs | Missing:
     """Return what costs take from the whole experiment that are counted from the delay on."""
     factor = of.once(delay_factor)
     if factor is None:
-        return {"missing": "needs the delay, which is not known"}
+        return Missing(NO_DELAY)
     first, samples, last = factor
-    return {**_sensor(of, samples, _spring(of)), "delay_range": (first, last)}
+    return CostInputs(_reading_inputs(of, samples, _spring(of)), (first, last))
 
 
-def given_to_energy(of: Experiment) -> Given:
+def energy_inputs(of: Experiment) -> CostInputs | Missing:
     """Return what energies take from the whole experiment: the mass, too."""
     found = by_model(of, "mass")
     if found.value is None:
-        return {"missing": f"energy needs the mass: {found.reason}"}
-    error = as_known(standard_error(found))
-    return {**of.once(given_to_timed), "mass": as_known(found.value, error), "mass_error": error}
+        return Missing(f"energy needs the mass: {found.reason}")
+    error, timed = as_known(standard_error(found)), of.once(timed_inputs)
+    if isinstance(timed, Missing):
+        return timed
+    return replace(timed, mass=as_known(found.value, error), mass_error=error)
 
 
-def _sensor(of: Experiment, samples: int, spring: float) -> Given:
-    """What a cost and the error of a reading take from all trials: a spring, the sensor, the usual gain."""
+def _reading_inputs(of: Experiment, samples: int, spring: float) -> ReadingInputs:
+    """What the error of a reading takes from all trials: a spring, the sensor, the usual gain."""
     noise, quantum, rows = (of.column("response", name) for name in ("sensor_noise", "sensor_quantum", "edge_row"))
     begun = np.isfinite(rows)
     sensor = sensor_error(noise[begun], quantum[begun], rows[begun].astype(np.int64))
     if not np.isfinite(sensor):
-        return {"delay": samples, "sensor": None, "gain": 1.0, "spring": spring}
+        return ReadingInputs(samples, None, 1.0, spring)
     gain = np.array(of.map_trials(partial(_gain_at_rest, delay=samples, sensor=sensor, spring=spring)))
-    return {"delay": samples, "sensor": sensor, "gain": usual_gain(gain), "spring": spring}
+    return ReadingInputs(samples, sensor, usual_gain(gain), spring)
 
 
 def _gain_at_rest(of: MeasuredTrial, delay: int, sensor: float, spring: float) -> float:
@@ -171,18 +192,17 @@ def _spring(of: Experiment) -> float:
     return max(as_known(k.value, standard_error(k)), 0.0)
 
 
-def costs(of: MeasuredTrial, given: Given, measure: Measure, names: Sequence[str]) -> Sources:
-    """Return the columns of a family of costs for a trial; ``names`` are those of costs that count time.
+def costs(of: MeasuredTrial, inputs: CostInputs, measure: Measure, names: Sequence[str]) -> CostRow:
+    """Return the costs of a family for a trial; ``names`` are those of costs that count time.
 
     Of logs with missing or repeated rows they are counted on the grid of samples, with intervals that include those of
     rows which lie on straight lines.
     """
-    inputs = ReadingInputs(given["delay"], given["sensor"], given["gain"], given["spring"])
-    columns, *others = (
-        measure(read.trial, read.response, of.verdict, read.error, given)
-        for read in of.readings(inputs, on_grid=bool(names))
+    row, *others = (
+        measure(read.trial, read.response, of.verdict, read.error, inputs)
+        for read in of.readings(inputs.readings, on_grid=bool(names))
     )
     ends = {f"{name}_low": np.fmin for name in names} | {f"{name}_high": np.fmax for name in names}
     for other in others:
-        columns |= {end: widest(columns[end], other[end]) for end, widest in ends.items()}
-    return (columns,)
+        row = replace(row, **{end: widest(vars(row)[end], vars(other)[end]) for end, widest in ends.items()})
+    return row

@@ -10,10 +10,10 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, ClassVar, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -21,17 +21,20 @@ import pyarrow as pa
 from pipeline.base.disk import if_writable, write_kept
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import code_digest, digest, stamp
+from pipeline.base.wording import commonest
 from pipeline.device.parameters import Motion
-from pipeline.measured.experiment.stored import Experiment, Verdicts
-from pipeline.measured.law.stamps import EVEN
-from pipeline.measured.signal.verdict import Verdict
-from pipeline.measured.stages.measured_trial import Columns, Given, MapTrials, MeasuredTrial, MeasuredTrials
-from pipeline.measured.stages.stage_rows import OF_TRIAL, Sources, stage_row
+from pipeline.measured.experiment.best_trial import choose_optimum, without_overshoot
+from pipeline.measured.experiment.stored import Verdicts
+from pipeline.measured.stages.stage_needs import NEEDS, SPRUNG, cost_column
+from pipeline.records.criteria import criterion_of
+from pipeline.records.findings import BoundaryPoint, Optimum
+from pipeline.records.stage_records import OF_TRIAL
 from pipeline.records.table_files import parquet_bytes, read_metadata, read_table
-from pipeline.records.tables import TABLES, arrow_schema, to_arrow
+from pipeline.records.tables import COLUMNS, TABLES, arrow_schema, to_arrow
 from pipeline.records.trials import Floats, Trials
 from pipeline.store.samples import in_order, load_trials
 from pipeline.store.storage import (
+    APART,
     TABLE,
     Exclusion,
     read_exclusions,
@@ -40,6 +43,10 @@ from pipeline.store.storage import (
     stage_file,
     stage_folder,
 )
+
+if TYPE_CHECKING:
+    from pipeline.measured.stages.measured_trial import MapTrials, MeasuredTrial
+    from pipeline.measured.stages.stage import TrialStage
 
 SAMPLED = "response"
 """Stage that every scene needs; its result is stored with a hash of the samples."""
@@ -50,36 +57,24 @@ ROW_KEY = "samples_sha256"
 Result = TypeVar("Result")
 
 
-@dataclass(frozen=True)
-class Stage:
-    """What computes a stage.
+def stage_row(of: MeasuredTrial, measure: Callable[[MeasuredTrial, Any], object], inputs: object) -> object:
+    """Return the row of a stage for a trial, as a record of `stage_records`."""
+    return measure(of, inputs)
 
-    Parameters
-    ----------
-    needs : tuple of str
-        Stages whose results it takes.
-    rows : callable, optional
-        Makes the columns of a trial, for a stage with one row a trial.
-    given : callable
-        What the rows take from the whole experiment.
-    whole : callable, optional
-        Makes the columns from the whole experiment, for a stage without a row a trial.
-    sprung : bool
-        Whether the rows take the declared spring of the experiment.
+
+def stored_value(name: str, value: object) -> object:
+    """Return a value of a column in the form in which it is stored: a negative number of rows and no text are null.
+
+    >>> stored_value("edge_row", -1), stored_value("edge_row", 20), stored_value("reason", "")
+    (None, 20, None)
     """
-
-    needs: tuple[str, ...] = ()
-    rows: Callable[[MeasuredTrial, Given], Sources] | None = None
-    given: Callable[[Experiment], Given] = lambda _: {}
-    whole: Callable[[Experiment], Columns] | None = None
-    sprung: bool = False
+    missing = value == "" or (isinstance(value, int) and value < 0)
+    return None if missing and COLUMNS[name].nullable else value
 
 
 @dataclass
-class StageTables:
-    """The tables of the stages of one experiment: what is stored, what is stale, and how to compute it.
-
-    A class made from it says which stages there are.
+class ExperimentStages:
+    """The stages of one experiment: what is stored, what is stale, their tables, and what follows from these.
 
     Parameters
     ----------
@@ -93,8 +88,6 @@ class StageTables:
         Stiffness k [N/m, Nm/rad] of the device that its file declares, 0 for none; see `declared_spring`.
     """
 
-    stages: ClassVar[Mapping[str, Stage]]
-
     processed: Path
     device: str
     experiment: str
@@ -103,6 +96,7 @@ class StageTables:
     spring: float = 0.0
     _tables: dict[str, pa.Table] = field(default_factory=dict)
     _found: dict[Callable[..., Any], Any] = field(default_factory=dict, init=False)
+    _keys: dict[str, str] = field(default_factory=dict, init=False)
 
     @classmethod
     def stored(cls, processed: Path, device: str, experiment: str, spring: float = 0.0) -> Self:
@@ -148,6 +142,8 @@ class StageTables:
     @cached_property
     def _map(self) -> MapTrials:
         """Maps functions over the trials: in this process, unless a stage is computed in others."""
+        from pipeline.measured.stages.measured_trial import MeasuredTrials
+
         return MeasuredTrials(self.samples)
 
     def once(self, function: Callable[[Any], Result]) -> Result:
@@ -161,6 +157,8 @@ class StageTables:
         self, function: Callable[[MeasuredTrial], Result], places: Sequence[int] | None = None
     ) -> list[Result]:
         """Return the result of a function of each trial, or of those at some places, in this order."""
+        from pipeline.measured.signal.verdict import Verdict
+
         places = range(len(self.samples)) if places is None else places
         columns = self.verdicts.verdict, self.verdicts.growth_per_s, self.verdicts.reason
         judged = [Verdict(str(columns[0][place]), float(columns[1][place]), columns[2][place]) for place in places]
@@ -168,11 +166,11 @@ class StageTables:
 
     def key(self, stage: str) -> str:
         """Return the key under which the result of a stage is valid."""
-        made = self.stages[stage]
-        spring = [self.spring] if made.sprung else []
-        return digest(
-            [stage, self.inputs_digest, code_digest("stages"), *spring, *(self.key(need) for need in made.needs)]
-        )
+        if stage not in self._keys:
+            spring = [self.spring] if stage in SPRUNG else []
+            needs = [self.key(need) for need in NEEDS[stage]]
+            self._keys[stage] = digest([stage, self.inputs_digest, code_digest("stages"), *spring, *needs])
+        return self._keys[stage]
 
     def is_stored(self, stage: str) -> bool:
         """Return whether a result with the present key is stored."""
@@ -226,37 +224,45 @@ class StageTables:
         former = self._former(SAMPLED, self._common(SAMPLED, {}))
         return len(set(self.samples.digests) - set(former.column(ROW_KEY).to_pylist()))
 
-    def _common(self, stage: str, given: Given) -> str:
-        """Return a hash of all that the rows of a stage rest on beside their samples."""
-        return digest([stage, code_digest("stages"), given, self.rotation])
+    def _common(self, stage: str, inputs: Mapping[str, object]) -> str:
+        """Return a hash of all that the rows of a stage are computed from except their samples."""
+        return digest([stage, code_digest("stages"), inputs, self.rotation])
 
     def _computed(self, stage: str) -> pa.Table:
-        made = self.stages[stage]
-        if made.whole is not None:
-            return to_arrow(stage, made.whole(self), rotation=self.rotation, metadata=self._stamp(stage))
-        return self._of_trials(stage, made)
+        # not before something has to be computed: what is stored is read without the estimators
+        from pipeline.measured.stages.stage import ExperimentStage
+        from pipeline.measured.stages.stages import STAGES
 
-    def _of_trials(self, stage: str, made: Stage) -> pa.Table:
-        """Compute a stage with one row a trial, but for the rows that are stored and rest on the same."""
-        assert made.rows is not None, "a stage is made by rows or as a whole"
-        given, samples = made.given(self), self.samples
+        computation = STAGES[stage]
+        if isinstance(computation, ExperimentStage):
+            rows = computation.measure(self)
+            columns = {name: [vars(row)[name] for row in rows] for name in TABLES[stage]}
+            return to_arrow(stage, columns, rotation=self.rotation, metadata=self._stamp(stage))
+        return self._of_trials(stage, computation)
+
+    def _of_trials(self, stage: str, computation: TrialStage[Any, Any]) -> pa.Table:
+        """Compute a stage with one row a trial, except the rows that are stored and were computed from the same."""
+        from pipeline.measured.stages.stage import Missing
+
+        inputs, samples = self.once(computation.inputs), self.samples
+        given = asdict(inputs)
         common = self._common(stage, given)
         former = self._former(stage, common)
         kept = set(former.column(ROW_KEY).to_pylist())
         new = [place for place, key in enumerate(samples.digests) if key not in kept]
-        columns: Columns = {
+        columns: dict[str, object] = {
             "trial_id": [samples.trial_id[place] for place in new],
             ROW_KEY: [samples.digests[place] for place in new],
             "stiffness": samples.stiffness[new],
             "damping": samples.damping[new],
         }
         names = [name for name in TABLES[stage] if name not in OF_TRIAL]
-        if "missing" in given:
-            columns |= dict.fromkeys(names, [None] * len(new)) | {"reason": [given["missing"]] * len(new)}
+        if isinstance(inputs, Missing):
+            columns |= dict.fromkeys(names, [None] * len(new)) | {"reason": [inputs.reason] * len(new)}
         else:
-            measure = partial(stage_row, stage=stage, columns=made.rows, given=given)
+            measure = partial(stage_row, measure=computation.measure, inputs=inputs)
             rows = self._map(measure, new, None) if stage == SAMPLED else self.map_trials(measure, new)
-            columns |= {name: [row[name] for row in rows] for name in names}
+            columns |= {name: [stored_value(name, vars(row)[name]) for row in rows] for name in names}
         table = pa.concat_tables([former, to_arrow(stage, columns, rotation=self.rotation)])
         place = {key: row for row, key in enumerate(table.column(ROW_KEY).to_pylist())}
         order = [place[key] for key in samples.digests]
@@ -316,9 +322,61 @@ class StageTables:
             If trials differ.
         """
         periods = sorted(set(self.trials.column("sampling_period_s").to_pylist()))
-        if periods[-1] - periods[0] > EVEN * periods[-1]:
+        if periods[-1] - periods[0] > APART * periods[-1]:
             raise StoreError(
                 f"device {self.device!r}, experiment {self.experiment!r}: sampling periods differ ({periods[:5]} s); "
                 "expected one. Name the experiments apart in the logs' headers and ingest them into a new folder."
             )
         return float(periods[len(periods) // 2])
+
+    @property
+    def samples_digest(self) -> str:
+        """Hash of the samples that the results rest on, as they were when the first stage was computed."""
+        return str(self.table(SAMPLED).schema.metadata[b"pipeline.samples"].decode())
+
+    @cached_property
+    def boundary_points(self) -> tuple[BoundaryPoint, ...]:
+        """Measured stability boundary, as stored."""
+        rows = self.table("boundary").to_pylist()
+        return tuple(BoundaryPoint(**row) for row in rows)
+
+    def cost(self, criterion: str) -> tuple[Floats, str]:
+        """Return the cost of each trial by a criterion (NaN where there is none) and, if none has one, why."""
+        stage, column = cost_column(criterion)
+        return self.column(stage, column), commonest(self.texts(stage, "reason"))
+
+    def floor(self, criterion: str) -> Floats | None:
+        """Return the cost of each trial that sensor and chatter alone can cause; None where they cause none."""
+        family = criterion_of(criterion).family
+        return self.column(family.name, family.floor) if family.floor else None
+
+    def sure_cost(self, criterion: str) -> Floats:
+        """Return the cost of each trial as `cost`, zero where it counts as none."""
+        cost, floor = self.column(*cost_column(criterion)), self.floor(criterion)
+        return cost if floor is None else np.where(without_overshoot(cost, floor), 0.0, cost)
+
+    def cost_interval(self, criterion: str) -> tuple[Floats, Floats]:
+        """Return lower and upper end of the 95 % interval of each trial's cost, NaN where there is none."""
+        stage, column = cost_column(criterion)
+        return self.column(stage, f"{column}_low"), self.column(stage, f"{column}_high")
+
+    def optimum(self, criterion: str) -> Optimum | None:
+        """Return the best trial by a criterion, or None where no trial has that cost."""
+        cost, _ = self.cost(criterion)
+        trials, floor = self.texts("response", "trial_id"), self.floor(criterion)
+        # what obeys another wall than stated was not tested there
+        stated = np.flatnonzero(np.isnan(self.column("wall_law", "obeyed_stiffness")))
+        best = choose_optimum(
+            cost[stated],
+            self.column("response", "stiffness")[stated],
+            self.column("response", "damping")[stated],
+            tuple(trials[i] for i in stated),
+            unstable=self.verdicts.verdict[stated] == "unstable",
+            floor=None if floor is None else floor[stated],
+        )
+        if best is None:
+            return None
+        trial = trials.index(str(best.trial_id))
+        low, high = (float(ends[trial]) for ends in self.cost_interval(criterion))
+        interval = {"cost_low": None if np.isnan(low) else low, "cost_high": None if np.isnan(high) else high}
+        return Optimum(**{**dict(best), **interval})

@@ -15,7 +15,7 @@ from pipeline.base.errors import DeviceError, SceneError
 from pipeline.comparison.compare import compare
 from pipeline.comparison.scene.scene import LEAVE_OUT, open_scene
 from pipeline.comparison.scene.scene_file import draft_scene, read_scene
-from pipeline.measured.stages.stage_tables import StageTables
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.models import SceneFile, Shown
 from pipeline.rendering.report.report_parts import take_apart
 from pipeline.shell.cli import app
@@ -149,13 +149,13 @@ def test_what_the_scene_leaves_out_is_not_computed(falcon, tmp_path, monkeypatch
     def refuse(*_, **__):
         raise AssertionError("was computed")
 
-    real_stage = StageTables._computed
+    real_stage = ExperimentStages._computed
 
     def compute(self, stage):
         assert stage not in ("outcome", "mass", "damping", "energy", "overshoot")
         return real_stage(self, stage)
 
-    monkeypatch.setattr(StageTables, "_computed", compute)
+    monkeypatch.setattr(ExperimentStages, "_computed", compute)
     asked = []
     real = predictions.optimal_point
     monkeypatch.setattr(predictions, "optimal_point", lambda loop, c: asked.append(c) or real(loop, c))

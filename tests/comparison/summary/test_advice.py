@@ -19,7 +19,7 @@ from pipeline.comparison.summary.advice import (
     region_to_use,
     room_at,
 )
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.findings import Optimum
 from pipeline.records.results import STIFFEST
 

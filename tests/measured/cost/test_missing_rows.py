@@ -7,6 +7,7 @@ import pytest
 from logged import repeated, with_rows
 from not_ideal import simulate
 
+from pipeline.measured.cost.costs import CostInputs, ReadingInputs
 from pipeline.measured.cost.energy import WEIGHTS
 from pipeline.measured.law.sample_grid import sample_grid
 from pipeline.measured.law.wall_law import wall_law
@@ -19,7 +20,7 @@ from pipeline.records.trials import Trials
 
 STIFFNESS = np.linspace(800.0, 6000.0, 12)
 DAMPING = np.linspace(25.0, 75.0, 12)
-GIVEN = {"delay": 4, "delay_range": (4, 4), "sensor": 1e-6, "gain": 1.0, "spring": 0.0, "mass": 0.58, "mass_error": 0.0}
+INPUTS = CostInputs(ReadingInputs(delay=4, sensor=1e-6, gain=1.0, spring=0.0), (4, 4), mass=0.58)
 ENERGIES = [f"energy_w{w}" for w in WEIGHTS]
 
 
@@ -37,7 +38,7 @@ def costs(trials):
     rows = []
     for trial in trials:
         of = MeasuredTrial(trial, judge(trial, find_response(trial)))
-        (settling,), (energies,) = (STAGES[name].rows(of, GIVEN) for name in ("settling", "energy"))
+        settling, energies = (vars(STAGES[name].measure(of, INPUTS)) for name in ("settling", "energy"))
         rows.append(settling | energies)
     names = [f"{name}{end}" for name in (*SETTLING_BANDS, *ENERGIES) for end in ("", "_low", "_high")]
     return {name: np.array([row[name] for row in rows], dtype=float) for name in names}, [row["reason"] for row in rows]

@@ -15,7 +15,7 @@ from pipeline.device.parts import LoopTable
 from pipeline.device_data.devices import load_device
 from pipeline.measured.experiment.rest_forces import _spring as spring_by_rests
 from pipeline.measured.experiment.rest_forces import rest_forces, rest_spring
-from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.measured.stages.stage_tables import ExperimentStages
 
 SPRING = 300.0
 LOOP = pipeline.Loop(0.8, 7.0, 0.001, 3, stiffness=SPRING)

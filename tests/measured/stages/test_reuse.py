@@ -26,8 +26,8 @@ from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.measured.cost import costs
 from pipeline.measured.stages import stage_rows as rows_of
-from pipeline.measured.stages import stage_tables, stages
-from pipeline.measured.stages.stage_rows import stage_row
+from pipeline.measured.stages import stage_tables
+from pipeline.measured.stages.stage_tables import stage_row
 from pipeline.measured.stages.stages import STAGES
 from pipeline.shell import console
 from pipeline.shell.cli import run as run_cli
@@ -85,20 +85,20 @@ def test_after_a_change_all_is_as_from_scratch_and_little_is_computed(lab, tmp_p
 
     computed = []
 
-    def counting(of, stage, **more):
-        computed.append(stage)
-        return stage_row(of, stage, **more)
+    def counting(of, measure, **more):
+        computed.append(measure)
+        return stage_row(of, measure, **more)
 
     monkeypatch.setattr(stage_tables, "stage_row", counting)
-    of = stages.ExperimentStages(processed, "falcon", "1", trials)
+    of = stage_tables.ExperimentStages(processed, "falcon", "1", trials)
     assert not of.is_stored("model")
     now = {stage: of.table(stage) for stage in STAGES}
     for stage in ("response", "delay"):
-        assert computed.count(stage) == (change != "a log less"), stage
+        assert computed.count(STAGES[stage].measure) == (change != "a log less"), stage
     fresh = tmp_path / "fresh"
     shutil.copytree(processed, fresh, ignore=shutil.ignore_patterns("stages"))
     order = pa.array(range(trials.num_rows - 1, -1, -1))
-    again = stages.ExperimentStages(fresh, "falcon", "1", trials.take(order))
+    again = stage_tables.ExperimentStages(fresh, "falcon", "1", trials.take(order))
     for stage in STAGES:
         assert now[stage].equals(again.table(stage), check_metadata=True), stage
 

@@ -1,0 +1,227 @@
+"""Stored rows of the stages of the measured branch: the fields of a record are the columns of its table, in order.
+
+Units and meanings of the columns are in `tables.COLUMNS`. What is missing is NaN, a negative number of rows or an empty
+text, and stored as null.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+
+OF_TRIAL = ("trial_id", "samples_sha256", "stiffness", "damping")
+"""Columns by which a row is known in all stages with a row a trial."""
+
+
+@dataclass(frozen=True)
+class ResponseRow:
+    """Verdict, edge, rest positions and resolution of a trial, with the faults of its recording."""
+
+    verdict: str
+    reason: str
+    growth_per_s: float
+    edge_row: int
+    position_start: float
+    position_final_expected: float
+    position_final_measured: float
+    sensor_quantum: float
+    sensor_noise: float
+    findings: str
+
+
+@dataclass(frozen=True)
+class WallLawRow:
+    """Whether the command of a trial obeys the wall law, and which wall it obeys where it is another."""
+
+    law_residual: float
+    law_rounding: float
+    law_codes: str
+    law_evidence: str
+    law_rows: int
+    obeyed_stiffness: float
+    obeyed_damping: float
+    obeyed_step: float
+    velocity_filter: str
+
+
+@dataclass(frozen=True)
+class OutcomeRow:
+    """How a trial ended, and what shows it."""
+
+    outcome: str
+    evidence: str
+    outcome_row: int
+    band: float
+    amplitude_end: float
+
+
+@dataclass(frozen=True)
+class DeviceRow:
+    """The device that all trials of an experiment identify; None in all fields but ``reason`` where there is none."""
+
+    parameter_names: Sequence[str] | None = None
+    parameter_values: Sequence[float] | None = None
+    covariance: Sequence[float] | None = None
+    parts: Sequence[str] | None = None
+    mode_sensor: str | None = None
+    unidentifiable: Sequence[str] | None = None
+    bound_names: Sequence[str] | None = None
+    bound_values: Sequence[float] | None = None
+    scatter_names: Sequence[str] | None = None
+    scatter_values: Sequence[float] | None = None
+    fold_values: Sequence[float] | None = None
+    combination_codes: Sequence[str] | None = None
+    combination_members: Sequence[str] | None = None
+    combination_values: Sequence[float] | None = None
+    combination_units: Sequence[str] | None = None
+    combination_remedies: Sequence[str] | None = None
+    jitter: float | None = None
+    jitter_error: float | None = None
+    fitted_trials: Sequence[str] | None = None
+    explained: int | None = None
+    fit_percent: float | None = None
+    saturated: float | None = None
+    largest_command: float | None = None
+    largest_step: float | None = None
+    travel: float | None = None
+    remedy: str | None = None
+    reason: str | None = None
+
+
+@dataclass(frozen=True)
+class ModelRow:
+    """What a trial says alone of mass, damping and delay; None, with a reason, where it says nothing."""
+
+    trial_id: str
+    samples_sha256: str
+    stiffness: float
+    damping: float
+    model_mass: float | None
+    model_mass_error: float | None
+    model_damping: float | None
+    model_damping_error: float | None
+    model_delay: float | None
+    model_delay_error: float | None
+    reason: str | None
+
+
+@dataclass(frozen=True)
+class DelayRow:
+    """Delay of a trial by the first change of its position."""
+
+    first_change_samples: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class MassRow:
+    """Mass of a trial by the momentum balance."""
+
+    mass_momentum: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class OvershootRow:
+    """Overshoot of a trial with its interval, and that which its sensor alone can cause."""
+
+    overshoot: float
+    overshoot_low: float
+    overshoot_high: float
+    overshoot_floor: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class SettlingRow:
+    """Settling times of a trial with their intervals, by the bands of 1, 2 and 5 %."""
+
+    settle_1pct: float
+    settle_1pct_low: float
+    settle_1pct_high: float
+    settle_2pct: float
+    settle_2pct_low: float
+    settle_2pct_high: float
+    settle_5pct: float
+    settle_5pct_low: float
+    settle_5pct_high: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class RiseRow:
+    """Rise time of a trial with its interval."""
+
+    rise_time: float
+    rise_time_low: float
+    rise_time_high: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class EnergyRow:
+    """Energies of a trial by weight with their intervals, what noise adds to them, and their part behind the log."""
+
+    energy_w0: float
+    energy_w0_low: float
+    energy_w0_high: float
+    energy_w1: float
+    energy_w1_low: float
+    energy_w1_high: float
+    energy_w2: float
+    energy_w2_low: float
+    energy_w2_high: float
+    energy_w0_bias: float
+    energy_w0_tail: float
+    energy_w1_bias: float
+    energy_w1_tail: float
+    energy_w2_bias: float
+    energy_w2_tail: float
+    horizon_samples: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class BoundaryRow:
+    """The measured limit at one damping; a `BoundaryPoint` as it is stored."""
+
+    damping: float
+    stable: float | None
+    unstable: float | None
+    censored: bool
+    estimate: float | None
+    low: float | None
+    high: float | None
+    trials: int
+    undecided: int
+
+
+CostRow = OvershootRow | SettlingRow | EnergyRow | RiseRow
+TrialRow = ResponseRow | WallLawRow | OutcomeRow | DelayRow | MassRow | CostRow
+ExperimentRow = DeviceRow | ModelRow | BoundaryRow
+
+ROWS: Mapping[str, type[TrialRow | ExperimentRow]] = {
+    "response": ResponseRow,
+    "wall_law": WallLawRow,
+    "outcome": OutcomeRow,
+    "device": DeviceRow,
+    "model": ModelRow,
+    "delay": DelayRow,
+    "mass": MassRow,
+    "overshoot": OvershootRow,
+    "settling": SettlingRow,
+    "energy": EnergyRow,
+    "rise": RiseRow,
+    "boundary": BoundaryRow,
+}
+"""Record of each stage."""
+
+
+def columns_of(stage: str) -> tuple[str, ...]:
+    """Return the columns of the table of a stage, in order.
+
+    >>> columns_of("mass")
+    ('trial_id', 'samples_sha256', 'stiffness', 'damping', 'mass_momentum', 'reason')
+    """
+    own = tuple(field.name for field in fields(ROWS[stage]))
+    return own if stage in ("device", "model", "boundary") else OF_TRIAL + own
