@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.comparison import stage_pool
 from pipeline.comparison.stage_pool import compute_stages
-from pipeline.measured.stages import stages
+from pipeline.measured.stages import stage_tables
 from pipeline.records.table_files import read_table
 
 NEEDED = {"response", "boundary", "delay"}
@@ -75,7 +75,7 @@ def test_the_trials_of_a_large_experiment_are_shared(lwr, copy, monkeypatch):
 
 def test_what_is_not_new_is_not_computed_by_several_processes_either(lwr, copy, monkeypatch):
     whole = lwr.stages("delay-2", copy)
-    some = stages.ExperimentStages(copy, "lwr", "delay-2", whole.trials.slice(30))
+    some = stage_tables.ExperimentStages(copy, "lwr", "delay-2", whole.trials.slice(30))
     some.table("wall_law")
     some.table("delay")
     monkeypatch.setattr(stage_pool, "LARGE", 20)
@@ -97,7 +97,7 @@ def test_what_is_not_new_is_not_computed_by_several_processes_either(lwr, copy, 
 def test_large_experiments_that_fill_all_processors_are_not_cut(lwr, copy, monkeypatch):
     """Each in a process of its own they need not wait for each other after every stage."""
     monkeypatch.setattr(stage_pool, "LARGE", 20)
-    monkeypatch.setattr(stages.ExperimentStages, "compute", no_file)
+    monkeypatch.setattr(stage_tables.ExperimentStages, "compute", no_file)
     experiments = [lwr.stages(name, copy) for name in lwr.courses]
     compute_stages(2 * experiments, NEEDED)
     assert all(own.is_stored("delay") for own in experiments)
