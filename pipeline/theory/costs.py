@@ -28,7 +28,6 @@ from pipeline.records.criteria import (
 from pipeline.records.trials import Booleans, Floats
 from pipeline.theory.boundary import boundary, is_inside, is_well_inside
 from pipeline.theory.energy import energy_costs
-from pipeline.theory.modes import TOGETHER
 from pipeline.theory.poles import damping_ratio, spectral_radius
 from pipeline.theory.settling_overshoot import first_reached, transient_costs
 
@@ -71,18 +70,6 @@ def point_costs_by_name(
     longest : int
         Samples after which a response that still moves gets NaN for settling time and overshoot.
     """
-    result = {name: np.full(len(alpha), np.nan) for name in names}
-    for first in range(0, len(alpha), TOGETHER):  # they share their modes
-        some = slice(first, first + TOGETHER)
-        for name, values in _together(loop, alpha[some], beta[some], names, longest).items():
-            if name in result:
-                result[name][some] = values
-    return result
-
-
-def _together(
-    loop: NormalisedLoop, alpha: Floats, beta: Floats, names: Sequence[str], longest: int
-) -> dict[str, Floats]:
     of = {name: criterion_of(name) for name in names}
     found: dict[str, Floats] = {}
     transient = [name for name in names if of[name].family in (SETTLING, OVERSHOOT)]
@@ -102,7 +89,7 @@ def _together(
     for name, function in (("pole_radius", spectral_radius), ("damping", damping_ratio)):
         if name in of:
             found[name] = function(loop, alpha, beta)
-    return found
+    return {name: found[name] for name in names}
 
 
 def check_criteria(names: Sequence[str]) -> None:

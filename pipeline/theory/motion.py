@@ -1,4 +1,4 @@
-"""Points of a loop in motion: exact from sample to sample, and between samples polynomials over pieces of an interval.
+"""Motion of a device between samples: polynomials over pieces of a sampling interval.
 
 A piece is short beside the oscillations of the device, and pieces halve towards the start of a segment, where a fast
 lag settles; so a polynomial of degree 12 through exact places follows the motion to 1e-12 of it.
@@ -7,7 +7,6 @@ lag settles; so a polynomial of degree 12 through exact places follows the motio
 from __future__ import annotations
 
 import itertools
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -17,7 +16,7 @@ from numpy.polynomial.legendre import leggauss
 from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, many_digits
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.records.trials import Booleans, Floats, Integers
+from pipeline.records.trials import Floats, Integers
 
 DEGREE = 12
 """Of the polynomials: a piece is at most one radian, so the next term is below 1/13!."""
@@ -27,11 +26,8 @@ _GAUSS = 14
 
 WEIGHTS = (0, 1, 2)
 
-_NEWTON = 5
-"""Steps to a turning point from a first guess within a piece of at most one radian: each doubles its digits."""
-
-_FOUND = 1e-9
-"""Step after which the next would be rounding."""
+_NEGLIGIBLE = 1e-20
+"""Coefficients of a motion, relative to the largest, that are left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,162 +158,58 @@ def _through(values: Digits) -> Digits:
 
 
 @lru_cache(maxsize=64)
-def _interval(loop: NormalisedLoop, between: bool) -> Floats:
-    """Return what a sampling interval makes of what it starts with, shape (rows, columns).
+def courses(loop: NormalisedLoop, between: bool) -> tuple[Floats, ...]:
+    """Return what a sampling interval makes of its start, by the device's p states, all own ones and two forces.
 
-    Columns: the loop's state but the forces of former samples, and the wall's force in each of `segments`. Rows: the
-    same states at its end, and sensed position and velocity at the end of each piece; else that of the interval.
+    Own states are those without delayed forces, in the `order_of` a march. The wall's forces in an interval are the
+    older and the newer one, of which the second does nothing where the delay is whole.
+
+    Returns
+    -------
+    step : float64, shape (own, own + 2)
+        Own states at its end, of those at its start and the forces.
+    watch : float64, shape (2, own + 2)
+        Sensed position and its velocity.
+    ends : float64, shape (2 pieces, own + 2)
+        The same, of each piece, at its end; where samples alone are asked for, of the interval.
+    curves : float64, shape (pieces, degree + 1, own + 2)
+        Position over the share of each piece, lowest power first.
+    timing : float64, shape (2, pieces)
+        Start and duration of each piece.
     """
-    free, push, position, _ = loop.open_loop
+    free, push, _, _ = loop.open_loop
+    ages, sensor, order = [segment.age for segment in loop.segments], loop.device.sensor, order_of(loop)
+    own, p = len(order), len(sensor)
+    forces = np.zeros((own, 2))
+    for column, age in enumerate(ages):
+        forces[:, column] = free[:own, own - 1 + age] if age else push[:own]
+    step = np.hstack([free[:own, :own], forces])
+    seen = np.zeros((p + len(ages), own + 2))
+    seen[:p, :p], seen[p:, own : own + len(ages)] = np.eye(p), np.eye(len(ages))
+    watch = np.array([sensor, sensor @ loop.device.matrix])
+    with many_digits(loop.digits):
+        whole, gains = loop.pushes
+        ends = as_floats(as_exact(watch) @ np.column_stack([whole, *gains]))
+    curves, timing = np.zeros((1, 2, len(seen))), np.array([[0.0], [1.0]])
+    if between:
+        given = list(zip(pieces(loop), starts(loop), strict=True))
+        curves = np.array([piece.place @ start for piece, start in given])
+        timing = np.array([(piece.start, piece.duration) for piece, _ in given]).T
+        ends = np.array([rows.sum(axis=0) @ start for piece, start in given for rows in (piece.place, piece.speed)])
+        kept = np.flatnonzero(np.abs(curves).max(axis=(0, 2)) > _NEGLIGIBLE * np.abs(curves).max()).max(initial=1) + 1
+        curves = curves[:, :kept]
+    columns = np.append(order, [own, own + 1])
+    parts = step[order], watch @ seen[:p], ends @ seen, curves @ seen
+    return *(np.ascontiguousarray(part[..., columns]) for part in parts), np.ascontiguousarray(timing)
+
+
+def order_of(loop: NormalisedLoop) -> Integers:
+    """Return the places of the states of `NormalisedLoop.matrix` in a march.
+
+    Position and velocity of the motor, last sample, the device's other states, the filter's.
+    """
     own, p = loop.states - loop.oldest_force, len(loop.device.sensor)
-    ages = [segment.age for segment in loop.segments]
-    state = np.column_stack([free[:own, :own], *(free[:own, own - 1 + age] if age else push[:own] for age in ages)])
-    if not between:
-        return np.vstack([state, position[:own] @ state])
-    seen = np.zeros((p + len(ages), own + len(ages)))
-    seen[:p, :p], seen[p:, own:] = np.eye(p), np.eye(len(ages))
-    ends = [
-        row @ given @ seen
-        for piece, given in zip(pieces(loop), starts(loop), strict=True)
-        for row in (piece.place.sum(axis=0), piece.speed.sum(axis=0))
-    ]
-    return np.vstack([state, *ends])
-
-
-class Motion:
-    """Points of a loop in motion after a step.
-
-    Parameters
-    ----------
-    loop : NormalisedLoop
-    alpha, beta : float64, shape (n,)
-    between : bool
-        Whether the motion between samples is asked for.
-
-    Notes
-    -----
-    ``index`` are the points' numbers, ``sample`` the number of the sample that each is at, ``stop`` of the one at which
-    it need not go on, ``since`` of the one from which on samples were left out, ``begun`` the state there.
-    """
-
-    _OF_POINTS = ("index", "alpha", "beta", "sample", "since", "stop", "state", "begun", "scale")
-
-    def __init__(self, loop: NormalisedLoop, alpha: Floats, beta: Floats, *, between: bool) -> None:
-        self.loop, self.index, self.alpha, self.beta = loop, np.arange(len(alpha)), alpha, beta
-        self.own = loop.states - loop.oldest_force
-        self.rows = _interval(loop, between)
-        self.each = len(pieces(loop)) if between else 1
-        self.state = self.begun = np.ascontiguousarray(loop.starts(alpha, "step").T)
-        self.scale = _levers(loop, alpha)
-        self.sample = np.zeros(len(alpha))
-        self.since, self.stop = np.full(len(alpha), np.inf), np.full(len(alpha), np.inf)
-        matrix, sensor = loop.device.matrix, loop.device.sensor
-        self.watched = np.zeros((2, self.own))
-        self.watched[:, : len(sensor)] = sensor, sensor @ matrix
-
-    def advance(self, count: int) -> None:
-        """Move by so many sampling intervals, at least one, noting ``position`` and ``velocity``.
-
-        Shape (count each + 1, n): at the ends of all pieces, or at samples (and then no velocity).
-        """
-        own, delay, n = self.own, self.loop.oldest_force, len(self.index)
-        ages = [segment.age for segment in self.loop.segments]
-        made = np.empty((count, len(self.rows), n))
-        force = np.empty((delay + count, n))  # in order of time
-        force[:delay] = self.state[own:][::-1]
-        start = np.empty((count, own + len(ages), n))
-        state, minus_alpha, minus_beta = self.state[:own], -self.alpha, -self.beta
-        law = np.array(self.loop.open_loop[2:])[:, :own]
-        path = np.empty((2, count * self.each + 1, n))
-        path[:, 0] = self.watched @ state
-        for k in range(count):
-            given = start[k]
-            given[:own] = state
-            position, speed = law @ state
-            np.multiply(minus_alpha, position, out=force[delay + k])
-            force[delay + k] += np.multiply(minus_beta, speed, out=speed)
-            for row, age in enumerate(ages, own):
-                given[row] = force[delay + k - age]
-            np.matmul(self.rows, given, out=made[k])
-            state = made[k, :own]
-        ends = made[:, own:].reshape(count, self.each, -1, n)
-        for values, found in zip(path, np.moveaxis(ends, 2, 0), strict=False):
-            values[1:] = found.reshape(-1, n)
-        self.start, (self.position, self.velocity) = start, path
-        self.state = np.concatenate([state, force[count:][::-1]])
-        self.sample = self.sample + count
-
-    def size(self) -> Floats:
-        """Return all motion as a deviation."""
-        return np.asarray((np.abs(self.state[: len(self.scale)]) * self.scale).sum(axis=0))
-
-    def part(self, which: Booleans | Integers | slice) -> Motion:
-        """Return the motion of some points."""
-        result = copy(self)
-        for name in self._OF_POINTS:
-            setattr(result, name, np.ascontiguousarray(getattr(self, name)[..., which]))
-        return result
-
-    @property
-    def memory(self) -> int:
-        """Samples that filter and delay remember."""
-        return self.loop.oldest_force + len(self.loop.filter_in_z[0]) + 1
-
-
-def joined(parts: list[Motion]) -> Motion:
-    """Return the points of several motions of one loop in one."""
-    result = copy(parts[0])
-    for name in Motion._OF_POINTS:
-        setattr(result, name, np.concatenate([getattr(part, name) for part in parts], axis=-1))
-    return result
-
-
-def within_pieces(loop: NormalisedLoop, piece: Integers, given: Floats) -> Floats:
-    """Return the coefficients of the sensed position over pieces, from what their intervals start with; (13, n)."""
-    result, p, own = np.empty((DEGREE + 1, len(piece))), len(loop.device.sensor), loop.states - loop.oldest_force
-    for number, (of, start) in enumerate(zip(pieces(loop), starts(loop), strict=True)):
-        some = np.flatnonzero(piece == number)
-        result[:, some] = (of.place @ start) @ np.concatenate([given[:p, some], given[own:, some]])
-    return result
-
-
-def at_share(motion: Floats, share: Floats) -> Floats:
-    """Return polynomials, shape (13, n), at shares of their piece."""
-    result: Floats = motion[-1].copy()
-    for coefficient in motion[-2::-1]:
-        result = result * share + coefficient
-    return result
-
-
-def turning_share(motion: Floats) -> Floats:
-    """Return the share of a piece at which a motion that turns has no velocity; 1 where it does not turn."""
-    speed = motion[1:] * np.arange(1, len(motion))[:, None]
-    start, end = speed[0], speed.sum(axis=0)
-    turns = np.flatnonzero(start * end < 0)
-    result = np.ones(motion.shape[1])
-    speed, start, end = speed[:, turns], start[turns], end[turns]
-    change = speed[1:] * np.arange(1, len(speed))[:, None]
-    share: Floats = start / (start - end)
-    for _ in range(_NEWTON):
-        bend, before = at_share(change, share), share
-        share = np.clip(share - at_share(speed, share) / np.where(bend == 0, np.inf, bend), 0.0, 1.0)
-        if np.abs(share - before).max(initial=0.0) < _FOUND:
-            break
-    result[turns] = share
-    return result
-
-
-def _levers(loop: NormalisedLoop, alpha: Floats) -> Floats:
-    """Return what each state of the device may do to the position, shape (states, n)."""
-    lever = np.maximum(8 * (loop.delay + loop.lag + 1), 2 / np.sqrt(alpha + loop.gamma))
-    rows = [np.ones_like(lever), lever]
-    if loop.plant.has_mode:
-        load = loop.plant.load_mass
-        turn = np.sqrt(loop.plant.spring * (1 / (1 - load) + 1 / load))
-        sensed = abs(loop.device.sensor[2])
-        rows += [sensed * np.ones_like(lever), sensed * np.minimum(lever, 1 / turn)]
-    rows += [loop.lag * lever] * (loop.device.states - loop.device.mechanical)
-    return np.array(rows)
+    return np.array([0, 1, p, *range(2, p), *range(p + 1, own)])
 
 
 _MOST_POINTS = 1 << 22

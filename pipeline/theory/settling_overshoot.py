@@ -1,23 +1,26 @@
 """Settling time, overshoot and rise time of the step response, from the exact motion between samples.
 
-All points are advanced sample by sample, and leave as soon as nothing that is asked for can change any more, which is
-mostly known ahead from their modes. A device's motion is small only where all its states are, so that a
-beat's silence is not taken for its end.
+Each response is followed alone, until nothing that is asked for can change any more (`march`). One that is slow is
+followed for some samples, after which its modes tell when it is inside a band for good, and whether it may still rise
+above its peak: it is moved there (`modes`). A device's motion is small only where all its states are, so that a beat's
+silence is not taken for its end.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import inspect
+import sys
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop, as_points
-from pipeline.records.criteria import OVERSHOOT
-from pipeline.records.trials import Booleans, Floats, Integers
-from pipeline.theory.modes import TOGETHER, WINDOW, earlier, outlooks
-from pipeline.theory.motion import Motion, at_share, joined, pieces, turning_share, within_pieces
+from pipeline.records.criteria import DISCRETE, OVERSHOOT
+from pipeline.records.trials import Floats, Integers
+from pipeline.theory import march, modes
+from pipeline.theory.march import Arrays
+from pipeline.theory.motion import courses, order_of
 
 LONGEST = 1 << 18
 """Samples after which a response that still moves is given up (no settling time): spectral radius about 1 - 1e-5."""
@@ -28,55 +31,21 @@ NO_OVERSHOOT = OVERSHOOT.none
 QUIET = 0.1 * NO_OVERSHOOT
 """Motion below which a response is no longer followed for overshoot, by the same margin."""
 
-_BLOCK = 16
-"""Samples before the first check of which points are finished."""
-
-_LARGEST_BLOCK = 32768
-"""Samples of all points together between two checks: fewer points take longer to check than to advance."""
-
-_FARTHEST = 1 << 18
-"""Samples before the end of an envelope that are followed: next to the limit it may lie far above the motion."""
-
-_CREEPING = 4.0
-"""The same in cutoffs: what an envelope, larger than the motion where modes cancel, may end later."""
-
-_AT_ONCE = 1024
-"""Points that are advanced together: products of their matrices stay in a cache, and on one processor."""
-
-_FIRST = 32
-"""Samples before modes are looked at."""
-
-_LOOK = 0.25
-"""Samples of a point, times the square of its states, that take as long as a look: the modes of many are slow."""
-
-_AGAIN = 64
-"""Samples before those that may still overshoot are looked at again: about what a look costs."""
-
-_FEW, _LONGER = 256, 7
-"""Points below which a look costs more than so many samples, whatever their number, and how many more pass then."""
-
-_WIDER = 2.0
-"""Growth of the window in front of an end where nothing outside the band was met in it."""
+_FIRST, _LOOK = 64, 0.25
+"""Samples before modes are looked at, and the same times the square of the states: a look takes as long."""
 
 _SETTLED = 0.1
-"""Share of the band (or of the overshoot found) below which all motion has to stay for a block and a delay."""
+"""Share of the band (or of the overshoot) below which all motion has to stay for as long as the loop remembers."""
 
 _FADED = 0.25
 """The same for the largest deviation from a sample on."""
 
-_STEPS, _FINE = 55, 1e-13
-"""Newton's steps or halvings at most, which find a passing after the turn of its piece to below this share of it."""
+_ENTRIES = 1 << 22
+"""Entries of the eigenvectors that are computed at a time."""
 
-
-@dataclass(frozen=True)
-class _Asked:
-    bands: Sequence[float]
-    overshoot: bool
-    continuous: bool
-    longest: int
-    quiet: float
-    cutoff: float
-    unfinished_overshoot: bool
+_PLAIN_WORK, _PLAIN_SAMPLES = 10_000, 4096
+"""Points, times 50 and the square of the states, and samples of each, that plain Python follows before numba and its
+machine code would be loaded, which takes most of a second. Numbers are the same."""
 
 
 def transient_costs(
@@ -132,13 +101,14 @@ def transient_costs(
         raise ParameterError("a step response needs alpha + gamma > 0: without stiffness there is no final position.")
     if any(not 0 < band < 1 for band in bands):
         raise ParameterError(f"bands = {list(bands)}: expected fractions between 0 and 1, such as 0.02.")
-    asked = _Asked(bands, overshoot, continuous, longest, quiet, cutoff, unfinished_overshoot)
-    found, everyone = _Found(loop, asked, len(a)), Motion(loop, a, b, between=continuous)
-    for first in range(0, len(a), TOGETHER):
-        _follow(everyone.part(slice(first, first + TOGETHER)), found)
-    for band in bands:
-        _enter(found, band)
-    return found.costs()
+    rule = np.array(bands, dtype=np.float64), overshoot, continuous, _memory(loop), _SETTLED, quiet, float(cutoff)
+    costs, status = _followed(loop, (a, b), rule, longest)
+    if not unfinished_overshoot:
+        costs[status & march.UNFINISHED > 0, len(bands) :: len(bands) + 1] = np.nan
+    names = [f"settle_{100 * band:g}pct" for band in bands] + ["overshoot"]
+    columns = dict(zip([f"{name}{kind}" for kind in (DISCRETE, "") for name in names], costs.T, strict=True))
+    wanted = names[: len(names) - (not overshoot)]
+    return {f"{name}{kind}": columns[f"{name}{kind}"] for kind in ("", DISCRETE)[not continuous :] for name in wanted}
 
 
 def late_deviation(loop: NormalisedLoop, alpha: object, beta: object, first: object, longest: int) -> Floats:
@@ -158,18 +128,11 @@ def late_deviation(loop: NormalisedLoop, alpha: object, beta: object, first: obj
         Samples after which the largest deviation so far is returned.
     """
     a, b = as_points(alpha, beta)
-    largest, begin = np.zeros(len(a)), np.broadcast_to(np.asarray(first, dtype=np.float64), a.shape)
-    run, calm = Motion(loop, a, b, between=False), np.zeros(len(a))
-    for count in _rounds(longest, _BLOCK):
-        run.advance(count)
-        at, size = run.index, np.abs(run.position[1:])
-        counts = run.sample - count + np.arange(1, count + 1)[:, None] >= begin[at]
-        largest[at] = np.maximum(largest[at], np.where(counts, size, 0.0).max(axis=0))
-        moves = (np.maximum(run.size(), size.max(axis=0)) > _FADED * largest[at]) | (run.sample < begin[at])
-        calm[at] = np.where(moves, 0.0, calm[at] + count)
-        run = run.part(calm[at] <= run.memory)
-        if not len(run.index):
-            break
+    largest, since = np.empty(len(a)), np.broadcast_to(np.asarray(first, dtype=np.float64), a.shape).copy()
+    course, asked = courses(loop, False), (since, longest, _memory(loop), _FADED)
+    _form_of(march.late_deviations, loop, len(a))(
+        course, _walls(loop, a, b), asked, _work(loop, course, 0)[0][:4], largest
+    )
     return largest
 
 
@@ -180,259 +143,81 @@ def first_reached(
 
     First of the exact motion (nan where that is not asked for, ``between``), then of its samples joined by lines.
     """
-    run, n = Motion(loop, alpha, beta, between=between), len(alpha)
-    exact, sampled = [_Passing(run, n) for _ in levels], np.full((len(levels), n), np.nan)
-    for count in _rounds(longest, _BLOCK):
-        run.advance(count)
-        place = run.position[:: run.each]
-        for level, passing, row in zip(levels, exact, sampled, strict=True):
-            over = place[1:] >= level
-            new = np.flatnonzero(np.isnan(row[run.index]) & over.any(axis=0))
-            k = over.argmax(axis=0)[new]
-            share = (level - place[k, new]) / (place[k + 1, new] - place[k, new])
-            row[run.index[new]] = run.sample[new] - count + k + share
-            if between:
-                _note_first(run, level, passing)
-        run = run.part(np.isnan(sampled[:, run.index]).any(axis=0))
-        if not len(run.index):
-            break
-    return np.array([passing.time() for passing in exact]), sampled
+    time = np.empty((2, len(levels), len(alpha)))
+    course, asked = courses(loop, between), (np.array(levels), longest, between)
+    _form_of(march.rises, loop, len(alpha))(
+        course, _walls(loop, alpha, beta), asked, _work(loop, course, 0)[0][:4], time
+    )
+    return time[0], time[1]
 
 
-class _Passing:
-    """Passing of a level by each point: number of its interval and piece, what the interval starts with, the level."""
-
-    def __init__(self, run: Motion, n: int) -> None:
-        self.loop, self.sample = run.loop, np.full(n, np.nan)
-        self.piece, self.level = np.zeros(n, np.intp), np.zeros(n)
-        self.given = np.zeros((run.rows.shape[1], n))
-
-    def set(self, run: Motion, row: Integers, at: Integers, level: Floats) -> None:
-        """Note passings in rows of the latest motion; of several of a point the last one counts."""
-        later = ~(run.sample[at] - len(run.start) + row // run.each < self.sample[run.index[at]])
-        row, at, level = row[later], at[later], level[later]
-        interval, piece = np.divmod(row, run.each)
-        index = run.index[at]
-        self.sample[index] = run.sample[at] - len(run.start) + interval
-        self.piece[index], self.level[index] = piece, level
-        self.given[:, index] = run.start[interval, :, at].T
-
-    def time(self) -> Floats:
-        motion, side = within_pieces(self.loop, self.piece, self.given), np.sign(self.level)
-        speed, share, high = motion[1:] * np.arange(1, len(motion))[:, None], turning_share(motion), np.ones(len(side))
-        low = np.zeros_like(high)
-        for step in range(_STEPS):
-            miss = at_share(motion, share) - self.level
-            still = miss * side > 0
-            low, high = np.where(still, share, low), np.where(still, high, share)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                new = share - miss / at_share(speed, share)
-            # from the turn, beyond which the motion comes back, there is no tangent
-            inside = (new >= low) & (new <= high) & (step > 0)
-            before, share = share, np.where(inside, new, 0.5 * (low + high))
-            if np.abs(share - before).max(initial=0.0) <= _FINE:
-                break
-        start, duration = _timing(self.loop)
-        return np.asarray(self.sample + start[self.piece] + share * duration[self.piece])
+def _followed(
+    loop: NormalisedLoop, walls: tuple[Floats, Floats], rule: Arrays, longest: int
+) -> tuple[Floats, Integers]:
+    """Return costs and status of responses, as `march.step_costs` sets them, by a rule of a march."""
+    alpha, beta = walls
+    course, count = courses(loop, rule[2]), len(rule[0])
+    costs, status = np.empty((len(alpha), 2 * count + 2)), np.full(len(alpha), march.UNFINISHED)
+    work, together = _work(loop, course, count), max(1, _ENTRIES // loop.states**2)
+    step_costs, samples, left = _form_of(march.step_costs, loop, len(alpha)), longest, np.arange(len(alpha))
+    if step_costs is not march.step_costs:
+        samples = min(longest, _PLAIN_SAMPLES)
+    while len(left):
+        asked = rule, (samples, max(_FIRST, int(_LOOK * loop.states**2)), modes.STILL_REPRODUCED)
+        parts, by_eigenvectors = [left], False
+        while parts:
+            for part in parts:
+                given = modes.by_eigenvectors(loop, alpha[part], beta[part]) if by_eigenvectors else modes.none(loop)
+                results, of_part = (costs[part], status[part]), _walls(loop, alpha[part], beta[part])
+                with np.errstate(all="ignore"):  # modes that are no numbers show nothing
+                    step_costs(course, modes.polynomials(loop), of_part, asked, given, (*results, *work))
+                costs[part], status[part] = results
+            unknown = left[status[left] == march.NO_MODES]
+            parts, by_eigenvectors = [unknown[i : i + together] for i in range(0, len(unknown), together)], True
+        left = left[(status[left] & (march.UNSETTLED | march.UNFINISHED) > 0) & (samples < longest)]
+        step_costs, samples = march.step_costs, longest
+    return costs, status
 
 
-class _Found:
-    """What is known of each point."""
-
-    def __init__(self, loop: NormalisedLoop, asked: _Asked, n: int) -> None:
-        self.asked = asked
-        self.peak, self.sampled_peak = np.zeros(n), np.zeros(n)
-        self.settled = {band: np.zeros(n) for band in asked.bands}
-        none = Motion(loop, np.zeros(0), np.zeros(0), between=asked.continuous)
-        self.entry = {band: _Passing(none, n) for band in asked.bands}
-        self.ahead = {band: [none] for band in asked.bands}
-        self.late = {band: [none.index] for band in asked.bands}
-        self.quiet, self.calm = np.zeros(n), np.zeros(n)
-        self.restless, self.unfinished = [none.index], [none.index]
-
-    def in_reach(self, ahead: Motion, band: float) -> Motion:
-        """Return the points that settle soon enough after a sample to follow them there; of the others note no time."""
-        late = ahead.stop - ahead.sample > min(_FARTHEST, _CREEPING * self.asked.cutoff)
-        self.late[band].append(ahead.index[late])
-        return ahead.part(~late)
-
-    def known_peak(self, run: Motion) -> Floats:
-        """Return the deviation of each point above which a later one counts."""
-        return np.asarray(np.maximum(self.sampled_peak[run.index], self.asked.quiet))
-
-    def costs(self) -> dict[str, Floats]:
-        result: dict[str, Floats] = {}
-        for band in self.asked.bands:
-            name, unknown = f"settle_{100 * band:g}pct", np.concatenate([*self.restless, *self.late[band]])
-            result[f"{name}_discrete"] = self.settled[band] + 1
-            result[f"{name}_discrete"][unknown] = np.nan
-            if self.asked.continuous:
-                result[name] = self.entry[band].time()
-                result[name][unknown] = np.nan
-        if self.asked.overshoot:
-            unknown = np.concatenate(self.unfinished) if not self.asked.unfinished_overshoot else self.unfinished[0]
-            peaks = {"overshoot_discrete": self.sampled_peak, "overshoot": np.maximum(self.peak, self.sampled_peak)}
-            for name in peaks if self.asked.continuous else ("overshoot_discrete",):
-                result[name] = peaks[name]
-                result[name][unknown] = np.nan
-        return result
+def _form_of(function: Callable[..., None], loop: NormalisedLoop, points: int) -> Callable[..., None]:
+    """Return a compiled function, or itself in plain Python where that is done before machine code is loaded."""
+    few = points * (50 + loop.states**2) <= _PLAIN_WORK and "numba" not in sys.modules
+    return inspect.unwrap(function) if few else function
 
 
-def _follow(run: Motion, found: _Found) -> None:
-    """Follow points until all is known, or modes tell where they settle."""
-    asked, everyone, climbing = found.asked, run, [run.part(slice(0))]
-    look = run.loop.states**2 * _LOOK
-    for samples in _rounds(asked.longest, max(_FIRST, int(look))):
-        run = _marched(run, found, asked.bands, samples)
-        if not len(run.index):
-            break
-        unknown = [run.part(slice(0))]
-        for view in outlooks(run, everyone):
-            unknown.append(view.unknown)
-            for band in asked.bands:
-                ahead = view.before_the_end(band)
-                found.ahead[band].append(found.in_reach(ahead, band))
-            if asked.overshoot:
-                climbing.append(view.before_a_peak(found.known_peak(view.run)))
-        run = joined(unknown)
-    found.restless.append(run.index[found.calm[run.index] <= run.memory])
-    found.unfinished.append(run.index)
-    run, left = joined(climbing), asked.longest
-    while left > 0:  # falls
-        samples = min(max(_AGAIN, int(look)) * (1 + min(_FEW // max(len(run.index), 1), _LONGER)), left)
-        left -= samples
-        found.quiet[run.index] = 0  # some were moved ahead
-        run = _marched(run, found, (), samples)
-        if not len(run.index):
-            break
-        views = list(outlooks(run, everyone))
-        run = joined([view.before_a_peak(found.known_peak(view.run)) for view in views] + [v.unknown for v in views])
-    found.unfinished.append(run.index)
+def _walls(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Arrays:
+    """Return walls, their laws, what each own state may do to the position, where they start, poles of the first."""
+    order = order_of(loop)
+    laws, start = np.ascontiguousarray(loop.law(alpha, beta)[:, order]), loop.starts(np.ones(1), "step")[0, order]
+    guess = np.linalg.eigvals(loop.matrix(alpha[:1], beta[:1])).ravel() - 1.0 + 0j
+    return alpha, beta, laws, _levers(loop, alpha), start, guess
 
 
-def _enter(found: _Found, band: float) -> None:
-    """Follow points before they settle; from earlier where no sample outside the band was met."""
-    run, window = joined(found.ahead[band]), WINDOW
-    while len(run.index):  # ends: each round starts earlier, at last where all before is known
-        out = np.abs(run.watched[0] @ run.state[: run.own]) > band
-        found.settled[band][run.index[out]] = run.sample[out]
-        _marched(run, found, (band,), np.inf)
-        missed = (found.settled[band][run.index] < run.sample) & (run.sample > run.since)
-        window *= _WIDER
-        run = found.in_reach(earlier(run.part(missed), band, window), band)
+def _work(loop: NormalisedLoop, course: Arrays, count: int) -> Arrays:
+    """Return arrays that are used for each point: of the march, what is noted, and of the modes."""
+    n, delay = loop.states, loop.oldest_force
+    own = n - delay
+    marched = tuple(np.zeros(size) for size in (own, delay, own, course[3].shape[1], own, delay))
+    notes = np.zeros(count), np.zeros((count, 5 + own)), np.zeros(2), np.zeros(2)
+    complexes = np.zeros(n, np.complex128), np.zeros((n, n), np.complex128)
+    return marched, notes, (np.zeros(n), np.zeros(own + 1), *complexes, np.zeros((n, 6)))
 
 
-def _rounds(samples: float, least: int, most: int = 0) -> Iterator[int]:
-    """Yield numbers of samples, so many in all: ``least``, and up to ``most`` a quarter of those before."""
-    passed = 0
-    while passed < samples:  # rises
-        count = int(min(max(least, min(passed // 4, most)), samples - passed))
-        yield count
-        passed += count
+def _memory(loop: NormalisedLoop) -> int:
+    """Return the samples that filter and delay remember."""
+    return loop.oldest_force + len(loop.filter_in_z[0]) + 1
 
 
-def _marched(run: Motion, found: _Found, bands: Sequence[float], samples: float) -> Motion:
-    """Advance points by so many samples, noting what they do; return those that still move."""
-    order = np.argsort(run.stop - run.sample)
-    parts = [run.part(order[first : first + _AT_ONCE]) for first in range(0, len(order), _AT_ONCE)]
-    return joined([_advanced(part, found, bands, samples) for part in parts]) if parts else run
-
-
-def _advanced(run: Motion, found: _Found, bands: Sequence[float], samples: float) -> Motion:
-    for count in _rounds(samples, _BLOCK, _LARGEST_BLOCK // len(run.index)):
-        run.advance(count)
-        size, at = np.abs(run.position), run.index
-        found.sampled_peak[at] = np.maximum(found.sampled_peak[at], run.position[:: run.each].max(axis=0))
-        lasts = [_last_true(size > band) for band in bands]
-        for band, last in zip(bands, lasts, strict=True):
-            sampled = last if run.each == 1 else _last_true(size[:: run.each] > band)
-            found.settled[band][at] = np.where(sampled > 0, run.sample - count + sampled, found.settled[band][at])
-        if found.asked.continuous:
-            _note(run, found, dict(zip(bands, lasts, strict=True)), size)
-        done = (run.sample >= run.stop) | _finished(run, found, size[1:].max(axis=0))
-        if done.any():
-            run = run.part(~done)
-        if not len(run.index):
-            break
-    return run
-
-
-def _last_true(values: Booleans) -> Integers:
-    """Return the last row of each column that is true, shape (n,); -1 where none is."""
-    rows = np.arange(1, len(values) + 1, dtype=np.int8 if len(values) < 1 << 7 else np.int32)[:, None]
-    return np.asarray((values * rows).max(axis=0).astype(np.intp) - 1)
-
-
-def _finished(run: Motion, found: _Found, size: Floats) -> Booleans:
-    """Return which points have nothing more to show, or are of no interest, by the largest deviation of a block, (n,).
-
-    At one sample alone all states of the device may be small while a delayed force or a filter holds what is to come.
-    """
-    asked, at, count = found.asked, run.index, len(run.start)
-    still = _SETTLED * min(asked.bands) if asked.bands else 1.0
-    motion, limit = np.maximum(run.size(), size), np.full(len(at), still)
-    if asked.overshoot:
-        limit = np.minimum(limit, np.maximum(_SETTLED * found.sampled_peak[at], asked.quiet))
-    found.quiet[at] = np.where(motion > limit, 0.0, found.quiet[at] + count)
-    found.calm[at] = np.where(motion > still, 0.0, found.calm[at] + count)
-    done = found.quiet[at] > run.memory
-    if asked.bands and not asked.overshoot:
-        late = (np.abs(run.position[-1]) > max(asked.bands)) & (run.sample >= asked.cutoff) & np.isinf(run.stop)
-        found.unfinished.append(at[late])
-        found.restless.append(at[late])
-        done |= late
-    return np.asarray(done)
-
-
-def _note(run: Motion, found: _Found, lasts: dict[float, Integers], size: Floats) -> None:
-    """Note extrema inside pieces, and entries into the bands after the last row outside each."""
-    row, at, reach = _turns(run)
-    event = np.maximum(run.position[row, at], run.position[row + 1, at]) + reach > found.known_peak(run)[at]
-    event &= (run.velocity[row, at] > 0) & (found.asked.overshoot or not lasts)
-    away = np.maximum(size[row, at], size[row + 1, at]) + reach
-    for band, last in lasts.items():
-        event |= (away > band) & (row >= last[at]) & (size[row + 1, at] <= band)
-    row, at = row[event], at[event]
-    extreme = _extremes(run, row, at)
-    np.maximum.at(found.peak, run.index[at], extreme)
-    for band, last in lasts.items():
-        entered = np.flatnonzero((last >= 0) & (last < len(size) - 1))
-        side = np.sign(run.position[last[entered], entered])
-        found.entry[band].set(run, last[entered], entered, side * band)
-        out = (np.abs(extreme) > band) & (row >= last[at]) & (size[row + 1, at] <= band)
-        found.entry[band].set(run, row[out], at[out], np.sign(extreme[out]) * band)
-
-
-def _turns(run: Motion) -> tuple[Integers, Integers, Floats]:
-    """Return the pieces over which the motion turns, in order of time, their points, and how far it goes beyond."""
-    forward = run.velocity > 0
-    row, at = np.nonzero(forward[1:] != forward[:-1])
-    speed = np.minimum(np.abs(run.velocity[row, at]), np.abs(run.velocity[row + 1, at]))
-    return row, at, _timing(run.loop)[1][row % run.each] * speed
-
-
-def _extremes(run: Motion, row: Integers, at: Integers) -> Floats:
-    """Return the positions at which the motion turns within pieces."""
-    interval, piece = np.divmod(row, run.each)
-    motion = within_pieces(run.loop, piece, run.start[interval, :, at].T)
-    return at_share(motion, turning_share(motion))
-
-
-def _note_first(run: Motion, level: float, first: _Passing) -> None:
-    """Note where the motion reaches a level for the first time: within a piece, at its end or at an extremum."""
-    row, at, reach = _turns(run)
-    near = np.maximum(run.position[row, at], run.position[row + 1, at]) + reach >= level
-    near &= (run.velocity[row, at] > 0) & np.isnan(first.sample[run.index[at]])
-    row, at = row[near], at[near]
-    over = _extremes(run, row, at) >= level
-    further, which = np.nonzero((run.position[1:] >= level) & np.isnan(first.sample[run.index]))
-    row, at = np.concatenate([row[over], further]), np.concatenate([at[over], which])
-    order = np.lexsort((row, at))
-    earliest = order[np.unique(at[order], return_index=True)[1]]
-    first.set(run, row[earliest], at[earliest], np.full(len(earliest), level))
-
-
-def _timing(loop: NormalisedLoop) -> tuple[Floats, Floats]:
-    """Return start and duration of each piece [T]."""
-    start, duration = np.array([(piece.start, piece.duration) for piece in pieces(loop)]).T
-    return start, duration
+def _levers(loop: NormalisedLoop, alpha: Floats) -> Floats:
+    """Return what each own state may do to the position, shape (n, own); filters and the last sample do nothing."""
+    lever = np.maximum(8 * (loop.delay + loop.lag + 1), 2 / np.sqrt(alpha + loop.gamma))
+    rows = [np.ones_like(lever), lever]
+    if loop.plant.has_mode:
+        load = loop.plant.load_mass
+        turn = np.sqrt(loop.plant.spring * (1 / (1 - load) + 1 / load))
+        sensed = abs(loop.device.sensor[2])
+        rows += [sensed * np.ones_like(lever), sensed * np.minimum(lever, 1 / turn)]
+    rows += [loop.lag * lever] * (loop.device.states - loop.device.mechanical)
+    levers = np.zeros((len(alpha), loop.states - loop.oldest_force))
+    levers[:, : len(rows)] = np.transpose(rows)
+    return np.ascontiguousarray(levers[:, order_of(loop)])

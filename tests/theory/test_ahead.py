@@ -34,7 +34,7 @@ def points(rng, kind):
 def followed(monkeypatch, *arguments, **options):
     """Return the costs of `transient_costs` with no mode believed."""
     with monkeypatch.context() as patch:
-        patch.setattr(modes, "_STILL_REPRODUCED", -1.0)
+        patch.setattr(modes, "STILL_REPRODUCED", -1.0)
         return transient_costs(*arguments, **options)
 
 

@@ -38,7 +38,7 @@ def points(tmp_path, *rows):
 
 def test_a_cost_that_takes_too_long_is_named_and_the_others_stand(tmp_path, monkeypatch):
     monkeypatch.setattr(theory, "LONGEST", 8000)
-    monkeypatch.setattr(modes, "_STILL_REPRODUCED", -1.0)  # as where modes lie so close together that they tell nothing
+    monkeypatch.setattr(modes, "STILL_REPRODUCED", -1.0)  # as where modes lie so close together that they tell nothing
     (found,) = points(tmp_path, (1e-4, 0.01, 0, 0.1, 3))
     assert found["settle_2pct"] == pytest.approx(np.log(50) / -np.log(found["spectral_radius"]), abs=15)
     assert found["overshoot"] is None

@@ -244,7 +244,7 @@ def test_overshoot_long_after_settling_is_found(monkeypatch):
     steady = spectral_radius(loop, grid[0].ravel(), grid[1].ravel()) < 0.9995
     alpha, beta = (g.ravel()[steady] for g in grid)
     found = transient_costs(loop, alpha, beta, (0.02,), longest=1 << 14, quiet=1e-13)
-    monkeypatch.setattr(modes, "_STILL_REPRODUCED", -1.0)
+    monkeypatch.setattr(modes, "STILL_REPRODUCED", -1.0)
     plain = transient_costs(loop, alpha, beta, (0.02,), longest=1 << 14, quiet=1e-13)
     late = (plain["overshoot"] > 0) & (plain["overshoot"] < 1e-3)
     assert late.sum() > 50

@@ -1,0 +1,717 @@
+"""The march of a step response, one wall at a time, in loops that numba compiles: settling, overshoot, rise.
+
+A response is followed sample by sample, exactly; between samples the motion is a polynomial over each piece of the
+interval (`pipeline.theory.motion`), which is looked at where the velocity changes sign. After some samples the poles
+bound all that is to come, in three steps.
+
+1. The poles are the roots of a polynomial in zeta = z - 1 and z, found from those of a neighbour (Ehrlich and Aberth);
+   the eigenvectors follow from the adjugate. Where roots meet, eigenvectors of the whole matrix are passed in.
+2. With mode m of size c_m over a sampling interval (Bernstein's hull of its polynomials) and decay s_m, the deviation
+   from sample k on is at most sum_m c_m exp(-s_m k): the response is inside a band for good where this sum is.
+3. It is moved to some samples before that, by its modes, and followed to the end: the last entry into the band. For the
+   overshoot it is followed for as long as the sum of the modes that can exceed the final position exceeds the peak.
+
+Deviations are relative to the final displacement, times in samples. A response that needs more samples than the limit
+ends with a status, not with a number. ``course`` is the motion over a sampling interval (`motion.courses`), ``first``
+the first three own states, which a march keeps in registers; ``state`` has a row for each mode: its own states and the
+wall's forces of the last samples, newest first, at sample 0; ``view`` is set by `outlook`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from pipeline.base.compiled import compiled, inlined
+from pipeline.records.trials import Floats
+
+Arrays = tuple[Any, ...]
+"""Arrays of a loop, a wall or a result, in the order of a signature below."""
+
+Three = tuple[float, float, float]
+Forces = tuple[float, float]
+"""The older and the newer force that act in an interval."""
+
+COURSE = "Tuple((f8[:,::1],f8[:,::1],f8[:,::1],f8[:,:,::1],f8[:,::1]))"
+WALLS = "Tuple((f8[::1],f8[::1],f8[:,::1],f8[:,::1],f8[::1],c16[::1]))"
+BODY = "UniTuple(f8[::1],4)"
+MODAL = "Tuple((f8[::1],f8[:,:,::1],f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1]))"
+RULE = "Tuple((f8[::1],b1,b1,i8,f8,f8,f8))"
+MODES = "Tuple((f8[::1],f8[::1],c16[::1],c16[:,::1],f8[:,::1]))"
+WORK = f"UniTuple(f8[::1],6),Tuple((f8[::1],f8[:,::1],f8[::1],f8[::1])),{MODES}"
+
+MOVING, STILL, LATE = 0, 1, 2
+"""How a march ended: at its last sample, without motion, or at the cutoff outside all bands."""
+
+KNOWN, UNSETTLED, UNFINISHED, NO_MODES = 0, 1, 2, 4
+"""What is known of a response: all; no settling time; no overshoot; nothing before modes by eigenvectors are given."""
+
+CUTOFF_SAMPLES = 16
+"""Samples between two looks at the cutoff."""
+
+TURN_STEPS = 5
+"""Newton steps to a turn from a first guess within a piece of at most one radian: each doubles its digits."""
+
+PASSING_STEPS, PASSING_SHARE = 55, 1e-13
+"""Steps to a passing, by Newton or halves, and the last step, as a share of a piece."""
+
+ROOT_STEPS, FIRST_TURN = 30, 1e-3
+"""Iterations to the poles at most, some five from a neighbour's, and the share by which first guesses are turned: real
+ones would stay real."""
+
+ROUNDED = 1e-12
+"""What rounding may leave: of a pole's step relative to its distance from z = 1, of a real one's imaginary part, and of
+the difference of the state at sample 0 and its modes, relative to these."""
+
+CANCELLED = 1e3
+"""Sizes of all modes over that of their sum from which on they cancel too many digits: rounding grows as the square."""
+
+ROUNDED_SAMPLES = 64
+"""Samples in which a pole's rounding turns its mode by as much as modes and march may differ at first."""
+
+GONE = 1e-30
+"""Pole of a motion that ends at once."""
+
+OUTWEIGHED = 0.99
+"""Share of a leading negative mode that all others together may have for it to keep its sign."""
+
+WINDOW_SAMPLES, MAX_WINDOW_SAMPLES = 24, 1 << 22
+"""Samples in front of the end of an envelope that are followed first, and at most: it may lie far above the motion."""
+
+CLIMB_SAMPLES, MIN_JUMP_SAMPLES = 64, 2.0
+"""Samples before it is looked again whether a response may exceed its peak, and the fewest that are left out."""
+
+
+@inlined
+def seen_by(rows: Floats, r: int, z: Floats, first: Three) -> float:
+    """Return a row times own states."""
+    value: float = rows[r, 0] * first[0] + rows[r, 1] * first[1] + rows[r, 2] * first[2]
+    for i in range(3, len(z)):
+        value += rows[r, i] * z[i]
+    return value
+
+
+@inlined
+def behind(rows: Floats, r: int, z: Floats, first: Three, forces: Forces) -> float:
+    """Return a row times own states and forces."""
+    acting: float = rows[r, len(z)] * forces[0] + rows[r, len(z) + 1] * forces[1]
+    return seen_by(rows, r, z, first) + acting
+
+
+@inlined
+def delayed(line: Floats, at: int, force: float) -> tuple[Forces, int]:
+    """Return the forces that act, and the next place in the line; a new force takes that of the oldest."""
+    if not len(line):
+        return (force, force), 0
+    after = at + 1 if at + 1 < len(line) else 0
+    forces = line[at], line[after] if len(line) > 1 else force
+    line[at] = force
+    return forces, after
+
+
+@inlined
+def advanced(step: Floats, z: Floats, moved: Floats, first: Three, forces: Forces) -> Three:
+    """Return the first three own states at the next sample; set the others."""
+    for i in range(3, len(z)):
+        moved[i] = behind(step, i, z, first, forces)
+    following = behind(step, 0, z, first, forces), behind(step, 1, z, first, forces), seen_by(step, 2, z, first)
+    for i in range(3, len(z)):
+        z[i] = moved[i]
+    return following
+
+
+@inlined
+def copy(source: Floats, target: Floats) -> None:
+    """Copy numbers."""
+    for i in range(len(source)):
+        target[i] = source[i]
+
+
+@inlined
+def begin(start: Floats, force: float, z: Floats, line: Floats) -> None:
+    """Set own states and delayed forces at sample 0."""
+    copy(start, z)
+    for i in range(len(line)):
+        line[i] = force
+
+
+@inlined
+def curve_of(curves: Floats, j: int, z: Floats, forces: Forces, curve: Floats) -> None:
+    """Set the coefficients of the position over a piece."""
+    for c in range(len(curve)):
+        curve[c] = curves[j, c, len(z)] * forces[0] + curves[j, c, len(z) + 1] * forces[1]
+        for i in range(len(z)):
+            curve[c] += curves[j, c, i] * z[i]
+
+
+@inlined
+def motion_at(curve: Floats, share: float) -> Three:
+    """Return a polynomial at a share of its piece, and its first and second derivative."""
+    value, slope, bend = 0.0, 0.0, 0.0
+    for i in range(len(curve) - 1, -1, -1):
+        bend = bend * share + 2 * slope
+        slope = slope * share + value
+        value = value * share + curve[i]
+    return value, slope, bend
+
+
+@inlined
+def turn_of(curve: Floats) -> float:
+    """Return the share of a piece at which a motion that turns has no velocity; 1 where it does not turn."""
+    end = motion_at(curve, 1.0)[1]
+    if curve[1] * end >= 0:
+        return 1.0
+    share: float = curve[1] / (curve[1] - end)
+    for _ in range(TURN_STEPS):
+        _, slope, bend = motion_at(curve, share)
+        share = min(max(share - slope / bend, 0.0), 1.0) if bend else share
+    return share
+
+
+@inlined
+def passing(curve: Floats, level: float) -> float:
+    """Return the share of a piece at which a motion passes a level, from its turn on."""
+    share, low, high = turn_of(curve), 0.0, 1.0
+    for number in range(PASSING_STEPS):
+        value, slope, _ = motion_at(curve, share)
+        miss, before = value - level, share
+        low, high = (share, high) if miss * level > 0 else (low, share)
+        # from the turn, beyond which the motion comes back, there is no tangent
+        tangent = number and slope and low <= before - miss / slope <= high
+        share = before - miss / slope if tangent else 0.5 * (low + high)
+        if abs(share - before) <= PASSING_SHARE:
+            break
+    return share
+
+
+@inlined
+def march(
+    course: Arrays, body: Arrays, notes: Arrays, span: tuple[int, int, int, int], asked: Arrays
+) -> tuple[int, int]:
+    """Follow a response from a sample up to another, unless it comes to rest before; return where and how it ended.
+
+    Parameters
+    ----------
+    course : tuple
+        Of `courses`.
+    body : tuple
+        Own states ``z``; delayed forces ``line``, that of sample k at k modulo the delay; two arrays that are used; of
+        all walls the rows of their laws, and the levers of own states on the position; the number of this wall; and
+        two arrays to keep the first two in.
+    notes : tuple
+        For each band the last sample outside (``settled``) and the interval, piece and start of the last passing into
+        it (``entry``); largest deviation between samples and of samples (``peak``); samples for which all motion was
+        small beside the bands, and beside the peak too (``calm``).
+    span : tuple of int
+        The two samples, the first of the bands that are looked at, and that behind the last.
+    asked : tuple
+        ``bands``, whether the overshoot and the motion between samples are asked for, samples that the loop remembers,
+        share of a band or peak that is small, deviation that is no overshoot, and cutoff.
+
+    Notes
+    -----
+    At one sample alone all states of the device may be small while a delayed force or a filter holds what is to come:
+    a response is at rest when all motion was small for as long as the loop remembers.
+    """
+    step, watch, ends, curves, timing = course
+    z, line, moved, curve, laws, levers, n, _, _ = body
+    settled, entry, peak, calm = notes
+    bands, swings, between, memory, share, floor, cutoff = asked
+    own, first, (k, end, low, high) = len(z), (z[0], z[1], z[2]), span
+    narrowest, widest = 1.0 / share, 0.0
+    for b in range(low, high):
+        narrowest, widest = min(narrowest, bands[b]), max(widest, bands[b])
+    at = k % len(line) if len(line) else 0
+    place, speed = seen_by(watch, 0, z, first), seen_by(watch, 1, z, first)
+    while k < end:
+        forces, at = delayed(line, at, seen_by(laws, n, z, first))
+        largest = 0.0
+        for j in range(len(curves)):
+            after = behind(ends, 2 * j, z, first, forces)
+            speed_after = behind(ends, 2 * j + 1, z, first, forces)
+            extreme = 0.0
+            if between and (speed > 0) != (speed_after > 0):
+                reach = timing[1, j] * min(abs(speed), abs(speed_after))
+                turns = (swings or low == high) and speed > 0 and max(place, after) + reach > max(peak[1], floor)
+                away = max(abs(place), abs(after)) + reach
+                for b in range(low, high):
+                    turns = turns or abs(after) <= bands[b] < away
+                if turns:
+                    z[0], z[1], z[2] = first
+                    curve_of(curves, j, z, forces, curve)
+                    extreme = motion_at(curve, turn_of(curve))[0]
+                    peak[0] = max(peak[0], extreme)
+            for b in range(low, high):
+                # another march may have met a later one
+                if abs(after) <= bands[b] < max(abs(place), abs(extreme)) and not k < entry[b, 0]:
+                    entry[b, 0], entry[b, 1] = k, j
+                    entry[b, 2] = math.copysign(bands[b], extreme if abs(extreme) > bands[b] else place)
+                    entry[b, 3], entry[b, 4] = forces
+                    z[0], z[1], z[2] = first
+                    for i in range(own):
+                        entry[b, 5 + i] = z[i]
+            place, speed = after, speed_after
+            largest = max(largest, abs(place))
+        first = advanced(step, z, moved, first, forces)
+        k += 1
+        peak[1] = max(peak[1], place)
+        for b in range(low, high):
+            if abs(place) > bands[b]:
+                settled[b] = k
+        small = share * narrowest
+        if largest <= small:
+            z[0], z[1], z[2] = first
+            size = 0.0
+            for i in range(own):
+                size += abs(z[i]) * levers[n, i]
+            largest = max(largest, size)
+        calm[0] = calm[0] + 1 if largest <= small else 0
+        if swings:
+            small = min(small, max(share * peak[1], floor))
+        calm[1] = calm[1] + 1 if largest <= small else 0
+        if calm[1] > memory or (k >= cutoff and k % CUTOFF_SAMPLES == 0 and abs(place) > widest > 0 and not swings):
+            break
+    z[0], z[1], z[2] = first
+    return k, STILL if calm[1] > memory else LATE if k < end else MOVING
+
+
+@inlined
+def power_of(base: complex, exponent: int) -> complex:
+    """Return a whole power."""
+    result = 1 + 0j
+    while exponent:
+        if exponent & 1:
+            result *= base
+        base *= base
+        exponent >>= 1
+    return result
+
+
+@inlined
+def over(top: complex, bottom: complex) -> complex:
+    """Return a ratio; without a number where the bottom is 0."""
+    return top * bottom.conjugate() * (1 / square(bottom))
+
+
+@inlined
+def square(number: complex) -> float:
+    """Return the square of the size of a number."""
+    return number.real * number.real + number.imag * number.imag
+
+
+@inlined
+def roots(modal: Arrays, wall: tuple[float, float], zeta: Floats, forces: Floats) -> bool:
+    """Find zeta = z - 1 of all poles from guesses, in place (Ehrlich and Aberth); return whether they are known.
+
+    ``forces`` is an array that is used.
+    """
+    determinant, _, _, walls, _, _ = modal
+    delay = len(zeta) - len(forces) + 1
+    for k in range(len(forces)):
+        forces[k] = walls[0, k] * wall[0] + walls[1, k] * wall[1]
+    for i in range(len(zeta)):
+        zeta[i] *= 1 + FIRST_TURN * complex(math.cos(i + 1), math.sin(i + 1))
+    for _ in range(ROOT_STEPS):
+        moves = False
+        for i in range(len(zeta)):
+            place = zeta[i]
+            top, top_slope, low, low_slope, others = 0j, 0j, 0j, 0j, 0j
+            for k in range(len(forces) - 1, -1, -1):
+                top_slope = top_slope * place + top
+                top = top * place + determinant[k]
+                low_slope = low_slope * place + low
+                low = low * place + forces[k]
+            for j in range(len(zeta)):
+                away = place - zeta[j]
+                if j != i:
+                    others += over(1 + 0j, away)
+            power = power_of(1 + place, delay)
+            value = power * top + low
+            slope = power * (top_slope + delay * over(top, 1 + place)) + low_slope
+            change = over(value, slope - value * others)
+            zeta[i] -= change
+            moves = moves or not square(change) <= ROUNDED**2 * square(place)
+        if not moves:
+            return True
+    return False
+
+
+@inlined
+def shapes(modal: Arrays, wall: tuple[float, float], start: Floats, pole: Floats, state: Floats) -> None:
+    """Set what each mode has of the states at sample 0, by right and left eigenvectors; pole - 1 comes in ``pole``.
+
+    With s the states without forces, G the gains of the oldest force and of z times the newer one: right ones are
+    (adj G, D z^(delay - age)), left ones (law adj z^delay, law adj G z^(age - 1)); of the oldest force alone its own
+    gain counts.
+    """
+    determinant, rows, columns, _, gains, _ = modal
+    own, delay = rows.shape[2], len(start) - rows.shape[2]
+    for m in range(len(pole)):
+        zeta, one = pole[m], 1 + pole[m]
+        top, begun, size, oldest, newer, older = 0j, 0j, 0j, 0j, 0j, 0j
+        for k in range(own, -1, -1):
+            top = top * zeta + determinant[k]
+        for i in range(own):
+            left, right = 0j, columns[own, i] + 0j
+            for k in range(own - 1, -1, -1):
+                left = left * zeta - wall[0] * rows[0, k, i] - wall[1] * rows[1, k, i]
+                right = right * zeta + columns[k, i]
+            size += left * right
+            begun += left * start[i]
+            oldest += gains[0, i] * left
+            newer += gains[1, i] * left
+            state[m, i] = right
+        power, pushed = 1 + 0j, oldest + one * newer
+        for j in range(delay - 1, -1, -1):  # power: one^(delay - 1 - j)
+            state[m, own + j] = top * power
+            if j:
+                older += power * start[own + delay - 1 - j]
+                power *= one
+            else:
+                size = size * one * power + top * power * ((delay - 1) * pushed + oldest)
+                begun = begun * one * power + pushed * older + power * oldest * start[own + delay - 1]
+        scale = over(begun, size)
+        for i in range(len(start)):
+            state[m, i] *= scale
+        pole[m] = one
+
+
+@inlined
+def told(state: Floats, start: Floats) -> bool:
+    """Return whether modes make up the state at sample 0, and are no larger than what does not cancel."""
+    largest, off, sizes, size = 0.0, 0.0, 0.0, 0.0
+    for i in range(len(start)):
+        total, parts = 0j, 0.0
+        for m in range(len(state)):
+            total += state[m, i]
+            parts += math.sqrt(square(state[m, i]))
+        largest, off = max(largest, parts), max(off, square(total - start[i]))
+        size, sizes = size + abs(start[i]), sizes + parts
+    return off <= (ROUNDED * largest) ** 2 and sizes <= CANCELLED * size
+
+
+@inlined
+def outlook(law: Floats, n: int, hull: Floats, pole: Floats, state: Floats, view: Floats) -> bool:
+    """Set what modes have of the motion in the interval behind sample 0; return whether all fade.
+
+    Columns of ``view``: decay and angle per sample, largest size, how far below zero it
+    stays, of a real positive pole, and a power of the pole (two).
+    """
+    own, delay = law.shape[1], state.shape[1] - law.shape[1]
+    for m in range(len(state)):
+        if abs(pole[m].imag) < ROUNDED:
+            pole[m] = complex(pole[m].real, 0.0)
+        view[m, 0] = -0.5 * math.log(max(square(pole[m]), GONE**2))
+        view[m, 1] = math.atan2(pole[m].imag, pole[m].real)
+        force, size, least = 0j, 0.0, math.inf
+        for i in range(own):
+            force += law[n, i] * state[m, i]
+        older = state[m, own + delay - 1] if delay else force
+        newer = state[m, own + delay - 2] if delay > 1 else force
+        for c in range(len(hull)):
+            place = hull[c, own] * older + hull[c, own + 1] * newer
+            for i in range(own):
+                place += hull[c, i] * state[m, i]
+            size, least = max(size, square(place)), min(least, -place.real)
+        view[m, 2] = math.sqrt(size)
+        view[m, 3] = max(least, 0.0) if pole[m].imag == 0 and pole[m].real > 0 else 0.0
+        if not view[m, 0] > 0:
+            return False
+    return True
+
+
+@inlined
+def grow(view: Floats, sample: float) -> None:
+    """Set the powers of the poles."""
+    for m in range(len(view)):
+        size, turn = math.exp(-sample * view[m, 0]), sample * view[m, 1]
+        view[m, 4], view[m, 5] = size, 0.0
+        if turn:
+            view[m, 4], view[m, 5] = size * math.cos(turn), size * math.sin(turn)
+
+
+@inlined
+def moved_to(sample: int, state: Floats, view: Floats, body: Arrays) -> None:
+    """Set own states and delayed forces at a sample, from"""
+    z, line = body[0], body[1]
+    grow(view, sample)
+    for i in range(state.shape[1]):
+        value, age = 0.0, i - len(z) + 1
+        for m in range(len(view)):
+            value += state[m, i].real * view[m, 4] - state[m, i].imag * view[m, 5]
+        if age > 0:
+            line[(sample - age) % len(line)] = value
+        else:
+            z[i] = value
+
+
+@inlined
+def agrees(state: Floats, view: Floats, body: Arrays, sample: int, reproduced: float) -> bool:
+    """Return whether a response is where its modes say."""
+    z, levers, n = body[0], body[5], body[6]
+    off, size = 0.0, 0.0
+    grow(view, sample)
+    for i in range(len(z)):
+        place = 0.0
+        for m in range(len(view)):
+            place += state[m, i].real * view[m, 4] - state[m, i].imag * view[m, 5]
+        off += levers[n, i] * abs(place - z[i])
+        size += levers[n, i] * abs(z[i])
+    return off <= reproduced * (1 + sample / ROUNDED_SAMPLES) * size
+
+
+@inlined
+def envelope_end(view: Floats, band: float, sample: float) -> float:
+    """Return a time, from a sample on, from which on the sum of all sizes is inside the band, at most two too late."""
+    time = sample
+    for _ in range(30):
+        total, falls = 0.0, 0.0
+        for m in range(len(view)):
+            part = view[m, 2] * math.exp(-view[m, 0] * time)
+            total += part
+            falls += view[m, 0] * part
+        # Newton's method on the logarithm, a convex function, comes from below
+        change = math.log(total / band) * total / falls if total > band else 0.0
+        time += change
+        if change <= 0.5:
+            break
+    return time + 1 if time > sample else time
+
+
+@inlined
+def outweighs(view: Floats, lead: int, sample: float) -> bool:
+    """Return whether a mode below zero is larger than all that may be above it, for an interval."""
+    others = 0.0
+    for m in range(len(view)):
+        if view[m, 3] == 0:
+            others += view[m, 2] * math.exp(-view[m, 0] * sample)
+    lasts: bool = others <= OUTWEIGHED * view[lead, 3] * math.exp(-view[lead, 0] * sample)
+    return lasts
+
+
+@inlined
+def below_a_peak(view: Floats, peak: float, sample: float) -> float:
+    """Return samples, half of all or more, in which envelopes keep the motion below a peak; infinity if they always do.
+
+    They do where all modes that may rise above the final position are smaller than the peak; also while a real mode
+    below it outweighs them. The ratio of a sum of exponentials to one exponential is convex in time: it suffices to
+    know it now and at a time; where the others are below the peak nothing can come any more.
+    """
+    lead, largest, slowest, total = -1, -1.0, math.inf, 0.0
+    for m in range(len(view)):
+        size = view[m, 2] * math.exp(-view[m, 0] * sample)
+        if view[m, 3] > 0:
+            if size > largest:
+                lead, largest = m, size
+        elif size > 0:
+            total += size
+            slowest = min(slowest, view[m, 0])
+    if total <= peak:
+        return math.inf
+    if lead < 0 or not outweighs(view, lead, sample):
+        return 0.0
+    span, free = math.log(total / peak) / slowest, 1.0
+    while outweighs(view, lead, sample + free):
+        if free >= span:
+            return math.inf
+        free *= 2
+    return free / 2
+
+
+@inlined
+def settle(course: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Arrays, b: int) -> bool:
+    """Follow a response into a band before its end, known from modes; return whether it is not too far before it.
+
+    ``ahead``: ``state`` and ``view`` of its modes, a sample, and what `climb` takes.
+    """
+    state, view, since, _, _ = ahead
+    z, line, _, _, _, _, _, begun, begun_line = body
+    settled, _, _, calm = notes
+    last, window = math.ceil(envelope_end(view, asked[0][b], since)), WINDOW_SAMPLES
+    while window < MAX_WINDOW_SAMPLES:
+        first = max(last - window, since)
+        if first > since:
+            moved_to(first, state, view, body)
+        else:
+            copy(begun, z)
+            copy(begun_line, line)
+        if abs(seen_by(course[1], 0, z, (z[0], z[1], z[2]))) > asked[0][b]:
+            settled[b] = first
+        calm[0] = calm[1] = 0.0
+        march(course, body, notes, (first, last, b, b + 1), asked)
+        if settled[b] >= first or first <= since:
+            return True
+        last, window = first, 2 * window
+    return False
+
+
+@inlined
+def climb(course: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Arrays) -> bool:
+    """Follow a response for so long as it may exceed its peak; return whether it cannot any more.
+
+    ``ahead`` as of `settle`: also the samples that it is followed for, and up to what it agrees with its modes.
+    """
+    state, view, k, longest, reproduced = ahead
+    z, line, _, _, _, _, _, begun, begun_line = body
+    _, _, peak, calm = notes
+    copy(begun, z)
+    copy(begun_line, line)
+    last, known = longest + k, True
+    while k < last:
+        free = below_a_peak(view, max(peak[1], asked[5]), k) if known else 0.0
+        if free == math.inf:
+            return True
+        if free >= MIN_JUMP_SAMPLES:
+            k, last = k + int(free), last + int(free)
+            moved_to(k, state, view, body)
+        calm[0] = calm[1] = 0.0
+        k, how = march(course, body, notes, (k, min(k + CLIMB_SAMPLES, last), 0, 0), asked)
+        if how == STILL:
+            return True
+        known = agrees(state, view, body, k, reproduced)
+    return False
+
+
+@compiled(
+    f"void({COURSE},{MODAL},{WALLS},Tuple(({RULE},Tuple((i8,i8,f8)))),Tuple((c16[:,::1],c16[:,:,::1])),"
+    f"Tuple((f8[:,::1],i8[::1],{WORK})))"
+)
+def step_costs(course: Arrays, modal: Arrays, walls: Arrays, asked: Arrays, given: Arrays, out: Arrays) -> None:
+    """Compute settling times and overshoots of step responses.
+
+    Parameters
+    ----------
+    course, modal : tuple
+        Of `courses` and `polynomials`.
+    walls : tuple
+        Of `_walls`.
+    asked : tuple
+        That of `march`; samples after which a response is given up, those before its modes are looked at, and the
+        difference of a state and its modes, relative to its motion, up to which they agree.
+    given : tuple
+        Poles and states of modes, shapes (n, modes) and (n, modes, states), where polynomials do not give them; else
+        n = 0.
+    out : tuple
+        Costs, shape (n, 2 bands + 2), which are set: of the samples and of the motion, each settling times and then the
+        overshoot; what is known, shape (n,); and arrays of `_work`.
+    """
+    _, _, _, curves, timing = course
+    alpha, beta, laws, levers, start, guess = walls
+    rule, (longest, looked, reproduced) = asked
+    _, swings, between, memory, _, _, _ = rule
+    costs, status, (z, line, moved, curve, begun, begun_line), notes, (initial, forces, pole, state, view) = out
+    settled, entry, peak, calm = notes
+    later = rule[:6] + (math.inf,)  # noqa: RUF005 (numba)
+    own, count, states = len(start), len(settled), len(guess)
+    for n in range(len(alpha)):
+        wall, body = (alpha[n], beta[n]), (z, line, moved, curve, laws, levers, n, begun, begun_line)
+        begin(start, alpha[n], z, line)
+        for i in range(states):
+            initial[i] = start[i] if i < own else alpha[n]
+        for b in range(count):
+            settled[b], entry[b, 0] = 0.0, math.nan
+        peak[0] = peak[1] = calm[0] = calm[1] = 0.0
+        status[n], known, fades, tried, k, how = KNOWN, False, False, False, 0, MOVING
+        k, how = march(course, body, notes, (k, min(looked, longest), 0, count), rule)
+        while how == MOVING:
+            if not tried:
+                if len(given[0]):
+                    copy(given[0][n], pole)
+                    for m in range(states):
+                        copy(given[1][n, m], state[m])
+                else:
+                    status[n] = NO_MODES
+                    copy(guess, pole)
+                    if not (len(modal[0]) and roots(modal, wall, pole, forces)):
+                        break
+                    copy(pole, guess)
+                    shapes(modal, wall, initial, pole, state)
+                tried = True
+                fades = told(state, initial)
+                if not fades and status[n] == NO_MODES:
+                    break
+                status[n], fades = KNOWN, fades and outlook(laws, n, modal[5], pole, state, view)
+            known = fades and agrees(state, view, body, k, reproduced)
+            if known or k >= longest:
+                break
+            k, how = march(course, body, notes, (k, min(2 * k, longest), 0, count), rule)
+        if known:
+            copy(z, begun)
+            copy(line, begun_line)
+        elif how == LATE or (how == MOVING and status[n] == KNOWN):
+            status[n] = UNFINISHED if how == MOVING and calm[0] > memory else UNSETTLED | UNFINISHED
+        ahead = (state, view, k, longest, reproduced)
+        for b in range(count):
+            met = settle(course, body, notes, ahead, later, b) if known else not status[n] & UNSETTLED
+            costs[n, b], costs[n, count + 1 + b] = settled[b] + 1 if met else math.nan, math.nan
+            if between and met and entry[b, 0] >= 0:
+                j = int(entry[b, 1])
+                curve_of(curves, j, entry[b, 5:], (entry[b, 3], entry[b, 4]), curve)
+                costs[n, count + 1 + b] = entry[b, 0] + timing[0, j] + passing(curve, entry[b, 2]) * timing[1, j]
+        if known and swings and not climb(course, body, notes, ahead, later):
+            status[n] |= UNFINISHED
+        costs[n, count], costs[n, 2 * count + 1] = peak[1], max(peak[0], peak[1])
+
+
+@compiled(f"void({COURSE},{WALLS},Tuple((f8[::1],i8,i8,f8)),{BODY},f8[::1])")
+def late_deviations(course: Arrays, walls: Arrays, asked: Arrays, body: Arrays, largest: Floats) -> None:
+    """Set the largest deviation of the samples of each response from one on.
+
+    ``asked``: these samples, shape (n,), the last one, what the loop remembers, and the share of the largest deviation
+    below which all motion has to stay for so long.
+    """
+    step, watch, _, _, _ = course
+    alpha, _, laws, levers, start, _ = walls
+    since, longest, memory, share = asked
+    z, line, moved, _ = body
+    for n in range(len(alpha)):
+        begin(start, alpha[n], z, line)
+        largest[n], k, calm, at, first = 0.0, 0, 0, 0, (z[0], z[1], z[2])
+        while k < longest and calm <= memory:
+            forces, at = delayed(line, at, seen_by(laws, n, z, first))
+            z[0], z[1], z[2] = first = advanced(step, z, moved, first, forces)
+            k += 1
+            place, size = abs(seen_by(watch, 0, z, first)), 0.0
+            for i in range(len(z)):
+                size += levers[n, i] * abs(z[i])
+            if k >= since[n]:
+                largest[n] = max(largest[n], place)
+            calm = calm + 1 if k >= since[n] and max(size, place) <= share * largest[n] else 0
+
+
+@compiled(f"void({COURSE},{WALLS},Tuple((f8[::1],i8,b1)),{BODY},f8[:,:,::1])")
+def rises(course: Arrays, walls: Arrays, asked: Arrays, body: Arrays, time: Floats) -> None:
+    """Set when each response first reaches levels below zero, shape (2, levels, n): the motion, and samples by lines.
+
+    ``asked``: levels, the last sample, and whether the motion between samples is asked for.
+    """
+    step, watch, ends, curves, timing = course
+    alpha, _, laws, _, start, _ = walls
+    levels, longest, between = asked
+    z, line, moved, curve = body
+    for n in range(len(alpha)):
+        begin(start, alpha[n], z, line)
+        k, left, at, first = 0, len(levels), 0, (z[0], z[1], z[2])
+        for m in range(len(levels)):
+            time[0, m, n] = time[1, m, n] = math.nan
+        place, speed = seen_by(watch, 0, z, first), seen_by(watch, 1, z, first)
+        while k < longest and left:
+            forces, at = delayed(line, at, seen_by(laws, n, z, first))
+            sampled = place
+            for j in range(len(curves)):
+                after, speed_after = behind(ends, 2 * j, z, first, forces), behind(ends, 2 * j + 1, z, first, forces)
+                highest = max(place, after)
+                if between and (highest >= levels[0] or speed > 0):
+                    curve_of(curves, j, z, forces, curve)
+                    if speed > 0 and not speed_after > 0:
+                        highest = max(highest, motion_at(curve, turn_of(curve))[0])
+                    for m in range(len(levels)):
+                        if highest >= levels[m] and math.isnan(time[0, m, n]):
+                            time[0, m, n] = k + timing[0, j] + passing(curve, levels[m]) * timing[1, j]
+                place, speed = after, speed_after
+            for m in range(len(levels)):
+                if place >= levels[m] and math.isnan(time[1, m, n]):
+                    time[1, m, n] = k + (levels[m] - sampled) / (place - sampled)
+                    left -= 1
+            z[0], z[1], z[2] = first = advanced(step, z, moved, first, forces)
+            k += 1
