@@ -21,6 +21,7 @@ from pipeline.comparison.stage_pool import compute_stages
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages import stage_tables
+from pipeline.measured.stages.stage_needs import NEEDS
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.store import objects
 from pipeline.store.objects import opened, stored_by
@@ -44,7 +45,7 @@ def local(logs, tmp_path_factory):
     ingest([logs], folder / "trials-only")
     shutil.copytree(folder / "trials-only", folder / "whole")
     for own in experiments(folder / "whole"):
-        for stage in sorted(NEEDED, key=list(own.stages).index):
+        for stage in sorted(NEEDED, key=list(NEEDS).index):
             own.table(stage)
     return folder
 
