@@ -190,7 +190,7 @@ def test_logs_without_a_baseline_give_reasons_and_no_crash(tmp_path):
             assert estimate.reason
         else:  # the likeliest device needs no baseline
             assert estimate.low <= truth[name] <= estimate.high
-    assert experiment.theory.mass == pytest.approx(truth["mass"], rel=1e-9)
+    assert experiment.theory.loop.mass == pytest.approx(truth["mass"], rel=1e-9)
     assert set(experiment.missing) | set(experiment.optimum) == set(outcome.result.criteria)
     assert "energy_step_w0" in experiment.missing
     assert all(experiment.missing.values())
