@@ -17,7 +17,7 @@ from pipeline.measured.experiment.boundary import spread_over_plane
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop, loop_of_row, nominal_loop
 from pipeline.measured.identification.identifiability import Recorded
 from pipeline.measured.identification.identified import check_recordings, described
-from pipeline.measured.identification.parts import Choice, again
+from pipeline.measured.identification.parts import ChosenParts, fit_parts
 from pipeline.measured.identification.parts import choose_parts as look_at_once
 from pipeline.measured.identification.recordings import Recording
 from pipeline.measured.law.wall_law import wall_law
@@ -56,7 +56,7 @@ RANGE = 1.5
 AGAIN = 3
 """Parts of a device are looked for anew when there are so many times as many logs."""
 
-Look = Callable[[list[Recording]], Choice | None]
+Look = Callable[[list[Recording]], ChosenParts | None]
 """What looks for the parts of a device; None as long as that goes on."""
 
 SAME = 0.002
@@ -85,7 +85,7 @@ RANGE_NEEDED = (
 class Learnt:
     """The device of some logs; None where they tell no mass. Its parts were looked for at so many logs."""
 
-    choice: Choice
+    chosen: ChosenParts
     device: IdentifiedLoop | None
     looked: int
 
@@ -401,21 +401,18 @@ def learn(trials: Trials, count: int, known: Learnt | None, look: Look) -> Learn
     recordings = _recordings(spread)
     if unusable(recordings):
         return known
-    choice, looked = (None, 0) if known is None else (known.choice, known.looked)
+    chosen, looked = (None, 0) if known is None else (known.chosen, known.looked)
     try:
         fresh = look(recordings) if count >= AGAIN * looked else None
-        choice, looked = (choice, looked) if fresh is None else (fresh, count)
-        if choice is None:
+        chosen, looked = (chosen, looked) if fresh is None else (fresh, count)
+        if chosen is None:
             return None
-        # the search may have ended after other logs were recorded
-        if choice is not fresh or choice.segments.trials != len(recordings):
-            choice = again(choice, recordings)
-        found = described(recordings, choice)
+        found = described(recordings, fit_parts(recordings, chosen))
     except (ParameterError, np.linalg.LinAlgError):
         # a device that cannot be fitted is none
         return known
     if found.unidentifiable & {"mass", "delay_samples"}:
-        return Learnt(choice, None, looked)
+        return Learnt(chosen, None, looked)
     row = device_row(found, Recorded.of(recordings).remedy(), float(np.abs(trials.step).max(initial=0.0)))
     device = loop_of_row(asdict(row), float(np.median(trials.sampling_period_s)))
     # a filter shows most where there is most damping
@@ -425,7 +422,7 @@ def learn(trials: Trials, count: int, known: Learnt | None, look: Look) -> Learn
         shown = wall_law(most, find_response(most)).filter
         velocity = None if shown is None else shown.declared
     device = replace(device, velocity=velocity, directions=Recorded.of(recordings).directions)
-    return Learnt(choice, device, looked)
+    return Learnt(chosen, device, looked)
 
 
 def unusable(recordings: list[Recording]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from pipeline.device.parts import Sensor
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop
 from pipeline.measured.signal.verdict import judge
-from pipeline.records.trials import Floats, Trials
+from pipeline.records.trials import Floats, Trial, Trials
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import delays_of, simulate
 from pipeline.theory.boundary import boundary, stabilises, stiffness_limit
@@ -123,20 +124,34 @@ def step_limits(loop: Loop, damping: Floats, trial: StepTrial, softest: Floats) 
     linear = linear_limits(loop, damping)
     least = linear if loop.friction and not trial.jitter else 0.5 * linear
     low, high = np.maximum(least, softest), linear + BEYOND * linear.max()
-    begin, ends = low, high > low
+    begin, ends = low.copy(), high > low
     for _ in range(ROUNDS):
         K = _rounded(np.linspace(low, high, WALLS + 1)[1:])
         trials = simulate_behind(loop, K.ravel(), np.tile(damping, WALLS), trial)
-        verdicts = np.array([judge(simulated).verdict for simulated in trials]).reshape(K.shape)
-        grows = verdicts == "unstable"
-        ends &= grows.any(axis=0)
-        first, step = np.argmax(grows, axis=0), (high - low) / WALLS
-        # between the stiffest stable wall below and this one verdicts are open
-        stable = (verdicts == "stable") & (np.arange(WALLS)[:, None] < first)
-        last = np.where(stable.any(axis=0), WALLS - np.argmax(stable[::-1], axis=0), 0)
-        low, high = low + last * step, low + (first + 1) * step
+        step = (high - low) / WALLS
+        for each in range(len(damping)):
+            found = _bracket([trials[row * len(damping) + each] for row in range(WALLS)]) if ends[each] else None
+            ends[each] = found is not None
+            last, first = found or (0, 0)
+            # between the stiffest stable wall and the first unstable one verdicts are open
+            low[each], high[each] = low[each] + last * step[each], low[each] + (first + 1) * step[each]
     known = ends & (low > np.where(begin > least, begin, -1.0))
     return np.where(known, 0.5 * (low + high), np.nan), 0.5 * (high - low)
+
+
+def _bracket(trials: Sequence[Trial]) -> tuple[int, int] | None:
+    """Return the place behind the last stable trial below the first unstable one, and of that one; None without one.
+
+    Trials are of increasing stiffness; those above the first unstable one are not judged.
+    """
+    last = 0
+    for place, trial in enumerate(trials):
+        verdict = judge(trial).verdict
+        if verdict == "unstable":
+            return last, place
+        if verdict == "stable":
+            last = place + 1
+    return None
 
 
 def _rounded(stiffness: Floats) -> Floats:

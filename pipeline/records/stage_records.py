@@ -56,6 +56,29 @@ class OutcomeRow:
 
 
 @dataclass(frozen=True)
+class PartsRow:
+    """Parts of the device by some of the trials, and where its fit to all begins; None but for ``reason`` if none."""
+
+    start_names: Sequence[str] | None = None
+    start_values: Sequence[float] | None = None
+    noise_force: float | None = None
+    noise_late: float | None = None
+    jitter: float | None = None
+    reading_variance: float | None = None
+    unit_period: float | None = None
+    unit_position: float | None = None
+    unit_command: float | None = None
+    origin: float | None = None
+    lead_rows: int | None = None
+    part_names: Sequence[str] | None = None
+    part_gains: Sequence[float] | None = None
+    assumed: Sequence[str] | None = None
+    bound_names: Sequence[str] | None = None
+    bound_values: Sequence[float] | None = None
+    reason: str | None = None
+
+
+@dataclass(frozen=True)
 class DeviceRow:
     """The device that all trials of an experiment identify; None in all fields but ``reason`` where there is none."""
 
@@ -198,12 +221,13 @@ class BoundaryRow:
 
 CostRow = OvershootRow | SettlingRow | EnergyRow | RiseRow
 TrialRow = ResponseRow | WallLawRow | OutcomeRow | DelayRow | MassRow | CostRow
-ExperimentRow = DeviceRow | ModelRow | BoundaryRow
+ExperimentRow = PartsRow | DeviceRow | ModelRow | BoundaryRow
 
 ROWS: Mapping[str, type[TrialRow | ExperimentRow]] = {
     "response": ResponseRow,
     "wall_law": WallLawRow,
     "outcome": OutcomeRow,
+    "parts": PartsRow,
     "device": DeviceRow,
     "model": ModelRow,
     "delay": DelayRow,
@@ -224,4 +248,4 @@ def columns_of(stage: str) -> tuple[str, ...]:
     ('trial_id', 'samples_sha256', 'stiffness', 'damping', 'mass_momentum', 'reason')
     """
     own = tuple(field.name for field in fields(ROWS[stage]))
-    return own if stage in ("device", "model", "boundary") else OF_TRIAL + own
+    return own if stage in ("parts", "device", "model", "boundary") else OF_TRIAL + own

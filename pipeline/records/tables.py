@@ -147,6 +147,22 @@ COLUMNS: dict[str, Column] = {
     **dict.fromkeys(_BIASES, _same(_F, "1", "what noise and quantum add to the sum, taken off", True)),
     **dict.fromkeys(_TAILS, _same(_F, "1", "part of the cost that lies beyond the horizon, extrapolated", True)),
     "horizon_samples": _same(_I, "samples", "number of samples summed before the noise floor or the end", True),
+    # stage of the parts of a device, in units in which its logs are near 1
+    "start_names": _same(_LS, "", "numbers of the device that the estimator varies", True),
+    "start_values": _same(_L, "", "their values, from which the fit of all trials begins", True),
+    "noise_force": _same(_F, "", "variance of the random force over a sample, in that of a reading", True),
+    "noise_late": _same(
+        _F, "", "variance of the force that jitter makes of a unit command, in that of a reading", True
+    ),
+    "reading_variance": _same(_F, "", "variance of a reading", True),
+    "unit_period": _same(_F, "s", "unit of time of these numbers", True),
+    "unit_position": Column(_F, "m", "rad", "unit of position of these numbers", True),
+    "unit_command": Column(_F, "N", "Nm", "unit of the command of these numbers", True),
+    "origin": Column(_F, "m", "rad", "where a spring is relaxed; none where that is the begin of each log", True),
+    "lead_rows": _same(_I, "", "rows before a segment whose commands a delay may need", True),
+    "part_names": _same(_LS, "", "parts that some of the trials show or do not exclude", True),
+    "part_gains": _same(_L, "1", "gain of held-out log-likelihood by each; 0 for one that may be there or not", True),
+    "assumed": _same(_LS, "", "parameters that are taken as none", True),
     # device stage
     "parameter_names": _same(_LS, "", "parameters of the identified loop by names of `PARAMETERS`, P of them", True),
     "parameter_values": _same(_L, "SI", "their values", True),

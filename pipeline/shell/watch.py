@@ -293,14 +293,14 @@ def plan_beside(
     """
     from pipeline.base.process import process_pool
     from pipeline.intake.ingest import ingest
-    from pipeline.measured.identification.parts import Choice, choose_parts
+    from pipeline.measured.identification.parts import ChosenParts, choose_parts
     from pipeline.measured.identification.recordings import Recording
     from pipeline.plan.course import open_course
     from pipeline.plan.planner import plan_of, remember
 
-    told, running = set[tuple[str, str]](), list["Future[Choice]"]()
+    told, running = set[tuple[str, str]](), list["Future[ChosenParts]"]()
 
-    def parts(recordings: list[Recording]) -> Choice | None:
+    def parts(recordings: list[Recording]) -> ChosenParts | None:
         if not running:
             running.append(pool.submit(choose_parts, recordings))
         return running.pop().result() if running[0].done() else None

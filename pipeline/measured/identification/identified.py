@@ -22,7 +22,7 @@ from pipeline.measured.identification.identifiability import (
 )
 from pipeline.measured.identification.intervals import Errors, Interval
 from pipeline.measured.identification.likelihood import Device, Fit
-from pipeline.measured.identification.parts import Choice, choose_parts
+from pipeline.measured.identification.parts import Choice, ChosenParts, choose_parts, fit_parts
 from pipeline.measured.identification.quasi_static import damping_without_inertia
 from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
 from pipeline.measured.identification.replay import replay_fit
@@ -117,8 +117,14 @@ class Identification:
         return float(np.median(fits)) if fits else None
 
 
-def identified(recordings: list[Recording]) -> Identification:
+def identified(recordings: list[Recording], chosen: ChosenParts | None = None) -> Identification:
     """Return the device that made recordings, whatever their order.
+
+    Parameters
+    ----------
+    recordings : list of Recording
+    chosen : ChosenParts, optional
+        Its parts, if they were chosen by the `subset` of these recordings already.
 
     Raises
     ------
@@ -128,9 +134,14 @@ def identified(recordings: list[Recording]) -> Identification:
     check_recordings(recordings)
     recordings = sorted(recordings, key=lambda each: each.rank)
     try:
-        return described(recordings, choose_parts(recordings))
+        return described(recordings, fit_parts(recordings, chosen or choose_parts(recordings)))
     except np.linalg.LinAlgError as error:
-        raise ParameterError(NO_FIT.format(str(error).rstrip(".").lower())) from error
+        raise no_fit(error) from error
+
+
+def no_fit(error: np.linalg.LinAlgError) -> ParameterError:
+    """Return what to tell where the equations of a fit have no solution."""
+    return ParameterError(NO_FIT.format(str(error).rstrip(".").lower()))
 
 
 def described(recordings: list[Recording], choice: Choice) -> Identification:

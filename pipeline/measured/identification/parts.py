@@ -51,7 +51,7 @@ STARTS = 2
 FOLDS = 5
 
 MOST_TRIALS = 100
-"""Trials by which parts are chosen; all are fitted in the end."""
+"""Most trials by which parts are chosen; all are fitted in the end."""
 
 LONGEST_DELAY = 48
 """Longest delay [samples] that is looked for."""
@@ -148,6 +148,43 @@ class Choice:
         return "friction" in self.parts
 
 
+@dataclass(frozen=True, eq=False)
+class ChosenParts:
+    """Parts of a device, and where a fit of its logs begins.
+
+    Parameters
+    ----------
+    numbers : dict of str to float
+        Numbers of the device by name, in ``units``.
+    noise : Noise
+    reading : float
+        Variance of a reading, in ``units``.
+    units : LogUnits
+    lead : int
+        Rows before a segment whose commands a delay may need.
+    parts : dict of str to float
+        Gain of held-out log-likelihood by part; 0 for one that may be there or not.
+    assumed : tuple of str
+        Names of what is taken as none.
+    bounds : dict of str to float
+        Upper ends of friction and spring [SI] with both in the fit.
+    """
+
+    numbers: dict[str, float]
+    noise: Noise
+    reading: float
+    units: LogUnits
+    lead: int
+    parts: dict[str, float]
+    assumed: tuple[str, ...]
+    bounds: dict[str, float]
+
+    @property
+    def device(self) -> Device:
+        """The device from which a fit begins."""
+        return Device(self.numbers, self.noise, reading=self.reading)
+
+
 def held_out(fit: Fit) -> float:
     """Return the log-likelihood of units by fits without their fold, each one Newton step from the whole fit.
 
@@ -167,8 +204,18 @@ def held_out(fit: Fit) -> float:
     return fit.likelihood + lost
 
 
-def choose_parts(recordings: list[Recording]) -> Choice:
-    """Return the likeliest device of recordings with the parts that held-out ones ask for.
+def subset(recordings: list[Recording]) -> list[Recording]:
+    """Return the recordings by which parts are chosen, in the order of their ranks.
+
+    All up to `MOST_TRIALS`, else those with the smallest hashes of their samples: one log more replaces at most one of
+    them, whatever it holds and wherever it is recorded.
+    """
+    some = sorted(recordings, key=lambda each: each.rank[2:])[:MOST_TRIALS]
+    return sorted(some, key=lambda each: each.rank)
+
+
+def choose_parts(recordings: list[Recording]) -> ChosenParts:
+    """Return the parts of a device that held-out recordings ask for, by the `subset` of some.
 
     A spring may be the device's own, relaxed in one place, or a hand's, relaxed where each log begins: logs that begin
     in several places tell which.
@@ -177,31 +224,39 @@ def choose_parts(recordings: list[Recording]) -> Choice:
     ----------
     recordings : list of Recording
         At least one with `recordings.SHORTEST` rows.
+
+    Raises
+    ------
+    ParameterError
+        If no part of a log is long enough or moves, or the device moves against its command.
+    numpy.linalg.LinAlgError
+        If no device fits.
     """
-    choice = _choice(recordings, LogUnits.of(recordings))
-    starts, noise = [each.position[0] for each in recordings], max(each.noise for each in recordings)
-    if np.ptp(starts) <= APART * noise or not ("stiffness" in choice.parts or _is_like_ground(choice)):
-        return choice
-    segments = _choice(recordings, replace(choice.units, origin=None))
-    return segments if _worthiness(segments) > _worthiness(choice) + WORTH else choice
+    some = subset(recordings)
+    chosen, fit, rows = _search(some, LogUnits.of(some))
+    starts, noise = [each.position[0] for each in some], max(each.noise for each in some)
+    if np.ptp(starts) <= APART * noise or not ("stiffness" in chosen.parts or _is_like_ground(chosen, rows)):
+        return chosen
+    by_start, other, _ = _search(some, replace(chosen.units, origin=None))
+    return by_start if _worthiness(other) > _worthiness(fit) + WORTH else chosen
 
 
-def _is_like_ground(choice: Choice) -> bool:
+def _is_like_ground(chosen: ChosenParts, rows: float) -> bool:
     """Return whether the load of a mode may be what a spring is fixed to: it is heavy, or hardly moves in a log."""
-    numbers, rows = choice.fit.device.numbers, float(np.median(choice.segments.rows))
-    turn = numbers.get("mode_frequency", np.inf)
-    return numbers.get("load_mass_fraction", 0.0) > HEAVY or turn * rows < SLOW
+    turn = chosen.numbers.get("mode_frequency", np.inf)
+    return chosen.numbers.get("load_mass_fraction", 0.0) > HEAVY or turn * rows < SLOW
 
 
-def _worthiness(choice: Choice) -> float:
-    """Return the likelihood of a choice less what each of its numbers must bring."""
-    return choice.fit.likelihood - WORTH * len(choice.fit.device.names)
+def _worthiness(fit: Fit) -> float:
+    """Return the likelihood of a fit less what each of its numbers must bring."""
+    return fit.likelihood - WORTH * len(fit.device.names)
 
 
-def _choice(recordings: list[Recording], units: LogUnits) -> Choice:
-    """Return the likeliest device with a spring that is relaxed at the origin of some units."""
-    places = np.unique(np.linspace(0, len(recordings) - 1, min(MOST_TRIALS, len(recordings))).round().astype(int))
-    some = [recordings[i] for i in places]
+def _search(some: list[Recording], units: LogUnits) -> tuple[ChosenParts, Fit, float]:
+    """Return the parts of a device with a spring that is relaxed at the origin of some units, its fit, and usual rows.
+
+    Rows are the median of a segment's.
+    """
     rows = int(np.median([len(each.time) for each in some]))
     base, assumed = _base(some)
     begin = _begin(some, units, base, int(np.clip(rows // 8, 2, LONGEST_DELAY)))
@@ -210,19 +265,32 @@ def _choice(recordings: list[Recording], units: LogUnits) -> Choice:
     fit, parts = _further(segments, fit, parts)
     if set(parts) - {"friction", "stiffness"}:
         segments, fit, parts = _pruned((some, units, lead), segments, fit, parts)
-    if len(places) < len(recordings):
-        segments = segments_of(recordings, units, lead, "friction" in parts)
-    fit = ended(segments, replace(fit.device, effects=None))
+    device = fit.device
+    chosen = ChosenParts(device.numbers, device.noise, device.reading, units, lead, parts, assumed, bounds)
+    return chosen, fit, float(np.median(segments.rows))
+
+
+def fit_parts(recordings: list[Recording], chosen: ChosenParts) -> Choice:
+    """Return the fit of recordings, in the order of their ranks, with parts that were chosen by some of them.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If no device fits.
+    """
+    units, lead = chosen.units, chosen.lead
+    segments = segments_of(recordings, units, lead, "friction" in chosen.parts)
+    fit = ended(segments, chosen.device)
     if fit.few and "coulomb" in fit.device.numbers and "delay" in fit.device.numbers:
         fit = _spanned(segments, fit, lead)
     numbers = fit.device.numbers
-    absent = (name for name in bounds if ESTIMATED[name].number not in numbers)
-    bounds = {name: bounds[name] for name in absent if bounds[name] <= _largest_bound(name, units)}
+    absent = (name for name in chosen.bounds if ESTIMATED[name].number not in numbers)
+    bounds = {name: chosen.bounds[name] for name in absent if chosen.bounds[name] <= _largest_bound(name, units)}
     if lag := _unseen_lag(segments, fit):
         bounds |= {"actuator_lag_s": lag * units.period, "delay_samples": numbers["delay"] - lag}
     elif numbers.get("lag", np.inf) < IMITATED:
         bounds["delay_samples"] = numbers["delay"] + numbers["lag"]
-    return Choice(fit, segments, units, parts, assumed, bounds)
+    return Choice(fit, segments, units, chosen.parts, chosen.assumed, bounds)
 
 
 def _largest_bound(name: str, units: LogUnits) -> float:
@@ -281,14 +349,6 @@ def _unseen_lag(segments: Segments, fit: Fit) -> float:
             return lag if end else 0.0
         end, most = lag, max(most, likely)
     return end
-
-
-def again(choice: Choice, recordings: list[Recording]) -> Choice:
-    """Return the fit of other recordings with the parts of an earlier choice, from its numbers on."""
-    found, units = choice.fit, choice.units
-    segments = segments_of(recordings, units, choice.segments.lead, choice.moving)
-    fit = ended(segments, replace(found.device, effects=None))
-    return Choice(fit, segments, units, choice.parts, choice.assumed)
 
 
 def _first(

@@ -34,7 +34,7 @@ class Recording:
     edge: int | None = None
     wall: tuple[float, float] = (0.0, 0.0)
 
-    @property
+    @cached_property
     def rank(self) -> tuple[float, float, bytes, bytes]:
         """Place among others: by its wall, and by its samples where walls are equal.
 
@@ -43,6 +43,14 @@ class Recording:
         samples = (sha256(np.ascontiguousarray(each).data).digest() for each in (self.command, self.position))
         of_command, of_position = samples
         return *self.wall, of_command, of_position
+
+    @property
+    def digest(self) -> str:
+        """Hash of all but its name."""
+        known = sha256(repr((self.period, self.edge, self.wall)).encode())
+        for each in (self.time, self.command, self.position):
+            known.update(np.ascontiguousarray(each).data)
+        return known.hexdigest()
 
     @cached_property
     def motion(self) -> Motion:

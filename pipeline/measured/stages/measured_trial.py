@@ -69,8 +69,9 @@ class MeasuredTrial:
         change alone. A wall has its operating point in the position at which it rests. Stamps that scatter are those of
         the samples that they count.
         """
-        trial, level = even(self.logged), self.response.level
-        return trial.relative_to(level) if trial.stiffness == 0 and level else trial
+        trial = even(self.logged)
+        level = self.response.level if trial.stiffness == 0 else 0.0
+        return trial.relative_to(level) if level else trial
 
     @cached_property
     def law(self) -> WallLaw:

@@ -48,6 +48,15 @@ class TrialStage(Generic[Inputs, Output]):
 
 @dataclass(frozen=True)
 class ExperimentStage(Generic[Output]):
-    """A measurement of a whole experiment, as rows of a table."""
+    """A measurement of a whole experiment, as rows of a table.
+
+    Parameters
+    ----------
+    measure : callable
+    rests_on : callable, optional
+        A hash of all that the rows are computed from, where that is less than the experiment: while it is the same,
+        what is stored is kept.
+    """
 
     measure: Callable[[Experiment], Sequence[Output]]
+    rests_on: Callable[[Experiment], str] | None = None

@@ -1,26 +1,36 @@
-"""Stages `device` and `model`: one device by the likelihood of all trials, and what each trial says of it."""
+"""Stages `parts`, `device` and `model`: one device by the likelihood of all trials, and what each trial says of it."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.base.provenance import digest
 from pipeline.measured.experiment.identified_loop import MOST, parts_of
 from pipeline.measured.experiment.stored import Experiment
 from pipeline.measured.identification.identifiability import Recorded
-from pipeline.measured.identification.identified import Identification, identified, own_numbers
+from pipeline.measured.identification.identified import (
+    Identification,
+    check_recordings,
+    identified,
+    no_fit,
+    own_numbers,
+)
 from pipeline.measured.identification.intervals import with_delay
-from pipeline.measured.identification.recordings import SHORTEST, Recording
+from pipeline.measured.identification.noise import Noise
+from pipeline.measured.identification.parts import ChosenParts, choose_parts, subset
+from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
 from pipeline.measured.identification.scatter import FEWEST
 from pipeline.measured.identification.segments import GAP
 from pipeline.measured.stages.measured_trial import MeasuredTrial
 from pipeline.records.findings import Finding, unsafe_reason
-from pipeline.records.stage_records import DeviceRow, ModelRow
+from pipeline.records.stage_records import DeviceRow, ModelRow, PartsRow
 from pipeline.records.trials import Trial
 
 MOST_ROWS = 600
@@ -44,8 +54,8 @@ OTHER_WALLS = (
 )
 
 
-def identification(of: Experiment) -> tuple[Identification | None, str]:
-    """Return the likeliest device of all logs of an experiment and what to record for more, or None and why."""
+def recordings_of(of: Experiment) -> list[Recording] | str:
+    """Return the trials of an experiment as the estimator takes them, or why none can be used."""
     codes = [set(filter(None, text.split(","))) for text in of.texts("wall_law", "law_codes")]
     stiffness = of.column("response", "stiffness")
     usable = np.array([each.isdisjoint(WITHOUT) for each in codes])
@@ -54,23 +64,100 @@ def identification(of: Experiment) -> tuple[Identification | None, str]:
     usable &= np.isnan(of.column("wall_law", "obeyed_stiffness"))
     findings = of.once(recording_findings)
     if reason := unsafe_reason(findings):
-        return None, reason
+        return reason
     usable &= ~np.array([any(each.leaves_out for each in found) for found in findings])
-    found = of.map_trials(recording, np.flatnonzero(usable).tolist())
+    edges = of.column("response", "edge_row")
+    found = [
+        cut(MeasuredTrial(of.samples[place]).trial, int(np.nan_to_num(edges[place])), findings[place])
+        for place in np.flatnonzero(usable).tolist()
+    ]
     if not found:
         fault = next((each for some in findings for each in some if each.leaves_out), None)
-        return None, fault.sentence if fault is not None else "no log's command is that of its wall and time"
+        return fault.sentence if fault is not None else "no log's command is that of its wall and time"
     # a log that is too short to show motion costs itself alone
     found = [one for one in found if len(one.time) >= SHORTEST] or found
     try:
-        result = identified(found)
+        check_recordings(found)
+    except ParameterError as error:
+        return str(error)
+    return found
+
+
+def chosen_by(of: Experiment) -> str:
+    """Return a hash of the recordings by which the parts of the device are chosen, or of why there are none."""
+    found = of.once(recordings_of)
+    return found if isinstance(found, str) else digest([each.digest for each in subset(found)])
+
+
+def parts(of: Experiment) -> list[PartsRow]:
+    """Return the one row of the stage `parts`."""
+    found = of.once(recordings_of)
+    if isinstance(found, str):
+        return [PartsRow(reason=found)]
+    try:
+        chosen = choose_parts(found)
+    except ParameterError as error:
+        return [PartsRow(reason=str(error))]
+    except np.linalg.LinAlgError as error:
+        return [PartsRow(reason=str(no_fit(error)))]
+    noise, units = chosen.noise, chosen.units
+    return [
+        PartsRow(
+            [*chosen.numbers],
+            [*chosen.numbers.values()],
+            noise.force,
+            noise.late,
+            noise.jitter,
+            chosen.reading,
+            units.period,
+            units.position,
+            units.command,
+            units.origin,
+            chosen.lead,
+            [*chosen.parts],
+            [*chosen.parts.values()],
+            chosen.assumed,
+            [*chosen.bounds],
+            [*chosen.bounds.values()],
+        )
+    ]
+
+
+def _chosen(row: Mapping[str, Any]) -> ChosenParts:
+    """Return the parts of a device as the stage `parts` stores them."""
+
+    def named(names: str, values: str) -> dict[str, float]:
+        return dict(zip(row[names], row[values], strict=True))
+
+    return ChosenParts(
+        named("start_names", "start_values"),
+        Noise(row["noise_force"], row["noise_late"], row["jitter"]),
+        row["reading_variance"],
+        LogUnits(row["unit_period"], row["unit_position"], row["unit_command"], row["origin"]),
+        row["lead_rows"],
+        named("part_names", "part_gains"),
+        tuple(row["assumed"]),
+        named("bound_names", "bound_values"),
+    )
+
+
+def identification(of: Experiment) -> tuple[Identification | None, str]:
+    """Return the likeliest device of all logs of an experiment and what to record for more, or None and why."""
+    found = of.once(recordings_of)
+    if isinstance(found, str):
+        return None, found
+    (row,) = of.table("parts").to_pylist()
+    if row["reason"]:
+        return None, row["reason"]
+    try:
+        result = identified(found, _chosen(row))
     except ParameterError as error:
         return None, str(error)
     remedy = Recorded.of(found).remedy()
     if "mass" not in result.unidentifiable:
         return result, remedy
     # logs that obey another wall than stated are the reason, whatever the others lack
-    why = INSEPARABLE.format(remedy) if usable.mean() > MOST else OTHER_WALLS
+    why = INSEPARABLE.format(remedy) if len(found) > MOST * of.trials.num_rows else OTHER_WALLS
     return None, why
 
 
@@ -95,7 +182,7 @@ def device(of: Experiment) -> list[DeviceRow]:
 def model(of: Experiment) -> list[ModelRow]:
     """Return what each trial says alone of mass, damping and delay: a step from the common ones."""
     found, reason = of.once(identification)
-    ids, samples = (of.texts("response", name) for name in ("trial_id", "samples_sha256"))
+    ids, hashes = (of.texts("response", name) for name in ("trial_id", "samples_sha256"))
     walls = zip(*(of.column("response", name).tolist() for name in ("stiffness", "damping")), strict=True)
     own = {} if found is None else own_numbers(found)
     fitted = set(ids) if found is None else set(found.names)
@@ -103,12 +190,12 @@ def model(of: Experiment) -> list[ModelRow]:
         few = f"with fewer than {FEWEST} logs none is told apart from the others"
         reason = few if found.choice.fit.few else "its motion tells none of them alone"
     rows = []
-    for trial, digest, (stiffness, damping) in zip(ids, samples, walls, strict=True):
+    for trial, samples, (stiffness, damping) in zip(ids, hashes, walls, strict=True):
         numbers: Sequence[float | None] = own.get(trial, [None] * 6)
         m, m_error, b, b_error, d, d_error = numbers
         why = reason if trial in fitted else "left out: its command is not that which moves it"
         words = None if trial in own else why
-        rows.append(ModelRow(trial, digest, stiffness, damping, m, m_error, b, b_error, d, d_error, words))
+        rows.append(ModelRow(trial, samples, stiffness, damping, m, m_error, b, b_error, d, d_error, words))
     return rows
 
 
@@ -169,13 +256,17 @@ def _largest_command(of: MeasuredTrial) -> float:
 
 
 def recording(of: MeasuredTrial) -> Recording:
-    """Return a trial as the estimator takes it, up to a travel stop.
+    """Return a trial as the estimator takes it."""
+    return cut(of.trial, max(of.response.edge_row, 0), of.findings)
+
+
+def cut(trial: Trial, edge: int, findings: Sequence[Finding]) -> Recording:
+    """Return a trial with its edge at a row and some findings as the estimator takes it, up to a travel stop.
 
     Of a trial with a step: rows from shortly before it on, of those between two that are lost the ones in which the
     device moves most. Of any other motion: all rows.
     """
-    trial, edge = of.trial, max(of.response.edge_row, 0)
-    last = min([trial.rows, *(finding.first_row or 0 for finding in of.findings if finding.severity == "cut")])
+    last = min([trial.rows, *(finding.first_row or 0 for finding in findings if finding.severity == "cut")])
     rows = slice(0, last)
     if trial.step != 0:
         first = max(edge - AHEAD, 0)

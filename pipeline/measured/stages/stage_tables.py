@@ -230,15 +230,21 @@ class ExperimentStages:
 
     def _computed(self, stage: str) -> pa.Table:
         # not before something has to be computed: what is stored is read without the estimators
-        from pipeline.measured.stages.stage import ExperimentStage
+        from pipeline.measured.stages.stage import TrialStage
         from pipeline.measured.stages.stages import STAGES
 
         computation = STAGES[stage]
-        if isinstance(computation, ExperimentStage):
-            rows = computation.measure(self)
-            columns = {name: [vars(row)[name] for row in rows] for name in TABLES[stage]}
-            return to_arrow(stage, columns, rotation=self.rotation, metadata=self._stamp(stage))
-        return self._of_trials(stage, computation)
+        if isinstance(computation, TrialStage):
+            return self._of_trials(stage, computation)
+        if computation.rests_on is None:
+            more = {}
+        else:
+            more = {"common": self._common(stage, {"rests_on": self.once(computation.rests_on)})}
+            if len(former := self._former(stage, more["common"])):
+                return former.cast(arrow_schema(stage, rotation=self.rotation, metadata=self._stamp(stage, **more)))
+        rows = computation.measure(self)
+        columns = {name: [vars(row)[name] for row in rows] for name in TABLES[stage]}
+        return to_arrow(stage, columns, rotation=self.rotation, metadata=self._stamp(stage, **more))
 
     def _of_trials(self, stage: str, computation: TrialStage[Any, Any]) -> pa.Table:
         """Compute a stage with one row a trial, except the rows that are stored and were computed from the same."""

@@ -35,6 +35,7 @@ STAGES: Mapping[str, TrialStage[Any, Any] | ExperimentStage[Any]] = {
     "wall_law": TrialStage(stage_rows.wall_law, no_inputs),
     "outcome": TrialStage(stage_rows.outcome, stage_rows.outcome_inputs),
     "boundary": ExperimentStage(stage_rows.boundary),
+    "parts": ExperimentStage(stage_device.parts, stage_device.chosen_by),
     "device": ExperimentStage(stage_device.device),
     "model": ExperimentStage(stage_device.model),
     "delay": TrialStage(stage_rows.delay, no_inputs),

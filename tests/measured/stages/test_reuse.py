@@ -25,8 +25,9 @@ from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.measured.cost import costs
+from pipeline.measured.identification.parts import choose_parts, subset
+from pipeline.measured.stages import stage_device, stage_tables
 from pipeline.measured.stages import stage_rows as rows_of
-from pipeline.measured.stages import stage_tables
 from pipeline.measured.stages.stage_tables import stage_row
 from pipeline.measured.stages.stages import STAGES
 from pipeline.shell import console
@@ -251,3 +252,37 @@ def test_digests_tell_equal_trials_from_others():
     assert len(known) == 3 * TRIALS
     # 64 bits: of a million trials two are alike once in 4e7
     assert {len(each) for each in known} == {16}
+
+
+def test_parts_are_chosen_once_for_more_logs_than_choose_them(noisy, tmp_path, monkeypatch):
+    """One log more, of those that choose no parts, ends at the same device as all logs at once."""
+    processed = copy_store(noisy, tmp_path)
+    whole = read_trials(processed)
+    of = stage_tables.ExperimentStages(processed, "falcon", "1", whole)
+    chosen = {each.name for each in subset(of.once(stage_device.recordings_of))}
+    ids = whole.column("trial_id").to_pylist()
+    other = next(place for place, name in enumerate(ids) if name not in chosen)
+    fewer = whole.take([place for place in range(len(ids)) if place != other])
+    choices = []
+
+    def counted(recordings):
+        choices.append(len(recordings))
+        return choose_parts(recordings)
+
+    monkeypatch.setattr(stage_device, "choose_parts", counted)
+    stage_tables.ExperimentStages(processed, "falcon", "1", fewer).table("device")
+    later = stage_tables.ExperimentStages(processed, "falcon", "1", whole)
+    assert not later.is_stored("parts")
+    assert later.table("device").to_pylist()[0]["fitted_trials"] != []
+    assert len(choices) == 1
+    fresh = tmp_path / "fresh"
+    shutil.copytree(processed, fresh, ignore=shutil.ignore_patterns("stages"))
+    at_once = stage_tables.ExperimentStages(fresh, "falcon", "1", whole)
+    for stage in ("parts", "device", "model"):
+        assert later.table(stage).equals(at_once.table(stage), check_metadata=True), stage
+    assert len(choices) == 2
+    # one of those that choose them less: another one takes its place
+    first = next(place for place, name in enumerate(ids) if name in chosen)
+    without = whole.take([place for place in range(len(ids)) if place != first])
+    stage_tables.ExperimentStages(processed, "falcon", "1", without).table("parts")
+    assert len(choices) == 3

@@ -193,7 +193,7 @@ def test_needs_are_those_of_the_definitions():
     # a trial whose command obeys another wall than stated is none of the boundary
     assert required(["boundary"]) == {"boundary", "response", "wall_law"}
     assert required(["overshoot"]) == {"overshoot", "response"}
-    assert required(["settling"]) == {"settling", "response", "wall_law", "device", "model", "delay"}
+    assert required(["settling"]) == {"settling", "response", "wall_law", "parts", "device", "model", "delay"}
     assert required(["energy"]) == {"energy", "mass", *required(["settling"])} - {"settling"}
     assert list(NEEDS) == list(STAGES)
     order = {stage: i for i, stage in enumerate(NEEDS)}
