@@ -382,9 +382,11 @@ def _next(column: Column, found: State, aim: Aim, course: Course, rig: RigRange 
     lasting = "; stable walls lie above unstable ones, the lowest limit counts" if bracket.lasting else ""
     expected: Expected = "unstable" if chance > SURE else "stable" if chance < 1 - SURE else "undecided"
     # above what was stable a verdict is predicted by all devices that the logs allow, or by none
-    lowest = float(found.forecast.low[[each.damping for each in found.columns].index(column.damping)])
+    place = [each.damping for each in found.columns].index(column.damping)
+    limit, lowest = float(found.forecast.limit[place]), float(found.forecast.low[place])
+    sure = lowest - max(limit - lowest, 0.0)
     if expected == "stable" and wall > bracket.bottom:
-        is_predicted = aim.foresees and found.forecast.misfit <= MOST_MISFIT and wall <= lowest
+        is_predicted = aim.foresees and found.forecast.misfit <= MOST_MISFIT and wall <= sure
         expected = "stable" if is_predicted else "undecided"
     if column.note == "softer":
         basis = "too few logs for a stiffer wall: record this one"
@@ -393,7 +395,7 @@ def _next(column: Column, found: State, aim: Aim, course: Course, rig: RigRange 
         basis = "no device is identified: " + (
             f"at most {aim.bold:g} times the stiffest stable wall" if bracket.low is not None else "near what was tried"
         )
-    is_low = wall < min(column.estimate or 0, lowest) and found.forecast.misfit <= aim.accuracy
+    is_low = wall < min(column.estimate or 0, sure) and found.forecast.misfit <= aim.accuracy
     if aim.gentle and aim.foresees and is_low:
         expected = "stable"
     return Next(stiffness=wall, damping=column.damping, expected=expected, why=f"{known}; {basis}{lasting}")

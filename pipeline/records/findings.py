@@ -166,7 +166,11 @@ class BoundaryPoint(Record):
 
 
 class Optimum(Record):
-    """Trial (or theoretical point) with the smallest cost; censored where it lies at the edge of the tested range."""
+    """Trial (or theoretical point) with the smallest cost; censored where it lies at the edge of the tested range.
+
+    ``trials`` is the number of trials that have this cost; ``passive`` says whether the wall is passive for the whole
+    range of an adequate loop, None where that is not known.
+    """
 
     stiffness: float
     damping: float
@@ -176,6 +180,8 @@ class Optimum(Record):
     trial_id: str | None = None
     ties: int = 1
     censored: bool = False
+    trials: int | None = None
+    passive: bool | None = None
 
 
 FindingCode = Literal[

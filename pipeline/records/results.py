@@ -258,6 +258,46 @@ class PassiveWall(Record):
     damping: float
 
 
+class ImpliedDelay(Record):
+    """Pure delay [samples] that a measured boundary stands for: by its slope near the origin (3.25), and as a whole.
+
+    It is that of an ideal loop with the mass and damping of the logs. Where it is longer than the delay of the logs, a
+    lag or a velocity filter costs as much; where it is shorter near the origin than as a whole, the delay jitters, or
+    friction holds soft walls.
+    """
+
+    origin: Quantity
+    whole: Quantity
+
+
+class StraightBound(Record):
+    """A line K <= stiffness + slope B through the measured limits from the stiffest wall on (6.5), in SI.
+
+    ``limits`` is their number, between two dampings. A parabola through them has a ``curvature``, that of theory's
+    limits is ``curvature_theory``.
+    """
+
+    stiffness: float
+    slope: float
+    slope_low: float
+    slope_high: float
+    damping_first: float
+    damping_last: float
+    limits: int
+    curvature: float | None = None
+    curvature_low: float | None = None
+    curvature_high: float | None = None
+    curvature_theory: float | None = None
+
+    @property
+    def excludes_theory(self) -> bool | None:
+        """Whether the curvature of theory lies outside the interval of the measured one; None where it is not known."""
+        ends = self.curvature_low, self.curvature_high
+        if self.curvature_theory is None or ends[0] is None or ends[1] is None:
+            return None
+        return not ends[0] <= self.curvature_theory <= ends[1]
+
+
 class Cause(Record):
     """Why an experiment deviates from the ideal loop: a code of the contract, a sentence, and what shows it."""
 
@@ -287,12 +327,18 @@ class RecordingFault(Record):
 
 
 class LoopFindings(Record):
-    """Loop, limits, passive wall and causes of one experiment; what is missing is None, and why stands beside it."""
+    """Loop, limits, passive wall and causes of one experiment; what is missing is None, and why stands beside it.
+
+    ``optimum`` says of each optimum whether it is passive.
+    """
 
     loop: LoopResult
+    optimum: dict[str, Optimum] = Field(default_factory=dict)
     loop_boundary: tuple[Limit, ...] | None = None
     passive: PassiveWall | None = None
     passive_reason: str | None = None
+    implied_delay: ImpliedDelay | None = None
+    straight_bound: StraightBound | None = None
     replay: WallReplay | None = None
     causes: tuple[Cause, ...] = Field(default=())
 
@@ -491,6 +537,8 @@ class ExperimentResult(Record):
     loop_boundary: tuple[Limit, ...] | None = None
     passive: PassiveWall | None = None
     passive_reason: str | None = None
+    implied_delay: ImpliedDelay | None = None
+    straight_bound: StraightBound | None = None
     replay: WallReplay | None = None
     causes: tuple[Cause, ...] = ()
     recording: tuple[RecordingFault, ...] = ()

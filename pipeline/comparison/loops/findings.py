@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.base.wording import listed
+from pipeline.comparison.loops.boundary_shape import implied_delay, straight_bound
 from pipeline.comparison.loops.causes import Shown, causes_of
 from pipeline.comparison.loops.departures import (
     CourseFilter,
@@ -17,7 +18,7 @@ from pipeline.comparison.loops.departures import (
     untimed,
 )
 from pipeline.comparison.loops.loop_basis import LoopBasis, identified_device, loop_basis, loop_numbers
-from pipeline.comparison.loops.passive_wall import passive_wall
+from pipeline.comparison.loops.passive_wall import is_passive, passive_wall
 from pipeline.comparison.loops.recording_faults import unsafe_recording, words_of
 from pipeline.comparison.loops.wall_replay import (
     limits_off,
@@ -107,7 +108,8 @@ def loop_findings(
     if basis is not None:
         reason = _reason(basis, replay, refused, of_file, walls=bool(result.boundary))
     record = _record(result, basis, velocity, of_file, adequate=adequate, reason=reason)
-    findings = LoopFindings(loop=record, replay=replay, causes=causes)
+    shape = {"implied_delay": implied_delay(result, basis), "straight_bound": straight_bound(result, basis)}
+    findings = LoopFindings(loop=record, replay=replay, causes=causes, optimum=result.optimum, **shape)
     if basis is None:
         return findings.model_copy(update={"passive_reason": reason})
     findings = findings.model_copy(update={"loop_boundary": limits_with_intervals(result, basis, limits) or None})
@@ -117,8 +119,14 @@ def loop_findings(
     # a hand that is let go of takes its damping with it
     grips = _grips(stages, entry) if of_file is None or of_file.operator is None else []
     refused = GRIPPED.format(listed(grips)) if grips else HELD if has_spring else JITTERS if trial.jitter else ""
-    wall, none = (None, refused) if refused else passive_wall(basis, result)
-    return findings.model_copy(update={"passive": wall, "passive_reason": none})
+    if refused:
+        return findings.model_copy(update={"passive_reason": refused})
+    wall, none = passive_wall(basis, result)
+    optimum = {
+        criterion: best.model_copy(update={"passive": is_passive(basis, best.stiffness, best.damping)})
+        for criterion, best in result.optimum.items()
+    }
+    return findings.model_copy(update={"passive": wall, "passive_reason": none, "optimum": optimum})
 
 
 def _grips(stages: ExperimentStages, of: Experiment | None) -> list[str]:

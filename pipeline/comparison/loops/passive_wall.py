@@ -44,14 +44,13 @@ def passive_wall(basis: LoopBasis, result: ExperimentResult) -> tuple[PassiveWal
     """
     if result.trials < FEW:
         return None, f"{result.trials} trials are too few to promise stability with every hand; record {FEW}"
-    of_load = max(loop.load_damping for loop in basis.loops)
-    damping = (basis.interval("damping").low - basis.operator_damping - of_load) * (1 - SPARE)
+    damping = _least_damping(basis)
     if damping <= 0:
         return None, (
             "no wall is passive for the whole range of the device's damping, which may be 0: stability with every hand "
             "cannot be promised (4.6)"
         )
-    if any(loop.mode is not None and loop.mode.sensor == "load" for loop in basis.loops):
+    if _is_sensed_at_load(basis):
         return None, "the position is sensed beyond the vibration mode: no wall is passive for every hand"
     loops = _loops(basis)
     if not loops:
@@ -77,6 +76,28 @@ def passive_wall(basis: LoopBasis, result: ExperimentResult) -> tuple[PassiveWal
     if stiffness <= 0:
         return None, "the logs show no stable wall at the damping of the stiffest passive one"
     return PassiveWall(stiffness=stiffness, damping=wall_damping), None
+
+
+def is_passive(basis: LoopBasis, stiffness: float, damping: float) -> bool | None:
+    """Return whether a wall [N/m, Nm/rad; Ns/m, Nms/rad] is passive for the whole range of a loop.
+
+    None where a delay is longer than theory is computed for.
+    """
+    least = _least_damping(basis)
+    if least <= 0 or _is_sensed_at_load(basis):
+        return False
+    plants = [(LoopUnits.of(loop), NormalisedLoop.of(loop)) for loop in _loops(basis)]
+    return all(_needed(*plant, stiffness, damping) <= least for plant in plants) if plants else None
+
+
+def _least_damping(basis: LoopBasis) -> float:
+    """Return the least damping that is the device's own, where the wall acts [Ns/m, Nms/rad]."""
+    of_load = max(loop.load_damping for loop in basis.loops)
+    return (basis.interval("damping").low - basis.operator_damping - of_load) * (1 - SPARE)
+
+
+def _is_sensed_at_load(basis: LoopBasis) -> bool:
+    return any(loop.mode is not None and loop.mode.sensor == "load" for loop in basis.loops)
 
 
 def _loops(basis: LoopBasis) -> list[Loop]:

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.base.wording import of_most, true_minus
 from pipeline.device.parameters import PARAMETERS
 from pipeline.measured import thesis
-from pipeline.measured.experiment.identified_loop import METHOD, identified_loop
+from pipeline.measured.experiment.identified_loop import METHOD, NOT_NEEDED, identified_loop
 from pipeline.measured.experiment.stored import Stored
 from pipeline.measured.experiment.trend import drift_warning, find_trends
 from pipeline.measured.signal.response import NO_ROW
@@ -158,6 +158,9 @@ def jitter_estimate(of: Stored) -> Estimate:
     if device is None:
         return Estimate(value=None, unit="samples", method=METHOD, reason=of.texts("device", "reason")[0])
     value, error = device.jitter
+    if value == 0:
+        trials = len(device.trials)
+        return Estimate(value=None, low=0.0, unit="samples", method=METHOD, reason=NOT_NEEDED, trials=trials)
     reach = NORMAL_95 * error
     return Estimate(
         value=value,

@@ -47,6 +47,9 @@ MORE = "more logs of several sizes and directions"
 FEWEST_LOGS = 3
 """Logs below which what they show is an accident."""
 
+NOT_NEEDED = "the logs are explained as well without it"
+"""Reason of a parameter that logs do not ask for."""
+
 MOST = 0.5
 """Share of the logs of an experiment from which on what they show is the experiment's: its device, its filter, why it
 tells nothing."""
@@ -237,7 +240,7 @@ class IdentifiedLoop:
             return Estimate(value=None, unit=unit, method=METHOD, reason=why, trials=count)
         if number is None:
             high = self.bounds.get(name)
-            low, reason = None if high is None else 0.0, "the logs are explained as well without it"
+            low, reason = None if high is None else 0.0, NOT_NEEDED
             return Estimate(value=None, low=low, high=high, unit=unit, method=METHOD, reason=reason, trials=count)
         entries: dict[str, Any] = {"value": number.value, "low": number.low, "high": number.high}
         if name in self.unidentifiable:

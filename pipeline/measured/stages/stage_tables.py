@@ -385,4 +385,4 @@ class ExperimentStages:
         trial = trials.index(str(best.trial_id))
         low, high = (float(ends[trial]) for ends in self.cost_interval(criterion))
         interval = {"cost_low": None if np.isnan(low) else low, "cost_high": None if np.isnan(high) else high}
-        return Optimum(**{**dict(best), **interval})
+        return Optimum(**{**dict(best), **interval, "trials": int(np.isfinite(cost[stated]).sum())})

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from pipeline.base.wording import counted
+from pipeline.base.wording import counted, true_minus
 from pipeline.records.findings import DRIFTS, Estimate, holds
 from pipeline.records.results import ComparisonResult, ExperimentResult, SourcedLoop
 from pipeline.rendering.frames import flat, frames
@@ -117,6 +117,10 @@ def _of_experiment(row: Row) -> str:
     return f"experiment {row['experiment']}"
 
 
+YES_OR_NO = {True: "yes", False: "no"}
+"""Words for what is known."""
+
+
 def _name(row: Row) -> str:
     return str(row["experiment"])
 
@@ -137,6 +141,7 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
         "boundary": _boundary(f["boundary"], units, trials),
         "methods": _methods(f["estimates"], result),
         "loops": _loops(result),
+        "shapes": _shapes(result),
         **_of_logs(f),
         "outcomes": _outcomes(result),
         "truth": _truth(result),
@@ -166,8 +171,16 @@ def _measured_optima(rows: Sequence[dict[str, Any]], units: Units, place: Callab
             Column("damping", "damping", units.damping, show=_damping, linked=True),
             Column("cost", "cost, 95 %", show=_cost, ends=("cost_low", "cost_high"), linked=True),
             Column("ties", "equal trials", show=_number),
+            Column("trials", "trials with this cost", show=_number),
+            Column(
+                "passive", show=lambda value, _: "yes" if value else "no", why="needs an adequate loop", optional=True
+            ),
         ),
-        [row | {"criterion_label": criterion_label(row["criterion"])} for row in rows if row["cost"] is not None],
+        [
+            row | {"criterion_label": criterion_label(row["criterion"]), "is_passive": YES_OR_NO.get(row["passive"])}
+            for row in rows
+            if row["cost"] is not None
+        ],
         _of_what("criterion"),
         _of_experiment,
         place,
@@ -537,6 +550,50 @@ def _loops(result: ComparisonResult) -> Table | None:
         Column("passive", "stiffest passive wall"),
     ]
     return table_of("loops", "Identified loops, with 95 % intervals", columns, rows, _name)
+
+
+def _shapes(result: ComparisonResult) -> Table | None:
+    """Delay and line that each measured boundary stands for."""
+    units, rows = UNITS[result.motion], []
+    for e in result.experiments:
+        delays, line = e.implied_delay, e.straight_bound
+        if delays is None or (delays.origin.value is None and delays.whole.value is None and line is None):
+            continue
+        row: dict[str, Any] = {"experiment": e.experiment, "reason": delays.whole.reason}
+        for name, each in (("logs", e.delay), ("origin", delays.origin), ("whole", delays.whole)):
+            row |= {name: each.value, f"{name}_low": each.low, f"{name}_high": each.high}
+        if line is not None:
+            row |= {"slope": line.slope, "slope_low": line.slope_low, "slope_high": line.slope_high}
+            row["line"] = f"K = {line.stiffness:.4g} {true_minus(f'{line.slope:+.3g}')} B"
+            row["dampings"] = f"{line.damping_first:g} to {line.damping_last:g}"
+            excluded = line.excludes_theory
+            row["curvature"] = None if excluded is None else YES_OR_NO[not excluded]
+        rows.append(row)
+    few = "fewer than four limits from the stiffest wall on"
+    columns = [Column("experiment")]
+    for name, label in (("logs", "by the logs"), ("origin", "near the origin"), ("whole", "by all limits")):
+        columns.append(Column(name, label, "samples", "delay d", show=digits(3), ends=(f"{name}_low", f"{name}_high")))
+    columns += [
+        Column("line", "line", group="limits from the stiffest wall on", why=few),
+        Column(
+            "slope",
+            "slope",
+            f"{units.stiffness} per {units.damping}",
+            "limits from the stiffest wall on",
+            show=digits(3),
+            ends=("slope_low", "slope_high"),
+            why=few,
+        ),
+        Column("dampings", "dampings", units.damping, "limits from the stiffest wall on", why=few),
+        Column("curvature", "curved as theory", group="limits from the stiffest wall on", why=few),
+    ]
+    table = table_of("shapes", "What the measured boundary stands for, with 95 % intervals", columns, rows, _name)
+    if table is not None:
+        table.mark(
+            "A pure delay with which an ideal loop of this mass and damping has these limits. It is longer than that "
+            "of the logs by what a lag or a velocity filter costs; friction and jitter move it, too."
+        )
+    return table
 
 
 def _outcomes(result: ComparisonResult) -> Table | None:

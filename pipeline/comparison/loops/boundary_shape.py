@@ -1,0 +1,208 @@
+"""What the course of a measured boundary says: the delay that it stands for, and whether its upper part is straight.
+
+Source: Hulin 2017, eq. 3.25 and secs. 6.1.3 and 6.5 (delay near the origin and as a whole; the straight upper part).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.comparison.limits import measured_limits
+from pipeline.comparison.loops.loop_basis import LoopBasis
+from pipeline.device.loop import Loop
+from pipeline.loop.normalised_loop import LARGEST_DELAY
+from pipeline.measured.student import NORMAL_95, ROUNDING, student_95
+from pipeline.plan.loop_limits import linear_limits
+from pipeline.records.findings import Quantity
+from pipeline.records.results import ExperimentResult, ImpliedDelay, StraightBound
+from pipeline.records.trials import Floats
+
+NEAR = 0.5
+"""Dampings near the origin, up to this share of that of the stiffest wall: the thesis speaks of 50 of 94 Ns/m."""
+
+FEWEST = 3
+"""Limits that tell a delay or a line, with one more than a line has numbers."""
+
+DELAYS = np.concatenate([np.linspace(0, 4, 17), np.geomspace(4.5, LARGEST_DELAY, 24)])
+"""Delays [samples] between which the likeliest one is looked for."""
+
+STEP = 1e-3
+"""Difference of delays [samples] by which the slope of limits over delay is computed."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Limits:
+    """Measured limits with both ends: damping, stiffness and standard error in SI, shape (n,)."""
+
+    damping: Floats
+    stiffness: Floats
+    error: Floats
+
+    def part(self, which: np.ndarray) -> _Limits:
+        """Return some of them."""
+        return _Limits(self.damping[which], self.stiffness[which], self.error[which])
+
+    def __len__(self) -> int:
+        return len(self.damping)
+
+
+def _limits(result: ExperimentResult) -> _Limits:
+    """Return the limits of an experiment that a stable and an unstable trial enclose."""
+    found = measured_limits(result.boundary)
+    which = found.known & ~found.censored & (found.limit > 0)
+    error = (found.high - found.low)[which] / (2 * NORMAL_95)
+    return _Limits(found.damping[which], found.limit[which], np.maximum(error, ROUNDING * found.limit[which]))
+
+
+def implied_delay(result: ExperimentResult, basis: LoopBasis | None) -> ImpliedDelay:
+    """Return the pure delay with which theory comes closest to the measured boundary, near its origin and as a whole.
+
+    Parameters
+    ----------
+    result : ExperimentResult
+        Its measured limits.
+    basis : LoopBasis or None
+        Mass, damping and stiffness are its; a lag, a filter, a mode or friction are left out, so that the delay stands
+        for them.
+
+    Notes
+    -----
+    Near the origin a limit is (B + b)/(T (d + 1/2)) by (3.25), with theory's small curvature there; the least squares
+    weigh each limit by its interval. Intervals of 95 % hold the scatter of the limits about the curve, and the errors
+    of mass and damping.
+    """
+    limits, reason = _limits(result), "no mass and damping are known, with which theory would have these limits"
+    if basis is None:
+        return ImpliedDelay(origin=_none(reason), whole=_none(reason))
+    loops = _ideal(basis)
+    near = _near_origin(limits)
+    return ImpliedDelay(
+        origin=_delay(near, loops, "slope of the boundary near its origin (3.25)"),
+        whole=_delay(limits, loops, "theory's boundary with this delay, by all limits"),
+    )
+
+
+def _near_origin(limits: _Limits) -> _Limits:
+    """Return the limits near the origin; none where there are none at all."""
+    if not len(limits):
+        return limits
+    stiffest = limits.damping[np.argmax(limits.stiffness)]
+    return limits.part(limits.damping <= NEAR * stiffest)
+
+
+def _ideal(basis: LoopBasis) -> list[Loop]:
+    """Return the loop without its other parts, and those with mass and damping at either end of their intervals."""
+    of = basis.loop.apparent()
+    ideal = Loop(
+        mass=of.mass,
+        damping=of.damping,
+        stiffness=of.stiffness,
+        motion=of.motion,
+        sampling_period_s=of.sampling_period_s,
+        delay_samples=0.0,
+    )
+    loops = [ideal]
+    for name in ("mass", "damping"):
+        interval = basis.interval(name)
+        for end in (interval.low, interval.high):
+            if np.isfinite(end) and end > 0 and end != ideal.value(name):
+                loops.append(ideal.replace({name: float(end)}))
+    return loops
+
+
+def _none(reason: str) -> Quantity:
+    return Quantity(value=None, unit="samples", reason=reason)
+
+
+def _delay(limits: _Limits, loops: list[Loop], method: str) -> Quantity:
+    """Return the delay of the first of some loops whose limits are nearest, its interval by the others, too."""
+    if len(limits) < FEWEST:
+        have = f"{len(limits)} such limits were enclosed by a stable and an unstable trial"
+        return _none(f"{have}; {FEWEST} are needed. Record walls on both sides of the limit at more dampings.")
+
+    def curve(loop: Loop) -> Callable[[float], Floats]:
+        return lambda delay: linear_limits(loop.replace({"delay_samples": delay}), limits.damping)
+
+    of, *others = (curve(loop) for loop in loops)
+    value = _nearest(of, limits)
+    low, high = max(value - STEP, 0.0), min(value + STEP, LARGEST_DELAY)
+    slope = (of(high) - of(low)) / (high - low) / limits.error
+    rest = (limits.stiffness - of(value)) / limits.error
+    freedom = len(limits) - 1
+    scatter = float(rest @ rest) / freedom
+    factor = NORMAL_95 if scatter <= 1 else float(student_95(freedom)) * np.sqrt(scatter)
+    if not float(slope @ slope) > 0:
+        return _none("the limits of theory do not depend on delay at these dampings. Record walls of less damping.")
+    own = factor / np.sqrt(float(slope @ slope))
+    off = np.array([_nearest(each, limits) - value for each in others])
+    less, more = np.hypot(own, off.min(initial=0.0)), np.hypot(own, off.max(initial=0.0))
+    low, high = max(value - float(less), 0.0), value + float(more)
+    return Quantity(value=value, low=low, high=high, unit="samples", method=method)
+
+
+def _nearest(curve: Callable[[float], Floats], limits: _Limits) -> float:
+    """Return the delay with the least sum of squared differences to limits, in their standard errors."""
+    from scipy.optimize import minimize_scalar
+
+    def lost(delay: float) -> float:
+        rest = (limits.stiffness - curve(delay)) / limits.error
+        return float(rest @ rest)
+
+    lost_at = np.array([lost(delay) for delay in DELAYS])
+    best = int(np.argmin(lost_at))
+    ends = DELAYS[max(best - 1, 0)], DELAYS[min(best + 1, len(DELAYS) - 1)]
+    found = minimize_scalar(lost, bounds=ends, method="bounded", options={"xatol": 1e-9})
+    return float(found.x) if found.fun < lost_at[best] else float(DELAYS[best])
+
+
+def straight_bound(result: ExperimentResult, basis: LoopBasis | None) -> StraightBound | None:
+    """Return the line through the measured limits from the stiffest wall on; None for fewer than four of them.
+
+    Parameters
+    ----------
+    result : ExperimentResult
+    basis : LoopBasis or None
+        Its limits at the same dampings have the curvature that is held against that of the measured ones.
+
+    Notes
+    -----
+    K <= stiffness + slope B (6.5), by least squares weighed by the intervals of the limits; intervals hold their
+    scatter about the line. The curvature is half the second derivative of a parabola through the same limits.
+    """
+    limits = _limits(result)
+    if not len(limits):
+        return None
+    upper = limits.part(limits.damping >= limits.damping[np.argmax(limits.stiffness)])
+    if len(upper) <= FEWEST:
+        return None
+    line, reach = _polynomial(upper, upper.stiffness, 1)
+    bound = {"stiffness": line[0], "slope": line[1], "slope_low": line[1] - reach[1], "slope_high": line[1] + reach[1]}
+    bound |= {"damping_first": upper.damping.min(), "damping_last": upper.damping.max()}
+    curvature: dict[str, float] = {}
+    if len(upper) > FEWEST + 1:
+        parabola, reach = _polynomial(upper, upper.stiffness, 2)
+        ends = parabola[2] - reach[2], parabola[2] + reach[2]
+        curvature = {"curvature": parabola[2], "curvature_low": ends[0], "curvature_high": ends[1]}
+        if basis is not None:
+            theory = linear_limits(basis.loop, upper.damping)
+            if (theory > 0).all():
+                curvature["curvature_theory"] = _polynomial(upper, theory, 2)[0][2]
+    numbers = {name: float(value) for name, value in (bound | curvature).items()}
+    return StraightBound(**numbers, limits=len(upper))
+
+
+def _polynomial(limits: _Limits, stiffness: Floats, degree: int) -> tuple[Floats, Floats]:
+    """Return the coefficients of a polynomial over damping, and the half widths of their 95 % intervals."""
+    powers = limits.damping[:, None] ** np.arange(degree + 1)
+    scale = np.abs(powers).max(axis=0)
+    weighed = powers / scale / limits.error[:, None]
+    found = np.linalg.lstsq(weighed, stiffness / limits.error)[0]
+    rest = stiffness / limits.error - weighed @ found
+    freedom = len(limits) - degree - 1
+    scatter = float(rest @ rest) / freedom
+    factor = NORMAL_95 if scatter <= 1 else float(student_95(freedom)) * np.sqrt(scatter)
+    known = np.linalg.pinv(weighed.T @ weighed)
+    return found / scale, factor * np.sqrt(np.maximum(known.diagonal(), 0.0)) / scale
