@@ -15,7 +15,6 @@ from math import factorial, inf, pi
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from scipy.linalg import expm
 
 from pipeline.loop.closed_loop import CELLS, TERMS, Interval, advance_states
 from pipeline.loop.state_space import Plant, StateSpace, plant_of, state_space
@@ -166,6 +165,8 @@ def _of_motor_and_load(plant: Plant) -> StateSpace:
 
 @lru_cache(maxsize=64)
 def _interval(motion: FrictionalMotion, time_s: float) -> Interval:
+    from scipy.linalg import expm
+
     rates, n = motion.rates(), motion.states
     # velocities are counted per the time of the step, so that entries of a matrix are of one size
     unit = np.ones(n + 3)

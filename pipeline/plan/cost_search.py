@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 
 from pipeline.device.loop import Loop
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
@@ -246,6 +245,8 @@ def _gain(record: float, mean: Floats, spread: Floats) -> Floats:
     if not np.isfinite(record):
         return np.asarray(spread - mean)
     z = (record - mean) / spread
+    from scipy.special import ndtr
+
     return np.asarray(spread * (z * ndtr(z) + np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi)))
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from math import inf
+from statistics import NormalDist
 from typing import Literal
 
 import numpy as np
-from scipy.special import ndtr
 
 from pipeline.base.errors import ParameterError
 from pipeline.plan.requests import RigRange
@@ -492,7 +492,7 @@ def _wall_to_try(damping: float, of: Bracket, own: Tried, task: Task, everywhere
         if wall > aim.lowest:
             most = max(_most(of, task, inside), aim.lowest)
             wall = min(wall, most)
-            unstable = 0.5 if np.isnan(task.limit) else float(ndtr((wall - task.limit) / max(task.error, 1e-300)))
+            unstable = 0.5 if np.isnan(task.limit) else NormalDist().cdf((wall - task.limit) / max(task.error, 1e-300))
             return Column(damping, of, value, Split(0, max(unstable, float(stiffer)), 1.0), wall, most=most)
     if often and (of.high is not None or aim.gentle):
         return Column(damping, of, None, note="undecided")
@@ -643,6 +643,8 @@ def walls(bottom: float, far: float, value: float, error: float, width: float) -
 
 def chances(edges: Floats, limit: float, error: float) -> Floats:
     """Return the chance that the limit lies between two edges: by the forecast, and with `DOUBT` anywhere."""
+    from scipy.special import ndtr
+
     anywhere = np.diff(edges) / (edges[-1] - edges[0])
     if np.isnan(limit):
         return np.asarray(anywhere)

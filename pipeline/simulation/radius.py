@@ -6,7 +6,6 @@ from dataclasses import replace
 from math import floor
 
 import numpy as np
-from scipy.linalg import expm
 
 from pipeline.loop.state_space import StateSpace, plant_of, state_space
 from pipeline.records.trials import Floats
@@ -74,6 +73,8 @@ def spectral_radius(setup: Setup, stiffness: Floats, damping: Floats) -> Floats:
 
 def _transition(linear: StateSpace, time_s: float) -> tuple[Floats, Floats]:
     """Return the matrix of the state, and what a unit of command adds to it, over a time [s]."""
+    from scipy.linalg import expm
+
     n = len(linear.matrix)
     rate = np.zeros((n + 1, n + 1))
     rate[:n] = np.column_stack((linear.matrix, linear.command))
