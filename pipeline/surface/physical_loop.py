@@ -20,13 +20,14 @@ from pipeline.rendering.figures.boundaries import limits_figure, limits_panel
 from pipeline.rendering.figures.drawing import Series, write_picture
 from pipeline.rendering.frames import units_of
 from pipeline.rendering.labels import UNITS
-from pipeline.theory.boundary import boundary, stiffness_limit
+from pipeline.theory.boundary import boundary, robust_outline, stiffness_limit
 from pipeline.theory.cases import POINT_COSTS, Case, islands_in_si, optimum_document, point_documents
 from pipeline.theory.costs import MAP_DEFAULT, CostMap
 from pipeline.theory.curves import Curve, best_damping, best_stiffness
 from pipeline.theory.motion import response
 from pipeline.theory.passivity import passive_outline, stiffest_passive
 from pipeline.theory.poles import Margins, margins
+from pipeline.theory.reachable import Reachable, reachable
 
 if TYPE_CHECKING:  # takes longer to load than most answers to compute
     from scipy.signal import StateSpace
@@ -367,6 +368,64 @@ class Loop(device_loop.Loop):
         frame.attrs["stiffness_max"] = best[0] * self.units.stiffness
         frame.attrs["damping_at_stiffness_max"] = best[1] * self.units.damping
         return frame
+
+    def robust(self) -> pd.DataFrame:
+        """Return the boundary of the walls that are stable with every spring in parallel to the device.
+
+        The device's own stiffness is one of these springs. Passive walls are robust ones, too.
+
+        Returns
+        -------
+        pandas.DataFrame
+            ``damping`` [Ns/m, Nms/rad], ``stiffness`` [N/m, Nm/rad], in order along the boundary, and ``spring``, the
+            stiffness of the device at which it is reached [N/m, Nm/rad]; ``attrs`` has ``stiffness_max`` and
+            ``damping_at_stiffness_max``. Empty where the device has no damping of its own.
+
+        Raises
+        ------
+        ParameterError
+            If the loop has more than mass, damper, spring and delay: the region is not known for other parts.
+
+        Source: Hulin 2017, sec. 4.3.3, eq. 4.15, Fig. 4.5.
+        """
+        if parts := self.parts_in_words():
+            raise ParameterError(
+                "walls that are stable with every spring are known for mass, damper and delay alone, and this loop "
+                f"has {parts} (4.3.3). Leave that out, or take `passive`."
+            )
+        units = self.units
+        alpha, beta, gamma = robust_outline(self.passive_damping / units.damping, self.delay_samples)
+        frame = self._frame(
+            {"damping": beta * units.damping, "stiffness": alpha * units.stiffness, "spring": gamma * units.stiffness}
+        )
+        best = int(np.argmax(alpha)) if len(alpha) else None
+        frame.attrs["stiffness_max"] = 0.0 if best is None else float(alpha[best]) * units.stiffness
+        frame.attrs["damping_at_stiffness_max"] = 0.0 if best is None else float(beta[best]) * units.damping
+        return frame
+
+    def reachable(self, criterion: str) -> Reachable:
+        """Return the best cost that the delay of this loop allows, whatever its mass and its walls.
+
+        Parameters
+        ----------
+        criterion : str
+            As of `theory.reachable.reachable`: ``settle_2pct``, ``energy_step_w0``, ``pole_radius`` and their kind.
+
+        Raises
+        ------
+        ParameterError
+            For an unknown criterion, or one whose optimal cost does not depend on delay.
+
+        Source: Hulin 2017, eqs. 5.19 and 5.20.
+
+        Examples
+        --------
+        >>> loop = Loop(mass=0.58, damping=4.0, sampling_period_s=0.001, delay_samples=4)
+        >>> best = loop.reachable("settle_2pct")
+        >>> round(best.cost, 1), loop.optimum("settle_2pct").cost < best.cost * (1 + best.within)
+        (24.5, True)
+        """
+        return reachable(criterion, self.delay_samples)
 
     def response(
         self,

@@ -1,0 +1,90 @@
+"""The best cost that a delay alone allows: a polynomial in delay, with one factor a criterion.
+
+Source: Hulin 2017, sec. 5.4.2, eqs. 5.19 and 5.20, Table 5.1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+from pipeline.base.errors import ParameterError
+from pipeline.loop.normalised_loop import LARGEST_DELAY
+from pipeline.records.criteria import CRITERIA, DISCRETE, criterion_of
+from pipeline.theory.optimum import scaling_factor
+
+WITHIN = ((2.0, 0.012), (1.0, 0.026), (0.0, 0.091))
+"""Delays from which on the polynomial is off by at most so much of the optimal cost (5.20); a test recomputes them.
+
+Motion between samples; costs of samples alone differ by up to three times as much."""
+
+
+@dataclass(frozen=True)
+class Reachable:
+    """The best cost of any wall at a delay, of a device without damping and spring.
+
+    Parameters
+    ----------
+    criterion : str
+    delay_samples : float
+        d.
+    cost : float
+        (d + 1)^(w + 1) times the factor of the criterion: samples, or 1 for energies.
+    per_sample : float
+        What a sample less of delay saves, in the same unit.
+    within : float
+        Largest error relative to the optimal cost. Damping and a spring of the device only lower the optimum.
+    """
+
+    criterion: str
+    delay_samples: float
+    cost: float
+    per_sample: float
+    within: float
+
+
+def reachable(criterion: str, delay_samples: float) -> Reachable:
+    """Return the best cost that a delay allows, whatever the mass, the stiffness and the damping of the wall.
+
+    Parameters
+    ----------
+    criterion : str
+        A settling time, such as ``settle_2pct``, an energy, such as ``energy_step_w0``, or ``pole_radius`` (the
+        settling time that it stands for, 5.4).
+    delay_samples : float
+        d, from 0 to 256.
+
+    Raises
+    ------
+    ParameterError
+        For an unknown criterion, one whose optimal cost does not depend on delay, or a delay out of range.
+
+    Notes
+    -----
+    To 1 % it holds from two samples of delay on, where sampling costs as much as one sample more. The time from
+    command to force, and one sampling period, must together stay below 20 % of a wanted settling time.
+
+    Source: Hulin 2017, eqs. 5.19 and 5.20, Table 5.1.
+
+    Examples
+    --------
+    >>> best = reachable("settle_2pct", 4.0)
+    >>> round(best.cost, 1), round(best.per_sample, 1), best.within
+    (24.5, 4.9, 0.012)
+    """
+    if not 0 <= delay_samples <= LARGEST_DELAY:
+        raise ParameterError(f"delay_samples = {delay_samples}: expected a delay from 0 to {LARGEST_DELAY:g} samples.")
+    if criterion.removesuffix(DISCRETE) not in CRITERIA:
+        raise ParameterError(f"criterion {criterion!r} is unknown; expected a settling time, an energy or pole_radius.")
+    factor, power = _factor(criterion), criterion_of(criterion).weight + 1
+    cost = factor * (delay_samples + 1) ** power
+    # with less than a sample of delay, what is left of it
+    saved = cost - factor * max(delay_samples, 1.0) ** power
+    within = next(error for delay, error in WITHIN if delay_samples >= delay)
+    return Reachable(criterion, delay_samples, cost, saved, within)
+
+
+@lru_cache(maxsize=64)
+def _factor(criterion: str) -> float:
+    """Return the factor of a criterion, from its optimum at a delay of eight samples (Table 5.1)."""
+    return scaling_factor(criterion)
