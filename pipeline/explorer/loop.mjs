@@ -1,0 +1,869 @@
+// @ts-check
+/**
+ * Exact linear theory of a device behind a delay and a sampled virtual wall. No access to a page, no dependency.
+ *
+ * A loop has the keys of a device file (docs/devices.md) and is in SI. Inside, time is counted in sampling periods and
+ * the mass is 1 (Table 3.1): alpha = K T^2/m, beta = B T/m, gamma = k T^2/m, delta = b T/m. On the unit circle,
+ * z = exp(j theta), the characteristic equation is alpha + beta N = H, with N the velocity filter and H = -1/G of the
+ * sampled device: beta = Im H/Im N, alpha = Re H - beta Re N (D-decomposition).
+ *
+ * Source: Hulin 2017, ch. 3 to 5. The same numbers as `pipeline.Loop` in Python.
+ */
+
+/**
+ * @typedef {{kind: string, samples?: number, order?: number, cutoff_hz?: number, b?: number[], a?: number[],
+ *   acceleration?: number, noise?: number}} VelocityFilter
+ * @typedef {{frequency_hz: number, damping_ratio: number, mass: number, sensor?: string, load_damping?: number}} Mode
+ * @typedef {{mass: number, damping?: number, stiffness?: number}} Operator
+ * @typedef {{velocity?: VelocityFilter | null, actuator_lag_s?: number, force_gain?: number, mode?: Mode | null,
+ *   operator?: Operator | null}} Parts
+ * @typedef {Parts & {mass?: number, damping?: number, stiffness?: number, sampling_period_s?: number,
+ *   delay_samples?: number, jitter_samples?: number[], motion?: string, loop?: Parts, experiment?: any[]}} DeviceFile
+ * @typedef {{order: number, value: (theta: number, out: Float64Array) => void, step: Float64Array, gain: Float64Array,
+ *   row: Float64Array, direct: number}} Filter
+ * @typedef {{stiffness: number, damping: number, period: number, motion: string}} Units
+ * @typedef {{n: number, A: Float64Array, B: Float64Array, C: Float64Array, gamma: number, delta: number, lag: number,
+ *   near: number, atLoad: boolean, mechanical: number, whole: number, fraction: number, delay: number, Phi: Float64Array,
+ *   older: Float64Array | null, newer: Float64Array, bottom: Float64Array, topOld: Float64Array | null,
+ *   topNew: Float64Array, filter: Filter, units: Units, file: DeviceFile, pieces?: any, curve?: Curve}} Sampled
+ * @typedef {{t0: number, t1: number, b0: number, b1: number, a0: number, a1: number, turn: number, edge: boolean}} Cell
+ * @typedef {{value: number, slope: number, bend: number, bendSlope: number, turn: number}} Line
+ * @typedef {{cells: Cell[], lines: Line[], soft: number[], turning: number[], nodes: Float64Array[]}} Curve
+ */
+
+const LARGEST_DELAY = 256;
+const LARGEST_FILTER = 96;
+/** Damping ratio of a mode without any: without loss its zeros lie on the unit circle. As in Python. */
+const LEAST_RATIO = 1e-12;
+/** Samples after which a response that still moves is given up. */
+const LONGEST = 1 << 18;
+/** Motion below which a response is no longer followed for overshoot; an overshoot up to ten times this is none. */
+const QUIET = 1e-13;
+/** Distance of the spectral radius from 1 below which costs would be rounding errors. */
+const MARGINAL = 1e-12;
+
+// ---------------------------------------------------------------------------------------------------- device file
+
+/**
+ * Return a number of a device file, or throw an error that names it.
+ * @param {string} name @param {any} value @param {number} least @param {boolean} [positive] @returns {number}
+ */
+function number(name, value, least, positive = false) {
+  if (typeof value !== "number" || !Number.isFinite(value) || value < least || (positive && value <= least)) {
+    throw new RangeError(`${name}: found ${JSON.stringify(value) ?? "nothing"}; expected a finite number ` +
+      `${positive ? "above" : "of at least"} ${least}`);
+  }
+  return value;
+}
+
+/**
+ * Return the loop of a device file with all its parts at the top, those of its first experiment included.
+ * @param {DeviceFile} file @returns {DeviceFile}
+ */
+export function flattened(file) {
+  if (file === null || typeof file !== "object") throw new TypeError("loop: expected the entries of a device file");
+  const { experiment, loop, ...device } = file;
+  const { loop: ofExperiment, ...first } = (experiment ?? [])[0] ?? {};
+  const flat = { ...device, ...first, ...(loop ?? {}), ...(ofExperiment ?? {}) };
+  const jitter = flat.jitter_samples ?? [];
+  if (jitter.length) {
+    flat.delay_samples = jitter.reduce((/** @type {number} */ sum, /** @type {number} */ d) => sum + d, 0) / jitter.length;
+  }
+  return flat;
+}
+
+/**
+ * Return the parts of a loop that linear theory cannot include.
+ * @param {DeviceFile} file @returns {string[]}
+ */
+export function leftOut(file) {
+  const flat = /** @type {any} */ (flattened(file));
+  const kind = flat.velocity?.kind;
+  return [
+    ...(kind === "foaw" || kind === "levant" ? ["velocity"] : []), ...(flat.friction ? ["friction"] : []),
+    ...(new Set(flat.jitter_samples ?? []).size > 1 ? ["jitter"] : []),
+  ];
+}
+
+/**
+ * Return the sampled loop of a device file, without its wall; one that is prepared already is returned as it is.
+ * @param {DeviceFile | Sampled} file @returns {Sampled}
+ */
+export function prepare(file) {
+  if ("topNew" in file) return file;
+  const flat = flattened(file);
+  const T = number("sampling_period_s", flat.sampling_period_s, 0, true);
+  const own = number("mass", flat.mass, 0, true), b = number("damping", flat.damping ?? 0, 0);
+  const gain = number("force_gain", flat.force_gain ?? 1, 0, true), k = number("stiffness", flat.stiffness ?? 0, 0);
+  const delay = number("delay_samples", flat.delay_samples, 0);
+  if (delay > LARGEST_DELAY) throw new RangeError(`delay_samples: found ${delay}; expected at most ${LARGEST_DELAY}`);
+  const lag = number("actuator_lag_s", flat.actuator_lag_s ?? 0, 0) / T;
+  const { mass: hand, damping: grip, stiffness: pull } = flat.operator ?? { mass: 0 };
+  const mass = own + number("operator.mass", hand, 0), damping = b + number("operator.damping", grip ?? 0, 0);
+  const gamma = (k + number("operator.stiffness", pull ?? 0, 0)) * T * T / mass, delta = damping * T / mass;
+  if (gamma > Math.PI ** 2 + delta ** 2 / 4) {
+    throw new RangeError(`stiffness: the device swings faster than it is sampled (k T^2/m = ${gamma.toPrecision(4)})`);
+  }
+  const device = stateSpace(flat.mode ?? null, { own, b, mass, T, gamma, delta, lag });
+  const whole = Math.floor(delay), fraction = delay - whole;
+  return sampledDevice({
+    ...device, gamma, delta, lag, whole, fraction, delay, file: flat,
+    near: (b - (flat.mode?.load_damping ?? 0)) * T / mass, filter: velocityFilter(flat.velocity ?? null, T),
+    units: { stiffness: mass / gain / T ** 2, damping: mass / gain / T, period: T, motion: flat.motion ?? "translation" },
+  });
+}
+
+/**
+ * Return x' = A x + B u, position = C x, about the centre of mass, in units of mass and sampling period.
+ * @param {Mode | null} mode @param {{own: number, b: number, mass: number, T: number, gamma: number, delta: number,
+ *   lag: number}} numbers
+ */
+function stateSpace(mode, { own, b, mass, T, gamma, delta, lag }) {
+  const mechanical = mode ? 4 : 2, n = mechanical + (lag > 0 ? 1 : 0);
+  const A = new Float64Array(n * n), B = new Float64Array(n), C = new Float64Array(n), force = new Float64Array(n);
+  A[1] = 1, C[0] = 1, force[1] = 1;
+  let loadDamping = 0;
+  if (mode) {
+    const heavy = number("mode.mass", mode.mass, 0, true), turn = 2 * Math.PI * number("mode.frequency_hz", mode.frequency_hz, 0, true);
+    const ratio = Math.max(number("mode.damping_ratio", mode.damping_ratio, 0), LEAST_RATIO);
+    const bl = number("mode.load_damping", mode.load_damping ?? 0, 0);
+    if (heavy >= own) throw new RangeError(`mode.mass: found ${heavy}; expected less than the whole mass, ${own}`);
+    if (bl > b) throw new RangeError(`mode.load_damping: found ${bl}; expected at most the whole damping, ${b}`);
+    const reduced = heavy * (own - heavy) / own, load = heavy / mass, near = 1 - load;
+    const spring = reduced * turn ** 2 * T * T / mass, damper = 2 * ratio * turn * reduced * T / mass;
+    loadDamping = bl * T / mass;
+    const motor = [1, -load / near];
+    motor.forEach((share, i) => {
+      C[2 * i] = share;
+      A[n + 2 * i] = -share * gamma, A[n + 2 * i + 1] = -share * (delta - loadDamping);
+    });
+    A[2 * n + 3] = 1, force[3] = -1;
+    for (let j = 0; j < 4; j++) A[3 * n + j] = -A[n + j];
+    A[3 * n + 2] -= spring * (1 / load + 1 / near), A[3 * n + 3] -= damper * (1 / load + 1 / near);
+    for (const j of [1, 3]) A[n + j] -= loadDamping, A[3 * n + j] -= near / load * loadDamping;
+    if (mode.sensor === "load") C[2] = 1;
+  } else {
+    A[n] = -gamma, A[n + 1] = -delta;
+  }
+  if (lag > 0) {
+    for (let i = 0; i < n - 1; i++) A[i * n + n - 1] = force[i];
+    A[n * n - 1] = -1 / lag, B[n - 1] = 1 / lag;
+  } else {
+    B.set(force);
+  }
+  return { n, A, B, C, mechanical, atLoad: mode?.sensor === "load" };
+}
+
+/**
+ * Return a loop with its motion over a sample: transition, gains of the older and the newer force, transfer function.
+ * @param {any} loop @returns {Sampled}
+ */
+function sampledDevice(loop) {
+  const { n, A, B, fraction } = loop;
+  const E = moved(A, B, n, 1).change, later = moved(A, B, n, 1 - fraction);
+  let older = null;
+  if (fraction > 0) {
+    const first = moved(A, B, n, fraction).gain;
+    older = first.map((value, i) => value + sum(n, (j) => later.change[i * n + j] * first[j]));
+  }
+  const Phi = E.map((value, i) => value + (i % (n + 1) ? 0 : 1));
+  const { bottom, adjugates, scale } = resolvent(E, n);
+  if (!loop.gamma) bottom[0] = 0;
+  const top = (/** @type {Float64Array} */ gain) => Float64Array.from(adjugates, (M) =>
+    sum(n, (i) => loop.C[i] * scale[i] * sum(n, (j) => M[i * n + j] * gain[j] / scale[j])));
+  return { ...loop, Phi, older, newer: later.gain, bottom, topOld: older && top(older), topNew: top(later.gain) };
+}
+
+/** @param {number} n @param {(i: number) => number} term @returns {number} */
+function sum(n, term) {
+  let total = 0;
+  for (let i = 0; i < n; i++) total += term(i);
+  return total;
+}
+
+/** @param {Float64Array} X @param {Float64Array} Y @param {number} n @returns {Float64Array} X Y of size n */
+function product(X, Y, n) {
+  const result = new Float64Array(n * n);
+  for (let i = 0; i < n; i++) {
+    for (let k = 0; k < n; k++) {
+      const x = X[i * n + k];
+      if (x) for (let j = 0; j < n; j++) result[i * n + j] += x * Y[k * n + j];
+    }
+  }
+  return result;
+}
+
+/**
+ * Return exp(M) - 1, by its series and doubling: (1 + E)^2 - 1 = 2 E + E^2 loses no digits of a slow motion.
+ * @param {Float64Array} M @param {number} n @returns {Float64Array}
+ */
+export function exponential(M, n) {
+  const norm = Math.max(...Array.from({ length: n }, (_, i) => sum(n, (j) => Math.abs(M[i * n + j]))));
+  const doublings = Math.max(0, Math.ceil(Math.log2(norm)) + 2), X = M.map((value) => value / 2 ** doublings);
+  let E = X, term = X;
+  for (let k = 2; k < 16; k++) {
+    term = product(term, X, n).map((value) => value / k);
+    E = E.map((value, i) => value + term[i]);
+  }
+  for (let k = 0; k < doublings; k++) {
+    const square = product(E, E, n);
+    E = E.map((value, i) => 2 * value + square[i]);
+  }
+  return E;
+}
+
+/**
+ * Return the motion over a time with a constant input: transition less 1, gain, and exp of both together.
+ * @param {Float64Array} A @param {Float64Array} B @param {number} n @param {number} time
+ */
+function moved(A, B, n, time) {
+  const M = new Float64Array((n + 1) ** 2);
+  for (let i = 0; i < n; i++) {
+    for (let j = 0; j < n; j++) M[i * (n + 1) + j] = A[i * n + j] * time;
+    M[i * (n + 1) + n] = B[i] * time;
+  }
+  const E = exponential(M, n + 1), change = new Float64Array(n * n), gain = new Float64Array(n);
+  for (let i = 0; i < n; i++) {
+    for (let j = 0; j < n; j++) change[i * n + j] = E[i * (n + 1) + j];
+    gain[i] = E[i * (n + 1) + n];
+  }
+  return { change, gain };
+}
+
+/**
+ * Balance a matrix in place by powers of two; return the scales (Parlett and Reinsch 1969).
+ * @param {Float64Array} M @param {number} n @returns {Float64Array}
+ */
+function balance(M, n) {
+  const scale = new Float64Array(n).fill(1);
+  for (let round = 0, changed = true; changed && round < 100; round++) {
+    changed = false;
+    for (let i = 0; i < n; i++) {
+      let column = 0, row = 0;
+      for (let j = 0; j < n; j++) if (j !== i) column += Math.abs(M[j * n + i]), row += Math.abs(M[i * n + j]);
+      if (!column || !row) continue;
+      const factor = 2 ** Math.round(Math.log2(row / column) / 2);
+      if (column * factor + row / factor >= 0.95 * (column + row)) continue;
+      changed = true;
+      scale[i] *= factor;
+      for (let j = 0; j < n; j++) M[j * n + i] *= factor;
+      for (let j = 0; j < n; j++) M[i * n + j] /= factor;
+    }
+  }
+  return scale;
+}
+
+/**
+ * Return determinant and adjugate of x - E as polynomials in x, lowest power first (Faddeev and Leverrier).
+ * @param {Float64Array} E @param {number} n
+ */
+function resolvent(E, n) {
+  const M = E.slice(), scale = balance(M, n), bottom = new Float64Array(n + 1), adjugates = new Array(n);
+  bottom[n] = 1;
+  let R = new Float64Array(n * n);
+  for (let k = 1; k <= n; k++) {
+    R = product(M, R, n);
+    for (let i = 0; i < n; i++) R[i * n + i] += bottom[n - k + 1];
+    adjugates[n - k] = R;
+    const P = product(M, R, n);
+    bottom[n - k] = -sum(n, (i) => P[i * n + i]) / k;
+  }
+  return { bottom, adjugates, scale };
+}
+
+// ------------------------------------------------------------------------------------------------ velocity filter
+
+/** Coefficients of Butterworth polynomials, lowest power first, by order. */
+const BUTTERWORTH = [[1], [1, 1], [1, Math.SQRT2, 1], [1, 2, 2, 1],
+  [1, Math.sqrt(4 + 2 * Math.SQRT2), 2 + Math.SQRT2, Math.sqrt(4 + 2 * Math.SQRT2), 1]];
+
+/**
+ * Return a velocity filter: N = (1 - 1/z) F and its slope on the circle, and F as a state space of (x_k - x_{k-1})/T.
+ * @param {VelocityFilter | null} velocity @param {number} T @returns {Filter}
+ */
+function velocityFilter(velocity, T) {
+  const kind = velocity?.kind ?? "difference";
+  if (velocity && kind === "butterworth") {
+    const order = number("velocity.order", velocity.order, 1), cutoff = number("velocity.cutoff_hz", velocity.cutoff_hz, 0, true);
+    if (!BUTTERWORTH[order]) throw new RangeError(`velocity.order: found ${order}; expected 1, 2, 3 or 4`);
+    if (cutoff * T >= 0.5) throw new RangeError(`velocity.cutoff_hz: found ${cutoff}; expected less than ${0.5 / T}`);
+    return butterworth(order, Math.tan(Math.PI * cutoff * T));
+  }
+  if (kind === "difference") {
+    const samples = number("velocity.samples", velocity?.samples ?? 1, 1);
+    return { ...directForm(new Array(samples).fill(1 / samples), [1]), value: (theta, out) => difference(samples, theta, out) };
+  }
+  let b = velocity?.b ?? [1], a = velocity?.a ?? [1];
+  if (velocity && kind === "kalman") {
+    const index = number("velocity.acceleration", velocity.acceleration, 0, true) * T * T / number("velocity.noise", velocity.noise, 0, true);
+    const root = Math.sqrt(index * (index + 8)), rest = 2 * index / (index + root), ratio = 4 / (4 + index + root);
+    b = [2 * rest * rest], a = [1, rest * (1 + ratio) + 2 * rest * rest - 2, ratio * ratio];
+  } else if (kind !== "coefficients") {
+    if (kind !== "foaw" && kind !== "levant") throw new RangeError(`velocity.kind: found ${JSON.stringify(kind)}`);
+    b = a = [1];  // adaptive filters are left out, as in Python
+  }
+  const form = directForm(b, a);
+  return { ...form, value: (theta, out) => ratio(b, a, theta, out) };
+}
+
+/** @param {number} samples @param {number} theta @param {Float64Array} out */
+function difference(samples, theta, out) {
+  const angle = samples * theta, half = Math.sin(angle / 2);
+  out[4] = 2 * half * half / samples, out[5] = Math.sin(angle) / samples;
+  out[6] = Math.sin(angle), out[7] = Math.cos(angle);
+}
+
+/** @param {number[]} b @param {number[]} a @param {number} theta @param {Float64Array} out */
+function ratio(b, a, theta, out) {
+  const c = Math.cos(theta), s = -Math.sin(theta), half = Math.sin(theta / 2);
+  const [br, bi, bsr, bsi] = horner(b, c, s), [ar, ai, asr, asi] = horner(a, c, s), size = ar * ar + ai * ai;
+  const fr = (br * ar + bi * ai) / size, fi = (bi * ar - br * ai) / size;
+  const er = bsr - (fr * asr - fi * asi), ei = bsi - (fr * asi + fi * asr);
+  const gr = (er * ar + ei * ai) / size, gi = (ei * ar - er * ai) / size;
+  const pr = 2 * half * half, pi = -s;
+  out[4] = pr * fr - pi * fi, out[5] = pr * fi + pi * fr;
+  const dr = pr * gr - pi * gi - fr, di = pr * gi + pi * gr - fi;  // by u = 1/z; times du/dtheta = -j u
+  out[6] = dr * s + di * c, out[7] = -(dr * c - di * s);
+}
+
+/** @param {ArrayLike<number>} p @param {number} x @param {number} y @returns {number[]} value and slope at x + j y */
+function horner(p, x, y) {
+  let vr = 0, vi = 0, sr = 0, si = 0;
+  for (let k = p.length - 1; k >= 0; k--) {
+    const r = sr * x - si * y + vr;
+    si = sr * y + si * x + vi, sr = r;
+    const v = vr * x - vi * y + p[k];
+    vi = vr * y + vi * x, vr = v;
+  }
+  return [vr, vi, sr, si];
+}
+
+/**
+ * Return a filter b/a in powers of 1/z in transposed direct form.
+ * @param {number[]} bs @param {number[]} as
+ */
+function directForm(bs, as) {
+  if (!as[0]) throw new RangeError("velocity.a: its first coefficient must not be 0");
+  const order = Math.max(bs.length, as.length) - 1;
+  if (order > LARGEST_FILTER) throw new RangeError(`velocity: remembers ${order} samples; expected at most ${LARGEST_FILTER}`);
+  const b = (/** @type {number} */ i) => (bs[i] ?? 0) / as[0], a = (/** @type {number} */ i) => (as[i] ?? 0) / as[0];
+  const step = new Float64Array(order * order), gain = new Float64Array(order), row = new Float64Array(order);
+  for (let i = 0; i < order; i++) {
+    if (i + 1 < order) step[i * order + i + 1] = 1;
+    step[i * order] -= a(i + 1), gain[i] = b(i + 1) - a(i + 1) * b(0);
+  }
+  if (order) row[0] = 1;
+  return { order, step, gain, row, direct: b(0) };
+}
+
+/**
+ * Return a Butterworth filter with the edge w = (z - 1)/(z + 1) at the cut-off. Its states are those of a trapezoidal
+ * rule, s = (1 - A) x - B u: poles of a low cut-off keep their digits.
+ * @param {number} order @param {number} edge @returns {Filter}
+ */
+function butterworth(order, edge) {
+  const c = BUTTERWORTH[order].map((value, k) => value / edge ** k), n = order;
+  /** @type {(theta: number, out: Float64Array) => void} */
+  const value = (theta, out) => {
+    const t = Math.tan(theta / 2), [pr, pi, sr, si] = horner(c, 0, t), size = pr * pr + pi * pi;
+    // N = 2 w/((1 + w) P), w = j t; its slope is N (1/w - 1/(1 + w) - P'/P) dw/dtheta, dw/dtheta = j (1 + t^2)/2
+    const lr = 2 * t * t / (1 + t * t), li = 2 * t / (1 + t * t);
+    const nr = (lr * pr + li * pi) / size, ni = (li * pr - lr * pi) / size;
+    const er = -1 / (1 + t * t) - (sr * pr + si * pi) / size, ei = t / (1 + t * t) - 1 / t - (si * pr - sr * pi) / size;
+    const rate = (1 + t * t) / 2, xr = nr * er - ni * ei, xi = nr * ei + ni * er;
+    out[4] = nr, out[5] = ni, out[6] = -xi * rate, out[7] = xr * rate;
+  };
+  const left = new Float64Array(n * n), right = new Float64Array(n * n);
+  for (let i = 0; i < n; i++) {
+    for (let j = 0; j < n; j++) {
+      const A = i === n - 1 ? -edge * BUTTERWORTH[n][j] : j === i + 1 ? edge : 0;
+      left[i * n + j] = (i === j ? 1 : 0) - A, right[i * n + j] = (i === j ? 1 : 0) + A;
+    }
+  }
+  const inverse = inverted(left, n), step = product(right, inverse, n), input = (/** @type {number} */ i) => i === n - 1 ? edge : 0;
+  const gain = Float64Array.from({ length: n }, (_, i) => input(i) + step[i * n + n - 1] * edge);
+  return { order, step, gain, row: inverse.slice(0, n), direct: inverse[n - 1] * edge, value };
+}
+
+/** @param {Float64Array} M @param {number} n @returns {Float64Array} the inverse, by Gauss and Jordan with pivots */
+function inverted(M, n) {
+  const w = 2 * n, rows = Array.from({ length: n }, (_, i) =>
+    Float64Array.from({ length: w }, (_, j) => j < n ? M[i * n + j] : j - n === i ? 1 : 0));
+  for (let k = 0; k < n; k++) {
+    let best = k;
+    for (let i = k; i < n; i++) if (Math.abs(rows[i][k]) > Math.abs(rows[best][k])) best = i;
+    [rows[k], rows[best]] = [rows[best], rows[k]];
+    const pivot = rows[k][k];
+    for (let j = 0; j < w; j++) rows[k][j] /= pivot;
+    for (let i = 0; i < n; i++) {
+      const factor = rows[i][k];
+      if (i !== k && factor) for (let j = 0; j < w; j++) rows[i][j] -= factor * rows[k][j];
+    }
+  }
+  return Float64Array.from({ length: n * n }, (_, i) => rows[Math.floor(i / n)][n + i % n]);
+}
+
+// ------------------------------------------------------------------------------------------------------- boundary
+
+/**
+ * Set H, its slope by theta, N and its slope (real and imaginary parts) at an angle.
+ * @param {Sampled} loop @param {number} theta @param {Float64Array} out
+ */
+function onCircle(loop, theta, out) {
+  const half = Math.sin(theta / 2), x = -2 * half * half, y = Math.sin(theta), zr = 1 + x, zi = y;
+  const [br, bi, dbr, dbi] = horner(loop.bottom, x, y);
+  let [tr, ti, dtr, dti] = horner(loop.topNew, x, y);
+  if (loop.topOld) {
+    const [or, oi, dor, doi] = horner(loop.topOld, x, y);  // times 1/z = conj(z)
+    const vr = or * zr + oi * zi, vi = oi * zr - or * zi, er = dor - vr, ei = doi - vi;
+    tr += vr, ti += vi, dtr += er * zr + ei * zi, dti += ei * zr - er * zi;
+  }
+  const size = tr * tr + ti * ti, cw = Math.cos(loop.whole * theta), sw = Math.sin(loop.whole * theta);
+  const qr = (cw * tr + sw * ti) / size, qi = (sw * tr - cw * ti) / size;  // z^whole/top
+  const hr = -(qr * br - qi * bi), hi = -(qr * bi + qi * br);
+  // dH/dz = -q (whole b/z + b' - b top'/top), times dz/dtheta = j z
+  const gr = (dtr * tr + dti * ti) / size, gi = (dti * tr - dtr * ti) / size;
+  const sr = loop.whole * (br * zr + bi * zi) + dbr - (br * gr - bi * gi);
+  const si = loop.whole * (bi * zr - br * zi) + dbi - (br * gi + bi * gr);
+  const ur = qr * sr - qi * si, ui = qr * si + qi * sr;
+  out[0] = hr, out[1] = hi, out[2] = ur * zi + ui * zr, out[3] = -(ur * zr - ui * zi);
+  loop.filter.value(theta, out);
+}
+
+/** Where beta is infinite, where it turns, where alpha turns and where it is 0: functions without poles. */
+const EVENTS = [
+  (/** @type {Float64Array} */ v) => v[5],
+  (/** @type {Float64Array} */ v) => v[3] * v[5] - v[1] * v[7],
+  (/** @type {Float64Array} */ v) => v[5] * v[5] * v[2] - v[4] * (v[3] * v[5] - v[1] * v[7]) - v[1] * v[5] * v[6],
+  (/** @type {Float64Array} */ v) => v[0] * v[5] - v[1] * v[4],
+];
+
+/** Smallest angle, and that from pi, of a branch; between it and the end, alpha and beta go as its square. */
+const SMALLEST = 1e-6;
+/** Angles of each turn of the delayed force and the filter, before cells that bend are halved. */
+const PER_TURN = 20;
+/** Part of its values by which a cell may differ from the trapezoid of its slopes. */
+const BENT = 0.05;
+
+/**
+ * Return values at angles that follow all branches: [theta, H, H', N, N', event], both ends left out.
+ * @param {Sampled} loop @returns {{theta: number, v: Float64Array, event: number}[]}
+ */
+function nodes(loop) {
+  const angles = new Set(), turns = PER_TURN * (loop.whole + 2 + loop.filter.order);
+  for (let k = 1; k < turns; k++) angles.add(k * Math.PI / turns);
+  for (let t = SMALLEST; t < 2 * Math.PI / turns; t *= 1.4) angles.add(t), angles.add(Math.PI - t);
+  const at = (/** @type {number} */ theta, event = -1) => {
+    const v = new Float64Array(8);
+    onCircle(loop, theta, v);
+    return { theta, v, event };
+  };
+  const sorted = [...angles].sort((a, b) => a - b).map((theta) => at(theta));
+  /** @type {{theta: number, v: Float64Array, event: number}[]} */
+  const result = [sorted[0]];
+  const bends = (/** @type {Float64Array} */ p, /** @type {Float64Array} */ q, /** @type {number} */ h) => {
+    for (const i of [0, 4]) {
+      const far = Math.abs(q[i] - p[i] - h * (p[i + 2] + q[i + 2]) / 2) + Math.abs(q[i + 1] - p[i + 1] - h * (p[i + 3] + q[i + 3]) / 2);
+      if (far > BENT * (Math.abs(p[i]) + Math.abs(p[i + 1]) + Math.abs(q[i]) + Math.abs(q[i + 1]))) return true;
+    }
+    return false;
+  };
+  /** @type {(p: any, q: any, depth: number) => void} */
+  const fill = (p, q, depth) => {
+    if (depth < 24 && bends(p.v, q.v, q.theta - p.theta)) {
+      const middle = at((p.theta + q.theta) / 2);
+      fill(p, middle, depth + 1), fill(middle, q, depth + 1);
+      return;
+    }
+    const inner = [];
+    for (let e = 0; e < EVENTS.length; e++) {
+      if ((EVENTS[e](p.v) > 0) !== (EVENTS[e](q.v) > 0)) inner.push(zero(loop, EVENTS[e], p, q, e));
+    }
+    result.push(...inner.sort((a, b) => a.theta - b.theta), q);
+  };
+  for (let i = 1; i < sorted.length; i++) fill(sorted[i - 1], sorted[i], 0);
+  return result;
+}
+
+/**
+ * Return the node between two others at which a function of their values is 0 (false position, Illinois).
+ * @param {Sampled} loop @param {(v: Float64Array) => number} of @param {any} p @param {any} q @param {number} event
+ */
+function zero(loop, of, p, q, event) {
+  let low = p.theta, high = q.theta, atLow = of(p.v), atHigh = of(q.v), theta = low, side = 0;
+  const v = new Float64Array(8);
+  for (let step = 0; step < 60; step++) {
+    const next = step < 40 ? (low * atHigh - high * atLow) / (atHigh - atLow) : (low + high) / 2;
+    if (Math.abs(next - theta) <= 1e-14 * high) break;
+    theta = next > low && next < high ? next : (low + high) / 2;
+    onCircle(loop, theta, v);
+    const there = of(v);
+    if (there === 0) break;
+    if ((there > 0) === (atLow > 0)) {
+      low = theta, atLow = there;
+      if (side === 1) atHigh /= 2;
+      side = 1;
+    } else {
+      high = theta, atHigh = there;
+      if (side === -1) atLow /= 2;
+      side = -1;
+    }
+  }
+  onCircle(loop, theta, v);
+  return { theta, v, event };
+}
+
+/**
+ * Return the branches of a loop, cut into cells along which alpha and beta are monotone, and lines of real N and H.
+ * @param {Sampled} loop @returns {Curve}
+ */
+function curve(loop) {
+  if (loop.curve) return loop.curve;
+  const found = nodes(loop), v = new Float64Array(8);
+  /** @type {Line[]} */ const lines = [];
+  /** @type {Cell[]} */ const cells = [];
+  const soft = [], turning = [];
+  const free = (/** @type {any} */ node) => node.event === 0 && Math.abs(node.v[1]) < 1e-9 * Math.abs(node.v[0]);
+  for (const { v: w, event, theta } of found) {
+    if (free({ v: w, event })) lines.push({ value: w[0], slope: w[4], bend: w[3], bendSlope: w[7], turn: 2 });
+    else if (event > 0) turning.push(w[1] / w[5]);
+    if (event === 3) soft.push(w[1] / w[5]);
+  }
+  onCircle(loop, Math.PI, v);
+  lines.push({ value: v[0], slope: v[4], bend: v[3], bendSlope: v[7], turn: 1 });
+  for (const line of lines) if (line.slope) soft.push(line.value / line.slope), turning.push(line.value / line.slope);
+  const point = (/** @type {any} */ node, /** @type {any} */ next) => {
+    const w = node.v, rate = node.event === 0 ? (next.v[5] > 0 ? 1e-300 : -1e-300) : w[5];
+    const beta = free(node) ? w[3] / w[7] : w[1] / rate;
+    return [beta, node.event === 3 ? 0 : w[0] - (w[4] ? beta * w[4] : 0)];
+  };
+  for (let i = 1; i < found.length; i++) {
+    const p = found[i - 1], q = found[i], [b0, a0] = point(p, q), [b1, a1] = point(q, p);
+    const rate = p.event === 0 ? q.v[5] : p.v[5];
+    cells.push({ t0: p.theta, t1: q.theta, b0, b1, a0, a1, turn: (b1 > b0) === (rate > 0) ? 2 : -2, edge: false });
+  }
+  // at both ends alpha and beta are even functions of the angle
+  const outer = (/** @type {number} */ theta, /** @type {number} */ twice, /** @type {Cell} */ next, /** @type {boolean} */ last) => {
+    onCircle(loop, twice, v);
+    const far = [v[1] / v[5], v[0] - v[1] / v[5] * v[4]], near = last ? [next.b1, next.a1] : [next.b0, next.a0];
+    const [beta, alpha] = near.map((value, i) => value + (value - far[i]) / 3);
+    const [b0, b1] = last ? [near[0], beta] : [beta, near[0]], [a0, a1] = last ? [near[1], alpha] : [alpha, near[1]];
+    const rate = last ? 1 : -1;  // of N just inside
+    onCircle(loop, theta, v);
+    return { t0: theta, t1: theta, b0, b1, a0, a1, turn: (b1 > b0) === (v[5] > 0) ? 2 : -2, edge: true, rate };
+  };
+  const first = outer(SMALLEST, 2 * SMALLEST, cells[0], false);
+  if (!loop.gamma) first.a0 = 0, soft.push(first.b0);
+  turning.push(first.b0);
+  const end = outer(Math.PI - SMALLEST, Math.PI - 2 * SMALLEST, cells[cells.length - 1], true);
+  if (Number.isFinite(end.b1)) turning.push(end.b1);
+  cells.unshift(first), cells.push(end);
+  const all = cells.filter((cell) => Math.max(cell.a0, cell.a1) > 0 && cell.b0 !== cell.b1);
+  loop.curve = { cells: all, lines, soft: distinct(soft), turning: distinct(turning), nodes: found.map((node) => node.v) };
+  return loop.curve;
+}
+
+/** @param {number[]} values @returns {number[]} finite ones in order, each once */
+function distinct(values) {
+  const sorted = values.filter(Number.isFinite).sort((a, b) => a - b);
+  return sorted.filter((value, i) => !i || value - sorted[i - 1] > 1e-12 * Math.max(Math.abs(value), Math.abs(sorted[i - 1])));
+}
+
+const scratch = new Float64Array(8);
+
+/**
+ * Return alpha at which a cell is met by a damping.
+ * @param {Sampled} loop @param {Cell} cell @param {number} beta @returns {number}
+ */
+function crossing(loop, cell, beta) {
+  const share = (beta - cell.b0) / (cell.b1 - cell.b0);
+  if (cell.edge) return cell.a0 + share * (cell.a1 - cell.a0);
+  let low = cell.t0, high = cell.t1, theta = Number.isFinite(share) && Math.abs(cell.b1 - cell.b0) < 1e100 ? low + share * (high - low) : (low + high) / 2;
+  const rises = cell.turn > 0, v = scratch;
+  for (let step = 0; step < 80; step++) {
+    onCircle(loop, theta, v);
+    const miss = v[1] - beta * v[5], slope = v[3] - beta * v[7];
+    if (miss === 0) break;
+    if ((miss > 0) === rises) high = theta; else low = theta;
+    const change = -miss / slope, next = theta + change;
+    if (Math.abs(change) <= 1e-8 * theta && next >= cell.t0 && next <= cell.t1) return v[0] - beta * v[4] + change * (v[2] - beta * v[6]);
+    theta = next > low && next < high ? next : (low + high) / 2;
+    if (high - low <= 1e-15 * high) break;
+  }
+  return v[0] - beta * v[4];
+}
+
+/**
+ * Return the lowest alpha > 0 at which a pole pair lies on the circle, at a damping; infinity where there is none.
+ * @param {Sampled} loop @param {Curve} known @param {number} beta @returns {number}
+ */
+function lowest(loop, known, beta) {
+  let best = Infinity;
+  for (const { value, slope } of known.lines) {
+    const alpha = value - beta * slope;
+    if (alpha > 0 && alpha < best) best = alpha;
+  }
+  for (const cell of known.cells) {
+    if ((cell.b0 < beta) === (cell.b1 < beta) || Math.min(cell.a0, cell.a1) >= best) continue;
+    const alpha = crossing(loop, cell, beta);
+    if (alpha > 0 && alpha < best) best = alpha;
+  }
+  return best;
+}
+
+/**
+ * Return the stable intervals of alpha > 0 beyond the one that begins at 0, at a damping.
+ * @param {Sampled} loop @param {Curve} known @param {number} beta @param {number} unstable poles of a soft wall
+ * @returns {number[][]}
+ */
+function beyond(loop, known, beta, unstable) {
+  /** @type {[number, number][]} */
+  const met = [];
+  for (const { value, slope, bend, bendSlope, turn } of known.lines) {
+    met.push([value - beta * slope, bend - beta * bendSlope > 0 ? turn : -turn]);
+  }
+  for (const cell of known.cells) {
+    if ((cell.b0 < beta) !== (cell.b1 < beta)) met.push([crossing(loop, cell, beta), cell.turn]);
+  }
+  const result = [], rest = met.filter(([alpha]) => alpha > 0).sort((p, q) => p[0] - q[0]);
+  let count = unstable;
+  for (let i = 0; i + 1 < rest.length; i++) {
+    count += rest[i][1];
+    if (count === 0 && rest[i + 1][0] > rest[i][0] * (1 + 1e-9)) result.push([rest[i][0], rest[i + 1][0]]);
+  }
+  return result;
+}
+
+/** @param {Sampled} loop @param {number} alpha @param {number} beta @returns {number} number of poles outside the circle */
+function unstablePoles(loop, alpha, beta) {
+  const [re, im] = normalisedPoles(loop, alpha, beta);
+  let count = 0;
+  for (let i = 0; i < re.length; i++) if (Math.hypot(re[i], im[i]) >= 1) count++;
+  return count;
+}
+
+/**
+ * Return the limit of walls over damping, islands beside it, and the largest stable stiffness, in SI.
+ *
+ * The limit at a damping is the largest stiffness up to which every softer wall is stable. NaN lies between separate
+ * parts. `islands` are stable intervals beyond it: the same as of `pipeline theory boundary --device`.
+ * @param {DeviceFile | Sampled} file @param {number} [points] about how many, at least 8
+ */
+export function boundary(file, points = 400) {
+  const loop = prepare(file), known = curve(loop), { soft, turning } = known;
+  const count = number("points", points, 8), K = loop.units.stiffness, B = loop.units.damping;
+  /** @type {{low: number, high: number, unstable: number}[]} */
+  const segments = [];
+  for (let i = 0; i + 1 < soft.length; i++) {
+    // a wall in the middle of what begins at alpha = 0 tells for all of it
+    const beta = (soft[i] + soft[i + 1]) / 2, top = lowest(loop, known, beta);
+    if (Number.isFinite(top)) segments.push({ low: soft[i], high: soft[i + 1], unstable: unstablePoles(loop, top / 2, beta) });
+  }
+  const parts = [], stiffness = [], damping = [], islands = [];
+  for (const { low, high, unstable } of segments) {
+    const last = parts[parts.length - 1];
+    if (!unstable && last && last[1] === low) last[1] = high;
+    else if (!unstable) parts.push([low, high]);
+  }
+  const width = parts.reduce((total, [low, high]) => total + high - low, 0);
+  let peak = -Infinity, at = NaN;
+  for (const [low, high] of parts) {
+    const levels = [], n = Math.max(8, Math.round(count * (high - low) / width));
+    for (let i = 0; i <= n; i++) levels.push(low + (high - low) * 0.5 * (1 - Math.cos(Math.PI * i / n)));
+    levels[0] = low + 1e-6 * (levels[1] - low), levels[n] = high - 1e-6 * (high - levels[n - 1]);
+    for (const beta of turning) {
+      const offset = 1e-9 * (high - low);
+      if (beta - offset > levels[0] && beta + offset < levels[n]) levels.push(beta - offset, beta, beta + offset);
+    }
+    levels.sort((a, b) => a - b);
+    const limit = levels.map((beta) => lowest(loop, known, beta));
+    const [top, where] = highest(loop, known, levels, limit);
+    if (top > peak) peak = top, at = where;
+    if (stiffness.length) stiffness.push(NaN), damping.push(NaN);
+    levels.forEach((beta, i) => {
+      if (Number.isFinite(limit[i])) stiffness.push(limit[i] * K), damping.push(beta * B);
+    });
+  }
+  if (known.cells.some((cell) => cell.turn < 0)) {
+    for (const { low, high, unstable } of segments) {
+      for (let i = 0, n = Math.max(8, count / segments.length / 2); i < n; i++) {
+        const beta = low + (high - low) * (i + 0.5) / n;
+        for (const [from, to] of beyond(loop, known, beta, unstable)) {
+          if (!unstablePoles(loop, (from + to) / 2, beta)) islands.push({ damping: beta * B, stiffness_low: from * K, stiffness_high: to * K });
+        }
+      }
+    }
+  }
+  const found = peak > -Infinity;
+  return { stiffness, damping, stiffness_max: found ? peak * K : NaN, damping_at_stiffness_max: at * B, islands };
+}
+
+/**
+ * Return the largest limit between levels, and its damping: at a turn of a branch, or where two of them meet.
+ * @param {Sampled} loop @param {Curve} known @param {number[]} levels @param {number[]} limit @returns {[number, number]}
+ */
+function highest(loop, known, levels, limit) {
+  let best = -Infinity, at = NaN;
+  const try_ = (/** @type {number} */ beta, alpha = lowest(loop, known, beta)) => {
+    if (alpha > best && alpha < Infinity) best = alpha, at = beta;
+    return alpha;
+  };
+  levels.forEach((beta, i) => try_(beta, limit[i]));
+  const peaks = [];
+  for (let i = 1; i + 1 < levels.length; i++) if (limit[i] >= limit[i - 1] && limit[i] >= limit[i + 1]) peaks.push(i);
+  for (const i of peaks.sort((p, q) => limit[q] - limit[p]).slice(0, 2)) {
+    let low = levels[i - 1], high = levels[i + 1];
+    if (high - low < 1e-8 * Math.abs(high)) continue;
+    const golden = 0.6180339887498949;
+    let p = high - golden * (high - low), q = low + golden * (high - low), atP = try_(p), atQ = try_(q);
+    for (let step = 0; step < 45 && high - low > 1e-10 * Math.abs(at); step++) {
+      if (atP > atQ) high = q, q = p, atQ = atP, p = high - golden * (high - low), atP = try_(p);
+      else low = p, p = q, atP = atQ, q = low + golden * (high - low), atQ = try_(q);
+    }
+  }
+  return [best, at];
+}
+
+// ---------------------------------------------------------------------------------------------------------- poles
+
+/**
+ * Return the eigenvalues of a real matrix, by balancing, Hessenberg form and the QR algorithm (EISPACK, hqr).
+ * @param {Float64Array} matrix @param {number} n @returns {[Float64Array, Float64Array]} real and imaginary parts
+ */
+export function eigenvalues(matrix, n) {
+  const H = matrix.slice(), re = new Float64Array(n), im = new Float64Array(n);
+  balance(H, n);
+  for (let m = 1; m < n - 1; m++) {  // elimination with pivots
+    let pivot = 0, row = m;
+    for (let i = m; i < n; i++) if (Math.abs(H[i * n + m - 1]) > Math.abs(pivot)) pivot = H[i * n + m - 1], row = i;
+    if (row !== m) {
+      for (let j = m - 1; j < n; j++) [H[row * n + j], H[m * n + j]] = [H[m * n + j], H[row * n + j]];
+      for (let j = 0; j < n; j++) [H[j * n + row], H[j * n + m]] = [H[j * n + m], H[j * n + row]];
+    }
+    if (!pivot) continue;
+    for (let i = m + 1; i < n; i++) {
+      const factor = H[i * n + m - 1] / pivot;
+      if (!factor) continue;
+      H[i * n + m - 1] = 0;
+      for (let j = m; j < n; j++) H[i * n + j] -= factor * H[m * n + j];
+      for (let j = 0; j < n; j++) H[j * n + m] += factor * H[j * n + i];
+    }
+  }
+  let norm = 0;
+  for (let i = 0; i < n * n; i++) norm += Math.abs(H[i]);
+  let end = n - 1, shift = 0, tries = 0;
+  while (end >= 0) {
+    let l = end;
+    for (; l > 0; l--) {
+      const size = Math.abs(H[(l - 1) * n + l - 1]) + Math.abs(H[l * n + l]) || norm;
+      if (Math.abs(H[l * n + l - 1]) <= Number.EPSILON * size) {
+        H[l * n + l - 1] = 0;
+        break;
+      }
+    }
+    let x = H[end * n + end];
+    if (l === end) {
+      re[end] = x + shift, im[end] = 0, end--, tries = 0;
+      continue;
+    }
+    let y = H[(end - 1) * n + end - 1], w = H[end * n + end - 1] * H[(end - 1) * n + end];
+    if (l === end - 1) {
+      const p = 0.5 * (y - x), q = p * p + w, z = Math.sqrt(Math.abs(q));
+      x += shift;
+      if (q >= 0) {
+        const far = p + (p >= 0 ? z : -z);
+        re[end - 1] = x + far, re[end] = far ? x - w / far : x + far;
+      } else {
+        re[end - 1] = re[end] = x + p, im[end - 1] = z, im[end] = -z;
+      }
+      end -= 2, tries = 0;
+      continue;
+    }
+    if (tries === 60) throw new Error("the poles of this wall were not found");
+    if (tries === 10 || tries === 20 || tries === 40) {
+      shift += x;
+      for (let i = 0; i <= end; i++) H[i * n + i] -= x;
+      const s = Math.abs(H[end * n + end - 1]) + Math.abs(H[(end - 1) * n + end - 2]);
+      x = y = 0.75 * s, w = -0.4375 * s * s;
+    }
+    tries++;
+    let m = end - 2, p = 0, q = 0, r = 0;
+    for (; m >= l; m--) {
+      const z = H[m * n + m], a = x - z, b = y - z;
+      p = (a * b - w) / H[(m + 1) * n + m] + H[m * n + m + 1];
+      q = H[(m + 1) * n + m + 1] - z - a - b, r = H[(m + 2) * n + m + 1];
+      const s = Math.abs(p) + Math.abs(q) + Math.abs(r);
+      p /= s, q /= s, r /= s;
+      if (m === l) break;
+      const u = Math.abs(H[m * n + m - 1]) * (Math.abs(q) + Math.abs(r));
+      const v = Math.abs(p) * (Math.abs(H[(m - 1) * n + m - 1]) + Math.abs(z) + Math.abs(H[(m + 1) * n + m + 1]));
+      if (u <= Number.EPSILON * v) break;
+    }
+    for (let i = m + 2; i <= end; i++) {
+      H[i * n + i - 2] = 0;
+      if (i !== m + 2) H[i * n + i - 3] = 0;
+    }
+    for (let k = m; k < end; k++) {
+      const three = k !== end - 1;
+      if (k !== m) {
+        p = H[k * n + k - 1], q = H[(k + 1) * n + k - 1], r = three ? H[(k + 2) * n + k - 1] : 0;
+        x = Math.abs(p) + Math.abs(q) + Math.abs(r);
+        if (!x) continue;
+        p /= x, q /= x, r /= x;
+      }
+      const s = Math.sqrt(p * p + q * q + r * r) * (p < 0 ? -1 : 1);
+      if (!s) continue;
+      if (k !== m) H[k * n + k - 1] = -s * x;
+      else if (l !== m) H[k * n + k - 1] = -H[k * n + k - 1];
+      p += s, x = p / s, y = q / s, q /= p, r /= p;
+      const z = r * p / s;
+      for (let j = k; j <= end; j++) {
+        const t = H[k * n + j] + q * H[(k + 1) * n + j] + (three ? r * H[(k + 2) * n + j] : 0);
+        H[k * n + j] -= t * x, H[(k + 1) * n + j] -= t * y;
+        if (three) H[(k + 2) * n + j] -= t * z;
+      }
+      for (let i = l; i <= Math.min(end, k + 3); i++) {
+        const t = x * H[i * n + k] + y * H[i * n + k + 1] + (three ? z * H[i * n + k + 2] : 0);
+        H[i * n + k] -= t, H[i * n + k + 1] -= t * q;
+        if (three) H[i * n + k + 2] -= t * r;
+      }
+    }
+  }
+  return [re, im];
+}
+
+/**
+ * Return the poles of a wall, alpha and beta: device, last position, filter, delayed forces (3.18).
+ * @param {Sampled} loop @param {number} alpha @param {number} beta
+ */
+function normalisedPoles(loop, alpha, beta) {
+  const { n: p, C, filter: f, Phi } = loop, own = p + 1 + f.order, oldest = loop.whole + (loop.older ? 1 : 0);
+  const n = own + oldest, M = new Float64Array(n * n), law = new Float64Array(n);
+  for (let i = 0; i < p; i++) law[i] = -(alpha + beta * f.direct) * C[i];
+  law[p] = beta * f.direct;
+  for (let i = 0; i < f.order; i++) law[p + 1 + i] = -beta * f.row[i];
+  for (let i = 0; i < p; i++) {
+    for (let j = 0; j < p; j++) M[i * n + j] = Phi[i * p + j];
+    if (loop.older) M[i * n + own + loop.whole] = loop.older[i];
+    if (loop.whole) M[i * n + own + loop.whole - 1] += loop.newer[i];
+    else for (let j = 0; j < n; j++) M[i * n + j] += loop.newer[i] * law[j];
+    M[p * n + i] = C[i];
+    for (let j = 0; j < f.order; j++) M[(p + 1 + j) * n + i] = f.gain[j] * C[i];
+  }
+  for (let i = 0; i < f.order; i++) {
+    M[(p + 1 + i) * n + p] = -f.gain[i];
+    for (let j = 0; j < f.order; j++) M[(p + 1 + i) * n + p + 1 + j] = f.step[i * f.order + j];
+  }
+  for (let j = 0; oldest && j < n; j++) M[own * n + j] = law[j];
+  for (let i = 1; i < oldest; i++) M[(own + i) * n + own + i - 1] = 1;
+  return eigenvalues(M, n);
+}
+
+/**
+ * Return the poles of a wall in SI, real and imaginary parts in pairs.
+ * @param {DeviceFile | Sampled} file @param {number} stiffness @param {number} damping @returns {[number, number][]}
+ */
+export function poles(file, stiffness, damping) {
+  const loop = prepare(file), [re, im] = normalisedPoles(loop, stiffness / loop.units.stiffness, damping / loop.units.damping);
+  return Array.from(re, (value, i) => [value, im[i]]);
+}
