@@ -867,3 +867,443 @@ export function poles(file, stiffness, damping) {
   const loop = prepare(file), [re, im] = normalisedPoles(loop, stiffness / loop.units.stiffness, damping / loop.units.damping);
   return Array.from(re, (value, i) => [value, im[i]]);
 }
+
+// ------------------------------------------------------------------------------------------------------ passivity
+
+/** Angles of a turn of the delayed force, and smallest angle times delay and lag: as in Python. */
+const PASSIVE_PER_TURN = 40, NEAR_ZERO = 8e-3, DIRECTIONS = 181;
+
+/**
+ * Set the coefficients of what a wall needs of the device's damping at an angle:
+ * [Re(y S1)] of alpha and beta, then (S0 S2 - |S1|^2) |y|^2 of alpha^2, alpha beta and beta^2.
+ * @param {Sampled} loop @param {number} angle @param {Float64Array} out @param {number} at
+ */
+function needs(loop, angle, out, at) {
+  const first = Math.ceil(loop.delay), share = first - loop.delay, lag = loop.lag, v = scratch;
+  const ur = Math.cos(angle), ui = -Math.sin(angle), half = Math.sin(angle / 2), xr = 2 * half * half, xi = -ui;  // 1 - u
+  const s0 = 0.25 / (half * half), ir = 0.5, ii = -xi / (xr * xr + xi * xi);  // 1/(1 - u)
+  let rr = ur * (ir * ir - ii * ii) - ui * 2 * ir * ii, ri = ui * (ir * ir - ii * ii) + ur * 2 * ir * ii, s2 = s0;
+  rr += (share - lag) * ir, ri += (share - lag) * ii;
+  if (lag) {
+    const e = Math.exp(-1 / lag), dr = 1 - e * ur, di = -e * ui, size = dr * dr + di * di, part = lag * Math.exp(-share / lag);
+    rr += part * dr / size, ri -= part * di / size;
+    s2 = s0 - lag * dr / size + lag / 2;
+  }
+  const cr = Math.cos(first * angle), ci = -Math.sin(first * angle);
+  const s1r = -(cr * rr - ci * ri), s1i = -(cr * ri + ci * rr), rest = Math.max(s0 * s2 - s1r * s1r - s1i * s1i, 0);
+  loop.filter.value(angle, v);
+  const qr = xr * v[4] - xi * v[5], qi = xr * v[5] + xi * v[4];
+  out[at] = xr * s1r - xi * s1i, out[at + 1] = qr * s1r - qi * s1i;
+  out[at + 2] = (xr * xr + xi * xi) * rest, out[at + 3] = 2 * (xr * qr + xi * qi) * rest, out[at + 4] = (qr * qr + qi * qi) * rest;
+}
+
+/** @param {Float64Array} c @param {number} i @param {number} a @param {number} b @returns {number} */
+function needed(c, i, a, b) {
+  const line = a * c[i] + b * c[i + 1], square = a * a * c[i + 2] + a * b * c[i + 3] + b * b * c[i + 4];
+  return 0.5 * (line + Math.sqrt(line * line + Math.max(square, 0)));
+}
+
+/**
+ * Return a function that gives the damping that walls need of the device's near side, and the table that it reads.
+ * @param {Sampled} loop @returns {(alpha: number, beta: number) => number}
+ */
+function requirement(loop) {
+  const low = NEAR_ZERO / (loop.delay + loop.lag + 1), oldest = loop.whole + (loop.older ? 1 : 0);
+  const count = PASSIVE_PER_TURN * (oldest + 2) + 1, table = new Float64Array(5 * count), c = new Float64Array(10);
+  const step = (Math.PI - low) / (count - 1), heights = new Float64Array(count);
+  for (let i = 0; i < count; i++) needs(loop, low + i * step, table, 5 * i);
+  return (a, b) => {
+    let best = 0;
+    for (let i = 0; i < count; i++) {
+      heights[i] = needed(table, 5 * i, a, b);
+      if (heights[i] > best) best = heights[i];
+    }
+    const seen = best;
+    for (let i = 1; i + 1 < count; i++) {
+      if (heights[i] < heights[i - 1] || heights[i] < heights[i + 1] || heights[i] < 0.9 * seen) continue;
+      // parabolas through three places, closer and closer
+      let centre = low + i * step, h = step, value = heights[i], [left, right] = [heights[i - 1], heights[i + 1]];
+      for (let round = 0; round < 4; round++) {
+        const bend = left - 2 * value + right, shift = bend < 0 ? Math.max(-1, Math.min(1, 0.5 * (left - right) / bend)) : 0;
+        centre = Math.min(Math.PI, Math.max(low, centre + shift * h)), h /= 12;
+        const at = (/** @type {number} */ angle) => (needs(loop, Math.min(Math.PI, Math.max(low, angle)), c, 0), needed(c, 0, a, b));
+        value = at(centre), left = at(centre - h), right = at(centre + h);
+        best = Math.max(best, value);
+      }
+    }
+    // slow motion: an even function of the angle is continued to 0
+    needs(loop, low, c, 0), needs(loop, 2 * low, c, 5);
+    return Math.max(best, (4 * needed(c, 0, a, b) - needed(c, 5, a, b)) / 3);
+  };
+}
+
+/**
+ * Return the outline of the passive walls in SI, closed, and the stiffest of them. All are 0 where the device has no
+ * damping; none exist where the position is sensed beyond a mode (`reason`).
+ * @param {DeviceFile | Sampled} file
+ */
+export function passive(file) {
+  const loop = prepare(file), { stiffness: K, damping: B } = loop.units;
+  if (loop.atLoad) {
+    return { stiffness: [], damping: [], stiffness_max: null, damping_at_stiffness_max: null,
+      reason: "the position is sensed beyond the vibration mode: no wall is passive for every hand" };
+  }
+  const needs = requirement(loop), lever = loop.delay + loop.lag + 0.5;
+  const reached = (/** @type {number} */ angle) => {
+    const alpha = Math.cos(angle) / lever, beta = Math.sin(angle), reach = loop.near / needs(alpha, beta);
+    return [alpha * reach, beta * reach];
+  };
+  const stiffness = [], damping = [];
+  for (let i = 0; i < DIRECTIONS; i++) {
+    const [alpha, beta] = reached(Math.PI * (i / (DIRECTIONS - 1) - 0.5));
+    stiffness.push(alpha * K), damping.push(beta * B);
+  }
+  stiffness.push(stiffness[0]), damping.push(damping[0]);
+  let top = stiffness.indexOf(Math.max(...stiffness)), best = [0, 0];
+  if (loop.near > 0) {
+    const width = Math.PI / (DIRECTIONS - 1), golden = 0.6180339887498949;
+    let low = (top - 1) * width - Math.PI / 2, high = low + 2 * width;
+    let p = high - golden * (high - low), q = low + golden * (high - low), atP = reached(p), atQ = reached(q);
+    for (let step = 0; step < 40; step++) {
+      if (atP[0] > atQ[0]) high = q, q = p, atQ = atP, p = high - golden * (high - low), atP = reached(p);
+      else low = p, p = q, atP = atQ, q = low + golden * (high - low), atQ = reached(q);
+    }
+    best = atP[0] > atQ[0] ? atP : atQ;
+  }
+  return { stiffness, damping, stiffness_max: best[0] * K, damping_at_stiffness_max: best[1] * B };
+}
+
+// ------------------------------------------------------------------------------------------------------ responses
+
+/** Degree of the series of a motion over a piece of a sampling interval, about the middle of the piece. */
+const DEGREE = 16;
+/** Points of Gauss that integrate its square times tau^2 exactly. */
+const GAUSS = 18;
+
+/** @param {number} n @returns {[number, number][]} places in (-1, 1) and weights of Gauss and Legendre */
+function gauss(n) {
+  return Array.from({ length: n }, (_, i) => {
+    let x = Math.cos(Math.PI * (i + 0.75) / (n + 0.5)), slope = 1;
+    for (let step = 0; step < 8; step++) {
+      let before = 1, value = x;
+      for (let k = 2; k <= n; k++) [before, value] = [value, ((2 * k - 1) * x * value - (k - 1) * before) / k];
+      slope = n * (x * value - before) / (x * x - 1), x -= value / slope;
+    }
+    return [x, 2 / ((1 - x * x) * slope * slope)];
+  });
+}
+
+/**
+ * Return the pieces of a sampling interval: rows that take the device's state at its start and the forces that act,
+ * the older before the newer, to the series of the position over the piece, and to position and velocity at its end.
+ * @param {Sampled} loop
+ */
+function pieces(loop) {
+  if (loop.pieces) return loop.pieces;
+  const { n, A, B, C } = loop, forces = loop.older ? 2 : 1, q = n + forces, w = n + 1, [re, im] = eigenvalues(A, n);
+  const M = new Float64Array(w * w), parts = [], rule = gauss(GAUSS);
+  for (let i = 0; i < n; i++) M.set(A.subarray(i * n, i * n + n), i * w), M[i * w + n] = B[i];
+  let turning = 0, settling = 0;
+  for (let i = 0; i < n; i++) {
+    if (Math.abs(im[i]) > Math.abs(re[i])) turning = Math.max(turning, Math.hypot(re[i], im[i]));
+    else settling = Math.max(settling, Math.abs(re[i]));
+  }
+  // state of the device at the start of a segment, of the state and the forces at the start of the sample
+  let given = new Float64Array(n * q), offset = 0;
+  for (let i = 0; i < n; i++) given[i * q + i] = 1;
+  const form = Array.from({ length: 6 }, () => new Float64Array(q * q));  // e^2 and v^2 times tau^0, tau^1, tau^2
+  const over = (/** @type {number} */ time) => {
+    const E = exponential(M.map((value) => value * time), w);
+    return E.map((value, i) => value + (i % (w + 1) ? 0 : 1));
+  };
+  for (const [duration, column] of loop.older ? [[loop.fraction, n], [1 - loop.fraction, n + 1]] : [[1, n]]) {
+    const start = new Float64Array(w * q);
+    start.set(given), start[n * q + column] = 1;
+    const halvings = settling > 0 ? Math.max(0, Math.ceil(Math.log2(settling * duration))) : 0;
+    for (let h = halvings; h >= 0; h--) {
+      const from = h === halvings ? 0 : duration / 2 ** (h + 1), to = duration / 2 ** h, fine = Math.max(1, Math.ceil(turning * (to - from)));
+      for (let i = 0; i < fine; i++) {
+        const length = (to - from) / fine, begin = from + i * length, series = new Float64Array((DEGREE + 1) * q);
+        let X = over(begin + length / 2);
+        for (let k = 0, scale = 1; k <= DEGREE; k++, scale *= length / 2 / k) {
+          for (let j = 0; j < q; j++) {
+            for (let r = 0; r < n; r++) if (C[r]) for (let c = 0; c < w; c++) series[k * q + j] += scale * C[r] * X[r * w + c] * start[c * q + j];
+          }
+          X = product(M, X, w);
+        }
+        const ends = new Float64Array(2 * q), place = new Float64Array(q), speed = new Float64Array(q);
+        for (let k = 0; k <= DEGREE; k++) {
+          for (let j = 0; j < q; j++) ends[j] += series[k * q + j], ends[q + j] += k * series[k * q + j] * 2 / length;
+        }
+        for (const [x, weight] of rule) {
+          place.fill(0), speed.fill(0);
+          for (let k = DEGREE; k >= 0; k--) {
+            for (let j = 0; j < q; j++) {
+              place[j] = place[j] * x + series[k * q + j];
+              if (k) speed[j] = speed[j] * x + k * series[k * q + j] * 2 / length;
+            }
+          }
+          const tau = offset + begin + length * (1 + x) / 2;
+          for (let p = 0, factor = weight * length / 2; p < 3; p++, factor *= tau) {
+            for (let i = 0; i < q; i++) {
+              for (let j = 0; j < q; j++) {
+                form[p][i * q + j] += factor * place[i] * place[j], form[3 + p][i * q + j] += factor * speed[i] * speed[j];
+              }
+            }
+          }
+        }
+        parts.push({ start: offset + begin, length, series, ends });
+      }
+    }
+    const X = over(duration), next = new Float64Array(n * q);
+    for (let i = 0; i < n; i++) for (let c = 0; c < w; c++) for (let j = 0; j < q; j++) next[i * q + j] += X[i * w + c] * start[c * q + j];
+    given = next, offset += duration;
+  }
+  loop.pieces = { q, parts, step: given, form };
+  return loop.pieces;
+}
+
+/** @param {Float64Array} rows @param {number} row @param {Float64Array} g @returns {number} a row times a vector */
+function along(rows, row, g) {
+  let total = 0;
+  for (let j = 0, at = row * g.length; j < g.length; j++) total += rows[at + j] * g[j];
+  return total;
+}
+
+/** @param {Float64Array} curve @param {number} x @returns {[number, number, number]} value and two derivatives */
+function motionAt(curve, x) {
+  let value = 0, slope = 0, bend = 0;
+  for (let k = DEGREE; k >= 0; k--) bend = bend * x + 2 * slope, slope = slope * x + value, value = value * x + curve[k];
+  return [value, slope, bend];
+}
+
+/**
+ * Return the place in [low, high] at which a function with a change of sign is 0, by Newton's method or halving.
+ * @param {(x: number) => [number, number]} of value and slope @param {number} low @param {number} high
+ */
+function rootOf(of, low, high) {
+  const rises = of(high)[0] > 0;
+  let x = (low + high) / 2;
+  for (let step = 0; step < 60; step++) {
+    const [value, slope] = of(x);
+    if ((value > 0) === rises) high = x; else low = x;
+    const next = slope ? x - value / slope : NaN, best = next >= low && next <= high ? next : (low + high) / 2;
+    if (Math.abs(best - x) <= 1e-14) return best;
+    x = best;
+  }
+  return x;
+}
+
+/**
+ * Follow the step response of a wall, sample by sample, as deviation from the final position over the displacement.
+ * @param {Sampled} loop @param {number} alpha @param {number} beta
+ * @param {(k: number, g: Float64Array, place: number, force: number) => boolean} each called at each sample with the
+ *   state and forces that act; follows on while it returns true
+ * @param {(k: number, size: () => number) => boolean} goesOn called behind each sample with the size of all motion
+ */
+function follow(loop, alpha, beta, each, goesOn) {
+  const { n, C, filter: f, whole, gamma } = loop, { q, step } = pieces(loop), oldest = whole + (loop.older ? 1 : 0);
+  const g = new Float64Array(q), next = new Float64Array(n), s = new Float64Array(f.order), moved = new Float64Array(f.order);
+  const line = new Float64Array(Math.max(oldest, 1)).fill(alpha);
+  const lever = Math.max(8 * (loop.delay + loop.lag + 1), 2 / Math.sqrt(alpha + gamma)), scale = Math.abs(alpha) + gamma + Math.abs(beta) / lever;
+  g[0] = -1;
+  if (loop.mechanical < n) g[n - 1] = -gamma;
+  let last = -1, at = 0, force = 0;
+  const size = () => {
+    let most = Math.abs(last);
+    for (let i = 0; i < n; i++) most = Math.max(most, i < loop.mechanical ? Math.abs(g[i]) * (i % 2 ? lever : 1) : Math.abs(g[i]) / scale);
+    for (let i = 0; i < oldest; i++) most = Math.max(most, Math.abs(line[i]) / scale);
+    for (let i = 0; i < f.order; i++) most = Math.max(most, Math.abs(s[i]) * lever);
+    return most;
+  };
+  for (let k = 0; ; k++) {
+    let place = 0;
+    for (let i = 0; i < n; i++) place += C[i] * g[i];
+    const change = place - last;
+    let velocity = f.direct * change;
+    for (let i = 0; i < f.order; i++) velocity += f.row[i] * s[i];
+    force = -(alpha * place + beta * velocity);
+    // the line is a ring: the oldest force is next to be replaced
+    if (loop.older) g[n] = line[at], g[n + 1] = whole ? line[(at + 1) % oldest] : force;
+    else g[n] = whole ? line[at] : force;
+    if (!each(k, g, place, force)) return;
+    for (let i = 0; i < f.order; i++) {
+      moved[i] = f.gain[i] * change;
+      for (let j = 0; j < f.order; j++) moved[i] += f.step[i * f.order + j] * s[j];
+    }
+    s.set(moved), last = place;
+    if (oldest) line[at] = force, at = (at + 1) % oldest;
+    for (let i = 0; i < n; i++) next[i] = along(step, i, g);
+    g.set(next);
+    if (!goesOn(k + 1, size)) return;
+  }
+}
+
+/**
+ * Return the costs of a stable wall: settling times in samples, overshoots as fractions, energies without dimension.
+ * @param {Sampled} loop @param {number} alpha @param {number} beta @param {number} longest @param {boolean} energies
+ */
+function stepCosts(loop, alpha, beta, longest, energies) {
+  const { parts, q, form } = pieces(loop), { A, C, n } = loop, band = 0.02, curve = new Float64Array(DEGREE + 1);
+  const stiffness = alpha + loop.gamma, sums = new Float64Array(6), parted = new Float64Array(6);
+  let peak = 0, peakDiscrete = 0, outside = 0, entry = NaN, speed = 0, before = -1, known = false;
+  const rate = Float64Array.from({ length: n }, (_, j) => sum(n, (i) => C[i] * A[i * n + j]));
+  follow(loop, alpha, beta, (k, g, place) => {
+    if (place > peakDiscrete) peakDiscrete = place;
+    if (Math.abs(place) > band) outside = k;
+    let here = place;
+    speed = 0;
+    for (let j = 0; j < n; j++) speed += rate[j] * g[j];
+    for (const piece of parts) {
+      const end = along(piece.ends, 0, g), after = along(piece.ends, 1, g), turns = (speed > 0) !== (after > 0);
+      let extreme = 0, turn = -1;
+      const enters = Math.abs(end) <= band;
+      if ((turns && (speed > 0 ? Math.max(here, end) + piece.length * speed > peak : true)) || (enters && Math.abs(here) > band)) {
+        for (let c = 0; c <= DEGREE; c++) curve[c] = along(piece.series, c, g);
+        if (turns) {
+          turn = rootOf((x) => { const [, slope, bend] = motionAt(curve, x); return [slope, bend]; }, -1, 1);
+          extreme = motionAt(curve, turn)[0];
+        }
+      }
+      peak = Math.max(peak, extreme, end);
+      if (enters && Math.max(Math.abs(here), Math.abs(extreme)) > band) {
+        const level = Math.sign(Math.abs(extreme) > band ? extreme : here) * band;
+        const x = rootOf((x) => { const [value, slope] = motionAt(curve, x); return [value - level, slope]; }, Math.abs(extreme) > band ? turn : -1, 1);
+        entry = k + piece.start + piece.length * (1 + x) / 2;
+      }
+      here = end, speed = after;
+    }
+    if (energies) {
+      for (let p = 0; p < 6; p++) {
+        let value = 0;
+        const Q = form[p];
+        for (let i = 0; i < q; i++) value += g[i] * along(Q, i, g);
+        parted[p] = value;
+      }
+      const E = [0, 1, 2].map((p) => parted[p] + parted[3 + p] / stiffness), way = place - before;
+      sums[0] += E[0], sums[1] += k * E[0] + E[1], sums[2] += k * k * E[0] + 2 * k * E[1] + E[2];
+      const D = place * place + (k ? way * way / stiffness : 0);
+      sums[3] += D, sums[4] += k * D, sums[5] += k * k * D;
+      before = place;
+    }
+    return true;
+  }, (k, size) => {
+    if (k % 8) return true;
+    const now = size();
+    known = now < 0.1 * band && now < Math.max(QUIET, 0.1 * peak) && (!energies || now < 1e-10);
+    return !known && k < longest;
+  });
+  const value = (/** @type {number} */ x) => known ? x : null;
+  const names = ["w0", "w1", "w2"].flatMap((w, i) => [[`energy_step_${w}`, sums[i]], [`energy_step_${w}_discrete`, sums[3 + i]]]);
+  return {
+    settle_2pct: value(entry), overshoot: value(peak), settle_2pct_discrete: value(outside + 1), overshoot_discrete: value(peakDiscrete),
+    ...(energies ? Object.fromEntries(names.map(([name, x]) => [name, value(/** @type {number} */ (x))])) : {}),
+  };
+}
+
+/**
+ * Return stability and costs of walls in SI. Costs are null where a wall is unstable or still moves after `longest`
+ * samples.
+ * @param {DeviceFile | Sampled} file @param {ArrayLike<number>} stiffness @param {ArrayLike<number>} damping
+ * @param {{longest?: number, energies?: boolean}} [options]
+ */
+export function walls(file, stiffness, damping, { longest = LONGEST, energies = true } = {}) {
+  const loop = prepare(file);
+  if (stiffness.length !== damping.length) throw new RangeError("stiffness, damping: expected as many of one as of the other");
+  return Array.from(stiffness, (K, i) => {
+    const alpha = number("stiffness", K, -Infinity) / loop.units.stiffness, beta = number("damping", damping[i], -Infinity) / loop.units.damping;
+    const [re, im] = normalisedPoles(loop, alpha, beta);
+    let radius = 0;
+    for (let k = 0; k < re.length; k++) radius = Math.max(radius, Math.hypot(re[k], im[k]));
+    const stable = radius < 1 && alpha + loop.gamma > 0;
+    const costs = stable && radius < 1 - MARGINAL ? stepCosts(loop, alpha, beta, longest, energies) : { settle_2pct: null, overshoot: null };
+    return { stable, spectral_radius: radius, ...costs };
+  });
+}
+
+/**
+ * Return the step response of a wall: position over the final one, and the command at each sample over the step.
+ * Time is in seconds; at 0 the step reaches the actuator, with the wall's forces `delay_samples` behind.
+ * @param {DeviceFile | Sampled} file @param {number} stiffness @param {number} damping @param {number} samples
+ * @param {number} [perSample] points in each sampling interval
+ */
+export function response(file, stiffness, damping, samples, perSample = 8) {
+  const loop = prepare(file), alpha = stiffness / loop.units.stiffness, beta = damping / loop.units.damping, T = loop.units.period;
+  const { parts } = pieces(loop), time = [], position = [], command = [], curve = new Float64Array(DEGREE + 1), whole = alpha + loop.gamma;
+  follow(loop, alpha, beta, (k, g, place, force) => {
+    command.push((force + loop.gamma) / whole);
+    let i = 0;
+    for (let j = 0; j < (k < samples ? perSample : 1); j++) {
+      const tau = j / perSample;
+      while (i + 1 < parts.length && tau >= parts[i + 1].start) i++;
+      const x = 2 * (tau - parts[i].start) / parts[i].length - 1;
+      for (let c = 0; c <= DEGREE; c++) curve[c] = along(parts[i].series, c, g);
+      time.push((k + tau) * T), position.push(1 + (j ? motionAt(curve, x)[0] : place));
+    }
+    return k < samples;
+  }, () => true);
+  return { time, position, command };
+}
+
+// -------------------------------------------------------------------------------------------------------- margins
+
+/**
+ * Return gain margins up and down, phase margin [rad], added delay [samples] and bandwidth [Hz] of a stable wall.
+ * @param {DeviceFile | Sampled} file @param {number} stiffness @param {number} damping
+ */
+export function margins(file, stiffness, damping) {
+  const loop = prepare(file), alpha = stiffness / loop.units.stiffness, beta = damping / loop.units.damping, v = new Float64Array(8);
+  const wall = (/** @type {Float64Array} */ w) => [alpha + beta * w[4], beta * w[5]];  // alpha + beta N
+  /** @type {((w: Float64Array) => number)[]} */
+  const of = [
+    (w) => { const [r, i] = wall(w); return w[1] * r - w[0] * i; },
+    (w) => { const [r, i] = wall(w); return Math.log((r * r + i * i) / (w[0] * w[0] + w[1] * w[1])); },
+    (w) => { const [r, i] = wall(w); return 2 * (alpha + loop.gamma) ** 2 - (r - w[0]) ** 2 - (i - w[1]) ** 2; },
+  ];
+  const known = nodes(loop), gains = [], phases = [], delays = [];
+  let bandwidth = Infinity;
+  const factor = (/** @type {Float64Array} */ w) => { const [r, i] = wall(w); return (w[0] * r + w[1] * i) / (r * r + i * i); };
+  for (let i = 1; i < known.length; i++) {
+    of.forEach((function_, kind) => {
+      if ((function_(known[i - 1].v) > 0) === (function_(known[i].v) > 0)) return;
+      const { theta, v: w } = zero(loop, function_, known[i - 1], known[i], 0), [r, s] = wall(w);
+      if (kind === 0) gains.push(factor(w));
+      if (kind === 2) bandwidth = Math.min(bandwidth, theta);
+      if (kind === 1) {
+        const phase = Math.atan2(s * w[0] - r * w[1], r * w[0] + s * w[1]);  // of -L = (alpha + beta N)/H
+        phases.push(Math.abs(phase));
+        const added = delayAt(loop, alpha, beta, theta, ((phase % (2 * Math.PI)) + 2 * Math.PI) % (2 * Math.PI) / theta);
+        if (added !== null) delays.push(added);
+      }
+    });
+  }
+  onCircle(loop, Math.PI, v);
+  gains.push(factor(v));
+  const least = (/** @type {number[]} */ values) => values.length ? Math.min(...values) : null;
+  const down = gains.filter((x) => x > 0 && x < 1);
+  return {
+    gain: least(gains.filter((x) => x > 1)), gain_down: down.length ? Math.max(...down) : null, phase: least(phases), delay: least(delays),
+    bandwidth_hz: Number.isFinite(bandwidth) ? bandwidth / (2 * Math.PI * loop.units.period) : null,
+  };
+}
+
+/**
+ * Return the added delay [samples] at which a pole pair reaches the circle, near an angle; null where none is found.
+ * @param {Sampled} loop @param {number} alpha @param {number} beta @param {number} theta @param {number} added
+ */
+function delayAt(loop, alpha, beta, theta, added) {
+  const v = new Float64Array(8);
+  const miss = (/** @type {number} */ t, /** @type {number} */ d) => {
+    const delay = loop.delay + Math.max(d, 0), whole = Math.floor(delay);
+    onCircle(sampledDevice({ ...loop, delay, whole, fraction: delay - whole, curve: undefined, pieces: undefined }), t, v);
+    return [alpha + beta * v[4] - v[0], beta * v[5] - v[1], beta * v[6] - v[2], beta * v[7] - v[3]];
+  };
+  for (let step = 0; step < 20; step++) {
+    if (!(theta > 0 && theta < Math.PI && loop.delay + added <= LARGEST_DELAY)) return null;
+    const [r, i, tr, ti] = miss(theta, added), h = 1e-6, [r2, i2] = miss(theta, added + h), dr = (r2 - r) / h, di = (i2 - i) / h;
+    const whole = tr * di - ti * dr, change = (r * di - i * dr) / whole, later = (tr * i - ti * r) / whole;
+    theta -= change, added = Math.max(added - later, 0);
+    if (Math.abs(change) < 1e-10 && Math.abs(later) < 1e-9) return added;
+  }
+  return null;
+}
