@@ -36,9 +36,11 @@ const LARGEST_FILTER = 96;
 /** Damping ratio of a mode without any: without loss its zeros lie on the unit circle. As in Python. */
 const LEAST_RATIO = 1e-12;
 /** Samples after which a response that still moves is given up. */
-const LONGEST = 1 << 18;
+const LONGEST = 1 << 20;
 /** Motion below which a response is no longer followed for overshoot; an overshoot up to ten times this is none. */
 const QUIET = 1e-13;
+/** Motion below which nothing is added to energies. */
+const FADED = 1e-9;
 /** Distance of the spectral radius from 1 below which costs would be rounding errors. */
 const MARGINAL = 1e-12;
 
@@ -642,6 +644,11 @@ function unstablePoles(loop, alpha, beta) {
   return count;
 }
 
+/** Share of the way to the next level by which the first lies beside the end of a part, where the limit is 0. */
+const NEXT_TO_END = 1e-3;
+/** Dampings between two turns at which islands are looked at. */
+const ISLAND_LEVELS = 16;
+
 /**
  * Return the limit of walls over damping, islands beside it, and the largest stable stiffness, in SI.
  *
@@ -670,10 +677,10 @@ export function boundary(file, points = 400) {
   for (const [low, high] of parts) {
     const levels = [], n = Math.max(8, Math.round(count * (high - low) / width));
     for (let i = 0; i <= n; i++) levels.push(low + (high - low) * 0.5 * (1 - Math.cos(Math.PI * i / n)));
-    levels[0] = low + 1e-6 * (levels[1] - low), levels[n] = high - 1e-6 * (high - levels[n - 1]);
+    levels[0] = low + NEXT_TO_END * (levels[1] - low), levels[n] = high - NEXT_TO_END * (high - levels[n - 1]);
     for (const beta of turning) {
-      const offset = 1e-9 * (high - low);
-      if (beta - offset > levels[0] && beta + offset < levels[n]) levels.push(beta - offset, beta, beta + offset);
+      const offset = 1e-11 * (high - low);
+      if (beta - offset > levels[0] && beta + offset < levels[n]) levels.push(beta - offset, beta + offset);
     }
     levels.sort((a, b) => a - b);
     const limit = levels.map((beta) => lowest(loop, known, beta));
@@ -684,10 +691,13 @@ export function boundary(file, points = 400) {
       if (Number.isFinite(limit[i])) stiffness.push(limit[i] * K), damping.push(beta * B);
     });
   }
-  if (known.cells.some((cell) => cell.turn < 0)) {
-    for (const { low, high, unstable } of segments) {
-      for (let i = 0, n = Math.max(8, count / segments.length / 2); i < n; i++) {
-        const beta = low + (high - low) * (i + 0.5) / n;
+  for (const { low, high, unstable } of known.cells.some((cell) => cell.turn < 0) ? segments : []) {
+    const edges = [low, ...turning.filter((beta) => beta > low && beta < high), high];
+    for (let i = 0; i + 1 < edges.length; i++) {
+      const at = (/** @type {number} */ share) => edges[i] + (edges[i + 1] - edges[i]) * 0.5 * (1 - Math.cos(Math.PI * share));
+      if (!beyond(loop, known, at(0.5), unstable).length) continue;
+      for (let j = 0; j < ISLAND_LEVELS; j++) {
+        const beta = at((j + 0.5) / ISLAND_LEVELS);
         for (const [from, to] of beyond(loop, known, beta, unstable)) {
           if (!unstablePoles(loop, (from + to) / 2, beta)) islands.push({ damping: beta * B, stiffness_low: from * K, stiffness_high: to * K });
         }
@@ -908,32 +918,29 @@ function needed(c, i, a, b) {
  * @param {Sampled} loop @returns {(alpha: number, beta: number) => number}
  */
 function requirement(loop) {
-  const low = NEAR_ZERO / (loop.delay + loop.lag + 1), oldest = loop.whole + (loop.older ? 1 : 0);
-  const count = PASSIVE_PER_TURN * (oldest + 2) + 1, table = new Float64Array(5 * count), c = new Float64Array(10);
-  const step = (Math.PI - low) / (count - 1), heights = new Float64Array(count);
-  for (let i = 0; i < count; i++) needs(loop, low + i * step, table, 5 * i);
+  const low = NEAR_ZERO / (loop.delay + loop.lag + 1), turns = PASSIVE_PER_TURN * (loop.whole + (loop.older ? 3 : 2)), angles = [];
+  for (let t = low; t < Math.PI; t += Math.min(0.25 * t, Math.PI / turns)) angles.push(t);
+  angles.push(Math.PI);
+  const count = angles.length, table = new Float64Array(5 * count), c = new Float64Array(10), heights = new Float64Array(count);
+  angles.forEach((angle, i) => needs(loop, angle, table, 5 * i));
   return (a, b) => {
-    let best = 0;
-    for (let i = 0; i < count; i++) {
-      heights[i] = needed(table, 5 * i, a, b);
-      if (heights[i] > best) best = heights[i];
-    }
-    const seen = best;
+    const at = (/** @type {number} */ angle) => (needs(loop, Math.min(Math.PI, Math.max(low, angle)), c, 0), needed(c, 0, a, b));
+    let most = 0;
+    for (let i = 0; i < count; i++) most = Math.max(most, heights[i] = needed(table, 5 * i, a, b));
+    let best = most;
     for (let i = 1; i + 1 < count; i++) {
-      if (heights[i] < heights[i - 1] || heights[i] < heights[i + 1] || heights[i] < 0.9 * seen) continue;
+      if (heights[i] < heights[i - 1] || heights[i] < heights[i + 1] || heights[i] < 0.8 * most) continue;
       // parabolas through three places, closer and closer
-      let centre = low + i * step, h = step, value = heights[i], [left, right] = [heights[i - 1], heights[i + 1]];
-      for (let round = 0; round < 4; round++) {
-        const bend = left - 2 * value + right, shift = bend < 0 ? Math.max(-1, Math.min(1, 0.5 * (left - right) / bend)) : 0;
-        centre = Math.min(Math.PI, Math.max(low, centre + shift * h)), h /= 12;
-        const at = (/** @type {number} */ angle) => (needs(loop, Math.min(Math.PI, Math.max(low, angle)), c, 0), needed(c, 0, a, b));
-        value = at(centre), left = at(centre - h), right = at(centre + h);
-        best = Math.max(best, value);
+      let centre = angles[i], h = Math.min(angles[i + 1] - centre, centre - angles[i - 1]), value = heights[i];
+      for (let round = 0; round < 8; round++) {
+        const left = at(centre - h), right = at(centre + h), bend = left - 2 * value + right;
+        const shift = bend < 0 ? Math.max(-1, Math.min(1, 0.5 * (left - right) / bend)) : Math.sign(right - left);
+        centre += h * shift, best = Math.max(best, value = at(centre));
+        if (Math.abs(shift) < 1) h /= 6;
       }
     }
     // slow motion: an even function of the angle is continued to 0
-    needs(loop, low, c, 0), needs(loop, 2 * low, c, 5);
-    return Math.max(best, (4 * needed(c, 0, a, b) - needed(c, 5, a, b)) / 3);
+    return Math.max(best, (4 * at(low) - at(2 * low)) / 3);
   };
 }
 
@@ -1146,7 +1153,7 @@ function follow(loop, alpha, beta, each, goesOn) {
 function stepCosts(loop, alpha, beta, longest, energies) {
   const { parts, q, form } = pieces(loop), { A, C, n } = loop, band = 0.02, curve = new Float64Array(DEGREE + 1);
   const stiffness = alpha + loop.gamma, sums = new Float64Array(6), parted = new Float64Array(6);
-  let peak = 0, peakDiscrete = 0, outside = 0, entry = NaN, speed = 0, before = -1, known = false;
+  let peak = 0, peakDiscrete = 0, outside = 0, entry = NaN, speed = 0, before = -1, settled = false, topped = false, summed = false;
   const rate = Float64Array.from({ length: n }, (_, j) => sum(n, (i) => C[i] * A[i * n + j]));
   follow(loop, alpha, beta, (k, g, place) => {
     if (place > peakDiscrete) peakDiscrete = place;
@@ -1157,8 +1164,9 @@ function stepCosts(loop, alpha, beta, longest, energies) {
     for (const piece of parts) {
       const end = along(piece.ends, 0, g), after = along(piece.ends, 1, g), turns = (speed > 0) !== (after > 0);
       let extreme = 0, turn = -1;
-      const enters = Math.abs(end) <= band;
-      if ((turns && (speed > 0 ? Math.max(here, end) + piece.length * speed > peak : true)) || (enters && Math.abs(here) > band)) {
+      const enters = Math.abs(end) <= band, reach = turns ? piece.length * Math.min(Math.abs(speed), Math.abs(after)) : 0;
+      const away = Math.max(Math.abs(here), Math.abs(end)) + reach;
+      if ((enters && away > band) || (turns && speed > 0 && Math.max(here, end) + reach > peak)) {
         for (let c = 0; c <= DEGREE; c++) curve[c] = along(piece.series, c, g);
         if (turns) {
           turn = rootOf((x) => { const [, slope, bend] = motionAt(curve, x); return [slope, bend]; }, -1, 1);
@@ -1190,14 +1198,17 @@ function stepCosts(loop, alpha, beta, longest, energies) {
   }, (k, size) => {
     if (k % 8) return true;
     const now = size();
-    known = now < 0.1 * band && now < Math.max(QUIET, 0.1 * peak) && (!energies || now < 1e-10);
-    return !known && k < longest;
+    settled ||= now < 0.1 * band;
+    topped ||= now < Math.max(QUIET, 0.1 * peak);
+    summed ||= !energies || now < FADED;
+    return !(settled && topped && summed) && k < longest;
   });
-  const value = (/** @type {number} */ x) => known ? x : null;
+  const value = (/** @type {number} */ x, known = settled) => known ? x : null;
   const names = ["w0", "w1", "w2"].flatMap((w, i) => [[`energy_step_${w}`, sums[i]], [`energy_step_${w}_discrete`, sums[3 + i]]]);
   return {
-    settle_2pct: value(entry), overshoot: value(peak), settle_2pct_discrete: value(outside + 1), overshoot_discrete: value(peakDiscrete),
-    ...(energies ? Object.fromEntries(names.map(([name, x]) => [name, value(/** @type {number} */ (x))])) : {}),
+    settle_2pct: value(entry), overshoot: value(peak, topped), settle_2pct_discrete: value(outside + 1),
+    overshoot_discrete: value(peakDiscrete, topped),
+    ...(energies ? Object.fromEntries(names.map(([name, x]) => [name, value(/** @type {number} */ (x), summed)])) : {}),
   };
 }
 
