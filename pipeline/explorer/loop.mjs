@@ -616,16 +616,19 @@ function lowest(loop, known, beta) {
 /**
  * Return the stable intervals of alpha > 0 beyond the one that begins at 0, at a damping.
  * @param {Sampled} loop @param {Curve} known @param {number} beta @param {number} unstable poles of a soft wall
+ * @param {boolean} [exact] instead of interpolated
  * @returns {number[][]}
  */
-function beyond(loop, known, beta, unstable) {
+function beyond(loop, known, beta, unstable, exact = true) {
   /** @type {[number, number][]} */
   const met = [];
   for (const { value, slope, bend, bendSlope, turn } of known.lines) {
     met.push([value - beta * slope, bend - beta * bendSlope > 0 ? turn : -turn]);
   }
   for (const cell of known.cells) {
-    if ((cell.b0 < beta) !== (cell.b1 < beta)) met.push([crossing(loop, cell, beta), cell.turn]);
+    if ((cell.b0 < beta) === (cell.b1 < beta)) continue;
+    const plain = exact ? NaN : cell.a0 + (beta - cell.b0) / (cell.b1 - cell.b0) * (cell.a1 - cell.a0);
+    met.push([Number.isFinite(plain) ? plain : crossing(loop, cell, beta), cell.turn]);
   }
   const result = [], rest = met.filter(([alpha]) => alpha > 0).sort((p, q) => p[0] - q[0]);
   let count = unstable;
@@ -646,8 +649,8 @@ function unstablePoles(loop, alpha, beta) {
 
 /** Share of the way to the next level by which the first lies beside the end of a part, where the limit is 0. */
 const NEXT_TO_END = 1e-3;
-/** Dampings between two turns at which islands are looked at. */
-const ISLAND_LEVELS = 16;
+/** Dampings between two turns at which islands are drawn, and places between them at which they are looked for. */
+const ISLAND_LEVELS = 16, ISLAND_PLACES = [0.02, 0.1, 0.22, 0.36, 0.5, 0.64, 0.78, 0.9, 0.98];
 
 /**
  * Return the limit of walls over damping, islands beside it, and the largest stable stiffness, in SI.
@@ -661,10 +664,12 @@ export function boundary(file, points = 400) {
   const count = number("points", points, 8), K = loop.units.stiffness, B = loop.units.damping;
   /** @type {{low: number, high: number, unstable: number}[]} */
   const segments = [];
-  for (let i = 0; i + 1 < soft.length; i++) {
+  // beyond the outermost soft walls are islands alone
+  const ends = distinct([...soft, turning[0] - 1, turning[turning.length - 1] + 1]);
+  for (let i = 0; i + 1 < ends.length; i++) {
     // a wall in the middle of what begins at alpha = 0 tells for all of it
-    const beta = (soft[i] + soft[i + 1]) / 2, top = lowest(loop, known, beta);
-    if (Number.isFinite(top)) segments.push({ low: soft[i], high: soft[i + 1], unstable: unstablePoles(loop, top / 2, beta) });
+    const low = ends[i], high = ends[i + 1], beta = (low + high) / 2, top = lowest(loop, known, beta);
+    segments.push({ low, high, unstable: unstablePoles(loop, Number.isFinite(top) ? top / 2 : 1, beta) });
   }
   const parts = [], stiffness = [], damping = [], islands = [];
   for (const { low, high, unstable } of segments) {
@@ -695,7 +700,7 @@ export function boundary(file, points = 400) {
     const edges = [low, ...turning.filter((beta) => beta > low && beta < high), high];
     for (let i = 0; i + 1 < edges.length; i++) {
       const at = (/** @type {number} */ share) => edges[i] + (edges[i + 1] - edges[i]) * 0.5 * (1 - Math.cos(Math.PI * share));
-      if (!beyond(loop, known, at(0.5), unstable).length) continue;
+      if (!ISLAND_PLACES.some((share) => beyond(loop, known, at(share), unstable, false).length)) continue;
       for (let j = 0; j < ISLAND_LEVELS; j++) {
         const beta = at((j + 0.5) / ISLAND_LEVELS);
         for (const [from, to] of beyond(loop, known, beta, unstable)) {
