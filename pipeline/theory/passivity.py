@@ -56,6 +56,7 @@ def required_damping(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Float
         lambda line, angle, _: -_needed(loop, alpha[line], beta[line], np.clip(angle, lowest, np.pi)),
         *(np.full(len(alpha), lowest), np.full(len(alpha), np.pi)),
         coarse=int(_ANGLES * (loop.oldest_force + 2)) + 1,
+        starts=loop.oldest_force + 2,  # one a turn: their peaks may be nearly equal
     )
     near, twice = (_needed(loop, alpha, beta, np.array([a])) for a in (lowest, 2 * lowest))
     return np.asarray(np.maximum(np.maximum(-found.cost, (4 * near - twice) / 3), 0.0))
