@@ -1157,7 +1157,8 @@ function follow(loop, alpha, beta, each, goesOn) {
  */
 function stepCosts(loop, alpha, beta, longest, energies) {
   const { parts, q, form } = pieces(loop), { A, C, n } = loop, band = 0.02, curve = new Float64Array(DEGREE + 1);
-  const stiffness = alpha + loop.gamma, sums = new Float64Array(6), parted = new Float64Array(6);
+  const stiffness = alpha + loop.gamma, sums = new Float64Array(6), pairs = Array.from({ length: q * q }, (_, k) => k).filter((k) => k % q >= Math.floor(k / q));
+  const forms = [0, 1, 2].map((w) => Float64Array.from(pairs, (k) => (form[w][k] + form[3 + w][k] / stiffness) * (k % (q + 1) ? 2 : 1)));
   let peak = 0, peakDiscrete = 0, outside = 0, entry = NaN, speed = 0, before = -1, settled = false, topped = false, summed = false;
   const rate = Float64Array.from({ length: n }, (_, j) => sum(n, (i) => C[i] * A[i * n + j]));
   follow(loop, alpha, beta, (k, g, place) => {
@@ -1187,13 +1188,11 @@ function stepCosts(loop, alpha, beta, longest, energies) {
       here = end, speed = after;
     }
     if (energies) {
-      for (let p = 0; p < 6; p++) {
+      const E = forms.map((Q) => {
         let value = 0;
-        const Q = form[p];
-        for (let i = 0; i < q; i++) value += g[i] * along(Q, i, g);
-        parted[p] = value;
-      }
-      const E = [0, 1, 2].map((p) => parted[p] + parted[3 + p] / stiffness), way = place - before;
+        for (let i = 0, at = 0; i < q; i++) for (let j = i; j < q; j++) value += Q[at++] * g[i] * g[j];
+        return value;
+      }), way = place - before;
       sums[0] += E[0], sums[1] += k * E[0] + E[1], sums[2] += k * k * E[0] + 2 * k * E[1] + E[2];
       const D = place * place + (k ? way * way / stiffness : 0);
       sums[3] += D, sums[4] += k * D, sums[5] += k * k * D;
