@@ -28,7 +28,7 @@ COMMANDS = {
         ("cli_serve", ("serve", "token", "push")),
         (
             "cli_theory",
-            ("accuracy", *(f"theory {name}" for name in ("points", "boundary", "optimum", "map", "tables"))),
+            ("accuracy", "explore", *(f"theory {name}" for name in ("points", "boundary", "optimum", "map", "tables"))),
         ),
     )
     for name in names

@@ -6,12 +6,10 @@ scripts whose hashes it names, so that a name in a log that slipped through the 
 
 from __future__ import annotations
 
-import base64
-import hashlib
-import json
 from pathlib import Path
-from typing import Any
 
+from pipeline.base.inline_page import json_text as json_text
+from pipeline.base.inline_page import policy as policy
 from pipeline.base.wording import counted, listed
 from pipeline.rendering import labels
 
@@ -75,25 +73,6 @@ def scripts(with_trials: bool) -> tuple[str, ...]:
         return (tables,)
     licence = f"/*! uPlot\n{script_text(PLOT_LICENCE).strip()}\n*/\n"
     return tables, licence + script_text(PLOT), "".join(script_text(name) for name in TRIALS_SCRIPTS)
-
-
-def policy(inline: tuple[str, ...]) -> str:
-    """Return the Content-Security-Policy of a page with these inline scripts.
-
-    Styles may be inline: the plot library sets positions and colours by style attributes.
-    """
-    hashes = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in inline)
-    allowed = " ".join(f"'sha256-{each}'" for each in hashes) or "'none'"
-    return (
-        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:; "
-        "base-uri 'none'; form-action 'none'"
-    )
-
-
-def json_text(content: Any) -> str:
-    """Return JSON that may stand inside a ``<script>`` element: it holds no ``<``, ``>`` or ``&``."""
-    text = json.dumps(content, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def script_text(name: str) -> str:

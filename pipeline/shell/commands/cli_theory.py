@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pipeline.base.errors import ParameterError
+from pipeline.base.errors import DeviceError, ParameterError
 from pipeline.base.paths import check_output
 from pipeline.shell import console
-from pipeline.shell.commands.options import PROCESSED, Criteria, One, Signal, device_of, reports_folder
+from pipeline.shell.commands.options import PROCESSED, Criteria, One, Signal, Store, device_of, reports_folder
 from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
@@ -134,6 +134,88 @@ def cost_map(
     columns = ["alpha", "beta", "stable", *made.names]
     lines = [f"{out}: {size**2} points, {stable} of them stable, columns {columns}"]
     console.tell({"file": str(out), "rows": size**2, "stable": stable}, lines)
+
+
+def explore(
+    device: Annotated[
+        str | None, option("--device", "Device: name or file (.toml); default: all shipped ones.")
+    ] = None,
+    experiment: One = None,
+    out: Annotated[
+        Path | None, option("--out", "HTML file to write (default: explore.html).", show_default=False)
+    ] = None,
+    module: Annotated[
+        Path | None, option("--module", "Write the computation alone, as .mjs.", show_default=False)
+    ] = None,
+    processed: Store = "processed",
+) -> None:
+    """Write one HTML page with sliders for the loop: stability, response, poles, limits.
+
+    Where reports/DEVICE.json has a comparison, its identified loop, trials, limits and wall are in the page.
+
+    Example: pipeline explore --device falcon --experiment 1 --out falcon-explore.html
+
+    Example: pipeline explore --module loop.mjs
+    """
+    from pipeline.base.disk import write_text
+    from pipeline.explorer import page
+
+    written = []
+    if module is not None:
+        check_output(module, "--module")
+        write_text(module, page.module())
+        written.append(module)
+    if module is None or out is not None or device is not None:
+        target = Path("explore.html") if out is None else out
+        check_output(target, "--out")
+        write_text(target, page.page(_entries(device, experiment, processed)))
+        written.append(target)
+    console.tell({"files": [str(path) for path in written]}, [f"{path} written" for path in written])
+
+
+def _entries(device: str | None, experiment: str | None, processed: str) -> list[dict[str, Any]]:
+    """Return what the page of `explore` begins with: what was measured first, then the device file, then others."""
+    from pipeline.device_data.devices import find_experiment, known_devices
+    from pipeline.explorer.entries import device_entries
+
+    if device is None:
+        return device_entries(known_devices().values())
+    measured = _measured_entries(device, experiment, processed)
+    try:
+        known = device_of(device)
+    except DeviceError:
+        if not measured:
+            raise
+        return measured
+    chosen = (
+        known if experiment is None else known.model_copy(update={"experiments": (find_experiment(known, experiment),)})
+    )
+    return [*measured, *device_entries([chosen])]
+
+
+def _measured_entries(device: str, experiment: str | None, processed: str) -> list[dict[str, Any]]:
+    """Return the experiments of a stored comparison with their trials; none where there is no report."""
+    from pipeline.base.errors import PipelineError
+    from pipeline.explorer.entries import measured_entries, with_trials
+    from pipeline.surface.comparisons import load
+    from pipeline.surface.stored import costs
+
+    document = reports_folder() / f"{Path(device).stem}.json"
+    if not document.is_file():
+        return []
+    result = load(document).result
+    kept = tuple(each for each in result.experiments if experiment in (None, each.experiment))
+    entries = measured_entries(result.model_copy(update={"experiments": kept}))
+    for i, entry in enumerate(entries):
+        try:
+            rows = costs(processed, result.device, entry["experiment"])
+        except PipelineError:  # without the stored trials those at the limits are shown
+            continue
+        rows = rows[rows["verdict"].isin(["stable", "unstable"])]
+        entries[i] = with_trials(
+            entry, list(zip(rows["stiffness"], rows["damping"], rows["verdict"] == "stable", strict=True))
+        )
+    return entries
 
 
 def tables(

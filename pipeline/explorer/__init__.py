@@ -1,0 +1,1 @@
+"""The explorer: the theory of a loop as one page with sliders, computed by the page itself."""

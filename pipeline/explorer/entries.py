@@ -1,0 +1,114 @@
+"""What the explorer begins with: loops as entries of a device file, and what was measured on them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
+from typing import Any
+
+from pipeline.device.loop import Loop
+from pipeline.device.parts import Part, named
+from pipeline.records.models import Device
+from pipeline.records.results import ComparisonResult, ExperimentResult, LoopResult
+
+Entry = dict[str, Any]
+"""Entry of the page's script: ``label``, ``loop``, and what was measured (`Entry` in page.mjs)."""
+
+_LEFT_OUT = ("sensor", "constant_force", "force_limit")
+"""Parts of a loop that the page neither computes with nor writes into a device file."""
+
+
+def loop_entries(loop: Loop) -> dict[str, Any]:
+    """Return a loop as the entries of a device file, in SI; parts that it lacks are left out.
+
+    Examples
+    --------
+    >>> loop_entries(Loop(0.5, 4.0, 0.001, 2.0, operator={"mass": 0.1}))["operator"]
+    {'mass': 0.1}
+    """
+    result: dict[str, Any] = {}
+    for field in fields(Loop):
+        value = getattr(loop, field.name)
+        if field.name in _LEFT_OUT or value is None or value == ():
+            continue
+        result[field.name] = named(value) if isinstance(value, Part) else value
+    return result
+
+
+def device_entries(devices: Iterable[Device]) -> list[Entry]:
+    """Return an entry for each experiment of devices."""
+    return [
+        {"label": f"{device.title}, {experiment.name}", "loop": loop_entries(device.loop_for(experiment))}
+        for device in devices
+        for experiment in device.experiments
+    ]
+
+
+def measured_entries(result: ComparisonResult) -> list[Entry]:
+    """Return an entry for each experiment of a comparison that has a loop: identified, or of the device file."""
+    told = result.answer.wall if result.answer else None
+    found = []
+    for experiment in result.experiments:
+        loop = _loop_of(experiment, result.motion)
+        if loop is None:
+            continue
+        own = told if result.answer is not None and result.answer.experiment == experiment.experiment else None
+        wall = None if own is None else {"stiffness": own.stiffness, "damping": own.damping}
+        label = f"{result.title}, {experiment.experiment}"
+        found.append(
+            {"label": label, "experiment": experiment.experiment, "loop": loop, "wall": wall, **_measured(experiment)}
+        )
+    return found
+
+
+def with_trials(entry: Entry, walls: Sequence[tuple[float, float, bool]]) -> Entry:
+    """Return an entry with its trials: stiffness, damping, and whether each was stable."""
+    return {**entry, "trials": [[stiffness, damping, int(stable)] for stiffness, damping, stable in walls]}
+
+
+def _measured(experiment: ExperimentResult) -> dict[str, Any]:
+    """Return limits with the trials on both of their sides, and what the loop predicts with friction."""
+    limits, trials = [], []
+    for point in experiment.boundary:
+        sides = [(point.stable, 1), (None if point.censored else point.unstable, 0)]
+        trials += [[stiffness, point.damping, stable] for stiffness, stable in sides if stiffness is not None]
+        if point.stable is not None and point.unstable is not None and not point.censored:
+            limits.append([point.damping, 0.5 * (point.stable + point.unstable)])
+    rubs = experiment.loop is not None and experiment.loop.friction is not None and experiment.loop.friction.value
+    friction = [[limit.damping, limit.stiffness] for limit in experiment.loop_boundary or ()] if rubs else []
+    return {"limits": limits, "trials": trials, "friction": friction}
+
+
+def _loop_of(experiment: ExperimentResult, motion: str) -> dict[str, Any] | None:
+    found = experiment.loop
+    if found is None or found.source == "device file":
+        return None if experiment.theory is None else loop_entries(experiment.theory.loop)
+    numbers = {name: getattr(found, name) for name in ("mass", "damping", "stiffness", "delay_samples")}
+    values = {name: None if each is None else each.value for name, each in numbers.items()}
+    if not values["mass"] or values["delay_samples"] is None or experiment.sampling_period_s is None:
+        return None if experiment.theory is None else loop_entries(experiment.theory.loop)
+    loop: dict[str, Any] = {"motion": motion, "sampling_period_s": experiment.sampling_period_s}
+    # an estimate may be negative, a device file's number may not
+    loop |= {name: value if name == "mass" else max(value or 0.0, 0.0) for name, value in values.items()}
+    if found.actuator_lag_s is not None and found.actuator_lag_s.value:
+        loop["actuator_lag_s"] = found.actuator_lag_s.value
+    return loop | _parts_of(found, experiment)
+
+
+def _parts_of(found: LoopResult, experiment: ExperimentResult) -> dict[str, Any]:
+    """Return filter and mode of an identified loop; their kinds are those of the loop that theory was computed for."""
+    parts: dict[str, Any] = {}
+    known = experiment.theory.loop if experiment.theory is not None else None
+    velocity = {name: each.value for name, each in (found.velocity or {}).items() if each.value is not None}
+    if "cutoff_hz" in velocity:
+        order = round(velocity.get("order", 1.0))
+        parts["velocity"] = {"kind": "butterworth", "order": order, "cutoff_hz": velocity["cutoff_hz"]}
+    elif "samples" in velocity:
+        parts["velocity"] = {"kind": "difference", "samples": round(velocity["samples"])}
+    mode = {name: each.value for name, each in (found.mode or {}).items() if each.value is not None}
+    if {"frequency_hz", "damping_ratio", "mass"} <= set(mode):
+        sensor = known.mode.sensor if known is not None and known.mode is not None else "motor"
+        parts["mode"] = {**mode, "sensor": sensor}
+    if found.friction is not None and found.friction.value:
+        parts["friction"] = {"coulomb": found.friction.value}
+    return parts

@@ -1,0 +1,82 @@
+"""The explorer as one HTML file without network, as a part of another page, and its computation alone."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from functools import cache
+from html import escape
+from pathlib import Path
+
+from pipeline.base.inline_page import json_text, policy
+from pipeline.explorer.entries import Entry
+
+FOLDER = Path(__file__).parent
+
+_LEAD = (
+    "Move a slider, or drag the wall in the plane: theory is exact for the linear loop of device, delay, filter and "
+    "wall, and computed here. The address keeps what you set."
+)
+
+
+def module() -> str:
+    """Return the module with the computation, which has no access to a page: JavaScript with ``export``."""
+    return (FOLDER / "loop.mjs").read_text(encoding="utf-8")
+
+
+@cache
+def script() -> str:
+    """Return computation and panel as one script; it shows a panel in each element with ``data-explorer``.
+
+    The attribute names the element with the entries as JSON (`entries`).
+    """
+    panel = re.sub(r"^import .*?;\n", "", (FOLDER / "page.mjs").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    body = re.sub(r"^export ", "", f"{module()}\n{panel}", flags=re.MULTILINE)
+    start = (
+        'for (const root of document.querySelectorAll("[data-explorer]")) '
+        "explore(root, JSON.parse(document.getElementById(root.dataset.explorer).textContent));"
+    )
+    return f"(() => {{\n{_without_comments(body)}\n{start}\n}})();\n"
+
+
+def style() -> str:
+    """Return the style sheet of a panel; colours are those of the page around it."""
+    return (FOLDER / "explorer.css").read_text(encoding="utf-8")
+
+
+def panel(entries: Sequence[Entry], name: str = "explorer-entries") -> str:
+    """Return the element of a panel and its entries, for a page with `script` and `style`."""
+    shown = f'<div data-explorer="{escape(name)}"><p>This panel needs JavaScript.</p></div>'
+    return f'{shown}\n<script type="application/json" id="{escape(name)}">{json_text(list(entries))}</script>'
+
+
+def page(entries: Sequence[Entry], title: str = "Explore a haptic loop", before: str = "") -> str:
+    """Return one self-contained HTML file.
+
+    Parameters
+    ----------
+    entries : sequence of dict
+        What the page can be reset to; it begins with the first.
+    title : str
+    before : str
+        HTML in front of the title, such as the navigation of a service.
+    """
+    inline = script()
+    head = (
+        f'<meta charset="utf-8">\n<meta http-equiv="Content-Security-Policy" content="{escape(policy((inline,)))}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>\n{(FOLDER / 'standalone.css').read_text(encoding='utf-8')}{style()}</style>"
+    )
+    body = f"{before}<header><h1>{escape(title)}</h1><p>{_LEAD}</p></header>\n<main>\n{panel(entries)}\n</main>"
+    return (
+        f'<!doctype html>\n<html lang="en">\n<head>\n{head}\n</head>\n<body>\n{body}\n<script>{inline}</script>\n'
+        "</body>\n</html>\n"
+    )
+
+
+def _without_comments(text: str) -> str:
+    """Return a script without lines that are comments, and without indentation: a third of its bytes."""
+    lines = (
+        line.strip() for line in re.sub(r"^\s*/\*\*.*?\*/\s*$", "", text, flags=re.MULTILINE | re.DOTALL).splitlines()
+    )
+    return "\n".join(line for line in lines if line and not line.startswith("//"))
