@@ -48,7 +48,7 @@ const STYLE = `text{font:12px system-ui,sans-serif;fill:#1b1d21}.axis{stroke:#59
 
 /** @param {string} tag @param {any} [attributes] @param {(Node | string)[]} children @returns {any} an element of the page */
 function make(tag, attributes = {}, ...children) {
-  const element = /^(svg|g|path|line|circle|rect|text|title)$/.test(tag) ? document.createElementNS(SVG, tag) : document.createElement(tag);
+  const element = /^(svg|g|path|circle|rect|text|title|clipPath)$/.test(tag) ? document.createElementNS(SVG, tag) : document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {
     if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
     else if (value !== null && value !== false) element.setAttribute(name, value === true ? "" : String(value));
@@ -70,6 +70,7 @@ const get = (loop, path) => path.split(".").reduce((owner, key) => owner?.[key],
 /** @param {any} loop @param {string} path @param {any} value @returns {any} a loop with another entry */
 function changed(loop, path, value) {
   const [part, key] = path.split(".");
+  if (path === "delay_samples") loop = { ...loop, jitter_samples: undefined };  // another delay is a constant one
   return key ? { ...loop, [part]: { ...loop[part], [key]: value } } : { ...loop, [part]: value };
 }
 
@@ -78,6 +79,10 @@ function ticks(low, high, count) {
   const rough = (high - low) / count, power = 10 ** Math.floor(Math.log10(rough)), step = power * ([1, 2, 5].find((k) => k * power >= rough) ?? 10);
   return Array.from({ length: Math.floor(high / step) - Math.ceil(low / step) + 1 }, (_, i) => (Math.ceil(low / step) + i) * step);
 }
+
+/** @param {any} border @returns {number} area of a stable region without islands */
+const area = ({ stiffness: K, damping: B }) => K.reduce((/** @type {number} */ sum, /** @type {number} */ value, /** @type {number} */ i) =>
+  i && Number.isFinite(value + K[i - 1]) ? sum + (value + K[i - 1]) / 2 * (B[i] - B[i - 1]) : sum, 0);
 
 /** @param {any} loop @param {string} name @returns {string} a device file */
 export function toml(loop, name) {
@@ -100,6 +105,8 @@ export function python(loop, wall) {
   return `pipeline.Loop(${given.join(", ")}).points(${wall.stiffness}, ${wall.damping})`;
 }
 
+explore.panels = 0;
+
 /**
  * Show a panel in an element: the first entry, with those parts of the state that the address has.
  * @param {HTMLElement} root @param {Entry[]} entries
@@ -111,7 +118,7 @@ export function explore(root, entries) {
   /** @type {Wall[]} */ let pins = [];
   /** @type {{x: number[], y: number[]} | null} */ let view = null;
   let asked = false, started = 0, later = /** @type {any} */ (0), said = /** @type {any} */ (0);
-  const width = 620, height = 430, left = 62, bottom = 42;
+  const small = root.clientWidth < 560, width = small ? 390 : 620, height = small ? 340 : 430, left = 62, bottom = 42, clip = `explorer-clip-${explore.panels++}`;
   const unit = (/** @type {any} */ row) => loop.motion === "rotation" ? row[3] : row[2];
   const of = () => loop.motion === "rotation" ? { K: "Nm/rad", B: "Nms/rad" } : { K: "N/m", B: "Ns/m" };
 
@@ -173,7 +180,8 @@ export function explore(root, entries) {
   const layers = Object.fromEntries(["grid", "region", "passive", "linear", "ghost", "edge", "friction", "good", "bad", "limit", "best", "wall", "axis"].map((name) => [name, make("g")]));
   const plane = make("svg", { viewBox: `0 0 ${width} ${height}`, tabindex: 0, role: "application", "aria-label":
     "Plane of walls: stiffness to the right, damping upwards. Arrow keys move the wall, Shift and arrow keys the view, plus and minus zoom, P pins." },
-  make("title", {}, "Stability of walls"), ...Object.values(layers));
+  make("title", {}, "Stability of walls"), make("clipPath", { id: clip }, make("rect", { x: left, y: 12, width: width - left - 12, height: height - bottom - 12 })), ...Object.values(layers));
+  for (const [name, layer] of Object.entries(layers)) if (!/axis|wall/.test(name)) layer.setAttribute("clip-path", `url(#${clip})`);
   const step = make("svg", { viewBox: "0 0 420 230", role: "img", "aria-label": "Step response" });
   const circle = make("svg", { viewBox: "0 0 230 230", role: "img", "aria-label": "Poles in the z-plane" });
   const sweep = make("svg", { viewBox: "0 0 420 190", role: "img", "aria-label": "Largest stiffness over one number" });
@@ -221,7 +229,7 @@ export function explore(root, entries) {
   /** @param {string} name @param {string} d */
   const put = (name, d) => {
     const g = layers[name], old = g.firstChild;
-    if (old) old.setAttribute("d", d); else g.append(make("path", { class: name, d, "clip-path": "inset(0)" }));
+    if (old) old.setAttribute("d", d); else g.append(make("path", { class: name, d }));
   };
   function draw() {
     if (!result) return;
@@ -261,22 +269,19 @@ export function explore(root, entries) {
     for (const B of ticks(y0, y1, 6)) grid.push(`M${left} ${at.y(B).toFixed(1)}H${width - 12}`), frame.push(make("text", { x: left - 6, y: at.y(B) + 4, "text-anchor": "end" }, text(B)));
     put("grid", grid.join(""));
     layers.axis.replaceChildren(make("path", { class: "axis", d: `M${left} 12V${height - bottom}H${width - 12}` }), ...frame,
-      make("text", { x: width - 12, y: height - 6, "text-anchor": "end" }, `stiffness K [${of().K}]`), make("text", { x: 4, y: 11 }, `damping B [${of().B}]`));
-    for (const name of ["region", "edge", "passive", "linear", "ghost", "friction", "good", "bad", "limit", "best", "grid"]) {
-      layers[name].setAttribute("style", `clip-path: path("M${left} 12H${width - 12}V${height - bottom}H${left}Z")`);
-    }
+      make("text", { x: width - 12, y: height - 6, "text-anchor": "end" }, `stiffness K [${of().K}]`), make("text", { x: left + 8, y: 24 }, `damping B [${of().B}]`));
     legend.replaceChildren(...[["edge", "stable"], ["passive", "passive: stable with every hand"], ["linear", "linear condition (3.25)"], ...(ghost?.same ? [] : [["ghost", "device as identified"]]),
       ...((entry.friction ?? []).length ? [["friction", "limit with friction"]] : []), ...((entry.trials ?? []).length ? [["good", "stable trial"], ["bad", "unstable trial"]] : []),
       ...((entry.limits ?? []).length ? [["limit", "measured limit"]] : []), ...(entry.wall || best ? [["best", entry.wall ? "recommended wall" : "optimum"]] : [])]
       .map(([name, words]) => make("li", {}, make("svg", { viewBox: "0 0 24 12", "aria-hidden": true }, make("path", { class: name, d: name === "limit" || name === "best" || name === "passive" ? "M6 2H18V10H6Z" : "M2 6H22" })), words)));
   }
 
-  /** Draw lines over one abscissa. @param {any} svg @param {any[]} series @param {string} xname @param {number[]} marks */
-  function chart(svg, series, xname, marks = []) {
+  /** Draw lines over one abscissa. @param {any} svg @param {any[]} series @param {string} xname @param {number[]} marks @param {boolean} log */
+  function chart(svg, series, xname, marks = [], log = false) {
     const [, , w, h] = svg.getAttribute("viewBox").split(" ").map(Number), x = series.flatMap((s) => s.x), y = series.flatMap((s) => s.y).filter(Number.isFinite);
     const x0 = Math.min(...x), x1 = Math.max(...x), y0 = Math.min(0, ...y), y1 = Math.max(...y, y0 + 1e-9) * 1.05;
     const at = { x: (/** @type {number} */ v) => 46 + (v - x0) / (x1 - x0) * (w - 56), y: (/** @type {number} */ v) => h - 30 - (v - y0) / (y1 - y0) * (h - 40) };
-    svg.replaceChildren(make("path", { class: "axis", d: `M46 10V${h - 30}H${w - 10}` }), ...ticks(x0, x1, 5).map((v) => make("text", { x: at.x(v), y: h - 14, "text-anchor": "middle" }, text(v))),
+    svg.replaceChildren(make("path", { class: "axis", d: `M46 10V${h - 30}H${w - 10}` }), ...ticks(x0, x1, 5).map((v) => make("text", { x: at.x(v), y: h - 15, "text-anchor": "middle" }, text(log ? 10 ** v : v, log ? 2 : 4))),
       ...ticks(y0, y1, 4).map((v) => make("text", { x: 42, y: at.y(v) + 4, "text-anchor": "end" }, text(v, 3))), make("text", { x: w - 10, y: h - 2, "text-anchor": "end" }, xname),
       ...marks.map((v) => make("path", { class: "grid", d: `M46 ${at.y(v)}H${w - 10}` })), ...series.map((s) => make("path", { class: s.name, d: path(s.x, s.y, at) })));
   }
@@ -294,7 +299,7 @@ export function explore(root, entries) {
     }
     if (!ghost) ghost = { border: result.border, calm: result.calm };
     ghost.same = ghost.border === result.border || ghost.border.stiffness_max === result.border.stiffness_max;
-    if (!wall) wall = entry.wall ?? { stiffness: 0.3 * result.border.stiffness_max, damping: result.border.damping_at_stiffness_max };
+    if (!wall) wall = entry.wall ?? { stiffness: Number((0.3 * result.border.stiffness_max).toPrecision(2)), damping: Number((0.6 * result.border.damping_at_stiffness_max).toPrecision(2)) };
     rows.forEach((row) => row.show()), choices.forEach((choice) => choice.show());
     draw(), showWalls(), showSummary();
     root.dispatchEvent(new CustomEvent("explored", { detail: performance.now() - started }));
@@ -305,8 +310,7 @@ export function explore(root, entries) {
   const set = (/** @type {string} */ name, /** @type {number} */ value) => { if (Number.isFinite(value)) loop = changed(loop, name, value), renew(); };
 
   function showSummary() {
-    const { border, calm } = result, area = (/** @type {any} */ b) => b.stiffness.reduce((/** @type {number} */ s, /** @type {number} */ K, /** @type {number} */ i) =>
-      i && Number.isFinite(K + b.stiffness[i - 1]) ? s + (K + b.stiffness[i - 1]) / 2 * (b.damping[i] - b.damping[i - 1]) : s, 0);
+    const { border, calm } = result;
     const against = (/** @type {number} */ now, /** @type {number} */ then) => ghost.same || !then ? "" : ` (${now >= then ? "+" : "−"}${text(Math.abs(100 * (now / then - 1)), 3)} % against the device)`;
     const out = leftOut(loop);
     summary.replaceChildren(...[["Largest stable stiffness", `${text(border.stiffness_max, 5)} ${of().K} at B = ${text(border.damping_at_stiffness_max)} ${of().B}${against(border.stiffness_max, ghost.border.stiffness_max)}`],
@@ -351,25 +355,28 @@ export function explore(root, entries) {
 
   /** Do in slices what may be late: bars, sweep, optimum. */
   function slow() {
-    const base = result.border.stiffness_max, mine = loop, found = /** @type {[string, number, number][]} */ ([]), curve = { x: /** @type {number[]} */ ([]), y: /** @type {number[]} */ ([]) };
+    const base = result.border.stiffness_max, mine = loop, found = /** @type {[string, number, number][]} */ ([]), curve = { x: /** @type {number[]} */ ([]), y: /** @type {number[]} */ ([]), areas: /** @type {number[]} */ ([]) };
     const present = NUMBERS.filter(([name]) => get(loop, name) && !/order|samples$/.test(name) || name === "delay_samples" && loop.delay_samples);
     over.replaceChildren(...NUMBERS.filter(([name]) => get(loop, name) !== undefined || !name.includes(".")).map(([value, name]) => make("option", { value }, name)));
     if (get(loop, swept) === undefined && swept.includes(".")) swept = "delay_samples";
     over.value = swept;
-    const top = (/** @type {any} */ other) => { try { return boundary(other, 40).stiffness_max; } catch { return NaN; } };
+    const top = (/** @type {any} */ other) => { try { const b = boundary(other, 40); return [b.stiffness_max, area(b)]; } catch { return [NaN, NaN]; } };
     const row = /** @type {any} */ (NUMBERS.find(([name]) => name === swept)), tasks = /** @type {(() => void)[]} */ (present.map(([name]) => () => {
-      const value = /** @type {number} */ (get(loop, name)), [less, more] = [0.9, 1.1].map((factor) => top(changed(mine, name, value * factor)) / base - 1);
-      if (Number.isFinite(less + more)) found.push([name, less, more]);
+      const value = /** @type {number} */ (get(loop, name)), [less, more] = [0.9, 1.1].map((factor) => top(changed(mine, name, value * factor))[0] / base - 1);
+      if (Number.isFinite(less + more)) found.push([name, Math.round(less * 1e6) / 1e6, Math.round(more * 1e6) / 1e6]);
       if (found.length) showBars(found);
     }));
     for (let i = 0; i <= 40; i++) {
       tasks.push(() => {
         const [, , , , factor, low, high, scale] = row, share = i / 40, whole = scale === "whole", here = Math.max(get(mine, swept) ?? 0, 2 * low * factor) / factor;
         const value = scale === "linear" ? low + share * (Math.min(high, 2 * here + 4) - low) : whole ? Math.round(low + share * (high - low)) : Math.max(low, here / 20) * (Math.min(high, here * 20) / Math.max(low, here / 20)) ** share;
-        curve.x.push(scale === "linear" || whole ? value : Math.log10(value)), curve.y.push(top(changed(mine, swept, value * factor)));
+        curve.x.push(scale === "linear" || whole ? value : Math.log10(value)), const [K, wide] = top(changed(mine, swept, value * factor));
+        curve.y.push(K), curve.areas.push(wide);
         if (i === 40) {
           const now = (get(mine, swept) ?? 0) / factor, x = scale === "linear" || whole ? now : Math.log10(Math.max(now, low));
-          chart(sweep, [{ name: "edge", ...curve }, { name: "ghost", x: [x, x], y: [0, Math.max(...curve.y.filter(Number.isFinite))] }], `${scale === "linear" || whole ? "" : "lg "}${row[1]} [${unit(row) || "1"}]`);
+          const most = Math.max(...curve.y.filter(Number.isFinite)), widest = Math.max(...curve.areas.filter(Number.isFinite));
+          chart(sweep, [{ name: "edge", x: curve.x, y: curve.y }, { name: "linear", x: curve.x, y: curve.areas.map((v) => v / widest * most) }, { name: "ghost", x: [x, x], y: [0, most] }],
+            `${row[1]} [${unit(row) || "1"}]; dotted: area of the stable region`, [], scale !== "linear" && !whole);
         }
       });
     }
@@ -386,8 +393,8 @@ export function explore(root, entries) {
   function showBars(found) {
     const signed = (/** @type {number} */ v) => `${v < 0 ? "−" : "+"}${text(Math.abs(100 * v), 2)} %`, most = Math.max(...found.map(([, a, b]) => Math.max(Math.abs(a), Math.abs(b))), 1e-9);
     const best = found.map(([name, less, more]) => ({ name, way: less > more ? "less" : "more", gain: Math.max(less, more), loss: Math.min(less, more) })).sort((a, b) => b.gain - b.loss - a.gain + a.loss);
-    bars.replaceChildren(make("p", {}, "Change of the largest stable stiffness for 10 %:"), ...best.map(({ name, way, gain, loss }) => make("div", { class: "bar" },
-      make("span", {}, `10 % ${way} ${NUMBERS.find(([n]) => n === name)?.[1]}`), make("span", { class: "track" }, make("span", { style: `width:${Math.max(0, 100 * gain / most)}%` })), make("span", {}, `${signed(gain)}; the other way ${signed(loss)}`))));
+    bars.replaceChildren(make("p", {}, "Change of the largest stable stiffness for 10 %, in brackets the other way:"), ...best.map(({ name, way, gain, loss }) => make("div", { class: "bar" },
+      make("span", {}, `10 % ${way} ${NUMBERS.find(([n]) => n === name)?.[1]}`), make("span", { class: "track" }, make("span", { style: `width:${Math.max(0, 100 * gain / most)}%` })), make("span", {}, `${signed(gain)} (${signed(loss)})`))));
   }
   /** @returns {(() => void)[]} slices of a search for the best wall by the chosen criterion, closer and closer */
   function optimum() {

@@ -62,10 +62,11 @@ def page(entries: Sequence[Entry], title: str = "Explore a haptic loop", before:
         HTML in front of the title, such as the navigation of a service.
     """
     inline = script()
+    sheet = (FOLDER / "standalone.css").read_text(encoding="utf-8") + style()
     head = (
         f'<meta charset="utf-8">\n<meta http-equiv="Content-Security-Policy" content="{escape(policy((inline,)))}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>\n{(FOLDER / 'standalone.css').read_text(encoding='utf-8')}{style()}</style>"
+        f"<title>{escape(title)}</title>\n<style>\n{sheet}</style>"
     )
     body = f"{before}<header><h1>{escape(title)}</h1><p>{_LEAD}</p></header>\n<main>\n{panel(entries)}\n</main>"
     return (
@@ -76,7 +77,6 @@ def page(entries: Sequence[Entry], title: str = "Explore a haptic loop", before:
 
 def _without_comments(text: str) -> str:
     """Return a script without lines that are comments, and without indentation: a third of its bytes."""
-    lines = (
-        line.strip() for line in re.sub(r"^\s*/\*\*.*?\*/\s*$", "", text, flags=re.MULTILINE | re.DOTALL).splitlines()
-    )
+    plain = re.sub(r"^\s*/\*\*(?:(?!\*/).)*\*/\s*$", "", text, flags=re.MULTILINE | re.DOTALL)
+    lines = (line.strip() for line in plain.splitlines())
     return "\n".join(line for line in lines if line and not line.startswith("//"))
