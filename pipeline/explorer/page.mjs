@@ -70,7 +70,7 @@ const get = (loop, path) => path.split(".").reduce((owner, key) => owner?.[key],
 /** @param {any} loop @param {string} path @param {any} value @returns {any} a loop with another entry */
 function changed(loop, path, value) {
   const [part, key] = path.split(".");
-  if (path === "delay_samples") loop = { ...loop, jitter_samples: undefined };  // another delay is a constant one
+  if (path === "delay_samples") return { ...loop, delay_samples: value, jitter_samples: undefined };  // another delay is a constant one
   return key ? { ...loop, [part]: { ...loop[part], [key]: value } } : { ...loop, [part]: value };
 }
 
@@ -370,7 +370,8 @@ export function explore(root, entries) {
       tasks.push(() => {
         const [, , , , factor, low, high, scale] = row, share = i / 40, whole = scale === "whole", here = Math.max(get(mine, swept) ?? 0, 2 * low * factor) / factor;
         const value = scale === "linear" ? low + share * (Math.min(high, 2 * here + 4) - low) : whole ? Math.round(low + share * (high - low)) : Math.max(low, here / 20) * (Math.min(high, here * 20) / Math.max(low, here / 20)) ** share;
-        curve.x.push(scale === "linear" || whole ? value : Math.log10(value)), const [K, wide] = top(changed(mine, swept, value * factor));
+        curve.x.push(scale === "linear" || whole ? value : Math.log10(value));
+        const [K, wide] = top(changed(mine, swept, value * factor));
         curve.y.push(K), curve.areas.push(wide);
         if (i === 40) {
           const now = (get(mine, swept) ?? 0) / factor, x = scale === "linear" || whole ? now : Math.log10(Math.max(now, low));
