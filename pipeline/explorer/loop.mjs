@@ -28,7 +28,7 @@
  *   topNew: Float64Array, filter: Filter, units: Units, file: DeviceFile, pieces?: any, curve?: Curve}} Sampled
  * @typedef {{t0: number, t1: number, b0: number, b1: number, a0: number, a1: number, turn: number, edge: boolean}} Cell
  * @typedef {{value: number, slope: number, bend: number, bendSlope: number, turn: number}} Line
- * @typedef {{cells: Cell[], lines: Line[], soft: number[], turning: number[], nodes: Float64Array[]}} Curve
+ * @typedef {{cells: Cell[], lines: Line[], soft: number[], turning: number[], nodes: {theta: number, v: Float64Array}[]}} Curve
  */
 
 const LARGEST_DELAY = 256;
@@ -318,7 +318,7 @@ function difference(samples, theta, out) {
 /** @param {number[]} b @param {number[]} a @param {number} theta @param {Float64Array} out */
 function ratio(b, a, theta, out) {
   const c = Math.cos(theta), s = -Math.sin(theta), half = Math.sin(theta / 2);
-  const [br, bi, bsr, bsi] = horner(b, c, s), [ar, ai, asr, asi] = horner(a, c, s), size = ar * ar + ai * ai;
+  const [br, bi, bsr, bsi] = horner(b, c, s).slice(), [ar, ai, asr, asi] = horner(a, c, s), size = ar * ar + ai * ai;
   const fr = (br * ar + bi * ai) / size, fi = (bi * ar - br * ai) / size;
   const er = bsr - (fr * asr - fi * asi), ei = bsi - (fr * asi + fi * asr);
   const gr = (er * ar + ei * ai) / size, gi = (ei * ar - er * ai) / size;
@@ -328,7 +328,9 @@ function ratio(b, a, theta, out) {
   out[6] = dr * s + di * c, out[7] = -(dr * c - di * s);
 }
 
-/** @param {ArrayLike<number>} p @param {number} x @param {number} y @returns {number[]} value and slope at x + j y */
+const horned = new Float64Array(4);
+
+/** @param {ArrayLike<number>} p @param {number} x @param {number} y @returns {Float64Array} value and slope at x + j y */
 function horner(p, x, y) {
   let vr = 0, vi = 0, sr = 0, si = 0;
   for (let k = p.length - 1; k >= 0; k--) {
@@ -337,7 +339,8 @@ function horner(p, x, y) {
     const v = vr * x - vi * y + p[k];
     vi = vr * y + vi * x, vr = v;
   }
-  return [vr, vi, sr, si];
+  horned[0] = vr, horned[1] = vi, horned[2] = sr, horned[3] = si;
+  return horned;
 }
 
 /**
@@ -367,7 +370,7 @@ function butterworth(order, edge) {
   const c = BUTTERWORTH[order].map((value, k) => value / edge ** k), n = order;
   /** @type {(theta: number, out: Float64Array) => void} */
   const value = (theta, out) => {
-    const t = Math.tan(theta / 2), [pr, pi, sr, si] = horner(c, 0, t), size = pr * pr + pi * pi;
+    const t = Math.tan(theta / 2), h = horner(c, 0, t), pr = h[0], pi = h[1], sr = h[2], si = h[3], size = pr * pr + pi * pi;
     // N = 2 w/((1 + w) P), w = j t; its slope is N (1/w - 1/(1 + w) - P'/P) dw/dtheta, dw/dtheta = j (1 + t^2)/2
     const lr = 2 * t * t / (1 + t * t), li = 2 * t / (1 + t * t);
     const nr = (lr * pr + li * pi) / size, ni = (li * pr - lr * pi) / size;
@@ -413,11 +416,12 @@ function inverted(M, n) {
  */
 function onCircle(loop, theta, out) {
   const half = Math.sin(theta / 2), x = -2 * half * half, y = Math.sin(theta), zr = 1 + x, zi = y;
-  const [br, bi, dbr, dbi] = horner(loop.bottom, x, y);
-  let [tr, ti, dtr, dti] = horner(loop.topNew, x, y);
+  const h = horner(loop.bottom, x, y), br = h[0], bi = h[1], dbr = h[2], dbi = h[3];
+  horner(loop.topNew, x, y);
+  let tr = h[0], ti = h[1], dtr = h[2], dti = h[3];
   if (loop.topOld) {
-    const [or, oi, dor, doi] = horner(loop.topOld, x, y);  // times 1/z = conj(z)
-    const vr = or * zr + oi * zi, vi = oi * zr - or * zi, er = dor - vr, ei = doi - vi;
+    horner(loop.topOld, x, y);  // times 1/z = conj(z)
+    const or = h[0], oi = h[1], dor = h[2], doi = h[3], vr = or * zr + oi * zi, vi = oi * zr - or * zi, er = dor - vr, ei = doi - vi;
     tr += vr, ti += vi, dtr += er * zr + ei * zi, dti += ei * zr - er * zi;
   }
   const size = tr * tr + ti * ti, cw = Math.cos(loop.whole * theta), sw = Math.sin(loop.whole * theta);
@@ -561,7 +565,7 @@ function curve(loop) {
   if (Number.isFinite(end.b1)) turning.push(end.b1);
   cells.unshift(first), cells.push(end);
   const all = cells.filter((cell) => Math.max(cell.a0, cell.a1) > 0 && cell.b0 !== cell.b1);
-  loop.curve = { cells: all, lines, soft: distinct(soft), turning: distinct(turning), nodes: found.map((node) => node.v) };
+  loop.curve = { cells: all, lines, soft: distinct(soft), turning: distinct(turning), nodes: found };
   return loop.curve;
 }
 
@@ -1275,7 +1279,7 @@ export function margins(file, stiffness, damping) {
     (w) => { const [r, i] = wall(w); return Math.log((r * r + i * i) / (w[0] * w[0] + w[1] * w[1])); },
     (w) => { const [r, i] = wall(w); return 2 * (alpha + loop.gamma) ** 2 - (r - w[0]) ** 2 - (i - w[1]) ** 2; },
   ];
-  const known = nodes(loop), gains = [], phases = [], delays = [];
+  const known = curve(loop).nodes, gains = [], phases = [], delays = /** @type {[number, number][]} */ ([]);
   let bandwidth = Infinity;
   const factor = (/** @type {Float64Array} */ w) => { const [r, i] = wall(w); return (w[0] * r + w[1] * i) / (r * r + i * i); };
   for (let i = 1; i < known.length; i++) {
@@ -1287,8 +1291,7 @@ export function margins(file, stiffness, damping) {
       if (kind === 1) {
         const phase = Math.atan2(s * w[0] - r * w[1], r * w[0] + s * w[1]);  // of -L = (alpha + beta N)/H
         phases.push(Math.abs(phase));
-        const added = delayAt(loop, alpha, beta, theta, ((phase % (2 * Math.PI)) + 2 * Math.PI) % (2 * Math.PI) / theta);
-        if (added !== null) delays.push(added);
+        delays.push([((phase % (2 * Math.PI)) + 2 * Math.PI) % (2 * Math.PI) / theta, theta]);
       }
     });
   }
@@ -1297,7 +1300,8 @@ export function margins(file, stiffness, damping) {
   const least = (/** @type {number[]} */ values) => values.length ? Math.min(...values) : null;
   const down = gains.filter((x) => x > 0 && x < 1);
   return {
-    gain: least(gains.filter((x) => x > 1)), gain_down: down.length ? Math.max(...down) : null, phase: least(phases), delay: least(delays),
+    gain: least(gains.filter((x) => x > 1)), gain_down: down.length ? Math.max(...down) : null, phase: least(phases),
+    delay: least(delays.sort((p, q) => p[0] - q[0]).slice(0, 2).map(([added, theta]) => delayAt(loop, alpha, beta, theta, added)).filter((added) => added !== null)),
     bandwidth_hz: Number.isFinite(bandwidth) ? bandwidth / (2 * Math.PI * loop.units.period) : null,
   };
 }

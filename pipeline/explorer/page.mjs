@@ -219,7 +219,7 @@ export function explore(root, entries) {
   const path = (/** @type {number[]} */ x, /** @type {number[]} */ y, at = place()) => {
     let d = "", pen = "M";
     for (let i = 0; i < x.length; i++) {
-      if (!Number.isFinite(x[i])) { pen = "M"; continue; }
+      if (!Number.isFinite(x[i] + y[i])) { pen = "M"; continue; }
       d += pen + at.x(x[i]).toFixed(1) + " " + at.y(y[i]).toFixed(1), pen = "L";
     }
     return d;
