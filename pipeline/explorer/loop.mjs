@@ -688,7 +688,7 @@ export function boundary(file, points = 400) {
     for (let i = 0; i <= n; i++) levels.push(low + (high - low) * 0.5 * (1 - Math.cos(Math.PI * i / n)));
     levels[0] = low + NEXT_TO_END * (levels[1] - low), levels[n] = high - NEXT_TO_END * (high - levels[n - 1]);
     for (const beta of turning) {
-      const offset = 1e-11 * (high - low);
+      const offset = 1e-13 * (high - low);
       if (beta - offset > levels[0] && beta + offset < levels[n]) levels.push(beta - offset, beta + offset);
     }
     levels.sort((a, b) => a - b);
