@@ -51,6 +51,7 @@ function make(tag, attributes = {}, ...children) {
   const element = /^(svg|g|path|circle|rect|text|title|clipPath)$/.test(tag) ? document.createElementNS(SVG, tag) : document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {
     if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
+    else if (name === "style") element.style.cssText = value;  // a policy may forbid the attribute
     else if (value !== null && value !== false) element.setAttribute(name, value === true ? "" : String(value));
   }
   element.append(...children);
@@ -117,7 +118,7 @@ export function explore(root, entries) {
   let wall = /** @type {Wall | null} */ (null), criterion = "", best = /** @type {Wall | null} */ (null), swept = "delay_samples";
   /** @type {Wall[]} */ let pins = [];
   /** @type {{x: number[], y: number[]} | null} */ let view = null;
-  let asked = false, started = 0, later = /** @type {any} */ (0), said = /** @type {any} */ (0);
+  let asked = false, touched = false, started = 0, later = /** @type {any} */ (0), said = /** @type {any} */ (0);
   const small = root.clientWidth < 560, width = small ? 390 : 620, height = small ? 340 : 430, left = 62, bottom = 42, clip = `explorer-clip-${explore.panels++}`;
   const unit = (/** @type {any} */ row) => loop.motion === "rotation" ? row[3] : row[2];
   const of = () => loop.motion === "rotation" ? { K: "Nm/rad", B: "Nms/rad" } : { K: "N/m", B: "Ns/m" };
@@ -417,7 +418,9 @@ export function explore(root, entries) {
   }
 
   // ------------------------------------------------------------------------------------------- state, exports, input
+  for (const kind of ["input", "change", "click", "pointerdown", "keydown", "wheel"]) root.addEventListener(kind, () => { touched = true; }, true);
   function store() {
+    if (!touched) return;  // the address of a report may name a section
     const state = { e: entries.indexOf(entry), loop, wall, pins, view, criterion, swept };
     clearTimeout(store.timer), store.timer = setTimeout(() => { try { history.replaceState(null, "", keep + encodeURIComponent(JSON.stringify(state))); } catch { /* an address that may not change */ } }, 300);
   }

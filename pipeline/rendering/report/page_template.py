@@ -11,6 +11,7 @@ from pathlib import Path
 from pipeline.base.inline_page import json_text as json_text
 from pipeline.base.inline_page import policy as policy
 from pipeline.base.wording import counted, listed
+from pipeline.explorer import page as explorer
 from pipeline.rendering import labels
 
 TEMPLATES = Path(__file__).parents[1] / "templates"
@@ -66,13 +67,13 @@ def fill_template(name: str, **content: object) -> str:
     return environment.get_template(name).render(**content)
 
 
-def scripts(with_trials: bool) -> tuple[str, ...]:
+def scripts(with_trials: bool, with_explorer: bool = False) -> tuple[str, ...]:
     """Return the inline scripts of a report in their order; those of the trials come with the plot library."""
-    tables = "".join(script_text(name) for name in PAGE_SCRIPTS)
-    if not with_trials:
-        return (tables,)
-    licence = f"/*! uPlot\n{script_text(PLOT_LICENCE).strip()}\n*/\n"
-    return tables, licence + script_text(PLOT), "".join(script_text(name) for name in TRIALS_SCRIPTS)
+    found = ["".join(script_text(name) for name in PAGE_SCRIPTS)]
+    if with_trials:
+        licence = f"/*! uPlot\n{script_text(PLOT_LICENCE).strip()}\n*/\n"
+        found += [licence + script_text(PLOT), "".join(script_text(name) for name in TRIALS_SCRIPTS)]
+    return tuple(found + [explorer.script()] * with_explorer)
 
 
 def script_text(name: str) -> str:

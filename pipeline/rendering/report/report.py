@@ -17,6 +17,8 @@ from pipeline.base.disk import write_text
 from pipeline.base.errors import PipelineError
 from pipeline.base.provenance import digest
 from pipeline.base.wording import duration, error_text, unbroken
+from pipeline.explorer import page as explorer
+from pipeline.explorer.entries import measured_entries
 from pipeline.records.accuracy import AccuracyReport, own_rungs
 from pipeline.records.criteria import criterion_of
 from pipeline.records.models import FigureKind
@@ -77,7 +79,8 @@ def render(data: ReportData) -> str:
     from markupsafe import escape
 
     result, trials = data.result, data.trials
-    inline = page_template.scripts(with_trials=trials is not None)
+    entries = measured_entries(result)
+    inline = page_template.scripts(with_trials=trials is not None, with_explorer=bool(entries))
     drawn = [draw(figure) for figure in data.figures]
     figures: dict[str, list[Drawn]] = {
         kind: [d for d in drawn if d.figure.kind == kind] for kind in get_args(FigureKind)
@@ -94,6 +97,8 @@ def render(data: ReportData) -> str:
         policy=page_template.policy(inline),
         trials=trials,
         trials_json=page_template.json_text(trials.content) if trials else "",
+        explorer=explorer.panel(entries) if entries else "",
+        explorer_style=explorer.style() if entries else "",
         plot_style=page_template.script_text(page_template.PLOT_STYLE) if trials else "",
         footnote=footnote,
         families=list(dict.fromkeys(criterion_of(name).family for name in result.criteria)),

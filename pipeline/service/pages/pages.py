@@ -19,6 +19,9 @@ from markupsafe import Markup
 from pydantic import field_validator, model_validator
 from starlette.types import Message
 
+from pipeline.device_data.devices import known_devices
+from pipeline.explorer import page as explorer
+from pipeline.explorer.entries import device_entries
 from pipeline.intake.kept import list_quarantine
 from pipeline.records.criteria import REPORTED
 from pipeline.records.models import Motion
@@ -56,6 +59,10 @@ def static(name: str) -> Response:
     """Return the style sheet, the script or the icon."""
     if name == "service.css":
         return Response(style_sheet(), media_type="text/css")
+    if name == "explorer.css":
+        return Response(explorer.style(), media_type="text/css")
+    if name == "explorer.js":
+        return Response(explorer.script(), media_type="text/javascript")
     if name not in _STATIC:
         raise Problem(404, "There is no such file.", found=name)
     return FileResponse(HERE / "static" / name, media_type=_STATIC[name])
@@ -291,6 +298,13 @@ def reports(service: Shared, request: Request) -> Response:
     files = sorted(file.name for file in folder.glob("*.html")) if folder.is_dir() else []
     jobs = service.database.reports(SHOWN)
     return page_of(service, request, "reports.html.j2", jobs=jobs, files=files, folder=folder)
+
+
+@pages.get("/theory")
+def theory(service: Shared, request: Request) -> Response:
+    """Show the explorer: the theory of a loop with sliders, beginning with each known device."""
+    panel = Markup(explorer.panel(device_entries(known_devices().values())))
+    return page_of(service, request, "theory.html.j2", panel=panel)
 
 
 @pages.get("/audit")
