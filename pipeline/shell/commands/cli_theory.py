@@ -149,7 +149,7 @@ def explore(
     ] = None,
     processed: Store = "processed",
 ) -> None:
-    """Write one HTML page with sliders for the loop: stability, response, poles, limits.
+    """Write one HTML page with sliders for the theory of a loop.
 
     Where reports/DEVICE.json has a comparison, its identified loop, trials, limits and wall are in the page.
 

@@ -59,7 +59,7 @@ def test_policy_names_the_hash_of_each_script_and_allows_nothing_else(page: str)
     assert "unsafe" not in rules["script-src"]
     found = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in inline(page)]
     assert sorted(found) == sorted(allowed)
-    assert len(found) == 3
+    assert len(found) == 4
     assert set(rules) == {"default-src", "script-src", "style-src", "img-src", "base-uri", "form-action"}
 
 
@@ -67,9 +67,9 @@ def test_policy_without_scripts_allows_none() -> None:
     assert "script-src 'none'" in policy(())
 
 
-def test_page_without_trials_has_the_tables_script_only() -> None:
+def test_page_without_trials_has_the_scripts_of_tables_and_explorer() -> None:
     page = report.render(report_data(full=False))
-    assert inline(page) == list(scripts(with_trials=False))
+    assert inline(page) == list(scripts(with_trials=False, with_explorer=True))
     assert "uPlot" not in page
     assert 'id="sec-trials"' not in page
 
