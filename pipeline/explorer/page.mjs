@@ -187,7 +187,7 @@ export function explore(root, entries) {
   const step = make("svg", { viewBox: "0 0 420 230", role: "img", "aria-label": "Step response" });
   const circle = make("svg", { viewBox: "0 0 230 230", role: "img", "aria-label": "Poles in the z-plane" });
   const sweep = make("svg", { viewBox: "0 0 420 190", role: "img", "aria-label": "Largest stiffness over one number" });
-  const summary = make("dl", { class: "summary" }), facts = make("table", { class: "facts" }), bars = make("div", { class: "bars" }), line = make("code");
+  const summary = make("dl", { class: "what-summary" }), facts = make("table", { class: "what-walls" }), bars = make("div", { class: "bars" }), line = make("code");
   const pick = make("select", { id: "explore-criterion", onchange: () => { criterion = pick.value, best = null, renew(); } },
     make("option", { value: "" }, "none"), ...CRITERIA.map(([value, name]) => make("option", { value }, name)));
   const over = make("select", { id: "explore-sweep", onchange: () => { swept = over.value, renew(); } });
@@ -200,7 +200,7 @@ export function explore(root, entries) {
     make("button", { type: "button", "aria-label": "Zoom in", onclick: () => zoom(0.7) }, "+"), make("button", { type: "button", "aria-label": "Zoom out", onclick: () => zoom(1.4) }, "−"),
     make("button", { type: "button", onclick: () => { view = null, draw(), store(); } }, "Fit"), make("label", { for: "explore-criterion" }, "Optimum: "), pick);
   const legend = make("ul", { class: "legend" });
-  root.classList.add("explorer");
+  root.classList.add("what-if");
   root.replaceChildren(make("div", { class: "left" }, make("p", { class: "choice" }, make("label", { for: "explore-device" }, "device"), device), controls, buttons),
     make("div", { class: "middle" }, message, summary, plane, legend, tools, live),
     make("div", { class: "right" }, make("h3", {}, "Response to a step"), step, make("h3", {}, "This wall"), make("div", { class: "scroll" }, facts), circle),
