@@ -1,6 +1,13 @@
 """Sphinx's settings of the documentation site: `make site` builds it from these pages."""
 
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
 from pipeline import __version__
+from pipeline.device_data.devices import known_devices
+from pipeline.explorer.entries import device_entries
+from pipeline.explorer.page import page
 
 project = "pipeline"
 author = "the authors of pipeline"
@@ -21,3 +28,14 @@ html_theme = "furo"
 html_title = "pipeline"
 html_copy_source = False
 html_theme_options = {"navigation_with_keys": True}
+
+
+def _explorer(app: Sphinx, error: Exception | None) -> None:
+    """Write the explorer beside the pages, which show it in a frame."""
+    if error is None:
+        (Path(app.outdir) / "explore.html").write_text(page(device_entries(known_devices().values())), encoding="utf-8")
+
+
+def setup(app: Sphinx) -> None:
+    """Add what the site has beside its pages."""
+    app.connect("build-finished", _explorer)
