@@ -69,7 +69,7 @@ export function flattened(file) {
   const flat = { ...device, ...first, ...(loop ?? {}), ...(ofExperiment ?? {}) };
   const jitter = flat.jitter_samples ?? [];
   if (jitter.length) {
-    flat.delay_samples = jitter.reduce((/** @type {number} */ sum, /** @type {number} */ d) => sum + d, 0) / jitter.length;
+    flat.delay_samples = jitter.reduce((sum, d) => sum + d, 0) / jitter.length;
   }
   return flat;
 }
@@ -171,7 +171,7 @@ function sampledDevice(loop) {
   const Phi = E.map((value, i) => value + (i % (n + 1) ? 0 : 1));
   const { bottom, adjugates, scale } = resolvent(E, n);
   if (!loop.gamma) bottom[0] = 0;
-  const top = (/** @type {Float64Array} */ gain) => Float64Array.from(adjugates, (M) =>
+  const top = (gain) => Float64Array.from(adjugates, (M) =>
     sum(n, (i) => loop.C[i] * scale[i] * sum(n, (j) => M[i * n + j] * gain[j] / scale[j])));
   return { ...loop, Phi, older, newer: later.gain, bottom, topOld: older && top(older), topNew: top(later.gain) };
 }
@@ -351,7 +351,7 @@ function directForm(bs, as) {
   if (!as[0]) throw new RangeError("velocity.a: its first coefficient must not be 0");
   const order = Math.max(bs.length, as.length) - 1;
   if (order > LARGEST_FILTER) throw new RangeError(`velocity: remembers ${order} samples; expected at most ${LARGEST_FILTER}`);
-  const b = (/** @type {number} */ i) => (bs[i] ?? 0) / as[0], a = (/** @type {number} */ i) => (as[i] ?? 0) / as[0];
+  const b = (i) => (bs[i] ?? 0) / as[0], a = (i) => (as[i] ?? 0) / as[0];
   const step = new Float64Array(order * order), gain = new Float64Array(order), row = new Float64Array(order);
   for (let i = 0; i < order; i++) {
     if (i + 1 < order) step[i * order + i + 1] = 1;
@@ -385,7 +385,7 @@ function butterworth(order, edge) {
       left[i * n + j] = (i === j ? 1 : 0) - A, right[i * n + j] = (i === j ? 1 : 0) + A;
     }
   }
-  const inverse = inverted(left, n), step = product(right, inverse, n), input = (/** @type {number} */ i) => i === n - 1 ? edge : 0;
+  const inverse = inverted(left, n), step = product(right, inverse, n), input = (i) => i === n - 1 ? edge : 0;
   const gain = Float64Array.from({ length: n }, (_, i) => input(i) + step[i * n + n - 1] * edge);
   return { order, step, gain, row: inverse.slice(0, n), direct: inverse[n - 1] * edge, value };
 }
@@ -438,10 +438,10 @@ function onCircle(loop, theta, out) {
 
 /** Where beta is infinite, where it turns, where alpha turns and where it is 0: functions without poles. */
 const EVENTS = [
-  (/** @type {Float64Array} */ v) => v[5],
-  (/** @type {Float64Array} */ v) => v[3] * v[5] - v[1] * v[7],
-  (/** @type {Float64Array} */ v) => v[5] * v[5] * v[2] - v[4] * (v[3] * v[5] - v[1] * v[7]) - v[1] * v[5] * v[6],
-  (/** @type {Float64Array} */ v) => v[0] * v[5] - v[1] * v[4],
+  (v) => v[5],
+  (v) => v[3] * v[5] - v[1] * v[7],
+  (v) => v[5] * v[5] * v[2] - v[4] * (v[3] * v[5] - v[1] * v[7]) - v[1] * v[5] * v[6],
+  (v) => v[0] * v[5] - v[1] * v[4],
 ];
 
 /** Smallest angle, and that from pi, of a branch; between it and the end, alpha and beta go as its square. */
@@ -459,7 +459,7 @@ function nodes(loop) {
   const angles = new Set(), turns = PER_TURN * (loop.whole + 2 + loop.filter.order);
   for (let k = 1; k < turns; k++) angles.add(k * Math.PI / turns);
   for (let t = SMALLEST; t < 2 * Math.PI / turns; t *= 1.4) angles.add(t), angles.add(Math.PI - t);
-  const at = (/** @type {number} */ theta, event = -1) => {
+  const at = (theta, event = -1) => {
     const v = new Float64Array(8);
     onCircle(loop, theta, v);
     return { theta, v, event };
@@ -467,7 +467,7 @@ function nodes(loop) {
   const sorted = [...angles].sort((a, b) => a - b).map((theta) => at(theta));
   /** @type {{theta: number, v: Float64Array, event: number}[]} */
   const result = [sorted[0]];
-  const bends = (/** @type {Float64Array} */ p, /** @type {Float64Array} */ q, /** @type {number} */ h) => {
+  const bends = (p, q, h) => {
     for (const i of [0, 4]) {
       const far = Math.abs(q[i] - p[i] - h * (p[i + 2] + q[i + 2]) / 2) + Math.abs(q[i + 1] - p[i + 1] - h * (p[i + 3] + q[i + 3]) / 2);
       if (far > BENT * (Math.abs(p[i]) + Math.abs(p[i + 1]) + Math.abs(q[i]) + Math.abs(q[i + 1]))) return true;
@@ -529,7 +529,7 @@ function curve(loop) {
   /** @type {Line[]} */ const lines = [];
   /** @type {Cell[]} */ const cells = [];
   const soft = [], turning = [];
-  const free = (/** @type {any} */ node) => node.event === 0 && Math.abs(node.v[1]) < 1e-9 * Math.abs(node.v[0]);
+  const free = (node) => node.event === 0 && Math.abs(node.v[1]) < 1e-9 * Math.abs(node.v[0]);
   for (const { v: w, event, theta } of found) {
     if (free({ v: w, event })) lines.push({ value: w[0], slope: w[4], bend: w[3], bendSlope: w[7], turn: 2 });
     else if (event > 0) turning.push(w[1] / w[5]);
@@ -538,7 +538,7 @@ function curve(loop) {
   onCircle(loop, Math.PI, v);
   lines.push({ value: v[0], slope: v[4], bend: v[3], bendSlope: v[7], turn: 1 });
   for (const line of lines) if (line.slope) soft.push(line.value / line.slope), turning.push(line.value / line.slope);
-  const point = (/** @type {any} */ node, /** @type {any} */ next) => {
+  const point = (node, next) => {
     const w = node.v, rate = node.event === 0 ? (next.v[5] > 0 ? 1e-300 : -1e-300) : w[5];
     const beta = free(node) ? w[3] / w[7] : w[1] / rate;
     return [beta, node.event === 3 ? 0 : w[0] - (w[4] ? beta * w[4] : 0)];
@@ -549,7 +549,7 @@ function curve(loop) {
     cells.push({ t0: p.theta, t1: q.theta, b0, b1, a0, a1, turn: (b1 > b0) === (rate > 0) ? 2 : -2, edge: false });
   }
   // at both ends alpha and beta are even functions of the angle
-  const outer = (/** @type {number} */ theta, /** @type {number} */ twice, /** @type {Cell} */ next, /** @type {boolean} */ last) => {
+  const outer = (theta, twice, next, last) => {
     onCircle(loop, twice, v);
     const far = [v[1] / v[5], v[0] - v[1] / v[5] * v[4]], near = last ? [next.b1, next.a1] : [next.b0, next.a0];
     const [beta, alpha] = near.map((value, i) => value + (value - far[i]) / 3);
@@ -620,20 +620,17 @@ function lowest(loop, known, beta) {
 /**
  * Return the stable intervals of alpha > 0 beyond the one that begins at 0, at a damping.
  * @param {Sampled} loop @param {Curve} known @param {number} beta @param {number} unstable poles of a soft wall
- * @param {boolean} [exact] instead of interpolated
  * @returns {number[][]}
  */
-function beyond(loop, known, beta, unstable, exact = true) {
+function beyond(loop, known, beta, unstable) {
   /** @type {[number, number][]} */
   const met = [];
   for (const { value, slope, bend, bendSlope, turn } of known.lines) {
     met.push([value - beta * slope, bend - beta * bendSlope > 0 ? turn : -turn]);
   }
-  for (const cell of known.cells) {
-    if ((cell.b0 < beta) === (cell.b1 < beta)) continue;
-    const plain = exact ? NaN : cell.a0 + (beta - cell.b0) / (cell.b1 - cell.b0) * (cell.a1 - cell.a0);
-    met.push([Number.isFinite(plain) ? plain : crossing(loop, cell, beta), cell.turn]);
-  }
+  const cells = known.cells.filter((cell) => (cell.b0 < beta) !== (cell.b1 < beta));
+  if (!cells.some((cell) => cell.turn < 0) && !met.some(([, turn]) => turn < 0)) return [];
+  for (const cell of cells) met.push([crossing(loop, cell, beta), cell.turn]);
   const result = [], rest = met.filter(([alpha]) => alpha > 0).sort((p, q) => p[0] - q[0]);
   let count = unstable;
   for (let i = 0; i + 1 < rest.length; i++) {
@@ -666,14 +663,16 @@ const ISLAND_LEVELS = 16, ISLAND_PLACES = [0.02, 0.1, 0.22, 0.36, 0.5, 0.64, 0.7
 export function boundary(file, points = 400) {
   const loop = prepare(file), known = curve(loop), { soft, turning } = known;
   const count = number("points", points, 8), K = loop.units.stiffness, B = loop.units.damping;
-  /** @type {{low: number, high: number, unstable: number}[]} */
+  /** @type {{low: number, high: number, edges: number[], unstable: number}[]} */
   const segments = [];
   // beyond the outermost soft walls are islands alone
   const ends = distinct([...soft, turning[0] - 1, turning[turning.length - 1] + 1]);
   for (let i = 0; i + 1 < ends.length; i++) {
-    // a wall in the middle of what begins at alpha = 0 tells for all of it
-    const low = ends[i], high = ends[i + 1], beta = (low + high) / 2, top = lowest(loop, known, beta);
-    segments.push({ low, high, unstable: unstablePoles(loop, Number.isFinite(top) ? top / 2 : 1, beta) });
+    // one wall tells for all that begins at alpha = 0; far out eigenvalues lose their digits
+    const low = ends[i], high = ends[i + 1], edges = [low, ...turning.filter((beta) => beta > low && beta < high), high];
+    const middles = edges.slice(1).map((beta, k) => (beta + edges[k]) / 2);
+    const beta = middles.reduce((best, other) => Math.abs(other) < Math.abs(best) ? other : best), top = lowest(loop, known, beta);
+    segments.push({ low, high, edges, unstable: unstablePoles(loop, Number.isFinite(top) ? top / 2 : 1, beta) });
   }
   const parts = [], stiffness = [], damping = [], islands = [];
   for (const { low, high, unstable } of segments) {
@@ -700,11 +699,10 @@ export function boundary(file, points = 400) {
       if (Number.isFinite(limit[i])) stiffness.push(limit[i] * K), damping.push(beta * B);
     });
   }
-  for (const { low, high, unstable } of known.cells.some((cell) => cell.turn < 0) ? segments : []) {
-    const edges = [low, ...turning.filter((beta) => beta > low && beta < high), high];
+  for (const { edges, unstable } of known.cells.some((cell) => cell.turn < 0) ? segments : []) {
     for (let i = 0; i + 1 < edges.length; i++) {
-      const at = (/** @type {number} */ share) => edges[i] + (edges[i + 1] - edges[i]) * 0.5 * (1 - Math.cos(Math.PI * share));
-      if (!ISLAND_PLACES.some((share) => beyond(loop, known, at(share), unstable, false).length)) continue;
+      const at = (share) => edges[i] + (edges[i + 1] - edges[i]) * 0.5 * (1 - Math.cos(Math.PI * share));
+      if (!ISLAND_PLACES.some((share) => beyond(loop, known, at(share), unstable).length)) continue;
       for (let j = 0; j < ISLAND_LEVELS; j++) {
         const beta = at((j + 0.5) / ISLAND_LEVELS);
         for (const [from, to] of beyond(loop, known, beta, unstable)) {
@@ -723,7 +721,7 @@ export function boundary(file, points = 400) {
  */
 function highest(loop, known, levels, limit) {
   let best = -Infinity, at = NaN;
-  const try_ = (/** @type {number} */ beta, alpha = lowest(loop, known, beta)) => {
+  const try_ = (beta, alpha = lowest(loop, known, beta)) => {
     if (alpha > best && alpha < Infinity) best = alpha, at = beta;
     return alpha;
   };
@@ -933,7 +931,7 @@ function requirement(loop) {
   const count = angles.length, table = new Float64Array(5 * count), c = new Float64Array(10), heights = new Float64Array(count);
   angles.forEach((angle, i) => needs(loop, angle, table, 5 * i));
   return (a, b) => {
-    const at = (/** @type {number} */ angle) => (needs(loop, Math.min(Math.PI, Math.max(low, angle)), c, 0), needed(c, 0, a, b));
+    const at = (angle) => (needs(loop, Math.min(Math.PI, Math.max(low, angle)), c, 0), needed(c, 0, a, b));
     let most = 0;
     for (let i = 0; i < count; i++) most = Math.max(most, heights[i] = needed(table, 5 * i, a, b));
     let best = most;
@@ -965,7 +963,7 @@ export function passive(file) {
       reason: "the position is sensed beyond the vibration mode: no wall is passive for every hand" };
   }
   const needs = requirement(loop), lever = loop.delay + loop.lag + 0.5;
-  const reached = (/** @type {number} */ angle) => {
+  const reached = (angle) => {
     const alpha = Math.cos(angle) / lever, beta = Math.sin(angle), reach = loop.near / needs(alpha, beta);
     return [alpha * reach, beta * reach];
   };
@@ -1028,7 +1026,7 @@ function pieces(loop) {
   let given = new Float64Array(n * q), offset = 0;
   for (let i = 0; i < n; i++) given[i * q + i] = 1;
   const form = Array.from({ length: 6 }, () => new Float64Array(q * q));  // e^2 and v^2 times tau^0, tau^1, tau^2
-  const over = (/** @type {number} */ time) => {
+  const over = (time) => {
     const E = exponential(M.map((value) => value * time), w);
     return E.map((value, i) => value + (i % (w + 1) ? 0 : 1));
   };
@@ -1211,7 +1209,7 @@ function stepCosts(loop, alpha, beta, longest, energies) {
     summed ||= !energies || now < FADED;
     return !(settled && topped && summed) && k < longest;
   });
-  const value = (/** @type {number} */ x, known = settled) => known ? x : null;
+  const value = (x, known = settled) => known ? x : null;
   const names = ["w0", "w1", "w2"].flatMap((w, i) => [[`energy_step_${w}`, sums[i]], [`energy_step_${w}_discrete`, sums[3 + i]]]);
   return {
     settle_2pct: value(entry), overshoot: value(peak, topped), settle_2pct_discrete: value(outside + 1),
@@ -1272,7 +1270,7 @@ export function response(file, stiffness, damping, samples, perSample = 8) {
  */
 export function margins(file, stiffness, damping) {
   const loop = prepare(file), alpha = stiffness / loop.units.stiffness, beta = damping / loop.units.damping, v = new Float64Array(8);
-  const wall = (/** @type {Float64Array} */ w) => [alpha + beta * w[4], beta * w[5]];  // alpha + beta N
+  const wall = (w) => [alpha + beta * w[4], beta * w[5]];  // alpha + beta N
   /** @type {((w: Float64Array) => number)[]} */
   const of = [
     (w) => { const [r, i] = wall(w); return w[1] * r - w[0] * i; },
@@ -1281,7 +1279,7 @@ export function margins(file, stiffness, damping) {
   ];
   const known = curve(loop).nodes, gains = [], phases = [], delays = /** @type {[number, number][]} */ ([]);
   let bandwidth = Infinity;
-  const factor = (/** @type {Float64Array} */ w) => { const [r, i] = wall(w); return (w[0] * r + w[1] * i) / (r * r + i * i); };
+  const factor = (w) => { const [r, i] = wall(w); return (w[0] * r + w[1] * i) / (r * r + i * i); };
   for (let i = 1; i < known.length; i++) {
     of.forEach((function_, kind) => {
       if ((function_(known[i - 1].v) > 0) === (function_(known[i].v) > 0)) return;
@@ -1297,7 +1295,7 @@ export function margins(file, stiffness, damping) {
   }
   onCircle(loop, Math.PI, v);
   gains.push(factor(v));
-  const least = (/** @type {number[]} */ values) => values.length ? Math.min(...values) : null;
+  const least = (values) => values.length ? Math.min(...values) : null;
   const down = gains.filter((x) => x > 0 && x < 1);
   return {
     gain: least(gains.filter((x) => x > 1)), gain_down: down.length ? Math.max(...down) : null, phase: least(phases),
@@ -1312,7 +1310,7 @@ export function margins(file, stiffness, damping) {
  */
 function delayAt(loop, alpha, beta, theta, added) {
   const v = new Float64Array(8);
-  const miss = (/** @type {number} */ t, /** @type {number} */ d) => {
+  const miss = (t, d) => {
     const delay = loop.delay + Math.max(d, 0), whole = Math.floor(delay);
     onCircle(sampledDevice({ ...loop, delay, whole, fraction: delay - whole, curve: undefined, pieces: undefined }), t, v);
     return [alpha + beta * v[4] - v[0], beta * v[5] - v[1], beta * v[6] - v[2], beta * v[7] - v[3]];

@@ -83,15 +83,15 @@ function ticks(low, high, count) {
 }
 
 /** @param {any} border @returns {number} area of a stable region without islands */
-const area = ({ stiffness: K, damping: B }) => K.reduce((/** @type {number} */ sum, /** @type {number} */ value, /** @type {number} */ i) =>
+const area = ({ stiffness: K, damping: B }) => K.reduce((sum, value, i) =>
   i && Number.isFinite(value + K[i - 1]) ? sum + (value + K[i - 1]) / 2 * (B[i] - B[i - 1]) : sum, 0);
 
 /** @param {any} loop @param {string} name @returns {string} a device file */
 export function toml(loop, name) {
-  const write = (/** @type {any} */ value) => value === null ? "" : Array.isArray(value) ? `[${value.map(write).join(", ")}]`
+  const write = (value) => value === null ? "" : Array.isArray(value) ? `[${value.map(write).join(", ")}]`
     : typeof value === "object" ? `{ ${Object.entries(value).filter(([, v]) => v !== undefined).map(([k, v]) => `${k} = ${write(v)}`).join(", ")} }`
       : typeof value === "number" ? (Number.isInteger(value) ? value.toFixed(1) : String(value)) : JSON.stringify(value);
-  const whole = (/** @type {any} */ part) => part.replace(/(samples|order|longest) = (\d+)\.0/g, "$1 = $2");
+  const whole = (part) => part.replace(/(samples|order|longest) = (\d+)\.0/g, "$1 = $2");
   const top = ["motion", "sampling_period_s", "mass", "damping", "stiffness", "delay_samples"].filter((key) => loop[key] !== undefined);
   const parts = ["velocity", "actuator_lag_s", "force_gain", "mode", "operator", "friction"].filter((key) => loop[key]);
   const lines = [`name = ${JSON.stringify(name)}`, ...top.map((key) => `${key} = ${write(loop[key])}`)];
@@ -100,7 +100,7 @@ export function toml(loop, name) {
 
 /** @param {any} loop @param {Wall} wall @returns {string} the line of Python that gives the same numbers */
 export function python(loop, wall) {
-  const write = (/** @type {any} */ value) => typeof value === "object" ? `{${Object.entries(value).map(([k, v]) => `"${k}": ${write(v)}`).join(", ")}}`
+  const write = (value) => typeof value === "object" ? `{${Object.entries(value).map(([k, v]) => `"${k}": ${write(v)}`).join(", ")}}`
     : typeof value === "string" ? JSON.stringify(value) : String(value);
   const keys = ["mass", "damping", "sampling_period_s", "delay_samples", "stiffness", "motion", "velocity", "actuator_lag_s", "force_gain", "mode", "operator"];
   const given = keys.filter((key) => loop[key] !== undefined && loop[key] !== null).map((key) => `${key}=${write(loop[key])}`);
@@ -121,7 +121,7 @@ export function explore(root, entries) {
   /** @type {{x: number[], y: number[]} | null} */ let view = null;
   let asked = false, touched = false, started = 0, later = /** @type {any} */ (0), said = /** @type {any} */ (0);
   const small = root.clientWidth < 560, width = small ? 390 : 620, height = small ? 340 : 430, left = 62, bottom = 42, clip = `explorer-clip-${explore.panels++}`;
-  const unit = (/** @type {any} */ row) => loop.motion === "rotation" ? row[3] : row[2];
+  const unit = (row) => loop.motion === "rotation" ? row[3] : row[2];
   const of = () => loop.motion === "rotation" ? { K: "Nm/rad", B: "Nms/rad" } : { K: "N/m", B: "Ns/m" };
 
   // ------------------------------------------------------------------------------------------------------- controls
@@ -163,7 +163,8 @@ export function explore(root, entries) {
       loop = changed(loop, part, next), renew();
     } });
     const show = () => {
-      const value = /** @type {any} */ (loop)[part], known = value && (PARTS[part][value.kind ?? value.sensor ?? (part === "mode" ? "motor" : "hand")] ? value.kind ?? value.sensor ?? (part === "mode" ? "motor" : "hand") : "file");
+      const value = /** @type {any} */ (loop)[part], kind = value && (value.kind ?? value.sensor ?? (part === "mode" ? "motor" : "hand"));
+      const known = value && (PARTS[part][kind] ? kind : "file");
       select.replaceChildren(make("option", { value: "" }, none), ...Object.keys(PARTS[part]).map((key) => make("option", { value: key }, key)),
         ...(known === "file" ? [make("option", { value: "file" }, value.kind)] : []));
       select.value = known || "";
@@ -182,7 +183,8 @@ export function explore(root, entries) {
   const layers = Object.fromEntries(["grid", "region", "passive", "linear", "ghost", "edge", "friction", "good", "bad", "limit", "best", "wall", "axis"].map((name) => [name, make("g")]));
   const plane = make("svg", { viewBox: `0 0 ${width} ${height}`, tabindex: 0, role: "application", "aria-label":
     "Plane of walls: stiffness to the right, damping upwards. Arrow keys move the wall, Shift and arrow keys the view, plus and minus zoom, P pins." },
-  make("title", {}, "Stability of walls"), make("clipPath", { id: clip }, make("rect", { x: left, y: 12, width: width - left - 12, height: height - bottom - 12 })), ...Object.values(layers));
+  make("title", {}, "Stability of walls"),
+  make("clipPath", { id: clip }, make("rect", { x: left, y: 12, width: width - left - 12, height: height - bottom - 12 })), ...Object.values(layers));
   for (const [name, layer] of Object.entries(layers)) if (!/axis|wall/.test(name)) layer.setAttribute("clip-path", `url(#${clip})`);
   const step = make("svg", { viewBox: "0 0 420 230", role: "img", "aria-label": "Step response" });
   const circle = make("svg", { viewBox: "0 0 230 230", role: "img", "aria-label": "Poles in the z-plane" });
@@ -192,8 +194,8 @@ export function explore(root, entries) {
     make("option", { value: "" }, "none"), ...CRITERIA.map(([value, name]) => make("option", { value }, name)));
   const over = make("select", { id: "explore-sweep", onchange: () => { swept = over.value, renew(); } });
   const pin = make("button", { type: "button", onclick: () => { if (wall) pins = [...pins, wall].slice(-2), renew(); } }, "Pin this wall");
-  const zoom = (/** @type {number} */ factor, x = 0.5, y = 0.5) => {
-    const [w, h] = axes(), at = (/** @type {number[]} */ [a, b], /** @type {number} */ share) => { const c = a + share * (b - a); return [c + (a - c) * factor, c + (b - c) * factor]; };
+  const zoom = (factor, x = 0.5, y = 0.5) => {
+    const [w, h] = axes(), at = ([a, b], share) => { const c = a + share * (b - a); return [c + (a - c) * factor, c + (b - c) * factor]; };
     view = { x: at(w, x), y: at(h, y) }, draw(), store();
   };
   const tools = make("p", { class: "buttons" }, pin, make("button", { type: "button", onclick: () => { pins = [], renew(); } }, "Remove pins"),
@@ -204,7 +206,8 @@ export function explore(root, entries) {
   root.replaceChildren(make("div", { class: "left" }, make("p", { class: "choice" }, make("label", { for: "explore-device" }, "device"), device), controls, buttons),
     make("div", { class: "middle" }, message, summary, plane, legend, tools, live),
     make("div", { class: "right" }, make("h3", {}, "Response to a step"), step, make("h3", {}, "This wall"), make("div", { class: "scroll" }, facts), circle),
-    make("div", { class: "lower" }, make("div", {}, make("h3", {}, "What limits me"), bars), make("div", {}, make("h3", {}, make("label", { for: "explore-sweep" }, "Largest stiffness over "), over), sweep),
+    make("div", { class: "lower" }, make("div", {}, make("h3", {}, "What limits me"), bars),
+      make("div", {}, make("h3", {}, make("label", { for: "explore-sweep" }, "Largest stiffness over "), over), sweep),
       make("p", { class: "line" }, "The same in Python: ", line)));
 
   const axes = () => view ? [view.x, view.y] : fit();
@@ -216,9 +219,10 @@ export function explore(root, entries) {
   }
   const place = () => {
     const [[x0, x1], [y0, y1]] = axes();
-    return { x: (/** @type {number} */ K) => left + (K - x0) / (x1 - x0) * (width - left - 12), y: (/** @type {number} */ B) => height - bottom - (B - y0) / (y1 - y0) * (height - bottom - 12) };
+    return { x: (K) => left + (K - x0) / (x1 - x0) * (width - left - 12),
+      y: (B) => height - bottom - (B - y0) / (y1 - y0) * (height - bottom - 12) };
   };
-  const path = (/** @type {number[]} */ x, /** @type {number[]} */ y, at = place()) => {
+  const path = (x, y, at = place()) => {
     let d = "", pen = "M";
     for (let i = 0; i < x.length; i++) {
       if (!Number.isFinite(x[i] + y[i])) { pen = "M"; continue; }
@@ -236,7 +240,7 @@ export function explore(root, entries) {
   function draw() {
     if (!result) return;
     const at = place(), { border, calm, sampled } = result, [[x0, x1], [y0, y1]] = axes();
-    const box = (/** @type {any} */ b) => {  // the region of each part reaches down to K = 0
+    const box = (b) => {  // the region of each part reaches down to K = 0
       let d = "", from = 0;
       for (let i = 0; i <= b.stiffness.length; i++) {
         if (i < b.stiffness.length && Number.isFinite(b.stiffness[i])) continue;
@@ -247,7 +251,7 @@ export function explore(root, entries) {
       return d;
     };
     let islands = "";
-    border.islands.forEach((/** @type {any} */ one, /** @type {number} */ i, /** @type {any[]} */ all) => {  // a band a level
+    border.islands.forEach((one, i, all) => {  // a band a level
       const near = [all[i - 1], all[i + 1]].filter(Boolean).map((other) => Math.abs(other.damping - one.damping)).filter((gap) => gap > 0);
       const half = near.length ? Math.min(...near) / 2 : 0;
       islands += path([one.stiffness_low, one.stiffness_high, one.stiffness_high, one.stiffness_low], [-half, -half, half, half].map((h) => one.damping + h), at) + "Z";
@@ -257,33 +261,38 @@ export function explore(root, entries) {
     const slope = (sampled.delay + sampled.lag + 0.5) * sampled.units.period, b = -sampled.delta * sampled.units.damping;
     put("linear", path([0, x1], [b, b + slope * x1], at));
     put("friction", path((entry.friction ?? []).map((p) => p[1]), (entry.friction ?? []).map((p) => p[0]), at));
-    const marks = (/** @type {number} */ stable) => (entry.trials ?? []).filter((t) => t[2] === stable).map(([K, B]) => `M${(at.x(K) - 2).toFixed(1)} ${(at.y(B) - 2).toFixed(1)}` + (stable ? "h4v4h-4z" : "l4 4m0-4l-4 4")).join("");
+    const marks = (stable) => (entry.trials ?? []).filter((t) => t[2] === stable)
+      .map(([K, B]) => `M${(at.x(K) - 2).toFixed(1)} ${(at.y(B) - 2).toFixed(1)}` + (stable ? "h4v4h-4z" : "l4 4m0-4l-4 4")).join("");
     put("good", marks(1)), put("bad", marks(0));
     put("limit", (entry.limits ?? []).map(([B, K]) => `M${(at.x(K) - 3).toFixed(1)} ${at.y(B).toFixed(1)}a3 3 0 1 0 6 0a3 3 0 1 0-6 0`).join(""));
-    const star = (/** @type {Wall} */ w) => `M${at.x(w.stiffness)} ${at.y(w.damping) - 8}l3 5 6 1-4 4 1 6-6-3-6 3 1-6-4-4 6-1z`;
+    const star = (w) => `M${at.x(w.stiffness)} ${at.y(w.damping) - 8}l3 5 6 1-4 4 1 6-6-3-6 3 1-6-4-4 6-1z`;
     put("best", [best, entry.wall].map((w) => w ? star(w) : "").join(""));
     layers.wall.replaceChildren(...[...pins, ...(wall ? [wall] : [])].flatMap((w, i) => {
       const x = at.x(w.stiffness), y = at.y(w.damping), name = w === wall ? "" : "AB"[i];
       return x > left && y < height - bottom ? [make("circle", { class: "wall", cx: x, cy: y, r: 6 }), make("text", { x: x + 9, y: y - 6 }, name)] : [];
     }));
     const frame = [], grid = [];
-    for (const K of ticks(x0, x1, 6)) grid.push(`M${at.x(K).toFixed(1)} 12V${height - bottom}`), frame.push(make("text", { x: at.x(K), y: height - bottom + 16, "text-anchor": "middle" }, text(K)));
+    for (const K of ticks(x0, x1, 6)) grid.push(`M${at.x(K).toFixed(1)} 12V${height - bottom}`),
+      frame.push(make("text", { x: at.x(K), y: height - bottom + 16, "text-anchor": "middle" }, text(K)));
     for (const B of ticks(y0, y1, 6)) grid.push(`M${left} ${at.y(B).toFixed(1)}H${width - 12}`), frame.push(make("text", { x: left - 6, y: at.y(B) + 4, "text-anchor": "end" }, text(B)));
     put("grid", grid.join(""));
     layers.axis.replaceChildren(make("path", { class: "axis", d: `M${left} 12V${height - bottom}H${width - 12}` }), ...frame,
       make("text", { x: width - 12, y: height - 6, "text-anchor": "end" }, `stiffness K [${of().K}]`), make("text", { x: left + 8, y: 24 }, `damping B [${of().B}]`));
-    legend.replaceChildren(...[["edge", "stable"], ["passive", "passive: stable with every hand"], ["linear", "linear condition (3.25)"], ...(ghost?.same ? [] : [["ghost", "device as identified"]]),
+    legend.replaceChildren(...[["edge", "stable"], ["passive", "passive: stable with every hand"], ["linear", "linear condition (3.25)"],
+      ...(ghost?.same ? [] : [["ghost", "device as identified"]]),
       ...((entry.friction ?? []).length ? [["friction", "limit with friction"]] : []), ...((entry.trials ?? []).length ? [["good", "stable trial"], ["bad", "unstable trial"]] : []),
       ...((entry.limits ?? []).length ? [["limit", "measured limit"]] : []), ...(entry.wall || best ? [["best", entry.wall ? "recommended wall" : "optimum"]] : [])]
-      .map(([name, words]) => make("li", {}, make("svg", { viewBox: "0 0 24 12", "aria-hidden": true }, make("path", { class: name, d: name === "limit" || name === "best" || name === "passive" ? "M6 2H18V10H6Z" : "M2 6H22" })), words)));
+      .map(([name, words]) => make("li", {}, make("svg", { viewBox: "0 0 24 12", "aria-hidden": true },
+        make("path", { class: name, d: name === "limit" || name === "best" || name === "passive" ? "M6 2H18V10H6Z" : "M2 6H22" })), words)));
   }
 
   /** Draw lines over one abscissa. @param {any} svg @param {any[]} series @param {string} xname @param {number[]} marks @param {boolean} log */
   function chart(svg, series, xname, marks = [], log = false) {
     const [, , w, h] = svg.getAttribute("viewBox").split(" ").map(Number), x = series.flatMap((s) => s.x), y = series.flatMap((s) => s.y).filter(Number.isFinite);
     const x0 = Math.min(...x), x1 = Math.max(...x), y0 = Math.min(0, ...y), y1 = Math.max(...y, y0 + 1e-9) * 1.05;
-    const at = { x: (/** @type {number} */ v) => 46 + (v - x0) / (x1 - x0) * (w - 56), y: (/** @type {number} */ v) => h - 30 - (v - y0) / (y1 - y0) * (h - 40) };
-    svg.replaceChildren(make("path", { class: "axis", d: `M46 10V${h - 30}H${w - 10}` }), ...ticks(x0, x1, 5).map((v) => make("text", { x: at.x(v), y: h - 15, "text-anchor": "middle" }, text(log ? 10 ** v : v, log ? 2 : 4))),
+    const at = { x: (v) => 46 + (v - x0) / (x1 - x0) * (w - 56), y: (v) => h - 30 - (v - y0) / (y1 - y0) * (h - 40) };
+    svg.replaceChildren(make("path", { class: "axis", d: `M46 10V${h - 30}H${w - 10}` }),
+      ...ticks(x0, x1, 5).map((v) => make("text", { x: at.x(v), y: h - 15, "text-anchor": "middle" }, text(log ? 10 ** v : v, log ? 2 : 4))),
       ...ticks(y0, y1, 4).map((v) => make("text", { x: 42, y: at.y(v) + 4, "text-anchor": "end" }, text(v, 3))), make("text", { x: w - 10, y: h - 2, "text-anchor": "end" }, xname),
       ...marks.map((v) => make("path", { class: "grid", d: `M46 ${at.y(v)}H${w - 10}` })), ...series.map((s) => make("path", { class: s.name, d: path(s.x, s.y, at) })));
   }
@@ -309,18 +318,22 @@ export function explore(root, entries) {
     store();
   }
   const renew = () => { if (!asked) asked = true, requestAnimationFrame(compute); };
-  const set = (/** @type {string} */ name, /** @type {number} */ value) => { if (Number.isFinite(value)) loop = changed(loop, name, value), renew(); };
+  const set = (name, value) => { if (Number.isFinite(value)) loop = changed(loop, name, value), renew(); };
 
   function showSummary() {
     const { border, calm } = result;
-    const against = (/** @type {number} */ now, /** @type {number} */ then) => ghost.same || !then ? "" : ` (${now >= then ? "+" : "−"}${text(Math.abs(100 * (now / then - 1)), 3)} % against the device)`;
+    const against = (now, then) => ghost.same || !then ? ""
+      : ` (${now >= then ? "+" : "−"}${text(Math.abs(100 * (now / then - 1)), 3)} % against the device)`;
     const out = leftOut(loop);
-    summary.replaceChildren(...[["Largest stable stiffness", `${text(border.stiffness_max, 5)} ${of().K} at B = ${text(border.damping_at_stiffness_max)} ${of().B}${against(border.stiffness_max, ghost.border.stiffness_max)}`],
+    summary.replaceChildren(...[["Largest stable stiffness",
+      `${text(border.stiffness_max, 5)} ${of().K} at B = ${text(border.damping_at_stiffness_max)} ${of().B}${against(border.stiffness_max, ghost.border.stiffness_max)}`],
       ["Stable region", `${text(area(border))} ${of().K} · ${of().B}${against(area(border), area(ghost.border))}`],
-      ["Stiffest passive wall", calm.stiffness_max ? `${text(calm.stiffness_max)} ${of().K} at B = ${text(calm.damping_at_stiffness_max)} ${of().B}` : calm.reason ?? "none: the device has no damping"],
+      ["Stiffest passive wall", calm.stiffness_max
+        ? `${text(calm.stiffness_max)} ${of().K} at B = ${text(calm.damping_at_stiffness_max)} ${of().B}` : calm.reason ?? "none: the device has no damping"],
       ...(out.length ? [["Left out", `${out.join(", ")}: linear theory cannot include it`]] : [])].flatMap(([name, words]) => [make("dt", {}, name), make("dd", {}, words)]));
     clearTimeout(said), said = setTimeout(() => {
-      live.textContent = `Largest stable stiffness ${text(border.stiffness_max)} ${of().K}.` + (wall ? ` Wall of ${text(wall.stiffness)} ${of().K} and ${text(wall.damping)} ${of().B}: ${result.shown?.[0]?.stable ? "stable" : "unstable"}.` : "");
+      live.textContent = `Largest stable stiffness ${text(border.stiffness_max)} ${of().K}.`
+        + (wall ? ` Wall of ${text(wall.stiffness)} ${of().K} and ${text(wall.damping)} ${of().B}: ${result.shown?.[0]?.stable ? "stable" : "unstable"}.` : "");
     }, 500);
   }
 
@@ -329,7 +342,7 @@ export function explore(root, entries) {
     const found = walls(sampled, all.map((w) => w.stiffness), all.map((w) => w.damping), { longest: 4000 });
     result.shown = found, line.textContent = wall ? python(loop, wall) : "";
     const safe = all.map((w, i) => found[i].stable ? margins(sampled, w.stiffness, w.damping) : null);
-    const inside = (/** @type {Wall} */ w) => {
+    const inside = (w) => {
       let odd = false;
       for (let i = 1; i < calm.stiffness.length; i++) {
         const [a, b, c, d] = [calm.stiffness[i - 1], calm.damping[i - 1], calm.stiffness[i], calm.damping[i]];
@@ -340,29 +353,34 @@ export function explore(root, entries) {
     /** @type {[string, (i: number) => string][]} */
     const lines = [["stiffness", (i) => `${text(all[i].stiffness)} ${of().K}`], ["damping", (i) => `${text(all[i].damping)} ${of().B}`],
       ["verdict", (i) => found[i].stable ? inside(all[i]) ? "stable and passive" : "stable" : "unstable"], ["spectral radius", (i) => text(found[i].spectral_radius, 6)],
-      ["settling (2 %)", (i) => found[i].settle_2pct === null ? "–" : `${text(found[i].settle_2pct * T)} ms`], ["overshoot", (i) => found[i].overshoot === null ? "–" : `${text(100 * found[i].overshoot, 3)} %`],
+      ["settling (2 %)", (i) => found[i].settle_2pct === null ? "–" : `${text(found[i].settle_2pct * T)} ms`],
+      ["overshoot", (i) => found[i].overshoot === null ? "–" : `${text(100 * found[i].overshoot, 3)} %`],
       ...["w0", "w1", "w2"].map((w, p) => /** @type {[string, (i: number) => string]} */ ([`energy${["", " t", " t²"][p]}`, (i) => text(/** @type {any} */ (found[i])[`energy_step_${w}`])])),
       ["gain margin", (i) => text(safe[i]?.gain)], ["phase margin", (i) => safe[i]?.phase ? `${text(safe[i].phase * 180 / Math.PI, 3)}°` : "–"],
       ["delay margin", (i) => safe[i]?.delay ? `${text(safe[i].delay, 3)} samples` : "–"], ["bandwidth", (i) => safe[i]?.bandwidth_hz ? `${text(safe[i].bandwidth_hz, 3)} Hz` : "–"]];
     facts.replaceChildren(make("thead", {}, make("tr", {}, make("th", { scope: "col" }, "wall"), ...all.map((_, i) => make("th", { scope: "col" }, i ? "AB"[i - 1] : "this")))),
       make("tbody", {}, ...lines.map(([name, value]) => make("tr", {}, make("th", { scope: "row" }, name), ...all.map((_, i) => make("td", {}, value(i)))))));
     const samples = Math.round(Math.min(300, Math.max(30, 1.3 * (found[0]?.settle_2pct ?? 100))));
-    const runs = all.filter((w) => w.stiffness * 1 > -sampled.gamma * sampled.units.stiffness).map((w) => response(sampled, w.stiffness, w.damping, samples, Math.max(1, Math.floor(300 / samples))));
-    const bounded = (/** @type {number[]} */ y) => y.map((v) => Math.abs(v) < 5 ? v : NaN);
-    chart(step, runs.flatMap((run, i) => [...(i ? [] : [{ name: "linear", x: run.command.flatMap((_, k) => [k * T, (k + 1) * T]).slice(0, -1), y: bounded(run.command.flatMap((u) => [u, u]).slice(0, -1)) }]),
+    const runs = all.filter((w) => w.stiffness * 1 > -sampled.gamma * sampled.units.stiffness)
+      .map((w) => response(sampled, w.stiffness, w.damping, samples, Math.max(1, Math.floor(300 / samples))));
+    const bounded = (y) => y.map((v) => Math.abs(v) < 5 ? v : NaN);
+    chart(step, runs.flatMap((run, i) => [
+      ...(i ? [] : [{ name: "linear", x: run.command.flatMap((_, k) => [k * T, (k + 1) * T]).slice(0, -1), y: bounded(run.command.flatMap((u) => [u, u]).slice(0, -1)) }]),
       { name: ["edge", "good", "bad"][i], x: run.time.map((t) => 1000 * t), y: bounded(run.position) }]), "ms; position and command (dotted) over their final and first values", [0.98, 1.02]);
-    circle.replaceChildren(make("circle", { class: "axis", cx: 115, cy: 115, r: 100 }), make("path", { class: "grid", d: "M10 115H220M115 10V220" }), ...all.flatMap((w, i) => poles(sampled, w.stiffness, w.damping).map(([re, im]) =>
+    circle.replaceChildren(make("circle", { class: "axis", cx: 115, cy: 115, r: 100 }), make("path", { class: "grid", d: "M10 115H220M115 10V220" }),
+      ...all.flatMap((w, i) => poles(sampled, w.stiffness, w.damping).map(([re, im]) =>
       make("path", { class: ["edge", "good", "bad"][i], d: `M${111 + 100 * re} ${111 - 100 * im}l8 8m0-8l-8 8` }))));
   }
 
   /** Do in slices what may be late: bars, sweep, optimum. */
   function slow() {
-    const base = result.border.stiffness_max, mine = loop, found = /** @type {[string, number, number][]} */ ([]), curve = { x: /** @type {number[]} */ ([]), y: /** @type {number[]} */ ([]), areas: /** @type {number[]} */ ([]) };
+    const base = result.border.stiffness_max, mine = loop, found = /** @type {[string, number, number][]} */ ([]),
+      curve = { x: /** @type {number[]} */ ([]), y: /** @type {number[]} */ ([]), areas: /** @type {number[]} */ ([]) };
     const present = NUMBERS.filter(([name]) => get(loop, name) && !/order|samples$/.test(name) || name === "delay_samples" && loop.delay_samples);
     over.replaceChildren(...NUMBERS.filter(([name]) => get(loop, name) !== undefined || !name.includes(".")).map(([value, name]) => make("option", { value }, name)));
     if (get(loop, swept) === undefined && swept.includes(".")) swept = "delay_samples";
     over.value = swept;
-    const top = (/** @type {any} */ other) => { try { const b = boundary(other, 40); return [b.stiffness_max, area(b)]; } catch { return [NaN, NaN]; } };
+    const top = (other) => { try { const b = boundary(other, 40); return [b.stiffness_max, area(b)]; } catch { return [NaN, NaN]; } };
     const row = /** @type {any} */ (NUMBERS.find(([name]) => name === swept)), tasks = /** @type {(() => void)[]} */ (present.map(([name]) => () => {
       const value = /** @type {number} */ (get(loop, name)), [less, more] = [0.9, 1.1].map((factor) => top(changed(mine, name, value * factor))[0] / base - 1);
       if (Number.isFinite(less + more)) found.push([name, Math.round(less * 1e6) / 1e6, Math.round(more * 1e6) / 1e6]);
@@ -371,7 +389,8 @@ export function explore(root, entries) {
     for (let i = 0; i <= 40; i++) {
       tasks.push(() => {
         const [, , , , factor, low, high, scale] = row, share = i / 40, whole = scale === "whole", here = Math.max(get(mine, swept) ?? 0, 2 * low * factor) / factor;
-        const value = scale === "linear" ? low + share * (Math.min(high, 2 * here + 4) - low) : whole ? Math.round(low + share * (high - low)) : Math.max(low, here / 20) * (Math.min(high, here * 20) / Math.max(low, here / 20)) ** share;
+        const value = scale === "linear" ? low + share * (Math.min(high, 2 * here + 4) - low)
+          : whole ? Math.round(low + share * (high - low)) : Math.max(low, here / 20) * (Math.min(high, here * 20) / Math.max(low, here / 20)) ** share;
         curve.x.push(scale === "linear" || whole ? value : Math.log10(value));
         const [K, wide] = top(changed(mine, swept, value * factor));
         curve.y.push(K), curve.areas.push(wide);
@@ -394,16 +413,22 @@ export function explore(root, entries) {
   }
   /** @param {[string, number, number][]} found */
   function showBars(found) {
-    const signed = (/** @type {number} */ v) => `${v < 0 ? "−" : "+"}${text(Math.abs(100 * v), 2)} %`, most = Math.max(...found.map(([, a, b]) => Math.max(Math.abs(a), Math.abs(b))), 1e-9);
-    const best = found.map(([name, less, more]) => ({ name, way: less > more ? "less" : "more", gain: Math.max(less, more), loss: Math.min(less, more) })).sort((a, b) => b.gain - b.loss - a.gain + a.loss);
-    bars.replaceChildren(make("p", {}, "Change of the largest stable stiffness for 10 %, in brackets the other way:"), ...best.map(({ name, way, gain, loss }) => make("div", { class: "bar" },
-      make("span", {}, `10 % ${way} ${NUMBERS.find(([n]) => n === name)?.[1]}`), make("span", { class: "track" }, make("span", { style: `width:${Math.max(0, 100 * gain / most)}%` })), make("span", {}, `${signed(gain)} (${signed(loss)})`))));
+    const signed = (v) => `${v < 0 ? "−" : "+"}${text(Math.abs(100 * v), 2)} %`;
+    const most = Math.max(...found.map(([, a, b]) => Math.max(Math.abs(a), Math.abs(b))), 1e-9);
+    const best = found.map(([name, less, more]) => ({ name, way: less > more ? "less" : "more", gain: Math.max(less, more), loss: Math.min(less, more) }))
+      .sort((a, b) => b.gain - b.loss - a.gain + a.loss);
+    bars.replaceChildren(make("p", {}, "Change of the largest stable stiffness for 10 %, in brackets the other way:"),
+      ...best.map(({ name, way, gain, loss }) => make("div", { class: "bar" },
+      make("span", {}, `10 % ${way} ${NUMBERS.find(([n]) => n === name)?.[1]}`),
+        make("span", { class: "track" }, make("span", { style: `width:${Math.max(0, 100 * gain / most)}%` })), make("span", {}, `${signed(gain)} (${signed(loss)})`))));
   }
   /** @returns {(() => void)[]} slices of a search for the best wall by the chosen criterion, closer and closer */
   function optimum() {
     const { border, sampled } = result, n = 14;
     let centre = [0.5, 0.5], half = 0.49, least = Infinity, at = /** @type {Wall | null} */ (null), next = centre;
-    const top = (/** @type {number} */ B) => { const b = border.damping; let i = b.findIndex((/** @type {number} */ v) => v >= B); i = Math.max(1, i); return border.stiffness[i - 1] + (B - b[i - 1]) / (b[i] - b[i - 1]) * (border.stiffness[i] - border.stiffness[i - 1]); };
+    const top = (B) => {
+      const b = border.damping, i = Math.max(1, b.findIndex((v) => v >= B));
+      return border.stiffness[i - 1] + (B - b[i - 1]) / (b[i] - b[i - 1]) * (border.stiffness[i] - border.stiffness[i - 1]); };
     const low = Math.min(...border.damping.filter(Number.isFinite)), high = Math.max(...border.damping.filter(Number.isFinite));
     return Array.from({ length: 6 * n }, (_, task) => () => {
       if (task % n === 0) centre = next, half *= task ? 0.35 : 1;
@@ -423,7 +448,8 @@ export function explore(root, entries) {
   function store() {
     if (!touched) return;  // the address of a report may name a section
     const state = { e: entries.indexOf(entry), loop, wall, pins, view, criterion, swept };
-    clearTimeout(store.timer), store.timer = setTimeout(() => { try { history.replaceState(null, "", keep + encodeURIComponent(JSON.stringify(state))); } catch { /* an address that may not change */ } }, 300);
+    clearTimeout(store.timer),
+      store.timer = setTimeout(() => { try { history.replaceState(null, "", keep + encodeURIComponent(JSON.stringify(state))); } catch { /* an address that may not change */ } }, 300);
   }
   store.timer = /** @type {any} */ (0);
   /** @param {number} index @param {any} [state] */
@@ -437,7 +463,7 @@ export function explore(root, entries) {
     if (state) ({ loop = loop, wall = null, pins = [], view = null, criterion = "", swept = swept } = state), pick.value = criterion;
     renew();
   }
-  const save = (/** @type {string} */ name, /** @type {string} */ content, /** @type {string} */ type) => {
+  const save = (name, content, type) => {
     const link = make("a", { href: URL.createObjectURL(new Blob([content], { type })), download: name });
     link.click(), setTimeout(() => URL.revokeObjectURL(link.href), 1000);
   };
@@ -446,26 +472,31 @@ export function explore(root, entries) {
     copy.setAttribute("xmlns", SVG), copy.insertBefore(make("style"), copy.firstChild).textContent = STYLE;
     return new XMLSerializer().serializeToString(copy);
   };
-  const table = () => [`stiffness [${of().K}],damping [${of().B}]`, ...result.border.stiffness.map((/** @type {number} */ K, /** @type {number} */ i) => Number.isFinite(K) ? `${K},${result.border.damping[i]}` : ","), ""].join("\n");
-  const pointed = (/** @type {PointerEvent | WheelEvent} */ event) => {
-    const box = plane.getBoundingClientRect(), share = [((event.clientX - box.left) / box.width * width - left) / (width - left - 12), (height - bottom - (event.clientY - box.top) / box.height * height) / (height - bottom - 12)];
+  const table = () => [`stiffness [${of().K}],damping [${of().B}]`,
+    ...result.border.stiffness.map((K, i) => Number.isFinite(K) ? `${K},${result.border.damping[i]}` : ","), ""].join("\n");
+  const pointed = (event) => {
+    const box = plane.getBoundingClientRect()
+      share = [((event.clientX - box.left) / box.width * width - left) / (width - left - 12), (height - bottom - (event.clientY - box.top) / box.height * height) / (height - bottom - 12)];
     const [[x0, x1], [y0, y1]] = axes();
     return { share, stiffness: x0 + share[0] * (x1 - x0), damping: y0 + share[1] * (y1 - y0) };
   };
-  const pan = (/** @type {number} */ x, /** @type {number} */ y) => { const [[a, b], [c, d]] = axes(); view = { x: [a + x, b + x], y: [c + y, d + y] }, draw(), store(); };
+  const pan = (x, y) => { const [[a, b], [c, d]] = axes(); view = { x: [a + x, b + x], y: [c + y, d + y] }, draw(), store(); };
   let grabbed = /** @type {any} */ (null);
-  plane.addEventListener("pointerdown", (/** @type {PointerEvent} */ event) => {
+  plane.addEventListener("pointerdown", (event) => {
     grabbed = event.shiftKey ? pointed(event) : "wall", plane.setPointerCapture(event.pointerId), plane.dispatchEvent(new PointerEvent("pointermove", event));
   });
-  plane.addEventListener("pointermove", (/** @type {PointerEvent} */ event) => {
+  plane.addEventListener("pointermove", (event) => {
     if (!grabbed) return;
     const to = pointed(event);
     if (grabbed === "wall") wall = { stiffness: Math.max(0, Number(to.stiffness.toPrecision(4))), damping: Number(to.damping.toPrecision(4)) }, move();
     else pan(grabbed.stiffness - to.stiffness, grabbed.damping - to.damping);
   });
   for (const name of ["pointerup", "pointercancel"]) plane.addEventListener(name, () => { grabbed = null; });
-  plane.addEventListener("wheel", (/** @type {WheelEvent} */ event) => { event.preventDefault(); const { share } = pointed(event); zoom(event.deltaY > 0 ? 1.15 : 0.87, share[0], share[1]); }, { passive: false });
-  plane.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => {
+  plane.addEventListener("wheel", (event) => {
+    const { share } = pointed(event);
+    event.preventDefault(), zoom(event.deltaY > 0 ? 1.15 : 0.87, share[0], share[1]);
+  }, { passive: false });
+  plane.addEventListener("keydown", (event) => {
     const ways = /** @type {Record<string, number[]>} */ ({ ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }), way = ways[event.key], [[x0, x1], [y0, y1]] = axes();
     if (way && event.shiftKey) pan(way[0] * (x1 - x0) / 10, way[1] * (y1 - y0) / 10);
     else if (way && wall) wall = { stiffness: Math.max(0, wall.stiffness + way[0] * (x1 - x0) / 100), damping: wall.damping + way[1] * (y1 - y0) / 100 }, move();
