@@ -954,9 +954,9 @@ function requirement(loop) {
 /**
  * Return the outline of the passive walls in SI, closed, and the stiffest of them. All are 0 where the device has no
  * damping; none exist where the position is sensed beyond a mode (`reason`).
- * @param {DeviceFile | Sampled} file
+ * @param {DeviceFile | Sampled} file @param {number} [directions] from B < 0 to B > 0 in which walls are looked for
  */
-export function passive(file) {
+export function passive(file, directions = DIRECTIONS) {
   const loop = prepare(file), { stiffness: K, damping: B } = loop.units;
   if (loop.atLoad) {
     return { stiffness: [], damping: [], stiffness_max: null, damping_at_stiffness_max: null,
@@ -968,14 +968,14 @@ export function passive(file) {
     return [alpha * reach, beta * reach];
   };
   const stiffness = [], damping = [];
-  for (let i = 0; i < DIRECTIONS; i++) {
-    const [alpha, beta] = reached(Math.PI * (i / (DIRECTIONS - 1) - 0.5));
+  for (let i = 0; i < directions; i++) {
+    const [alpha, beta] = reached(Math.PI * (i / (directions - 1) - 0.5));
     stiffness.push(alpha * K), damping.push(beta * B);
   }
   stiffness.push(stiffness[0]), damping.push(damping[0]);
   let top = stiffness.indexOf(Math.max(...stiffness)), best = [0, 0];
   if (loop.near > 0) {
-    const width = Math.PI / (DIRECTIONS - 1), golden = 0.6180339887498949;
+    const width = Math.PI / (directions - 1), golden = 0.6180339887498949;
     let low = (top - 1) * width - Math.PI / 2, high = low + 2 * width;
     let p = high - golden * (high - low), q = low + golden * (high - low), atP = reached(p), atQ = reached(q);
     for (let step = 0; step < 40; step++) {

@@ -59,11 +59,14 @@ function make(tag, attributes = {}, ...children) {
   return element;
 }
 
+/** Formats by number of digits: to make one takes longer than to use it a hundred times. */
+const FORMATS = [1, 1, 2, 3, 4, 5, 6].map((digits) => new Intl.NumberFormat("en", { maximumSignificantDigits: digits }));
+
 /** @param {number | null | undefined} value @param {number} [digits] @returns {string} a number as people write it */
 function text(value, digits = 4) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   const rounded = Number(value.toPrecision(digits));
-  return Math.abs(rounded) >= 1e5 || (rounded && Math.abs(rounded) < 1e-3) ? rounded.toExponential() : rounded.toLocaleString("en", { maximumSignificantDigits: digits });
+  return Math.abs(rounded) >= 1e5 || (rounded && Math.abs(rounded) < 1e-3) ? rounded.toExponential() : FORMATS[digits].format(rounded);
 }
 
 /** @param {any} loop @param {string} path @returns {number | undefined} */
@@ -199,7 +202,8 @@ export function explore(root, entries) {
     view = { x: at(w, x), y: at(h, y) }, draw(), store();
   };
   const tools = make("p", { class: "buttons" }, pin, make("button", { type: "button", onclick: () => { pins = [], renew(); } }, "Remove pins"),
-    make("button", { type: "button", "aria-label": "Zoom in", onclick: () => zoom(0.7) }, "+"), make("button", { type: "button", "aria-label": "Zoom out", onclick: () => zoom(1.4) }, "−"),
+    make("button", { type: "button", "aria-label": "Zoom in", onclick: () => zoom(0.7) }, "+"),
+    make("button", { type: "button", "aria-label": "Zoom out", onclick: () => zoom(1.4) }, "−"),
     make("button", { type: "button", onclick: () => { view = null, draw(), store(); } }, "Fit"), make("label", { for: "explore-criterion" }, "Optimum: "), pick);
   const legend = make("ul", { class: "legend" });
   root.classList.add("what-if");
@@ -274,7 +278,8 @@ export function explore(root, entries) {
     const frame = [], grid = [];
     for (const K of ticks(x0, x1, 6)) grid.push(`M${at.x(K).toFixed(1)} 12V${height - bottom}`),
       frame.push(make("text", { x: at.x(K), y: height - bottom + 16, "text-anchor": "middle" }, text(K)));
-    for (const B of ticks(y0, y1, 6)) grid.push(`M${left} ${at.y(B).toFixed(1)}H${width - 12}`), frame.push(make("text", { x: left - 6, y: at.y(B) + 4, "text-anchor": "end" }, text(B)));
+    for (const B of ticks(y0, y1, 6)) grid.push(`M${left} ${at.y(B).toFixed(1)}H${width - 12}`),
+      frame.push(make("text", { x: left - 6, y: at.y(B) + 4, "text-anchor": "end" }, text(B)));
     put("grid", grid.join(""));
     layers.axis.replaceChildren(make("path", { class: "axis", d: `M${left} 12V${height - bottom}H${width - 12}` }), ...frame,
       make("text", { x: width - 12, y: height - 6, "text-anchor": "end" }, `stiffness K [${of().K}]`), make("text", { x: left + 8, y: 24 }, `damping B [${of().B}]`));
@@ -303,14 +308,15 @@ export function explore(root, entries) {
     started = performance.now();
     try {
       const sampled = prepare(loop);
-      result = { sampled, border: boundary(sampled), calm: passive(sampled) }, message.textContent = "";
+      result = { sampled, border: boundary(sampled), calm: passive(sampled, 61) }, message.textContent = "";
     } catch (error) {
       message.textContent = `${error instanceof Error ? error.message : error}`;
       return;
     }
     if (!ghost) ghost = { border: result.border, calm: result.calm };
     ghost.same = ghost.border === result.border || ghost.border.stiffness_max === result.border.stiffness_max;
-    if (!wall) wall = entry.wall ?? { stiffness: Number((0.3 * result.border.stiffness_max).toPrecision(2)), damping: Number((0.6 * result.border.damping_at_stiffness_max).toPrecision(2)) };
+    if (!wall) wall = entry.wall ?? { stiffness: Number((0.3 * result.border.stiffness_max).toPrecision(2)),
+      damping: Number((0.6 * result.border.damping_at_stiffness_max).toPrecision(2)) };
     rows.forEach((row) => row.show()), choices.forEach((choice) => choice.show());
     draw(), showWalls(), showSummary();
     root.dispatchEvent(new CustomEvent("explored", { detail: performance.now() - started }));
@@ -449,7 +455,9 @@ export function explore(root, entries) {
     if (!touched) return;  // the address of a report may name a section
     const state = { e: entries.indexOf(entry), loop, wall, pins, view, criterion, swept };
     clearTimeout(store.timer),
-      store.timer = setTimeout(() => { try { history.replaceState(null, "", keep + encodeURIComponent(JSON.stringify(state))); } catch { /* an address that may not change */ } }, 300);
+      store.timer = setTimeout(() => {
+        try { history.replaceState(null, "", keep + encodeURIComponent(JSON.stringify(state))); } catch { /* an address that may not change */ }
+      }, 300);
   }
   store.timer = /** @type {any} */ (0);
   /** @param {number} index @param {any} [state] */
@@ -476,7 +484,8 @@ export function explore(root, entries) {
     ...result.border.stiffness.map((K, i) => Number.isFinite(K) ? `${K},${result.border.damping[i]}` : ","), ""].join("\n");
   const pointed = (event) => {
     const box = plane.getBoundingClientRect()
-      share = [((event.clientX - box.left) / box.width * width - left) / (width - left - 12), (height - bottom - (event.clientY - box.top) / box.height * height) / (height - bottom - 12)];
+      share = [((event.clientX - box.left) / box.width * width - left) / (width - left - 12),
+        (height - bottom - (event.clientY - box.top) / box.height * height) / (height - bottom - 12)];
     const [[x0, x1], [y0, y1]] = axes();
     return { share, stiffness: x0 + share[0] * (x1 - x0), damping: y0 + share[1] * (y1 - y0) };
   };
@@ -497,7 +506,8 @@ export function explore(root, entries) {
     event.preventDefault(), zoom(event.deltaY > 0 ? 1.15 : 0.87, share[0], share[1]);
   }, { passive: false });
   plane.addEventListener("keydown", (event) => {
-    const ways = /** @type {Record<string, number[]>} */ ({ ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }), way = ways[event.key], [[x0, x1], [y0, y1]] = axes();
+    const ways = /** @type {Record<string, number[]>} */ ({ ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] });
+    const way = ways[event.key], [[x0, x1], [y0, y1]] = axes();
     if (way && event.shiftKey) pan(way[0] * (x1 - x0) / 10, way[1] * (y1 - y0) / 10);
     else if (way && wall) wall = { stiffness: Math.max(0, wall.stiffness + way[0] * (x1 - x0) / 100), damping: wall.damping + way[1] * (y1 - y0) / 100 }, move();
     else if (event.key === "+" || event.key === "-") zoom(event.key === "+" ? 0.7 : 1.4);

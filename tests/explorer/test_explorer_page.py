@@ -15,7 +15,7 @@ from pipeline.explorer import page
 from pipeline.explorer.entries import device_entries, loop_entries
 
 SCRIPTS = ("loop.mjs", "page.mjs")
-LIMIT_LINES, LIMIT_BYTES, LIMIT_WIDTH = 1500, 250 * 1024, 190
+LIMIT_LINES, LIMIT_BYTES, LIMIT_WIDTH = 1500, 250 * 1024, 185
 
 
 def code_lines(name: str) -> list[str]:
