@@ -183,7 +183,8 @@ export function explore(root, entries) {
       ["TOML", () => save("device.toml", toml(loop, "explored"), "application/toml")]].map(([name, act]) => make("button", { type: "button", onclick: act }, `Save ${name}`)));
 
   // ------------------------------------------------------------------------------------------------- plane and panels
-  const layers = Object.fromEntries(["grid", "region", "passive", "linear", "ghost", "edge", "friction", "good", "bad", "limit", "best", "wall", "axis"].map((name) => [name, make("g")]));
+  const layers = Object.fromEntries(["grid", "region", "passive", "linear", "ghost", "edge", "friction", "good", "bad", "limit", "best", "wall", "axis"]
+    .map((name) => [name, make("g")]));
   const plane = make("svg", { viewBox: `0 0 ${width} ${height}`, tabindex: 0, role: "application", "aria-label":
     "Plane of walls: stiffness to the right, damping upwards. Arrow keys move the wall, Shift and arrow keys the view, plus and minus zoom, P pins." },
   make("title", {}, "Stability of walls"),
@@ -285,7 +286,8 @@ export function explore(root, entries) {
       make("text", { x: width - 12, y: height - 6, "text-anchor": "end" }, `stiffness K [${of().K}]`), make("text", { x: left + 8, y: 24 }, `damping B [${of().B}]`));
     legend.replaceChildren(...[["edge", "stable"], ["passive", "passive: stable with every hand"], ["linear", "linear condition (3.25)"],
       ...(ghost?.same ? [] : [["ghost", "device as identified"]]),
-      ...((entry.friction ?? []).length ? [["friction", "limit with friction"]] : []), ...((entry.trials ?? []).length ? [["good", "stable trial"], ["bad", "unstable trial"]] : []),
+      ...((entry.friction ?? []).length ? [["friction", "limit with friction"]] : []),
+      ...((entry.trials ?? []).length ? [["good", "stable trial"], ["bad", "unstable trial"]] : []),
       ...((entry.limits ?? []).length ? [["limit", "measured limit"]] : []), ...(entry.wall || best ? [["best", entry.wall ? "recommended wall" : "optimum"]] : [])]
       .map(([name, words]) => make("li", {}, make("svg", { viewBox: "0 0 24 12", "aria-hidden": true },
         make("path", { class: name, d: name === "limit" || name === "best" || name === "passive" ? "M6 2H18V10H6Z" : "M2 6H22" })), words)));
@@ -363,7 +365,8 @@ export function explore(root, entries) {
       ["overshoot", (i) => found[i].overshoot === null ? "–" : `${text(100 * found[i].overshoot, 3)} %`],
       ...["w0", "w1", "w2"].map((w, p) => /** @type {[string, (i: number) => string]} */ ([`energy${["", " t", " t²"][p]}`, (i) => text(/** @type {any} */ (found[i])[`energy_step_${w}`])])),
       ["gain margin", (i) => text(safe[i]?.gain)], ["phase margin", (i) => safe[i]?.phase ? `${text(safe[i].phase * 180 / Math.PI, 3)}°` : "–"],
-      ["delay margin", (i) => safe[i]?.delay ? `${text(safe[i].delay, 3)} samples` : "–"], ["bandwidth", (i) => safe[i]?.bandwidth_hz ? `${text(safe[i].bandwidth_hz, 3)} Hz` : "–"]];
+      ["delay margin", (i) => safe[i]?.delay ? `${text(safe[i].delay, 3)} samples` : "–"],
+      ["bandwidth", (i) => safe[i]?.bandwidth_hz ? `${text(safe[i].bandwidth_hz, 3)} Hz` : "–"]];
     facts.replaceChildren(make("thead", {}, make("tr", {}, make("th", { scope: "col" }, "wall"), ...all.map((_, i) => make("th", { scope: "col" }, i ? "AB"[i - 1] : "this")))),
       make("tbody", {}, ...lines.map(([name, value]) => make("tr", {}, make("th", { scope: "row" }, name), ...all.map((_, i) => make("td", {}, value(i)))))));
     const samples = Math.round(Math.min(300, Math.max(30, 1.3 * (found[0]?.settle_2pct ?? 100))));
@@ -372,7 +375,8 @@ export function explore(root, entries) {
     const bounded = (y) => y.map((v) => Math.abs(v) < 5 ? v : NaN);
     chart(step, runs.flatMap((run, i) => [
       ...(i ? [] : [{ name: "linear", x: run.command.flatMap((_, k) => [k * T, (k + 1) * T]).slice(0, -1), y: bounded(run.command.flatMap((u) => [u, u]).slice(0, -1)) }]),
-      { name: ["edge", "good", "bad"][i], x: run.time.map((t) => 1000 * t), y: bounded(run.position) }]), "ms; position and command (dotted) over their final and first values", [0.98, 1.02]);
+      { name: ["edge", "good", "bad"][i], x: run.time.map((t) => 1000 * t), y: bounded(run.position) }]),
+      "ms; position and command (dotted) over their final and first values", [0.98, 1.02]);
     circle.replaceChildren(make("circle", { class: "axis", cx: 115, cy: 115, r: 100 }), make("path", { class: "grid", d: "M10 115H220M115 10V220" }),
       ...all.flatMap((w, i) => poles(sampled, w.stiffness, w.damping).map(([re, im]) =>
       make("path", { class: ["edge", "good", "bad"][i], d: `M${111 + 100 * re} ${111 - 100 * im}l8 8m0-8l-8 8` }))));
@@ -403,7 +407,8 @@ export function explore(root, entries) {
         if (i === 40) {
           const now = (get(mine, swept) ?? 0) / factor, x = scale === "linear" || whole ? now : Math.log10(Math.max(now, low));
           const most = Math.max(...curve.y.filter(Number.isFinite)), widest = Math.max(...curve.areas.filter(Number.isFinite));
-          chart(sweep, [{ name: "edge", x: curve.x, y: curve.y }, { name: "linear", x: curve.x, y: curve.areas.map((v) => v / widest * most) }, { name: "ghost", x: [x, x], y: [0, most] }],
+          chart(sweep, [{ name: "edge", x: curve.x, y: curve.y }, { name: "linear", x: curve.x, y: curve.areas.map((v) => v / widest * most) },
+            { name: "ghost", x: [x, x], y: [0, most] }],
             `${row[1]} [${unit(row) || "1"}]; dotted: area of the stable region`, [], scale !== "linear" && !whole);
         }
       });
