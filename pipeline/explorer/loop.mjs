@@ -36,7 +36,7 @@ const LARGEST_FILTER = 96;
 /** Damping ratio of a mode without any: without loss its zeros lie on the unit circle. As in Python. */
 const LEAST_RATIO = 1e-12;
 /** Samples after which a response that still moves is given up. */
-const LONGEST = 1 << 20;
+const LONGEST = 1 << 22;
 /** Motion below which a response is no longer followed for overshoot; an overshoot up to ten times this is none. */
 const QUIET = 1e-13;
 /** Motion below which nothing is added to energies. */
@@ -699,9 +699,12 @@ export function boundary(file, points = 400) {
       if (Number.isFinite(limit[i])) stiffness.push(limit[i] * K), damping.push(beta * B);
     });
   }
+  // evenly where dampings are of the usual size: far out an island beside the end of a gap would not be met
+  const sizes = [...turning, 1].map(Math.abs).sort((a, b) => a - b), usual = sizes[sizes.length >> 1] || 1;
   for (const { edges, unstable } of known.cells.some((cell) => cell.turn < 0) ? segments : []) {
     for (let i = 0; i + 1 < edges.length; i++) {
-      const at = (share) => edges[i] + (edges[i + 1] - edges[i]) * 0.5 * (1 - Math.cos(Math.PI * share));
+      const from = Math.asinh(edges[i] / usual), way = Math.asinh(edges[i + 1] / usual) - from;
+      const at = (share) => usual * Math.sinh(from + way * 0.5 * (1 - Math.cos(Math.PI * share)));
       if (!ISLAND_PLACES.some((share) => beyond(loop, known, at(share), unstable).length)) continue;
       for (let j = 0; j < ISLAND_LEVELS; j++) {
         const beta = at((j + 0.5) / ISLAND_LEVELS);
