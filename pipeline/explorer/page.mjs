@@ -403,11 +403,11 @@ export function explore(root, entries) {
           : whole ? Math.round(low + share * (high - low)) : Math.max(low, here / 20) * (Math.min(high, here * 20) / Math.max(low, here / 20)) ** share;
         curve.x.push(scale === "linear" || whole ? value : Math.log10(value));
         const [K, wide] = top(changed(mine, swept, value * factor));
-        curve.y.push(K), curve.areas.push(wide);
+        curve.y.push(K > 5 * base ? NaN : K), curve.areas.push(wide);  // little of a range that is far above the loop's own
         if (i === 40) {
           const now = (get(mine, swept) ?? 0) / factor, x = scale === "linear" || whole ? now : Math.log10(Math.max(now, low));
-          const most = Math.max(...curve.y.filter(Number.isFinite)), widest = Math.max(...curve.areas.filter(Number.isFinite));
-          chart(sweep, [{ name: "edge", x: curve.x, y: curve.y }, { name: "linear", x: curve.x, y: curve.areas.map((v) => v / widest * most) },
+          const most = Math.max(...curve.y.filter(Number.isFinite)), widest = Math.max(...curve.areas.filter((v, k) => v && curve.y[k]));
+          chart(sweep, [{ name: "edge", x: curve.x, y: curve.y }, { name: "linear", x: curve.x, y: curve.areas.map((v, k) => curve.y[k] ? v / widest * most : NaN) },
             { name: "ghost", x: [x, x], y: [0, most] }],
             `${row[1]} [${unit(row) || "1"}]; dotted: area of the stable region`, [], scale !== "linear" && !whole);
         }
