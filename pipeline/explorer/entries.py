@@ -35,10 +35,10 @@ def loop_entries(loop: Loop) -> dict[str, Any]:
     return result
 
 
-def device_entries(devices: Iterable[Device]) -> list[Entry]:
-    """Return an entry for each experiment of devices."""
+def device_entries(devices: Iterable[Device], by: str = "") -> list[Entry]:
+    """Return an entry for each experiment of devices; its label ends with where its loop comes from (``by``)."""
     return [
-        {"label": f"{device.title}, {experiment.name}", "loop": loop_entries(device.loop_for(experiment))}
+        {"label": f"{device.title}, {experiment.name}{by}", "loop": loop_entries(device.loop_for(experiment))}
         for device in devices
         for experiment in device.experiments
     ]

@@ -190,7 +190,7 @@ def _entries(device: str | None, experiment: str | None, processed: str) -> list
     chosen = (
         known if experiment is None else known.model_copy(update={"experiments": (find_experiment(known, experiment),)})
     )
-    return [*measured, *device_entries([chosen])]
+    return [*measured, *device_entries([chosen], ", by its device file" if measured else "")]
 
 
 def _measured_entries(device: str, experiment: str | None, processed: str) -> list[dict[str, Any]]:
@@ -211,7 +211,7 @@ def _measured_entries(device: str, experiment: str | None, processed: str) -> li
             rows = costs(processed, result.device, entry["experiment"])
         except PipelineError:  # without the stored trials those at the limits are shown
             continue
-        rows = rows[rows["verdict"].isin(["stable", "unstable"])]
+        rows = rows[rows["verdict"].isin(["stable", "unstable"])].drop_duplicates("trial_id")
         entries[i] = with_trials(
             entry, list(zip(rows["stiffness"], rows["damping"], rows["verdict"] == "stable", strict=True))
         )
