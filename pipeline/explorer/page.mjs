@@ -363,7 +363,8 @@ export function explore(root, entries) {
       ["verdict", (i) => found[i].stable ? inside(all[i]) ? "stable and passive" : "stable" : "unstable"], ["spectral radius", (i) => text(found[i].spectral_radius, 6)],
       ["settling (2 %)", (i) => found[i].settle_2pct === null ? "–" : `${text(found[i].settle_2pct * T)} ms`],
       ["overshoot", (i) => found[i].overshoot === null ? "–" : `${text(100 * found[i].overshoot, 3)} %`],
-      ...["w0", "w1", "w2"].map((w, p) => /** @type {[string, (i: number) => string]} */ ([`energy${["", " t", " t²"][p]}`, (i) => text(/** @type {any} */ (found[i])[`energy_step_${w}`])])),
+      ...["", " t", " t²"].map((by, p) => /** @type {[string, (i: number) => string]} */ ([`energy${by}`,
+        (i) => text(/** @type {any} */ (found[i])[`energy_step_w${p}`])])),
       ["gain margin", (i) => text(safe[i]?.gain)], ["phase margin", (i) => safe[i]?.phase ? `${text(safe[i].phase * 180 / Math.PI, 3)}°` : "–"],
       ["delay margin", (i) => safe[i]?.delay ? `${text(safe[i].delay, 3)} samples` : "–"],
       ["bandwidth", (i) => safe[i]?.bandwidth_hz ? `${text(safe[i].bandwidth_hz, 3)} Hz` : "–"]];
