@@ -28,7 +28,7 @@
  *   topNew: Float64Array, filter: Filter, units: Units, file: DeviceFile, pieces?: any, curve?: Curve}} Sampled
  * @typedef {{t0: number, t1: number, b0: number, b1: number, a0: number, a1: number, turn: number, edge: boolean}} Cell
  * @typedef {{value: number, slope: number, bend: number, bendSlope: number, turn: number}} Line
- * @typedef {{cells: Cell[], lines: Line[], soft: number[], turning: number[], nodes: {theta: number, v: Float64Array}[]}} Curve
+ * @typedef {{cells: Cell[], lines: Line[], soft: number[][], turning: number[], nodes: {theta: number, v: Float64Array, event: number}[]}} Curve
  */
 
 const LARGEST_DELAY = 256;
@@ -449,7 +449,7 @@ const SMALLEST = 1e-6;
 /** Angles of each turn of the delayed force and the filter, before cells that bend are halved. */
 const PER_TURN = 20;
 /** Part of its values by which a cell may differ from the trapezoid of its slopes. */
-const BENT = 0.05;
+const BENT = 0.03;
 
 /**
  * Return values at angles that follow all branches: [theta, H, H', N, N', event], both ends left out.
@@ -533,11 +533,16 @@ function curve(loop) {
   for (const { v: w, event, theta } of found) {
     if (free({ v: w, event })) lines.push({ value: w[0], slope: w[4], bend: w[3], bendSlope: w[7], turn: 2 });
     else if (event > 0) turning.push(w[1] / w[5]);
-    if (event === 3) soft.push(w[1] / w[5]);
+    // poles on the circle at alpha = 0 move outwards as beta rises where Im(N conj(dF/dtheta)) > 0, F = alpha + beta N - H
+    const beta = w[1] / w[5], outwards = w[5] * (beta * w[6] - w[2]) - w[4] * (beta * w[7] - w[3]);
+    if (event === 3) soft.push([beta, outwards > 0 ? 2 : -2]);
   }
   onCircle(loop, Math.PI, v);
   lines.push({ value: v[0], slope: v[4], bend: v[3], bendSlope: v[7], turn: 1 });
-  for (const line of lines) if (line.slope) soft.push(line.value / line.slope), turning.push(line.value / line.slope);
+  for (const { value, slope, bend, bendSlope, turn } of lines) {
+    const beta = value / slope;
+    if (slope) soft.push([beta, slope * (bend - beta * bendSlope) > 0 ? turn : -turn]), turning.push(beta);
+  }
   const point = (node, next) => {
     const w = node.v, rate = node.event === 0 ? (next.v[5] > 0 ? 1e-300 : -1e-300) : w[5];
     const beta = free(node) ? w[3] / w[7] : w[1] / rate;
@@ -559,13 +564,13 @@ function curve(loop) {
     return { t0: theta, t1: theta, b0, b1, a0, a1, turn: (b1 > b0) === (v[5] > 0) ? 2 : -2, edge: true, rate };
   };
   const first = outer(SMALLEST, 2 * SMALLEST, cells[0], false);
-  if (!loop.gamma) first.a0 = 0, soft.push(first.b0);
+  if (!loop.gamma) first.a0 = 0, soft.push([first.b0, -2]);
   turning.push(first.b0);
   const end = outer(Math.PI - SMALLEST, Math.PI - 2 * SMALLEST, cells[cells.length - 1], true);
   if (Number.isFinite(end.b1)) turning.push(end.b1);
   cells.unshift(first), cells.push(end);
   const all = cells.filter((cell) => Math.max(cell.a0, cell.a1) > 0 && cell.b0 !== cell.b1);
-  loop.curve = { cells: all, lines, soft: distinct(soft), turning: distinct(turning), nodes: found };
+  loop.curve = { cells: all, lines, soft, turning: distinct(turning), nodes: found };
   return loop.curve;
 }
 
@@ -650,6 +655,8 @@ function unstablePoles(loop, alpha, beta) {
 
 /** Share of the way to the next level by which the first lies beside the end of a part, where the limit is 0. */
 const NEXT_TO_END = 1e-3;
+/** Samples of delay and filter beyond which eigenvalues take long. */
+const LONG = 24;
 /** Dampings between two turns at which islands are drawn, and places between them at which they are looked for. */
 const ISLAND_LEVELS = 16, ISLAND_PLACES = [0.02, 0.1, 0.22, 0.36, 0.5, 0.64, 0.78, 0.9, 0.98];
 
@@ -663,17 +670,25 @@ const ISLAND_LEVELS = 16, ISLAND_PLACES = [0.02, 0.1, 0.22, 0.36, 0.5, 0.64, 0.7
 export function boundary(file, points = 400) {
   const loop = prepare(file), known = curve(loop), { soft, turning } = known;
   const count = number("points", points, 8), K = loop.units.stiffness, B = loop.units.damping;
-  /** @type {{low: number, high: number, edges: number[], unstable: number}[]} */
-  const segments = [];
   // beyond the outermost soft walls are islands alone
-  const ends = distinct([...soft, turning[0] - 1, turning[turning.length - 1] + 1]);
-  for (let i = 0; i + 1 < ends.length; i++) {
-    // one wall tells for all that begins at alpha = 0; far out eigenvalues lose their digits
-    const low = ends[i], high = ends[i + 1], edges = [low, ...turning.filter((beta) => beta > low && beta < high), high];
+  const ends = distinct([...soft.map(([beta]) => beta), turning[0] - 1, turning[turning.length - 1] + 1]);
+  const segments = ends.slice(1).map((high, i) => {
+    const low = ends[i], edges = [low, ...turning.filter((beta) => beta > low && beta < high), high];
     const middles = edges.slice(1).map((beta, k) => (beta + edges[k]) / 2);
-    const beta = middles.reduce((best, other) => Math.abs(other) < Math.abs(best) ? other : best), top = lowest(loop, known, beta);
-    segments.push({ low, high, edges, unstable: unstablePoles(loop, Number.isFinite(top) ? top / 2 : 1, beta) });
-  }
+    return { low, high, edges, unstable: 0, beta: middles.reduce((best, other) => Math.abs(other) < Math.abs(best) ? other : best) };
+  });
+  // the unstable poles of soft walls: by eigenvalues, of long delays and filters only where crossings leave none
+  const gained = (/** @type {number} */ at) => soft.reduce((sum, [beta, turn]) => Math.abs(beta - at) <= 1e-12 * Math.abs(at) ? sum + turn : sum, 0);
+  const set = (/** @type {any} */ segment, counted = 0) => {
+    segment.unstable = counted;
+    if (counted > 0 && loop.whole + loop.filter.order > LONG) return;
+    const top = lowest(loop, known, segment.beta);
+    segment.unstable = unstablePoles(loop, Number.isFinite(top) ? top / 2 : 1, segment.beta);
+  };
+  const first = segments.reduce((best, { beta }, i) => Math.abs(beta) < Math.abs(segments[best].beta) ? i : best, 0);
+  set(segments[first]);
+  for (let i = first + 1; i < segments.length; i++) set(segments[i], segments[i - 1].unstable + gained(segments[i].low));
+  for (let i = first - 1; i >= 0; i--) set(segments[i], segments[i + 1].unstable - gained(segments[i].high));
   const parts = [], stiffness = [], damping = [], islands = [];
   for (const { low, high, unstable } of segments) {
     const last = parts[parts.length - 1];
@@ -694,6 +709,11 @@ export function boundary(file, points = 400) {
     const limit = levels.map((beta) => lowest(loop, known, beta));
     const [top, where] = highest(loop, known, levels, limit);
     if (top > peak) peak = top, at = where;
+    // where a branch turns back beside the stiffest level, the limit rises as a root up to the turn itself
+    for (const { v, event } of known.nodes) {
+      const beta = v[1] / v[5], alpha = v[0] - beta * v[4];
+      if (event === 1 && Math.abs(beta - at) < 1e-11 * (high - low) && alpha > peak && alpha < peak * (1 + 1e-4)) peak = alpha, at = beta;
+    }
     if (stiffness.length) stiffness.push(NaN), damping.push(NaN);
     levels.forEach((beta, i) => {
       if (Number.isFinite(limit[i])) stiffness.push(limit[i] * K), damping.push(beta * B);
@@ -705,12 +725,13 @@ export function boundary(file, points = 400) {
     for (let i = 0; i + 1 < edges.length; i++) {
       const from = Math.asinh(edges[i] / usual), way = Math.asinh(edges[i + 1] / usual) - from;
       const at = (share) => usual * Math.sinh(from + way * 0.5 * (1 - Math.cos(Math.PI * share)));
-      if (!ISLAND_PLACES.some((share) => beyond(loop, known, at(share), unstable).length)) continue;
+      const share = ISLAND_PLACES.find((place) => beyond(loop, known, at(place), unstable).length);
+      if (share === undefined) continue;
+      const [[low, high]] = beyond(loop, known, at(share), unstable);
+      if (unstablePoles(loop, (low + high) / 2, at(share))) continue;
       for (let j = 0; j < ISLAND_LEVELS; j++) {
         const beta = at((j + 0.5) / ISLAND_LEVELS);
-        for (const [from, to] of beyond(loop, known, beta, unstable)) {
-          if (!unstablePoles(loop, (from + to) / 2, beta)) islands.push({ damping: beta * B, stiffness_low: from * K, stiffness_high: to * K });
-        }
+        for (const [from, to] of beyond(loop, known, beta, unstable)) islands.push({ damping: beta * B, stiffness_low: from * K, stiffness_high: to * K });
       }
     }
   }
