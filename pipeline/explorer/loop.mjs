@@ -378,34 +378,13 @@ function butterworth(order, edge) {
     const rate = (1 + t * t) / 2, xr = nr * er - ni * ei, xi = nr * ei + ni * er;
     out[4] = nr, out[5] = ni, out[6] = -xi * rate, out[7] = xr * rate;
   };
-  const left = new Float64Array(n * n), right = new Float64Array(n * n);
-  for (let i = 0; i < n; i++) {
-    for (let j = 0; j < n; j++) {
-      const A = i === n - 1 ? -edge * BUTTERWORTH[n][j] : j === i + 1 ? edge : 0;
-      left[i * n + j] = (i === j ? 1 : 0) - A, right[i * n + j] = (i === j ? 1 : 0) + A;
-    }
-  }
-  const inverse = inverted(left, n), step = product(right, inverse, n), input = (i) => i === n - 1 ? edge : 0;
+  const A = new Float64Array(n * n), input = (/** @type {number} */ i) => i === n - 1 ? edge : 0;
+  for (let i = 0; i < n; i++) for (let j = 0; j < n; j++) A[i * n + j] = i === n - 1 ? -edge * BUTTERWORTH[n][j] : j === i + 1 ? edge : 0;
+  const { bottom, adjugates, scale } = resolvent(A, n), size = sum(n + 1, (k) => bottom[k]);
+  const inverse = A.map((_, at) => scale[Math.floor(at / n)] / scale[at % n] * sum(n, (k) => adjugates[k][at]) / size);
+  const step = product(A.map((value, at) => value + (at % (n + 1) ? 0 : 1)), inverse, n);
   const gain = Float64Array.from({ length: n }, (_, i) => input(i) + step[i * n + n - 1] * edge);
   return { order, step, gain, row: inverse.slice(0, n), direct: inverse[n - 1] * edge, value };
-}
-
-/** @param {Float64Array} M @param {number} n @returns {Float64Array} the inverse, by Gauss and Jordan with pivots */
-function inverted(M, n) {
-  const w = 2 * n, rows = Array.from({ length: n }, (_, i) =>
-    Float64Array.from({ length: w }, (_, j) => j < n ? M[i * n + j] : j - n === i ? 1 : 0));
-  for (let k = 0; k < n; k++) {
-    let best = k;
-    for (let i = k; i < n; i++) if (Math.abs(rows[i][k]) > Math.abs(rows[best][k])) best = i;
-    [rows[k], rows[best]] = [rows[best], rows[k]];
-    const pivot = rows[k][k];
-    for (let j = 0; j < w; j++) rows[k][j] /= pivot;
-    for (let i = 0; i < n; i++) {
-      const factor = rows[i][k];
-      if (i !== k && factor) for (let j = 0; j < w; j++) rows[i][j] -= factor * rows[k][j];
-    }
-  }
-  return Float64Array.from({ length: n * n }, (_, i) => rows[Math.floor(i / n)][n + i % n]);
 }
 
 // ------------------------------------------------------------------------------------------------------- boundary
@@ -740,6 +719,20 @@ export function boundary(file, points = 400) {
 }
 
 /**
+ * Return where a function with one peak is largest, by golden sections.
+ * @param {(x: number) => number} of @param {number} low @param {number} high @returns {number}
+ */
+function golden(of, low, high) {
+  const share = 0.6180339887498949;
+  let p = high - share * (high - low), q = low + share * (high - low), atP = of(p), atQ = of(q);
+  for (let step = 0; step < 45; step++) {
+    if (atP > atQ) high = q, q = p, atQ = atP, p = high - share * (high - low), atP = of(p);
+    else low = p, p = q, atP = atQ, q = low + share * (high - low), atQ = of(q);
+  }
+  return atP > atQ ? p : q;
+}
+
+/**
  * Return the largest limit between levels, and its damping: at a turn of a branch, or where two of them meet.
  * @param {Sampled} loop @param {Curve} known @param {number[]} levels @param {number[]} limit @returns {[number, number]}
  */
@@ -753,14 +746,7 @@ function highest(loop, known, levels, limit) {
   const peaks = [];
   for (let i = 1; i + 1 < levels.length; i++) if (limit[i] >= limit[i - 1] && limit[i] >= limit[i + 1]) peaks.push(i);
   for (const i of peaks.sort((p, q) => limit[q] - limit[p]).slice(0, 2)) {
-    let low = levels[i - 1], high = levels[i + 1];
-    if (high - low < 1e-8 * Math.abs(high)) continue;
-    const golden = 0.6180339887498949;
-    let p = high - golden * (high - low), q = low + golden * (high - low), atP = try_(p), atQ = try_(q);
-    for (let step = 0; step < 45 && high - low > 1e-10 * Math.abs(at); step++) {
-      if (atP > atQ) high = q, q = p, atQ = atP, p = high - golden * (high - low), atP = try_(p);
-      else low = p, p = q, atP = atQ, q = low + golden * (high - low), atQ = try_(q);
-    }
+    if (levels[i + 1] - levels[i - 1] > 1e-8 * Math.abs(levels[i])) golden(try_, levels[i - 1], levels[i + 1]);
   }
   return [best, at];
 }
@@ -999,14 +985,8 @@ export function passive(file, directions = DIRECTIONS) {
   stiffness.push(stiffness[0]), damping.push(damping[0]);
   let top = stiffness.indexOf(Math.max(...stiffness)), best = [0, 0];
   if (loop.near > 0) {
-    const width = Math.PI / (directions - 1), golden = 0.6180339887498949;
-    let low = (top - 1) * width - Math.PI / 2, high = low + 2 * width;
-    let p = high - golden * (high - low), q = low + golden * (high - low), atP = reached(p), atQ = reached(q);
-    for (let step = 0; step < 40; step++) {
-      if (atP[0] > atQ[0]) high = q, q = p, atQ = atP, p = high - golden * (high - low), atP = reached(p);
-      else low = p, p = q, atP = atQ, q = low + golden * (high - low), atQ = reached(q);
-    }
-    best = atP[0] > atQ[0] ? atP : atQ;
+    const width = Math.PI / (directions - 1), low = (top - 1) * width - Math.PI / 2;
+    best = reached(golden((angle) => reached(angle)[0], low, low + 2 * width));
   }
   return { stiffness, damping, stiffness_max: best[0] * K, damping_at_stiffness_max: best[1] * B };
 }
