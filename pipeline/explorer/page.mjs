@@ -152,8 +152,9 @@ export function explore(root, entries) {
       const share = scale === "linear" || scale === "whole" ? (shown - low) / (most - low) : shown > 0 ? Math.log(shown / low) / Math.log(most / low) : 0;
       slider.value = String(Math.round(1000 * Math.min(1, Math.max(scale === "zero" && shown > 0 ? 0.001 : 0, share))));
       if (document.activeElement !== field) field.value = String(Number(shown.toPrecision(6)));
-      name.textContent = label, units.textContent = unit(row);
-      slider.setAttribute("aria-valuetext", `${text(shown)} ${unit(row)}`);
+      const words = `${text(shown)} ${unit(row)}`;
+      if (slider.getAttribute("aria-valuetext") === words) return;
+      name.textContent = label, units.textContent = unit(row), slider.setAttribute("aria-valuetext", words);
     };
     controls.append(element);
     return { path, element, show };
@@ -168,6 +169,7 @@ export function explore(root, entries) {
     const show = () => {
       const value = /** @type {any} */ (loop)[part], kind = value && (value.kind ?? value.sensor ?? (part === "mode" ? "motor" : "hand"));
       const known = value && (PARTS[part][kind] ? kind : "file");
+      if (select.options.length && select.value === (known || "")) return;
       select.replaceChildren(make("option", { value: "" }, none), ...Object.keys(PARTS[part]).map((key) => make("option", { value: key }, key)),
         ...(known === "file" ? [make("option", { value: "file" }, value.kind)] : []));
       select.value = known || "";
@@ -284,12 +286,13 @@ export function explore(root, entries) {
     put("grid", grid.join(""));
     layers.axis.replaceChildren(make("path", { class: "axis", d: `M${left} 12V${height - bottom}H${width - 12}` }), ...frame,
       make("text", { x: width - 12, y: height - 6, "text-anchor": "end" }, `stiffness K [${of().K}]`), make("text", { x: left + 8, y: 24 }, `damping B [${of().B}]`));
-    legend.replaceChildren(...[["edge", "stable"], ["passive", "passive: stable with every hand"], ["linear", "linear condition (3.25)"],
+    const shown = [["edge", "stable"], ["passive", "passive: stable with every hand"], ["linear", "linear condition (3.25)"],
       ...(ghost?.same ? [] : [["ghost", "device as identified"]]),
       ...((entry.friction ?? []).length ? [["friction", "limit with friction"]] : []),
       ...((entry.trials ?? []).length ? [["good", "stable trial"], ["bad", "unstable trial"]] : []),
-      ...((entry.limits ?? []).length ? [["limit", "measured limit"]] : []), ...(entry.wall || best ? [["best", entry.wall ? "recommended wall" : "optimum"]] : [])]
-      .map(([name, words]) => make("li", {}, make("svg", { viewBox: "0 0 24 12", "aria-hidden": true },
+      ...((entry.limits ?? []).length ? [["limit", "measured limit"]] : []), ...(entry.wall || best ? [["best", entry.wall ? "recommended wall" : "optimum"]] : [])];
+    if (legend.dataset.shown === String(shown)) return;
+    legend.dataset.shown = String(shown), legend.replaceChildren(...shown.map(([name, words]) => make("li", {}, make("svg", { viewBox: "0 0 24 12", "aria-hidden": true },
         make("path", { class: name, d: name === "limit" || name === "best" || name === "passive" ? "M6 2H18V10H6Z" : "M2 6H22" })), words)));
   }
 
