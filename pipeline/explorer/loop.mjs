@@ -686,7 +686,7 @@ export function boundary(file, points = 400) {
     }
     levels.sort((a, b) => a - b);
     const limit = levels.map((beta) => lowest(loop, known, beta));
-    const [top, where] = highest(loop, known, levels, limit);
+    const [top, where] = highest(loop, known, levels, limit, [low, high]);
     if (top > peak) peak = top, at = where;
     // where a branch turns back beside the stiffest level, the limit rises as a root up to the turn itself
     for (const { v, event } of known.nodes) {
@@ -734,15 +734,17 @@ function golden(of, low, high) {
 
 /**
  * Return the largest limit between levels, and its damping: at a turn of a branch, or where two of them meet.
- * @param {Sampled} loop @param {Curve} known @param {number[]} levels @param {number[]} limit @returns {[number, number]}
+ * @param {Sampled} loop @param {Curve} known @param {number[]} levels @param {number[]} limit @param {number[]} part
+ * @returns {[number, number]}
  */
-function highest(loop, known, levels, limit) {
+function highest(loop, known, levels, limit, [low, high]) {
   let best = -Infinity, at = NaN;
   const try_ = (beta, alpha = lowest(loop, known, beta)) => {
     if (alpha > best && alpha < Infinity) best = alpha, at = beta;
     return alpha;
   };
   levels.forEach((beta, i) => try_(beta, limit[i]));
+  for (const share of [1e-12, 1 - 1e-12]) try_(low + share * (high - low));  // where soft walls become unstable it may be largest
   const peaks = [];
   for (let i = 1; i + 1 < levels.length; i++) if (limit[i] >= limit[i - 1] && limit[i] >= limit[i + 1]) peaks.push(i);
   for (const i of peaks.sort((p, q) => limit[q] - limit[p]).slice(0, 2)) {
