@@ -34,6 +34,48 @@ _FACTORS: dict[str, dict[str, float]] = {
 }
 """What each unit of a quantity is in SI, the SI unit first."""
 
+DRIVES: dict[str, dict[str, float]] = {
+    "voltage": {"V": 1.0, "mV": 1e-3},
+    "current": {"A": 1.0, "mA": 1e-3},
+    "counts": {"counts": 1.0, "count": 1.0},
+    "percent": {"%": 1.0},
+}
+"""Units of a command that is no force or torque yet, the one that is kept first: of each, all numbers of a device count
+per that unit until a gain turns the command into force."""
+
+
+def drive_unit(drive: str, behind: str) -> str:
+    """Return a unit in which a unit of a drive takes the place of N or Nm.
+
+    >>> drive_unit("V", "s/m"), drive_unit("counts", "s/m"), drive_unit("%", "")
+    ('Vs/m', 'counts s/m', '%')
+    """
+    return f"{drive} {behind}" if len(drive) > 1 and behind[:1] not in ("", "/") else f"{drive}{behind}"
+
+
+def _of_drives() -> dict[str, dict[str, float]]:
+    """Return the units that a drive makes: of stiffness, damping, and of the gain that turns it into force."""
+    factors: dict[str, dict[str, float]] = {}
+    for name, drives in DRIVES.items():
+        factors[name] = drives
+        for place in ("length", "angle"):
+            stiffness = {f"{d}/{x}": f / g for d, f in drives.items() for x, g in _FACTORS[place].items()}
+            factors[f"{name} per {place}"] = stiffness
+            factors[f"{name} per velocity of {place}"] = {
+                spelling: f / g
+                for d, f in drives.items()
+                for x, g in _FACTORS[place].items()
+                for spelling in dict.fromkeys((drive_unit(d, f"s/{x}"), f"{d}s/{x}"))
+            }
+        for force in ("force", "torque"):
+            factors[f"{force} per {name}"] = {
+                f"{n}/{d}": g / f for d, f in drives.items() for n, g in _FACTORS[force].items()
+            }
+    return factors
+
+
+_FACTORS |= _of_drives()
+
 UNITS = {name: Unit(quantity, factor) for quantity, units in _FACTORS.items() for name, factor in units.items()}
 """Known units by symbol; a micro sign or degree sign is read as `u` and `deg` (see `find_unit`)."""
 
@@ -43,6 +85,73 @@ _SPELLINGS = str.maketrans({"µ": "u", "μ": "u", "°": "deg", "·": "", "*": ""
 def find_unit(symbol: str) -> Unit | None:
     """Return the unit of a symbol (`mm`, `µm`, `N*m`, `°`), or None where it is not known."""
     return UNITS.get(symbol.strip().translate(_SPELLINGS))
+
+
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
+
+
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
+
+
+def _decimal(number: str) -> float:
+    if _THOUSANDS.fullmatch(number):
+        wanted = f"{number.replace(',', '.')} or {number.replace(',', '')}"
+        raise ParameterError(f"{number!r}: the comma may separate thousands. Write {wanted}")
+    return float(number.replace(",", "."))
+
+
+def split_quantity(text: str) -> tuple[float, str] | None:
+    """Return number and unit of a text such as ``'5 N/mm'``, ``'30ms'`` or ``'2,5 N'``; None where it is no number.
+
+    The unit is empty where there is none. A unit that is not known gives None, too: ``'1 m'`` is a quantity, ``'2nd'``
+    and ``'3 apples'`` are not.
+
+    Raises
+    ------
+    ParameterError
+        If a comma may separate thousands.
+
+    Examples
+    --------
+    >>> split_quantity("5 N/mm"), split_quantity("2,5"), split_quantity("10 kHz")
+    ((5.0, 'N/mm'), (2.5, ''), None)
+    """
+    match = _QUANTITY.fullmatch(text)
+    if match is None or (match[2] and find_unit(match[2]) is None):
+        return None
+    return _decimal(match[1]), match[2]
+
+
+def quantity_in_si(text: str, quantities: tuple[str, ...], what: str) -> float:
+    """Return a quantity in SI; a number alone is in SI.
+
+    Parameters
+    ----------
+    text : str
+        Such as ``'5 N/mm'`` or ``'5000'``.
+    quantities : tuple of str
+        Physical quantities that are allowed.
+    what : str
+        Name of the option or key, for messages.
+
+    Raises
+    ------
+    ParameterError
+        If it is no number, or its unit is not known or measures another quantity.
+
+    Examples
+    --------
+    >>> quantity_in_si("30 ms", ("time",), "--settling"), quantity_in_si("0.03", ("time",), "--settling")
+    (0.03, 0.03)
+    """
+    match = _QUANTITY.fullmatch(text)
+    if match is None:
+        allowed = next(name for name, known in UNITS.items() if known.quantity in quantities)
+        raise ParameterError(f"{what} {text!r}: expected a number, with or without its unit, such as '5 {allowed}'.")
+    try:
+        return _decimal(match[1]) * (factor_to_si(match[2], quantities) if match[2] else 1.0)
+    except ParameterError as error:
+        raise ParameterError(f"{what} {text!r}: {error}.") from error
 
 
 _IN_BRACKETS = re.compile(r"(.*?)[\s/_]*[\[(]([^\[\]()]+)[\])]\s*")

@@ -11,9 +11,44 @@ from dataclasses import dataclass
 from math import inf
 from typing import Literal, get_args
 
-Motion = Literal["translation", "rotation"]
+from pipeline.base.units import drive_unit
+
+Motion = Literal[
+    "translation",
+    "rotation",
+    "translation in V",
+    "rotation in V",
+    "translation in A",
+    "rotation in A",
+    "translation in counts",
+    "rotation in counts",
+    "translation in %",
+    "rotation in %",
+]
+"""Kind of motion of a device, and the unit of its commands where they are no forces or torques: those of a drive whose
+gain is not stated. Both together decide the units of all numbers, which then count per volt, ampere, count or percent.
+"""
 
 MOTIONS: tuple[Motion, ...] = get_args(Motion)
+
+
+def is_rotation(motion: str) -> bool:
+    """Return whether a device turns, whatever its commands are.
+
+    >>> is_rotation("rotation in V"), is_rotation("translation")
+    (True, False)
+    """
+    return motion.startswith("rotation")
+
+
+def drive_of(motion: str) -> str:
+    """Return the unit of the commands of a drive; empty where commands are forces or torques.
+
+    >>> drive_of("rotation in V"), drive_of("rotation")
+    ('V', '')
+    """
+    return motion.partition(" in ")[2]
+
 
 Dimension = Literal[
     "mass", "damping", "stiffness", "force", "length", "velocity", "acceleration", "time", "frequency", "ratio"
@@ -32,6 +67,32 @@ UNITS: dict[Dimension, tuple[str, str]] = {
     "ratio": ("", ""),
 }
 """SI unit of each dimension for translation and rotation."""
+
+_PER_COMMAND: dict[str, str] = {"mass": "s^2/{}", "damping": "s/{}", "stiffness": "/{}", "force": ""}
+"""What stands behind the unit of a command in the unit of each dimension that contains a force."""
+
+
+def unit_of(dimension: Dimension, motion: Motion) -> str:
+    """Return the unit of a dimension for a kind of motion: SI, with the unit of a drive in place of N or Nm.
+
+    >>> unit_of("mass", "rotation"), unit_of("mass", "translation in V"), unit_of("damping", "rotation in counts")
+    ('kg m^2', 'Vs^2/m', 'counts s/rad')
+    """
+    rotational, drive = is_rotation(motion), drive_of(motion)
+    if not drive or dimension not in _PER_COMMAND:
+        return UNITS[dimension][rotational]
+    return drive_unit(drive, _PER_COMMAND[dimension].format("rad" if rotational else "m"))
+
+
+def unit_in(unit: str, motion: Motion) -> str:
+    """Return the unit of a number whose SI unit for a translation is given, for a kind of motion.
+
+    >>> unit_in("N/m", "rotation"), unit_in("N/m", "translation in V"), unit_in("s", "rotation in V")
+    ('Nm/rad', 'V/m', 's')
+    """
+    dimension = next((name for name, (linear, _) in UNITS.items() if linear == unit and linear), None)
+    return unit if dimension is None else unit_of(dimension, motion)
+
 
 POWERS: dict[Dimension, tuple[int, int]] = {
     "mass": (1, 0),
@@ -101,7 +162,7 @@ class Parameter:
         >>> PARAMETERS["damping"].unit("rotation"), PARAMETERS["delay_samples"].unit("translation")
         ('Nms/rad', 'samples')
         """
-        return self.unit_name or UNITS[self.dimension][motion == "rotation"]
+        return self.unit_name or unit_of(self.dimension, motion)
 
     def normalising_unit(self, mass: float, time: float) -> float:
         """Return mass^a time^b of the number's dimension, by which it is divided in units of mass and time.

@@ -275,7 +275,7 @@ def _table(members: Sequence[Accepted]) -> pa.Table:
         stamps = [log.raw_time for log in logs]
         samples[name] = [None if values is None or values.dtype.kind != kind else values for values in stamps]
     columns |= {name: pa.array(values, COLUMNS[name].dtype) for name, values in samples.items()}
-    return to_arrow("trials", columns, rotation=members[0].row["motion"] == "rotation")
+    return to_arrow("trials", columns, motion=members[0].row["motion"])
 
 
 def trial_id(sha256: str, label: str | None, told: str | None = None) -> str:

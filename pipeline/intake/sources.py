@@ -24,6 +24,7 @@ from pathlib import Path
 from pipeline.base.disk import READABLE, shared_mode
 from pipeline.base.errors import LogError, ParameterError, UsageError, refusal
 from pipeline.base.paths import open_regular, path_text, storable
+from pipeline.device.parameters import drive_of
 from pipeline.profiles.profile_files import claim
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile, conditions_in_name, number_in_name
 from pipeline.readers import Log, RawLog, reader_of
@@ -389,7 +390,10 @@ def motion_of(log: Log, known: Mapping[str, Motion]) -> Motion:
     device = known.get(header.device)
     if device and header.motion and device != header.motion:
         found = f"motion is {header.motion}, but the device {header.device!r} has {device}"
-        raise refusal("condition-wrong", "", found, cure="Correct the log, or give its device another name.")
+        cure = "Correct the log, or give its device another name."
+        if drive_of(header.motion) != drive_of(device):
+            cure = f"Give the force of its drive, --gain '2.3 N/{drive_of(header.motion)}', or its device another name."
+        raise refusal("condition-wrong", "", found, cure=cure)
     return header.motion or device or "translation"
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.base.errors import DeviceError, ParameterError, UsageError
 from pipeline.device.loop import Loop
+from pipeline.device.parameters import Motion
 from pipeline.device_data.devices import declared_spring, find_experiment, known_devices, read_device
 from pipeline.measured.experiment.boundary import spread_over_plane
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop, loop_of_row, nominal_loop
@@ -137,7 +138,7 @@ class Course:
     sampling_period_s: float
     trial_s: float
     step: float
-    rotation: bool
+    motion: Motion
     found: IdentifiedLoop | None = None
     learnt: Learnt | None = None
     unknown: str = ""
@@ -191,7 +192,7 @@ def open_course(
         nothing = np.empty(0)
         tried = Tried(nothing, nothing, np.empty(0, dtype="<U9"), nothing)
         about = device.sampling_period_s, device.duration_s - device.baseline_s, device.step
-        return Course(name, chosen, tried, device, of_file, *about, device.motion == "rotation")
+        return Course(name, chosen, tried, device, of_file, *about, device.motion)
     trials = in_order(read_trials(processed, name, chosen))  # as the stages have them
     stages = ExperimentStages(processed, name, chosen, trials, spring=declared_spring(device, chosen))
     force = None
@@ -248,7 +249,7 @@ def course_of(
         period,
         float(np.median(trials.column("rows").to_numpy())) * period,
         float(np.max(np.abs(trials.column("step").to_numpy()))),
-        "rotation" in trials.column("motion").to_pylist(),
+        next(iter(trials.column("motion").to_pylist()), "translation"),
         undecided=tuple(reasons[i] for i in np.flatnonzero(walls & (tried.verdict == "undecided"))),
         free=int((~walls).sum()),
     )

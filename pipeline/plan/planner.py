@@ -11,6 +11,7 @@ import numpy as np
 
 from pipeline.base.errors import DeviceError, UsageError
 from pipeline.base.wording import commonest, counted, listed
+from pipeline.device.parameters import unit_of
 from pipeline.measured.experiment.identified_loop import nominal_loop
 from pipeline.plan.cost_search import Search, Target, look_for
 from pipeline.plan.course import RANGE_NEEDED, Course, Wish, foretold, open_course, snapped, wanted_dampings
@@ -258,7 +259,7 @@ def _remarks(course: Course, found: State, aim: Aim) -> tuple[str, ...]:
         off = f"limits lie off those of the found device by {misfit:.0%} of the largest"
         said.append(f"{off if misfit < inf else 'no device is identified'}: each damping is finished by its verdicts")
     if loop is not None and loop.friction:
-        said.append(OF_THE_STEP.format(course.step, "Nm" if course.rotation else "N"))
+        said.append(OF_THE_STEP.format(course.step, unit_of("force", course.motion)))
     return tuple(said)
 
 
@@ -288,7 +289,7 @@ def _answered(course: Course, rig: RigRange | None) -> list[str]:
     off = [answer for answer in course.answers if answer.stiffness_off or answer.damping_off]
     if not off:
         return []
-    K, B = ("Nm/rad", "Nms/rad") if course.rotation else ("N/m", "Ns/m")
+    K, B = unit_of("stiffness", course.motion), unit_of("damping", course.motion)
     last, count = off[-1], f"{len(off)} of {counted(len(course.answers), 'wall')} so far"
     sets = {
         "K": (last.stiffness_off, f"{last.asked[0]:g} {K}", f"{last.got[0]:g} {K}"),
@@ -349,7 +350,7 @@ def _next(column: Column, found: State, aim: Aim, course: Course, rig: RigRange 
     else:
         wall = column.wall if column.split is None else rounded_down(column.wall, aim.accuracy * found.largest)
         wall = min(max(wall, aim.lowest), aim.highest)
-    K, B = ("Nm/rad", "Nms/rad") if course.rotation else ("N/m", "Ns/m")
+    K, B = unit_of("stiffness", course.motion), unit_of("damping", course.motion)
     at = f"B = {column.damping:g} {B}"
     if bracket.again:
         said = ", ".join(f"{value:g}" for value in bracket.again)

@@ -8,10 +8,12 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
 from fnmatch import translate
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self, cast, get_args
 
 import re2
 from pydantic import BeforeValidator, Field, model_validator
@@ -19,18 +21,48 @@ from pydantic_core import PydanticCustomError
 
 from pipeline.base.errors import ParameterError
 from pipeline.base.provenance import sha256
-from pipeline.base.units import UNITS, factor_to_si, find_unit
+from pipeline.base.units import DRIVES, UNITS, factor_to_si, find_unit, split_quantity
+from pipeline.device.parameters import Dimension, is_rotation, unit_of
 from pipeline.records.findings import Grip, Motion, Name, Record
 from pipeline.records.native import FREE
 
-QUANTITIES: dict[str, dict[Motion, str]] = {
+Kind = Literal["translation", "rotation"]
+"""What a device does, whatever its commands are."""
+
+QUANTITIES: dict[str, dict[Kind, str]] = {
     "time": {"translation": "time", "rotation": "time"},
     "command": {"translation": "force", "rotation": "torque"},
     "position": {"translation": "length", "rotation": "angle"},
     "force": {"translation": "force", "rotation": "torque"},
     "velocity": {"translation": "velocity", "rotation": "angular velocity"},
 }
-"""Physical quantity of each column by the motion of the device."""
+"""Physical quantity of each column by what the device does, where its command is a force or torque."""
+
+_DIMENSIONS: dict[str, Dimension] = {
+    "time": "time",
+    "command": "force",
+    "position": "length",
+    "velocity": "velocity",
+    "stiffness": "stiffness",
+    "damping": "damping",
+    "step": "force",
+    "sampling_period_s": "time",
+}
+"""Dimension of each column and condition."""
+
+
+def quantity(key: str, motion: Motion) -> str:
+    """Return the physical quantity of a column or condition for a kind of motion.
+
+    >>> quantity("stiffness", "rotation"), quantity("command", "rotation in V"), quantity("force", "rotation in V")
+    ('rotational stiffness', 'voltage', 'torque')
+    """
+    if key == "force":  # what a sensor measures is a force, whatever is commanded
+        return QUANTITIES[key]["rotation" if is_rotation(motion) else "translation"]
+    unit = find_unit(unit_of(_DIMENSIONS[key], motion))
+    assert unit is not None, "the units of all dimensions are known"
+    return unit.quantity
+
 
 BLANKS = "blanks"
 """Delimiter of tables whose columns are parted by runs of blanks and tabs."""
@@ -403,11 +435,50 @@ def si_unit(quantity: str) -> str:
 def quantity_of(key: str, source: Source, motion: Motion) -> str:
     """Return the physical quantity of a column of the file: of a position that is integrated, a velocity."""
     integrated = isinstance(source, PositionSource) and source.integrate is not None
-    return QUANTITIES["velocity" if integrated else key][motion]
+    return quantity("velocity" if integrated else key, motion)
 
 
-def factor(key: str, source: Source, motion: Motion) -> float:
-    """Return the signed factor from a column's numbers to SI.
+def drive_in(source: Source | None) -> str:
+    """Return the quantity of a command that is none of force or torque, such as voltage; empty where it is one."""
+    unit = find_unit(getattr(source, "stands_for", None) or source.unit or "") if source else None
+    return unit.quantity if unit is not None and unit.quantity in DRIVES else ""
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Force [N] or torque [Nm] that one unit of a drive makes.
+
+    Parameters
+    ----------
+    factor : float
+        Per unit of the drive that is kept (`base.units.DRIVES`): V, A, counts, %.
+    drive : str
+        Quantity of the drive, such as voltage.
+    """
+
+    factor: float
+    drive: str
+
+    @classmethod
+    def read(cls, text: str, kind: Kind) -> Self:
+        """Read a gain such as ``'2.3 N/V'``.
+
+        Raises
+        ------
+        ParameterError
+            If it is no number above 0 with a unit of force (of torque, for a rotation) per unit of a drive.
+        """
+        force, found = QUANTITIES["command"][kind], split_quantity(text)
+        units = {f"{force} per {drive}": drive for drive in DRIVES}
+        unit = find_unit(found[1]) if found else None
+        if found is None or unit is None or unit.quantity not in units or not found[0] > 0:
+            example = "N/V, mN/A, N/%, N/counts" if force == "force" else "Nm/V, mNm/A, Nm/%, Nm/counts"
+            raise ParameterError(f"found {text!r}; expected a number above 0 with its unit, such as {example}")
+        return cls(found[0] * unit.factor, units[unit.quantity])
+
+
+def factor(key: str, source: Source, motion: Motion, gain: Gain | None = None) -> float:
+    """Return the signed factor from a column's numbers to SI, or to the unit of a drive.
 
     Raises
     ------
@@ -420,17 +491,19 @@ def factor(key: str, source: Source, motion: Motion) -> float:
         sign, unit = source.sign or 1, source.stands_for or source.unit
     if unit is None:
         raise ParameterError(f"{key} has no unit")
+    if gain is not None and key == "command":
+        return sign * gain.factor * factor_to_si(unit, (gain.drive,)) / (source.counts_per_unit or 1.0)
     return sign * factor_to_si(unit, (quantity_of(key, source, motion),)) / (source.counts_per_unit or 1.0)
 
 
-def problems_of(columns: Columns, motion: Motion) -> Iterator[Problem]:
+def problems_of(columns: Columns, motion: Motion, gain: Gain | None = None) -> Iterator[Problem]:
     """Yield what is missing or wrong in the columns; units are held against the motion of the device."""
     for key in ("time", "command", "position"):
         if getattr(columns, key) is None:
             yield ("columns", key), f"missing. Add [columns.{key}] with name and unit"
     taken: dict[tuple[str, str], str] = {}
     for key, source in columns.sources().items():
-        yield from ((("columns", key, part), words) for part, words in _source_problems(key, source, motion))
+        yield from ((("columns", key, part), words) for part, words in _source_problems(key, source, motion, gain))
         other = taken.setdefault((source.file, source.key), key) if source.in_file else key
         if other != key:
             text = f"{source.key!r} is columns.{other}, too; expected another column"
@@ -439,7 +512,7 @@ def problems_of(columns: Columns, motion: Motion) -> Iterator[Problem]:
             yield ("columns", key, "column" if source.name is None else "name"), text
 
 
-def _source_problems(key: str, source: Source, motion: Motion) -> Iterator[tuple[str, str]]:
+def _source_problems(key: str, source: Source, motion: Motion, gain: Gain | None) -> Iterator[tuple[str, str]]:
     """Yield key and words of what is missing or wrong in one column."""
     sampled = isinstance(source, TimeSource) and source.kind == "sampled"
     stated = isinstance(source, CommandSource) and source.value is not None
@@ -457,17 +530,19 @@ def _source_problems(key: str, source: Source, motion: Motion) -> Iterator[tuple
     if sampled and not source.in_file:
         return
     if source.unit is None:
-        quantity = quantity_of(key, source, motion)
-        units = ", ".join(symbol for symbol, unit in UNITS.items() if unit.quantity == quantity)
+        wanted = {quantity_of(key, source, motion), *(DRIVES if key == "command" else ())}
+        units = ", ".join(symbol for symbol, unit in UNITS.items() if unit.quantity in wanted)
         yield "unit", f'missing; a unit is never guessed. Add unit = "..." for column {source.key!r}, one of {units}'
         return
     try:
-        factor(key, source, motion)
+        factor(key, source, motion, gain)
     except ParameterError as error:
         hint = "; for counts give counts_per_unit and the unit" if source.unit in ("count", "counts") else ""
         unit = find_unit(source.unit)
         if key == "position" and unit is not None and unit.quantity in QUANTITIES["velocity"].values():
             hint = '; a velocity becomes a position with integrate = "difference" (of an encoder) or "trapezoid"'
+        if key == "command" and not drive_in(source):
+            hint = f"{hint}; of a drive one of {[symbol for units in DRIVES.values() for symbol in units]}"
         at = "stands_for" if getattr(source, "stands_for", None) else "unit"
         yield at, f"{error} (motion is {motion}){hint}"
 
@@ -484,12 +559,8 @@ PROBLEMS = "profile_problems"
 """Type of the validation error that holds all problems of a profile."""
 
 _EXAMPLES = {"device": '"bench"', "experiment": '"1"', "sampling_period_s": "0.001"}
-CONDITION_QUANTITIES: dict[str, dict[Motion, str]] = {
-    "stiffness": {"translation": "stiffness", "rotation": "rotational stiffness"},
-    "damping": {"translation": "damping", "rotation": "rotational damping"},
-    "step": {"translation": "force", "rotation": "torque"},
-    "sampling_period_s": {"translation": "time", "rotation": "time"},
-}
+CONDITION_QUANTITIES = ("stiffness", "damping", "step", "sampling_period_s")
+"""Conditions that have a unit."""
 
 
 class Partner(Record):
@@ -519,16 +590,21 @@ class Conditions(Record):
 class Constants(Conditions):
     """Conditions that hold for all files of a profile, and the motion of the device."""
 
-    motion: Motion = "translation"
+    motion: Kind = "translation"
 
 
 class ConditionUnits(Record):
-    """Units of conditions, wherever the profile takes them from; SI where none is given."""
+    """Units of conditions, wherever the profile takes them from; SI where none is given.
+
+    ``gain`` is the force that one unit of a drive makes, such as ``"2.3 N/V"``: it turns a command in V, A, counts or %
+    into force, and conditions in these units, too.
+    """
 
     stiffness: Name | None = None
     damping: Name | None = None
     step: Name | None = None
     sampling_period_s: Name | None = None
+    gain: Name | None = None
 
 
 class Window(Record):
@@ -654,7 +730,8 @@ class Profile(TextLayout, StepTime):
         if self.columns is None:
             yield ("columns",), "missing. Add [columns.time], [columns.command], [columns.position]"
         else:
-            yield from problems_of(self.columns, self.constants.motion)
+            yield from self._gain_problems()
+            yield from problems_of(self.columns, self.motion, self._gain_or_none())
         partners = [key for key, source in self.column_sources().items() if source.file == "partner"]
         if self.partner is None and partners:
             yield ("partner",), f"missing, but columns.{partners[0]} is of the partner. Add [partner] with replace, by"
@@ -696,7 +773,7 @@ class Profile(TextLayout, StepTime):
             try:
                 self.condition_factor(key)
             except ParameterError as error:
-                yield ("units", key), f"{error} (motion is {self.constants.motion})"
+                yield ("units", key), f"{error} (motion is {self.motion}){self._needs_gain(key)}"
         problem = pattern_problem(self.name_pattern)
         if problem is None and self.name_pattern is not None and not self.name_groups():
             problem = "has no named group, so that it gives no condition. Write (?P<stiffness>[0-9.]+) for (...)"
@@ -743,14 +820,90 @@ class Profile(TextLayout, StepTime):
 
     def factors(self) -> dict[str, float]:
         """Return the signed factor to SI of each column that has a unit."""
-        motion = self.constants.motion
         sources = self.column_sources().items()
-        return {key: factor(key, source, motion) for key, source in sources if source.unit is not None}
+        units = ((key, source) for key, source in sources if source.unit is not None)
+        return {key: factor(key, source, self.motion, self.gain) for key, source in units}
+
+    @property
+    def drive(self) -> str:
+        """Quantity of the command where it is no force or torque, such as voltage; else empty."""
+        return drive_in(self.columns.command if self.columns else None)
+
+    @property
+    def gain(self) -> Gain | None:
+        """What turns the command of a drive into force; None where the command is one, or stays that of the drive.
+
+        Raises
+        ------
+        ParameterError
+            If it is no gain.
+        """
+        return None if self.units.gain is None else Gain.read(self.units.gain, self.constants.motion)
+
+    def _gain_or_none(self) -> Gain | None:
+        """Return a gain that is right: one that is wrong is a mistake of its own."""
+        with suppress(ParameterError):
+            return self.gain if self.drive else None
+        return None
+
+    @property
+    def motion(self) -> Motion:
+        """Kind of motion with the unit of the command: that of a drive where no gain turns it into force."""
+        if not self.drive or self.units.gain is not None:
+            return self.constants.motion
+        return cast(Motion, f"{self.constants.motion} in {next(iter(DRIVES[self.drive]))}")
+
+    def unit_factor(self, key: str, unit: str) -> float:
+        """Return the factor from a unit of a condition to SI, or to the unit of the drive.
+
+        Raises
+        ------
+        ParameterError
+            If the unit is not known or measures something else.
+        """
+        allowed = quantity(key, self.motion)
+        if (gain := self.gain) is not None and key in FREE:
+            drive = cast(Motion, f"{self.constants.motion} in {next(iter(DRIVES[gain.drive]))}")
+            if (known := find_unit(unit)) is not None and known.quantity == quantity(key, drive):
+                return known.factor * gain.factor
+        return factor_to_si(unit, (allowed,))
 
     def condition_factor(self, key: str) -> float:
-        """Return the factor to SI of a condition."""
+        """Return the factor to SI of a condition, or to the unit of the drive."""
         unit = getattr(self.units, key, None)
-        return 1.0 if unit is None else factor_to_si(unit, (CONDITION_QUANTITIES[key][self.constants.motion],))
+        return 1.0 if unit is None else self.unit_factor(key, unit)
+
+    def _gain_problems(self) -> Iterator[Problem]:
+        """Yield what is missing or wrong where the command is that of a drive: nothing of it may be taken for force."""
+        assert self.columns is not None, "it has columns where this is asked"
+        unit = self.columns.command.unit if self.columns.command else None
+        for key in FREE if self.drive else ():
+            constants = {getattr(table, key) for table in (self.constants, *self.file, *self.steps)} - {None}
+            varies = key in {*self.name_groups(), *self.attributes, *self.condition_columns}
+            if getattr(self.units, key) is None and (varies or constants - {0.0}):
+                drive = cast(Motion, f"{self.constants.motion} in {next(iter(DRIVES[self.drive]))}")
+                wanted = " or ".join(f'"{unit_of(_DIMENSIONS[key], kind)}"' for kind in (drive, self.constants.motion))
+                text = f"missing; the command is in {unit}, so that a number alone may be either. Add {key} = {wanted}"
+                yield ("units", key), text
+        if self.units.gain is None:
+            return
+        if not self.drive:
+            yield ("units", "gain"), f"the command is in {unit}, which needs no gain. Remove it, or correct the unit"
+            return
+        try:
+            gain = Gain.read(self.units.gain, self.constants.motion)
+        except ParameterError as error:
+            yield ("units", "gain"), str(error)
+            return
+        if gain.drive != self.drive:
+            yield ("units", "gain"), f"{self.units.gain!r} is per {gain.drive}, but the command is in {unit}"
+
+    def _needs_gain(self, key: str) -> str:
+        """Return what to do about a condition in force where the command is that of a drive."""
+        if not self.drive or self.units.gain is not None or key not in FREE:
+            return ""
+        unit = next(iter(DRIVES[self.drive]))
+        return f'. The command is in {unit}: give the condition in {unit}, too, or [units] gain = "<number> N/{unit}"'
 
     def claims(self, name: str) -> bool:
         """Return whether a file name is that of a log (not of a partner) of this profile."""

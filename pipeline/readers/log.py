@@ -10,6 +10,7 @@ from hashlib import sha256
 import numpy as np
 
 from pipeline.base.errors import LogError, refusal
+from pipeline.device.parameters import is_rotation
 from pipeline.recording.check import check_recording
 from pipeline.recording.samples import Samples
 from pipeline.recording.wrapping import unwrapped
@@ -188,7 +189,7 @@ def check_samples(
     if not PERIODS[0] <= header.sampling_period_s <= PERIODS[1]:
         found, expected = f"sampling_period_s is {header.sampling_period_s:.6g}", "{:g} to {:g} s".format(*PERIODS)
         raise refusal("out-of-range", "", found, expected, "Correct its number or unit.")
-    rule = False if unwrap is None and header.motion == "translation" else unwrap
+    rule = False if unwrap is None and not is_rotation(header.motion or "rotation") else unwrap
     position, wrapped = unwrapped(position, rule)
     return Log(header, time, command, position, force, velocity, noted=() if wrapped is None else (wrapped,))
 

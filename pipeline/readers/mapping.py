@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.base.errors import LogError, ParameterError, ProfileError, refusal
 from pipeline.base.paths import storable
-from pipeline.base.units import factor_to_si, find_unit, unit_in_heading
+from pipeline.base.units import DRIVES, find_unit, unit_in_heading
 from pipeline.profiles.profile_model import (
     CONDITION_QUANTITIES,
     QUANTITIES,
@@ -113,7 +113,7 @@ def _check_units(profile: Profile, name: str, role: str, frame: Contents) -> Non
         if source.unit is None or source.file != role:
             continue
         typed = frame.units.get(source.key)
-        heading = unit_in_heading(source.key, QUANTITIES[key].values())[1]
+        heading = unit_in_heading(source.key, (*QUANTITIES[key].values(), *(DRIVES if key == "command" else ())))[1]
         said = typed or next((text for text in (frame.hints.get(source.key, ""), heading) if find_unit(text)), None)
         if said is None or find_unit(said) == find_unit(source.unit):
             continue
@@ -416,7 +416,7 @@ def header_of(profile: Profile, where: str, given: Mapping[str, Any], extra: dic
     LogError
         If a condition is not legal.
     """
-    lines = (f"# {key}: {value}" for key, value in {**given, "motion": profile.constants.motion}.items())
+    lines = (f"# {key}: {value}" for key, value in {**given, "motion": profile.motion}.items())
     try:
         header = parse_header(lines)
     except LogError as error:
@@ -464,7 +464,7 @@ def _in_si(profile: Profile, where: str, key: str, value: Scalar, inside: bool =
         else:
             magnitude = number_in_name(number, profile.decimal_sign)
         unit = unit.strip()
-        stated = factor_to_si(unit, (CONDITION_QUANTITIES[key][profile.constants.motion],)) if unit else factor
+        stated = profile.unit_factor(key, unit) if unit else factor
     except ParameterError as error:
         raise refusal("condition-wrong", where, f"{said}: {error}") from error
     except ValueError:

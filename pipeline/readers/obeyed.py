@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.base.units import unit_between
-from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile, Source, si_unit
+from pipeline.profiles.profile_model import Profile, Source, quantity, si_unit
 from pipeline.readers.log import Log
 from pipeline.records.trials import Booleans, Floats
 
@@ -236,6 +236,6 @@ def _lines(key: str, source: Source, factor: float) -> list[str]:
 
 def _unit(profile: Profile, name: str, factor: float) -> str | None:
     """Return the unit in which a condition seems to be given."""
-    quantity = CONDITION_QUANTITIES[name][profile.constants.motion]
-    unit = unit_between(getattr(profile.units, name, None) or si_unit(quantity), factor, UNIT_TOLERANCE)
+    stated = getattr(profile.units, name, None) or si_unit(quantity(name, profile.motion))
+    unit = unit_between(stated, factor, UNIT_TOLERANCE)
     return "N/mm" if unit == "kN/m" else unit  # the same, and what labs write

@@ -21,6 +21,7 @@ from typing import cast, get_args
 
 from pipeline.base.errors import LogError, ParameterError
 from pipeline.base.units import find_unit
+from pipeline.device.parameters import unit_of
 from pipeline.records.findings import Grip, Motion
 
 COLUMN_LINE = "time_s,command,position"
@@ -67,7 +68,7 @@ class NativeHeader:
     added_delay_samples : int
         Delay added on purpose [samples].
     grip : {"none", "comfortable", "firm"}
-    motion : {"translation", "rotation"} or None
+    motion : Motion or None
         None where the log does not say it: a known device brings its own.
     simulated : bool
         Whether the log says ``# origin: simulated``.
@@ -94,7 +95,7 @@ def format_header(header: NativeHeader, motion: Motion | None = None) -> str:
     Parameters
     ----------
     header : NativeHeader
-    motion : {"translation", "rotation"}, optional
+    motion : Motion, optional
         Motion of the device; it decides the unit notes and is written. Where it is None the header's own
         motion is taken, and translation where that is None too.
 
@@ -105,13 +106,12 @@ def format_header(header: NativeHeader, motion: Motion | None = None) -> str:
         a contradiction between both motions, ...).
     """
     chosen: Motion = motion or header.motion or "translation"
-    force, length = ("Nm", "rad") if chosen == "rotation" else ("N", "m")
     lines = [
         f"# device: {header.device}",
         f"# experiment: {header.experiment}",
-        f"# stiffness: {header.stiffness:.17g} [{force}/{length}]",
-        f"# damping: {header.damping:.17g} [{force}s/{length}]",
-        f"# step: {header.step:.17g} [{force}]",
+        f"# stiffness: {header.stiffness:.17g} [{unit_of('stiffness', chosen)}]",
+        f"# damping: {header.damping:.17g} [{unit_of('damping', chosen)}]",
+        f"# step: {header.step:.17g} [{unit_of('force', chosen)}]",
         f"# sampling_period_s: {header.sampling_period_s:.17g}",
         f"# added_delay_samples: {header.added_delay_samples}",
         f"# grip: {header.grip}",

@@ -12,6 +12,7 @@ from typing import Any
 import pyarrow as pa
 
 from pipeline.base.process import without_pandas
+from pipeline.device.parameters import Motion, drive_of, is_rotation, unit_in
 from pipeline.records.criteria import MEASURED, Criterion, criterion_of
 from pipeline.records.stage_records import ROWS, columns_of
 
@@ -22,13 +23,17 @@ Metadata = Mapping[str, str]
 
 @dataclass(frozen=True)
 class Column:
-    """A stored column: Arrow type, unit for translation, unit for rotation, meaning, whether it may be null."""
+    """A stored column: Arrow type, unit for translation, unit for rotation, meaning, whether it may be null.
+
+    A column that is ``sensed`` is in SI also where the commands are those of a drive.
+    """
 
     dtype: pa.DataType
     unit: str
     unit_rotation: str
     meaning: str
     nullable: bool = False
+    sensed: bool = False
 
 
 def _same(dtype: pa.DataType, unit: str, meaning: str, nullable: bool = False) -> Column:
@@ -61,7 +66,7 @@ COLUMNS: dict[str, Column] = {
     "label": _same(_S, "", "which trial of its source it is, where there are several", True),
     "device": _same(_S, "", "device name as in the log"),
     "experiment": _same(_S, "", "experiment name as in the log"),
-    "motion": _same(_S, "", "translation or rotation; decides the units of the other columns"),
+    "motion": _same(_S, "", "translation or rotation, and the unit of a drive's command; decides the other units"),
     "stiffness": Column(_F, "N/m", "Nm/rad", "virtual stiffness K"),
     "damping": Column(_F, "Ns/m", "Nms/rad", "virtual damping B"),
     "step": Column(_F, "N", "Nm", "size of the external force step F_0"),
@@ -95,7 +100,7 @@ COLUMNS: dict[str, Column] = {
     "time_s": _same(_L, "s", "time stamp of the sample"),
     "command": Column(_L, "N", "Nm", "total commanded force before any delay: external step minus wall force"),
     "position": Column(_L, "m", "rad", "measured position"),
-    "force": Column(_L, "N", "Nm", "measured force, where the log has one", True),
+    "force": Column(_L, "N", "Nm", "measured force, where the log has one", True, sensed=True),
     "velocity": Column(_L, "m/s", "rad/s", "velocity as logged; no cost or estimate uses it", True),
     "raw_time": _same(_L, "", "time stamp in the source, where it is no whole number and not time_s", True),
     "raw_count": _same(_LI, "", "whole time stamp in the source (a date: without its decimal sign)", True),
@@ -227,8 +232,15 @@ OF_TRIALS = (*(name for name in TABLES["trials"] if name not in SAMPLES), *LOCAT
 """What is told of a trial, but its samples."""
 
 
+def unit_of_column(column: Column, motion: Motion) -> str:
+    """Return the unit of a stored column for a kind of motion."""
+    if drive_of(motion) and not column.sensed:
+        return unit_in(column.unit, motion)
+    return column.unit_rotation if is_rotation(motion) else column.unit
+
+
 def arrow_schema(
-    table: str, *, rotation: bool = False, metadata: Metadata | None = None, also: tuple[str, ...] = ()
+    table: str, *, motion: Motion = "translation", metadata: Metadata | None = None, also: tuple[str, ...] = ()
 ) -> pa.Schema:
     """Return the Arrow schema of a stored table with unit and meaning on each field.
 
@@ -236,8 +248,8 @@ def arrow_schema(
     ----------
     table : str
         A key of `TABLES`.
-    rotation : bool
-        Whether units are those of a rotational device.
+    motion : Motion
+        Decides the units.
     metadata : mapping of str to str, optional
         Provenance that is stamped into the file.
     also : tuple of str
@@ -246,16 +258,16 @@ def arrow_schema(
     fields = []
     for name in (*TABLES[table], *also):
         column = COLUMNS[name]
-        unit = column.unit_rotation if rotation else column.unit
+        unit = unit_of_column(column, motion)
         fields.append(pa.field(name, column.dtype, column.nullable, metadata={"unit": unit, "meaning": column.meaning}))
     return pa.schema(fields, metadata={"pipeline.table": table, **(metadata or {})})
 
 
 def to_arrow(
-    table: str, columns: Mapping[str, Any], *, rotation: bool = False, metadata: Metadata | None = None
+    table: str, columns: Mapping[str, Any], *, motion: Motion = "translation", metadata: Metadata | None = None
 ) -> pa.Table:
     """Build an Arrow table from arrays or lists, one per column of the dictionary; NaN in a nullable column is null."""
-    schema = arrow_schema(table, rotation=rotation, metadata=metadata)
+    schema = arrow_schema(table, motion=motion, metadata=metadata)
     arrays = []
     for field in schema:
         values = columns[field.name]

@@ -10,11 +10,12 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
+from pipeline.device.parameters import MOTIONS
 from pipeline.records.criteria import criterion_of
 from pipeline.records.findings import BoundaryPoint, Optimum, Quantity, Record
 from pipeline.records.models import ComparisonRow, Deviation, Motion
 from pipeline.records.results import ComparisonResult, ExperimentResult
-from pipeline.records.tables import COLUMNS
+from pipeline.records.tables import COLUMNS, unit_of_column
 
 if TYPE_CHECKING:  # loads for half a second
     import pandas as pd
@@ -27,7 +28,8 @@ TEXTS = """
 """
 """Columns of words, which hold None where others hold NaN."""
 
-MOTIONS: tuple[Motion, ...] = ("translation", "rotation")
+FORCED: tuple[Motion, ...] = ("translation", "rotation")
+"""Kinds of motion whose commands are forces or torques."""
 
 _ESTIMATES = """
     experiment quantity value low high unit method recommended reason trials spread within warning
@@ -87,12 +89,12 @@ def frame_of(names: str | Sequence[str], rows: Iterable[Mapping[str, Any]], unit
     return frame
 
 
-def units_of(columns: Iterable[str], motions: Collection[str] = MOTIONS) -> dict[str, str]:
+def units_of(columns: Iterable[str], motions: Collection[str] = FORCED) -> dict[str, str]:
     """Return the units of stored columns, without those that have none; both where motions differ."""
     units = {}
     for name in (name for name in columns if name in COLUMNS):
-        of = {"translation": COLUMNS[name].unit, "rotation": COLUMNS[name].unit_rotation}
-        units[name] = " or ".join(dict.fromkeys(of[kind] for kind in MOTIONS if kind in motions))
+        kinds = (motion for motion in MOTIONS if motion in motions)
+        units[name] = " or ".join(dict.fromkeys(unit_of_column(COLUMNS[name], motion) for motion in kinds))
     return {name: unit for name, unit in units.items() if unit}
 
 

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from pipeline.base.wording import true_minus
-from pipeline.device.parameters import MOTIONS, Motion
-from pipeline.device.parameters import UNITS as SI_UNITS
+from pipeline.device.parameters import MOTIONS, Dimension, Motion, unit_of
 from pipeline.records.criteria import CRITERIA, criterion_of
 from pipeline.records.findings import Estimate
 from pipeline.records.results import AnswerEstimate
@@ -44,9 +43,10 @@ def unit_text(unit: str) -> str:
     return unit.replace("^2", "²")
 
 
+_DIMENSIONS: tuple[Dimension, ...] = ("stiffness", "damping", "mass", "force")
+
 UNITS: dict[Motion, Units] = {
-    motion: Units(*(unit_text(SI_UNITS[dimension][number]) for dimension in ("stiffness", "damping", "mass", "force")))
-    for number, motion in enumerate(MOTIONS)
+    motion: Units(*(unit_text(unit_of(dimension, motion)) for dimension in _DIMENSIONS)) for motion in MOTIONS
 }
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.device.parameters import unit_of
 from pipeline.records.trials import Floats
 from pipeline.rig.design import Design
 from pipeline.rig.quantities import QUANTITIES, Quantity
@@ -46,7 +47,7 @@ def picture(loop: Loop, answer: Design, over: Sequence[str], path: Path) -> None
         figure = Figure(figsize=(6.4, 4.8), layout="constrained")
         axes = figure.subplots()
         x, y = (np.array([_value(loop, q, part) for part in _parts()]) for q in (across, up))
-        unit = "N/m" if loop.motion == "translation" else "Nm/rad"
+        unit = unit_of("stiffness", loop.motion)
         wanted = answer.wish.stiffness
         levels = [level for level in _levels(stiffest) if wanted is None or not 0.8 < level / wanted < 1.25]
         drawn = axes.contour(x, y, stiffest, levels=levels, colors="0.55", linewidths=1)

@@ -100,7 +100,7 @@ def write_batch(
     """
     names = " ".join(sorted(file.stem for file in replaces))
     metadata = stamp(device=place.device, experiment=place.experiment, motion=place.motion, replaces=names)
-    schema = arrow_schema("trials", rotation=place.motion == "rotation", metadata=metadata)
+    schema = arrow_schema("trials", motion=place.motion, metadata=metadata)
     groups, path = _groups(parts), None
     if (first := next(groups, None)) is not None:
         folder = trials_folder(processed, place.device, place.experiment)

@@ -19,7 +19,7 @@ from pipeline.base.errors import LogError, ParameterError, UsageError
 from pipeline.base.wording import counted
 from pipeline.comparison.loops.loop_basis import filter_of_numbers, filter_quantities
 from pipeline.device.loop import Loop as LoopRecord
-from pipeline.device.parameters import PARAMETERS, UNITS, Motion
+from pipeline.device.parameters import PARAMETERS, UNITS, Motion, is_rotation, unit_of
 from pipeline.device.parts import Mode
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.sources import Source, find_sources, load_source, motion_of
@@ -325,7 +325,7 @@ def _document(
                 "combination": each.code,
                 "members": [ESTIMATED[name].key for name in each.members],
                 **_numbers(each.interval, True),
-                "unit": UNITS[each.unit][motion == "rotation"] if each.unit in UNITS else each.unit,
+                "unit": unit_of(each.unit, motion) if each.unit in UNITS else each.unit,
                 "record": each.record,
             }
             for each in found.combinations
@@ -351,7 +351,7 @@ def _document(
 def _parameter_document(found: Identification, name: str, motion: Motion) -> dict[str, Any]:
     is_identified = name not in found.unidentifiable
     return {
-        "name": "inertia" if name == "mass" and motion == "rotation" else ESTIMATED[name].key,
+        "name": "inertia" if name == "mass" and is_rotation(motion) else ESTIMATED[name].key,
         **_numbers(_scaled(found.parameters[name], _factor(name, found.units.period)), is_identified),
         "unit": _unit(name, motion),
         "told": is_identified,

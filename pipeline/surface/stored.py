@@ -21,7 +21,7 @@ from pipeline.measured.stages.stage_needs import cost_column
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.criteria import MEASURED
 from pipeline.records.results import ExperimentResult
-from pipeline.rendering.frames import MOTIONS, boundary_frame, estimates_frame, frame_of, optima_frame, units_of
+from pipeline.rendering.frames import FORCED, boundary_frame, estimates_frame, frame_of, optima_frame, units_of
 from pipeline.store.samples import load_trials
 from pipeline.store.storage import list_devices, list_experiments, read_exclusions, read_trials
 from pipeline.surface.logs import SAMPLES, Place, response_frame
@@ -292,7 +292,7 @@ def _read(folder: Path, device: str | None, experiment: str | None, columns: lis
 def _frame(table: pa.Table) -> pd.DataFrame:
     """Return rows of the trials table, with the units of the motions that occur."""
     frame = table.to_pandas()
-    frame.attrs = {"units": units_of(table.column_names, table.column("motion").unique().to_pylist() or MOTIONS)}
+    frame.attrs = {"units": units_of(table.column_names, table.column("motion").unique().to_pylist() or FORCED)}
     return frame
 
 

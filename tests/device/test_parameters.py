@@ -134,7 +134,10 @@ def test_keys_of_device_files_are_the_names() -> None:
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_units_are_those_of_the_motion(name: str, motion: Any) -> None:
     unit = PARAMETERS[name].unit(motion)
-    assert "rad" not in unit if motion == "translation" else not unit.startswith(("N/m", "Ns/m", "m/s"))
+    assert not unit.startswith(("N/m", "Ns/m", "m/s")) if motion.startswith("rotation") else "rad" not in unit
+    kind, _, drive = motion.partition(" in ")
+    of_force = PARAMETERS[name].unit(kind).startswith(("N", "kg"))
+    assert not drive or (unit.startswith(drive) if of_force else unit == PARAMETERS[name].unit(kind))
 
 
 @pytest.mark.parametrize("name", [name for name in PARAMETERS if name != "jitter_samples"])

@@ -99,7 +99,7 @@ def test_a_missing_key_is_named_with_the_line_to_add(key):
         (" 0   optional", " 1.5", 7, "whole number of samples"),
         (" 0   optional", " -1", 7, "whole number of samples"),
         ("none  ", "soft  ", 8, "grip must be one of none, comfortable, firm; found 'soft'"),
-        ("rotation  ", "spin  ", 9, "motion must be one of translation, rotation; found 'spin'"),
+        ("rotation  ", "spin  ", 9, "motion must be one of translation, rotation, .*; found 'spin'"),
         ("# grip", "# device", 8, "'device' twice, first in line 1"),
         ("lwr", "[note only]", 1, "device must be a printable name"),
         ("lwr", "x" * 201, 1, "device must be a printable name"),

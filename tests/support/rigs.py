@@ -98,7 +98,7 @@ class Rig:
             sampling_period_s=stated.sampling_period_s,
             trial_s=stated.duration_s - stated.baseline_s,
             step=stated.step,
-            rotation=False,
+            motion="translation",
             found=self.learnt.device if self.learnt else None,
         )
 

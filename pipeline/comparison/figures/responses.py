@@ -14,6 +14,7 @@ import pyarrow.compute as pc
 from pipeline.base.errors import ParameterError
 from pipeline.comparison.loops.loop_basis import adequate_theory
 from pipeline.comparison.scene.scene import SceneData
+from pipeline.device.parameters import is_rotation, unit_of
 from pipeline.measured.law.log_rows import LogRows
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.stages.measured_trial import MeasuredTrial
@@ -50,11 +51,11 @@ TIME = "time after the command edge [ms]"
 
 
 def _length(motion: Motion) -> str:
-    return f"displacement [{'mm' if motion == 'translation' else 'mrad'}]"
+    return f"displacement [{'mrad' if is_rotation(motion) else 'mm'}]"
 
 
 def _force(motion: Motion) -> str:
-    return "N" if motion == "translation" else "Nm"
+    return unit_of("force", motion)
 
 
 def trials_of(stages: ExperimentStages) -> tuple[Floats, Floats, np.ndarray]:

@@ -18,6 +18,7 @@ from pipeline.comparison.loops.loop_basis import identified_device
 from pipeline.comparison.loops.wall_replay import usual_trial
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.device.loop import Loop
+from pipeline.device.parameters import unit_of
 from pipeline.measured.signal.outcome import OUTCOMES
 from pipeline.measured.stages.measured_trial import MeasuredTrial
 from pipeline.measured.stages.stage_needs import cost_column
@@ -78,7 +79,7 @@ def trial_page(
     experiments = [e.content(share) for e in gathered]
     content = {
         "units": {"stiffness": data.units.stiffness, "damping": data.units.damping},
-        "position": "rad" if data.motion == "rotation" else "m",
+        "position": unit_of("length", data.motion),
         "verdicts": VERDICTS,
         "outcomes": [name.replace("_", " ") for name in OUTCOMES],
         "criteria": [
@@ -226,7 +227,7 @@ class _Experiment:
 
     def _texts(self, row: int, model: Mapping[str, float]) -> dict[str, Any]:
         """What is said of a trial: id, verdict, evidence, model, costs with intervals or the reason for none."""
-        units = UNITS["rotation" if self.stages.rotation else "translation"]
+        units = UNITS[self.stages.motion]
         names = (("m", "mass", units.mass), ("b", "damping", units.damping), ("d", "delay", "samples"))
         fitted = (f"{symbol} = {significant(model[name], 3)} {unit}" for symbol, name, unit in names)
         told = {

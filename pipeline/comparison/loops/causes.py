@@ -58,7 +58,7 @@ class Shown:
     @property
     def motion(self) -> Motion:
         """Kind of motion, which decides the units."""
-        return "rotation" if "rad" in self.units.stiffness else "translation"
+        return self.stages.motion
 
 
 def causes_of(shown: Shown) -> tuple[Cause, ...]:

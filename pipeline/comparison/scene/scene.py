@@ -50,7 +50,7 @@ class SceneData:
     @property
     def motion(self) -> Motion:
         """Kind of motion, which is one for a whole scene."""
-        return "rotation" if self.experiments[0].rotation else "translation"
+        return self.experiments[0].motion
 
     @property
     def units(self) -> Units:

@@ -64,12 +64,12 @@ def by_model(of: Stored, name: str) -> Estimate:
     within = float(np.median(e))
     excess = (np.median(np.abs(v - estimate.value)) / NORMAL_QUARTILE) ** 2 - within**2
     spread = float(np.sqrt(max(excess, 0.0)))
-    trend = find_trends(v, np.hypot(e, spread), {"stiffness": K, "damping": B}, unit, rotation=of.rotation)
+    trend = find_trends(v, np.hypot(e, spread), {"stiffness": K, "damping": B}, unit, motion=of.motion)
     reach = 0.5 * ((estimate.high or 0.0) - (estimate.low or 0.0))
     # 2 % of nothing is nothing: beside a value that may be 0, a drift within the error of one trial is small
     least = max(MATTERS * abs(estimate.value), within if abs(estimate.value) <= reach else 0.0)
     axes = {"stiffness": K, "damping": B}
-    drifts = [drift_warning(t, axes[t.over], estimate.value, least, unit, rotation=of.rotation) for t in trend]
+    drifts = [drift_warning(t, axes[t.over], estimate.value, least, unit, motion=of.motion) for t in trend]
     warning = "; ".join(filter(None, [*drifts, estimate.warning])) or None
     found = {"within": within, "spread": spread, "trend": trend, "warning": warning}
     return (

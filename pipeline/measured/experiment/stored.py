@@ -28,10 +28,6 @@ class Stored(Protocol):
     """What the estimates of an experiment are made from: stored columns of its stages."""
 
     @property
-    def rotation(self) -> bool:
-        """Whether units are rotational."""
-
-    @property
     def sampling_period_s(self) -> float:
         """Sampling period T [s]."""
 

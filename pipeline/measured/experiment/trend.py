@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from pipeline.base.wording import true_minus
+from pipeline.device.parameters import Motion, unit_of
 from pipeline.measured.student import NORMAL_QUARTILE, ROUNDING, SMALLEST, student_95
 from pipeline.records.findings import DRIFTS, Trend
 from pipeline.records.trials import Floats
@@ -34,11 +35,9 @@ _LEAST_FREE = 1e-6
 
 Axis = Literal["stiffness", "damping"]
 
-_UNITS: dict[Axis, tuple[str, str]] = {"stiffness": ("N/m", "Nm/rad"), "damping": ("Ns/m", "Nms/rad")}
-
 
 def find_trends(
-    v: Floats, sigma: Floats, conditions: dict[Axis, Floats], unit: str, *, rotation: bool = False
+    v: Floats, sigma: Floats, conditions: dict[Axis, Floats], unit: str, *, motion: Motion = "translation"
 ) -> tuple[Trend, ...]:
     """Return the slopes of the values of trials over stiffness and damping, fitted together.
 
@@ -49,8 +48,8 @@ def find_trends(
     conditions : dict of float64, shape (n,)
         K [N/m, Nm/rad] as ``stiffness``, B [Ns/m, Nms/rad] as ``damping``, or one of them.
     unit : str
-    rotation : bool
-        Whether units are rotational.
+    motion : Motion
+        Decides the units.
 
     Returns
     -------
@@ -107,7 +106,7 @@ def find_trends(
                 slope=float(slope) / scale,
                 low=float(low),
                 high=float(high),
-                unit=f"{unit}/({_UNITS[name][rotation]})",
+                unit=f"{unit}/({unit_of(name, motion)})",
                 significant=bool(low > 0 or high < 0),
                 span=scale,
             )
@@ -115,7 +114,9 @@ def find_trends(
     return tuple(found)
 
 
-def drift_warning(trend: Trend, x: Floats, value: float, least: float, unit: str, *, rotation: bool = False) -> str:
+def drift_warning(
+    trend: Trend, x: Floats, value: float, least: float, unit: str, *, motion: Motion = "translation"
+) -> str:
     """Return a sentence about a drift that is significant and larger than ``least``; empty otherwise.
 
     Parameters
@@ -126,7 +127,7 @@ def drift_warning(trend: Trend, x: Floats, value: float, least: float, unit: str
     value, least : float
         Value of the experiment, and smallest change over the tested range worth a warning, in ``unit``.
     unit : str
-    rotation : bool
+    motion : Motion
     """
     span = float(np.ptp(x))
     change = trend.slope * span
@@ -134,7 +135,7 @@ def drift_warning(trend: Trend, x: Floats, value: float, least: float, unit: str
         return ""
     # beside a value near 0 a share says nothing
     relative = f" ({100 * change / value:+.1f} %)" if abs(change) <= MOST_RELATIVE * abs(value) else ""
-    name = _UNITS[trend.over][rotation]
+    name = unit_of(trend.over, motion)
     return true_minus(
         f"{DRIFTS} {change:+.3g} {unit}{relative} over the tested {trend.over} {x.min():g} to {x.max():g} {name}, "
         f"95 % interval {trend.low * span:+.3g} to {trend.high * span:+.3g} {unit}: the model does not hold for all "

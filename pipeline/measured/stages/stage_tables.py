@@ -105,13 +105,13 @@ class ExperimentStages:
         return cls(processed, device, experiment, trials, excluded, spring)
 
     @cached_property
-    def rotation(self) -> bool:
-        """Whether units are rotational.
+    def motion(self) -> Motion:
+        """Kind of motion, which decides the units.
 
         Raises
         ------
         StoreError
-            If the experiment mixes translation and rotation.
+            If the experiment mixes kinds.
         """
         motions = set(self.trials.column("motion").to_pylist())
         if len(motions) != 1:
@@ -119,12 +119,8 @@ class ExperimentStages:
                 f"device {self.device!r}, experiment {self.experiment!r}: its logs mix {sorted(motions)}. "
                 "Name the experiments apart in the logs' headers and ingest them into a new folder."
             )
-        return motions == {"rotation"}
-
-    @property
-    def motion(self) -> Motion:
-        """Kind of motion, which decides the units; errors as of `rotation`."""
-        return "rotation" if self.rotation else "translation"
+        kind: Motion = motions.pop()
+        return kind
 
     @cached_property
     def inputs_digest(self) -> str:
@@ -226,7 +222,7 @@ class ExperimentStages:
 
     def _common(self, stage: str, inputs: Mapping[str, object]) -> str:
         """Return a hash of all that the rows of a stage are computed from except their samples."""
-        return digest([stage, code_digest("stages"), inputs, self.rotation])
+        return digest([stage, code_digest("stages"), inputs, self.motion])
 
     def _computed(self, stage: str) -> pa.Table:
         # not before something has to be computed: what is stored is read without the estimators
@@ -241,10 +237,10 @@ class ExperimentStages:
         else:
             more = {"common": self._common(stage, {"rests_on": self.once(computation.rests_on)})}
             if len(former := self._former(stage, more["common"])):
-                return former.cast(arrow_schema(stage, rotation=self.rotation, metadata=self._stamp(stage, **more)))
+                return former.cast(arrow_schema(stage, motion=self.motion, metadata=self._stamp(stage, **more)))
         rows = computation.measure(self)
         columns = {name: [vars(row)[name] for row in rows] for name in TABLES[stage]}
-        return to_arrow(stage, columns, rotation=self.rotation, metadata=self._stamp(stage, **more))
+        return to_arrow(stage, columns, motion=self.motion, metadata=self._stamp(stage, **more))
 
     def _of_trials(self, stage: str, computation: TrialStage[Any, Any]) -> pa.Table:
         """Compute a stage with one row a trial, except the rows that are stored and were computed from the same."""
@@ -269,18 +265,18 @@ class ExperimentStages:
             measure = partial(stage_row, measure=computation.measure, inputs=inputs)
             rows = self._map(measure, new, None) if stage == SAMPLED else self.map_trials(measure, new)
             columns |= {name: [stored_value(name, vars(row)[name]) for row in rows] for name in names}
-        table = pa.concat_tables([former, to_arrow(stage, columns, rotation=self.rotation)])
+        table = pa.concat_tables([former, to_arrow(stage, columns, motion=self.motion)])
         place = {key: row for row, key in enumerate(table.column(ROW_KEY).to_pylist())}
         order = [place[key] for key in samples.digests]
         more = {"samples": samples.digest} if stage == SAMPLED else {}
         if stage == SAMPLED and self.excluded:
             more["excluded"] = " ".join(trial.trial_id for trial in self.excluded)
         metadata = self._stamp(stage, given=json.dumps(given), common=common, **more)
-        return table.take(order).cast(arrow_schema(stage, rotation=self.rotation, metadata=metadata))
+        return table.take(order).cast(arrow_schema(stage, motion=self.motion, metadata=metadata))
 
     def _former(self, stage: str, common: str) -> pa.Table:
         """Return the stored rows of a stage that rest on the same of the experiment; none where they are damaged."""
-        schema = arrow_schema(stage, rotation=self.rotation)
+        schema = arrow_schema(stage, motion=self.motion)
         file = self._file(stage)
         if file is not None and read_metadata(file).get("pipeline.common") == common:
             with suppress(StoreError):

@@ -20,7 +20,7 @@ from starlette.concurrency import run_in_threadpool
 from pipeline.base.provenance import __version__
 from pipeline.records.criteria import REPORTED
 from pipeline.records.results import AgainstResult, ComparisonResult
-from pipeline.records.tables import COLUMNS
+from pipeline.records.tables import COLUMNS, unit_of_column
 from pipeline.service import documents
 from pipeline.service.catalogue import SORTED, WORDS, Catalogue, Selection
 from pipeline.service.database import ENDED, NEWEST
@@ -219,8 +219,7 @@ def samples(
         stream = io.BytesIO()
         write(table, stream)
         return Response(stream.getvalue(), headers=headers, media_type=media)
-    which = "unit_rotation" if about["motion"] == "rotation" else "unit"
-    units = {name: getattr(COLUMNS[name], which) for name in table.column_names}
+    units = {name: unit_of_column(COLUMNS[name], about["motion"]) for name in table.column_names}
     columns = {name: [None if x != x else x for x in table.column(name).to_pylist()] for name in table.column_names}
     return JSONResponse({"trial": about, "units": units, "columns": columns}, headers=headers)
 

@@ -218,17 +218,17 @@ def design(
 
 def _stiffness(text: str, loop: Loop) -> float:
     """Return a stiffness in SI; a number alone is in SI, a unit has to be that of the device's motion."""
-    from pipeline.base.units import find_unit
+    from pipeline.base.units import UNITS, find_unit, split_quantity
+    from pipeline.device.parameters import is_rotation, unit_of
 
-    quantity, si = {"translation": ("stiffness", "N/m")}.get(loop.motion, ("rotational stiffness", "Nm/rad"))
-    number, _, symbol = text.strip().partition(" ")
+    si = unit_of("stiffness", loop.motion)
+    found = split_quantity(text)
+    if found is None:
+        raise UsageError(f"--stiffness {text}: expected a number, with or without its unit, as '5 {si}'.")
+    value, symbol = found
     unit = find_unit(symbol or si)
-    try:
-        value = float(number)
-    except ValueError as error:
-        raise UsageError(f"--stiffness {text}: expected a number, and a unit behind a space, as '5 {si}'.") from error
-    if unit is None or unit.quantity != quantity:
-        lever = " One of N/m at a lever of r m is r^2 times as many Nm/rad." if loop.motion == "rotation" else ""
+    if unit is None or unit.quantity != UNITS[si].quantity:
+        lever = " One of N/m at a lever of r m is r^2 times as many Nm/rad." if is_rotation(loop.motion) else ""
         raise UsageError(f"--stiffness {text}: the device's motion is a {loop.motion}; expected {si}.{lever}")
     return value * unit.factor
 
@@ -237,6 +237,7 @@ def _held(device: Device, conditions: Any, hand: str | None) -> Loop:
     """Return the loop of a device, held by an arm where one is named."""
     from dataclasses import replace
 
+    from pipeline.device.parameters import is_rotation
     from pipeline.device.parts import Operator
     from pipeline.device_data.published import human_arms
     from pipeline.surface.physical_loop import Loop
@@ -247,7 +248,7 @@ def _held(device: Device, conditions: Any, hand: str | None) -> Loop:
     arms = {arm.source.lower(): arm for arm in human_arms()}
     if hand.lower() not in arms:
         raise UsageError(f"--hand {hand}: expected one of {', '.join(arm.source for arm in human_arms())}.")
-    if loop.motion == "rotation":
+    if is_rotation(loop.motion):
         raise UsageError("--hand: arms of Table 3.2 are in kg and N/m. Give an operator in the device file.")
     return replace(loop, operator=Operator(**arms[hand.lower()].model_dump(include={"mass", "damping", "stiffness"})))
 
@@ -267,7 +268,9 @@ def _quantum(coulomb: float, quantum: float, stiffness: float | None) -> dict[st
 
 def _design_lines(document: dict[str, Any], loop: Loop) -> Iterator[str]:
     """Yield the answer: reached or not, the wall, changes, sensitivities, published limits."""
-    k, b = ("N/m", "Ns/m") if loop.motion == "translation" else ("Nm/rad", "Nms/rad")
+    from pipeline.device.parameters import unit_of
+
+    k, b = unit_of("stiffness", loop.motion), unit_of("damping", loop.motion)
     reached, most = document["reached"], document["stiffness_reached"]
     wanted = document["wish"]["stiffness"]
     limit = most is not None and wanted is not None

@@ -17,17 +17,19 @@ import numpy as np
 from pipeline.base.errors import OTHER_COLUMNS, LogError, UsageError, refusal
 from pipeline.base.provenance import __version__
 from pipeline.base.wording import counted
+from pipeline.device.parameters import drive_of, is_rotation
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.sources import find_sources, logs_of, motion_of
 from pipeline.measured.signal.edge import NO_ROW, find_edge
 from pipeline.measured.signal.marks import gaps, jumps, rests
 from pipeline.profiles.profile_files import shipped_profiles
-from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, QUANTITIES, Profile, si_unit
+from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Kind, Profile, quantity, si_unit
 from pipeline.readers import Log
 from pipeline.readers.log import step_flags
 from pipeline.readers.mapping import entry_of, statements
 from pipeline.readers.obeyed import other_gains
 from pipeline.records.models import Motion
+from pipeline.records.native import FREE
 from pipeline.records.trials import Floats, Trial
 from pipeline.rendering.figures.drawing import draw
 from pipeline.rendering.figures.overview import RecordedColumn, recorded_figure
@@ -42,7 +44,7 @@ STEP_ROWS, STEP_TOLERANCE = 3, 0.1
 """Rows from the step on whose median is its size: one may flicker, and later ones may bear the filter of a velocity;
 and part of the step by which it may differ: a round number stands for what the controller commands."""
 
-PLAUSIBLE: dict[str, dict[Motion, tuple[float, float]]] = {
+PLAUSIBLE: dict[str, dict[Kind, tuple[float, float]]] = {
     "stiffness": {"translation": (1.0, 1e6), "rotation": (1e-2, 1e5)},
     "damping": {"translation": (1e-2, 1e4), "rotation": (1e-4, 1e3)},
     "step": {"translation": (1e-2, 1e3), "rotation": (1e-4, 1e3)},
@@ -118,14 +120,14 @@ def _conditions(profile: Profile, name: str, log: Log, motion: Motion) -> Iterat
     else:
         part = next((step for step in profile.steps if step.label == log.label), None)
         places = {key: place for key, (place, _) in statements(profile, name, (entry_of(profile, name), part)).items()}
-    units = {key: si_unit(quantities[motion]) for key, quantities in CONDITION_QUANTITIES.items()}
-    units |= {"displacement": si_unit(QUANTITIES["position"][motion]), "duration_s": "s"}
+    units = {key: si_unit(quantity(key, motion)) for key in CONDITION_QUANTITIES}
+    units |= {"displacement": si_unit(quantity("position", motion)), "duration_s": "s"}
     samples = {"displacement": float(np.ptp(log.position)), "duration_s": float(np.ptp(log.time))}
     for key, value in ({k: getattr(log.header, k) for k in CONDITIONS} | {"motion": motion} | samples).items():
         place = "samples" if key in samples else places.get(key, "default")
         usual, fault = "", ""
-        if key in PLAUSIBLE:
-            low, high = PLAUSIBLE[key][motion]
+        if key in PLAUSIBLE and not (drive_of(motion) and key in FREE):  # of a drive nothing is known
+            low, high = PLAUSIBLE[key]["rotation" if is_rotation(motion) else "translation"]
             usual = f"{low:g} to {high:g}"
             if value and not low <= abs(value) <= high:
                 fault = f"{key} is {value:.4g} [SI]; devices have {usual}: is its unit right?"
@@ -136,7 +138,7 @@ def _columns(profile: Profile, log: Log, motion: Motion) -> Iterator[dict[str, A
     for key in ("time", "command", "position", "force", "velocity"):
         if (values := getattr(log, key)) is None:
             continue
-        unit, source = si_unit(QUANTITIES[key][motion]), profile.column_sources().get(key)
+        unit, source = si_unit(quantity(key, motion)), profile.column_sources().get(key)
         given = {"name": key, "unit": unit} if source is None else source.model_dump(exclude_defaults=True)
         name = given.pop("name", given.pop("column", "no column"))
         how = [given.pop("unit", ""), *(f"{k} {v}" for k, v in given.items() if (k, v) != ("sign", 1))]
@@ -271,7 +273,7 @@ def _drawn(log: Log, motion: Motion) -> tuple[str, tuple[RecordedColumn, ...], l
     """Return the title of a trial, its columns, how its step is known and what else is to be said."""
     row, how = step_of(log)
     columns = tuple(
-        _column(key, si_unit(QUANTITIES[key][motion]), log.time, values, log.time, row)
+        _column(key, si_unit(quantity(key, motion)), log.time, values, log.time, row)
         for key in ("command", "position", "force", "velocity")
         if (values := getattr(log, key)) is not None
     )

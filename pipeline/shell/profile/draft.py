@@ -22,13 +22,13 @@ from pipeline.base.errors import LogError, ProfileError, UsageError, refusal
 from pipeline.base.units import UNITS, find_unit, unit_between, unit_in_heading
 from pipeline.profiles.profile_files import QUESTION
 from pipeline.profiles.profile_model import (
-    CONDITION_QUANTITIES,
     QUANTITIES,
     Format,
     Profile,
     conditions_in_name,
     find_groups,
     number_in_name,
+    quantity,
     si_unit,
 )
 from pipeline.readers.formats import format_of
@@ -351,7 +351,7 @@ def _of_law(law: _Law, keys: Keys, sample: Sample) -> Keys:
             found[f"constants.{key}"] = value, KEYS[f"constants.{key}"][1]
         elif value and named[key]:
             # the command obeys the number in the file name in this unit
-            unit = unit_between(si_unit(CONDITION_QUANTITIES[key][motion]), value / abs(named[key]), SAME)
+            unit = unit_between(si_unit(quantity(key, motion)), value / abs(named[key]), SAME)
             found |= {f"units.{key}": ("N/mm" if unit == "kN/m" else unit, "")} if unit else {}
     return found
 

@@ -303,7 +303,7 @@ def test_mixed_periods_and_motions_are_refused(falcon):
         _ = periods.sampling_period_s
     motions = replaced(of.trials, "motion", ["translation"] * (n - 1) + ["rotation"])
     with pytest.raises(StoreError, match=r"'falcon', experiment '1': its logs mix"):
-        _ = ExperimentStages(of.processed, of.device, "1", motions).rotation
+        _ = ExperimentStages(of.processed, of.device, "1", motions).motion
 
 
 def test_units_of_stored_stages_follow_the_motion(falcon, lwr):
