@@ -130,7 +130,7 @@ and an interruption costs about a second's work."""
 def ingest(
     paths: Sequence[Path],
     processed: Path,
-    profile: str | Path | None = None,
+    profile: str | Path | Profile | None = None,
     *,
     jobs: int | None = None,
     dry_run: bool = False,
@@ -151,8 +151,8 @@ def ingest(
         Folders (searched with those below) and files.
     processed : Path
         Folder of the stored tables; made if needed.
-    profile : str or Path, optional
-        Shipped profile by name, or a TOML file; by default each file is claimed by a shipped profile.
+    profile : str, Path or Profile, optional
+        Shipped profile by name, a TOML file, or a loaded one; by default each file is claimed by a shipped profile.
     jobs : int, optional
         Threads that read and parse; by default one per processor, at most four.
     dry_run : bool

@@ -75,14 +75,16 @@ def shipped_profiles() -> tuple[Profile, ...]:
     return tuple(read_profile(path) for path in sorted((schema_folder() / "profiles").glob("*.toml")))
 
 
-def load_profile(profile: str | Path) -> Profile:
-    """Return a profile by the name of a shipped one or by its TOML file.
+def load_profile(profile: str | Path | Profile) -> Profile:
+    """Return a profile by the name of a shipped one or by its TOML file; one that is loaded, as it is.
 
     Raises
     ------
     ProfileError
         If there is no such name or file, or the file is wrong.
     """
+    if isinstance(profile, Profile):
+        return profile
     shipped = {p.name: p for p in shipped_profiles()}
     if str(profile) in shipped:
         return shipped[str(profile)]

@@ -18,6 +18,8 @@ from pipeline.base.errors import UsageError
 from pipeline.base.paths import path_text
 from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import read_profile
+from pipeline.profiles.profile_model import Profile
+from pipeline.profiles.profile_text import profile_toml
 
 AT_A_TIME, BYTES = 200, 64 << 20
 """Logs, and bytes of them, in a request: an interruption costs no more."""
@@ -27,7 +29,7 @@ POLL_S = 0.2
 Advance = Callable[[int, int | None], None]
 
 
-def push(folder: Path, to: str, profile: str | None, token: str | None, advance: Advance) -> dict[str, Any]:
+def push(folder: Path, to: str, profile: str | Profile | None, token: str | None, advance: Advance) -> dict[str, Any]:
     """Upload logs and wait until they are stored; return what ``ingest --json`` would print of all.
 
     Raises
@@ -39,8 +41,10 @@ def push(folder: Path, to: str, profile: str | None, token: str | None, advance:
     if not files:
         raise UsageError(f"{folder}: no files. Give a folder with logs.")
     server = _Server(to, token)
-    if profile is not None and profile.endswith(".toml"):
-        profile = server.keep(Path(profile))
+    if isinstance(profile, Profile):
+        profile = server.keep(profile.name, profile_toml(profile))
+    elif profile is not None and profile.endswith(".toml"):
+        profile = server.keep(read_profile(Path(profile)).name, Path(profile).read_text("utf-8"))
     notices = list[tuple[Path, str]]()
     find_sources([folder], (), None, notices)
     total: dict[str, Any] = {"found": 0, "ingested": 0, "skipped": 0, "quarantined": [], "warnings": [], "changed": []}
@@ -101,10 +105,9 @@ class _Server:
         body = b"".join([*pieces, f"--{boundary}--\r\n".encode()])
         return self._ask("POST", "/api/v1/logs", body, {"Content-Type": f"multipart/form-data; boundary={boundary}"})
 
-    def keep(self, file: Path) -> str:
+    def keep(self, name: str, text: str) -> str:
         """Send a profile to the server, which keeps it, and return its name."""
-        name = read_profile(file).name
-        body = json.dumps({"profile": file.read_text("utf-8")}).encode()
+        body = json.dumps({"profile": text}).encode()
         self._ask("PUT", f"/api/v1/profiles/{quote(name)}", body, {"Content-Type": "application/json"})
         return name
 

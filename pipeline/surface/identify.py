@@ -32,6 +32,7 @@ from pipeline.measured.stages.measured_trial import MeasuredTrial
 from pipeline.measured.stages.stage_device import usable_recordings
 from pipeline.measured.student import NORMAL_95
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
+from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.recording.signals import same_samples
 from pipeline.records.findings import are_unsafe
@@ -147,7 +148,10 @@ def identify(
 
 
 def identified_device(
-    paths: Sequence[Path], profile: str | Path | None = None, period: float | None = None, delay: float | None = None
+    paths: Sequence[Path],
+    profile: str | Path | Profile | None = None,
+    period: float | None = None,
+    delay: float | None = None,
 ) -> dict[str, Any]:
     """Return the document that `pipeline identify --json` prints; parameters and errors as of `identify`."""
     given = None if profile is None else load_profile(profile)

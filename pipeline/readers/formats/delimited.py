@@ -319,7 +319,13 @@ def _guessed(name: str, data: bytes, layout: Layout) -> str:
 
 
 def _parted(line: str, delimiter: str) -> list[str]:
-    return line.split() if delimiter == BLANKS else [cell.strip() for cell in line.split(delimiter)]
+    if delimiter == BLANKS:
+        return line.split()
+    if '"' in line:
+        # a name in quotation marks may contain the delimiter
+        with suppress(csv.Error):
+            return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, strict=True))]
+    return [cell.strip() for cell in line.split(delimiter)]
 
 
 def _is_number(cell: str) -> bool:

@@ -12,7 +12,18 @@ from pipeline.base.errors import EXIT_QUARANTINED, UsageError
 from pipeline.base.paths import check_output
 from pipeline.base.process import Ended
 from pipeline.shell import console
-from pipeline.shell.commands.options import DeviceName, Experiments, One, Out, Processed, ProfileFile, device_of, listed
+from pipeline.shell.commands.log_columns import reads_logs
+from pipeline.shell.commands.options import (
+    DeviceName,
+    Experiments,
+    LogProfile,
+    One,
+    Out,
+    Processed,
+    ProfileFile,
+    device_of,
+    listed,
+)
 from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
@@ -83,9 +94,10 @@ def simulate(
     console.tell({"device": record.name, "folder": str(out), "seed": seed, "logs": counts}, lines)
 
 
+@reads_logs("paths", walls=False)
 def identify(
     paths: Annotated[list[Path], argument("Logs with command and position, or folders with some.")],
-    profile: ProfileFile = None,
+    profile: LogProfile = None,
     period: Annotated[float | None, option("--period", "Sampling period of the walls, in s.")] = None,
     delay: Annotated[float | None, option("--delay", "Delay of the walls, in samples.")] = None,
     out: Out = None,
@@ -97,6 +109,8 @@ def identify(
     --out a device file (.toml) is written.
 
     Example: pipeline identify logs --out motor.toml
+
+    Example: pipeline identify run.mat --time t --command u:V --position x:mm --gain '2.3 N/V'
     """
     from pipeline.base.disk import write_text
     from pipeline.surface.identify import device_text, identified_device

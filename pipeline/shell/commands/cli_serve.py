@@ -11,7 +11,8 @@ from typing import Annotated, Any, Literal
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, UsageError
 from pipeline.shell import console
 from pipeline.shell.commands.cli_storage import counts_of, refusals, warnings_of
-from pipeline.shell.commands.options import Processed, ProfileFile, Reports
+from pipeline.shell.commands.log_columns import reads_logs
+from pipeline.shell.commands.options import LogProfile, Processed, Reports
 from pipeline.shell.console import argument, option
 
 TOKEN_VARIABLE = "PIPELINE_TOKEN"
@@ -83,10 +84,11 @@ def token(
         console.tell(tokens, console.table(tokens, ("id", "role", "name", "ends")))
 
 
+@reads_logs("folder")
 def push(
     folder: Annotated[Path, argument("Folder with logs (searched below, too), or one log.")],
     to: Annotated[str, option("--to", "Address of the server, such as http://127.0.0.1:8000.")],
-    profile: ProfileFile = None,
+    profile: LogProfile = None,
 ) -> int:
     """Upload logs to a server; run again to resume.
 

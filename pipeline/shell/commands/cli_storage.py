@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, HELPS, OTHER_COLUMNS, UsageError
 from pipeline.base.paths import check_output
 from pipeline.shell import console
-from pipeline.shell.commands.options import Out, Processed, ProfileFile, Store
+from pipeline.shell.commands.log_columns import reads_logs
+from pipeline.shell.commands.options import LogProfile, Out, Processed, Store
 from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
@@ -25,9 +26,10 @@ LISTED = 10
 Trials = Annotated[str, argument("DEVICE, DEVICE/EXPERIMENT, path of a log, or (start of) a trial id.")]
 
 
+@reads_logs("paths")
 def ingest(
     paths: Annotated[list[Path], argument("Logs, and folders to search for logs.")],
-    profile: ProfileFile = None,
+    profile: LogProfile = None,
     processed: Store = "processed",
     jobs: Annotated[int | None, option("--jobs", "Threads (default: one per processor).")] = None,
     rehash: Annotated[bool, option("--rehash", "Read logs of unchanged size and time, too.")] = False,
@@ -44,6 +46,9 @@ def ingest(
     Example: pipeline ingest raw --dry-run
 
     Example: pipeline ingest raw --profile lab.toml
+
+    Example: pipeline ingest logs --command F:N --position x:mm --stiffness K:N/mm --damping B:Ns/m --step '4 N'
+    --device bench
     """
     from pipeline.intake.ingest import ingest as ingest_logs
     from pipeline.store.objects import stored_by
@@ -289,9 +294,10 @@ def _must_exist(processed: str | Path) -> None:
         raise UsageError(f"{processed}: no such folder. Give the folder of the stored tables (--processed).")
 
 
+@reads_logs("log", walls=False)
 def look(
     log: Annotated[Path, argument("A log in any format, or the folder of a bag.")],
-    profile: ProfileFile = None,
+    profile: LogProfile = None,
     out: Annotated[Path, option("--out", "HTML file.")] = Path("look.html"),
 ) -> None:
     """Draw a log as recorded: columns, step, jumps, rests, missing rows.

@@ -41,6 +41,8 @@ Store = Annotated[str, option("--processed", "Stored tables: folder or s3://BUCK
 Reports = Annotated[Path, option("--reports", "Folder of the reports.", envvar=REPORTS)]
 ExecutorName = Annotated[str, option("--executor", "Where to compute: local, or dask://HOST:PORT.")]
 ProfileFile = Annotated[str | None, option("--profile", "Log profile: name or file (.toml).")]
+LogProfile = Any
+"""A profile as a command gets it: what `ProfileFile` names, or one that the options of columns made."""
 DeviceName = Annotated[str, option("--device", "Device: name or file (.toml).")]
 One = Annotated[str | None, option("--experiment", "Experiment (default: the first).", "-e")]
 Experiments = Annotated[list[str] | None, listed("--experiment", "Experiments (default: all).", "-e")]

@@ -35,7 +35,7 @@ from pipeline.rendering.figures.drawing import draw
 from pipeline.rendering.figures.overview import RecordedColumn, recorded_figure
 from pipeline.rendering.report.page_template import fill_template
 from pipeline.shell.console import draft_hint, grouped
-from pipeline.shell.profile.draft import open_sample
+from pipeline.shell.profile.samples import open_sample
 
 NOTHING = 1e-15
 """Size [SI] up to which a number is what rounding leaves of 0."""

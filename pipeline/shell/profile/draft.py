@@ -18,26 +18,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.base.errors import LogError, ProfileError, UsageError, refusal
-from pipeline.base.units import UNITS, find_unit, unit_between, unit_in_heading
+from pipeline.base.errors import LogError, ProfileError
+from pipeline.base.units import UNITS, find_unit, unit_between
 from pipeline.profiles.profile_files import QUESTION
 from pipeline.profiles.profile_model import (
     QUANTITIES,
-    Format,
-    Profile,
     conditions_in_name,
     find_groups,
     number_in_name,
     quantity,
     si_unit,
 )
-from pipeline.readers.formats import format_of
-from pipeline.readers.formats.delimited import Layout, text_layout, unpacked
-from pipeline.readers.frame import Contents
-from pipeline.readers.isolation import read_file
 from pipeline.readers.obeyed import Law, law_of
 from pipeline.records.models import Motion
-from pipeline.records.trials import Floats
+from pipeline.shell.profile.samples import SPEEDS, Sample, open_sample
 
 Keys = dict[str, tuple[Any, str]]
 """Value and question of keys; the question is empty where the value is known, the value None where there is none."""
@@ -101,58 +95,6 @@ _ROLES = {
 }
 _NAMED_WALL = re.compile(r"(?<![A-Za-z])([KB])([_=]?)(-?)\d+[.,]?\d*", re.IGNORECASE)
 """Stiffness or damping in the name of a file."""
-
-_SPEEDS = frozenset(QUANTITIES["velocity"].values())
-
-
-class Sample(NamedTuple):
-    """A log of which nothing is known: its format, keys of its layout and questions about them, and what it holds."""
-
-    name: str
-    kind: Format
-    layout: Layout
-    contents: Contents
-
-    @property
-    def numbers(self) -> dict[str, Floats]:
-        """Columns of numbers with several rows, by name."""
-        columns = self.contents.columns.items()
-        return {key: np.asarray(v, np.float64) for key, v in columns if key and v.dtype.kind != "U" and len(v) > 1}
-
-    def unit(self, name: str, role: str) -> tuple[str, str]:
-        """Return the last part of the name of a column without its unit, and the unit that the file states for it."""
-        allowed = (*QUANTITIES[role].values(), *(_SPEEDS if role == "position" else ()))
-        plain, unit = unit_in_heading(name, allowed)
-        said = unit or self.contents.units.get(name) or self.contents.hints.get(name, "")
-        return re.split(r"[./]", plain)[-1].strip().lower(), said
-
-
-def open_sample(path: Path) -> Sample:
-    """Return a log of which nothing is known.
-
-    Raises
-    ------
-    UsageError
-        If the file cannot be read.
-    LogError
-        If no columns of numbers are found in it.
-    """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror}). Give a log.") from error
-    kind = format_of(path.name, unpacked(path.name, data))
-    if kind == "native":
-        raise ProfileError(f"{path} is a native log, which needs no profile: `pipeline ingest {path}` reads it.")
-    layout = text_layout(path.name, data) if kind == "delimited" else Layout()
-    settings = Profile.model_construct(name="draft", format=kind, files=("*",), **layout.to_read())
-    sample = Sample(path.name, kind, layout, read_file(settings, (path.name,), (data,)))
-    layout.keys |= sample.contents.keys
-    if not sample.numbers:
-        reasons = (f"{key} {reason}" for key, reason in sample.contents.refused.items())
-        cure = "; ".join(reasons) or "Export the recorded signals as plain columns."
-        raise refusal("empty", "", "it holds no columns of numbers with several rows", cure=cure)
-    return sample
 
 
 def draft_profile(path: Path, *others: Path) -> str:
@@ -302,7 +244,7 @@ def _of_columns(sample: Sample, law: _Law | None) -> Keys:
     for role, name in (law.columns if law else _roles(sample)).items():
         stated = sample.unit(name, role)[1]
         quantity = getattr(find_unit(stated), "quantity", "")
-        speed = role == "position" and quantity in _SPEEDS
+        speed = role == "position" and quantity in SPEEDS
         allowed = {quantity} if speed else {*QUANTITIES[role].values()}
         known = [symbol for symbol, unit in UNITS.items() if unit.quantity in allowed]
         units = law.units[role] if law else [stated if quantity in allowed else known[0]]

@@ -1,0 +1,95 @@
+"""Options by which a command that reads logs is told their columns: each names a column with its unit, or a constant.
+
+They become an ordinary profile (`pipeline.shell.profile.columns`), which the command gets in place of ``--profile``.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pipeline.base.errors import UsageError
+from pipeline.base.paths import check_output
+from pipeline.shell import console
+from pipeline.shell.commands.options import ProfileFile
+from pipeline.shell.console import option
+
+if TYPE_CHECKING:
+    from pipeline.profiles.profile_model import Profile
+
+Text = str | None
+
+_STATED: dict[str, Any] = {
+    "time": Annotated[Text, option("--time", "Column of time and its unit, t:ms; or the time between rows, '1 ms'.")],
+    "command": Annotated[Text, option("--command", "Column of the command and its unit: N, Nm, V, A, counts, %.")],
+    "position": Annotated[Text, option("--position", "Column of the position and its unit; -x:mm where x falls.")],
+    "stiffness": Annotated[Text, option("--stiffness", "K of the wall: a column K:N/mm, or '2 N/mm'.")],
+    "damping": Annotated[Text, option("--damping", "B of the wall: a column B:Ns/m, or '5 Ns/m'.")],
+    "step": Annotated[Text, option("--step", "External step: a column F0:N, or '4 N'.")],
+    "period": Annotated[Text, option("--period", "Sampling period, '1 ms' (default: that of the stamps).")],
+    "gain": Annotated[Text, option("--gain", "Force of a drive per unit of command, '2.3 N/V'.")],
+    "device": Annotated[Text, option("--device", "Name of the device of the logs.")],
+    "experiment": Annotated[Text, option("--experiment", "Name of their experiment (default: 1).", "-e")],
+}
+_SAVE = Annotated[Path | None, option("--save-profile", "Write what the options say as a profile (.toml).")]
+
+
+def reads_logs(paths: str, *, walls: bool = True) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return a decorator that adds the options of columns to a command with a parameter ``profile``.
+
+    Parameters
+    ----------
+    paths : str
+        Parameter of the command that has the logs.
+    walls : bool
+        As of `stated_profile`.
+    """
+
+    def decorate(work: Callable[..., Any]) -> Callable[..., Any]:
+        signature = inspect.signature(work, eval_str=True)
+        own = {name: how for name, how in _STATED.items() if name not in signature.parameters}
+
+        @wraps(work)
+        def run(save_profile: Path | None = None, **given: Any) -> Any:
+            texts = {name: given.pop(name, None) for name in own}
+            if save_profile is not None or any(text is not None for text in texts.values()):
+                logs = given[paths] if isinstance(given[paths], list) else [given[paths]]
+                given["profile"] = _stated(texts, logs, given.get("profile"), save_profile, walls)
+            return work(**given)
+
+        parameters = [
+            parameter.replace(annotation=ProfileFile) if name == "profile" else parameter
+            for name, parameter in signature.parameters.items()
+        ]
+        kind = inspect.Parameter.KEYWORD_ONLY
+        more = [inspect.Parameter(name, kind, default=None, annotation=how) for name, how in own.items()]
+        more.append(inspect.Parameter("save_profile", kind, default=None, annotation=_SAVE))
+        run.__signature__ = signature.replace(parameters=[*parameters, *more])  # type: ignore[attr-defined]
+        return run
+
+    return decorate
+
+
+def _stated(texts: dict[str, Text], logs: list[Path], profile: Text, save: Path | None, walls: bool) -> Profile:
+    """Return the profile that the options make, and say what the logs showed for it."""
+    from pipeline.base.disk import write_text
+    from pipeline.profiles.profile_text import profile_toml
+    from pipeline.shell.profile.columns import StatedColumns, stated_profile
+
+    if profile is not None:
+        named = next((f"--{name}" for name, text in texts.items() if text is not None), "--save-profile")
+        raise UsageError(f"{named} is given with --profile, which names the columns already. Give one of them.")
+    if save is not None:
+        check_output(save, "--save-profile")
+        if save.exists():
+            raise UsageError(f"--save-profile {save}: exists. Give another file, or remove it.")
+    made = stated_profile(StatedColumns(**texts), logs, walls=walls)
+    for line in made.evidence:
+        console.step(line)
+    if save is not None:
+        write_text(save, profile_toml(made.profile, made.evidence))
+        console.step(f"wrote {save}")
+    return made.profile

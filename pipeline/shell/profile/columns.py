@@ -1,0 +1,485 @@
+"""From columns that a command line names to an ordinary profile: what it does not state, the logs have to prove.
+
+The layout of the files, the sampling period, the direction in which positions count and the row of the step are read
+from the logs themselves; units that nobody states are never guessed. The profile is held against some of the logs
+before it is used: a wall that their commands do not obey is refused.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from pipeline.base.errors import LogError, ProfileError, UsageError
+from pipeline.base.units import UNITS, find_unit
+from pipeline.base.wording import counted
+from pipeline.intake.sources import find_sources
+from pipeline.profiles.column_text import ColumnText
+from pipeline.profiles.profile_files import find_mistakes
+from pipeline.profiles.profile_model import Profile
+from pipeline.readers.obeyed import Law, law_of
+from pipeline.records.native import FREE
+from pipeline.shell.profile.check import check_samples
+from pipeline.shell.profile.samples import Sample, open_sample
+
+MOST_SAMPLES = 12
+"""Logs that are looked at, spread over all: enough to see that they are of one form, and quickly read."""
+
+SAME_PERIOD = 0.02
+"""Part by which the sampling periods of logs may differ: clocks drift by less."""
+
+ROUND_PERIOD = 2e-4
+"""Part by which a sampling period may differ from a round number that is taken for it."""
+
+PLAUSIBLE_PERIODS = (2e-5, 0.1)
+"""Sampling periods that devices have [s]: 50 kHz to 10 Hz."""
+
+COLUMNS = ("time", "command", "position")
+WALL = ("stiffness", "damping", "step")
+
+
+@dataclass(frozen=True)
+class StatedColumns:
+    """What a command line states of logs: each a text as `ColumnText` reads it, or None.
+
+    ``period`` is the sampling period of the controller; that of the stamps where it is not stated.
+    """
+
+    time: str | None = None
+    command: str | None = None
+    position: str | None = None
+    stiffness: str | None = None
+    damping: str | None = None
+    step: str | None = None
+    period: str | None = None
+    device: str | None = None
+    experiment: str | None = None
+    gain: str | None = None
+
+    def __bool__(self) -> bool:
+        return any(getattr(self, each.name) is not None for each in fields(self))
+
+
+@dataclass(frozen=True)
+class StatedProfile:
+    """A profile that was made of columns, and what the logs showed for it, as sentences."""
+
+    profile: Profile
+    evidence: tuple[str, ...]
+
+
+OPTIONS = {"sampling_period_s": "period"}
+"""Option of each condition that has another name."""
+
+
+def option_of(place: Sequence[str | int]) -> str:
+    """Return the option that states a key of a profile.
+
+    >>> option_of(("columns", "time", "unit")), option_of(("constants", "sampling_period_s"))
+    ('--time', '--period')
+    """
+    name = next((str(key) for key in place if key in (*COLUMNS, *WALL, "gain", "device", "experiment")), None)
+    name = name or next((OPTIONS[str(key)] for key in place if key in OPTIONS), str(place[-1]) if place else "")
+    return f"--{name.replace('_', '-')}"
+
+
+def stated_profile(stated: StatedColumns, paths: Sequence[Path], *, walls: bool = True) -> StatedProfile:
+    """Return the profile of logs whose columns are named.
+
+    Parameters
+    ----------
+    stated : StatedColumns
+    paths : sequence of Path
+        The logs, and folders that are searched.
+    walls : bool
+        Whether conditions and a name of the device are needed, as they are where logs are stored.
+
+    Raises
+    ------
+    UsageError
+        If a column that is needed is not named or is not in the files, or a unit is not known or stated nowhere.
+    ProfileError
+        If what was stated does not fit together, or the command of a log obeys another wall.
+    """
+    for name in ("command", "position"):
+        if getattr(stated, name) is None:
+            unit = {"command": "N", "position": "mm"}[name]
+            raise UsageError(f"--{name} is missing. Name the column and its unit, such as --{name} NAME:{unit}.")
+    files = list(_logs_below(paths))
+    chosen, samples = _samples(stated, files)
+    maker = _Maker(stated, samples, walls)
+    values = maker.values()
+    try:
+        profile = Profile.model_validate(values)
+    except ValidationError:
+        mistakes = find_mistakes(values, "")
+        lines = (f"{option_of(each.place)}: {_plain(each.text)}" for each in mistakes)
+        raise ProfileError("\n".join(dict.fromkeys(lines))) from None
+    _check(profile, stated, chosen)
+    return StatedProfile(profile, tuple(maker.evidence))
+
+
+def _plain(text: str) -> str:
+    """Return a mistake without the key of the profile in front, and in the words of options."""
+    text = re.sub(r"^key '[^']*': ", "", text)
+    return re.sub(r'\[units\] gain = "<number> (N\w*)/(\S+)"', r"--gain '<number> \1/\2'", text)
+
+
+def _logs_below(paths: Sequence[Path]) -> Iterator[Path]:
+    """Yield all files below paths; the folder of a bag is its first file."""
+    everything = Profile.model_construct(name="all", format="delimited", files=("*",))
+    for source in find_sources(paths, (everything,)):
+        if source.files:
+            yield source.files[0]
+
+
+def _spread(files: Sequence[Path], most: int) -> list[Path]:
+    """Return some files, the first and the last among them, evenly spread over all."""
+    if len(files) <= most:
+        return list(files)
+    return [files[round(i * (len(files) - 1) / (most - 1))] for i in range(most)]
+
+
+def _suffix(path: Path) -> str:
+    parts = [part.lower() for part in path.suffixes]
+    return "".join(parts[-2:] if parts[-1:] in ([".gz"], [".zst"]) else parts[-1:])
+
+
+def _samples(stated: StatedColumns, files: Sequence[Path]) -> tuple[list[Path], list[Sample]]:
+    """Return the files that have the columns, and some of them opened: those of one ending, the most frequent first.
+
+    Raises
+    ------
+    UsageError, LogError
+        If no file has the columns: why the first does not.
+    """
+    by_ending: dict[str, list[Path]] = {}
+    for file in files:
+        by_ending.setdefault(_suffix(file), []).append(file)
+    first: Exception | None = None
+    for group in sorted(by_ending.values(), key=len, reverse=True):
+        opened: list[Sample] = []
+        for file in _spread(group, MOST_SAMPLES):
+            try:
+                sample = open_sample(file)
+                if opened and sample.kind != opened[0].kind:
+                    continue
+                for name in COLUMNS:
+                    if (text := getattr(stated, name)) is not None and _as_constant(name, text, sample) is None:
+                        ColumnText.among(f"--{name}", text, list(sample.contents.columns))
+            except (LogError, ProfileError, UsageError) as error:
+                first = first or type(error)(f"{file}: {error}")
+                continue
+            opened.append(sample)
+        if opened:
+            return group, opened
+    raise first or UsageError("no log found. Give logs, or folders with logs.")
+
+
+def _as_constant(name: str, text: str, sample: Sample) -> ColumnText | None:
+    """Return the constant that a text states of a column: only a time can be one, where no column has that name."""
+    if name != "time" or text in sample.contents.columns:
+        return None
+    found = ColumnText.constant(text)
+    return found if found is not None and found.unit else None
+
+
+class _Maker:
+    """Makes the values of a profile; ``evidence`` gets what the logs showed."""
+
+    def __init__(self, stated: StatedColumns, samples: Sequence[Sample], walls: bool) -> None:
+        self.stated, self.samples, self.walls = stated, samples, walls
+        self.sample = next((each for each in samples if not each.layout.questions), samples[0])
+        self.evidence: list[str] = []
+
+    def values(self) -> dict[str, Any]:
+        """Return the profile as a mapping."""
+        sample, stated = self.sample, self.stated
+        if questions := sample.layout.questions:
+            asked = " ".join(questions.values())
+            raise UsageError(f"{sample.name}: {asked} Answer it in a profile: `pipeline profile draft {sample.name}`.")
+        ending = _suffix(Path(sample.name))
+        values: dict[str, Any] = {"format": sample.kind, "files": [f"*{ending}"], **sample.layout.keys}
+        columns = {name: self._column(name) for name in COLUMNS}
+        values["columns"] = columns
+        constants: dict[str, Any] = {"experiment": stated.experiment or "1"}
+        if stated.device is not None or not self.walls:
+            constants["device"] = stated.device or "device"
+        if self._turns(columns["position"]["unit"]):
+            constants["motion"] = "rotation"
+        values |= {"constants": constants, "units": {}, "attributes": {}, "condition_columns": {}}
+        for name in WALL:
+            if (text := getattr(stated, name)) is not None:
+                self._condition(values, name, text)
+        self._period(values)
+        if stated.gain is not None:
+            values["units"]["gain"] = stated.gain
+        self._wall(values)
+        values["name"] = re.sub(r"\W+", "-", stated.device or "columns").strip("-") or "columns"
+        return {key: value for key, value in values.items() if value != {}}
+
+    def _column(self, name: str) -> dict[str, Any]:
+        """Return the table of a column."""
+        text = getattr(self.stated, name)
+        if text is None:  # time alone
+            text = self._clock()
+        if (constant := _as_constant(name, text, self.sample)) is not None:
+            factor = find_unit(constant.unit)
+            if factor is None or factor.quantity != "time" or not (constant.value or 0) > 0:
+                raise UsageError(f"--time {text}: expected a column, or the time between two rows, such as '1 ms'.")
+            return {"kind": "sampled"}
+        found = ColumnText.among(f"--{name}", text, list(self.sample.contents.columns))
+        column = found.column or ""
+        by_position = not self.sample.layout.keys.get("header", True) and column.isdecimal()
+        table: dict[str, Any] = {"column": int(column)} if by_position else {"name": column}
+        table["unit"] = found.unit or self._unit(name, column)
+        if name != "time":
+            table["sign"] = found.sign or 1
+        if (known := find_unit(table["unit"])) is not None and known.quantity in ("velocity", "angular velocity"):
+            table["integrate"] = "difference"
+        return table
+
+    def _clock(self) -> str:
+        """Return the column of time where no option names it: the only one that rises in every row by equal steps."""
+        numbers = self.sample.numbers
+        taken = {ColumnText.among("", getattr(self.stated, name), list(numbers)).column for name in COLUMNS[1:]}
+        rising = [
+            key
+            for key, values in numbers.items()
+            if key not in taken and len(values) > 2 and (np.diff(values) > 0).all()
+        ]
+        if len(rising) != 1:
+            listing = f"{', '.join(rising)} rise in every row" if rising else "no column rises in every row"
+            hint = (
+                "Name the column and its unit, such as --time t:s; without one, the time between rows: --time '1 ms'."
+            )
+            raise UsageError(f"--time is missing, and {self.sample.name} does not show it: {listing}. {hint}")
+        self.evidence.append(f"time is {rising[0]!r}, the only column that rises in every row")
+        return rising[0]
+
+    def _unit(self, name: str, column: str) -> str:
+        """Return the unit of a column that the option does not state: that of the file, or what its steps prove."""
+        stated = self.sample.unit(column, name)[1]
+        if stated and find_unit(stated) is not None:
+            self.evidence.append(f"{name} is in {stated}, as {self.sample.name} states")
+            return stated
+        if name == "time":
+            pace = float(np.median(np.diff(self.sample.numbers[column])))
+            low, high = PLAUSIBLE_PERIODS
+            fits = [unit for unit in ("s", "ms", "us", "ns") if low <= pace * UNITS[unit].factor <= high]
+            if len(fits) == 1:
+                self.evidence.append(f"time is in {fits[0]}: its rows are {pace:g} apart")
+                return fits[0]
+            either = " or ".join(f"{column}:{unit}" for unit in fits) or f"{column}:s"
+            raise UsageError(f"--time {column}: the rows are {pace:g} apart, and no unit is stated. Write {either}.")
+        units = {"command": "N, Nm, V, A, counts or %", "position": "mm, m, rad or deg"}[name]
+        example = {"command": "N", "position": "mm"}[name]
+        raise UsageError(f"--{name} {column}: no unit is stated. Write {column}:{example}; one of {units}.")
+
+    def _turns(self, unit: str) -> bool:
+        known = find_unit(unit)
+        return known is not None and known.quantity in ("angle", "angular velocity")
+
+    def _condition(self, values: dict[str, Any], name: str, text: str) -> None:
+        """Put a condition where it comes from: a constant, a value beside the table, a column, the name of the file.
+
+        Raises
+        ------
+        UsageError
+            If it is none of these.
+        """
+        key = {"period": "sampling_period_s"}.get(name, name)
+        if (constant := ColumnText.constant(text)) is not None:
+            values["constants"][key] = constant.value
+            if constant.unit:
+                values["units"][key] = constant.unit
+            return
+        contents = self.sample.contents
+        named = dict[str, str]()
+        for label in (*contents.attributes, *contents.columns):
+            named[label] = "attributes" if label in contents.attributes else "condition_columns"
+        in_names = _numbers_in_names(self.samples)
+        for letter in in_names:
+            named.setdefault(letter, "name_pattern")
+        found = ColumnText.among(f"--{name}", text, list(named))
+        column = found.column or ""
+        where = named[column]
+        if where == "name_pattern":
+            values["name_pattern"] = _with_group(values.get("name_pattern"), in_names, column, key)
+        else:
+            values[where][key] = column
+        if found.unit:
+            values["units"][key] = found.unit
+        place = {
+            "attributes": f"the value {column!r} beside the table",
+            "condition_columns": f"column {column!r}",
+            "name_pattern": f"{column!r} in the names of the files",
+        }[where]
+        self.evidence.append(f"{name} is {place}")
+
+    def _period(self, values: dict[str, Any]) -> None:
+        """Put in the sampling period: stated, or the time between the rows of all samples."""
+        text = self.stated.period
+        if text is None and self.stated.time is not None:
+            constant = _as_constant("time", self.stated.time, self.sample)
+            text = None if constant is None else self.stated.time
+        if text is not None:
+            self._condition(values, "period", text)
+            return
+        clock = values["columns"]["time"]
+        unit, column = _time_factor(clock), _column_key(clock)
+        paces: dict[str, float] = {}
+        for sample in self.samples:
+            if (stamps := sample.numbers.get(column)) is not None and len(stamps) > 2:
+                paces[sample.name] = float(np.median(np.diff(stamps))) * unit
+        if not paces or min(paces.values()) <= 0:
+            raise UsageError("--period is missing, and the stamps do not show it. Give it, such as --period '1 ms'.")
+        slow, fast = max(paces, key=lambda name: paces[name]), min(paces, key=lambda name: paces[name])
+        if paces[slow] > paces[fast] * (1 + SAME_PERIOD):
+            raise UsageError(
+                f"the logs have several sampling periods: {paces[fast]:.6g} s in {fast}, {paces[slow]:.6g} s in "
+                f"{slow}. Read them apart, each with its --experiment, or give --period with the column that has it."
+            )
+        period = round_period(float(np.median([*paces.values()])))
+        values["constants"]["sampling_period_s"] = period
+        self.evidence.append(f"the sampling period is {period:g} s: so far are rows apart in {_logs(len(paces))}")
+
+    def _wall(self, values: dict[str, Any]) -> None:
+        """Put in what the wall law of the commands shows: the direction of positions, and when the step happens."""
+        given = {key for key in FREE if getattr(self.stated, key) is not None}
+        if not given:
+            return
+        if missing := [f"--{key}" for key in FREE if key not in given]:
+            raise UsageError(
+                f"{' and '.join(missing)} missing: a wall has --stiffness, --damping and --step, each a constant such "
+                "as '0 N', or a column. Logs without wall and step state none of them."
+            )
+        laws = dict(self._laws(values))
+        texts = (self.stated.position or "", self.stated.command or "")
+        if laws and not any(text[:1] in "+-" for text in texts):
+            against = [name for name, law in laws.items() if law.stiffness < 0]
+            if len(against) == len(laws):
+                values["columns"]["position"]["sign"] = -1
+                self.evidence.append(
+                    f"sign of the position is -1: in {_logs(len(laws))} the command pushes the way its numbers fall"
+                )
+        column = _column_key(values["columns"]["command"])
+        begun = [
+            abs(float(command[0])) > abs(law.step) / 2
+            for sample in self.samples
+            if (law := laws.get(sample.name)) is not None and (command := sample.numbers.get(column)) is not None
+        ]
+        values["step_at"] = "first row" if begun and all(begun) else "command edge"
+
+    def _laws(self, values: Mapping[str, Any]) -> Iterator[tuple[str, Law]]:
+        """Yield the wall law that the command of each sample obeys, in the numbers of the file and seconds."""
+        clock, *pair = (values["columns"][name] for name in COLUMNS)
+        for sample in self.samples:
+            found = [sample.numbers[key] for key in map(_column_key, pair) if key in sample.numbers]
+            if len(found) < 2:
+                continue
+            # without stamps, one row each sampling period
+            stamps = sample.numbers.get(_column_key(clock), np.arange(float(len(found[0]))))
+            if len({len(column) for column in (stamps, *found)}) != 1:
+                continue
+            law = law_of(stamps * _time_factor(clock), *found)
+            if law is not None and law.stiffness and law.step:
+                yield sample.name, law
+
+
+def _column_key(table: Mapping[str, Any]) -> str:
+    """Return the name of a column of a profile in what was read of the file; empty where there is none."""
+    return str(table.get("name", table.get("column", "")))
+
+
+def _time_factor(table: Mapping[str, Any]) -> float:
+    unit = find_unit(table.get("unit", "s"))
+    return 1.0 if unit is None else unit.factor
+
+
+def _logs(count: int) -> str:
+    return "the log" if count == 1 else f"all {counted(count, 'log')} that were looked at"
+
+
+def round_period(seconds: float) -> float:
+    """Return the round number of seconds that a period stands for, where one is near.
+
+    >>> round_period(0.00100013), round_period(1 / 3000), round_period(0.00025)
+    (0.001, 0.000333333, 0.00025)
+    """
+    for digits in (1, 2):
+        rounded = float(f"{seconds:.{digits}g}")
+        if abs(rounded / seconds - 1) <= ROUND_PERIOD:
+            return rounded
+    return float(f"{seconds:.6g}")
+
+
+_IN_NAME = re.compile(r"(?:^|[^A-Za-z])([A-Za-z]{1,12})[_= ]?(-?\d+(?:[.,]\d+)?)")
+"""A word and a number behind it, in the name of a file."""
+
+
+def _numbers_in_names(samples: Sequence[Sample]) -> list[str]:
+    """Return the words that have a number behind them in the name of each sample, in the order of the first."""
+    found = [[match[1] for match in _IN_NAME.finditer(Path(sample.name).stem)] for sample in samples]
+    counts = Counter(word for words in found for word in set(words) if words.count(word) == 1)
+    return [word for word in found[0] if counts[word] == len(samples)]
+
+
+def _with_group(pattern: str | None, words: Sequence[str], word: str, key: str) -> str:
+    """Return a pattern of file names that takes the number behind a word, too."""
+    group = f"(?:^|[^A-Za-z]){re.escape(word)}[_= ]?(?P<{key}>-?[0-9]+(?:[.,][0-9]+)?)"
+    if pattern is None:
+        return group
+    # groups stand in the order of the words in the names
+    parts = {part: text for text in pattern.split(".*") for part in words if f"]){re.escape(part)}[" in text}
+    parts[word] = group
+    return ".*".join(parts[part] for part in words if part in parts)
+
+
+def _check(profile: Profile, stated: StatedColumns, files: Sequence[Path]) -> None:
+    """Refuse a profile by which the command of a log obeys another wall than it states.
+
+    Raises
+    ------
+    ProfileError
+        With the log and the option to correct.
+    """
+    off = []
+    for sample in check_samples(profile, _spread(files, MOST_SAMPLES)):
+        for trial in sample["trials"]:
+            if trial["other_gains"]:
+                off.append((sample["path"], trial["other_gains"]))
+    if not off:
+        return
+    path, why = off[0]
+    others = f" So do {len(off) - 1} other logs." if len(off) > 1 else ""
+    raise ProfileError(f"{path}: {_in_options(why, stated)}.{others}")
+
+
+def _in_options(cure: str, stated: StatedColumns) -> str:
+    """Return a cure with options in place of the lines of a profile."""
+
+    def name(option: str) -> str:
+        text = str(getattr(stated, option, None) or "")
+        return (text.rpartition(":")[0] or text).lstrip("+-")
+
+    def column(match: re.Match[str]) -> str:
+        key, sign, unit = match[1], match[2], match[3]
+        return f"--{key} '{'-' if sign == '-1' else ''}{name(key)}:{unit or 'UNIT'}'"
+
+    def units(match: re.Match[str]) -> str:
+        pairs = re.findall(r'(\w+) = "([^"]*)"', match[1])
+        return " ".join(f"--{OPTIONS.get(key, key)} '{name(key)}:{unit}'" for key, unit in pairs)
+
+    text = re.sub(r'\[columns\.(\w+)\](?: sign = (-?1),?)?(?: unit = "([^"]*)")?', column, cure)
+    text = re.sub(r"\[units\] ((?:\w+ = \"[^\"]*\"(?:, )?)+)", units, text)
+    return text.replace("the header says", "the options say").replace(
+        "units and signs of the profile", "units and signs"
+    )

@@ -1,0 +1,74 @@
+"""A log of which nothing is known, opened for a look: its format, its layout, and its columns of numbers."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from pipeline.base.errors import ProfileError, UsageError, refusal
+from pipeline.base.units import DRIVES, unit_in_heading
+from pipeline.profiles.profile_model import QUANTITIES, Format, Profile
+from pipeline.readers.formats import format_of
+from pipeline.readers.formats.delimited import Layout, text_layout, unpacked
+from pipeline.readers.frame import Contents
+from pipeline.readers.isolation import read_file
+from pipeline.records.trials import Floats
+
+SPEEDS = frozenset(QUANTITIES["velocity"].values())
+"""Quantities of a column that a position is the integral of."""
+
+_BESIDE = {"position": SPEEDS, "command": frozenset(DRIVES)}
+"""Quantities that a column may have in place of its own."""
+
+
+class Sample(NamedTuple):
+    """A log of which nothing is known: its format, keys of its layout and questions about them, and what it holds."""
+
+    name: str
+    kind: Format
+    layout: Layout
+    contents: Contents
+
+    @property
+    def numbers(self) -> dict[str, Floats]:
+        """Columns of numbers with several rows, by name."""
+        columns = self.contents.columns.items()
+        return {key: np.asarray(v, np.float64) for key, v in columns if key and v.dtype.kind != "U" and len(v) > 1}
+
+    def unit(self, name: str, role: str) -> tuple[str, str]:
+        """Return the last part of the name of a column without its unit, and the unit that the file states for it."""
+        allowed = (*QUANTITIES[role].values(), *_BESIDE.get(role, ()))
+        plain, unit = unit_in_heading(name, allowed)
+        said = unit or self.contents.units.get(name) or self.contents.hints.get(name, "")
+        return re.split(r"[./]", plain)[-1].strip().lower(), said
+
+
+def open_sample(path: Path) -> Sample:
+    """Return a log of which nothing is known.
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be read.
+    LogError
+        If no columns of numbers are found in it.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror}). Give a log.") from error
+    kind = format_of(path.name, unpacked(path.name, data))
+    if kind == "native":
+        raise ProfileError(f"{path} is a native log, which needs no profile: `pipeline ingest {path}` reads it.")
+    layout = text_layout(path.name, data) if kind == "delimited" else Layout()
+    settings = Profile.model_construct(name="draft", format=kind, files=("*",), **layout.to_read())
+    sample = Sample(path.name, kind, layout, read_file(settings, (path.name,), (data,)))
+    layout.keys |= sample.contents.keys
+    if not sample.numbers:
+        reasons = (f"{key} {reason}" for key, reason in sample.contents.refused.items())
+        cure = "; ".join(reasons) or "Export the recorded signals as plain columns."
+        raise refusal("empty", "", "it holds no columns of numbers with several rows", cure=cure)
+    return sample
