@@ -260,10 +260,6 @@ class Layout:
     keys: dict[str, Any] = field(default_factory=dict)
     questions: dict[str, str] = field(default_factory=dict)
 
-    def to_read(self) -> dict[str, Any]:
-        """Return keys by which the file can be read for a look at it, although something is asked."""
-        return {"encoding": "latin-1", **self.keys} if "encoding" in self.questions else self.keys
-
 
 def text_layout(name: str, data: bytes) -> Layout:
     """Return how a text file is laid out.
@@ -314,7 +310,12 @@ def _guessed(name: str, data: bytes, layout: Layout) -> str:
     except LogError as error:
         if "UTF-8" not in error.reason:
             raise
-    layout.questions["encoding"] = 'the text is no UTF-8. Which is it: "latin-1" (older tools) or "cp1252" (Windows)?'
+    # both have the same letters; cp1252 alone has signs such as the dash where latin-1 has control characters
+    with suppress(LogError):
+        text = plain_text(TextLayout(encoding="cp1252"), name, data)[0]
+        layout.keys["encoding"] = "cp1252"
+        return text
+    layout.keys["encoding"] = "latin-1"
     return plain_text(TextLayout(encoding="latin-1"), name, data)[0]
 
 

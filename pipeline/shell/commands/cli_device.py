@@ -133,6 +133,7 @@ def identify(
 
 
 def _identified(document: dict[str, Any]) -> Iterator[str]:
+    from pipeline.device.parameters import unit_of
     from pipeline.surface.identify import DRIFT, FOLLOWS
 
     fit, limits = document["replay"]["fit_percent"], document["boundary"]
@@ -162,7 +163,9 @@ def _identified(document: dict[str, Any]) -> Iterator[str]:
     if limits is not None:
         top, B = limits["stiffness_max"], limits["damping_at_stiffness_max"]
         yield f"walls at T = {limits['sampling_period_s']:g} s and a delay of {limits['delay_samples']:.4g} samples:"
-        yield f"  stable up to K = {top['value']:.5g} ({top['low']:.5g} to {top['high']:.5g}) at B = {B:.5g}"
+        k, b = unit_of("stiffness", document["motion"]), unit_of("damping", document["motion"])
+        ends = f"{top['low']:.5g} to {top['high']:.5g}"
+        yield f"  stable up to K = {top['value']:.5g} {k} ({ends}) at B = {B:.5g} {b}"
         unfiltered = "" if document["velocity_filter"] else ", a velocity filter takes from it"
         plain = "" if document["loop"]["velocity"] else ", with a velocity by plain difference"
         yield f"  (linear{plain}: friction adds to it{unfiltered})"

@@ -120,16 +120,20 @@ def stated_profile(stated: StatedColumns, paths: Sequence[Path], *, walls: bool 
         profile = Profile.model_validate(values)
     except ValidationError:
         mistakes = find_mistakes(values, "")
-        lines = (f"{option_of(each.place)}: {_plain(each.text)}" for each in mistakes)
+        lines = (_plain(option_of(each.place), each.text) for each in mistakes)
         raise ProfileError("\n".join(dict.fromkeys(lines))) from None
     _check(profile, stated, chosen)
     return StatedProfile(profile, tuple(maker.evidence))
 
 
-def _plain(text: str) -> str:
-    """Return a mistake without the key of the profile in front, and in the words of options."""
+def _plain(option: str, text: str) -> str:
+    """Return a mistake in the words of options."""
     text = re.sub(r"^key '[^']*': ", "", text)
-    return re.sub(r'\[units\] gain = "<number> (N\w*)/(\S+)"', r"--gain '<number> \1/\2'", text)
+    if text.startswith("missing. Add device"):
+        return f"{option} is missing: a name for the device of these logs, such as {option} bench."
+    text = re.sub(r'\[units\] gain = "<number> (N\w*)/(\S+)"', r"--gain '<number> \1/\2'", text)
+    text = re.sub(r"Add (\w+) = (.*)", rf"Write {option} with one of these units: \2", text)
+    return f"{option}: {text}"
 
 
 def _logs_below(paths: Sequence[Path]) -> Iterator[Path]:
@@ -175,7 +179,7 @@ def _samples(stated: StatedColumns, files: Sequence[Path]) -> tuple[list[Path], 
                     if (text := getattr(stated, name)) is not None and _as_constant(name, text, sample) is None:
                         ColumnText.among(f"--{name}", text, list(sample.contents.columns))
             except (LogError, ProfileError, UsageError) as error:
-                first = first or type(error)(f"{file}: {error}")
+                first = first or type(error)(f"{file}: {str(error).removeprefix(f'{file.name}: ')}")
                 continue
             opened.append(sample)
         if opened:
@@ -451,28 +455,35 @@ def _check(profile: Profile, stated: StatedColumns, files: Sequence[Path]) -> No
     ProfileError
         With the log and the option to correct.
     """
-    off = []
+    off, looked = [], 0
     for sample in check_samples(profile, _spread(files, MOST_SAMPLES)):
+        looked += 1
         for trial in sample["trials"]:
             if trial["other_gains"]:
                 off.append((sample["path"], trial["other_gains"]))
     if not off:
         return
     path, why = off[0]
-    others = f" So do {len(off) - 1} other logs." if len(off) > 1 else ""
+    others = f" ({counted(len(off), 'log')} of {counted(looked, 'log')} are at fault.)" if looked > 1 else ""
     raise ProfileError(f"{path}: {_in_options(why, stated)}.{others}")
+
+
+def _parts(text: str) -> tuple[str, str]:
+    """Return name and unit of a column as it was written, without its sign."""
+    name, colon, unit = text.lstrip("+-").rpartition(":")
+    return (name, unit) if colon and find_unit(unit) else (text.lstrip("+-"), "")
 
 
 def _in_options(cure: str, stated: StatedColumns) -> str:
     """Return a cure with options in place of the lines of a profile."""
 
     def name(option: str) -> str:
-        text = str(getattr(stated, option, None) or "")
-        return (text.rpartition(":")[0] or text).lstrip("+-")
+        return _parts(getattr(stated, option, None) or "")[0]
 
     def column(match: re.Match[str]) -> str:
         key, sign, unit = match[1], match[2], match[3]
-        return f"--{key} '{'-' if sign == '-1' else ''}{name(key)}:{unit or 'UNIT'}'"
+        unit = unit or _parts(getattr(stated, key, None) or "")[1]
+        return f"--{key} '{'-' if sign == '-1' else ''}{name(key)}{':' if unit else ''}{unit}'"
 
     def units(match: re.Match[str]) -> str:
         pairs = re.findall(r'(\w+) = "([^"]*)"', match[1])
@@ -480,6 +491,5 @@ def _in_options(cure: str, stated: StatedColumns) -> str:
 
     text = re.sub(r'\[columns\.(\w+)\](?: sign = (-?1),?)?(?: unit = "([^"]*)")?', column, cure)
     text = re.sub(r"\[units\] ((?:\w+ = \"[^\"]*\"(?:, )?)+)", units, text)
-    return text.replace("the header says", "the options say").replace(
-        "units and signs of the profile", "units and signs"
-    )
+    text = text.replace("units and signs of the profile", "columns, units and signs")
+    return text.replace("the header says", "the options say")

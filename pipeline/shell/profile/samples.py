@@ -64,7 +64,7 @@ def open_sample(path: Path) -> Sample:
     if kind == "native":
         raise ProfileError(f"{path} is a native log, which needs no profile: `pipeline ingest {path}` reads it.")
     layout = text_layout(path.name, data) if kind == "delimited" else Layout()
-    settings = Profile.model_construct(name="draft", format=kind, files=("*",), **layout.to_read())
+    settings = Profile.model_construct(name="draft", format=kind, files=("*",), **layout.keys)
     sample = Sample(path.name, kind, layout, read_file(settings, (path.name,), (data,)))
     layout.keys |= sample.contents.keys
     if not sample.numbers:
