@@ -35,8 +35,16 @@ from pipeline.intake.kept import (
     release,
     trial_id,
 )
-from pipeline.intake.sources import Read, Source, check_places, find_sources, is_settled, reads_of
-from pipeline.profiles.profile_files import load_profile, shipped_profiles
+from pipeline.intake.sources import (
+    Notices,
+    Read,
+    Source,
+    asked_profiles,
+    check_places,
+    find_sources,
+    is_settled,
+    reads_of,
+)
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
 from pipeline.recording.signals import same_samples
@@ -108,6 +116,8 @@ class IngestReport(Record):
         With a dry run: what would be done with each source, those that wait included.
     damaged : tuple of str
         Stored files that are damaged, with what to do; their logs count as new, all others are as ever.
+    ignored : tuple of str
+        Files in searched folders that are no logs: papers, scripts, settings, pictures, sheets; they do not count.
     """
 
     found: int
@@ -120,6 +130,7 @@ class IngestReport(Record):
     waiting: tuple[str, ...] = ()
     plan: tuple[PlannedSource, ...] | None = None
     damaged: tuple[str, ...] = ()
+    ignored: tuple[str, ...] = ()
 
 
 PENDING_BYTES = 64 << 20
@@ -142,6 +153,7 @@ def ingest(
     wait_s: float = WAIT_S,
     say: Callable[[str], None] | None = None,
     damaged: dict[Path, str] | None = None,
+    ignore: Sequence[str] = (),
 ) -> IngestReport:
     """Store all new logs below some folders.
 
@@ -174,6 +186,8 @@ def ingest(
         Gets a line when waiting begins.
     damaged : dict of Path to str, optional
         Stored files that are known to be damaged, and why: their logs count as new.
+    ignore : sequence of str
+        Patterns of the names of files in searched folders that are no logs.
 
     Raises
     ------
@@ -187,11 +201,13 @@ def ingest(
     if jobs is not None and jobs < 1:
         raise UsageError(f"jobs must be at least 1, found {jobs}. Leave it out for one per processor.")
     check_version(processed)
-    profiles = shipped_profiles() if profile is None else (load_profile(profile),)
     folders = [Path(path) for path in paths]
     check_places(folders, processed)  # before anything is written
+    asked = asked_profiles(profile, folders)
+    ignored = (*ignore, *asked.ignore)
     with nullcontext() if dry_run else writing(processed, wait_s, say):
-        run = _Run(processed, profiles, dict(damaged or {}), dry_run, rehash, replace, progress)
+        run = _Run(processed, asked.profiles, dict(damaged or {}), dry_run, rehash, replace, progress, ignored)
+        run.warnings += [LogWarning(path_text(sheet), text) for sheet, text in asked.notices]
         run.look(folders, settle_s, growing)
         run.work(jobs or min(4, os.cpu_count() or 1))
         return run.report(folders)
@@ -203,7 +219,7 @@ class _Run:
 
     Parameters
     ----------
-    processed, profiles, damaged, dry_run, rehash, replace, progress
+    processed, profiles, damaged, dry_run, rehash, replace, progress, ignore
         As for `ingest`.
     """
 
@@ -214,6 +230,7 @@ class _Run:
     rehash: bool
     replace: bool
     progress: Callable[[int, int], None] | None
+    ignore: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         self.claims = digest(sorted(profile.digest for profile in self.profiles))
@@ -241,6 +258,7 @@ class _Run:
         self.folders = set[Path]()
         self.refusals, self.warnings, self.changed = list[Refusal](), list[LogWarning](), list[ChangedSource]()
         self.waiting, self.plan = list[PlannedSource](), list[PlannedSource]()
+        self.ignored: tuple[str, ...] = ()
 
     @cached_property
     def _motions(self) -> dict[str, Motion]:
@@ -271,9 +289,10 @@ class _Run:
         if settle_s:
             known = {path: state for path, state in known.items() if is_settled(state[1], settle_s)}
         left = dict(known)
-        noticed = list[tuple[Path, str]]()
-        found = find_sources(folders, self.profiles, self.processed, noticed, left)
-        self.warnings += [LogWarning(path_text(folder), text) for folder, text in noticed]
+        notices = Notices()
+        found = find_sources(folders, self.profiles, self.processed, notices, left, self.ignore)
+        self.warnings += [LogWarning(path_text(folder), text) for folder, text in notices.folders]
+        self.ignored = tuple(sorted({path_text(file) for file in notices.ignored}))
         self.unread = len(known) - len(left)
         present = {source.key for source in found}
         self.missing = (self.stored.paths - known.keys() | left.keys()) - present
@@ -329,6 +348,7 @@ class _Run:
             waiting=tuple(sorted(one.path for one in self.waiting)),
             plan=tuple(sorted(self.plan + self.waiting, key=lambda one: one.path)) if self.dry_run else None,
             damaged=tuple(sorted(set(self.damaged.values()))),
+            ignored=self.ignored,
         )
 
     def _note(self, source: Source, action: Action, reason: str) -> None:

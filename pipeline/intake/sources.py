@@ -15,9 +15,10 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
+from glob import escape
 from itertools import islice
 from pathlib import Path
 
@@ -25,10 +26,11 @@ from pipeline.base.disk import READABLE, shared_mode
 from pipeline.base.errors import LogError, ParameterError, UsageError, refusal
 from pipeline.base.paths import open_regular, path_text, storable
 from pipeline.device.parameters import drive_of
-from pipeline.profiles.profile_files import claim
+from pipeline.profiles.profile_files import claim, load_profile, shipped_profiles
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile, conditions_in_name, number_in_name
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.readers.frame import LARGEST_LOG
+from pipeline.readers.sheets import with_sheet
 from pipeline.records.findings import Motion
 from pipeline.store.names import folder_name
 
@@ -66,8 +68,45 @@ def files_of_bag(file: Path) -> tuple[Path, ...]:
     return tuple(map(file.with_name, names)) if file.name in (METADATA, *names) else ()
 
 
-UNCOUNTED = frozenset({"truth.json", "readme", "readme.md", "readme.txt", "license", "license.md", "license.txt"})
-"""Files that stand beside logs and are none (the first by the simulator), in small letters; not counted in folders."""
+UNCOUNTED = frozenset({"truth.json"})
+"""Files that stand beside logs and are none (of the simulator), in small letters; nothing is said of them."""
+
+_PAPERS = ("readme", "license", "licence", "copying", "changelog", "citation", "makefile", "dockerfile", "thumbs.db")
+_NO_LOGS = {
+    "papers": "md rst tex bib pdf doc docx odt ppt pptx html htm css cff",
+    "scripts": "py pyc ipynb m mlx slx mdl r jl c cc cpp h hpp rs ino js sh bat ps1",
+    "settings": "toml yaml yml ini cfg conf lock",
+    "pictures": "png jpg jpeg gif svg bmp tif tiff webp eps mp4 avi mov mkv",
+}
+"""Beginnings and endings of the names of files that hold no samples."""
+
+_ENDINGS = frozenset(" ".join(_NO_LOGS.values()).split())
+
+
+def is_no_log(name: str) -> bool:
+    """Return whether a file by its name is a paper, script, setting or picture.
+
+    >>> [is_no_log(name) for name in ("README.txt", "lab.toml", "look.html", "run_1.csv", "run.txt")]
+    [True, True, True, False, False]
+    """
+    lower = name.lower()
+    return os.path.splitext(lower)[1][1:] in _ENDINGS or lower.split(".")[0] in _PAPERS or lower in _PAPERS
+
+
+@dataclass
+class Notices:
+    """What a search passes over.
+
+    Parameters
+    ----------
+    folders : list of (Path, str)
+        Folders that are not searched, each with the reason: it is a link, or may not be read.
+    ignored : list of Path
+        Files in searched folders that are no logs, by their names or because the caller said so.
+    """
+
+    folders: list[tuple[Path, str]] = field(default_factory=list)
+    ignored: list[Path] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -128,21 +167,62 @@ class Source:
         for key in told.keys() & CONDITION_QUANTITIES:
             with suppress(ValueError):
                 told[key] = str(number_in_name(told[key], profile.decimal_sign))
-        entries = [entry.match for entry in profile.file if fnmatchcase(name.lower(), entry.match.lower())]
+        entries = [entry.match for entry in profile.entries_for(name)]
         return json.dumps([told, entries], sort_keys=True)
+
+
+@dataclass(frozen=True)
+class AskedProfiles:
+    """Profiles that may claim logs, ready for use.
+
+    Parameters
+    ----------
+    profiles : tuple of Profile
+    ignore : tuple of str
+        Patterns of files that are no logs: the sheet that conditions came from.
+    notices : tuple of (Path, str)
+        What does not fit together in that sheet.
+    """
+
+    profiles: tuple[Profile, ...]
+    ignore: tuple[str, ...] = ()
+    notices: tuple[tuple[Path, str], ...] = ()
+
+
+def asked_profiles(profile: str | Path | Profile | None, paths: Sequence[Path]) -> AskedProfiles:
+    """Return the profile that is named, its sheet read, or the shipped ones where none is.
+
+    Raises
+    ------
+    ProfileError
+        If there is no such profile, or the profile or its sheet is wrong.
+    """
+    if profile is None:
+        return AskedProfiles(shipped_profiles())
+    loaded = load_profile(profile)
+    if loaded.sheet is None:
+        return AskedProfiles((loaded,))
+    sheet = Path(loaded.sheet.file)
+    names = {file.name for path in paths for file in (_files(path, None, [], {}) if path.is_dir() else [path])}
+    read = with_sheet(loaded, names)
+    # of one log that is given, the others are elsewhere
+    notices = tuple((sheet, text) for text in read.notices) if any(path.is_dir() for path in paths) else ()
+    return AskedProfiles((read.profile,), (escape(os.path.abspath(sheet)),), notices)
 
 
 def find_sources(
     paths: Sequence[Path],
     profiles: tuple[Profile, ...],
     exclude: Path | None = None,
-    notices: list[tuple[Path, str]] | None = None,
+    notices: Notices | None = None,
     unchanged: dict[str, tuple[int, int]] | None = None,
+    ignore: Sequence[str] = (),
 ) -> list[Source]:
     """Return every log below the given folders and files, each once, in order of path.
 
     Links to files are followed. Links to folders inside a searched folder are not, since they may lead in a circle:
-    `notices` gets them.
+    `notices` gets them. A file in a searched folder that is a paper, script, setting or picture by its name is no log,
+    unless a profile names its ending; one that is given itself always is.
 
     Parameters
     ----------
@@ -152,10 +232,12 @@ def find_sources(
         Profiles that may claim a file.
     exclude : Path, optional
         Folder that is left out (`processed/`, which may lie inside a searched folder).
-    notices : list of (Path, str), optional
-        Gets each folder that is not searched, and why: it is a link, or may not be read.
+    notices : Notices, optional
+        Gets what is passed over.
     unchanged : dict of str to (int, int), optional
         Size [byte] and time [ns] of files, by absolute path; it loses those that have them, which are left out.
+    ignore : sequence of str
+        Patterns of files in searched folders that are no logs: of their names, or of their absolute paths.
 
     Raises
     ------
@@ -165,13 +247,35 @@ def find_sources(
         If two profiles claim one file.
     """
     found: dict[str, Source] = {}
-    excluded = check_places(paths, exclude)
+    excluded, seen = check_places(paths, exclude), Notices() if notices is None else notices
     for path in paths:
-        look = _files(path, excluded, [] if notices is None else notices, {} if unchanged is None else unchanged)
-        for file in look if path.is_dir() else [path]:
+        if not path.is_dir():
+            source = _source(path, profiles)
+            found.setdefault(source.key, source)
+            continue
+        for file in _files(path, excluded, seen.folders, {} if unchanged is None else unchanged):
+            if _matches(file, ignore):
+                seen.ignored.append(file)
+                continue
             source = _source(file, profiles)
+            if is_no_log(file.name) and source.path == file and not _names_ending(source.profile, file):
+                seen.ignored.append(file)
+                continue
             found.setdefault(source.key, source)
     return [found[key] for key in sorted(found)]
+
+
+def _matches(file: Path, patterns: Sequence[str]) -> bool:
+    if not patterns:
+        return False
+    places = (file.name, os.path.abspath(file))
+    return any(fnmatchcase(place, pattern) for pattern in patterns for place in places)
+
+
+def _names_ending(profile: Profile | None, file: Path) -> bool:
+    """Return whether a pattern of a profile names the ending of a file, so that it is one of its logs."""
+    ending = file.suffix.lower() or file.name.lower()
+    return profile is not None and any(pattern.lower().endswith(ending) for pattern in profile.files)
 
 
 def check_places(paths: Sequence[Path], exclude: Path | None) -> str | None:

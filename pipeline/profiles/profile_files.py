@@ -90,7 +90,11 @@ def load_profile(profile: str | Path | Profile) -> Profile:
         return shipped[str(profile)]
     path = Path(profile)
     if path.is_file():
-        return read_profile(path)
+        read = read_profile(path)
+        if read.sheet is None:
+            return read
+        sheet = read.sheet.model_copy(update={"file": str(path.parent / read.sheet.file)})
+        return read.model_copy(update={"sheet": sheet})
     raise ProfileError(
         f"profile {str(profile)!r} is neither a file nor a shipped profile; expected one of "
         f"{sorted(shipped)} or the path of a TOML file."

@@ -10,8 +10,9 @@ import re
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from fnmatch import translate
+from fnmatch import fnmatchcase, translate
 from functools import cache, cached_property
+from glob import escape
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, cast, get_args
 
@@ -642,6 +643,24 @@ class FileEntry(Conditions, StepTime):
     window: Window | None = None
 
 
+class Sheet(Record):
+    """A table with one row a log, from which conditions are taken: CSV, XLSX or ODS.
+
+    Parameters
+    ----------
+    file : str
+        Its path, from the folder of the profile.
+    name : str, optional
+        Column that names the logs; found by its content where it is not given.
+    columns : tuple of str
+        Columns that give conditions, as ``"K:stiffness:N/mm"``; others are taken by their names.
+    """
+
+    file: Name
+    name: Name | None = None
+    columns: tuple[Name, ...] = ()
+
+
 class StepEntry(Conditions, StepTime, Window):
     """One of several steps in a file: its rows, and what differs from the conditions of the file."""
 
@@ -671,6 +690,8 @@ class Profile(TextLayout, StepTime):
         Condition -> attribute of the file (a label of text lines, an HDF5 attribute) or column that gives it.
     file : tuple of FileEntry
         What holds for single files; one entry at most may fit a file.
+    sheet : Sheet, optional
+        Its rows become such entries when the profile is used (`pipeline.readers.sheets.with_sheet`).
     trial_column : str, optional
         Long form: rows with the same value in this column are one trial.
     steps : tuple of StepEntry
@@ -700,6 +721,7 @@ class Profile(TextLayout, StepTime):
     attributes: dict[Condition, Name] = Field(default_factory=dict)
     condition_columns: dict[Condition, Name] = Field(default_factory=dict)
     file: tuple[FileEntry, ...] = ()
+    sheet: Sheet | None = None
     trial_column: Name | None = None
     steps: tuple[StepEntry, ...] = ()
     window: Window | None = None
@@ -760,7 +782,11 @@ class Profile(TextLayout, StepTime):
         constant = 0.0 if self.conditions().isdisjoint(FREE) else None if varies else self.constants.step
         steps = [constant, *(entry.step for entry in entries.values() if entry.step is not None)]
         # an entry that says nothing beside one that does is refused with the files that it reads
-        if not any(entry.declared for entry in (self, *entries.values())) and any(step != 0 for step in steps):
+        if (
+            self.sheet is None
+            and not any(entry.declared for entry in (self, *entries.values()))
+            and any(step != 0 for step in steps)
+        ):
             yield ("step_at",), STEP_MISSING
 
     def conditions(self) -> set[str]:
@@ -782,7 +808,8 @@ class Profile(TextLayout, StepTime):
         if problem:
             yield ("name_pattern",), problem
         given = self.conditions()
-        for key in REQUIRED_CONDITIONS:
+        # what a sheet gives is known when it is read
+        for key in REQUIRED_CONDITIONS if self.sheet is None else ():
             # a log of motion without wall and step leaves out all that speaks of them
             if key not in given and not (key in FREE and given.isdisjoint(FREE)):
                 line = f"{key} = {_EXAMPLES.get(key, '<number>')}"
@@ -793,6 +820,25 @@ class Profile(TextLayout, StepTime):
     def reads_names(self) -> bool:
         """Whether the name of a file decides what is read of it: a renamed file may be another log."""
         return self.name_pattern is not None or bool(self.file)
+
+    def entries_for(self, name: str) -> list[FileEntry]:
+        """Return what the profile says of a single file."""
+        exact, patterns = self._entries
+        lower = name.lower()
+        fitting = (entry for entry in patterns if fnmatchcase(lower, entry.match.lower()))
+        return [*exact.get(lower, ()), *fitting]
+
+    @cached_property
+    def _entries(self) -> tuple[dict[str, list[FileEntry]], list[FileEntry]]:
+        """Entries of single files by their names, and those of patterns: a sheet may have thousands of rows."""
+        exact, patterns = dict[str, list[FileEntry]](), list[FileEntry]()
+        for entry in self.file:
+            name = re.sub(r"\[([*?[])\]", r"\1", entry.match.lower())
+            if escape(name) == entry.match.lower():
+                exact.setdefault(name, []).append(entry)
+            else:
+                patterns.append(entry)
+        return exact, patterns
 
     def name_groups(self) -> frozenset[str]:
         """Return the conditions that the file name gives."""

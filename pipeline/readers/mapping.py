@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from fnmatch import fnmatchcase
 from typing import Any, Literal
 
 import numpy as np
@@ -323,7 +322,7 @@ def entry_of(profile: Profile, name: str) -> FileEntry | None:
     LogError
         If two entries fit the file.
     """
-    entries = [entry for entry in profile.file if fnmatchcase(name.lower(), entry.match.lower())]
+    entries = profile.entries_for(name)
     if len(entries) > 1:
         found = f"fits {len(entries)} entries [[file]] of profile {profile.name}, match = {[e.match for e in entries]}"
         raise refusal("profile-wrong", name, found, "one")
@@ -399,11 +398,14 @@ def conditions_of(
             found = f"has no attribute {attributes[key]!r} (the {key}); found {sorted(frame.attributes)[:40]}"
             raise refusal("condition-missing", where, found)
         given[key] = _in_si(profile, where, key, value, inside)
-    if given.keys().isdisjoint(FREE):
+    # where other files of the profile have walls, one without is not known to be free
+    if given.keys().isdisjoint(FREE) and profile.conditions().isdisjoint(FREE):
         given |= dict.fromkeys(FREE, 0.0)
     if missing := next((key for key in required if key not in given), None):
         line = f'[[file]]\nmatch = "{name}"\n{missing} = <value>'
         found = f"profile {profile.name} does not give the {missing} of this file"
+        if profile.file and not profile.entries_for(name):
+            found += ", and no entry [[file]] and no row of its sheet names it"
         raise refusal("condition-missing", where, found, line=line)
     return given
 

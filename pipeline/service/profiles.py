@@ -14,6 +14,7 @@ import threading
 import time
 import tomllib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -82,11 +83,31 @@ def checked_text(settings: Settings, name: str, text: str) -> tuple[str, str]:
     text = re.sub(r"(?m)^name *=.*$", f'name = "{name}"', text, count=1)
     write_text(trial, text)
     try:
-        return text, read_profile(trial).digest
+        profile = read_profile(trial)
+        refuse_sheet(profile.sheet is not None)
+        return text, profile.digest
     except ProfileError as error:
         raise Problem(422, str(error).replace(str(trial), f"{name}.toml"), where="profile") from error
     finally:
         trial.unlink(missing_ok=True)
+
+
+def refuse_sheet(has_sheet: bool) -> None:
+    """Refuse a profile with a sheet: its path would be that of a file of the server.
+
+    Raises
+    ------
+    Problem
+        If it has one.
+    """
+    if has_sheet:
+        raise Problem(
+            422,
+            "A profile in the service names no sheet. Give its rows as [[file]] entries: `pipeline push --sheet` does.",
+            where="sheet",
+            expected="[[file]] entries",
+            found="[sheet]",
+        )
 
 
 def keep(settings: Settings, name: str, text: str) -> None:
@@ -183,6 +204,8 @@ def draft(folder: Path) -> dict[str, Any]:
 
 def preview(folder: Path, text: str) -> list[Any]:
     """Return what a profile would read of samples; a refused one has the reason."""
+    with suppress(tomllib.TOMLDecodeError):  # what is wrong with it is told by the check
+        refuse_sheet("sheet" in tomllib.loads(text))
     file = folder.with_suffix(".toml")
     write_text(file, text)
     found = _asked("check", str(file), str(folder))["samples"]

@@ -7,6 +7,7 @@ import os
 import secrets
 import time
 from collections.abc import Callable, Iterator
+from glob import escape
 from http.client import HTTPException
 from pathlib import Path
 from typing import Any
@@ -16,8 +17,7 @@ from urllib.request import Request, urlopen
 
 from pipeline.base.errors import UsageError
 from pipeline.base.paths import path_text
-from pipeline.intake.sources import find_sources
-from pipeline.profiles.profile_files import read_profile
+from pipeline.intake.sources import Notices, asked_profiles, find_sources
 from pipeline.profiles.profile_model import Profile
 from pipeline.profiles.profile_text import profile_toml
 
@@ -41,14 +41,18 @@ def push(folder: Path, to: str, profile: str | Profile | None, token: str | None
     if not files:
         raise UsageError(f"{folder}: no files. Give a folder with logs.")
     server = _Server(to, token)
-    if isinstance(profile, Profile):
-        profile = server.keep(profile.name, profile_toml(profile))
-    elif profile is not None and profile.endswith(".toml"):
-        profile = server.keep(read_profile(Path(profile)).name, Path(profile).read_text("utf-8"))
-    notices = list[tuple[Path, str]]()
+    if isinstance(profile, Profile) or (profile is not None and profile.endswith(".toml")):
+        asked = asked_profiles(profile, [folder])
+        (ready,) = asked.profiles
+        # a server reads no sheet: its rows are sent as entries of the profile
+        made = isinstance(profile, Profile) or bool(asked.ignore)
+        text = profile_toml(ready) if made else Path(str(profile)).read_text("utf-8")
+        profile = server.keep(ready.name, text)
+        files = [file for file in files if escape(os.path.abspath(file)) not in asked.ignore]
+    notices = Notices()
     find_sources([folder], (), None, notices)
     total: dict[str, Any] = {"found": 0, "ingested": 0, "skipped": 0, "quarantined": [], "warnings": [], "changed": []}
-    total |= {"damaged": []}
+    total |= {"damaged": [], "ignored": []}
     jobs = []
     sent = 0
     for group in _groups(files):
@@ -59,7 +63,7 @@ def push(folder: Path, to: str, profile: str | Profile | None, token: str | None
         result = server.wait(job)
         for name, value in total.items():
             total[name] = value + result.get(name, type(value)())
-    total["warnings"] += [{"path": path_text(path), "warning": text} for path, text in notices]
+    total["warnings"] += [{"path": path_text(path), "warning": text} for path, text in notices.folders]
     total["warnings"].sort(key=lambda warning: warning["path"])
     return total
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from pipeline.device.loop import Loop as LoopRecord
 from pipeline.device.parameters import PARAMETERS, UNITS, Motion, is_rotation, unit_of
 from pipeline.device.parts import Mode
 from pipeline.device_data.devices import known_devices
-from pipeline.intake.sources import Source, find_sources, load_source, motion_of
+from pipeline.intake.sources import Source, asked_profiles, find_sources, load_source, motion_of
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.measured.identification.estimated import ESTIMATED
 from pipeline.measured.identification.identified import Identification, identified
@@ -31,7 +31,6 @@ from pipeline.measured.identification.recordings import Recording
 from pipeline.measured.stages.measured_trial import MeasuredTrial
 from pipeline.measured.stages.stage_device import usable_recordings
 from pipeline.measured.student import NORMAL_95
-from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.recording.signals import same_samples
@@ -47,9 +46,6 @@ if TYPE_CHECKING:
 
     from pipeline.surface.logs import Place
     from pipeline.surface.physical_loop import Loop
-
-NO_LOG = "no-profile"
-"""Code of the reason of a file that no profile reads."""
 
 FOLLOWS = 50.0
 """Fit of free runs [%] below which a model does not predict its device: half of the motion is left."""
@@ -152,11 +148,13 @@ def identified_device(
     profile: str | Path | Profile | None = None,
     period: float | None = None,
     delay: float | None = None,
+    ignore: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return the document that `pipeline identify --json` prints; parameters and errors as of `identify`."""
-    given = None if profile is None else load_profile(profile)
-    sources = find_sources(paths, shipped_profiles() if given is None else (given,))
-    read, refused = _read(sources)
+    asked = asked_profiles(profile, paths)
+    sources = find_sources(paths, asked.profiles, ignore=(*ignore, *asked.ignore))
+    found_logs = _read(sources)
+    read, refused = found_logs.logs, found_logs.refused
     if not read:
         raise UsageError(f"{', '.join(map(str, paths))}: no log found. Give logs, or folders with logs.")
     known = {name: device.motion for name, device in known_devices().items()}
@@ -175,19 +173,28 @@ def identified_device(
         raise ParameterError(" ".join([str(error), *_first_findings(read)])) from error
     velocity = wall_filter(trials)
     document = _document(found, recordings, motions.pop(), velocity, period, delay)
-    rows = [{"log": name, **each.document} for name, log in read for each in log.findings]
-    return document | {"findings": rows, "refused": refused}
+    rows = [{"log": name, **each.document} for name, log in (*read, *found_logs.copies) for each in log.findings]
+    return document | {"findings": rows, "refused": refused, "copies": [name for name, _ in found_logs.copies]}
 
 
-def _read(sources: Sequence[Source]) -> tuple[list[tuple[str, Log]], list[dict[str, Any]]]:
-    """Return the logs of sources with their names, and those that are refused; files that are no logs are neither.
+class _Read(NamedTuple):
+    """Logs with their names; those whose samples are those of one before, which count once; refused files."""
+
+    logs: list[tuple[str, Log]]
+    copies: list[tuple[str, Log]]
+    refused: list[dict[str, Any]]
+
+
+def _read(sources: Sequence[Source]) -> _Read:
+    """Return the logs of sources.
 
     Raises
     ------
     LogError
-        If all are refused.
+        If all are refused: the first that a profile reads, else the first.
     """
     read: list[tuple[str, Log]] = []
+    copies: list[tuple[str, Log]] = []
     errors: list[tuple[Source, LogError]] = []
     seen: dict[str, str] = {}
     for source in sources:
@@ -199,16 +206,15 @@ def _read(sources: Sequence[Source]) -> tuple[list[tuple[str, Log]], list[dict[s
         for log in logs:
             name = source.shown if log.label is None else f"{source.shown}: {log.label}"
             other = seen.setdefault(log.samples_sha256, name)
-            noted = log.noted if other == name else (*log.noted, same_samples(len(log.time), other))
-            read.append((name, replace(log, noted=noted)))
+            if other == name:
+                read.append((name, log))
+            else:
+                copies.append((name, replace(log, noted=(*log.noted, same_samples(len(log.time), other)))))
     if errors and not read:
-        raise next((error for _, error in errors if error.code != NO_LOG), errors[0][1])
-    refused = [
-        {"path": source.shown, "reason": error.reason, "row": error.row}
-        for source, error in errors
-        if error.code != NO_LOG
-    ]
-    return read, refused
+        source, why = next((pair for pair in errors if pair[1].code != "no-profile"), errors[0])
+        raise why if source.shown in why.reason else why.reworded(f"{source.shown}: {why.reason}")
+    refused = [{"path": source.shown, "reason": error.reason, "row": error.row} for source, error in errors]
+    return _Read(read, copies, refused)
 
 
 def _first_findings(read: Sequence[tuple[str, Log]]) -> list[str]:

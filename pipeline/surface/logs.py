@@ -14,8 +14,7 @@ from pipeline.base.errors import LogError, UsageError
 from pipeline.device_data.devices import known_devices, load_device
 from pipeline.intake.ingest import IngestReport
 from pipeline.intake.ingest import ingest as ingest_logs
-from pipeline.intake.sources import find_sources, logs_of, motion_of
-from pipeline.profiles.profile_files import load_profile, shipped_profiles
+from pipeline.intake.sources import asked_profiles, find_sources, logs_of, motion_of
 from pipeline.readers import Log
 from pipeline.records.models import Motion
 from pipeline.records.trials import Trial
@@ -97,8 +96,7 @@ def read_log(path: Place, profile: Place | None = None, label: str | None = None
         If the path does not exist or holds no single log, or ``label`` names no trial of it.
     """
     given = _profile(profile)
-    profiles = shipped_profiles() if given is None else (load_profile(given),)
-    sources = find_sources([Path(path)], profiles)
+    sources = find_sources([Path(path)], asked_profiles(given, [Path(path)]).profiles)
     if len(sources) != 1:
         raise UsageError(f"{path}: expected one log, found {len(sources)}. Give a file, or store all with `ingest`.")
     (source,) = sources

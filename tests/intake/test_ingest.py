@@ -189,14 +189,31 @@ def test_files_that_are_no_logs(logs, run, processed):
     (logs / ".git" / "a.csv").write_text("x")
     (logs / "gone.csv").symlink_to(logs / "nowhere")
     report = run(logs)
-    assert counts(report) == (9, 6, 0, 3)
+    assert counts(report) == (8, 6, 0, 2)
+    assert [Path(path).name for path in report.ignored] == ["notes.md"]
     reasons = {Path(r.path).name: r.reason for r in report.quarantined}
-    assert "accepted are" in reasons["notes.md"]
-    assert "native: *.csv" in reasons["notes.md"]
+    assert "accepted are" in reasons["table.parquet"]
+    assert "native: *.csv" in reasons["table.parquet"]
     assert "cannot be read" in reasons["gone.csv"]
     (logs / "gone.csv").unlink()
     (logs / "gone.csv").write_text(log_text(999))
-    assert counts(run(logs)) == (9, 1, 6, 2)
+    assert counts(run(logs)) == (8, 1, 6, 1)
+
+
+@pytest.mark.parametrize("name", ["README", "readme.txt", "LICENSE.md", "lab.toml", "plot.py", "rig.PNG", "look.html"])
+def test_a_paper_script_setting_or_picture_is_listed_and_not_counted(logs, run, name):
+    (logs / name).write_text("x")
+    report = run(logs)
+    assert counts(report) == (6, 6, 0, 0)
+    assert report.ignored == (str(logs / name),)
+    # what is given itself is to be read
+    assert [Path(refusal.path).name for refusal in run(logs / name).quarantined] == [name]
+
+
+def test_files_are_ignored_by_pattern(logs, run):
+    (logs / "calibration.csv").write_text("x")
+    assert counts(run(logs)) == (7, 6, 0, 1)
+    assert counts(run(logs, ignore=["cal*"])) == (6, 0, 6, 0)
 
 
 def test_processed_inside_the_searched_folder_is_left_out(logs):

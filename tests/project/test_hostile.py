@@ -24,7 +24,7 @@ from pipeline.base.errors import CURES, LogError, ProfileError, UsageError
 from pipeline.base.paths import open_regular, path_of_text, path_text, storable
 from pipeline.intake.ingest import ingest
 from pipeline.intake.kept import list_quarantine
-from pipeline.intake.sources import find_sources
+from pipeline.intake.sources import Notices, find_sources
 from pipeline.profiles.profile_files import load_profile
 from pipeline.readers import mapping
 from pipeline.readers.formats import native, refuse_other_kind
@@ -199,9 +199,9 @@ def test_a_folder_that_cannot_be_listed_is_told(logs, monkeypatch):
         return scandir(path)
 
     monkeypatch.setattr(os, "scandir", scan)
-    told = []
+    told = Notices()
     assert len(find_sources([logs], (), None, told)) == 1
-    assert [(folder.name, text) for folder, text in told] == [
+    assert [(folder.name, text) for folder, text in told.folders] == [
         ("shut", "folder cannot be read (Permission denied). Correct its permissions.")
     ]
 

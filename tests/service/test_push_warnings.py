@@ -6,7 +6,7 @@ import sys
 
 import pytest
 from native_logs import log_text
-from served import serving
+from served import form, serving
 from wall_logs import profile_text, wall_log
 
 from pipeline.service.settings import Settings
@@ -61,3 +61,32 @@ def test_push_has_the_warnings_of_ingest_in_its_json(raw, tmp_path):
 
     assert len(wanted["warnings"]) >= 2
     assert plain(pushed["warnings"]) == plain(wanted["warnings"])
+
+
+def test_a_sheet_is_read_where_it_lies_and_never_by_the_server(tmp_path):
+    """Its path would be that of any file of the server, so a profile that names one is refused there."""
+    folder = tmp_path / "raw"
+    folder.mkdir()
+    (folder / "a.txt").write_text(wall_log(1500.0, 6.0))
+    (folder / "runs.csv").write_text("Datei;K [N/mm];B [Ns/m];F0 [N]\na.txt;1,5;6;8\n")
+    text = profile_text().replace("name_pattern", "# name_pattern").replace("step = 8.0\n", "")
+    (tmp_path / "lab.toml").write_text(text + '[sheet]\nfile = "raw/runs.csv"\n')
+    with serving(Settings(tmp_path / "processed", tmp_path / "reports", renew=False)) as client:
+        done = run("push", folder, "--to", f"http://127.0.0.1:{client.port}", "--profile", tmp_path / "lab.toml")
+        assert done.returncode == 0, done.stderr
+        (trial,) = client.get("trials").content["items"]
+        assert (trial["stiffness"], trial["damping"]) == (1500.0, 6.0)
+        kept = client.get("profiles/lab").content["profile"]
+        assert "[sheet]" not in kept
+        assert "[[file]]" in kept
+        (tmp_path / "secret.csv").write_text("Datei;K [N/mm]\nsecret;42\n")
+        for place in (str(tmp_path / "secret.csv"), "/etc/passwd", "../../secret.csv"):
+            wrong = f'{text}[sheet]\nfile = "{place}"\n'
+            drafted = client.ask("POST", "profiles/draft", **form([("a.txt", wall_log(1500.0, 6.0).encode())])).content
+            for answer in (
+                client.ask("PUT", "profiles/other", document={"profile": wrong}),
+                client.ask("POST", "profiles/preview", document={"sample": drafted["sample"], "profile": wrong}),
+            ):
+                assert answer.status == 422
+                assert "names no sheet" in json.dumps(answer.content)
+                assert "secret" not in json.dumps(answer.content).replace(place, "")

@@ -16,6 +16,7 @@ from pipeline.shell.commands.log_columns import reads_logs
 from pipeline.shell.commands.options import (
     DeviceName,
     Experiments,
+    Ignore,
     LogProfile,
     One,
     Out,
@@ -101,6 +102,7 @@ def identify(
     period: Annotated[float | None, option("--period", "Sampling period of the walls, in s.")] = None,
     delay: Annotated[float | None, option("--delay", "Delay of the walls, in samples.")] = None,
     out: Out = None,
+    ignore: Ignore = None,
 ) -> None:
     """Identify a device from any logs, and the walls it can render.
 
@@ -117,9 +119,13 @@ def identify(
 
     if out is not None:
         check_output(out, "--out")
-    document = identified_device(paths, profile, period, delay)
+    document = identified_device(paths, profile, period, delay, ignore or ())
     console.tell(document, _identified(document))
-    for line in console.warned((each["log"], each["sentence"], each["code"]) for each in document["findings"]):
+    copies = document["copies"]
+    if copies:
+        console.note(f"{len(copies)} logs with the samples of another one count once: {', '.join(copies[:_SHOWN])}")
+    told = (each for each in document["findings"] if each["log"] not in copies)
+    for line in console.warned((each["log"], each["sentence"], each["code"]) for each in told):
         console.note(f"warning: {line}")
     for each in document["refused"]:
         row = "" if each["row"] is None else f", row {each['row']}"

@@ -11,7 +11,7 @@ from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, HELPS, O
 from pipeline.base.paths import check_output
 from pipeline.shell import console
 from pipeline.shell.commands.log_columns import reads_logs
-from pipeline.shell.commands.options import LogProfile, Out, Processed, Store
+from pipeline.shell.commands.options import Ignore, LogProfile, Out, Processed, Store
 from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ def ingest(
     rehash: Annotated[bool, option("--rehash", "Read logs of unchanged size and time, too.")] = False,
     replace: Annotated[bool, option("--replace", "Let another profile or device claim stored logs.")] = False,
     dry_run: Annotated[bool, option("--dry-run", "Check and report, store nothing.")] = False,
+    ignore: Ignore = None,
 ) -> int:
     """Check and store new logs; refused ones go into quarantine.
 
@@ -53,7 +54,14 @@ def ingest(
     from pipeline.intake.ingest import ingest as ingest_logs
     from pipeline.store.objects import stored_by
 
-    how: dict[str, Any] = {"jobs": jobs, "dry_run": dry_run, "rehash": rehash, "replace": replace, "say": console.step}
+    how: dict[str, Any] = {
+        "ignore": ignore or (),
+        "jobs": jobs,
+        "dry_run": dry_run,
+        "rehash": rehash,
+        "replace": replace,
+        "say": console.step,
+    }
     with console.progress("ingest", "logs") as advance:
         report = stored_by(processed, lambda folder: ingest_logs(paths, folder, profile, progress=advance, **how))
     document = report.model_dump(mode="json")
@@ -95,6 +103,7 @@ def _ingest_lines(report: Mapping[str, Any], hint: bool) -> Iterable[str]:
     yield from warnings_of(report)
     yield from _listed("removed, its trials stay stored", report["removed"])
     yield from _listed("waiting, modified a moment ago", report["waiting"])
+    yield from _listed("ignored, no logs", report["ignored"])
     yield from _listed("damaged", report["damaged"])
     other = [refusal["path"] for refusal in report["quarantined"] if refusal["code"] in OTHER_COLUMNS]
     if other and hint:

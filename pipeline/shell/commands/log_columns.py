@@ -6,6 +6,7 @@ They become an ordinary profile (`pipeline.shell.profile.columns`), which the co
 from __future__ import annotations
 
 import inspect
+import os
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
@@ -34,6 +35,7 @@ _STATED: dict[str, Any] = {
     "device": Annotated[Text, option("--device", "Name of the device of the logs.")],
     "experiment": Annotated[Text, option("--experiment", "Name of their experiment (default: 1).", "-e")],
 }
+_SHEET = Annotated[Path | None, option("--sheet", "Sheet with one row a log: .csv, .xlsx, .ods.")]
 _SAVE = Annotated[Path | None, option("--save-profile", "Write what the options say as a profile (.toml).")]
 
 
@@ -53,8 +55,9 @@ def reads_logs(paths: str, *, walls: bool = True) -> Callable[[Callable[..., Any
         own = {name: how for name, how in _STATED.items() if name not in signature.parameters}
 
         @wraps(work)
-        def run(save_profile: Path | None = None, **given: Any) -> Any:
-            texts = {name: given.pop(name, None) for name in own}
+        def run(sheet: Path | None = None, save_profile: Path | None = None, **given: Any) -> Any:
+            texts: dict[str, Text] = {name: given.pop(name, None) for name in own}
+            texts["sheet"] = None if sheet is None else str(sheet)
             if save_profile is not None or any(text is not None for text in texts.values()):
                 logs = given[paths] if isinstance(given[paths], list) else [given[paths]]
                 given["profile"] = _stated(texts, logs, given.get("profile"), save_profile, walls)
@@ -66,6 +69,7 @@ def reads_logs(paths: str, *, walls: bool = True) -> Callable[[Callable[..., Any
         ]
         kind = inspect.Parameter.KEYWORD_ONLY
         more = [inspect.Parameter(name, kind, default=None, annotation=how) for name, how in own.items()]
+        more.append(inspect.Parameter("sheet", kind, default=None, annotation=_SHEET))
         more.append(inspect.Parameter("save_profile", kind, default=None, annotation=_SAVE))
         run.__signature__ = signature.replace(parameters=[*parameters, *more])  # type: ignore[attr-defined]
         return run
@@ -76,9 +80,19 @@ def reads_logs(paths: str, *, walls: bool = True) -> Callable[[Callable[..., Any
 def _stated(texts: dict[str, Text], logs: list[Path], profile: Text, save: Path | None, walls: bool) -> Profile:
     """Return the profile that the options make, and say what the logs showed for it."""
     from pipeline.base.disk import write_text
+    from pipeline.profiles.profile_files import load_profile
+    from pipeline.profiles.profile_model import Sheet
     from pipeline.profiles.profile_text import profile_toml
     from pipeline.shell.profile.columns import StatedColumns, stated_profile
 
+    if (
+        profile is not None
+        and texts["sheet"] is not None
+        and save is None
+        and not any(text for name, text in texts.items() if name != "sheet")
+    ):
+        loaded = load_profile(profile)
+        return loaded.model_copy(update={"sheet": Sheet(file=texts["sheet"])})
     if profile is not None:
         named = next((f"--{name}" for name, text in texts.items() if text is not None), "--save-profile")
         raise UsageError(f"{named} is given with --profile, which names the columns already. Give one of them.")
@@ -90,6 +104,10 @@ def _stated(texts: dict[str, Text], logs: list[Path], profile: Text, save: Path 
     for line in made.evidence:
         console.step(line)
     if save is not None:
-        write_text(save, profile_toml(made.profile, made.evidence))
+        written = made.profile
+        if written.sheet is not None:
+            place = os.path.relpath(written.sheet.file, save.parent)
+            written = written.model_copy(update={"sheet": written.sheet.model_copy(update={"file": place})})
+        write_text(save, profile_toml(written, made.evidence))
         console.step(f"wrote {save}")
     return made.profile

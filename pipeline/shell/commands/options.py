@@ -41,6 +41,7 @@ Store = Annotated[str, option("--processed", "Stored tables: folder or s3://BUCK
 Reports = Annotated[Path, option("--reports", "Folder of the reports.", envvar=REPORTS)]
 ExecutorName = Annotated[str, option("--executor", "Where to compute: local, or dask://HOST:PORT.")]
 ProfileFile = Annotated[str | None, option("--profile", "Log profile: name or file (.toml).")]
+Ignore = Annotated[list[str] | None, option("--ignore", "Names of files that are no logs, 'cal_*'. Repeat.")]
 LogProfile = Any
 """A profile as a command gets it: what `ProfileFile` names, or one that the options of columns made."""
 DeviceName = Annotated[str, option("--device", "Device: name or file (.toml).")]

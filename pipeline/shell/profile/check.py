@@ -19,10 +19,9 @@ from pipeline.base.provenance import __version__
 from pipeline.base.wording import counted
 from pipeline.device.parameters import drive_of, is_rotation
 from pipeline.device_data.devices import known_devices
-from pipeline.intake.sources import find_sources, logs_of, motion_of
+from pipeline.intake.sources import asked_profiles, find_sources, logs_of, motion_of
 from pipeline.measured.signal.edge import NO_ROW, find_edge
 from pipeline.measured.signal.marks import gaps, jumps, rests
-from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Kind, Profile, quantity, si_unit
 from pipeline.readers import Log
 from pipeline.readers.log import step_flags
@@ -77,7 +76,9 @@ def check_samples(profile: Profile, samples: Sequence[Path]) -> list[Checked]:
     """
     motions = {name: device.motion for name, device in known_devices().items()}
     checked = list[Checked]()
-    for source in find_sources(samples, (profile,)):
+    asked = asked_profiles(profile, samples)
+    (profile,) = asked.profiles
+    for source in find_sources(samples, asked.profiles, ignore=asked.ignore):
         try:
             name = source.files[0].name if source.files else source.path.name
             if not profile.claims(name) and profile.log_of_partner(source.path) is None:
@@ -244,7 +245,7 @@ def look(log: Path, profile: Profile | None = None) -> Picture:
     LogError
         If the profile refuses the log, or no columns of numbers are found in it.
     """
-    sources = find_sources([log], shipped_profiles() if profile is None else (profile,))
+    sources = find_sources([log], asked_profiles(profile, [log]).profiles)
     if len(sources) != 1:
         raise UsageError(f"{log}: expected one log, found {len(sources)}. Give a single file.")
     (source,) = sources

@@ -25,6 +25,7 @@ from pipeline.profiles.column_text import ColumnText
 from pipeline.profiles.profile_files import find_mistakes
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.obeyed import Law, law_of
+from pipeline.readers.sheets import conditions_by_name, read_sheet
 from pipeline.records.native import FREE
 from pipeline.shell.profile.check import check_samples
 from pipeline.shell.profile.samples import Sample, open_sample
@@ -62,6 +63,7 @@ class StatedColumns:
     device: str | None = None
     experiment: str | None = None
     gain: str | None = None
+    sheet: str | None = None
 
     def __bool__(self) -> bool:
         return any(getattr(self, each.name) is not None for each in fields(self))
@@ -112,7 +114,8 @@ def stated_profile(stated: StatedColumns, paths: Sequence[Path], *, walls: bool 
         if getattr(stated, name) is None:
             unit = {"command": "N", "position": "mm"}[name]
             raise UsageError(f"--{name} is missing. Name the column and its unit, such as --{name} NAME:{unit}.")
-    files = list(_logs_below(paths))
+    sheet = None if stated.sheet is None else Path(stated.sheet).resolve()
+    files = [file for file in _logs_below(paths) if sheet is None or file.resolve() != sheet]
     chosen, samples = _samples(stated, files)
     maker = _Maker(stated, samples, walls)
     values = maker.values()
@@ -129,8 +132,6 @@ def stated_profile(stated: StatedColumns, paths: Sequence[Path], *, walls: bool 
 def _plain(option: str, text: str) -> str:
     """Return a mistake in the words of options."""
     text = re.sub(r"^key '[^']*': ", "", text)
-    if text.startswith("missing. Add device"):
-        return f"{option} is missing: a name for the device of these logs, such as {option} bench."
     text = re.sub(r'\[units\] gain = "<number> (N\w*)/(\S+)"', r"--gain '<number> \1/\2'", text)
     text = re.sub(r"Add (\w+) = (.*)", rf"Write {option} with one of these units: \2", text)
     return f"{option}: {text}"
@@ -202,6 +203,9 @@ class _Maker:
         self.stated, self.samples, self.walls = stated, samples, walls
         self.sample = next((each for each in samples if not each.layout.questions), samples[0])
         self.evidence: list[str] = []
+        self.table = None if stated.sheet is None else read_sheet(Path(stated.sheet))
+        self.columns: list[str] = []
+        """Columns of the sheet that options map to conditions."""
 
     def values(self) -> dict[str, Any]:
         """Return the profile as a mapping."""
@@ -216,6 +220,8 @@ class _Maker:
         constants: dict[str, Any] = {"experiment": stated.experiment or "1"}
         if stated.device is not None or not self.walls:
             constants["device"] = stated.device or "device"
+        elif self.table is None or "device" not in conditions_by_name(self.table.names):
+            raise UsageError("--device is missing: a name for the device of these logs, such as --device bench.")
         if self._turns(columns["position"]["unit"]):
             constants["motion"] = "rotation"
         values |= {"constants": constants, "units": {}, "attributes": {}, "condition_columns": {}}
@@ -226,6 +232,8 @@ class _Maker:
         if stated.gain is not None:
             values["units"]["gain"] = stated.gain
         self._wall(values)
+        if stated.sheet is not None:
+            values["sheet"] = {"file": stated.sheet, "columns": self.columns}
         values["name"] = re.sub(r"\W+", "-", stated.device or "columns").strip("-") or "columns"
         return {key: value for key, value in values.items() if value != {}}
 
@@ -306,15 +314,19 @@ class _Maker:
                 values["units"][key] = constant.unit
             return
         contents = self.sample.contents
-        named = dict[str, str]()
+        named = dict.fromkeys(filter(None, self.table.names) if self.table else (), "sheet")
         for label in (*contents.attributes, *contents.columns):
-            named[label] = "attributes" if label in contents.attributes else "condition_columns"
+            named.setdefault(label, "attributes" if label in contents.attributes else "condition_columns")
         in_names = _numbers_in_names(self.samples)
         for letter in in_names:
             named.setdefault(letter, "name_pattern")
         found = ColumnText.among(f"--{name}", text, list(named))
         column = found.column or ""
         where = named[column]
+        if where == "sheet":
+            self.columns.append(":".join(filter(None, (column, key, found.unit))))
+            self.evidence.append(f"{name} is column {column!r} of {self.stated.sheet}")
+            return
         if where == "name_pattern":
             values["name_pattern"] = _with_group(values.get("name_pattern"), in_names, column, key)
         else:
@@ -358,6 +370,10 @@ class _Maker:
     def _wall(self, values: dict[str, Any]) -> None:
         """Put in what the wall law of the commands shows: the direction of positions, and when the step happens."""
         given = {key for key in FREE if getattr(self.stated, key) is not None}
+        for key, column in conditions_by_name(self.table.names).items() if self.table else ():
+            if key in FREE and key not in given:
+                given.add(key)
+                self.evidence.append(f"{key} is column {column!r} of {self.stated.sheet}")
         if not given:
             return
         if missing := [f"--{key}" for key in FREE if key not in given]:
