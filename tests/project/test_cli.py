@@ -182,7 +182,7 @@ def logs(tmp_path):
 
 def test_ingest_counts_and_stays_quiet(call, logs, tmp_path):
     counts = {"found": 2, "ingested": 2, "skipped": 0}
-    counts |= {key: [] for key in ("quarantined", "warnings", "removed", "changed", "waiting", "damaged")}
+    counts |= {key: [] for key in ("quarantined", "warnings", "removed", "changed", "waiting", "damaged", "ignored")}
     plan = [{"path": f"logs/{k}.csv", "action": "ingest", "reason": "new"} for k in (300, 600)]
     assert document(call("ingest", "logs", "--dry-run", "--json")) == counts | {"plan": plan}
     assert not (tmp_path / "processed").exists()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -190,6 +191,34 @@ def test_walls_whose_command_is_that_of_another_row_are_refused(tmp_path, moved)
         logs[-1].write_text("\n".join([header + "time_s,command,position", *lines, ""]))
     with pytest.raises(ParameterError, match=r"another row than its position|obeys the wall with the position"):
         pipeline.identify(logs)
+
+
+def test_a_file_that_no_profile_reads_is_named_and_the_others_are_identified(tmp_path):
+    for number, size in enumerate((2.0, -2.0, 4.0)):
+        written(tmp_path / f"{number}.csv", np.append(np.zeros(30), np.full(270, size)), seed=number)
+    (tmp_path / "notes.xyz").write_text("no log")
+    (tmp_path / "lab.toml").write_text("no log")
+    found = pipeline.identify(tmp_path).document
+    assert found["trials"] == 3
+    assert [Path(each["path"]).name for each in found["refused"]] == ["notes.xyz"]
+    shown = CliRunner().invoke(application("identify"), ["identify", str(tmp_path)])
+    assert shown.exit_code == 3
+    assert "notes.xyz: no profile claims a file of this name" in shown.output
+    assert CliRunner().invoke(application("identify"), ["identify", str(tmp_path), "--ignore", "*.xyz"]).exit_code == 0
+    with pytest.raises(LogError, match=r"notes\.xyz: no profile claims"):
+        pipeline.identify(tmp_path / "notes.xyz")
+
+
+def test_a_copy_of_a_log_counts_once_and_is_named(tmp_path):
+    for number, size in enumerate((2.0, -2.0, 4.0)):
+        written(tmp_path / f"{number}.csv", np.append(np.zeros(30), np.full(270, size)), seed=number)
+    alone = pipeline.identify(tmp_path).document
+    (tmp_path / "copy.csv").write_bytes((tmp_path / "1.csv").read_bytes())
+    found = pipeline.identify(tmp_path).document
+    assert (found["trials"], [Path(name).name for name in found["copies"]]) == (3, ["copy.csv"])
+    assert found["parameters"] == alone["parameters"]
+    shown = CliRunner().invoke(application("identify"), ["identify", str(tmp_path)])
+    assert "1 log with the samples of another one counts once" in shown.output
 
 
 def test_a_refused_log_among_others_is_named_once(tmp_path):

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pipeline.base.errors import EXIT_QUARANTINED, UsageError
 from pipeline.base.paths import check_output
 from pipeline.base.process import Ended
+from pipeline.base.wording import counted
 from pipeline.shell import console
 from pipeline.shell.commands.log_columns import reads_logs
 from pipeline.shell.commands.options import (
@@ -123,7 +124,8 @@ def identify(
     console.tell(document, _identified(document))
     copies = document["copies"]
     if copies:
-        console.note(f"{len(copies)} logs with the samples of another one count once: {', '.join(copies[:_SHOWN])}")
+        what = f"{counted(len(copies), 'log')} with the samples of another one count{'s' * (len(copies) == 1)} once"
+        console.note(f"{what}: {', '.join(copies[:_SHOWN])}")
     told = (each for each in document["findings"] if each["log"] not in copies)
     for line in console.warned((each["log"], each["sentence"], each["code"]) for each in told):
         console.note(f"warning: {line}")
