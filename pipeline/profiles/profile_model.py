@@ -589,9 +589,9 @@ class Conditions(Record):
 
 
 class Constants(Conditions):
-    """Conditions that hold for all files of a profile, and the motion of the device."""
+    """Conditions that hold for all files of a profile, and the motion of the device: by the unit of the position."""
 
-    motion: Kind = "translation"
+    motion: Kind | None = None
 
 
 class ConditionUnits(Record):
@@ -871,6 +871,16 @@ class Profile(TextLayout, StepTime):
         return {key: factor(key, source, self.motion, self.gain) for key, source in units}
 
     @property
+    def kind(self) -> Kind:
+        """What the device does: as it is stated, else as the unit of its position shows."""
+        if self.constants.motion is not None:
+            return self.constants.motion
+        source = self.columns.position if self.columns else None
+        unit = find_unit((source.stands_for or source.unit or "") if source else "")
+        turns = unit is not None and unit.quantity in ("angle", "angular velocity")
+        return "rotation" if turns else "translation"
+
+    @property
     def drive(self) -> str:
         """Quantity of the command where it is no force or torque, such as voltage; else empty."""
         return drive_in(self.columns.command if self.columns else None)
@@ -884,7 +894,7 @@ class Profile(TextLayout, StepTime):
         ParameterError
             If it is no gain.
         """
-        return None if self.units.gain is None else Gain.read(self.units.gain, self.constants.motion)
+        return None if self.units.gain is None else Gain.read(self.units.gain, self.kind)
 
     def _gain_or_none(self) -> Gain | None:
         """Return a gain that is right: one that is wrong is a mistake of its own."""
@@ -896,8 +906,8 @@ class Profile(TextLayout, StepTime):
     def motion(self) -> Motion:
         """Kind of motion with the unit of the command: that of a drive where no gain turns it into force."""
         if not self.drive or self.units.gain is not None:
-            return self.constants.motion
-        return cast(Motion, f"{self.constants.motion} in {next(iter(DRIVES[self.drive]))}")
+            return self.kind
+        return cast(Motion, f"{self.kind} in {next(iter(DRIVES[self.drive]))}")
 
     def unit_factor(self, key: str, unit: str) -> float:
         """Return the factor from a unit of a condition to SI, or to the unit of the drive.
@@ -909,7 +919,7 @@ class Profile(TextLayout, StepTime):
         """
         allowed = quantity(key, self.motion)
         if (gain := self.gain) is not None and key in FREE:
-            drive = cast(Motion, f"{self.constants.motion} in {next(iter(DRIVES[gain.drive]))}")
+            drive = cast(Motion, f"{self.kind} in {next(iter(DRIVES[gain.drive]))}")
             if (known := find_unit(unit)) is not None and known.quantity == quantity(key, drive):
                 return known.factor * gain.factor
         return factor_to_si(unit, (allowed,))
@@ -927,8 +937,8 @@ class Profile(TextLayout, StepTime):
             constants = {getattr(table, key) for table in (self.constants, *self.file, *self.steps)} - {None}
             varies = key in {*self.name_groups(), *self.attributes, *self.condition_columns}
             if getattr(self.units, key) is None and (varies or constants - {0.0}):
-                drive = cast(Motion, f"{self.constants.motion} in {next(iter(DRIVES[self.drive]))}")
-                wanted = " or ".join(f'"{unit_of(_DIMENSIONS[key], kind)}"' for kind in (drive, self.constants.motion))
+                drive = cast(Motion, f"{self.kind} in {next(iter(DRIVES[self.drive]))}")
+                wanted = " or ".join(f'"{unit_of(_DIMENSIONS[key], kind)}"' for kind in (drive, self.kind))
                 text = f"missing; the command is in {unit}, so that a number alone may be either. Add {key} = {wanted}"
                 yield ("units", key), text
         if self.units.gain is None:
@@ -937,7 +947,7 @@ class Profile(TextLayout, StepTime):
             yield ("units", "gain"), f"the command is in {unit}, which needs no gain. Remove it, or correct the unit"
             return
         try:
-            gain = Gain.read(self.units.gain, self.constants.motion)
+            gain = Gain.read(self.units.gain, self.kind)
         except ParameterError as error:
             yield ("units", "gain"), str(error)
             return

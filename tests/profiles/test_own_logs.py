@@ -93,12 +93,11 @@ def test_a_draft_says_what_the_file_says_and_suggests_each_column_once(call, tmp
     text = draft_profile(tmp_path / "logs" / "wall_K600_B10.csv")
     assert 'files = ["wall_K*_B*.csv"]' in text
     assert re.findall(r'^(?:# )?name = "(.*/.*)"', text, re.MULTILINE) == ["t/ms", "F/N", "x/mm"]
-    assert re.findall(r"the file says '(.*?)'", text) == ["N", "mm"]
-    assert '\nunit = "ms"\n' in text, "the command obeys a wall, and no device has a period of 1 us or 1 s"
-    asked = [q.place for q in find_questions(text)]
-    assert ("name_pattern",) in asked
-    assert ("constants", "stiffness") not in asked
-    pattern = json.loads(re.search(r"^# name_pattern = (.*)$", text, re.MULTILINE)[1])
+    assert re.findall(r"the file says '(.*?)'", text) == ["ms", "N", "mm"]
+    assert '\nunit = "ms" # the file says' in text
+    assert find_questions(text) == []
+    assert '\nstiffness = "N/m" # by the wall law of the command\n' in text
+    pattern = json.loads(re.search(r'^name_pattern = (".*") # ', text, re.MULTILINE)[1])
     found = re.search(pattern, "wall_K1000.5_B20.csv")
     assert tuple(map(float, (found["stiffness"], found["damping"]))) == (1000.5, 20)
 

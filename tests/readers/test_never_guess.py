@@ -195,7 +195,8 @@ def test_packed_json_is_read_and_drafted(pack, tmp_path):
             {"format": "json"},
             "time must be a number (column 't', decimal sign '.'), found '0'",
         ),
-        ("t,F,x\n2024-05-01 12:00:00.001,0,0\n", TEXT, "dates and times of day are not read"),
+        ("t,F,x\n12:00:00.001,0,0\n", TEXT, "dates and times of day are not read"),
+        ("t,F,x\n2024-05-01 12:00:00.001,0,0\n", TEXT, "columns.time.unit is 'ms', but the file says 'ns'"),
     ],
 )
 def test_times_in_words_are_refused_by_what_they_are(data, kind, words):
@@ -284,7 +285,8 @@ def test_units_of_a_unit_line_are_known_in_their_brackets(tmp_path):
     assert read_file(chosen, ("a",), (text.encode(),)).hints == {"t": "ms", "F": "N", "x": "mm"}
     (tmp_path / "a.txt").write_text(text, encoding="utf-8")
     draft = draft_profile(tmp_path / "a.txt")
-    assert "columns.time.unit: the file says 'ms'; is it right? One of s, ms, us, ns, min.\n# unit = \"ms\"" in draft
+    assert "unit = \"ms\" # the file says 'ms'" in draft
+    assert "unit = \"N\" # the file says 'N'" in draft
 
 
 def test_labels_in_remarks_are_read_by_the_draft(tmp_path):

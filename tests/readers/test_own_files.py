@@ -87,7 +87,7 @@ def test_a_velocity_alone_is_offered_to_be_integrated(tmp_path):
     text = draft_profile(log)
     assert "'v_mm_s' is a velocity" in text
     assert '# integrate = "difference"' in text
-    assert '# unit = "mm/s"' in text
+    assert '\nunit = "mm/s" # the file says' in text
 
 
 @pytest.mark.parametrize("unit", ["mm/s", "cm/s"])
@@ -115,11 +115,11 @@ def test_an_index_is_no_unit(tmp_path):
 )
 def test_the_pattern_of_names_keeps_signs(tmp_path, name, found):
     text = draft_profile(write(tmp_path / name, "t,F,x", TIME, 6.0 * (TIME >= 0.1), TIME**2))
-    (line,) = [line for line in text.splitlines() if line.startswith("# name_pattern")]
+    (line,) = [line for line in text.splitlines() if line.startswith("name_pattern")]
     lab = profile(
         tmp_path / "lab.toml",
         COMMAND='{ name = "F", unit = "N", sign = 1 }',
-        COMMON=line[2:] + '\nstep_at = "command edge"',
+        COMMON=line + '\nstep_at = "command edge"',
     )
     lab.write_text(lab.read_text().replace("stiffness = 0, damping = 0, ", ""))
     assert ingest([tmp_path / name], tmp_path / "processed", lab).quarantined == ()
@@ -201,9 +201,8 @@ def test_a_draft_of_own_files_asks_only_what_the_command_does_not_tell(tmp_path,
         files[-1].write_text("Zeit;Kraft;Weg\n" + rows.replace(".", ","))
     text = draft_profile(*files)
     asked = {".".join(map(str, question.place)) for question in find_questions(text)}
-    assert asked == {"constants.device", "columns.command.unit", "columns.position.unit"}
-    for key in ("device", "unit"):
-        text = text.replace(f"\n# {key} = ", f"\n{key} = ")
+    assert asked == {"columns.command.unit", "columns.position.unit"}
+    text = text.replace("\n# unit = ", "\nunit = ")
     assert f"sign = {mirrored}" in text
     (tmp_path / "lab.toml").write_text(text)
     done = pipeline("profile", "check", tmp_path / "lab.toml", *files)

@@ -39,6 +39,9 @@ PROBE_LINES = 400
 FEWEST_ROWS = 2
 """Rows that make a table."""
 
+FEW_KEYS, LEAST_TABLE = 3, 10
+"""Lines of numbers above a table that are none of its rows, where the table has at least so many."""
+
 NUMERIC_SHARE = 0.5
 """Share of numbers among the cells of a row, from which it is one: text columns may stand beside numbers."""
 
@@ -77,7 +80,43 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
             contents.warnings = (f"line {row[-1]} is the last one and has no line end: its last value may be cut",)
     contents.row = np.array(row, np.int64)
     for (key, place), values in zip(places.items(), columns, strict=True):
-        contents.add(key, values, units[place].strip(" []()") if place < len(units) else "")
+        stamps = date_stamps(values)
+        unit = units[place].strip(" []()") if place < len(units) else ""
+        contents.add(key, values if stamps is None else stamps, unit, "" if stamps is None else "ns")
+
+
+_DATE = re.compile(
+    r"(?:(?P<y>\d{4})-(?P<m>\d\d)-(?P<d>\d\d)|(?P<D>\d\d)\.(?P<M>\d\d)\.(?P<Y>\d{4}))[T ]+"
+    r"(?P<time>\d\d:\d\d:\d\d)(?:[.,](?P<rest>\d{1,9}))?(?P<zone>Z|[+-]\d\d:?\d\d)?"
+)
+"""Dates with a time of day: ISO 8601 and the German order; 03/04/2026 is two dates and none of them."""
+
+
+def date_stamps(values: Array) -> Array | None:
+    """Return dates as whole nanoseconds since 1970; None where a cell is no date.
+
+    >>> date_stamps(np.array(["2026-03-29T10:00:00.001Z", "29.03.2026 10:00:00,5"])).tolist()
+    [1774778400001000000, 1774778400500000000]
+    """
+    if values.dtype.kind != "U" or not len(values):
+        return None
+    matches = [_DATE.fullmatch(cell.strip()) for cell in values.tolist()]
+    if not all(matches):
+        return None
+    texts, rests = list[str](), list[int]()
+    for match in matches:
+        assert match is not None, "all are dates"
+        year, month, day = (match[a] or match[b] for a, b in (("y", "Y"), ("m", "M"), ("d", "D")))
+        texts.append(f"{year}-{month}-{day}T{match['time']}")
+        zone = match["zone"] or "Z"
+        minutes = 0 if zone == "Z" else int(zone[0] + "1") * (60 * int(zone[1:3]) + int(zone[-2:]))
+        rests.append(int((match["rest"] or "0").ljust(9, "0")) - 60_000_000_000 * minutes)
+    try:
+        seconds = np.array(texts, "datetime64[s]").astype(np.int64)
+    except ValueError:  # a day that there is not
+        return None
+    stamps: Array = seconds * 1_000_000_000 + np.array(rests, np.int64)
+    return stamps
 
 
 def unpacked(name: str, data: bytes) -> bytes:
@@ -277,11 +316,13 @@ def text_layout(name: str, data: bytes) -> Layout:
     keys = layout.keys
     keys["delimiter"] = delimiter
     cells = [_parted(lines[row], delimiter) for row in rows]
-    if delimiter != BLANKS and all(not row[-1] for row in cells):
+    above = lines[: rows[0]]
+    named = _parted(above[-1], delimiter) if above else []
+    # a last column that is blank and has a name is a column, such as remarks
+    if delimiter != BLANKS and all(not row[-1] for row in cells) and not (len(named) == len(cells[0]) and named[-1]):
         keys["trailing_delimiter"] = True
         cells = [row[:-1] for row in cells]
     _decimal([cell for row in cells for cell in row], layout)
-    above = lines[: rows[0]]
     between = [lines[i] for i in range(rows[0], rows[-1]) if i not in set(rows)]
     lead = above[: max((i for i, line in enumerate(above, start=1) if line.strip()), default=0)]
     heads = list(takewhile(lambda line: _is_head(line, len(cells[0]), keys), lead[:-3:-1]))
@@ -342,7 +383,7 @@ def _table(lines: list[str], name: str) -> tuple[str, list[int]]:
             cells = _parted(line, delimiter)
             if len(cells) > 1 and sum(map(_is_number, cells)) >= max(NUMERIC_SHARE * sum(map(bool, cells)), 2):
                 widths.setdefault(len(cells), []).append(number)
-        rows = max(widths.values(), key=len, default=[])
+        rows = _block(max(widths.values(), key=len, default=[]))
         # text that is parted by several signs: the one that makes more rows, the earlier one where equal
         if len(rows) > len(best[1]):
             best = delimiter, rows
@@ -355,6 +396,20 @@ def _table(lines: list[str], name: str) -> tuple[str, list[int]]:
         found, expected = f"no table of numbers was found among the first {len(lines)} lines", "rows of as many cells"
         raise refusal("header-missing", name, found, expected, "Export other formats as CSV.")
     return best
+
+
+def _block(rows: list[int]) -> list[int]:
+    """Return rows without the few lines of numbers that stand above a table, such as keys of a recorder."""
+    runs: list[list[int]] = []
+    for row in rows:
+        if runs and row == runs[-1][-1] + 1:
+            runs[-1].append(row)
+        else:
+            runs.append([row])
+    longest = max(map(len, runs), default=0)
+    while runs and len(runs[0]) <= FEW_KEYS and longest >= LEAST_TABLE:
+        runs.pop(0)
+    return [row for run in runs for row in run]
 
 
 def _decimal(cells: list[str], layout: Layout) -> None:
