@@ -138,7 +138,7 @@ def test_from_a_foreign_csv_to_a_report(capsys):
     assert "would be stored" in questions
     assert "would be stored" in outputs["pipeline profile check draft.toml lab/K4800_B24.csv"]
     # the page shows part of the draft as it is written
-    (shown,) = re.findall(r"```text\n(\[columns\.position\]\n.*?)```", PAGE, re.DOTALL)
+    (shown,) = re.findall(r"```text part_of_the_draft.txt\n(\[columns\.position\]\n.*?)```", PAGE, re.DOTALL)
     assert shown in Path("draft.toml").read_text(encoding="utf-8")
     report = Path("reports/bench.html").read_text(encoding="utf-8")
     assert "<svg" in report

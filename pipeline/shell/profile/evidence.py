@@ -127,7 +127,7 @@ class WallLaw(NamedTuple):
 def near_round(value: float) -> float:
     """Return the round number that a value stands for, where one is near; else four digits of it.
 
-    >>> near_round(1199.3), near_round(7.96), near_round(0.12345678), near_round(0)
+    >>> near_round(1200.3), near_round(7.96), near_round(0.12345678), near_round(0)
     (1200.0, 7.96, 0.1235, 0.0)
     """
     for digits in (1, 2, 3):
