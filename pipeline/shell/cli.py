@@ -20,6 +20,7 @@ from pipeline.shell import console
 COMMANDS = {
     name: module
     for module, names in (
+        ("cli_start", ("start",)),
         ("cli_device", ("demo", "simulate", "identify", "design")),
         ("cli_storage", ("ingest", "status", "check", "exclude", "move", "delete")),
         ("cli_report", ("compare", "verify", "bundle", "watch")),

@@ -196,6 +196,11 @@ def _text(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
+def is_answered() -> bool:
+    """Return whether somebody can be asked: questions and answers go through a terminal, and no JSON is wanted."""
+    return not _JSON.get() and _is_watched() and sys.stdin is not None and sys.stdin.isatty()
+
+
 def _is_watched() -> bool:
     """Return whether stderr is a terminal."""
     return sys.stderr is not None and sys.stderr.isatty()

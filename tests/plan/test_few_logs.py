@@ -350,7 +350,9 @@ def test_a_wall_stays_contradictory_up_to_six_trials():
 
 
 def course_of(tried):
-    return Course("dev", "1", tried, None, None, T, 0.3, 4.0, False, unknown="the logs do not identify a device.")
+    return Course(
+        "dev", "1", tried, None, None, T, 0.3, 4.0, "translation", unknown="the logs do not identify a device."
+    )
 
 
 def test_contradictory_walls_are_named():

@@ -121,7 +121,7 @@ def identify(
     if out is not None:
         check_output(out, "--out")
     document = identified_device(paths, profile, period, delay, ignore or ())
-    console.tell(document, _identified(document))
+    console.tell(document, identified_lines(document))
     copies = document["copies"]
     if copies:
         what = f"{counted(len(copies), 'log')} with the samples of another one count{'s' * (len(copies) == 1)} once"
@@ -140,7 +140,8 @@ def identify(
         raise SystemExit(EXIT_QUARANTINED)
 
 
-def _identified(document: dict[str, Any]) -> Iterator[str]:
+def identified_lines(document: dict[str, Any]) -> Iterator[str]:
+    """Yield what was identified: parameters, what cannot be separated, replay, limits."""
     from pipeline.device.parameters import unit_of
     from pipeline.surface.identify import DRIFT, FOLLOWS
 

@@ -54,6 +54,9 @@ PLAUSIBLE: dict[str, dict[Kind, tuple[float, float]]] = {
 """Range of each number in SI that devices have: fingers and arms, drives of a watt to a kilowatt; 0 is none."""
 
 
+IS_UNUSUAL = "is its unit right?"
+"""End of the sentence about a number that devices do not have."""
+
 Checked = dict[str, Any]
 """What was found in a sample: ``path``; its ``trials``, or the ``reason`` why it would be refused, with the ``row``.
 
@@ -131,7 +134,7 @@ def _conditions(profile: Profile, name: str, log: Log, motion: Motion) -> Iterat
             low, high = PLAUSIBLE[key]["rotation" if is_rotation(motion) else "translation"]
             usual = f"{low:g} to {high:g}"
             if value and not low <= abs(value) <= high:
-                fault = f"{key} is {value:.4g} [SI]; devices have {usual}: is its unit right?"
+                fault = f"{key} is {value:.4g} [SI]; devices have {usual}: {IS_UNUSUAL}"
         yield {"name": key, "value": value, "unit": units.get(key, ""), "place": place, "usual": usual, "fault": fault}
 
 

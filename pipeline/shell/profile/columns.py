@@ -145,14 +145,15 @@ def _logs_below(paths: Sequence[Path]) -> Iterator[Path]:
             yield source.files[0]
 
 
-def _spread(files: Sequence[Path], most: int) -> list[Path]:
+def spread(files: Sequence[Path], most: int) -> list[Path]:
     """Return some files, the first and the last among them, evenly spread over all."""
     if len(files) <= most:
         return list(files)
     return [files[round(i * (len(files) - 1) / (most - 1))] for i in range(most)]
 
 
-def _suffix(path: Path) -> str:
+def suffix_of(path: Path) -> str:
+    """Return the ending of a file in small letters, with that of its packing."""
     parts = [part.lower() for part in path.suffixes]
     return "".join(parts[-2:] if parts[-1:] in ([".gz"], [".zst"]) else parts[-1:])
 
@@ -167,11 +168,11 @@ def _samples(stated: StatedColumns, files: Sequence[Path]) -> tuple[list[Path], 
     """
     by_ending: dict[str, list[Path]] = {}
     for file in files:
-        by_ending.setdefault(_suffix(file), []).append(file)
+        by_ending.setdefault(suffix_of(file), []).append(file)
     first: Exception | None = None
     for group in sorted(by_ending.values(), key=len, reverse=True):
         opened: list[Sample] = []
-        for file in _spread(group, MOST_SAMPLES):
+        for file in spread(group, MOST_SAMPLES):
             try:
                 sample = open_sample(file)
                 if opened and sample.kind != opened[0].kind:
@@ -213,7 +214,7 @@ class _Maker:
         if questions := sample.layout.questions:
             asked = " ".join(questions.values())
             raise UsageError(f"{sample.name}: {asked} Answer it in a profile: `pipeline profile draft {sample.name}`.")
-        ending = _suffix(Path(sample.name))
+        ending = suffix_of(Path(sample.name))
         values: dict[str, Any] = {"format": sample.kind, "files": [f"*{ending}"], **sample.layout.keys}
         columns = {name: self._column(name) for name in COLUMNS}
         values["columns"] = columns
@@ -317,7 +318,7 @@ class _Maker:
         named = dict.fromkeys(filter(None, self.table.names) if self.table else (), "sheet")
         for label in (*contents.attributes, *contents.columns):
             named.setdefault(label, "attributes" if label in contents.attributes else "condition_columns")
-        in_names = _numbers_in_names(self.samples)
+        in_names = numbers_in_names(self.samples)
         for letter in in_names:
             named.setdefault(letter, "name_pattern")
         found = ColumnText.among(f"--{name}", text, list(named))
@@ -328,7 +329,7 @@ class _Maker:
             self.evidence.append(f"{name} is column {column!r} of {self.stated.sheet}")
             return
         if where == "name_pattern":
-            values["name_pattern"] = _with_group(values.get("name_pattern"), in_names, column, key)
+            values["name_pattern"] = with_group(values.get("name_pattern"), in_names, column, key)
         else:
             values[where][key] = column
         if found.unit:
@@ -445,14 +446,14 @@ _IN_NAME = re.compile(r"(?:^|[^A-Za-z])([A-Za-z]{1,12})[_= ]?(-?\d+(?:[.,]\d+)?)
 """A word and a number behind it, in the name of a file."""
 
 
-def _numbers_in_names(samples: Sequence[Sample]) -> list[str]:
+def numbers_in_names(samples: Sequence[Sample]) -> list[str]:
     """Return the words that have a number behind them in the name of each sample, in the order of the first."""
     found = [[match[1] for match in _IN_NAME.finditer(Path(sample.name).stem)] for sample in samples]
     counts = Counter(word for words in found for word in set(words) if words.count(word) == 1)
     return [word for word in found[0] if counts[word] == len(samples)]
 
 
-def _with_group(pattern: str | None, words: Sequence[str], word: str, key: str) -> str:
+def with_group(pattern: str | None, words: Sequence[str], word: str, key: str) -> str:
     """Return a pattern of file names that takes the number behind a word, too."""
     group = f"(?:^|[^A-Za-z]){re.escape(word)}[_= ]?(?P<{key}>-?[0-9]+(?:[.,][0-9]+)?)"
     if pattern is None:
@@ -472,7 +473,7 @@ def _check(profile: Profile, stated: StatedColumns, files: Sequence[Path]) -> No
         With the log and the option to correct.
     """
     off, looked = [], 0
-    for sample in check_samples(profile, _spread(files, MOST_SAMPLES)):
+    for sample in check_samples(profile, spread(files, MOST_SAMPLES)):
         looked += 1
         for trial in sample["trials"]:
             if trial["other_gains"]:

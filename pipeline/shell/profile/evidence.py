@@ -8,6 +8,7 @@ units. What remains changes numbers silently, and is asked.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -148,8 +149,8 @@ def answers(samples: Sequence[Sample], paths: Sequence[Path]) -> Answers:
         Their files, and those of others, whose names may hold conditions.
     """
     sample = samples[0]
-    laws = [law for each in samples[:MOST_LAWS] if (law := wall_law(each)) is not None]
-    law = laws[0] if laws and all(each.columns == laws[0].columns for each in laws) else None
+    laws = common_laws(samples)
+    law = laws[0] if laws else None
     columns = _columns(sample, law, len(laws))
     names = _names(sample, paths, law)
     walls = _walls(samples, law, laws, names)
@@ -160,6 +161,17 @@ def answers(samples: Sequence[Sample], paths: Sequence[Path]) -> Answers:
         found["step_at"] = Answer("first row" if at_once else "command edge", told)
     found |= names | columns | _constants(sample, columns, law) | walls
     return dict(sorted(found.items(), key=lambda item: _ORDER.index(item[0].partition(".")[0])))
+
+
+def common_laws(samples: Sequence[Sample]) -> list[WallLaw]:
+    """Return the wall laws of samples in the columns that most of them have: of a wall without damping, command and
+    position obey each other's law."""
+    laws = [law for each in samples[:MOST_LAWS] if (law := wall_law(each)) is not None]
+    counts = Counter(tuple(law.columns.values()) for law in laws)
+    if not counts:
+        return []
+    columns, count = counts.most_common(1)[0]
+    return [law for law in laws if tuple(law.columns.values()) == columns] if 2 * count > len(laws) else []
 
 
 _ORDER = ("step_at", "name_pattern", "columns", "constants", "units")

@@ -1,0 +1,347 @@
+"""From a folder of a lab's logs to a report: what is there, what the data prove of it, what is left to ask.
+
+The decisions are functions of the folder; `pipeline.shell.commands.cli_start` asks, calls and prints.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from pipeline.base.errors import LogError, ProfileError, UsageError
+from pipeline.base.units import UNITS, find_unit, unit_between, unit_in_heading
+from pipeline.intake.sources import Notices, find_sources
+from pipeline.profiles.profile_files import find_mistakes
+from pipeline.profiles.profile_model import Kind, Profile, number_in_name, quantity, si_unit
+from pipeline.readers.sheets import SheetTable, conditions_by_name, read_sheet
+from pipeline.shell.profile.check import IS_UNUSUAL, Checked, check_samples
+from pipeline.shell.profile.columns import MOST_SAMPLES, numbers_in_names, spread, suffix_of, with_group
+from pipeline.shell.profile.evidence import SAME, Answer, Answers, WallLaw, answers, common_laws, wall_law
+from pipeline.shell.profile.samples import Sample, open_sample
+
+SHEETS = (".csv", ".tsv", ".txt", ".xlsx", ".ods", ".xls")
+"""Endings of files that may be a sheet with one row a log."""
+
+LEAST_NAMED = 0.5
+"""Share of the logs that a sheet names."""
+
+CONDITIONS = ("stiffness", "damping", "step")
+
+
+@dataclass(frozen=True)
+class Folder:
+    """What a folder holds.
+
+    Parameters
+    ----------
+    path : Path
+    logs : tuple of Path
+        Files of the most frequent ending that can be opened.
+    others : tuple of Path
+        Files that are neither.
+    ignored : tuple of Path
+        Papers, scripts, settings, pictures.
+    sheet : Path or None
+    native : bool
+        Whether the logs bring all of it themselves.
+    samples : tuple of Sample
+        Some of the logs, opened.
+    """
+
+    path: Path
+    logs: tuple[Path, ...]
+    others: tuple[Path, ...]
+    ignored: tuple[Path, ...]
+    sheet: Path | None
+    native: bool
+    samples: tuple[Sample, ...]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the files by kind, as rows of a table."""
+        kinds = {
+            "logs": self.logs,
+            "sheet": () if self.sheet is None else (self.sheet,),
+            "other files": self.others,
+            "ignored": self.ignored,
+        }
+        return [
+            {"kind": kind, "files": len(files), "first": files[0].name, "endings": _endings(files)}
+            for kind, files in kinds.items()
+            if files
+        ]
+
+
+def _endings(files: Sequence[Path]) -> str:
+    return ", ".join(sorted({suffix_of(file) or "none" for file in files}))
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """What is proposed for a folder: the keys of a profile with evidence and questions, by their places."""
+
+    folder: Folder
+    answers: Answers
+
+    @property
+    def open(self) -> dict[str, Answer]:
+        """The questions."""
+        return {place: answer for place, answer in self.answers.items() if answer.question}
+
+    def answered(self, given: Mapping[str, Any]) -> Proposal:
+        """Return the proposal with answers to questions."""
+        told = {place: Answer(value, "as answered") for place, value in given.items()}
+        return replace(self, answers=self.answers | told)
+
+
+def look_at(path: Path) -> Folder:
+    """Return what a folder, or the folder of a log, holds.
+
+    Raises
+    ------
+    UsageError
+        If it does not exist or holds no log.
+    """
+    notices = Notices()
+    everything = Profile.model_construct(name="all", format="delimited", files=("*",))
+    sources = find_sources([path], (everything,), notices=notices)
+    files = [source.files[0] for source in sources if source.files]
+    sheet = _sheet(files)
+    files = [file for file in files if file != sheet]
+    counts = Counter(map(suffix_of, files))
+    native, first = False, None
+    for ending, _ in counts.most_common():
+        group = [file for file in files if suffix_of(file) == ending]
+        opened: list[Sample] = []
+        for file in spread(group, MOST_SAMPLES):
+            try:
+                opened.append(open_sample(file))
+            except ProfileError:  # a native log needs none
+                native = True
+                break
+            except (LogError, UsageError) as error:
+                first = first or f"{file}: {error}"
+        if native or opened:
+            others = tuple(file for file in files if file not in set(group))
+            same = tuple(each for each in opened if _form(each) == _form(opened[0]))
+            return Folder(path, tuple(group), others, tuple(sorted(notices.ignored)), sheet, native, same)
+    raise UsageError(first or f"{path}: no log found. Give a folder with logs.")
+
+
+def _form(sample: Sample) -> tuple[str, tuple[str, ...]]:
+    return sample.kind, tuple(sample.contents.columns)
+
+
+def _sheet(files: Sequence[Path]) -> Path | None:
+    """Return the file whose rows name the others; None where there is none."""
+    names = {file.name.lower() for file in files}
+    stems = {Path(name).stem for name in names}
+    for file in files:
+        if file.suffix.lower() not in SHEETS or len(files) < 2:
+            continue
+        try:
+            table = read_sheet(file)
+        except ProfileError:
+            continue
+        for name in filter(None, table.names):
+            cells = {str(cell).replace("\\", "/").rpartition("/")[2].lower() for cell in table.column(name)}
+            if len(cells & (names | stems)) >= max(LEAST_NAMED * (len(files) - 1), 1):
+                return file
+    return None
+
+
+def propose(folder: Folder) -> Proposal:
+    """Return what the logs of a folder prove, and what is left to ask.
+
+    Conditions are taken from the sheet, else from the names of the files: a column, or the numbers behind a word, that
+    is proportional to what the commands obey, by the factor of a unit.
+    """
+    samples = folder.samples
+    found = answers(samples, folder.logs)
+    found = {place: answer for place, answer in found.items() if not place.startswith(("units", "name_pattern"))}
+    for key, words in samples[0].layout.questions.items():
+        found[key] = Answer(",", question=words)
+    alike = {tuple(law.columns.values()) for law in common_laws(samples)}
+    laws = {
+        sample.name: law
+        for sample in samples
+        if (law := wall_law(sample)) is not None and tuple(law.columns.values()) in alike
+    }
+    table = None if folder.sheet is None else read_sheet(folder.sheet)
+    given = _from_sheet(table, laws, samples) if table is not None else {}
+    named = _from_names(samples, laws, {key for key in CONDITIONS if f"units.{key}" in given})
+    found |= given | named
+    for key in CONDITIONS:
+        if f"units.{key}" in found or _is_mapped(found, key):
+            found.pop(f"constants.{key}", None)
+    if given and folder.sheet is not None:
+        found["sheet.file"] = Answer(str(folder.sheet), "its rows name the logs")
+    name = folder.path.resolve().name if folder.path.is_dir() else folder.path.resolve().parent.name
+    found["constants.device"] = Answer(re.sub(r"[^\w .-]+", "-", name) or "bench", "the name of the folder")
+    found["constants.experiment"] = Answer("1", "any name")
+    if any(key.startswith(("sheet", "name_pattern")) for key in found) or "constants.stiffness" in found:
+        found.setdefault("step_at", Answer("command edge", "the step is where the command jumps"))
+        for key in CONDITIONS:
+            if not _is_mapped(found, key) and f"constants.{key}" not in found:
+                unit = {"stiffness": "N/m", "damping": "Ns/m", "step": "N"}[key]
+                words = f"{key} of the walls [{unit}]: neither the files nor their commands show one for all?"
+                found[f"constants.{key}"] = Answer(0, question=words)
+    return Proposal(folder, found)
+
+
+def _is_mapped(found: Answers, key: str) -> bool:
+    columns = found.get("sheet.columns")
+    pattern = found.get("name_pattern")
+    by_sheet = columns is not None and any(f":{key}" in text for text in columns.value)
+    return by_sheet or (pattern is not None and f"<{key}>" in pattern.value)
+
+
+def _proved_unit(numbers: Sequence[float | None], obeyed: Sequence[float], key: str, kind: Kind) -> str | None:
+    """Return the unit in which numbers are what commands obey; None where they are not."""
+    ratios = [value / number for number, value in zip(numbers, obeyed, strict=True) if number and value]
+    if not ratios or any((not number) != (not value) for number, value in zip(numbers, obeyed, strict=True)):
+        return None
+    middle = sorted(ratios)[len(ratios) // 2]
+    if middle <= 0 or any(abs(ratio / middle - 1) > SAME for ratio in ratios):
+        return None
+    si = si_unit(quantity(key, kind))
+    unit = si if abs(middle - 1) <= SAME else unit_between(si, middle, SAME)
+    return "N/mm" if unit == "kN/m" else unit
+
+
+def _obeyed(laws: Mapping[str, WallLaw], names: Sequence[str], key: str) -> list[float]:
+    return [abs(laws[name].in_si[key]) for name in names]
+
+
+def _kind(laws: Mapping[str, WallLaw]) -> Kind:
+    law = next(iter(laws.values()))
+    return "rotation" if UNITS[law.units["position"][0]].quantity == "angle" else "translation"
+
+
+def _from_names(samples: Sequence[Sample], laws: Mapping[str, WallLaw], known: set[str]) -> Answers:
+    """Return the pattern of names and the units of what stands behind words in them, as the commands prove."""
+    names, words = [sample.name for sample in samples if sample.name in laws], numbers_in_names(samples)
+    if not names or not words:
+        return {}
+    found: Answers = {}
+    pattern: str | None = None
+    used = set[str]()
+    for key in CONDITIONS:
+        for word in words if key not in known else ():
+            numbers = [_number_behind(word, name) for name in names]
+            unit = None if word in used else _proved_unit(numbers, _obeyed(laws, names, key), key, _kind(laws))
+            if unit is None:
+                continue
+            used.add(word)
+            pattern = with_group(pattern, words, word, key)
+            found[f"units.{key}"] = Answer(unit, f"{word!r} in the names is what {len(names)} commands obey, in {unit}")
+            break
+    if pattern is not None:
+        found["name_pattern"] = Answer(pattern, "numbers behind words in the names of the files")
+    return found
+
+
+def _number_behind(word: str, name: str) -> float | None:
+    match = re.search(rf"(?:^|[^A-Za-z]){re.escape(word)}[_= ]?(-?\d+(?:[.,]\d+)?)", Path(name).stem)
+    try:
+        return None if match is None else number_in_name(match[1])
+    except (UsageError, ValueError):
+        return None
+
+
+def _from_sheet(table: SheetTable, laws: Mapping[str, WallLaw], samples: Sequence[Sample]) -> Answers:
+    """Return which columns of a sheet are conditions, and their units: as headings state or the commands prove."""
+    named = _naming(table, samples)
+    if named is None:
+        return {}
+    rows = {str(cell).replace("\\", "/").rpartition("/")[2].lower(): i for i, cell in enumerate(table.column(named))}
+    at = {name: rows.get(name.lower(), rows.get(Path(name).stem.lower())) for name in laws}
+    logs = [name for name, row in at.items() if row is not None]
+    by_name = conditions_by_name([name for name in table.names if name and name != named])
+    found: Answers = {}
+    mapping: list[str] = []
+    taken = set(by_name.values())
+    for key in CONDITIONS:
+        candidates = [by_name[key]] if key in by_name else [n for n in table.names if n and n not in (named, *taken)]
+        for column in candidates:
+            cells = table.column(column)
+            stated = unit_in_heading(column, ())[1]
+            unit = stated if stated and find_unit(stated) else None
+            told = "the heading states it"
+            if unit is None and logs:
+                numbers = [_number(cells[row]) if (row := at[name]) is not None else None for name in logs]
+                unit = _proved_unit(numbers, _obeyed(laws, logs, key), key, _kind(laws))
+                told = f"what {len(logs)} commands obey"
+            if unit is None and key in by_name:
+                si = {"stiffness": "N/m", "damping": "Ns/m", "step": "N"}[key]
+                words = f"in which unit is the column {column!r} of the sheet ({key})?"
+                found[f"units.{key}"] = Answer(si, question=words)
+            elif unit is not None:
+                found[f"units.{key}"] = Answer(unit, f"column {column!r} of the sheet: {told}")
+            else:
+                continue
+            taken.add(column)
+            mapping.append(f"{column}:{key}")
+            break
+    return found | ({"sheet.columns": Answer(mapping, "columns of the sheet")} if mapping else {})
+
+
+def _naming(table: SheetTable, samples: Sequence[Sample]) -> str | None:
+    names = {sample.name.lower() for sample in samples} | {Path(sample.name).stem.lower() for sample in samples}
+
+    def count(column: str) -> int:
+        return sum(str(c).replace("\\", "/").rpartition("/")[2].lower() in names for c in table.column(column))
+
+    best = max(filter(None, table.names), key=count, default=None)
+    return best if best is not None and count(best) else None
+
+
+def _number(cell: object) -> float | None:
+    try:
+        return float(str(cell).replace(",", "."))
+    except ValueError:
+        return None
+
+
+def made_profile(proposal: Proposal) -> Profile:
+    """Return the profile of a proposal without open questions.
+
+    Raises
+    ------
+    ProfileError
+        If a question is open, or its values do not fit together.
+    """
+    if proposal.open:
+        raise ProfileError("\n".join(f"{place}: {answer.question}" for place, answer in proposal.open.items()))
+    sample = proposal.folder.samples[0]
+    values: dict[str, Any] = {"format": sample.kind, **sample.layout.keys}
+    values["files"] = [f"*{suffix_of(Path(sample.name))}"]
+    for place, answer in proposal.answers.items():
+        *above, key = place.split(".")
+        table = values
+        for part in above:
+            table = table.setdefault(part, {})
+        table["column" if key == "name" and isinstance(answer.value, int) else key] = answer.value
+    values["name"] = re.sub(r"\W+", "-", str(values["constants"]["device"])).strip("-") or "lab"
+    try:
+        return Profile.model_validate(values)
+    except ValidationError:
+        mistakes = find_mistakes(values, "")
+        raise ProfileError("\n".join(dict.fromkeys(mistake.text for mistake in mistakes))) from None
+
+
+def faults(profile: Profile, logs: Sequence[Path]) -> tuple[list[Checked], list[str]]:
+    """Return what a profile reads of some logs, and where their commands obey another wall than it states, or a number
+    is none that devices have."""
+    checked = check_samples(profile, spread(logs, MOST_SAMPLES))
+    off = []
+    for sample in checked:
+        for trial in sample["trials"]:
+            unusual = [text for text in trial["warnings"] if IS_UNUSUAL in text]
+            off += [f"{sample['path']}: {text}" for text in (trial["other_gains"], *unusual) if text]
+    return checked, off
