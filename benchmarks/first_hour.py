@@ -2,9 +2,9 @@
 
     python benchmarks/first_hour.py [FOLDER]
 
-writes the logs: cp1252, decimal commas, milliseconds and millimetres, positions that fall where the force pushes, K and
-B in the file names, steps of 4 and 6 N in a sheet beside them. It then runs ``pipeline start`` without a terminal, holds
-what was stored against the truth, and repeats that for each mistake: every one has to be stopped or warned of.
+writes the logs: cp1252, decimal commas, milliseconds and millimetres, positions that fall where the force pushes, K
+and B in the file names, steps of 4 and 6 N in a sheet beside them. It then runs ``pipeline start`` without a terminal,
+compares what was stored with the truth, and repeats that for each mistake: every one has to be stopped or warned of.
 """
 
 from __future__ import annotations
@@ -61,12 +61,8 @@ def response(wall: Wall) -> tuple[np.ndarray, np.ndarray]:
     for row in range(ROWS):
         before, read = read, QUANTUM * round((x + NOISE * rng.normal()) / QUANTUM)
         before = read if row == 0 else before
-        start = read if row == 0 else position[0]
-        u = (
-            wall.step * (row >= EDGE)
-            - 1e3 * wall.stiffness * (read - start)
-            - wall.damping * (read - before) / PERIOD_S
-        )
+        moved = 0.0 if row == 0 else read - position[0]
+        u = wall.step * (row >= EDGE) - 1e3 * wall.stiffness * moved - wall.damping * (read - before) / PERIOD_S
         command.append(u)
         position.append(read)
         waiting.append(u)
@@ -250,9 +246,8 @@ def mistaken(name: str, folder: Path) -> dict[str, Any]:
     chosen = write_set(folder / "bench")
     MUTATIONS[name](folder / "bench", chosen)
     run = pipeline(folder, "start", "bench", "--yes", "--no-open", "--store-only")
-    warned = [
-        line for line in run.text.splitlines() if re.search(r"[Ww]arning|Error|refused|open:|cure|which is right", line)
-    ]
+    told = re.compile(r"[Ww]arning|Error|[1-9]\d* refused|open:|cure|which is right")
+    warned = [line for line in run.text.splitlines() if told.search(line)]
     wrong = wrong_trials(folder, chosen)
     return {"stopped": run.status == 1 or run.status == 2, "told": warned[:3], "wrong": wrong, "status": run.status}
 

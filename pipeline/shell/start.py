@@ -19,7 +19,7 @@ from pipeline.base.units import UNITS, find_unit, unit_between, unit_in_heading
 from pipeline.intake.sources import Notices, find_sources
 from pipeline.profiles.profile_files import find_mistakes
 from pipeline.profiles.profile_model import Kind, Profile, number_in_name, quantity, si_unit
-from pipeline.readers.sheets import SheetTable, conditions_by_name, read_sheet
+from pipeline.readers.sheets import NAMES, SheetTable, conditions_by_name, read_sheet
 from pipeline.shell.profile.check import IS_UNUSUAL, Checked, check_samples
 from pipeline.shell.profile.columns import MOST_SAMPLES, numbers_in_names, spread, suffix_of, with_group
 from pipeline.shell.profile.evidence import SAME, Answer, Answers, WallLaw, answers, common_laws, wall_law
@@ -32,6 +32,12 @@ LEAST_NAMED = 0.5
 """Share of the logs that a sheet names."""
 
 CONDITIONS = ("stiffness", "damping", "step")
+
+_OFF = (
+    "the number behind {0!r} in the names is {2:.4g} times the {1} that the commands obey, and no unit makes that. Are "
+    "the units of force, position and time in the files right? Else give one {1} for all walls."
+)
+"""Question about names that contradict the units of the columns."""
 
 
 @dataclass(frozen=True)
@@ -128,13 +134,15 @@ def look_at(path: Path) -> Folder:
                 first = first or f"{file}: {error}"
         if native or opened:
             others = tuple(file for file in files if file not in set(group))
-            same = tuple(each for each in opened if _form(each) == _form(opened[0]))
+            usual = Counter(map(_form, opened)).most_common(1)[0][0] if opened else None
+            same = tuple(each for each in opened if _form(each) == usual)
             return Folder(path, tuple(group), others, tuple(sorted(notices.ignored)), sheet, native, same)
     raise UsageError(first or f"{path}: no log found. Give a folder with logs.")
 
 
-def _form(sample: Sample) -> tuple[str, tuple[str, ...]]:
-    return sample.kind, tuple(sample.contents.columns)
+def _form(sample: Sample) -> tuple[str, tuple[str, ...], str]:
+    signs = {key: sample.layout.keys.get(key) for key in ("delimiter", "decimal", "encoding")}
+    return sample.kind, tuple(sample.contents.columns), str(signs)
 
 
 def _sheet(files: Sequence[Path]) -> Path | None:
@@ -201,13 +209,19 @@ def _is_mapped(found: Answers, key: str) -> bool:
     return by_sheet or (pattern is not None and f"<{key}>" in pattern.value)
 
 
-def _proved_unit(numbers: Sequence[float | None], obeyed: Sequence[float], key: str, kind: Kind) -> str | None:
-    """Return the unit in which numbers are what commands obey; None where they are not."""
+def _factor(numbers: Sequence[float | None], obeyed: Sequence[float]) -> float | None:
+    """Return by what numbers have to be multiplied to be what commands obey; None where no one factor does it."""
     ratios = [value / number for number, value in zip(numbers, obeyed, strict=True) if number and value]
     if not ratios or any((not number) != (not value) for number, value in zip(numbers, obeyed, strict=True)):
         return None
     middle = sorted(ratios)[len(ratios) // 2]
-    if middle <= 0 or any(abs(ratio / middle - 1) > SAME for ratio in ratios):
+    return middle if middle > 0 and all(abs(ratio / middle - 1) <= SAME for ratio in ratios) else None
+
+
+def _proved_unit(numbers: Sequence[float | None], obeyed: Sequence[float], key: str, kind: Kind) -> str | None:
+    """Return the unit in which numbers are what commands obey; None where they are not."""
+    middle = _factor(numbers, obeyed)
+    if middle is None:
         return None
     si = si_unit(quantity(key, kind))
     unit = si if abs(middle - 1) <= SAME else unit_between(si, middle, SAME)
@@ -236,7 +250,12 @@ def _from_names(samples: Sequence[Sample], laws: Mapping[str, WallLaw], known: s
             numbers = [_number_behind(word, name) for name in names]
             unit = None if word in used else _proved_unit(numbers, _obeyed(laws, names, key), key, _kind(laws))
             if unit is None:
+                factor = _factor(numbers, _obeyed(laws, names, key))
+                if word.lower() in NAMES[key] and factor is not None:
+                    proposed = Answer(0, question=_OFF.format(word, key, 1 / factor))
+                    found[f"constants.{key}"] = proposed
                 continue
+            found.pop(f"constants.{key}", None)
             used.add(word)
             pattern = with_group(pattern, words, word, key)
             found[f"units.{key}"] = Answer(unit, f"{word!r} in the names is what {len(names)} commands obey, in {unit}")

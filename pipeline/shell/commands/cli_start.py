@@ -6,12 +6,13 @@ import json
 import shlex
 import tomllib
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, UsageError
+from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, LogError, UsageError
 from pipeline.base.paths import check_output
 from pipeline.base.wording import counted
 from pipeline.shell import console
@@ -85,10 +86,12 @@ def _profile_of(folder: Folder, asks: bool) -> tuple[Profile, Path]:
         raise UsageError(f"{off[0]} ({counted(len(off), 'log')} at fault). Correct the answer, or the sheet.")
     evidence = [f"{place}: {answer.evidence}" for place, answer in proposal.answers.items() if answer.evidence]
     write_text(target, profile_toml(profile, evidence))
+    console.step(f"profile: {target}")
     picture = Path("look.html")
     check_output(picture, "")
-    write_text(picture, page(look(folder.logs[0], profile)))
-    console.step(f"profile: {target}; picture of the first log: {picture}")
+    with suppress(LogError):  # it is refused with its reason where it is stored
+        write_text(picture, page(look(folder.logs[0], profile)))
+        console.step(f"picture of the first log: {picture}")
     return profile, target
 
 
@@ -122,7 +125,10 @@ def _ask(place: str, question: str, proposed: Any) -> Any:
 
 
 def _run(folder: Folder, profile: Profile | None, file: Path | None, processed: str, how: tuple[bool, bool]) -> int:
-    """Store the logs of a folder, compare or identify, and say how to repeat it; ``how``: open the report, only store."""
+    """Store the logs of a folder, compare or identify, and say how to repeat it.
+
+    ``how`` says whether to open the report, and whether to store alone.
+    """
     from pipeline.comparison.compare import compare
     from pipeline.intake.ingest import ingest
     from pipeline.store.names import report_of

@@ -1,0 +1,180 @@
+"""`pipeline start`: from a folder to a report, by what the data prove, and by questions in a terminal."""
+
+import json
+import os
+import re
+import select
+import subprocess
+import sys
+import time
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from packed_sheets import xlsx
+from wall_logs import wall_log
+
+from pipeline.profiles.profile_files import read_profile
+from pipeline.store.storage import read_trials
+
+WALLS = [(1.0, 3.0, 4.0), (1.5, 5.0, 6.0), (2.5, 8.0, 4.0), (3.0, 4.0, 6.0), (0.75, 6.0, 4.0)]
+
+
+def write(folder, heading="Zeit [ms];Kraft [N];Weg [mm]", *, named="K{0:g}_B{1:g}", sheet="F0 [N]"):
+    """Logs of a lab: cp1252, decimal commas, positions that fall; K and B in the names, steps in a sheet."""
+    folder.mkdir()
+    rows = []
+    for number, (k, b, step) in enumerate(WALLS):
+        numbers = np.array([line.split(";") for line in wall_log(1e3 * k, b, step=step).splitlines()[1:]], float)
+        lines = [f"{1e3 * t:.1f};{u:.9f};{-x:.9f}".replace(".", ",") for t, u, x in numbers.tolist()]
+        name = f"run{number} {named.format(k, b)}".replace(".", ",") + ".csv"
+        (folder / name).write_text("\n".join(["Prüfstand", heading, *lines, ""]), encoding="cp1252")
+        rows.append([name, k, b, step])
+    if sheet:
+        cells = [";".join(str(cell).replace(".", ",") if cell != row[0] else cell for cell in row) for row in rows]
+        head = f"Datei;Kw;Bw;{sheet}"
+        (folder / "runs.csv").write_text("\n".join([head, *cells, ""]), encoding="cp1252")
+    return rows
+
+
+def walls_of(folder):
+    rows = read_trials(folder / "processed").to_pylist()
+    return sorted((row["stiffness"] / 1e3, row["damping"], row["step"]) for row in rows)
+
+
+def test_a_folder_is_stored_by_what_its_data_prove(call, tmp_path):
+    write(tmp_path / "bench")
+    (tmp_path / "bench" / "README.md").write_text("x")
+    status, out, err = call("start", "bench", "--yes", "--store-only")
+    assert status == 0, err
+    assert walls_of(tmp_path) == sorted(WALLS)
+    assert "pipeline ingest bench --profile bench.toml" in out
+    assert re.search(r"sheet +1 +runs\.csv", err)
+    assert re.search(r"ignored +1 +README\.md", err)
+    assert "its numbers fall where the command pushes" in err
+    profile = read_profile(tmp_path / "bench.toml")
+    assert (profile.columns.position.sign, profile.units.stiffness, profile.constants.device) == (-1, "N/mm", "bench")
+    # the printed command knows the logs
+    assert json.loads(call("ingest", "bench", "--profile", "bench.toml", "--json")[1])["skipped"] == 5
+
+
+def test_the_unit_of_a_sheet_is_proved_by_the_wall_law(call, tmp_path):
+    write(tmp_path / "bench", named="x")
+    status, _, err = call("start", "bench", "--yes", "--store-only")
+    assert status == 0, err
+    assert walls_of(tmp_path) == sorted(WALLS)
+    assert "column 'Kw' of the sheet: what 5 commands obey" in err
+
+
+def test_a_workbook_is_a_sheet_too(call, tmp_path):
+    pytest.importorskip("python_calamine")
+    rows = write(tmp_path / "bench", named="x", sheet="")
+    (tmp_path / "bench" / "runs.xlsx").write_bytes(xlsx([["Datei", "K", "B", "F0"], *rows]))
+    status, _, err = call("start", "bench", "--yes", "--store-only")
+    assert status == 0, err
+    assert walls_of(tmp_path) == sorted(WALLS)
+
+
+def test_what_is_open_is_listed_and_nothing_is_done(call, tmp_path):
+    write(tmp_path / "bench", "Zeit;Kraft;Weg")
+    status, out, err = call("start", "bench", "--yes")
+    assert (status, out) == (2, "")
+    assert "2 questions open:\n  columns.command.unit: " in err
+    assert "columns.position.unit: " in err
+    assert not (tmp_path / "processed").exists()
+    assert not (tmp_path / "bench.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("Kraft [N]", "Kraft [mN]", "'B' in the names is 1000 times the damping that the commands obey"),
+        ("Weg [mm]", "Weg [m]", "Are the units of force, position and time in the files right"),
+        ("F0 [N]", "F0 [mN]", "obeys step"),
+        ("Kraft [N];Weg [mm]", "Weg [mm];Kraft [N]", "open|obeys"),
+    ],
+)
+def test_a_wrong_unit_is_stopped(call, tmp_path, old, new, told):
+    write(tmp_path / "bench")
+    for path in (tmp_path / "bench").iterdir():
+        path.write_text(path.read_text(encoding="cp1252").replace(old, new), encoding="cp1252")
+    status, _, err = call("start", "bench", "--yes", "--store-only")
+    assert status in (1, 2)
+    assert re.search(told, err)
+    assert not (tmp_path / "processed").exists()
+
+
+def test_logs_without_a_wall_are_identified(call, tmp_path):
+    (tmp_path / "motor").mkdir()
+    rng = np.random.default_rng(1)
+    for number in range(4):
+        force = np.repeat(rng.choice([-2.0, 0.0, 1.0, 3.0], 8), 50)
+        x, v, lines = 0.0, 0.0, ["t [s],u [V],phi [rad]"]
+        for row, u in enumerate(force):
+            lines.append(f"{row / 1000:.3f},{u:g},{x + 1e-6 * rng.normal():.8f}")
+            v += 1e-3 * (force[max(row - 2, 0)] - 0.4 * v) / 0.05
+            x += 1e-3 * v
+        (tmp_path / "motor" / f"run{number}.csv").write_text("\n".join([*lines, ""]))
+    status, out, err = call("start", "motor", "--yes")
+    assert status == 0, err
+    assert re.search(r"inertia +0\.0[45]\d+ .* Vs\^2/rad", out)
+    assert "pipeline identify motor --profile motor.toml --out motor-device.toml" in out
+
+
+def test_native_logs_need_no_profile(call, tmp_path):
+    from native_logs import log_text
+
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / "a.csv").write_text(log_text(300.0))
+    status, out, _ = call("start", "logs", "--yes", "--store-only")
+    assert status == 0
+    assert "  pipeline ingest logs\n" in out
+    assert call("start", "nowhere")[0] == 2
+
+
+def in_terminal(folder, answers, *words):
+    """Run start in a pseudo-terminal and answer its questions in turn; returns exit status and what was shown."""
+    import pty
+
+    main, terminal = pty.openpty()
+    command = [sys.executable, "-m", "pipeline", "start", *words]
+    environment = os.environ | {"COLUMNS": "200", "TERM": "dumb", "BROWSER": "true"}
+    process = subprocess.Popen(
+        command, cwd=folder, env=environment, stdin=terminal, stdout=terminal, stderr=terminal, start_new_session=True
+    )
+    os.close(terminal)
+    shown, waiting, until = b"", list(answers), time.monotonic() + 300
+    with suppress(OSError):  # when nobody writes to it any more
+        while time.monotonic() < until:
+            if select.select([main], [], [], 0.2)[0]:
+                part = os.read(main, 10_000)
+                if not part:
+                    break
+                shown += part
+                # a question ends with its proposal in brackets and a colon
+                if waiting and re.search(rb"\[[^\]\n]*\]: $", shown):
+                    os.write(main, f"{waiting.pop(0)}\n".encode())
+            elif process.poll() is not None:
+                break
+    os.close(main)
+    return process.wait(), shown.decode("utf-8", "replace").replace("\r\n", "\n"), waiting
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no pseudo-terminals")
+def test_a_terminal_asks_what_is_open_and_enter_accepts(tmp_path):
+    write(tmp_path / "bench", "Zeit;Kraft;Weg")
+    status, shown, left = in_terminal(tmp_path, ["", "mm"], "bench", "--store-only")
+    assert (status, left) == (0, []), shown
+    assert "2 questions open; Enter accepts the proposal in brackets." in shown
+    assert "columns.command.unit: the file does not say it." in shown
+    assert walls_of(tmp_path) == sorted(WALLS)
+    assert "To repeat it without questions:\n  pipeline ingest bench --profile bench.toml" in shown
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no pseudo-terminals")
+def test_a_wrong_answer_is_stopped_by_the_wall_law(tmp_path):
+    write(tmp_path / "bench", "Zeit;Kraft;Weg")
+    status, shown, _ = in_terminal(tmp_path, ["kN", "mm"], "bench", "--store-only")
+    assert status in (1, 2)
+    assert "obeys step" in shown
+    assert not (tmp_path / "processed").exists()
