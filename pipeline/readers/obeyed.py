@@ -51,6 +51,13 @@ LIMIT_ROWS = 3
 
 LEAST_ROWS = 12
 
+MOST_EDGES = 4
+"""Jumps that are tried as the step: before it, noise and the sensor's step make one or two that stand out."""
+
+STANDS_OUT, SMALL_JUMP = 8.0, 1e-6
+"""Factor by which the jump of a step exceeds all before it, which noise and the rounding of a sensor make; and part of
+the largest jump below which one is arithmetic."""
+
 
 @dataclass(frozen=True)
 class Obeyed:
@@ -81,7 +88,7 @@ def obeyed(log: Log) -> Obeyed | None:
     header, command = log.header, log.command
     stated = {"stiffness": header.stiffness, "damping": header.damping, "step": header.step}
     gains, size = np.array([*stated.values()]), _size(command)
-    terms = _terms(log.time, command, log.position, header.extra.get("step_row"))
+    terms = _best_terms(log.time, command, log.position, header.extra.get("step_row"))
     off = command - gains @ terms
     if not header.step or not size or _size(off) <= EXACT * size:
         return None
@@ -132,7 +139,7 @@ def law_of(time: Floats, command: Floats, position: Floats) -> Law | None:
     """
     if len(time) < LEAST_ROWS or not (np.diff(time) > 0).all() or not np.ptp(command) or not np.ptp(position):
         return None
-    terms, free = _terms(time, command, position), _free(command)
+    terms, free = _best_terms(time, command, position), _free(command)
     if free.sum() < LEAST_ROWS:
         return None
     values, _, left = _fit(terms[:, free], command[free])
@@ -142,12 +149,29 @@ def law_of(time: Floats, command: Floats, position: Floats) -> Law | None:
     return Law(*map(float, np.where(told, values, 0.0)))
 
 
-def _terms(time: Floats, command: Floats, position: Floats, declared: str | None = None) -> Floats:
-    """Return the terms of stiffness, damping and step in the command, shape (3, rows)."""
+def _edges(command: Floats) -> list[int]:
+    """Return the rows in which the step may happen: the largest jump, and the first that stand out from those before.
+
+    The command of an unstable wall jumps by more than its step later on.
+    """
     jump = np.abs(command[1:] - command[:-1])
-    edge = int(declared) if declared is not None else int(jump.argmax()) + 1
-    if declared is None and abs(command[0]) > 0.5 * jump.max():
-        edge = 0
+    largest = int(jump.argmax()) + 1
+    if abs(command[0]) > 0.5 * jump.max():
+        return [0]
+    before = np.maximum.accumulate(jump)[:-1]
+    out = np.flatnonzero(jump[1:] > STANDS_OUT * np.maximum(before, SMALL_JUMP * jump.max()))
+    return list(dict.fromkeys([largest, *(int(row) + 2 for row in out[:MOST_EDGES])]))
+
+
+def _best_terms(time: Floats, command: Floats, position: Floats, declared: str | None = None) -> Floats:
+    """Return the terms of the law whose edge leaves least of the command, shape (3, rows)."""
+    edges = [int(declared)] if declared is not None else _edges(command)
+    every = [_terms(time, command, position, edge) for edge in edges]
+    return min(every, key=lambda terms: _fit(terms, command)[2]) if len(every) > 1 else every[0]
+
+
+def _terms(time: Floats, command: Floats, position: Floats, edge: int) -> Floats:
+    """Return the terms of stiffness, damping and step in the command, shape (3, rows)."""
     terms = np.zeros((3, len(time)))
     terms[0] = position[0] - position
     terms[1, 1:] = (position[:-1] - position[1:]) / (time[1:] - time[:-1])

@@ -140,3 +140,26 @@ def test_ingest_stores_with_a_mark_and_a_warning(lab):
         assert 'stiffness = "N/mm"' in warning.warning
     for extra in read_trials(lab / "processed").column("extra").to_pylist():
         assert "factor 1000" in json.loads(extra)["other_gains"]
+
+
+@pytest.mark.parametrize(("name", "factor"), [("stiffness", 10.0), ("damping", 10.0), ("step", 1.5)])
+def test_the_wall_of_an_unstable_trial_is_known_by_its_step_before_it_grows(name, factor):
+    """Later jumps of its command are larger than its step."""
+    time, command, position = (np.zeros(400) for _ in range(3))
+    time[:] = 1e-3 * np.arange(400)
+    x = v = before = 0.0
+    waiting = [0.0] * 3
+    for row in range(400):
+        command[row] = 4.0 * (row >= 40) - 12000.0 * x - 15.0 * (x - before) / 1e-3
+        position[row], before = x, x
+        waiting.append(command[row])
+        v += 1e-3 * (waiting.pop(0) - 3.0 * v) / 0.55
+        x += 1e-3 * v
+    assert np.abs(np.diff(command)).max() > 2 * 4.0, "it grows"
+    stated = {"stiffness": 12000.0, "damping": 15.0, "step": 4.0}
+    header = NativeHeader("bench", "1", **stated, sampling_period_s=1e-3)
+    assert obeyed(Log(header, time, command, position)) is None
+    wrong = NativeHeader("bench", "1", **(stated | {name: factor * stated[name]}), sampling_period_s=1e-3)
+    found = obeyed(Log(wrong, time, command, position))
+    assert found is not None
+    assert found.found == {name: pytest.approx(stated[name], rel=1e-6)}
