@@ -223,7 +223,7 @@ def test_a_draft_asks_and_is_refused_until_it_is_answered(call, tmp_path):
     assert call("profile", "draft", "K300.csv")[1] == text
     # what the file states is set with where it does, and nothing that would change a number silently
     assert re.findall(r'^unit = "(.*?)" # the file says', text, re.MULTILINE) == ["ms", "N", "um"]
-    assert "sampling_period_s = 0.001 # so far are rows apart" in text
+    assert "sampling_period_s = 0.001 # the time between rows" in text
     assert not re.search(r"^(step|stiffness|damping|motion) *=", text, re.MULTILINE)
     for command in (("profile", "check", "lab.toml", "K300.csv"), ("ingest", ".", "--profile", "lab.toml")):
         status, out, err = call(*command)

@@ -24,6 +24,12 @@ if TYPE_CHECKING:
     from pipeline.profiles.profile_model import Profile
     from pipeline.shell.start import Folder, Proposal
 
+TABLES = ("columns", "name_pattern", "sheet", "units", "step_at", "constants", "decimal")
+"""Keys of a proposal in the order in which they are shown."""
+
+LONGEST_VALUE = 40
+"""Characters of a value that are shown; a pattern has more."""
+
 Yes = Annotated[bool, option("--yes", "Ask nothing: take what the data prove.", "-y")]
 
 
@@ -103,11 +109,12 @@ def _free_name(name: str) -> Path:
 
 def _proposal_lines(proposal: Proposal) -> Iterator[str]:
     """Yield the keys that are known with their evidence, then the number of questions."""
-    rows = [
-        {"key": place, "value": json.dumps(answer.value, ensure_ascii=False), "shown by": answer.evidence}
-        for place, answer in proposal.answers.items()
-        if not answer.question
-    ]
+    rows = []
+    for place, answer in sorted(proposal.answers.items(), key=lambda item: TABLES.index(item[0].partition(".")[0])):
+        if not answer.question:
+            value = json.dumps(answer.value, ensure_ascii=False)
+            shown = value if len(value) <= LONGEST_VALUE else f"{value[: LONGEST_VALUE - 3]}..."
+            rows.append({"key": place, "value": shown, "shown by": answer.evidence})
     yield from ("", *console.table(rows, ("key", "value", "shown by")), "")
     if proposal.open:
         yield f"{counted(len(proposal.open), 'question')} open; Enter accepts the proposal in brackets."

@@ -366,7 +366,7 @@ class _Maker:
             )
         period = round_period(float(np.median([*paces.values()])))
         values["constants"]["sampling_period_s"] = period
-        self.evidence.append(f"the sampling period is {period:g} s: so far are rows apart in {_logs(len(paces))}")
+        self.evidence.append(f"the sampling period is {period:g} s, the time between the rows of {_logs(len(paces))}")
 
     def _wall(self, values: dict[str, Any]) -> None:
         """Put in what the wall law of the commands shows: the direction of positions, and when the step happens."""
@@ -481,7 +481,7 @@ def _check(profile: Profile, stated: StatedColumns, files: Sequence[Path]) -> No
     if not off:
         return
     path, why = off[0]
-    others = f" ({counted(len(off), 'log')} of {counted(looked, 'log')} are at fault.)" if looked > 1 else ""
+    others = f" ({len(off)} of {counted(looked, 'log')} are at fault.)" if looked > 1 else ""
     raise ProfileError(f"{path}: {_in_options(why, stated)}.{others}")
 
 

@@ -171,7 +171,10 @@ def common_laws(samples: Sequence[Sample]) -> list[WallLaw]:
     if not counts:
         return []
     columns, count = counts.most_common(1)[0]
-    return [law for law in laws if tuple(law.columns.values()) == columns] if 2 * count > len(laws) else []
+    alike = [law for law in laws if tuple(law.columns.values()) == columns] if 2 * count > len(laws) else []
+    against = 2 * sum(law.law.stiffness < 0 for law in alike) > len(alike)
+    # those of the usual direction first
+    return sorted(alike, key=lambda law: (law.law.stiffness < 0) != against)
 
 
 _ORDER = ("step_at", "name_pattern", "columns", "constants", "units")
@@ -410,7 +413,7 @@ def _constants(sample: Sample, columns: Answers, law: WallLaw | None) -> Answers
     pace = float(np.median(np.diff(stamps))) * factor if stamps is not None else 0.0
     if pace <= 0:
         return found | {place: Answer(0.001, question="sampling period T of the controller [s]?")}
-    told = "so far are rows apart" + (", if the unit of the stamps is right" if unit.question else "")
+    told = "the time between rows" + (", if the unit of the stamps is right" if unit.question else "")
     return found | {place: Answer(round_period(pace), told)}
 
 
