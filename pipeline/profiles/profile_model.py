@@ -549,7 +549,8 @@ def _source_problems(key: str, source: Source, motion: Motion, gain: Gain | None
 
 
 Format = Literal[
-    "native", "delimited", "json", "parquet", "feather", "matlab", "hdf5", "rosbag", "mcap", "tdms", "mdf"
+    "native", "delimited", "json", "parquet", "feather", "matlab", "hdf5", "rosbag", "mcap", "tdms", "mdf", "npz",
+    "sheet",
 ]  # fmt: skip
 Condition = Literal[
     "device", "experiment", "stiffness", "damping", "step", "sampling_period_s", "added_delay_samples", "grip"
@@ -560,6 +561,9 @@ PROBLEMS = "profile_problems"
 """Type of the validation error that holds all problems of a profile."""
 
 _EXAMPLES = {"device": '"bench"', "experiment": '"1"', "sampling_period_s": "0.001"}
+GROUPED: tuple[str, ...] = ("json", "matlab", "hdf5", "tdms", "mdf")
+"""Formats whose files may have groups of columns."""
+
 CONDITION_QUANTITIES = ("stiffness", "damping", "step", "sampling_period_s")
 """Conditions that have a unit."""
 
@@ -694,6 +698,9 @@ class Profile(TextLayout, StepTime):
         Its rows become such entries when the profile is used (`pipeline.readers.sheets.with_sheet`).
     trial_column : str, optional
         Long form: rows with the same value in this column are one trial.
+    trials : {"each group"}, optional
+        Each group of the file (of HDF5, TDMS or MDF), element of a struct array or record that has all columns is a
+        trial; their names and attributes are those inside the group.
     steps : tuple of StepEntry
         Several steps in one file, each its own trial.
     window : Window, optional
@@ -723,6 +730,7 @@ class Profile(TextLayout, StepTime):
     file: tuple[FileEntry, ...] = ()
     sheet: Sheet | None = None
     trial_column: Name | None = None
+    trials: Literal["each group"] | None = None
     steps: tuple[StepEntry, ...] = ()
     window: Window | None = None
 
@@ -747,6 +755,8 @@ class Profile(TextLayout, StepTime):
         for form, keys in (("delimited", set(TextLayout.model_fields)), ("json", {"records"})):
             for key in sorted(keys & given) if form != self.format else ():
                 yield (key,), f"for format {form}, found {self.format}. Remove it"
+        if self.trials is not None and self.format not in GROUPED:
+            yield ("trials",), f"for formats with groups ({', '.join(GROUPED)}), found {self.format}. Remove it"
         if self.format == "delimited":
             yield from self.layout_problems()
         if self.columns is None:

@@ -7,7 +7,7 @@ takes the columns that a profile wants; `mapping` turns them into logs.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from importlib import import_module
@@ -174,6 +174,23 @@ class Contents:
         names = (wanted, re.sub(r"(\[0\])+$", "", wanted))
         return next((known for name in names for known in (name, f"/{name}") if known in self.columns), None)
 
+    def of_group(self, group: str, wanted: tuple[str, ...] = ()) -> Self:
+        """Return what is in a group, by the names in it; attributes of the whole file stay beside its own."""
+
+        def inside(name: str) -> str:
+            rest = name.removeprefix(group)
+            return rest[1:] if rest != name and rest[:1] in _INSIDE else ""
+
+        return replace(
+            self,
+            wanted=wanted,
+            columns={inside(name): values for name, values in self.columns.items() if inside(name)},
+            hints={inside(name): hint for name, hint in self.hints.items() if inside(name)},
+            units={inside(name): unit for name, unit in self.units.items() if inside(name)},
+            attributes={inside(name) or name: value for name, value in self.attributes.items()},
+            row=np.empty(0, np.int64),
+        )
+
     def lacks(self) -> bool:
         """Return whether a wanted column is not there, and not known to be unreadable."""
         refused = [key for key in self.wanted if any(_is_part(key, path) for path in self.refused)]
@@ -195,7 +212,8 @@ class Contents:
         if len(set(rows.values())) > 1:
             listing = ", ".join(f"{key!r}: {count}" for key, count in list(rows.items())[:LISTED_NAMES])
             text = f"columns have different lengths ({listing})"
-            raise refusal("lengths-differ", self.name, text, "one length", row=min(rows.values()) + 1)
+            line = '[columns.time]\nkind = "sampled" # one row each sampling period, without the column of time'
+            raise refusal("lengths-differ", self.name, text, "one length", row=min(rows.values()) + 1, line=line)
         units, hints = (
             {key: told[name] for key in columns if (name := self.find(key)) in told}
             for told in (self.units, self.hints)
@@ -225,6 +243,46 @@ class Contents:
         """Return which parts of the file cannot be read, and why the first of them."""
         names = ", ".join(map(repr, list(self.refused)[:LISTED_NAMES]))
         return f" Not readable: {names}; {next(iter(self.refused.values()))}" if names else ""
+
+
+_INSIDE = ("/", ".", "@")
+"""Signs between a group and what is in it: a column, a field, an attribute."""
+
+
+def groups_of(names: Collection[str], wanted: Collection[str]) -> list[str]:
+    """Return the groups that have all wanted columns, in the order in which they are found.
+
+    >>> groups_of(["/a/t", "/a/x", "/b/t", "/b/x", "/c/t"], ["t", "x"])
+    ['/a', '/b']
+    """
+    known = set(names)
+    first = next(iter(wanted), "")
+    found = (name[: -len(first) - 1] for name in names if name.endswith(tuple(f"{s}{first}" for s in _INSIDE[:2])))
+    return [
+        group
+        for group in dict.fromkeys(found)
+        if all(any(f"{group}{sign}{name}" in known for sign in _INSIDE[:2]) for name in wanted)
+    ]
+
+
+def trial_groups(contents: Contents) -> list[str]:
+    """Return groups that look like trials of one kind: numbered, and with the same columns of several rows.
+
+    >>> names = ("run1.t", "run1.x", "run2.t", "run2.x", "setup.t")
+    >>> trial_groups(Contents("a", columns=dict.fromkeys(names, np.zeros(9))))
+    ['run1', 'run2']
+    """
+    leaves: dict[str, list[str]] = {}
+    for name, values in contents.columns.items():
+        at = max(name.rfind(sign) for sign in _INSIDE[:2])
+        if at > 0 and len(values) > 2 and values.dtype.kind != "U":
+            leaves.setdefault(name[:at], []).append(name[at + 1 :])
+    families: dict[tuple[str, ...], list[str]] = {}
+    for group, inside in leaves.items():
+        if len(inside) > 1 and re.search(r"\d\]?$", group):
+            families.setdefault(tuple(sorted(inside)), []).append(group)
+    best = max(families.values(), key=len, default=[])
+    return best if len(best) > 1 else []
 
 
 def _is_part(column: str, path: str) -> bool:

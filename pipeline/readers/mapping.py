@@ -32,7 +32,7 @@ from pipeline.profiles.profile_model import (
     number_in_name,
 )
 from pipeline.readers.formats import refuse_other_kind
-from pipeline.readers.frame import KEPT_ATTRIBUTES, LONGEST_ATTRIBUTE, Contents, Scalar
+from pipeline.readers.frame import KEPT_ATTRIBUTES, LISTED_NAMES, LONGEST_ATTRIBUTE, Contents, Scalar, groups_of
 from pipeline.readers.isolation import read_file
 from pipeline.readers.log import Log, RawLog, check_samples
 from pipeline.readers.rows import Table, rows_of
@@ -73,13 +73,45 @@ def read(profile: Profile, raws: Sequence[RawLog]) -> list[tuple[Log, ...] | Log
     outcomes: list[tuple[Log, ...] | LogError] = []
     for raw in raws:
         try:
-            outcomes.append(tuple(logs_of(profile, raw.names, read_frames(profile, raw))))
+            outcomes.append(tuple(_logs_of_file(profile, raw)))
         except LogError as error:
             outcomes.append(error)
         except ProfileError as error:
             # one file that does not fit must not stop the others
             outcomes.append(LogError(str(error), code="profile-wrong"))
     return outcomes
+
+
+def _logs_of_file(profile: Profile, raw: RawLog) -> list[Log]:
+    """Return the logs of a file, of each of its groups where these are trials.
+
+    Raises
+    ------
+    LogError
+        If one is refused, or no group has the columns.
+    """
+    if profile.trials is None:
+        return logs_of(profile, raw.names, read_frames(profile, raw))
+    name = raw.names[0]
+    refuse_other_kind(name, profile.format, raw.data[0])
+    whole = read_file(profile, raw.names, raw.data)
+    wanted = tuple(dict.fromkeys(profile.wanted().values()))
+    logs: list[Log] = []
+    groups = groups_of(list(whole.columns), wanted)
+    if not groups:
+        found = f"no group has the columns {', '.join(map(repr, wanted))}"
+        listing = ", ".join(list(whole.columns)[:LISTED_NAMES]) or "none"
+        raise refusal("column-missing", name, f"{found}. It has: {listing}")
+    for group in groups:
+        frame = whole.of_group(group, wanted).frame()
+        _check_units(profile, name, "source", frame)
+        title = storable(group.strip("/"))
+        try:
+            found_logs = logs_of(profile, raw.names, [frame])
+        except LogError as error:
+            raise error.reworded(f"{title}: {error.reason}") from error
+        logs += [replace(log, label=title if log.label is None else f"{title}.{log.label}") for log in found_logs]
+    return logs
 
 
 def read_frames(profile: Profile, raw: RawLog) -> list[Contents]:

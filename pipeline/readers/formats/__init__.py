@@ -78,7 +78,18 @@ FORMATS: dict[Format, FileFormat] = {
     "mcap": FileFormat("bags", "an MCAP file", (b"\x89MCAP0\r\n",), "bags"),
     "tdms": FileFormat("hdf5_tdms_mdf", "a TDMS file", (b"TDSm",), "tdms", "read_tdms", "nptdms"),
     "mdf": FileFormat("hdf5_tdms_mdf", "an MDF file", (b"MDF     ",), "mdf", "read_mdf", "asammdf"),
+    "npz": FileFormat("archives", "a numpy archive", function="read_npz"),
+    "sheet": FileFormat("archives", "a sheet (XLSX, ODS)", (), "sheets", "read_sheet", "python_calamine"),
 }
+"""A ZIP archive begins like any other: what it is, its parts say (`format_of`)."""
+
+
+def packed_kind(data: bytes) -> Format | None:
+    """Return the format of a ZIP archive by the names of its first and last parts; None where it is none."""
+    probe = data[:_PROBE] + data[-_PROBE:]
+    if re.search(rb"xl/work(book|sheets)|opendocument\.spreadsheet", probe):
+        return "sheet"
+    return "npz" if re.search(rb"\.npy", probe) else None
 
 
 def format_of(name: str, data: bytes) -> Format:
@@ -98,6 +109,8 @@ def format_of(name: str, data: bytes) -> Format:
         return "matlab" if name.lower().endswith(".mat") else "hdf5"
     if ".db3" in name.lower():
         return "rosbag"
+    if data.startswith(b"PK\x03\x04") and (packed := packed_kind(data)) is not None:
+        return packed
     head = data[:64].replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \t\r\n")
     if head.startswith(b"{") or (head.startswith(b"[") and head[1:].lstrip()[:1] in (b"{", b"[")):
         return "json"
@@ -123,6 +136,8 @@ def refuse_other_kind(name: str, kind: Format, data: bytes) -> None:
         If it is an archive, a picture, a document, a web page, or a log of another format.
     """
     probe = data[:_PROBE] + data[-_PROBE:]
+    if kind == packed_kind(data):
+        return
     what = next((what for begin, what in _OTHERS.items() if re.match(begin, probe, re.DOTALL | re.IGNORECASE)), "")
     if what:
         cure = "Unpack it, or export the recorded samples as CSV, and ingest that."

@@ -69,6 +69,9 @@ def read_tdms(path: Path, settings: Profile, contents: Contents) -> None:
                 if contents.asks(name) or len(channel) == 1 or contents.wanted == (TIME,):
                     unit = "ns" if channel.dtype.kind == "M" else ""
                     contents.add(name, partial(_of_channel, channel), _hint(channel.properties), unit)
+    if settings.trials is not None:
+        _add_group_times(contents)
+        return
     if contents.wanted and TIME not in contents.wanted:
         return
     names = [key for key in contents.wanted if key != TIME] or list(contents.columns)
@@ -89,6 +92,22 @@ def read_tdms(path: Path, settings: Profile, contents: Contents) -> None:
         found = f"{TIME!r} needs one {listed(list(_WAVEFORM))} for all wanted channels, found {listing or 'none'}"
         cure = "Record the channels in one task; or export them with a channel of times, and name that in columns.time."
         raise refusal("time-wrong", contents.name, found, cure=cure)
+
+
+def _add_group_times(contents: Contents) -> None:
+    """Add the time of each group whose channels have one and the same waveform."""
+    groups: dict[str, list[str]] = {}
+    for name in list(contents.columns):
+        groups.setdefault(name.rpartition("/")[0], []).append(name)
+    for group, names in groups.items():
+        waveforms = {
+            tuple(contents.attributes.get(f"{name}@{key}", default) for key, default in _WAVEFORM.items())
+            for name in names
+        }
+        rows = {len(contents.columns[name]) for name in names}
+        increment, offset, *_ = next(iter(waveforms))
+        if len(waveforms) == 1 == len(rows) and increment is not None and offset is not None:
+            contents.add(f"{group}/{TIME}", float(offset) + np.arange(rows.pop()) * float(increment), "s", "s")
 
 
 def read_mdf(path: Path, settings: Profile, contents: Contents) -> None:

@@ -31,6 +31,14 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
     if not text.strip():
         raise refusal("empty", contents.name, "is empty", "JSON", row=1)
     value = _parsed(contents, text)
+    if settings.trials is not None:
+        for key, inner in _grouped(value):
+            if isinstance(inner, list):
+                cells = {number: one for number, one in enumerate(inner) if one is not None}
+                contents.add(key, partial(column, f"{contents.name}: column {key!r}", cells, len(inner)))
+            elif inner is not None:
+                contents.note(key, int(inner) if isinstance(inner, bool) else inner)
+        return
     records = _records(contents, value, settings.records or "")
     if records is None:
         columns = {
@@ -90,6 +98,22 @@ def _flat(value: Any, path: str = "", lists: bool = True) -> Iterator[tuple[str,
     elif isinstance(value, list) and lists:
         for number, part in enumerate(value):
             yield from _flat(part, f"{path}[{number}]" if path else str(number + 1), lists)
+    else:
+        yield path, value
+
+
+def _grouped(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield path and value of all lists of plain values and single values inside objects and lists of objects."""
+    if isinstance(value, dict):
+        for key, part in value.items():
+            yield from _grouped(part, f"{path}.{key}" if path else key)
+    elif isinstance(value, list) and any(isinstance(part, dict) for part in value):
+        for number, part in enumerate(value):
+            yield from _grouped(part, f"{path}[{number}]")
+    elif isinstance(value, list) and any(isinstance(part, list) for part in value):
+        widths = {len(part) for part in value if isinstance(part, list)}
+        for at in range(min(widths, default=0)) if len(widths) == 1 else ():
+            yield f"{path}[{at}]", [part[at] for part in value]
     else:
         yield path, value
 

@@ -91,7 +91,7 @@ _ROLES = {
     ),
 }
 _WORDS = {
-    "command": r"force|torque|kraft|moment|command|cmd|soll|tau|voltage|spannung|current|strom|effort|action",
+    "command": r"force|torque|kraft|moment|command|cmd|soll|tau|voltage|spannung|current|strom|effort|actions?",
     "position": r"position|pos|angle|winkel|weg|lage|place|displacement|encoder|velocity|speed|geschwindigkeit",
 }
 """Words in the names of columns that belong to a role, where no name is one by itself."""
@@ -307,6 +307,8 @@ def _clock(sample: Sample, rising: Sequence[str]) -> Answer:
     numbers = sample.numbers
     fitting = [name for name in numbers if re.fullmatch(_ROLES["time"].names, sample.unit(name, "time")[0])]
     clocks = [name for name in fitting if name in rising] or list(rising)
+    if not clocks and not fitting:
+        return Answer(None, "no column rises in every row: there are no stamps")
     if len(clocks) == 1:
         more = ", as its name says" if clocks[0] in fitting else ", as no other column"
         return Answer(clocks[0], f"rises in every row{more}")

@@ -10,10 +10,10 @@ import numpy as np
 
 from pipeline.base.errors import ProfileError, UsageError, refusal
 from pipeline.base.units import DRIVES, unit_in_heading
-from pipeline.profiles.profile_model import QUANTITIES, Format, Profile
+from pipeline.profiles.profile_model import GROUPED, QUANTITIES, Format, Profile
 from pipeline.readers.formats import format_of
 from pipeline.readers.formats.delimited import Layout, text_layout, unpacked
-from pipeline.readers.frame import Contents
+from pipeline.readers.frame import Contents, trial_groups
 from pipeline.readers.isolation import read_file
 from pipeline.records.trials import Floats
 
@@ -65,8 +65,15 @@ def open_sample(path: Path) -> Sample:
         raise ProfileError(f"{path} is a native log, which needs no profile: `pipeline ingest {path}` reads it.")
     layout = text_layout(path.name, data) if kind == "delimited" else Layout()
     settings = Profile.model_construct(name="draft", format=kind, files=("*",), **layout.keys)
-    sample = Sample(path.name, kind, layout, read_file(settings, (path.name,), (data,)))
-    layout.keys |= sample.contents.keys
+    contents = read_file(settings, (path.name,), (data,))
+    if kind in GROUPED:
+        each = settings.model_copy(update={"trials": "each group"})
+        whole = read_file(each, (path.name,), (data,)) if kind in ("json", "tdms") else contents
+        if groups := trial_groups(whole):
+            layout.keys["trials"] = "each group"
+            contents = whole.of_group(groups[0])
+    sample = Sample(path.name, kind, layout, contents)
+    layout.keys |= {} if "trials" in layout.keys else sample.contents.keys
     if not sample.numbers:
         reasons = (f"{key} {reason}" for key, reason in sample.contents.refused.items())
         cure = "; ".join(reasons) or "Export the recorded signals as plain columns."

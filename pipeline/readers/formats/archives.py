@@ -1,0 +1,66 @@
+"""Numpy archives (``.npz``) and sheets (XLSX, ODS): arrays by name, columns by the names in the first line.
+
+Of a numpy archive, arrays of Python objects are not read: they could run code. A number alone is an attribute.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.base.errors import refusal
+from pipeline.profiles.profile_model import Profile
+from pipeline.readers.frame import Array, Contents, library
+
+
+def read_npz(path: Path, settings: Profile, contents: Contents) -> None:
+    """Add the arrays."""
+    with np.load(path, allow_pickle=False) as archive:
+        for name in archive.files:
+            if contents.asks(name) or archive[name].size == 1:
+                contents.add(name, partial(archive.__getitem__, name))
+
+
+def read_sheet(path: Path, settings: Profile, contents: Contents) -> None:
+    """Add the columns of the first sheet that has a line of names and rows of numbers below it."""
+    book: Any = library("python_calamine", "sheets").CalamineWorkbook.from_filelike(BytesIO(path.read_bytes()))
+    for title in book.sheet_names:
+        rows = book.get_sheet_by_name(title).to_python(skip_empty_area=False)
+        top = next(
+            (i for i, row in enumerate(rows) if sum(isinstance(cell, str) and cell != "" for cell in row) > 1), None
+        )
+        if top is None or len(rows) < top + 3:
+            continue
+        names = [str(cell).strip() for cell in rows[top]]
+        units = rows[top + 1] if not any(isinstance(cell, float) for cell in rows[top + 1]) else []
+        first = top + 1 + bool(units)
+        for row in rows[:top]:  # labels above the table
+            if len(row) > 1 and row[0] != "" and row[1] != "":
+                contents.note(str(row[0]).strip(" :"), row[1])
+        contents.row_name = "row"
+        contents.row = np.arange(first + 1, len(rows) + 1)
+        for at, name in enumerate(names):
+            if name and contents.asks(name):
+                cells = [row[at] if at < len(row) else "" for row in rows[first:]]
+                contents.add(name, _column(cells), str(units[at]).strip(" []()") if at < len(units) else "")
+        return
+    raise refusal("header-missing", contents.name, "no sheet has a line of names above numbers", "a table of columns")
+
+
+def _is_text(cell: object) -> bool:
+    return isinstance(cell, str) and cell != ""
+
+
+def _is_float(cell: object) -> bool:
+    return isinstance(cell, float)
+
+
+def _column(cells: list[Any]) -> Array:
+    """Return cells as numbers, a blank one as NaN; as texts where one is a text."""
+    if any(isinstance(cell, str) and cell != "" for cell in cells):
+        return np.array([str(cell) for cell in cells], np.str_)
+    return np.array([np.nan if cell == "" else float(cell) for cell in cells])
