@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -149,11 +149,12 @@ def identified_device(
     period: float | None = None,
     delay: float | None = None,
     ignore: Sequence[str] = (),
+    advance: Callable[[int, int | None], None] | None = None,
 ) -> dict[str, Any]:
     """Return the document that `pipeline identify --json` prints; parameters and errors as of `identify`."""
     asked = asked_profiles(profile, paths)
     sources = find_sources(paths, asked.profiles, ignore=(*ignore, *asked.ignore))
-    found_logs = _read(sources)
+    found_logs = _read(sources, advance)
     read, refused = found_logs.logs, found_logs.refused
     if not read:
         raise UsageError(f"{', '.join(map(str, paths))}: no log found. Give logs, or folders with logs.")
@@ -185,8 +186,8 @@ class _Read(NamedTuple):
     refused: list[dict[str, Any]]
 
 
-def _read(sources: Sequence[Source]) -> _Read:
-    """Return the logs of sources.
+def _read(sources: Sequence[Source], advance: Callable[[int, int | None], None] | None = None) -> _Read:
+    """Return the logs of sources; ``advance`` gets how many of how many are read, and nothing of all once they are.
 
     Raises
     ------
@@ -197,7 +198,9 @@ def _read(sources: Sequence[Source]) -> _Read:
     copies: list[tuple[str, Log]] = []
     errors: list[tuple[Source, LogError]] = []
     seen: dict[str, str] = {}
-    for source in sources:
+    for number, source in enumerate(sources):
+        if advance is not None:
+            advance(number, len(sources))
         try:
             logs = _logs(source)
         except LogError as error:
@@ -210,6 +213,8 @@ def _read(sources: Sequence[Source]) -> _Read:
                 read.append((name, log))
             else:
                 copies.append((name, replace(log, noted=(*log.noted, same_samples(len(log.time), other)))))
+    if advance is not None:
+        advance(len(sources), None)
     if errors and not read:
         source, why = next((pair for pair in errors if pair[1].code != "no-profile"), errors[0])
         raise why if source.shown in why.reason else why.reworded(f"{source.shown}: {why.reason}")

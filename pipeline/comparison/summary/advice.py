@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.comparison.limits import NARROW, MeasuredLimits, measured_limits
+from pipeline.device.parameters import unit_of
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.findings import Optimum
 from pipeline.records.results import STIFFEST, CostRange, ExperimentResult, UsePoint, UseRegion
@@ -91,8 +92,21 @@ def region_to_use(result: ExperimentResult, stages: ExperimentStages) -> tuple[U
         tested = WallTrials(K, B, softness, np.where(usable & clean, softness, np.inf), usable, finished)
         criterion, region = STIFFEST, best_rectangle(tested, limits, FAR)
         if region is None:
-            return None, f"{why}; fewer than {FEWEST} stable neighbours lie at half the limit or below"
+            return None, f"{why}; {_lacking(limits, K, B, usable & clean, unit_of('stiffness', stages.motion))}"
     return _described(criterion, tested, region, limits, result, stages), why
+
+
+def _lacking(limits: MeasuredLimits, stiffness: Floats, damping: Floats, usable: Booleans, unit: str) -> str:
+    """Return how many trials a wall lacks around it, and the two walls that would show one."""
+    bound = np.interp(damping, limits.damping[limits.known], limits.limit[limits.known]) / FAR
+    count = int((usable & (stiffness <= bound)).sum())
+    best = np.flatnonzero(limits.known)[np.argsort(-limits.limit[limits.known])][:2]
+    walls = [f"K = {float(f'{limits.limit[i] / FAR:.2g}'):g} {unit}, B = {limits.damping[i]:g}" for i in best]
+    count_text = {0: "none is there", 1: "one is there"}.get(count, f"{count} are there")
+    return (
+        f"fewer than {FEWEST} stable neighbours lie at half the limit or below: a wall needs as many around it, "
+        f"{count_text}. Next: {' and '.join(walls)}"
+    )
 
 
 def _no_limit(stiffness: Floats, stages: ExperimentStages) -> str:

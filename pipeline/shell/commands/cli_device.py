@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from math import inf
 from pathlib import Path
@@ -25,6 +25,7 @@ from pipeline.shell.commands.options import (
     ProfileFile,
     device_of,
     listed,
+    quantity,
 )
 from pipeline.shell.console import argument, option
 
@@ -52,6 +53,15 @@ LIMITS = {
     "travel": "travel",
 }
 """Bounds of what is tried, with their names in `Wish`."""
+
+
+LIMIT_QUANTITIES = {
+    "stiffness": ("stiffness", "rotational stiffness"),
+    "damping": ("damping", "rotational damping"),
+    "force": ("force", "torque"),
+    "travel": ("length", "angle"),
+}
+"""Physical quantities of these bounds."""
 
 
 def demo() -> None:
@@ -100,7 +110,7 @@ def simulate(
 def identify(
     paths: Annotated[list[Path], argument("Logs with command and position, or folders with some.")],
     profile: LogProfile = None,
-    period: Annotated[float | None, option("--period", "Sampling period of the walls, in s.")] = None,
+    period: Annotated[str | None, option("--period", "Sampling period of the walls: 0.0005, '0.5 ms'.")] = None,
     delay: Annotated[float | None, option("--delay", "Delay of the walls, in samples.")] = None,
     out: Out = None,
     ignore: Ignore = None,
@@ -120,7 +130,9 @@ def identify(
 
     if out is not None:
         check_output(out, "--out")
-    document = identified_device(paths, profile, period, delay, ignore or ())
+    wall_period = None if period is None else quantity("--period", period, "time")
+    with console.progress("identify: read logs, then fit", "logs") as advance:
+        document = identified_device(paths, profile, wall_period, delay, ignore or (), advance)
     console.tell(document, identified_lines(document))
     copies = document["copies"]
     if copies:
@@ -198,10 +210,8 @@ def design(
     device: DeviceName,
     experiment: One = None,
     stiffness: Annotated[str | None, option("--stiffness", "Wanted K, as 5000 or '5 N/mm'.")] = None,
-    settling: Annotated[float | None, option("--settling", "Longest settling time to 2 %, in s.")] = None,
-    overshoot: Annotated[
-        float | None, option("--overshoot", "Largest overshoot, a fraction; below 0.001 is none.")
-    ] = None,
+    settling: Annotated[str | None, option("--settling", "Longest settling time to 2 %: 0.03, '30 ms'.")] = None,
+    overshoot: Annotated[str | None, option("--overshoot", "Largest overshoot: 0.05, 5%; below 0.001 is none.")] = None,
     margin: Annotated[float, option("--margin", "Factor on K up to which it stays stable.")] = 1.0,
     hand: Annotated[str | None, option("--hand", "Arm of Table 3.2, in place of the operator of the file.")] = None,
     keep: Annotated[list[str] | None, listed("--keep", "Quantities that cannot change.")] = None,
@@ -226,7 +236,11 @@ def design(
     conditions = find_experiment(known, experiment) if experiment else known.experiments[0]
     loop = _held(known, conditions, hand)
     wanted = None if stiffness is None else _stiffness(stiffness, loop)
-    wish = {"settling_s": settling, "overshoot": overshoot, "margin": margin}
+    wish = {
+        "settling_s": None if settling is None else quantity("--settling", settling, "time"),
+        "overshoot": None if overshoot is None else _share("--overshoot", overshoot),
+        "margin": margin,
+    }
     answer = answer_of(loop, wanted, keep=keep or (), **wish)  # type: ignore[arg-type]
     if picture is not None:
         draw(loop, answer, ("sampling_period_s", "delay_samples"), picture)
@@ -352,7 +366,7 @@ def plan(
     experiment: Annotated[str | None, option("--experiment", "Experiment (default: the only one).", "-e")] = None,
     count: Annotated[int, option("--next", "Number of walls to name at once.", min=1)] = 1,
     goal: Annotated[str, option("--goal", "boundary, optimum, or a criterion.")] = "boundary",
-    dampings: Annotated[list[str] | None, listed("--dampings", "Dampings B (default: the device's).")] = None,
+    dampings: Annotated[list[str] | None, listed("--dampings", "Dampings B: 0,20,40 or '0,20,40 Ns/m'.")] = None,
     gentle: Annotated[bool, option("--gentle", "Prefer stable walls, approach limits from below.")] = False,
     limit: Annotated[list[str] | None, listed("--limit", "Bound on what is tried.", metavar="KEY=VALUE")] = None,
     processed: Processed = Path("processed"),
@@ -377,13 +391,13 @@ def plan(
     criterion = "settle_2pct" if goal in ("boundary", "optimum") else goal
     if criterion not in MEASURED:
         raise UsageError(f"--goal {goal}: expected boundary, optimum or a criterion: {', '.join(MEASURED)}.")
-    walls = tuple(_number("--dampings", word, 0.0) for word in dampings or ())
+    walls = _dampings(dampings or ())
     bounds = {}
     for word in limit or ():
         key, _, value = word.partition("=")
         if key not in LIMITS:
             raise UsageError(f"--limit {word}: expected one of {', '.join(LIMITS)}, = and a number.")
-        bounds[LIMITS[key]] = _number("--limit", value, 1e-300)
+        bounds[LIMITS[key]] = _above("--limit", value, LIMIT_QUANTITIES[key], 1e-300)
     goal = goal if goal == "boundary" else "optimum"
     wish = Wish(goal, criterion, count, walls, gentle=gentle, **bounds)  # type: ignore[arg-type]
     if not watch:
@@ -397,11 +411,31 @@ def plan(
             console.tell_line(answer.model_dump(mode="json"), plan_lines(answer))
 
 
-def _number(option: str, text: str, least: float) -> float:
+def _share(option: str, text: str) -> float:
+    """Return a share: a number, or one in percent.
+
+    >>> _share("--overshoot", "5 %"), _share("--overshoot", "0.05")
+    (0.05, 0.05)
+    """
+    percent = text.strip().endswith("%")
     try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
+        return float(text.strip().rstrip("%")) / (100 if percent else 1)
+    except ValueError as error:
+        raise UsageError(f"{option} {text}: expected a number or a percentage, such as 0.05 or 5%.") from error
+
+
+def _dampings(words: Sequence[str]) -> tuple[float, ...]:
+    """Return dampings; the unit of the last one is that of those before it without one."""
+    from pipeline.base.units import split_quantity
+
+    last = split_quantity(words[-1]) if words else None
+    unit = last[1] if last else ""
+    bare = [word if not unit or (split_quantity(word) or (0, unit))[1] else f"{word} {unit}" for word in words]
+    return tuple(_above("--dampings", word, LIMIT_QUANTITIES["damping"], 0.0) for word in bare)
+
+
+def _above(option: str, text: str, names: Sequence[str], least: float) -> float:
+    value = quantity(option, text, *names)
     if not least <= value < inf:
         kind = "above 0" if least else "of 0 or more"
         raise UsageError(f"{option} {text}: expected a number {kind}.")

@@ -180,7 +180,8 @@ def _run(folder: Folder, profile: Profile | None, file: Path | None, processed: 
         from pipeline.shell.commands.cli_device import identified_lines
 
         target = Path(f"{device}-device.toml")
-        identified = identified_device([folder.path], profile)
+        with console.progress("identify: read logs, then fit", "logs") as advance:
+            identified = identified_device([folder.path], profile, advance=advance)
         lines = list(identified_lines(identified))
         commands.append(f"pipeline identify {place}{read} --out {shlex.quote(str(target))}")
         document["identified"] = identified

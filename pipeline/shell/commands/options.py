@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from pipeline.base.errors import ParameterError, UsageError
 from pipeline.shell.console import option
 
 if TYPE_CHECKING:
@@ -50,6 +51,16 @@ Experiments = Annotated[list[str] | None, listed("--experiment", "Experiments (d
 Criteria = Annotated[list[str] | None, listed("--criteria", "Criteria (default: standard set).")]
 Signal = Literal["continuous", "discrete"]
 Out = Annotated[Path | None, option("--out", "File to write.", show_default=False)]
+
+
+def quantity(option: str, text: str, *names: str) -> float:
+    """Return a quantity of an option in SI: a number alone is in SI, a unit has to be of one of some quantities."""
+    from pipeline.base.units import quantity_in_si
+
+    try:
+        return quantity_in_si(text, names, option)
+    except ParameterError as error:
+        raise UsageError(str(error)) from error
 
 
 def device_of(text: str) -> Device:

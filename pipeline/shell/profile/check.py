@@ -48,7 +48,7 @@ PLAUSIBLE: dict[str, dict[Kind, tuple[float, float]]] = {
     "damping": {"translation": (1e-2, 1e4), "rotation": (1e-4, 1e3)},
     "step": {"translation": (1e-2, 1e3), "rotation": (1e-4, 1e3)},
     "sampling_period_s": dict.fromkeys(("translation", "rotation"), (2e-5, 0.1)),
-    "displacement": {"translation": (1e-6, 1.0), "rotation": (1e-6, 100.0)},
+    "displacement": {"translation": (1e-6, 1.0), "rotation": (1e-6, 1e5)},
     "duration_s": dict.fromkeys(("translation", "rotation"), (5e-3, 1e3)),
 }
 """Range of each number in SI that devices have: fingers and arms, drives of a watt to a kilowatt; 0 is none."""
@@ -147,6 +147,7 @@ def _columns(profile: Profile, log: Log, motion: Motion) -> Iterator[dict[str, A
         name = given.pop("name", given.pop("column", "no column"))
         how = [given.pop("unit", ""), *(f"{k} {v}" for k, v in given.items() if (k, v) != ("sign", 1))]
         ends = {"first": float(values[0]), "last": float(values[-1]), "unit_si": unit}
+        ends |= {"low": float(values.min()), "high": float(values.max())}
         yield {"column": key, "source": str(name), "unit": ", ".join(filter(None, how)), **ends}
 
 
@@ -204,8 +205,10 @@ def _full(trial: Checked) -> str:
         lines.append(f"  {c['name']:<20} {text:<20} from {c['place']:<19} {usual}".rstrip())
     for c in trial["columns"]:
         # neither what rounding leaves of 0, nor its sign
-        first, last = (c[end] if abs(c[end]) > NOTHING else 0.0 for end in ("first", "last"))
+        first, last, low, high = (c[end] if abs(c[end]) > NOTHING else 0.0 for end in ("first", "last", "low", "high"))
         span = f"{first:.9g} to {last:.9g} {c['unit_si']}"
+        if (low, high) != (min(first, last), max(first, last)):
+            span += f" ({low:.4g} to {high:.4g})"
         lines.append(f"  {c['column']:<20} {span:<32} from {c['source']} [{c['unit']}]")
     settled = ", ".join(f"{key} {value:.6g}" for key, value in trial["time"].items() if value and abs(value) > NOTHING)
     row = "not known" if trial["step_row"] is None else f"row {trial['step_row']}"
