@@ -245,6 +245,8 @@ class TextLayout(Record):
         Sign between label and value in lines such as ``Gain: 32``, above the table or between its rows.
     trailing_delimiter : bool
         Whether rows end with one more delimiter.
+    row_end : str, optional
+        Another sign at the end of rows, such as ``;`` where cells are parted by commas.
     blank_lines : {"refuse", "skip"}
         What becomes of blank lines between rows; those at the end of a file are never counted.
     missing : tuple of str
@@ -261,6 +263,7 @@ class TextLayout(Record):
     comment: Annotated[str, Field(min_length=1)] | None = None
     labels: Annotated[str, Field(min_length=1)] | None = None
     trailing_delimiter: bool = False
+    row_end: Annotated[str, Field(min_length=1, max_length=1)] | None = None
     blank_lines: Literal["refuse", "skip"] = "refuse"
     missing: tuple[str, ...] = ()
 

@@ -1,5 +1,6 @@
 """A lab's own files, as a new user brings them: what the draft proposes, what check says, what gets in."""
 
+import tomllib
 import warnings
 
 import numpy as np
@@ -313,3 +314,34 @@ def test_other_samples_are_held_against_the_first(tmp_path):
     assert '# K300_B1.csv is laid out otherwise: columns = ["t", "F", "x", "note"]' in done.output
     assert "# K400_B1.csv is laid out otherwise: " in done.output
     assert 'delimiter = ";"' in done.output
+
+
+def test_rows_that_end_with_a_sign_and_names_in_remarks_give_columns_by_number(tmp_path):
+    rows = [f"{57 * k}.0,{0.25 * (k > 2)},{-0.5 + 0.01 * k * k:.4f},{0.02 * k:.2f};" for k in range(40)]
+    (tmp_path / "run1.csv").write_text("\n".join(["%Date:,2021", "", "%t,u,x,v", "%[ms],[V],[m],[m/s]", *rows, ""]))
+    text = draft_profile(tmp_path / "run1.csv")
+    for line in ('row_end = ";"', "header = false", "skip_rows = 4", "column = 1"):
+        assert line in text
+    layout = tomllib.loads(text)
+    settings = {key: layout[key] for key in ("delimiter", "decimal", "header", "skip_rows", "row_end")}
+    columns = read_frame("delimited", "run1.csv", (tmp_path / "run1.csv").read_bytes(), **settings).columns
+    assert [*columns] == ["1", "2", "3", "4"]
+    assert columns["1"][:2].tolist() == [0.0, 57.0]
+    assert columns["4"][-1] == 0.78
+
+
+def test_a_blank_line_above_the_first_row_is_no_row(tmp_path):
+    text = b"% remark\n\n0.000,0,0.1\n0.001,1,0.1\n0.002,1,0.2\n"
+    read = read_frame("delimited", "a.csv", text, decimal=".", header=False, comment="%", blank_lines="skip")
+    assert read.columns["1"].tolist() == [0.0, 0.001, 0.002]
+
+
+@pytest.mark.parametrize(
+    "stamp", ["2026-03-29T10:00:00.{:03d}Z", "29.03.2026 10:00:00,{:03d}", "2026-03-29 12:00:00.{:03d}+02:00"]
+)
+def test_dates_are_stamps_in_nanoseconds(tmp_path, stamp):
+    rows = "".join(f"{stamp.format(k)};{k % 3};{k * k}\n" for k in range(9))
+    read = read_frame("delimited", "a.csv", f"t;F;x\n{rows}".encode(), decimal=",", delimiter=";")
+    assert read.units["t"] == "ns"
+    assert read.columns["t"][0] == 1774778400 * 10**9
+    assert np.diff(read.columns["t"]).tolist() == [10**6] * 8

@@ -178,7 +178,7 @@ def _top(layout: Profile, contents: Contents, lines: list[str]) -> int:
         if not skipped and at is not None and find_groups(at, line) is not None:
             return number
         is_label = _take_label(layout, contents, line, number + 1)
-        blank = layout.labels is not None and not line.strip()
+        blank = (layout.labels is not None or layout.blank_lines == "skip") and not line.strip()
         if not (skipped or at is not None or is_label or blank or _is_comment(layout, line)):
             return number
     found = f"is empty below skip_rows = {layout.skip_rows} and header_at = {at!r}"
@@ -208,6 +208,8 @@ def _take_label(layout: Profile, contents: Contents, line: str, row: int) -> boo
 
 def _split(layout: TextLayout, contents: Contents, line: str, row: int) -> list[str]:
     """Return the cells of a line."""
+    if layout.row_end is not None:
+        line = line.rstrip().removesuffix(layout.row_end)
     if layout.delimiter == BLANKS:
         return line.split()
     if layout.trailing_delimiter:
@@ -315,6 +317,9 @@ def text_layout(name: str, data: bytes) -> Layout:
     delimiter, rows = _table(probe[:-1] if len(probe) > FEWEST_ROWS else probe, name)
     keys = layout.keys
     keys["delimiter"] = delimiter
+    if delimiter not in (";", BLANKS) and all(lines[row].rstrip().endswith(";") for row in rows):
+        keys["row_end"] = ";"
+        lines = [line.rstrip().removesuffix(";") for line in lines]
     cells = [_parted(lines[row], delimiter) for row in rows]
     above = lines[: rows[0]]
     named = _parted(above[-1], delimiter) if above else []
@@ -338,6 +343,10 @@ def text_layout(name: str, data: bytes) -> Layout:
         # labels in remarks are read where the profile says what begins a remark
         marks = {mark[1] for line, of in found if of == sign and (mark := re.match(r"\s*([#%/]+)", line))}
         keys |= {"comment": marks.pop()} if len(marks) == 1 else {}
+    if heads and (mark := keys.get("comment")) and any(line.lstrip().startswith(mark) for line in heads):
+        # names in remarks are none of the table
+        keys.pop("unit_line", None)
+        keys |= {"header": False, "skip_rows": len(above)}
     return layout
 
 
