@@ -79,12 +79,34 @@ _FACTORS |= _of_drives()
 UNITS = {name: Unit(quantity, factor) for quantity, units in _FACTORS.items() for name, factor in units.items()}
 """Known units by symbol; a micro sign or degree sign is read as `u` and `deg` (see `find_unit`)."""
 
+_WORDS = {
+    "sec": "s",
+    "second": "s",
+    "seconds": "s",
+    "milliseconds": "ms",
+    "newton": "N",
+    "newtons": "N",
+    "meter": "m",
+    "meters": "m",
+    "metres": "m",
+    "radian": "rad",
+    "radians": "rad",
+    "degree": "deg",
+    "degrees": "deg",
+    "volt": "V",
+    "volts": "V",
+    "amps": "A",
+    "percent": "%",
+}
+"""Units that programs write out."""
+
 _SPELLINGS = str.maketrans({"µ": "u", "μ": "u", "°": "deg", "·": "", "*": "", " ": ""})
 
 
 def find_unit(symbol: str) -> Unit | None:
-    """Return the unit of a symbol (`mm`, `µm`, `N*m`, `°`), or None where it is not known."""
-    return UNITS.get(symbol.strip().translate(_SPELLINGS))
+    """Return the unit of a symbol or its name (`mm`, `µm`, `N*m`, `°`, `seconds`), or None where it is not known."""
+    text = symbol.strip()
+    return UNITS.get(_WORDS.get(text.lower(), text).translate(_SPELLINGS))
 
 
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")

@@ -46,6 +46,9 @@ CLEARLY = 3.0
 ROUND = 5e-3
 """Part by which a number that the command obeys may differ from a round one that is taken for it."""
 
+FEWER = 1.5
+"""Factor by which a command has fewer values than the motion that follows it."""
+
 AGREE = 0.02
 """Part by which the sampling periods of two clocks may differ that are one."""
 
@@ -177,7 +180,7 @@ def common_laws(samples: Sequence[Sample]) -> list[WallLaw]:
     return sorted(alike, key=lambda law: (law.law.stiffness < 0) != against)
 
 
-_ORDER = ("step_at", "name_pattern", "columns", "constants", "units")
+_ORDER = ("step_at", "name_pattern", "columns", "attributes", "constants", "units")
 """Tables in their order."""
 
 
@@ -272,9 +275,12 @@ def _named_roles(sample: Sample) -> dict[str, Answer]:
     # what rises in every row by equal steps is a counter, what has a unit of time by its type a stamp
     moving = [name for name in numbers if name != time.value and np.ptp(numbers[name]) > 0 and name not in times]
     others = [name for name in moving if name not in rising or np.ptp(np.diff(numbers[name])) > 0]
-    pair = _followed(sample, str(time.value), others)
+    others = [name for name in others if not re.fullmatch(_ROLES["time"].names, sample.unit(name, "time")[0])]
+    pair, told = _followed(sample, str(time.value), others), "{1!r} moves as {0!r} commands"
+    if pair is None:
+        pair, told = _changed_first(sample, others), "{0!r} has few values and changes first, then {1!r} moves"
     if pair is not None:
-        told = f"{pair[1]!r} moves as {pair[0]!r} commands"
+        told = told.format(*pair)
         return {"time": time, "command": Answer(pair[0], told), "position": Answer(pair[1], told)}
     named: dict[str, list[str]] = {}
     for role, words in _WORDS.items():
@@ -348,6 +354,22 @@ def _followed(sample: Sample, time: str, names: Sequence[str]) -> tuple[str, str
     return ranked[0]
 
 
+def _changed_first(sample: Sample, names: Sequence[str]) -> tuple[str, str] | None:
+    """Return command and position of two columns, where one has few values and changes before the other moves."""
+    columns = [sample.numbers[name] for name in names]
+    if len(columns) != 2 or len(columns[0]) != len(columns[1]):
+        return None
+    units = {sample.unit(name, "position")[1] for name in names}
+    begins = [int(np.argmax(column != column[0])) for column in columns]
+    values = [len(np.unique(column)) for column in columns]
+    if len(units) == 1 and units != {""}:  # a set-point has the unit of its position
+        return None
+    for at, other in ((0, 1), (1, 0)):
+        if begins[at] < begins[other] and FEWER * values[at] <= values[other]:
+            return names[at], names[other]
+    return None
+
+
 def _free(stamps: Any, command: Any, position: Any, pace: float) -> Samples:
     return Samples(stamps, command, position, pace, 0.0, 0.0, 0.0, None)
 
@@ -409,7 +431,7 @@ def _constants(sample: Sample, columns: Answers, law: WallLaw | None) -> Answers
     place = "constants.sampling_period_s"
     unit = columns.get("columns.time.unit")
     if unit is None:
-        return found | {place: Answer(0.001, question="sampling period T of the controller [s]?")}
+        return found | _stated_period(sample)
     stamps = sample.numbers.get(str(columns["columns.time.name"].value))
     factor = getattr(find_unit(str(unit.value)), "factor", 1.0)
     pace = float(np.median(np.diff(stamps))) * factor if stamps is not None else 0.0
@@ -417,6 +439,23 @@ def _constants(sample: Sample, columns: Answers, law: WallLaw | None) -> Answers
         return found | {place: Answer(0.001, question="sampling period T of the controller [s]?")}
     told = "the time between rows" + (", if the unit of the stamps is right" if unit.question else "")
     return found | {place: Answer(round_period(pace), told)}
+
+
+def _stated_period(sample: Sample) -> Answers:
+    """Return the sampling period of a file without stamps: a value beside the table; else the question."""
+    place = "constants.sampling_period_s"
+    for name, value in sample.contents.attributes.items():
+        word = re.split(r"[./]", name)[-1].lower()
+        number = value if isinstance(value, int | float) else 0.0
+        if word in _PERIODS and _ROLES["time"].low <= number <= 1.0:
+            return {"attributes.sampling_period_s": Answer(name, f"{number:g} s, as the file states")}
+        if word.endswith("hz") and 1.0 <= number <= 1 / _ROLES["time"].low:
+            return {place: Answer(float(f"{1 / number:.9g}"), f"{name!r} is {number:g} Hz")}
+    return {place: Answer(0.001, question="sampling period T of the controller [s]?")}
+
+
+_PERIODS = ("ts", "dt", "sample_time", "sampletime", "sampling_period", "sampling_period_s", "sampling_time")
+"""Names of a value beside a table that is its sampling period."""
 
 
 def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLaw], names: Answers) -> Answers:

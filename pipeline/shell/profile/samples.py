@@ -24,6 +24,9 @@ _BESIDE = {"position": SPEEDS, "command": frozenset(DRIVES)}
 """Quantities that a column may have in place of its own."""
 
 
+_OF_ANOTHER = re.compile(r"[./](data|values?)(\[\d+\])*$", re.IGNORECASE)
+
+
 class Sample(NamedTuple):
     """A log of which nothing is known: its format, keys of its layout and questions about them, and what it holds."""
 
@@ -43,6 +46,8 @@ class Sample(NamedTuple):
         allowed = (*QUANTITIES[role].values(), *_BESIDE.get(role, ()))
         plain, unit = unit_in_heading(name, allowed)
         said = unit or self.contents.units.get(name) or self.contents.hints.get(name, "")
+        # what is called "data" is called like what it is of
+        plain = _OF_ANOTHER.sub("", plain) or plain
         return re.split(r"[./]", plain)[-1].strip().lower(), said
 
 
