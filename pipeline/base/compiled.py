@@ -19,6 +19,8 @@ from functools import cache, wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
+from pipeline.base.disk import read_kept, write_kept
+
 P = ParamSpec("P")
 R = TypeVar("R")
 F = TypeVar("F", bound=Callable[..., Any])
@@ -46,7 +48,9 @@ def compiled(*signatures: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Return a decorator that compiles a function to some signatures, such as ``"f8(f8[::1])"``, when it is called.
 
     The function itself stays as ``__wrapped__``. It takes arrays of the signatures' types only, and calls no other
-    compiled one; it may call those that are `inlined`. Divisions by zero give infinity or NaN, as those of numpy.
+    compiled one; it may call those that are `inlined`. Divisions by zero give infinity or NaN, as those of numpy. One
+    that returns nothing (one signature, ``"void(...)"``) allocates nothing either: it is loaded without numba
+    (`pipeline.base.machine_code`).
 
     Examples
     --------
@@ -126,20 +130,19 @@ def _noticed() -> Iterator[None]:
 
 def _machine_code(function: Callable[P, R], signatures: tuple[str, ...]) -> Callable[P, R]:
     """Return a function as machine code, from disk where another process left it there."""
-    import numba
-
-    options: dict[str, Any] = {"signature_or_function": list(signatures), "error_model": "numpy"}
-    config: Any = numba.config
-    if config.DISABLE_JIT:
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         import numpy
 
         plain: Callable[P, R] = numpy.errstate(all="ignore")(function)
         return plain
-    from numba.extending import register_jitable
-
     with _ONE_THREAD, _noticed():
-        while _inlined:
-            register_jitable(_inlined.pop())
+        if signatures[0].startswith("void("):
+            return _kept_object(function, signatures[0])
+        import numba
+
+        options: dict[str, Any] = {"signature_or_function": list(signatures), "error_model": "numpy"}
+        config: Any = numba.config
+        _register_inlined()
         try:
             folder = cache_folder()
             with _one_process(folder), _numba_folder(config, folder):
@@ -148,6 +151,40 @@ def _machine_code(function: Callable[P, R], signatures: tuple[str, ...]) -> Call
         except Exception:  # a full disk, a file that is no machine code, a folder of another user: all numba lets pass
             made: Callable[P, R] = numba.njit(**options)(function)
             return made
+
+
+def _register_inlined() -> None:
+    """Let numba know the functions that compiled ones may call."""
+    from numba.extending import register_jitable
+
+    while _inlined:
+        register_jitable(_inlined.pop())
+
+
+def _kept_object(function: Callable[..., Any], signature: str) -> Callable[..., Any]:
+    """Return a function without a result as machine code, by an object file that is kept under its name."""
+    from pipeline.base import machine_code
+
+    name, key = machine_code.object_name(function), machine_code.object_key(function, signature).encode()
+
+    def kept(folder: Path) -> bytes | None:
+        known, _, code = (read_kept(folder, name, ".o") or b"").partition(b"\n")
+        return code if known == key else None
+
+    def made() -> bytes:
+        _register_inlined()
+        return machine_code.compiled_object(function, signature)
+
+    try:
+        folder = cache_folder()
+        code = kept(folder)
+        if code is None:
+            with _one_process(folder):
+                code = kept(folder) or made()
+                write_kept(folder, name, ".o", key + b"\n" + code)
+    except (OSError, RuntimeError):  # a full disk, a folder of another user, none at all
+        code = made()
+    return machine_code.loaded_object(code, signature)
 
 
 def cache_folder() -> Path:

@@ -8,9 +8,7 @@ silence is not taken for its end.
 
 from __future__ import annotations
 
-import inspect
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -42,10 +40,6 @@ _FADED = 0.25
 
 _ENTRIES = 1 << 22
 """Entries of the eigenvectors that are computed at a time."""
-
-_PLAIN_WORK, _PLAIN_SAMPLES = 10_000, 4096
-"""Points, times 50 and the square of the states, and samples of each, that plain Python follows before numba and its
-machine code would be loaded, which takes most of a second. Numbers are the same."""
 
 
 def transient_costs(
@@ -130,9 +124,7 @@ def late_deviation(loop: NormalisedLoop, alpha: object, beta: object, first: obj
     a, b = as_points(alpha, beta)
     largest, since = np.empty(len(a)), np.broadcast_to(np.asarray(first, dtype=np.float64), a.shape).copy()
     course, asked = courses(loop, False), (since, longest, _memory(loop), _FADED)
-    _form_of(march.late_deviations, loop, len(a))(
-        course, _walls(loop, a, b), asked, _work(loop, course, 0)[0][:4], largest
-    )
+    march.late_deviations(course, _walls(loop, a, b), asked, _work(loop, course, 0)[0][:4], largest)
     return largest
 
 
@@ -145,9 +137,7 @@ def first_reached(
     """
     time = np.empty((2, len(levels), len(alpha)))
     course, asked = courses(loop, between), (np.array(levels), longest, between)
-    _form_of(march.rises, loop, len(alpha))(
-        course, _walls(loop, alpha, beta), asked, _work(loop, course, 0)[0][:4], time
-    )
+    march.rises(course, _walls(loop, alpha, beta), asked, _work(loop, course, 0)[0][:4], time)
     return time[0], time[1]
 
 
@@ -159,30 +149,18 @@ def _followed(
     course, count = courses(loop, rule[2]), len(rule[0])
     costs, status = np.empty((len(alpha), 2 * count + 2)), np.full(len(alpha), march.UNFINISHED)
     work, together = _work(loop, course, count), max(1, _ENTRIES // loop.states**2)
-    step_costs, samples, left = _form_of(march.step_costs, loop, len(alpha)), longest, np.arange(len(alpha))
-    if step_costs is not march.step_costs:
-        samples = min(longest, _PLAIN_SAMPLES)
-    while len(left):
-        asked = rule, (samples, max(_FIRST, int(_LOOK * loop.states**2)), modes.STILL_REPRODUCED)
-        parts, by_eigenvectors = [left], False
-        while parts:
-            for part in parts:
-                given = modes.by_eigenvectors(loop, alpha[part], beta[part]) if by_eigenvectors else modes.none(loop)
-                results, of_part = (costs[part], status[part]), _walls(loop, alpha[part], beta[part])
-                with np.errstate(all="ignore"):  # modes that are no numbers show nothing
-                    step_costs(course, modes.polynomials(loop), of_part, asked, given, (*results, *work))
-                costs[part], status[part] = results
-            unknown = left[status[left] == march.NO_MODES]
-            parts, by_eigenvectors = [unknown[i : i + together] for i in range(0, len(unknown), together)], True
-        left = left[(status[left] & (march.UNSETTLED | march.UNFINISHED) > 0) & (samples < longest)]
-        step_costs, samples = march.step_costs, longest
+    asked = rule, (longest, max(_FIRST, int(_LOOK * loop.states**2)), modes.STILL_REPRODUCED)
+    parts, by_eigenvectors = [np.arange(len(alpha))], False
+    while parts:
+        for part in parts:
+            given = modes.by_eigenvectors(loop, alpha[part], beta[part]) if by_eigenvectors else modes.none(loop)
+            results, of_part = (costs[part], status[part]), _walls(loop, alpha[part], beta[part])
+            with np.errstate(all="ignore"):  # modes that are no numbers show nothing
+                march.step_costs(course, modes.polynomials(loop), of_part, asked, given, (*results, *work))
+            costs[part], status[part] = results
+        unknown = np.flatnonzero(status == march.NO_MODES)
+        parts, by_eigenvectors = [unknown[i : i + together] for i in range(0, len(unknown), together)], True
     return costs, status
-
-
-def _form_of(function: Callable[..., None], loop: NormalisedLoop, points: int) -> Callable[..., None]:
-    """Return a compiled function, or itself in plain Python where that is done before machine code is loaded."""
-    few = points * (50 + loop.states**2) <= _PLAIN_WORK and "numba" not in sys.modules
-    return inspect.unwrap(function) if few else function
 
 
 def _walls(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Arrays:

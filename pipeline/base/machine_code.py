@@ -1,0 +1,168 @@
+"""Machine code of functions that return nothing, kept as object files that llvmlite loads.
+
+To import numba and load its own cache takes half a second, to load an object file some milliseconds. Numba compiles
+such a function once. It allocates nothing and counts no references, so that it needs nothing of numba afterwards: it is
+called with numbers and with the addresses, shapes and strides of arrays.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.base.provenance import digest, sha256
+
+Function = Callable[..., None]
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number of a signature, such as ``f8``; with axes, ``f8[:, ::1]``, an array of it."""
+
+    dtype: str
+    passed: Any
+
+    def __getitem__(self, axes: object) -> Array:
+        return Array(np.dtype(self.dtype), len(axes) if isinstance(axes, tuple) else 1)
+
+    @property
+    def types(self) -> list[Any]:
+        """Types of C by which it is passed."""
+        return [self.passed]
+
+    def append(self, value: Any, values: list[Any]) -> None:
+        """Append what is passed."""
+        values.append(value)
+
+
+@dataclass(frozen=True)
+class Array:
+    """An array of a signature, its rows one after the other in memory."""
+
+    dtype: np.dtype[Any]
+    axes: int
+
+    @property
+    def types(self) -> list[Any]:
+        """Types of C: two objects of numba that own it, size, bytes of a number, address, shape, strides."""
+        return [ctypes.c_int64] * (5 + 2 * self.axes)
+
+    def append(self, value: np.ndarray, values: list[Any]) -> None:
+        """Append what is passed."""
+        if not (value.dtype == self.dtype and value.ndim == self.axes and value.flags.c_contiguous):
+            raise TypeError(
+                f"expected rows of {self.dtype} along {self.axes} axes, one after the other in memory, found "
+                f"{value.dtype} along {value.ndim}."
+            )
+        values += (0, 0, value.size, value.itemsize, value.ctypes.data, *value.shape, *value.strides)
+
+
+@dataclass(frozen=True)
+class Several:
+    """A tuple of a signature."""
+
+    parts: tuple[Any, ...]
+
+    @property
+    def types(self) -> list[Any]:
+        """Types of C of all parts."""
+        return [each for part in self.parts for each in part.types]
+
+    def append(self, value: tuple[Any, ...], values: list[Any]) -> None:
+        """Append what is passed."""
+        for part, one in zip(self.parts, value, strict=True):
+            part.append(one, values)
+
+
+_NAMES = {
+    "void": lambda *arguments: Several(arguments),
+    "Tuple": lambda parts: Several(tuple(parts)),
+    "UniTuple": lambda part, count: Several((part,) * count),
+    "b1": Number("?", ctypes.c_uint8),
+    "i8": Number("i8", ctypes.c_int64),
+    "f8": Number("f8", ctypes.c_double),
+    "c16": Number("c16", None),
+}
+"""What signatures are made of."""
+
+
+def arguments_of(signature: str) -> Several:
+    """Return the arguments of a signature such as ``"void(f8[::1], Tuple((i8, f8[:, ::1])))"``.
+
+    Examples
+    --------
+    >>> len(arguments_of("void(f8[::1], Tuple((i8, f8[:, ::1])))").types)
+    17
+    """
+    arguments: Several = eval(signature, {"__builtins__": {}}, _NAMES)  # a literal of this package
+    return arguments
+
+
+def object_name(function: Function) -> str:
+    """Return a name for the object file of a function."""
+    return f"{function.__module__}.{function.__qualname__}"
+
+
+def object_key(function: Function, signature: str) -> str:
+    """Return a hash of all that the machine code of a function follows from."""
+    import llvmlite.binding as llvm
+
+    file = Path(inspect.getsourcefile(function) or "")
+    source, here = (sha256(each.read_bytes()) for each in (file, Path(__file__)))
+    machine = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    return digest([object_name(function), signature, source, here, version("numba"), version("llvmlite"), *machine])
+
+
+def compiled_object(function: Function, signature: str) -> bytes:
+    """Compile a function by numba; return the name of its symbol, a line, and the object file."""
+    import numba
+
+    compiled: Any = numba.njit(
+        signature, error_model="numpy", _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True
+    )(function)
+    (overload,) = compiled.overloads.values()
+    _, _, (code, _) = overload.library.serialize_using_object_code()
+    symbol: str = overload.fndesc.llvm_func_name
+    return symbol.encode() + b"\n" + bytes(code)
+
+
+def loaded_object(data: bytes, signature: str) -> Function:
+    """Load what `compiled_object` returns; return the function."""
+    import llvmlite.binding as llvm
+
+    symbol, _, code = data.partition(b"\n")
+    engine = _engine()
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    arguments = arguments_of(signature)
+    types = [ctypes.c_void_p, ctypes.c_void_p, *arguments.types]
+    code_of = ctypes.CFUNCTYPE(ctypes.c_int32, *types)(engine.get_function_address(symbol.decode()))
+
+    def call(*given: Any) -> None:
+        result, error = ctypes.c_void_p(), ctypes.c_void_p()
+        values: list[Any] = [ctypes.byref(result), ctypes.byref(error)]
+        arguments.append(given, values)
+        status = code_of(*values)
+        if status:
+            raise ArithmeticError(f"{symbol.decode()}: machine code ended with status {status}.")
+
+    return call
+
+
+@cache
+def _engine() -> Any:
+    """Return what machine code is loaded into: it stays as long as the process."""
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    machine = llvm.Target.from_default_triple().create_target_machine(jit=True)
+    return llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)

@@ -1,0 +1,89 @@
+"""Functions that return nothing are called as machine code without numba, with the numbers of plain Python."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from places import ROOT
+
+from pipeline.base.machine_code import arguments_of
+
+MODULE = """
+from pipeline.base.compiled import compiled, inlined
+
+@inlined
+def scaled(values, factor):
+    return values[0] * factor
+
+@compiled("void(Tuple((f8[:,::1],UniTuple(f8,2))),Tuple((i8,b1)),f8[::1],c16[::1])")
+def combine(given, asked, out, turned):
+    table, (first, second) = given
+    count, plain = asked
+    for i in range(count):
+        out[i] = scaled(table[i], first) + second if plain else -table[i, 1]
+        turned[i] = out[i] * 1j
+"""
+USE = """
+import sys, numpy as np, sums
+out, turned = np.zeros(3), np.zeros(3, complex)
+sums.combine((np.arange(6.0).reshape(3, 2), (0.1, 7.0)), (3, {plain}), out, turned)
+print(out.tolist(), turned.tolist(), "numba" in sys.modules)
+"""
+
+
+@pytest.fixture
+def printed(tmp_path):
+    """What a process prints that calls a function of a module in a folder."""
+    (tmp_path / "sums.py").write_text(MODULE)
+
+    def run(plain=True, use=USE, **variables):
+        path = os.pathsep.join([str(tmp_path), str(ROOT)])
+        environment = os.environ | {"PYTHONPATH": path, "NUMBA_CACHE_DIR": str(tmp_path / "kept")} | variables
+        words = [sys.executable, "-B", "-W", "error", "-c", use.format(plain=plain)]
+        done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=120, check=True)
+        return done.stdout.strip()
+
+    return run
+
+
+@pytest.mark.parametrize("plain", [True, False])
+def test_numbers_are_those_of_plain_python_and_numba_is_imported_once(printed, plain):
+    expected = printed(plain, NUMBA_DISABLE_JIT="1").removesuffix(" False")
+    assert printed(plain) == f"{expected} True"
+    assert printed(plain) == f"{expected} False"
+
+
+def test_a_damaged_file_or_another_source_is_compiled_again(printed, tmp_path):
+    first = printed()
+    (file,) = (tmp_path / "kept").glob("*.o")
+    file.write_bytes(file.read_bytes()[:-40])
+    assert printed() == first
+    (tmp_path / "sums.py").write_text(MODULE.replace("* factor", "* factor * 2"))
+    assert printed() != first
+    assert len([*(tmp_path / "kept").glob("*.o")]) == 1
+
+
+WRONG = """
+import numpy as np, sums
+try:
+    sums.combine((np.zeros({shape}{kind}), (0.1, 7.0)), (0, True), np.zeros(3), np.zeros(3, complex))
+except TypeError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize(("shape", "kind"), [("6", ""), ("(3, 2)", ", int"), ("(2, 3)", ", order='F'")])
+def test_an_array_of_another_form_is_refused(printed, shape, kind):
+    assert printed(use=WRONG.format(shape=shape, kind=kind, plain="")).startswith("expected rows of float64")
+
+
+def test_an_array_is_passed_by_its_address_shape_and_strides():
+    table, values = np.zeros((2, 3)), []
+    arguments = arguments_of("void(f8[:,::1])")
+    arguments.append((table,), values)
+    assert values == [0, 0, 6, 8, table.ctypes.data, 2, 3, 24, 8]
+    assert len(arguments.types) == len(values)
