@@ -519,8 +519,12 @@ def below_a_peak(view: Floats, peak: float, sample: float) -> float:
 
 
 @inlined
-def settle(course: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Arrays, b: int) -> bool:
+def settle(
+    course: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Arrays, b: int, cutoff: float
+) -> bool:
     """Follow a response into a band before its end, known from modes; return whether it is not too far before it.
+
+    One that is outside the band at the cutoff is not followed.
 
     ``ahead``: ``state`` and ``view`` of its modes, a sample, and what `climb` takes.
     """
@@ -528,6 +532,10 @@ def settle(course: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Ar
     z, line, _, _, _, _, _, begun, begun_line = body
     settled, _, _, calm = notes
     last, window = math.ceil(envelope_end(view, asked[0][b], since)), WINDOW_SAMPLES
+    if last > cutoff > since:
+        moved_to(math.ceil(cutoff), state, view, body)
+        if abs(seen_by(course[1], 0, z, (z[0], z[1], z[2]))) > asked[0][b]:
+            return False
     while window < MAX_WINDOW_SAMPLES:
         first = max(last - window, since)
         if first > since:
@@ -642,7 +650,7 @@ def step_costs(course: Arrays, modal: Arrays, walls: Arrays, asked: Arrays, give
             status[n] = UNFINISHED if how == MOVING and calm[0] > memory else UNSETTLED | UNFINISHED
         ahead = (state, view, k, longest, reproduced)
         for b in range(count):
-            met = settle(course, body, notes, ahead, later, b) if known else not status[n] & UNSETTLED
+            met = settle(course, body, notes, ahead, later, b, rule[6]) if known else not status[n] & UNSETTLED
             costs[n, b], costs[n, count + 1 + b] = settled[b] + 1 if met else math.nan, math.nan
             if between and met and entry[b, 0] >= 0:
                 j = int(entry[b, 1])

@@ -161,7 +161,7 @@ def settling(loop: NormalisedLoop, criterion: str, longest: int) -> Cost:
 
     def cost(a: Floats, b: Floats, best: float) -> Floats:
         found = transient_costs(
-            loop, a, b, (band,), overshoot=False, continuous=continuous, longest=longest, cutoff=best
+            loop, a, b, (band,), overshoot=False, continuous=continuous, longest=longest, cutoff=min(best, longest)
         )
         return found[criterion]
 
