@@ -158,7 +158,7 @@ def _register_inlined() -> None:
     from numba.extending import register_jitable
 
     while _inlined:
-        register_jitable(_inlined.pop())
+        register_jitable(forceinline=True)(_inlined.pop())
 
 
 def _kept_object(function: Callable[..., Any], signature: str) -> Callable[..., Any]:
