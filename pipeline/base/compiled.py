@@ -37,8 +37,8 @@ _ONE_THREAD = threading.Lock()
 _loaders: dict[str, list[Callable[[], object]]] = {}
 """What makes or loads the machine code of each compiled function, by module."""
 
-_inlined: list[Callable[..., Any]] = []
-"""Functions that numba does not know yet."""
+_parts: list[tuple[Callable[..., Any], bool]] = []
+"""Functions that compiled ones call and numba does not know yet, and whether they are inlined."""
 
 _listeners: list[tuple[Callable[[str], None], float]] = []
 """Who hears that something is compiled, the first time that it takes longer than some seconds."""
@@ -87,7 +87,13 @@ def inlined(function: F) -> F:
     Numba takes machine code for old when the file of the compiled function changes, and looks at no other file: what a
     compiled function calls is in its own module, as are the constants that both use.
     """
-    _inlined.append(function)
+    _parts.append((function, True))
+    return function
+
+
+def part(function: F) -> F:
+    """Do the same for a long function that is called a few times: it stays a function, which takes less to compile."""
+    _parts.append((function, False))
     return function
 
 
@@ -157,8 +163,9 @@ def _register_inlined() -> None:
     """Let numba know the functions that compiled ones may call."""
     from numba.extending import register_jitable
 
-    while _inlined:
-        register_jitable(forceinline=True)(_inlined.pop())
+    while _parts:
+        function, into_caller = _parts.pop()
+        register_jitable(forceinline=into_caller)(function)
 
 
 def _kept_object(function: Callable[..., Any], signature: str) -> Callable[..., Any]:

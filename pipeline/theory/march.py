@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pipeline.base.compiled import compiled, inlined
+from pipeline.base.compiled import compiled, inlined, part
 from pipeline.records.trials import Floats
 
 Arrays = tuple[Any, ...]
@@ -37,7 +37,7 @@ WALLS = "Tuple((f8[::1],f8[::1],f8[:,::1],f8[:,::1],f8[::1],c16[::1]))"
 BODY = "UniTuple(f8[::1],4)"
 MODAL = "Tuple((f8[::1],f8[:,:,::1],f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1]))"
 RULE = "Tuple((f8[::1],b1,b1,i8,f8,f8,f8))"
-MODES = "Tuple((f8[::1],f8[::1],c16[::1],c16[:,::1],f8[:,::1]))"
+MODES = "Tuple((f8[::1],f8[::1],c16[::1],c16[::1],c16[:,::1],f8[:,::1]))"
 WORK = f"UniTuple(f8[::1],6),Tuple((f8[::1],f8[:,::1],f8[::1],f8[::1])),{MODES}"
 
 MOVING, STILL, LATE = 0, 1, 2
@@ -55,9 +55,9 @@ TURN_STEPS = 5
 PASSING_STEPS, PASSING_SHARE = 55, 1e-13
 """Steps to a passing, by Newton or halves, and the last step, as a share of a piece."""
 
-ROOT_STEPS, FIRST_TURN = 30, 1e-3
-"""Iterations to the poles at most, some five from a neighbour's, and the share by which first guesses are turned: real
-ones would stay real."""
+ROOT_STEPS, FIRST_TURN, LAST_STEP = 30, 1e-5, 1e-9
+"""Iterations to the poles at most, some two from those of neighbours; the share by which first guesses are turned, for
+real ones would stay real; and the relative change after which a third power of it is left."""
 
 ROUNDED = 1e-12
 """What rounding may leave: of a pole's step relative to its distance from z = 1, of a real one's imaginary part, and of
@@ -78,7 +78,7 @@ OUTWEIGHED = 0.99
 WINDOW_SAMPLES, MAX_WINDOW_SAMPLES = 24, 1 << 22
 """Samples in front of the end of an envelope that are followed first, and at most: it may lie far above the motion."""
 
-CLIMB_SAMPLES, MIN_JUMP_SAMPLES = 64, 2.0
+CLIMB_SAMPLES, MIN_JUMP_SAMPLES = 32, 2.0
 """Samples before it is looked again whether a response may exceed its peak, and the fewest that are left out."""
 
 
@@ -184,7 +184,7 @@ def passing(curve: Floats, level: float) -> float:
     return share
 
 
-@inlined
+@part
 def march(
     course: Arrays, body: Arrays, notes: Arrays, span: tuple[int, int, int, int], asked: Arrays
 ) -> tuple[int, int]:
@@ -299,7 +299,7 @@ def square(number: complex) -> float:
     return number.real * number.real + number.imag * number.imag
 
 
-@inlined
+@part
 def roots(modal: Arrays, wall: tuple[float, float], zeta: Floats, forces: Floats) -> bool:
     """Find zeta = z - 1 of all poles from guesses, in place (Ehrlich and Aberth); return whether they are known.
 
@@ -330,15 +330,31 @@ def roots(modal: Arrays, wall: tuple[float, float], zeta: Floats, forces: Floats
             slope = power * (top_slope + delay * over(top, 1 + place)) + low_slope
             change = over(value, slope - value * others)
             zeta[i] -= change
-            moves = moves or not square(change) <= ROUNDED**2 * square(place)
+            moves = moves or not square(change) <= LAST_STEP**2 * square(place)
         if not moves:
             return True
     return False
 
 
 @inlined
+def upper_half(zeta: Floats) -> int:
+    """Move real poles and those above the real axis to the front; return how many, or 0 if others are not their pairs."""
+    count, pairs = 0, 0
+    for m in range(len(zeta)):
+        place = zeta[m]
+        if abs(place.imag) < ROUNDED:
+            place = complex(place.real, 0.0)
+        if place.imag >= 0:
+            zeta[count] = place
+            count, pairs = count + 1, pairs + (place.imag > 0)
+    return count if count + pairs == len(zeta) else 0
+
+
+@part
 def shapes(modal: Arrays, wall: tuple[float, float], start: Floats, pole: Floats, state: Floats) -> None:
     """Set what each mode has of the states at sample 0, by right and left eigenvectors; pole - 1 comes in ``pole``.
+
+    A mode above the real axis has what its pair below it has, too.
 
     With s the states without forces, G the gains of the oldest force and of z times the newer one: right ones are
     (adj G, D z^(delay - age)), left ones (law adj z^delay, law adj G z^(age - 1)); of the oldest force alone its own
@@ -370,7 +386,7 @@ def shapes(modal: Arrays, wall: tuple[float, float], start: Floats, pole: Floats
             else:
                 size = size * one * power + top * power * ((delay - 1) * pushed + oldest)
                 begun = begun * one * power + pushed * older + power * oldest * start[own + delay - 1]
-        scale = over(begun, size)
+        scale = over(begun, size) * (2 if zeta.imag > 0 else 1)
         for i in range(len(start)):
             state[m, i] *= scale
         pole[m] = one
@@ -381,16 +397,16 @@ def told(state: Floats, start: Floats) -> bool:
     """Return whether modes make up the state at sample 0, and are no larger than what does not cancel."""
     largest, off, sizes, size = 0.0, 0.0, 0.0, 0.0
     for i in range(len(start)):
-        total, parts = 0j, 0.0
+        total, parts = 0.0, 0.0
         for m in range(len(state)):
-            total += state[m, i]
+            total += state[m, i].real
             parts += math.sqrt(square(state[m, i]))
-        largest, off = max(largest, parts), max(off, square(total - start[i]))
+        largest, off = max(largest, parts), max(off, abs(total - start[i]))
         size, sizes = size + abs(start[i]), sizes + parts
-    return off <= (ROUNDED * largest) ** 2 and sizes <= CANCELLED * size
+    return off <= ROUNDED * largest and sizes <= CANCELLED * size
 
 
-@inlined
+@part
 def outlook(law: Floats, n: int, hull: Floats, pole: Floats, state: Floats, view: Floats) -> bool:
     """Set what modes have of the motion in the interval behind sample 0; return whether all fade.
 
@@ -607,10 +623,11 @@ def step_costs(course: Arrays, modal: Arrays, walls: Arrays, asked: Arrays, give
     alpha, beta, laws, levers, start, guess = walls
     rule, (longest, looked, reproduced) = asked
     _, swings, between, memory, _, _, _ = rule
-    costs, status, (z, line, moved, curve, begun, begun_line), notes, (initial, forces, pole, state, view) = out
+    costs, status, (z, line, moved, curve, begun, begun_line), notes, (initial, forces, pole, former, state, view) = out
     settled, entry, peak, calm = notes
     later = rule[:6] + (math.inf,)  # noqa: RUF005 (numba)
     own, count, states = len(start), len(settled), len(guess)
+    copy(guess, former)
     for n in range(len(alpha)):
         wall, body = (alpha[n], beta[n]), (z, line, moved, curve, laws, levers, n, begun, begun_line)
         begin(start, alpha[n], z, line)
@@ -619,7 +636,7 @@ def step_costs(course: Arrays, modal: Arrays, walls: Arrays, asked: Arrays, give
         for b in range(count):
             settled[b], entry[b, 0] = 0.0, math.nan
         peak[0] = peak[1] = calm[0] = calm[1] = 0.0
-        status[n], known, fades, tried, k, how = KNOWN, False, False, False, 0, MOVING
+        status[n], known, fades, tried, modes, k, how = KNOWN, False, False, False, states, 0, MOVING
         k, how = march(course, body, notes, (k, min(looked, longest), 0, count), rule)
         while how == MOVING:
             if not tried:
@@ -632,14 +649,16 @@ def step_costs(course: Arrays, modal: Arrays, walls: Arrays, asked: Arrays, give
                     copy(guess, pole)
                     if not (len(modal[0]) and roots(modal, wall, pole, forces)):
                         break
-                    copy(pole, guess)
-                    shapes(modal, wall, initial, pole, state)
+                    for m in range(states):
+                        guess[m], former[m] = 2 * pole[m] - former[m], pole[m]
+                    modes = upper_half(pole)
+                    shapes(modal, wall, initial, pole[:modes], state)
                 tried = True
-                fades = told(state, initial)
+                fades = modes > 0 and told(state[:modes], initial)
                 if not fades and status[n] == NO_MODES:
                     break
-                status[n], fades = KNOWN, fades and outlook(laws, n, modal[5], pole, state, view)
-            known = fades and agrees(state, view, body, k, reproduced)
+                status[n], fades = KNOWN, fades and outlook(laws, n, modal[5], pole, state[:modes], view)
+            known = fades and agrees(state[:modes], view[:modes], body, k, reproduced)
             if known or k >= longest:
                 break
             k, how = march(course, body, notes, (k, min(2 * k, longest), 0, count), rule)
@@ -648,7 +667,7 @@ def step_costs(course: Arrays, modal: Arrays, walls: Arrays, asked: Arrays, give
             copy(line, begun_line)
         elif how == LATE or (how == MOVING and status[n] == KNOWN):
             status[n] = UNFINISHED if how == MOVING and calm[0] > memory else UNSETTLED | UNFINISHED
-        ahead = (state, view, k, longest, reproduced)
+        ahead = (state[:modes], view[:modes], k, longest, reproduced)
         for b in range(count):
             met = settle(course, body, notes, ahead, later, b, rule[6]) if known else not status[n] & UNSETTLED
             costs[n, b], costs[n, count + 1 + b] = settled[b] + 1 if met else math.nan, math.nan

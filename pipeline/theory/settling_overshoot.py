@@ -29,7 +29,7 @@ NO_OVERSHOOT = OVERSHOOT.none
 QUIET = 0.1 * NO_OVERSHOOT
 """Motion below which a response is no longer followed for overshoot, by the same margin."""
 
-_FIRST, _LOOK = 64, 0.25
+_FIRST, _LOOK = 48, 0.25
 """Samples before modes are looked at, and the same times the square of the states: a look takes as long."""
 
 _SETTLED = 0.1
@@ -177,7 +177,7 @@ def _work(loop: NormalisedLoop, course: Arrays, count: int) -> Arrays:
     own = n - delay
     marched = tuple(np.zeros(size) for size in (own, delay, own, course[3].shape[1], own, delay))
     notes = np.zeros(count), np.zeros((count, 5 + own)), np.zeros(2), np.zeros(2)
-    complexes = np.zeros(n, np.complex128), np.zeros((n, n), np.complex128)
+    complexes = *np.zeros((2, n), np.complex128), np.zeros((n, n), np.complex128)
     return marched, notes, (np.zeros(n), np.zeros(own + 1), *complexes, np.zeros((n, 6)))
 
 
