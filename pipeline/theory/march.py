@@ -13,8 +13,9 @@ bound all that is to come, in three steps.
 
 Deviations are relative to the final displacement, times in samples. A response that needs more samples than the limit
 ends with a status, not with a number. ``course`` is the motion over a sampling interval (`motion.courses`), ``first``
-the first three own states, which a march keeps in registers; ``state`` has a row for each mode: its own states and the
-wall's forces of the last samples, newest first, at sample 0; ``view`` is set by `outlook`.
+the first three own states, which a march keeps in registers: the sensed position, its velocity and the last sample.
+``state`` has a row for each mode: its own states and the wall's forces of the last samples, newest first, at sample 0;
+``view`` is set by `outlook`.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ Three = tuple[float, float, float]
 Forces = tuple[float, float]
 """The older and the newer force that act in an interval."""
 
-COURSE = "Tuple((f8[:,::1],f8[:,::1],f8[:,::1],f8[:,:,::1],f8[:,::1]))"
+COURSE = "Tuple((f8[:,::1],f8[:,::1],f8[:,:,::1],f8[:,::1]))"
 WALLS = "Tuple((f8[::1],f8[::1],f8[:,::1],f8[:,::1],f8[::1],c16[::1]))"
 BODY = "UniTuple(f8[::1],4)"
 MODAL = "Tuple((f8[::1],f8[:,:,::1],f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1]))"
@@ -111,13 +112,19 @@ def delayed(line: Floats, at: int, force: float) -> tuple[Forces, int]:
 
 @inlined
 def advanced(step: Floats, z: Floats, moved: Floats, first: Three, forces: Forces) -> Three:
-    """Return the first three own states at the next sample; set the others."""
+    """Return the first three own states at the next sample; set the others in ``moved``."""
     for i in range(3, len(z)):
         moved[i] = behind(step, i, z, first, forces)
-    following = behind(step, 0, z, first, forces), behind(step, 1, z, first, forces), seen_by(step, 2, z, first)
+    return behind(step, 0, z, first, forces), behind(step, 1, z, first, forces), seen_by(step, 2, z, first)
+
+
+@inlined
+def begun_again(z: Floats, moved: Floats, first: Three) -> Three:
+    """Set own states to those of the next sample; return the first three."""
+    z[0], z[1], z[2] = first
     for i in range(3, len(z)):
         z[i] = moved[i]
-    return following
+    return first
 
 
 @inlined
@@ -213,7 +220,7 @@ def march(
     At one sample alone all states of the device may be small while a delayed force or a filter holds what is to come:
     a response is at rest when all motion was small for as long as the loop remembers.
     """
-    step, watch, ends, curves, timing = course
+    step, ends, curves, timing = course
     z, line, moved, curve, laws, levers, n, _, _ = body
     settled, entry, peak, calm = notes
     bands, swings, between, memory, share, floor, cutoff = asked
@@ -222,13 +229,14 @@ def march(
     for b in range(low, high):
         narrowest, widest = min(narrowest, bands[b]), max(widest, bands[b])
     at = k % len(line) if len(line) else 0
-    place, speed = seen_by(watch, 0, z, first), seen_by(watch, 1, z, first)
+    place, speed, _ = first
     while k < end:
         forces, at = delayed(line, at, seen_by(laws, n, z, first))
-        largest = 0.0
+        following, largest = advanced(step, z, moved, first, forces), 0.0
         for j in range(len(curves)):
-            after = behind(ends, 2 * j, z, first, forces)
-            speed_after = behind(ends, 2 * j + 1, z, first, forces)
+            after, speed_after, _ = following
+            if 2 * j < len(ends):
+                after, speed_after = behind(ends, 2 * j, z, first, forces), behind(ends, 2 * j + 1, z, first, forces)
             extreme = 0.0
             if between and (speed > 0) != (speed_after > 0):
                 reach = timing[1, j] * min(abs(speed), abs(speed_after))
@@ -237,7 +245,6 @@ def march(
                 for b in range(low, high):
                     turns = turns or abs(after) <= bands[b] < away
                 if turns:
-                    z[0], z[1], z[2] = first
                     curve_of(curves, j, z, forces, curve)
                     extreme = motion_at(curve, turn_of(curve))[0]
                     peak[0] = max(peak[0], extreme)
@@ -247,12 +254,11 @@ def march(
                     entry[b, 0], entry[b, 1] = k, j
                     entry[b, 2] = math.copysign(bands[b], extreme if abs(extreme) > bands[b] else place)
                     entry[b, 3], entry[b, 4] = forces
-                    z[0], z[1], z[2] = first
                     for i in range(own):
                         entry[b, 5 + i] = z[i]
             place, speed = after, speed_after
             largest = max(largest, abs(place))
-        first = advanced(step, z, moved, first, forces)
+        first = begun_again(z, moved, following)
         k += 1
         peak[1] = max(peak[1], place)
         for b in range(low, high):
@@ -260,7 +266,6 @@ def march(
                 settled[b] = k
         small = share * narrowest
         if largest <= small:
-            z[0], z[1], z[2] = first
             size = 0.0
             for i in range(own):
                 size += abs(z[i]) * levers[n, i]
@@ -271,7 +276,6 @@ def march(
         calm[1] = calm[1] + 1 if largest <= small else 0
         if calm[1] > memory or (k >= cutoff and k % CUTOFF_SAMPLES == 0 and abs(place) > widest > 0 and not swings):
             break
-    z[0], z[1], z[2] = first
     return k, STILL if calm[1] > memory else LATE if k < end else MOVING
 
 
@@ -550,7 +554,7 @@ def settle(
     last, window = math.ceil(envelope_end(view, asked[0][b], since)), WINDOW_SAMPLES
     if last > cutoff > since:
         moved_to(math.ceil(cutoff), state, view, body)
-        if abs(seen_by(course[1], 0, z, (z[0], z[1], z[2]))) > asked[0][b]:
+        if abs(z[0]) > asked[0][b]:
             return False
     while window < MAX_WINDOW_SAMPLES:
         first = max(last - window, since)
@@ -559,7 +563,7 @@ def settle(
         else:
             copy(begun, z)
             copy(begun_line, line)
-        if abs(seen_by(course[1], 0, z, (z[0], z[1], z[2]))) > asked[0][b]:
+        if abs(z[0]) > asked[0][b]:
             settled[b] = first
         calm[0] = calm[1] = 0.0
         march(course, body, notes, (first, last, b, b + 1), asked)
@@ -619,7 +623,7 @@ def step_costs(course: Arrays, modal: Arrays, walls: Arrays, asked: Arrays, give
         Costs, shape (n, 2 bands + 2), which are set: of the samples and of the motion, each settling times and then the
         overshoot; what is known, shape (n,); and arrays of `_work`.
     """
-    _, _, _, curves, timing = course
+    _, _, curves, timing = course
     alpha, beta, laws, levers, start, guess = walls
     rule, (longest, looked, reproduced) = asked
     _, swings, between, memory, _, _, _ = rule
@@ -687,7 +691,7 @@ def late_deviations(course: Arrays, walls: Arrays, asked: Arrays, body: Arrays, 
     ``asked``: these samples, shape (n,), the last one, what the loop remembers, and the share of the largest deviation
     below which all motion has to stay for so long.
     """
-    step, watch, _, _, _ = course
+    step, _, _, _ = course
     alpha, _, laws, levers, start, _ = walls
     since, longest, memory, share = asked
     z, line, moved, _ = body
@@ -696,9 +700,9 @@ def late_deviations(course: Arrays, walls: Arrays, asked: Arrays, body: Arrays, 
         largest[n], k, calm, at, first = 0.0, 0, 0, 0, (z[0], z[1], z[2])
         while k < longest and calm <= memory:
             forces, at = delayed(line, at, seen_by(laws, n, z, first))
-            z[0], z[1], z[2] = first = advanced(step, z, moved, first, forces)
+            first = begun_again(z, moved, advanced(step, z, moved, first, forces))
             k += 1
-            place, size = abs(seen_by(watch, 0, z, first)), 0.0
+            place, size = abs(first[0]), 0.0
             for i in range(len(z)):
                 size += levers[n, i] * abs(z[i])
             if k >= since[n]:
@@ -712,7 +716,7 @@ def rises(course: Arrays, walls: Arrays, asked: Arrays, body: Arrays, time: Floa
 
     ``asked``: levels, the last sample, and whether the motion between samples is asked for.
     """
-    step, watch, ends, curves, timing = course
+    step, ends, curves, timing = course
     alpha, _, laws, _, start, _ = walls
     levels, longest, between = asked
     z, line, moved, curve = body
@@ -721,12 +725,15 @@ def rises(course: Arrays, walls: Arrays, asked: Arrays, body: Arrays, time: Floa
         k, left, at, first = 0, len(levels), 0, (z[0], z[1], z[2])
         for m in range(len(levels)):
             time[0, m, n] = time[1, m, n] = math.nan
-        place, speed = seen_by(watch, 0, z, first), seen_by(watch, 1, z, first)
+        place, speed, _ = first
         while k < longest and left:
             forces, at = delayed(line, at, seen_by(laws, n, z, first))
-            sampled = place
+            sampled, following = place, advanced(step, z, moved, first, forces)
             for j in range(len(curves)):
-                after, speed_after = behind(ends, 2 * j, z, first, forces), behind(ends, 2 * j + 1, z, first, forces)
+                after, speed_after, _ = following
+                if 2 * j < len(ends):
+                    after = behind(ends, 2 * j, z, first, forces)
+                    speed_after = behind(ends, 2 * j + 1, z, first, forces)
                 highest = max(place, after)
                 if between and (highest >= levels[0] or speed > 0):
                     curve_of(curves, j, z, forces, curve)
@@ -740,5 +747,5 @@ def rises(course: Arrays, walls: Arrays, asked: Arrays, body: Arrays, time: Floa
                 if place >= levels[m] and math.isnan(time[1, m, n]):
                     time[1, m, n] = k + (levels[m] - sampled) / (place - sampled)
                     left -= 1
-            z[0], z[1], z[2] = first = advanced(step, z, moved, first, forces)
+            first = begun_again(z, moved, following)
             k += 1

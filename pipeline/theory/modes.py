@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pipeline.loop.many_digits import as_exact, as_floats, many_digits, resolvent
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.trials import Floats
-from pipeline.theory.motion import courses, order_of
+from pipeline.theory.motion import courses, own_basis
 
 Complexes = NDArray[np.complex128]
 
@@ -33,8 +33,9 @@ def by_eigenvectors(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> tuple[
     vectors[~apart] = np.eye(loop.states)
     amplitude = np.linalg.solve(vectors, loop.starts(alpha, "step")[:, :, None])[:, :, 0]
     amplitude[~apart] = np.nan
-    order = np.append(order_of(loop), np.arange(loop.states - loop.oldest_force, loop.states))
-    return pole, np.ascontiguousarray((vectors * amplitude[:, None, :])[:, order].transpose(0, 2, 1))
+    state, basis = (vectors * amplitude[:, None, :]).transpose(0, 2, 1), own_basis(loop)[0]
+    state[..., : len(basis)] = state[..., : len(basis)] @ basis.T
+    return pole, np.ascontiguousarray(state)
 
 
 def none(loop: NormalisedLoop) -> tuple[Complexes, Complexes]:
@@ -62,14 +63,15 @@ def polynomials(loop: NormalisedLoop) -> tuple[Floats, ...]:
     hull : float64, shape (coefficients, p + s)
         Of the position over all pieces: it lies between the least and the largest of them (Bernstein).
     """
-    steps, n, order = loop.own, len(loop.own.free), order_of(loop)
-    curves = courses(loop, True)[3]
+    steps, n = loop.own, len(loop.own.free)
+    curves = courses(loop, True)[2]
     powers = range(curves.shape[1])
     change = np.array([[math.comb(j, i) / math.comb(powers[-1], i) for i in powers] for j in powers])
     hull = np.ascontiguousarray((change @ curves).reshape(-1, curves.shape[2]))
     if n > _LONGEST:
         return np.zeros(0), np.zeros((2, n, n)), *(np.zeros((1, 1)) for _ in range(3)), hull
     with many_digits(loop.digits):
+        basis, turned = map(as_exact, own_basis(loop))
         none = as_exact(np.zeros((1, n)))
         determinant, inverse = resolvent(steps.free - as_exact(np.eye(n)))
         older, newer = (steps.gains[0], steps.gains[1] if len(steps.gains) > 1 else none[0])
@@ -77,5 +79,5 @@ def polynomials(loop: NormalisedLoop) -> tuple[Floats, ...]:
         outputs = np.array([steps.position, steps.velocity])
         rows = np.swapaxes(outputs @ inverse, 0, 1)
         gains = np.array([older, newer])
-        parts = determinant, rows[..., order], columns[:, order], outputs @ columns.T, gains[:, order]
+        parts = determinant, rows @ turned, columns @ basis.T, outputs @ columns.T, gains @ basis.T
         return *(np.ascontiguousarray(as_floats(part)) for part in parts), hull

@@ -159,57 +159,56 @@ def _through(values: Digits) -> Digits:
 
 @lru_cache(maxsize=64)
 def courses(loop: NormalisedLoop, between: bool) -> tuple[Floats, ...]:
-    """Return what a sampling interval makes of its start, by the device's p states, all own ones and two forces.
+    """Return the motion over a sampling interval, from own states and two forces, as a march takes it.
 
-    Own states are those without delayed forces, in the `order_of` a march. The wall's forces in an interval are the
+    Own states are those without delayed forces, in the basis of `own_basis`. The wall's forces in an interval are the
     older and the newer one, of which the second does nothing where the delay is whole.
 
     Returns
     -------
     step : float64, shape (own, own + 2)
-        Own states at its end, of those at its start and the forces.
-    watch : float64, shape (2, own + 2)
-        Sensed position and its velocity.
-    ends : float64, shape (2 pieces, own + 2)
-        The same, of each piece, at its end; where samples alone are asked for, of the interval.
+        Own states at its end.
+    ends : float64, shape (2 (pieces - 1), own + 2)
+        Sensed position and its velocity at the end of each piece but the last.
     curves : float64, shape (pieces, degree + 1, own + 2)
-        Position over the share of each piece, lowest power first.
+        Position over the share of each piece, lowest power first; where samples alone are asked for, zeros.
     timing : float64, shape (2, pieces)
         Start and duration of each piece.
     """
     free, push, _, _ = loop.open_loop
-    ages, sensor, order = [segment.age for segment in loop.segments], loop.device.sensor, order_of(loop)
-    own, p = len(order), len(sensor)
+    ages, (basis, inverse) = [segment.age for segment in loop.segments], own_basis(loop)
+    own, p = len(basis), len(loop.device.sensor)
     forces = np.zeros((own, 2))
     for column, age in enumerate(ages):
         forces[:, column] = free[:own, own - 1 + age] if age else push[:own]
     step = np.hstack([free[:own, :own], forces])
     seen = np.zeros((p + len(ages), own + 2))
     seen[:p, :p], seen[p:, own : own + len(ages)] = np.eye(p), np.eye(len(ages))
-    watch = np.array([sensor, sensor @ loop.device.matrix])
-    with many_digits(loop.digits):
-        whole, gains = loop.pushes
-        ends = as_floats(as_exact(watch) @ np.column_stack([whole, *gains]))
-    curves, timing = np.zeros((1, 2, len(seen))), np.array([[0.0], [1.0]])
+    curves, ends, timing = np.zeros((1, 2, own + 2)), np.zeros((0, own + 2)), np.array([[0.0], [1.0]])
     if between:
         given = list(zip(pieces(loop), starts(loop), strict=True))
-        curves = np.array([piece.place @ start for piece, start in given])
+        curves = np.array([piece.place @ start for piece, start in given]) @ seen
         timing = np.array([(piece.start, piece.duration) for piece, _ in given]).T
-        ends = np.array([rows.sum(axis=0) @ start for piece, start in given for rows in (piece.place, piece.speed)])
+        rows = [rows.sum(axis=0) @ start @ seen for piece, start in given[:-1] for rows in (piece.place, piece.speed)]
+        ends = np.array(rows).reshape(-1, own + 2)
         kept = np.flatnonzero(np.abs(curves).max(axis=(0, 2)) > _NEGLIGIBLE * np.abs(curves).max()).max(initial=1) + 1
         curves = curves[:, :kept]
-    columns = np.append(order, [own, own + 1])
-    parts = step[order], watch @ seen[:p], ends @ seen, curves @ seen
-    return *(np.ascontiguousarray(part[..., columns]) for part in parts), np.ascontiguousarray(timing)
+    for part in (step, ends, curves):
+        part[..., :own] = part[..., :own] @ inverse
+    return tuple(np.ascontiguousarray(part) for part in (basis @ step, ends, curves, timing))
 
 
-def order_of(loop: NormalisedLoop) -> Integers:
-    """Return the places of the states of `NormalisedLoop.matrix` in a march.
+@lru_cache(maxsize=64)
+def own_basis(loop: NormalisedLoop) -> tuple[Floats, Floats]:
+    """Return the matrix from own states of `NormalisedLoop.matrix` to those of a march, and its inverse.
 
-    Position and velocity of the motor, last sample, the device's other states, the filter's.
+    Sensed position and its velocity, last sample, the device's states but the first two, the filter's.
     """
-    own, p = loop.states - loop.oldest_force, len(loop.device.sensor)
-    return np.array([0, 1, p, *range(2, p), *range(p + 1, own)])
+    own, sensor = loop.states - loop.oldest_force, loop.device.sensor
+    p = len(sensor)
+    basis = np.eye(own)[[0, 1, p, *range(2, p), *range(p + 1, own)]]
+    basis[:2, :p] = sensor, sensor @ loop.device.matrix
+    return basis, np.linalg.inv(basis)
 
 
 _MOST_POINTS = 1 << 22

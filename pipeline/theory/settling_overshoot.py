@@ -18,7 +18,7 @@ from pipeline.records.criteria import DISCRETE, OVERSHOOT
 from pipeline.records.trials import Floats, Integers
 from pipeline.theory import march, modes
 from pipeline.theory.march import Arrays
-from pipeline.theory.motion import courses, order_of
+from pipeline.theory.motion import courses, own_basis
 
 LONGEST = 1 << 18
 """Samples after which a response that still moves is given up (no settling time): spectral radius about 1 - 1e-5."""
@@ -165,8 +165,9 @@ def _followed(
 
 def _walls(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Arrays:
     """Return walls, their laws, what each own state may do to the position, where they start, poles of the first."""
-    order = order_of(loop)
-    laws, start = np.ascontiguousarray(loop.law(alpha, beta)[:, order]), loop.starts(np.ones(1), "step")[0, order]
+    basis, inverse = own_basis(loop)
+    own = len(basis)
+    laws, start = loop.law(alpha, beta)[:, :own] @ inverse, basis @ loop.starts(np.ones(1), "step")[0, :own]
     guess = np.linalg.eigvals(loop.matrix(alpha[:1], beta[:1])).ravel() - 1.0 + 0j
     return alpha, beta, laws, _levers(loop, alpha), start, guess
 
@@ -175,7 +176,7 @@ def _work(loop: NormalisedLoop, course: Arrays, count: int) -> Arrays:
     """Return arrays that are used for each point: of the march, what is noted, and of the modes."""
     n, delay = loop.states, loop.oldest_force
     own = n - delay
-    marched = tuple(np.zeros(size) for size in (own, delay, own, course[3].shape[1], own, delay))
+    marched = tuple(np.zeros(size) for size in (own, delay, own, course[2].shape[1], own, delay))
     notes = np.zeros(count), np.zeros((count, 5 + own)), np.zeros(2), np.zeros(2)
     complexes = *np.zeros((2, n), np.complex128), np.zeros((n, n), np.complex128)
     return marched, notes, (np.zeros(n), np.zeros(own + 1), *complexes, np.zeros((n, 6)))
@@ -198,4 +199,4 @@ def _levers(loop: NormalisedLoop, alpha: Floats) -> Floats:
     rows += [loop.lag * lever] * (loop.device.states - loop.device.mechanical)
     levers = np.zeros((len(alpha), loop.states - loop.oldest_force))
     levers[:, : len(rows)] = np.transpose(rows)
-    return np.ascontiguousarray(levers[:, order_of(loop)])
+    return levers @ np.abs(own_basis(loop)[1])
