@@ -12,7 +12,7 @@ import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -116,18 +116,24 @@ def object_key(function: Function, signature: str) -> str:
     import llvmlite.binding as llvm
 
     file = Path(inspect.getsourcefile(function) or "")
-    source, here = (sha256(each.read_bytes()) for each in (file, Path(__file__)))
+    makers = [_folder(name) / "_version.py" for name in ("numba", "llvmlite")]
+    sources = [sha256(each.read_bytes()) for each in (file, Path(__file__), *makers)]
     machine = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
-    return digest([object_name(function), signature, source, here, version("numba"), version("llvmlite"), *machine])
+    return digest([object_name(function), signature, *sources, *machine])
+
+
+def _folder(package: str) -> Path:
+    """Return the folder of a package without importing it; to ask for its version takes ten times as long."""
+    spec = find_spec(package)
+    return Path(spec.origin if spec and spec.origin else "").parent
 
 
 def compiled_object(function: Function, signature: str) -> bytes:
     """Compile a function by numba; return the name of its symbol, a line, and the object file."""
     import numba
 
-    compiled: Any = numba.njit(
-        signature, error_model="numpy", _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True
-    )(function)
+    options: dict[str, Any] = {"_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    compiled: Any = numba.njit(signature, error_model="numpy", **options)(function)
     (overload,) = compiled.overloads.values()
     _, _, (code, _) = overload.library.serialize_using_object_code()
     symbol: str = overload.fndesc.llvm_func_name

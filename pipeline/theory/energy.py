@@ -7,19 +7,33 @@ sequences by Astroem's recursion: in doubles, and where rounding has a share in 
 
 from __future__ import annotations
 
+import math
 from decimal import Decimal
 from functools import lru_cache
-from math import comb
 from typing import Any
 
 import numpy as np
 
+from pipeline.base.compiled import compiled, inlined
 from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import Digits, as_exact, bilinear, from_w, many_digits, total
 from pipeline.loop.normalised_loop import NormalisedLoop, as_points
 from pipeline.records.trials import Booleans, Floats
 from pipeline.theory.motion import WEIGHTS, energy_forms
 from pipeline.theory.poles import characteristic_parts
+
+Arrays = tuple[Any, ...]
+
+Five = tuple[float, float, float, float, float]
+"""A number of five parts, as of `_by_recursion`."""
+
+POLYNOMIALS, WORK = (
+    "Tuple((f8[:,:,::1],f8[:,:,:,::1],f8[:,::1],f8[:,:,::1]))",
+    ("Tuple((f8[:,::1],f8[:,:,::1],f8[:,::1],f8[:,::1],f8[:,::1]))"),
+)
+
+EPSILON = 2.0**-52
+"""Rounding of a double."""
 
 _TOGETHER = 1 << 17
 """Numbers of the recursion at a time: they fit a cache."""
@@ -64,18 +78,30 @@ def energy_costs(loop: NormalisedLoop, alpha: object, beta: object, signal: str 
     a, b = as_points(alpha, beta)
     if np.any(a + loop.gamma <= 0):
         raise ParameterError("energy costs need alpha + gamma > 0: without stiffness there is no final position.")
-    sums, forms = _sums(loop, a, b, signal), energy_forms(loop)
+    sums, stiffness, one = _sums(loop, a, b, signal), a + loop.gamma, np.ones_like(a)
+    # deviations of a step are relative to chi_inf, E/E_0 = e^2 + v^2/(alpha + gamma); an impulse starts with v = 1
+    shares = np.array([one, 1 / stiffness] if signal == "step" else [stiffness, one])
+    shape = (2, 2, len(WEIGHTS))
+    summed = (_weights(loop).reshape(12, -1) @ sums.reshape(-1, len(a))).reshape(*shape, len(a))
+    names = [f"energy_{signal}_w{w}{suffix}" for suffix in ("", "_discrete") for w in WEIGHTS]
+    costs = (shares[:, None, None] * summed).sum(axis=0).reshape(len(names), len(a))
+    return dict(zip(names, costs, strict=True))
+
+
+@lru_cache(maxsize=64)
+def _weights(loop: NormalisedLoop) -> Floats:
+    """Return what sums of `_sums` have of potential and kinetic energy, continuous and discrete, by w.
+
+    (k + tau)^w = sum_i binomial(w, i) k^(w-i) tau^i: shape (2, 2, 3, 3, pairs).
+    """
+    forms = energy_forms(loop)
     rows, columns = np.triu_indices(forms.shape[-1])
     both = forms[..., rows, columns] + forms[..., columns, rows] * (rows != columns)
-    stiffness, one = a + loop.gamma, np.ones_like(a)
-    # deviations of a step are relative to chi_inf, E/E_0 = e^2 + v^2/(alpha + gamma); an impulse starts with v = 1
-    potential, kinetic = (one, 1 / stiffness) if signal == "step" else (stiffness, one)
-    parts = np.moveaxis(np.tensordot(both, sums, (3, 1)), 3, 0)
-    summed = potential * parts[:, 0] + kinetic * parts[:, 1]
-    names = [f"energy_{signal}_w{w}{suffix}" for suffix in ("", "_discrete") for w in WEIGHTS]
-    # (k + tau)^w = sum_i binomial(w, i) k^(w-i) tau^i
-    costs = [sum(comb(w, i) * summed[w - i, kind, i] for i in range(w + 1)) for kind in (0, 1) for w in WEIGHTS]
-    return dict(zip(names, costs, strict=True))
+    weights = np.zeros((2, 2, len(WEIGHTS), len(WEIGHTS), len(rows)))
+    for w in WEIGHTS:
+        for i in range(w + 1):
+            weights[:, :, w, w - i] = math.comb(w, i) * both[:, :, i]
+    return weights
 
 
 def _sums(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str) -> Floats:
@@ -83,7 +109,15 @@ def _sums(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str) -> Flo
     numbers = (len(loop.device.sensor) + len(loop.segments)) * loop.states
     pairs = len(np.triu_indices(len(loop.device.sensor) + len(loop.segments))[0])
     result, left = np.full((len(WEIGHTS), pairs, len(alpha)), np.nan), np.arange(len(alpha))
-    for kind in (np.float64, np.longdouble, np.object_):
+    kinds: list[Any] = [np.float64, np.longdouble, np.object_]
+    if loop.oldest_force <= _LONG:
+        bottom, top = _transforms(loop, signal, np.float64)
+        q, powers = top.shape[2:]
+        good, chances = np.zeros(len(alpha), np.bool_), (_chances((powers + 1,)), _chances((q, powers)))
+        work = np.empty((powers + 1, 5)), np.empty((q, powers, 5)), *np.empty((2, q, 5)), np.empty((pairs, 5))
+        sums_in_doubles((bottom, top, *chances), (alpha, beta), work, result, good)
+        kinds, left = kinds[1:], np.flatnonzero(~good)
+    for kind in kinds:
         size, bad = max(1, _TOGETHER // numbers), left[:0]
         for some in (left[first : first + size] for first in range(0, len(left), size)):
             with np.errstate(all="ignore"), many_digits(loop.digits) as context:
@@ -93,6 +127,115 @@ def _sums(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str) -> Flo
             bad = np.append(bad, some[~good])
         left = bad
     return result
+
+
+@inlined
+def part_of(polynomial: Floats, i: int) -> Five:
+    """Return a coefficient."""
+    return polynomial[i, 0], polynomial[i, 1], polynomial[i, 2], polynomial[i, 3], polynomial[i, 4]
+
+
+@inlined
+def times(x: Five, y: Five) -> Five:
+    """Return the product of two numbers of five parts."""
+    first, second = x[0] * y[1] + x[1] * y[0], x[0] * y[2] + x[1] * y[1] + x[2] * y[0]
+    return x[0] * y[0], first, second, x[0] * y[3] + x[3] * y[0], x[0] * y[4] + x[4] * y[0]
+
+
+@inlined
+def inverse(x: Five) -> Five:
+    """Return the reciprocal of such a number."""
+    value = 1 / x[0]
+    share = value * x[1]
+    falls = -value * value
+    return value, falls * x[1], falls * x[2] + value * share * share, falls * x[3], falls * x[4]
+
+
+@inlined
+def put(polynomial: Floats, i: int, x: Five) -> None:
+    """Set a coefficient."""
+    for part in range(5):
+        polynomial[i, part] = x[part]
+
+
+@inlined
+def add(polynomial: Floats, i: int, x: Five, sign: float) -> None:
+    """Add such a number to a coefficient, or take it away."""
+    for part in range(5):
+        polynomial[i, part] += sign * x[part]
+
+
+@inlined
+def put_in(powers: Floats, chances: Floats, walls: Five, result: Floats) -> None:
+    """Set a polynomial at a wall: value, first and half the second derivative, two changes at random."""
+    for i in range(len(result)):
+        for part in range(3):
+            result[i, part] = 0.0
+            for wall in range(len(powers[part])):
+                result[i, part] += powers[part, wall, i] * walls[wall]
+        size = 0.0
+        for wall in range(len(powers[0])):
+            size += abs(powers[0, wall, i] * walls[wall])
+        result[i, 3], result[i, 4] = size * chances[0, i], size * chances[1, i]
+
+
+@compiled(f"void({POLYNOMIALS},UniTuple(f8[::1],2),{WORK},f8[:,:,::1],b1[::1])")
+def sums_in_doubles(polynomials: Arrays, walls: Arrays, work: Arrays, sums: Floats, good: Booleans) -> None:
+    """Compute `_by_recursion` in doubles, point by point, by polynomials in w.
+
+    Parameters
+    ----------
+    polynomials : tuple
+        Bottom and top of `_transforms`, and their `_chances`.
+    walls : tuple
+        alpha and beta, shape (n,).
+    work : tuple
+        Arrays that are used: polynomials at a wall, lowest powers of the top, the same over a size, sums.
+    sums, good : float64, shape (3, pairs, n); bool, shape (n,)
+        Which are set, sums where they are good.
+    """
+    bottom, top, bottom_chances, top_chances = polynomials
+    a, b, first, scaled, total = work
+    for n in range(len(good)):
+        alpha, beta = walls[0][n], walls[1][n]
+        wall = 1.0, alpha, beta, alpha * alpha, alpha * beta
+        put_in(bottom, bottom_chances, wall, a)
+        for r in range(len(b)):
+            put_in(top[:, :, r], top_chances[:, r], wall, b[r])
+        total[:] = 0.0
+        stable = True
+        for k in range(len(a) - 1):
+            lowest, over = part_of(a, k), inverse(part_of(a, k + 1))
+            size = times(lowest, part_of(a, k + 1))
+            stable = stable and size[0] > 0
+            share, over_size = times(lowest, over), inverse(size)
+            for r in range(len(b)):
+                put(first, r, part_of(b[r], k))
+                each = times(part_of(first, r), over)
+                put(scaled, r, times(part_of(first, r), over_size))
+                for i in range(k + 3, len(a), 2):
+                    add(b[r], i - 1, times(each, part_of(a, i)), -1.0)
+            for i in range(k + 3, len(a), 2):
+                add(a, i - 1, times(share, part_of(a, i)), -1.0)
+            pair = 0
+            for r in range(len(b)):
+                for c in range(r, len(b)):
+                    add(total, pair, times(part_of(first, r), part_of(scaled, c)), 1.0)
+                    pair += 1
+        doubt, pair = 0.0, 0
+        for r in range(len(b)):
+            own = pair
+            for c in range(r, len(b)):
+                other = len(total) - (len(b) - c) * (len(b) - c + 1) // 2
+                off = max(abs(total[pair, 3]), abs(total[pair, 4]))
+                both = total[own, 0] * total[other, 0] if total[own, 0] > 0 else 0.0
+                doubt = max(doubt, off / math.sqrt(both)) if both > 0 else math.inf
+                pair += 1
+        good[n] = stable and doubt * EPSILON < _ROUNDED
+        if good[n]:
+            for pair in range(len(total)):
+                for w in range(3):
+                    sums[w, pair, n] = total[pair, w] * max(w, 1)
 
 
 def _by_recursion(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str, kind: Any) -> tuple[Floats, Booleans]:
@@ -150,9 +293,13 @@ def _at(polynomials: np.ndarray, walls: np.ndarray) -> np.ndarray:
     """Return polynomials at walls with two more parts, changes at random; lowest power first, (5, ..., powers, n)."""
     found = np.tensordot(np.moveaxis(polynomials, 1, -1), walls, 1)
     terms = np.tensordot(np.moveaxis(np.abs(polynomials[0]), 0, -1), np.abs(walls), 1)
-    number = np.arange(terms[..., 0].size).reshape(*terms.shape[:-1], 1)
-    chance = np.cos([1.7 * number**2, 2.9 * number**2 + 1.0])
-    return np.concatenate([found, terms * _as(found.dtype.type, chance)])
+    return np.concatenate([found, terms * _as(found.dtype.type, _chances(terms.shape[:-1])[..., None])])
+
+
+def _chances(shape: tuple[int, ...]) -> Floats:
+    """Return two changes of terms, as if at random, shape (2, terms)."""
+    number = np.arange(math.prod(shape)).reshape(shape)
+    return np.cos([1.7 * number**2, 2.9 * number**2 + 1.0])
 
 
 def _times(x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -342,7 +342,7 @@ def roots(modal: Arrays, wall: tuple[float, float], zeta: Floats, forces: Floats
 
 @inlined
 def upper_half(zeta: Floats) -> int:
-    """Move real poles and those above the real axis to the front; return how many, or 0 if others are not their pairs."""
+    """Move real poles and those above the real axis to the front; return how many, 0 if the others are no pairs."""
     count, pairs = 0, 0
     for m in range(len(zeta)):
         place = zeta[m]
@@ -539,9 +539,7 @@ def below_a_peak(view: Floats, peak: float, sample: float) -> float:
 
 
 @inlined
-def settle(
-    course: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Arrays, b: int, cutoff: float
-) -> bool:
+def settle(course: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Arrays, b: int, cutoff: float) -> bool:
     """Follow a response into a band before its end, known from modes; return whether it is not too far before it.
 
     One that is outside the band at the cutoff is not followed.

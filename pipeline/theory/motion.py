@@ -16,7 +16,7 @@ from numpy.polynomial.legendre import leggauss
 from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, many_digits
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.records.trials import Floats, Integers
+from pipeline.records.trials import Floats
 
 DEGREE = 12
 """Of the polynomials: a piece is at most one radian, so the next term is below 1/13!."""
@@ -208,7 +208,7 @@ def own_basis(loop: NormalisedLoop) -> tuple[Floats, Floats]:
     p = len(sensor)
     basis = np.eye(own)[[0, 1, p, *range(2, p), *range(p + 1, own)]]
     basis[:2, :p] = sensor, sensor @ loop.device.matrix
-    return basis, np.linalg.inv(basis)
+    return basis, np.asarray(np.linalg.inv(basis))
 
 
 _MOST_POINTS = 1 << 22
