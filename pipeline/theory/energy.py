@@ -81,8 +81,7 @@ def energy_costs(loop: NormalisedLoop, alpha: object, beta: object, signal: str 
     sums, stiffness, one = _sums(loop, a, b, signal), a + loop.gamma, np.ones_like(a)
     # deviations of a step are relative to chi_inf, E/E_0 = e^2 + v^2/(alpha + gamma); an impulse starts with v = 1
     shares = np.array([one, 1 / stiffness] if signal == "step" else [stiffness, one])
-    shape = (2, 2, len(WEIGHTS))
-    summed = (_weights(loop).reshape(12, -1) @ sums.reshape(-1, len(a))).reshape(*shape, len(a))
+    summed = np.tensordot(_weights(loop), sums, 2)
     names = [f"energy_{signal}_w{w}{suffix}" for suffix in ("", "_discrete") for w in WEIGHTS]
     costs = (shares[:, None, None] * summed).sum(axis=0).reshape(len(names), len(a))
     return dict(zip(names, costs, strict=True))

@@ -76,8 +76,9 @@ GONE = 1e-30
 OUTWEIGHED = 0.99
 """Share of a leading negative mode that all others together may have for it to keep its sign."""
 
-WINDOW_SAMPLES, MAX_WINDOW_SAMPLES = 24, 1 << 22
-"""Samples in front of the end of an envelope that are followed first, and at most: it may lie far above the motion."""
+WINDOW_SAMPLES, MAX_WINDOW = 24, 16
+"""Samples in front of the end of an envelope that are followed first, and at most, times the limit of samples: it may lie
+far above the motion."""
 
 CLIMB_SAMPLES, MIN_JUMP_SAMPLES = 32, 2.0
 """Samples before it is looked again whether a response may exceed its peak, and the fewest that are left out."""
@@ -404,7 +405,7 @@ def told(state: Floats, start: Floats) -> bool:
         total, parts = 0.0, 0.0
         for m in range(len(state)):
             total += state[m, i].real
-            parts += math.sqrt(square(state[m, i]))
+            parts += abs(state[m, i].real) + abs(state[m, i].imag)
         largest, off = max(largest, parts), max(off, abs(total - start[i]))
         size, sizes = size + abs(start[i]), sizes + parts
     return off <= ROUNDED * largest and sizes <= CANCELLED * size
@@ -483,7 +484,11 @@ def agrees(state: Floats, view: Floats, body: Arrays, sample: int, reproduced: f
 @inlined
 def envelope_end(view: Floats, band: float, sample: float) -> float:
     """Return a time, from a sample on, from which on the sum of all sizes is inside the band, at most two too late."""
-    time = sample
+    time, slowest = sample, 0
+    for m in range(len(view)):
+        slowest = m if view[m, 0] < view[slowest, 0] else slowest
+    if view[slowest, 2] > band:
+        time = max(time, math.log(view[slowest, 2] / band) / view[slowest, 0])
     for _ in range(30):
         total, falls = 0.0, 0.0
         for m in range(len(view)):
@@ -546,7 +551,7 @@ def settle(course: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Ar
 
     ``ahead``: ``state`` and ``view`` of its modes, a sample, and what `climb` takes.
     """
-    state, view, since, _, _ = ahead
+    state, view, since, longest = ahead
     z, line, _, _, _, _, _, begun, begun_line = body
     settled, _, _, calm = notes
     last, window = math.ceil(envelope_end(view, asked[0][b], since)), WINDOW_SAMPLES
@@ -554,7 +559,7 @@ def settle(course: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Ar
         moved_to(math.ceil(cutoff), state, view, body)
         if abs(z[0]) > asked[0][b]:
             return False
-    while window < MAX_WINDOW_SAMPLES:
+    while window < MAX_WINDOW * longest:
         first = max(last - window, since)
         if first > since:
             moved_to(first, state, view, body)
@@ -575,16 +580,16 @@ def settle(course: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Ar
 def climb(course: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Arrays) -> bool:
     """Follow a response for so long as it may exceed its peak; return whether it cannot any more.
 
-    ``ahead`` as of `settle`: also the samples that it is followed for, and up to what it agrees with its modes.
+    ``ahead`` as of `settle`: also the samples that it is followed for.
     """
-    state, view, k, longest, reproduced = ahead
+    state, view, k, longest = ahead
     z, line, _, _, _, _, _, begun, begun_line = body
     _, _, peak, calm = notes
     copy(begun, z)
     copy(begun_line, line)
-    last, known = longest + k, True
+    last = longest + k
     while k < last:
-        free = below_a_peak(view, max(peak[1], asked[5]), k) if known else 0.0
+        free = below_a_peak(view, max(peak[1], asked[5]), k)
         if free == math.inf:
             return True
         if free >= MIN_JUMP_SAMPLES:
@@ -594,7 +599,6 @@ def climb(course: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Arr
         k, how = march(course, body, notes, (k, min(k + CLIMB_SAMPLES, last), 0, 0), asked)
         if how == STILL:
             return True
-        known = agrees(state, view, body, k, reproduced)
     return False
 
 
@@ -669,7 +673,7 @@ def step_costs(course: Arrays, modal: Arrays, walls: Arrays, asked: Arrays, give
             copy(line, begun_line)
         elif how == LATE or (how == MOVING and status[n] == KNOWN):
             status[n] = UNFINISHED if how == MOVING and calm[0] > memory else UNSETTLED | UNFINISHED
-        ahead = (state[:modes], view[:modes], k, longest, reproduced)
+        ahead = (state[:modes], view[:modes], k, longest)
         for b in range(count):
             met = settle(course, body, notes, ahead, later, b, rule[6]) if known else not status[n] & UNSETTLED
             costs[n, b], costs[n, count + 1 + b] = settled[b] + 1 if met else math.nan, math.nan

@@ -36,7 +36,7 @@ from pipeline.theory.search import (
     search_plane,
     where_stable,
 )
-from pipeline.theory.settling_overshoot import NO_OVERSHOOT, late_deviation, transient_costs
+from pipeline.theory.settling_overshoot import LONGEST, NO_OVERSHOOT, late_deviation, transient_costs
 
 UNDAMPED_LOSS = 1e-9
 """Distance of a damping ratio from 1 that is rounding: a threefold pole is split by 1e-5, which costs 2e-10."""
@@ -152,7 +152,10 @@ def energy(loop: NormalisedLoop, criterion: str, lowest: float = -np.inf) -> Cos
 def _soonest_settled(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
     if criterion.endswith(DISCRETE):
         return _settling_region(loop, SETTLING_BANDS[criterion_of(criterion).name], criterion)
-    return search(loop, settling(loop, criterion, int(_ENDLESS * (loop.delay + 1))))
+    try:
+        return search(loop, settling(loop, criterion, int(_ENDLESS * (loop.delay + 1))))
+    except ParameterError:  # no response of a first grid settles so soon
+        return search(loop, settling(loop, criterion, LONGEST))
 
 
 def settling(loop: NormalisedLoop, criterion: str, longest: int) -> Cost:
@@ -161,7 +164,7 @@ def settling(loop: NormalisedLoop, criterion: str, longest: int) -> Cost:
 
     def cost(a: Floats, b: Floats, best: float) -> Floats:
         found = transient_costs(
-            loop, a, b, (band,), overshoot=False, continuous=continuous, longest=longest, cutoff=min(best, longest)
+            loop, a, b, (band,), overshoot=False, continuous=continuous, longest=longest, cutoff=best
         )
         return found[criterion]
 
