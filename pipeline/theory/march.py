@@ -77,8 +77,8 @@ OUTWEIGHED = 0.99
 """Share of a leading negative mode that all others together may have for it to keep its sign."""
 
 WINDOW_SAMPLES, MAX_WINDOW = 24, 16
-"""Samples in front of the end of an envelope that are followed first, and at most, times the limit of samples: it may lie
-far above the motion."""
+"""Samples in front of the end of an envelope that are followed first, and at most, times the limit of samples: it may
+lie far above the motion."""
 
 CLIMB_SAMPLES, MIN_JUMP_SAMPLES = 32, 2.0
 """Samples before it is looked again whether a response may exceed its peak, and the fewest that are left out."""

@@ -36,7 +36,7 @@ from pipeline.theory.search import (
     search_plane,
     where_stable,
 )
-from pipeline.theory.settling_overshoot import LONGEST, NO_OVERSHOOT, late_deviation, transient_costs
+from pipeline.theory.settling_overshoot import NO_OVERSHOOT, late_deviation, transient_costs
 
 UNDAMPED_LOSS = 1e-9
 """Distance of a damping ratio from 1 that is rounding: a threefold pole is split by 1e-5, which costs 2e-10."""
@@ -47,6 +47,9 @@ tenth of it."""
 
 _ENDLESS = 60
 """Samples, times d + 1, after which a response counts as not settled in a search; optima settle in about 5 (d + 1)."""
+
+_ENDLESS_LOSS = 1e-9
+"""Distance of the smallest pole radius from 1 below which no response settles in a search."""
 
 _IMPULSE_INSET = 0.002
 """Share of the width by which the first grid for an impulse stays clear of alpha = -gamma."""
@@ -154,8 +157,11 @@ def _soonest_settled(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
         return _settling_region(loop, SETTLING_BANDS[criterion_of(criterion).name], criterion)
     try:
         return search(loop, settling(loop, criterion, int(_ENDLESS * (loop.delay + 1))))
-    except ParameterError:  # no response of a first grid settles so soon
-        return search(loop, settling(loop, criterion, LONGEST))
+    except ParameterError:  # no response of a first grid settles
+        slowest = _smallest_radius(loop)
+        if slowest.cost < 1 - _ENDLESS_LOSS:
+            raise
+        return replace(slowest, cost=np.nan)
 
 
 def settling(loop: NormalisedLoop, criterion: str, longest: int) -> Cost:
