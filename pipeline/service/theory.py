@@ -15,7 +15,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.service.problems import Problem
-from pipeline.theory.cases import LARGEST, Case, boundary_document, case_of, optimum_document, point_documents
+from pipeline.theory.cases import LARGEST, Case, best_wall, case_of, costs_of_walls, limits_of_walls
 
 WAIT_S = 2.0
 """Time that a request waits for another one [s]: those that wait keep others from being answered."""
@@ -84,8 +84,8 @@ def document(what: str, of: Sequence[Any], *values: Any) -> Any:
     """
     case = case_of_loop(of)
     if what != "points":
-        return boundary_document(case) if what == "boundary" else optimum_document(case, *values)
+        return (limits_of_walls(case) if what == "boundary" else best_wall(case, *values)).to_json()
     walls = np.array(values[0], dtype=np.float64)
     if np.abs(walls).max() > LARGEST:
         raise ParameterError(f"{' or '.join(case.axes)}: expected at most {LARGEST:g}.")
-    return point_documents(case, walls)
+    return costs_of_walls(case, walls).to_json()

@@ -21,7 +21,7 @@ from pipeline.rendering.figures.drawing import Series, write_picture
 from pipeline.rendering.frames import units_of
 from pipeline.rendering.labels import UNITS
 from pipeline.theory.boundary import boundary, robust_outline, stiffness_limit
-from pipeline.theory.cases import POINT_COSTS, Case, islands_in_si, optimum_document, point_documents
+from pipeline.theory.cases import POINT_COSTS, Case, best_wall, costs_of_walls, named_islands
 from pipeline.theory.costs import MAP_DEFAULT, CostMap
 from pipeline.theory.curves import Curve, best_damping, best_stiffness
 from pipeline.theory.motion import response
@@ -181,7 +181,7 @@ class Loop(device_loop.Loop):
             "damping_at_stiffness_max": border.beta_at_alpha_max * self.units.damping,
             "damping_max": border.beta_max * self.units.damping,
             "stiffness_at_damping_max": border.alpha_at_beta_max * self.units.stiffness,
-            "islands": islands_in_si(border.islands, self.units),
+            "islands": named_islands(border.islands * (self.units.damping, self.units.stiffness, self.units.stiffness)),
         }
         return frame
 
@@ -207,10 +207,10 @@ class Loop(device_loop.Loop):
             If lengths differ, a value is not finite, or a criterion is unknown.
         """
         K, B = _as_walls(stiffness, damping)
-        rows = point_documents(Case(self.normalised_loop, self.units), np.stack([K, B], axis=1), criteria)
-        kinds = {"stable": np.bool_, "reason": np.object_}
-        names = ("stiffness", "damping", "stable", "spectral_radius", *criteria, "reason")
-        return self._frame({name: np.array([row[name] for row in rows], kinds.get(name, np.float64)) for name in names})
+        walls = costs_of_walls(Case(self.normalised_loop, self.units), np.stack([K, B], axis=1), criteria)
+        told = {"stable": walls.stable, "spectral_radius": walls.spectral_radius}
+        reason = np.array(walls.reason, np.object_)
+        return self._frame({"stiffness": K, "damping": B, **told, **walls.costs, "reason": reason})
 
     def limits(self, damping: object, *, step: float | None = None, samples: int = 400) -> pd.DataFrame:
         """Return the limits of stability at dampings.
@@ -306,10 +306,9 @@ class Loop(device_loop.Loop):
 
         Source: Hulin 2017, ch. 5.
         """
-        found = optimum_document(Case(self.normalised_loop, self.units), criterion)
-        box = tuple(found["box"].values()) if "box" in found else None
-        values = {f.name: found.get(f.name) for f in fields(LoopOptimum)}
-        return LoopOptimum(**values | {"box": box, "left_out": self.left_out})
+        best = best_wall(Case(self.normalised_loop, self.units), criterion)
+        wall = best.criterion, best.stiffness, best.damping
+        return LoopOptimum(*wall, best.cost, best.reason, best.box, best.note, self.left_out)
 
     def best_damping(self, stiffness: object, criterion: str) -> pd.DataFrame:
         """Return the best damping for each stiffness by a criterion.

@@ -1,6 +1,7 @@
-"""Documents of theory for command line, REST and Python: limits, costs of listed walls, optima.
+"""Answers of theory for command line, REST and Python: limits, costs of listed walls, optima.
 
-What cannot be computed is None, with the reason beside it. `pipeline.theory.costs` makes maps of the same costs.
+Each answer is a record, with its JSON document by ``to_json`` and its rows by ``columns``. A number that cannot be
+computed is NaN in a record and None in a document, with the reason. `pipeline.theory.costs` makes maps of the same.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, with_discrete
-from pipeline.records.trials import Floats
+from pipeline.records.trials import Booleans, Floats
 from pipeline.theory.boundary import boundary, has_islands, is_well_inside, outline
 from pipeline.theory.costs import check_criteria, point_costs_by_name
 from pipeline.theory.optimum import POINT_CRITERIA, marked_point, optimal_point
@@ -25,7 +26,7 @@ from pipeline.theory.poles import spectral_radius, stable_by_radius
 from pipeline.theory.settling_overshoot import LONGEST
 
 if TYPE_CHECKING:  # its classes take longer to load than a short command to run
-    from pipeline.records.models import Device, Experiment
+    from pipeline.records.models import Device, Experiment, Motion
 
 WALL_COLUMNS = ("stiffness", "damping")
 """Columns of a CSV file of walls in SI."""
@@ -68,11 +69,14 @@ class Case:
         Of the wall, where it is told in SI.
     names : dict
         What else is said of the loop; without units its normalised parameters.
+    motion : {"translation", "rotation"}, optional
+        Of a device: decides the units that files name.
     """
 
     loop: NormalisedLoop
     units: LoopUnits | None = None
     names: dict[str, Any] = field(default_factory=dict)
+    motion: Motion | None = None
 
     @property
     def axes(self) -> tuple[str, str]:
@@ -104,7 +108,7 @@ def case_of(device: Device, experiment: Experiment) -> Case:
         "parts": table.model_dump(mode="json", exclude_defaults=True, exclude={"friction"}),
         "left_out": list(loop.left_out),
     }
-    return Case(NormalisedLoop.of(loop), LoopUnits.of(loop), names)
+    return Case(NormalisedLoop.of(loop), LoopUnits.of(loop), names, device.motion)
 
 
 @dataclass(frozen=True)
@@ -128,15 +132,15 @@ def tested_grid(device: Device, experiment: Experiment) -> Grid:
     e = experiment
     if e.damping_last is None or e.damping_step is None or e.stiffness_step is None:
         case = case_of(device, experiment)
-        found = boundary_document(case, points=GRID_STIFFNESSES)
-        last = max(found["damping"]) / 2 if e.damping_last is None else e.damping_last
+        limits = limits_of_walls(case, points=GRID_STIFFNESSES)
+        last = float(np.nanmax(limits.damping)) / 2 if e.damping_last is None else e.damping_last
         last = max(last, e.damping_first)
         step = (last - e.damping_first) / (GRID_DAMPINGS - 1) or case.scale[1]
         return Grid(
             e.damping_first,
             last,
             rounded(step) if e.damping_step is None else e.damping_step,
-            rounded(found["stiffness_max"] / GRID_STIFFNESSES) if e.stiffness_step is None else e.stiffness_step,
+            rounded(limits.stiffness_max / GRID_STIFFNESSES) if e.stiffness_step is None else e.stiffness_step,
         )
     return Grid(e.damping_first, e.damping_last, e.damping_step, e.stiffness_step)
 
@@ -210,14 +214,55 @@ def read_cases(path: Path, columns: tuple[str, ...] = CASE_COLUMNS) -> Cases:
     return Cases(path, values, tuple(row for row, _ in lines))
 
 
-def case_documents(cases: Cases, criteria: Sequence[str] = POINT_COSTS) -> list[dict[str, Any]]:
-    """Return `point_documents` of rows with `CASE_COLUMNS`, in the order of the file.
+@dataclass(frozen=True, eq=False)
+class PointCosts:
+    """Stability and costs of walls.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Columns of a wall, and of its loop where that is normalised.
+    walls : float64, shape (n, names)
+    stable : bool, shape (n,)
+    spectral_radius : float64, shape (n,)
+    costs : dict of float64, shape (n,)
+        By criterion; NaN where there is none.
+    reason : tuple of str or None, n
+        Why costs are NaN.
+    left_out : tuple of str, optional
+        Parts of a device that its loop does not include.
+    """
+
+    names: tuple[str, ...]
+    walls: Floats
+    stable: Booleans
+    spectral_radius: Floats
+    costs: dict[str, Floats]
+    reason: tuple[str | None, ...]
+    left_out: tuple[str, ...] | None = None
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return the columns of a table, None where a cost is NaN."""
+        walls = {name: values.tolist() for name, values in zip(self.names, self.walls.T, strict=True)}
+        told = {"stable": self.stable.tolist(), "spectral_radius": self.spectral_radius.tolist()}
+        costs = {name: _listed(values) for name, values in self.costs.items()}
+        return {**walls, **told, **costs, "reason": list(self.reason)}
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """Return the document of ``theory points``: a row of the columns for each wall."""
+        columns, more = self.columns(), {} if self.left_out is None else {"left_out": list(self.left_out)}
+        return [dict(zip(columns, row, strict=True)) | more for row in zip(*columns.values(), strict=True)]
+
+
+def costs_of_cases(cases: Cases, criteria: Sequence[str] = POINT_COSTS) -> PointCosts:
+    """Return stability and costs of rows with `CASE_COLUMNS`, in the order of the file.
 
     Raises
     ------
     ParameterError
         For an unknown criterion, or if a value of a row is outside its range.
     """
+    check_criteria(criteria)
     for name, values in zip(CASE_COLUMNS[:2], cases.values.T, strict=False):
         too_large = np.flatnonzero(np.abs(values) > LARGEST)
         if len(too_large):
@@ -225,7 +270,9 @@ def case_documents(cases: Cases, criteria: Sequence[str] = POINT_COSTS) -> list[
                 f"{cases.path}, row {cases.row[too_large[0]]}, column {name}: expected at most {LARGEST:g}, found "
                 f"{values[too_large[0]]:g}."
             )
-    documents: list[dict[str, Any]] = [{} for _ in cases.row]
+    count = len(cases.row)
+    stable, radius, reason = np.zeros(count, np.bool_), np.full(count, np.nan), np.full(count, None)
+    costs = {name: np.full(count, np.nan) for name in criteria}
     plants, group = np.unique(cases.values[:, 2:], axis=0, return_inverse=True)
     for number, plant in enumerate(plants):
         members = np.flatnonzero(group.ravel() == number)
@@ -234,12 +281,32 @@ def case_documents(cases: Cases, criteria: Sequence[str] = POINT_COSTS) -> list[
             loop = NormalisedLoop.ideal(gamma, delta, delay)
         except ParameterError as error:
             raise ParameterError(f"{cases.path}, row {cases.row[members[0]]}: {error}") from error
-        for index, document in zip(members, point_documents(Case(loop), cases.values[members], criteria), strict=True):
-            documents[index] = document
-    return documents
+        part = costs_of_walls(Case(loop), cases.values[members], criteria)
+        stable[members], radius[members], reason[members] = part.stable, part.spectral_radius, part.reason
+        for name, values in costs.items():
+            values[members] = part.costs[name]
+    return PointCosts(CASE_COLUMNS, cases.values, stable, radius, costs, tuple(reason))
 
 
-def point_documents(case: Case, walls: Floats, criteria: Sequence[str] = POINT_COSTS) -> list[dict[str, Any]]:
+def one_case(cases: Cases) -> Case:
+    """Return the loop of all rows with `CASE_COLUMNS`, of which a picture is drawn.
+
+    Raises
+    ------
+    ParameterError
+        If there are several, or none.
+    """
+    plants = np.unique(cases.values[:, 2:], axis=0)
+    if len(plants) != 1:
+        raise ParameterError(
+            f"{cases.path}: a picture shows the points of one loop, found {len(plants)} different rows of gamma, delta "
+            "and delay. Give a file for each loop."
+        )
+    gamma, delta, delay = map(float, plants[0])
+    return Case(NormalisedLoop.ideal(gamma, delta, delay))
+
+
+def costs_of_walls(case: Case, walls: Floats, criteria: Sequence[str] = POINT_COSTS) -> PointCosts:
     """Return stability and costs of walls.
 
     Parameters
@@ -248,14 +315,7 @@ def point_documents(case: Case, walls: Floats, criteria: Sequence[str] = POINT_C
     walls : float64, shape (n, 2 or more)
         Stiffness and damping in the case's units.
     criteria : sequence of str
-        As of `map.CostMap`.
-
-    Returns
-    -------
-    list of dict
-        Stiffness and damping, ``stable``, ``spectral_radius``, the cost by each criterion (None where it cannot be
-        had) and ``reason`` (why costs are None, else None); normalised ones with the loop's parameters, those of a
-        device with ``left_out``.
+        As of `costs.CostMap`.
 
     Raises
     ------
@@ -274,20 +334,22 @@ def point_documents(case: Case, walls: Floats, criteria: Sequence[str] = POINT_C
     loop, (alpha, beta) = case.loop, walls[:, :2].T / np.array(case.scale)[:, None]
     radius = spectral_radius(loop, alpha, beta)
     stable = stable_by_radius(loop, alpha, radius)
-    usable, found = np.flatnonzero(stable & (radius < 1 - MARGINAL)), np.full((len(criteria), len(walls)), np.nan)
+    usable = np.flatnonzero(stable & (radius < 1 - MARGINAL))
     known = point_costs_by_name(loop, alpha[usable], beta[usable], criteria, LONGEST)
-    for row, name in zip(found, criteria, strict=True):
-        row[usable] = known[name]
-    result = []
-    for i, wall in enumerate(walls):
-        costs = dict(zip(criteria, _listed(found[:, i]), strict=True))
-        missing = [name for name, cost in costs.items() if cost is None]
-        document: dict[str, Any] = {case.axes[0]: float(wall[0]), case.axes[1]: float(wall[1])}
-        document |= case.said if case.units is None else {}
-        document |= {"stable": bool(stable[i]), "spectral_radius": float(radius[i])}
-        document |= {**costs, "reason": _why_missing(loop, float(alpha[i]), float(radius[i]), missing)}
-        result.append(document | ({"left_out": case.names["left_out"]} if case.names else {}))
-    return result
+    costs = {name: np.full(len(walls), np.nan) for name in criteria}
+    for name, values in costs.items():
+        values[usable] = known[name]
+    reason = tuple(
+        _why_missing(loop, a, r, [name for name in criteria if math.isnan(costs[name][i])])
+        for i, (a, r) in enumerate(zip(alpha.tolist(), radius.tolist(), strict=True))
+    )
+    names: tuple[str, ...] = case.axes
+    values = walls[:, :2]
+    if case.units is None:
+        names, plant = CASE_COLUMNS, [getattr(loop, name) for name in CASE_COLUMNS[2:]]
+        values = np.column_stack([values, np.broadcast_to(plant, (len(walls), len(plant)))])
+    left_out = tuple(case.names["left_out"]) if case.names else None
+    return PointCosts(names, values, stable, radius, costs, reason, left_out)
 
 
 def _why_missing(loop: NormalisedLoop, alpha: float, radius: float, missing: list[str]) -> str | None:
@@ -301,11 +363,59 @@ def _why_missing(loop: NormalisedLoop, alpha: float, radius: float, missing: lis
     return f"still moves after {LONGEST} samples: no {', '.join(missing)}" if missing else None
 
 
-def boundary_document(case: Case, points: int = 400) -> dict[str, Any]:
-    """Return the limit of walls with its extreme points, as the document that `theory boundary` prints.
+@dataclass(frozen=True, eq=False)
+class Boundary:
+    """The limit of walls with its extremes, in the units of a case.
 
-    LoopUnits it is the whole boundary; in SI that of walls with stiffness, over damping, with islands beside it; None
-    lies between separate regions.
+    Parameters
+    ----------
+    case : Case
+    stiffness, damping : float64, shape (n,)
+        Points along it; NaN between separate regions.
+    stiffest, most_damped : (float, float), optional
+        Stiffness and damping at the largest stiffness, and at the largest damping; None where there is none.
+    islands : float64, shape (i, 3)
+        Stable intervals beyond an unstable gap: damping, smallest and largest stiffness.
+    """
+
+    case: Case
+    stiffness: Floats
+    damping: Floats
+    stiffest: tuple[float, float] | None
+    most_damped: tuple[float, float] | None
+    islands: Floats
+
+    @property
+    def stiffness_max(self) -> float:
+        """Largest stable stiffness; NaN where there is none."""
+        return math.nan if self.stiffest is None else self.stiffest[0]
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return the points of a table: stiffness, damping, and the number of the separate region, from 0 on."""
+        known = ~np.isnan(self.stiffness)
+        values = {name: part[known].tolist() for name, part in zip(self.case.axes, self.curve, strict=True)}
+        return {**values, "region": np.cumsum(~known)[known].tolist()}
+
+    @property
+    def curve(self) -> tuple[Floats, Floats]:
+        """Stiffness and damping."""
+        return self.stiffness, self.damping
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the document of ``theory boundary``."""
+        k, b = self.case.axes
+        stiffest, most_damped = self.stiffest or (None, None), self.most_damped or (None, None)
+        document = {**self.case.said, f"{k}_max": stiffest[0], f"{b}_at_{k}_max": stiffest[1]}
+        if self.case.units is None:
+            document |= {f"{b}_max": most_damped[1], f"{k}_at_{b}_max": most_damped[0]}
+        document |= {k: _listed(self.stiffness), b: _listed(self.damping)}
+        return document if self.case.units is None else document | {"islands": named_islands(self.islands)}
+
+
+def limits_of_walls(case: Case, points: int = 400) -> Boundary:
+    """Return the limit of walls.
+
+    Normalised it is the whole boundary; in SI that of walls with stiffness, over damping, and islands.
 
     Raises
     ------
@@ -314,44 +424,38 @@ def boundary_document(case: Case, points: int = 400) -> dict[str, Any]:
 
     Source: Hulin 2017, sec. 3.4.
     """
-    (k, b), (stiffness, damping) = case.scale, case.axes
+    k, b = case.scale
     if case.units is None:
         border = boundary(case.loop, points)
-        extremes = {
-            f"{stiffness}_max": border.alpha_max,
-            f"{damping}_at_{stiffness}_max": border.beta_at_alpha_max,
-            f"{damping}_max": border.beta_max,
-            f"{stiffness}_at_{damping}_max": border.alpha_at_beta_max,
-        }
-        return {**case.said, **extremes, stiffness: _listed(border.alpha), damping: _listed(border.beta)}
-    found = outline(case.loop, points)
-    if not len(found.beta) and not len(found.islands):
+        stiffest, most_damped = (
+            (border.alpha_max, border.beta_at_alpha_max),
+            (border.alpha_at_beta_max, border.beta_max),
+        )
+        return Boundary(case, border.alpha, border.beta, stiffest, most_damped, border.islands)
+    limits = outline(case.loop, points)
+    if not len(limits.beta) and not len(limits.islands):
         raise ParameterError(
             f"device {case.names['device']!r}, experiment {case.names['experiment']!r}: no stiffness and damping "
             "stabilise this loop. Check delay, lag and filter in the device file."
         )
-    gaps = np.flatnonzero(np.diff(found.part)) + 1
-    return {
-        **case.said,
-        "stiffness_max": float(found.alpha_max * k) if len(found.beta) else None,
-        "damping_at_stiffness_max": float(found.beta_at_alpha_max * b) if len(found.beta) else None,
-        stiffness: _listed(np.insert(found.alpha * k, gaps, np.nan)),
-        damping: _listed(np.insert(found.beta * b, gaps, np.nan)),
-        "islands": islands_in_si(found.islands, case.units),
-    }
+    gaps, some = np.flatnonzero(np.diff(limits.part)) + 1, len(limits.beta) > 0
+    return Boundary(
+        case,
+        np.insert(limits.alpha * k, gaps, np.nan),
+        np.insert(limits.beta * b, gaps, np.nan),
+        (float(limits.alpha_max * k), float(limits.beta_at_alpha_max * b)) if some else None,
+        (float(limits.alpha[-1] * k), float(limits.beta[-1] * b)) if some else None,
+        limits.islands * (b, k, k),
+    )
 
 
 def _listed(values: Floats) -> list[float | None]:
     return [None if math.isnan(value) else value for value in values.tolist()]
 
 
-def islands_in_si(islands: Floats, units: LoopUnits) -> list[dict[str, float]]:
-    """Return stable intervals, shape (n, 3) as of `Limits`, by name."""
-    k, b = units.stiffness, units.damping
-    return [
-        {"damping": float(beta * b), "stiffness_low": float(low * k), "stiffness_high": float(high * k)}
-        for beta, low, high in islands
-    ]
+def named_islands(islands: Floats) -> list[dict[str, float]]:
+    """Return stable intervals in SI, shape (n, 3), by name."""
+    return [dict(zip(("damping", "stiffness_low", "stiffness_high"), row, strict=True)) for row in islands.tolist()]
 
 
 def _unstable_rule(loop: NormalisedLoop, alpha: float, beta: float) -> str | None:
@@ -366,8 +470,60 @@ def _unstable_rule(loop: NormalisedLoop, alpha: float, beta: float) -> str | Non
     return None
 
 
-def optimum_document(case: Case, criterion: str, signal: str | None = None) -> dict[str, Any]:
-    """Return the optimal point of a criterion as the document that `theory optimum` prints.
+@dataclass(frozen=True)
+class Optimum:
+    """Best wall by a criterion, in the units of a case.
+
+    Parameters
+    ----------
+    case : Case
+    criterion : str
+    stiffness, damping : float
+    cost : float, optional
+    reason : str, optional
+        Why there is no cost, or that it is a limit that no stable point reaches.
+    note : str, optional
+        Walls that were not searched, a negative stiffness, or an unstable tuning.
+    box : tuple of float, optional
+        Smallest and largest stiffness, then damping, of equally good walls.
+    """
+
+    case: Case
+    criterion: str
+    stiffness: float
+    damping: float
+    cost: float | None
+    reason: str | None = None
+    note: str | None = None
+    box: tuple[float, float, float, float] | None = None
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return the one row of a table."""
+        wall = dict(zip(self.case.axes, (self.stiffness, self.damping), strict=True))
+        row = {"criterion": self.criterion, **wall, "cost": self.cost, **self._ends}
+        return {name: [value] for name, value in (row | {"reason": self.reason, "note": self.note}).items()}
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the document of ``theory optimum``."""
+        k, b = self.case.axes
+        document = {
+            "criterion": self.criterion,
+            **self.case.said,
+            k: self.stiffness,
+            b: self.damping,
+            "cost": self.cost,
+        }
+        document |= {name: text for name, text in (("reason", self.reason), ("note", self.note)) if text}
+        return document | ({"box": self._ends} if self.box is not None else {})
+
+    @property
+    def _ends(self) -> dict[str, float]:
+        names = [f"{axis}_{end}" for axis in self.case.axes for end in ("low", "high")]
+        return dict(zip(names, self.box, strict=True)) if self.box is not None else {}
+
+
+def best_wall(case: Case, criterion: str, signal: str | None = None) -> Optimum:
+    """Return the best wall by a criterion.
 
     Parameters
     ----------
@@ -392,34 +548,24 @@ def optimum_document(case: Case, criterion: str, signal: str | None = None) -> d
         raise ParameterError(f"signal {signal!r}: expected continuous or discrete.")
     if signal == "continuous" and criterion.endswith(DISCRETE):
         raise ParameterError(f"criterion {criterion!r} is a discrete one, but the signal is continuous.")
-    loop, (k, b), (stiffness, damping) = case.loop, case.scale, case.axes
+    loop, (k, b) = case.loop, case.scale
     if criterion in POINT_CRITERIA:
         mark = marked_point(loop, criterion)
         rule = criterion == "ziegler_nichols"
         reason = "a tuning rule has no cost" if rule else "a point of the stability boundary has no cost"
-        wall = {stiffness: mark.alpha * k, damping: mark.beta * b}
-        document = {"criterion": criterion, **case.said, **wall, "cost": None, "reason": reason}
         note = _unstable_rule(loop, mark.alpha, mark.beta) if rule else None
-        return document | ({"note": note} if note else {})
+        return Optimum(case, criterion, mark.alpha * k, mark.beta * b, None, reason, note)
     # criteria of the poles have no sampled response
     name = sampled if signal == "discrete" and (sampled := f"{criterion}{DISCRETE}") in known else criterion
     point = optimal_point(loop, name)
-    document = {"criterion": name, **case.said, stiffness: point.alpha * k, damping: point.beta * b, "cost": point.cost}
+    cost, why = point.cost, None
     if not point.attained:
-        document["reason"] = "a limit at the edge of the stable region, which no stable point reaches"
+        why = "a limit at the edge of the stable region, which no stable point reaches"
     elif float(spectral_radius(loop, point.alpha, point.beta)[0]) >= 1 - MARGINAL:
-        document["cost"] = None
-        document["reason"] = (
-            f"spectral radius within {MARGINAL:g} of 1 wherever it is stable: costs would be rounding errors"
-        )
-    notes = [_ISLANDS] if has_islands(loop) else []
-    if point.alpha < 0:
-        notes.append(_NEGATIVE)
-    if notes:
-        document["note"] = "; ".join(notes)
-    if point.box is not None:
-        ends = [f"{axis}_{end}" for axis in case.axes for end in ("low", "high")]
-        document["box"] = dict(
-            zip(ends, (value * scale for value, scale in zip(point.box, (k, k, b, b), strict=True)), strict=True)
-        )
-    return document
+        why = f"spectral radius within {MARGINAL:g} of 1 wherever it is stable: costs would be rounding errors"
+    elif math.isnan(cost):
+        why = "no response settles in the samples that a search follows"
+    notes = [text for text, is_so in ((_ISLANDS, has_islands(loop)), (_NEGATIVE, point.alpha < 0)) if is_so]
+    ends = point.box and (point.box[0] * k, point.box[1] * k, point.box[2] * b, point.box[3] * b)
+    known_cost = None if math.isnan(cost) or (why and point.attained) else cost
+    return Optimum(case, name, point.alpha * k, point.beta * b, known_cost, why, "; ".join(notes) or None, ends)

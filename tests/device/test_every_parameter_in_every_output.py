@@ -35,7 +35,7 @@ from pipeline.simulation.course import run_course, write_course
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
 from pipeline.surface.identify import device_text, identified_device
-from pipeline.theory.cases import Case, boundary_document, case_of
+from pipeline.theory.cases import Case, case_of, limits_of_walls
 
 MODE = {"frequency_hz": 60.0, "damping_ratio": 0.02, "mass": 0.15, "load_damping": 1.0}
 KALMAN = {"kind": "kalman", "acceleration": 300.0, "noise": 1e-3}
@@ -334,7 +334,7 @@ def theory_by_command(cell: Cell) -> None:
 def theory_documents(cell: Cell) -> None:
     """The document of ``theory boundary``, with fewer points than the command's."""
     case: Case = case_of(read_device(cell.file), read_device(cell.file).experiments[0])
-    document = boundary_document(case, 12)
+    document = limits_of_walls(case, 12).to_json()
     cell.reports(document["left_out"])
     K, B = document["stiffness_max"], document["damping_at_stiffness_max"]
     assert radius(cell.loop, 0.9999 * K, B) < 1 < radius(cell.loop, 1.001 * K, B)

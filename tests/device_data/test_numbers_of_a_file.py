@@ -19,7 +19,7 @@ from pipeline.service.theory import document as rest
 from pipeline.simulation.course import run_course, write_course
 from pipeline.simulation.setup import setup_of
 from pipeline.surface.physical_loop import Loop
-from pipeline.theory.cases import boundary_document, case_of, optimum_document, point_documents
+from pipeline.theory.cases import best_wall, case_of, costs_of_walls, limits_of_walls
 
 FOUR = {"mass": 1.0, "damping": 3.0, "sampling_period_s": 0.001, "delay_samples": 2.0}
 NUMBERS: dict[str, Any] = {
@@ -93,7 +93,7 @@ def test_an_integer_period_needs_no_more_keys(tmp_path: Path, period: int) -> No
     assert (device.duration_s, device.baseline_s) == (1000.0 * period, 20.0 * period)
     case = case_of(device, device.experiments[0])
     other = read_device(written(tmp_path, sampling_period_s=float(period)))
-    assert boundary_document(case, 20) == boundary_document(case_of(other, other.experiments[0]), 20)
+    assert limits_of_walls(case, 20).to_json() == limits_of_walls(case_of(other, other.experiments[0]), 20).to_json()
 
 
 ABSURD = ("1e-300", "1e300", "5e-324", "-1e300", f"1{'0' * 400}", "1e-31", "1e31")
@@ -115,7 +115,10 @@ def test_sizes_at_the_end_are_an_answer_or_an_error(tmp_path: Path, key: str, va
     with warnings.catch_warnings(), suppress(PipelineError):
         warnings.simplefilter("error")
         case = case_of(device, device.experiments[0])
-        found = boundary_document(case, 12)["stiffness_max"], optimum_document(case, "pole_radius")["stiffness"]
+        found = (
+            limits_of_walls(case, 12).to_json()["stiffness_max"],
+            best_wall(case, "pole_radius").to_json()["stiffness"],
+        )
         json.dumps(found, allow_nan=False)
 
 
@@ -124,7 +127,7 @@ def test_a_wall_too_large_for_a_number_is_refused(tmp_path: Path) -> None:
 
     device = read_device(written(tmp_path))
     with pytest.raises(PipelineError, match="stiffness: expected at most"):
-        point_documents(case_of(device, device.experiments[0]), np.array([[1e300, 1.0]]))
+        costs_of_walls(case_of(device, device.experiments[0]), np.array([[1e300, 1.0]])).to_json()
 
 
 def test_a_trial_of_too_many_rows_is_refused(tmp_path: Path) -> None:
@@ -154,7 +157,7 @@ def test_theory_takes_the_mean_of_a_delay_that_jitters(jittering: Path) -> None:
     assert case.loop.delay == loop.delay_samples == mean == setup_of(device, device.experiments[0]).mean_delay_samples
     assert loop.left_out == ("friction", "jitter")
     assert loop.boundary(20).attrs["left_out"] == ["friction", "jitter"]
-    found = boundary_document(case, 40)
+    found = limits_of_walls(case, 40).to_json()
     drawn = device.experiments[0].jitter_samples
     assert (found["delay_samples"], found["delay_samples_low"], found["delay_samples_high"]) == (
         mean,

@@ -20,7 +20,7 @@ from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.theory import cases as theory
 from pipeline.theory import modes
 from pipeline.theory.boundary import robust_outline
-from pipeline.theory.cases import LARGEST, Case, Cases, case_documents, optimum_document
+from pipeline.theory.cases import LARGEST, Case, Cases, best_wall, costs_of_cases
 
 HEADER = "alpha,beta,gamma,delta,delay\n"
 
@@ -33,7 +33,7 @@ def written(tmp_path, text):
 
 def points(tmp_path, *rows):
     text = HEADER + "".join(",".join(str(v) for v in row) + "\n" for row in rows)
-    return case_documents(theory.read_cases(written(tmp_path, text)))
+    return costs_of_cases(theory.read_cases(written(tmp_path, text))).to_json()
 
 
 def test_a_cost_that_takes_too_long_is_named_and_the_others_stand(tmp_path, monkeypatch):
@@ -131,7 +131,7 @@ def test_columns_may_come_in_any_order_with_others_between(tmp_path):
 )
 def test_wrong_cases_are_named_with_their_row(tmp_path, text, message):
     with pytest.raises(ParameterError, match=r"cases\.csv.*" + message):
-        case_documents(theory.read_cases(written(tmp_path, text)))
+        costs_of_cases(theory.read_cases(written(tmp_path, text))).to_json()
 
 
 def test_missing_and_binary_files_are_named(tmp_path):
@@ -151,7 +151,7 @@ def test_header_alone_is_an_empty_list(tmp_path):
     [((0, 0, 1), 0.14447, 0.425, 0.82843), ((0.001, 0.02, 4), 0.02567, 0.178, 0.32929)],  # B.1, B.4
 )
 def test_boundary_document_reproduces_table_b(plant_of, alpha_max, beta_at, beta_max):
-    found = theory.boundary_document(Case(NormalisedLoop.ideal(*plant_of)))
+    found = theory.limits_of_walls(Case(NormalisedLoop.ideal(*plant_of))).to_json()
     assert found["alpha_max"] == pytest.approx(alpha_max, abs=5e-6)
     assert found["beta_at_alpha_max"] == pytest.approx(beta_at, abs=1e-3)
     assert found["beta_max"] == pytest.approx(beta_max, abs=5e-6)
@@ -161,29 +161,29 @@ def test_boundary_document_reproduces_table_b(plant_of, alpha_max, beta_at, beta
 
 def test_optima_on_the_boundary_have_no_cost():
     # Table C.1
-    largest = optimum_document(Case(NormalisedLoop.ideal(0.001, 0.02, 0)), "alpha_max")
+    largest = best_wall(Case(NormalisedLoop.ideal(0.001, 0.02, 0)), "alpha_max").to_json()
     assert (largest["alpha"], largest["beta"]) == pytest.approx((0.7127, 0.82423), abs=5e-5)
     assert largest["cost"] is None
     assert largest["reason"]
-    top = optimum_document(Case(NormalisedLoop.ideal(0.001, 0.02, 0)), "beta_max")
+    top = best_wall(Case(NormalisedLoop.ideal(0.001, 0.02, 0)), "beta_max").to_json()
     assert (top["alpha"], top["beta"]) == pytest.approx((-0.001, 2.0270), abs=5e-5)
 
 
 def test_criteria_without_cost_or_point_say_so():
-    tuning = optimum_document(Case(NormalisedLoop.ideal(0, 0, 1)), "ziegler_nichols")
+    tuning = best_wall(Case(NormalisedLoop.ideal(0, 0, 1)), "ziegler_nichols").to_json()
     assert (tuning["alpha"], tuning["beta"]) == pytest.approx((0.056, 0.373), abs=5e-4)  # Table C.2
     assert (tuning["cost"], tuning["reason"]) == (None, "a tuning rule has no cost")
-    assert optimum_document(Case(NormalisedLoop.ideal(0, 0, 1)), "energy_impulse_w0")["reason"].startswith("a limit")
-    poles = optimum_document(Case(NormalisedLoop.ideal(0, 0, 1)), "pole_radius", "discrete")
+    assert best_wall(Case(NormalisedLoop.ideal(0, 0, 1)), "energy_impulse_w0").to_json()["reason"].startswith("a limit")
+    poles = best_wall(Case(NormalisedLoop.ideal(0, 0, 1)), "pole_radius", "discrete").to_json()
     assert (poles["criterion"], poles["cost"]) == ("pole_radius", pytest.approx(0.752, abs=5e-4))
     assert "reason" not in poles
 
 
 def test_signal_and_suffix_mean_the_same():
     loop = NormalisedLoop.ideal(0, 0, 2)  # the LWR of Table D.5: 8.21 continuous, 8.690 discrete
-    by_signal = optimum_document(Case(loop), "energy_step_w0", "discrete")
-    assert by_signal == optimum_document(Case(loop), "energy_step_w0_discrete")
-    continuous = optimum_document(Case(loop), "energy_step_w0")
+    by_signal = best_wall(Case(loop), "energy_step_w0", "discrete").to_json()
+    assert by_signal == best_wall(Case(loop), "energy_step_w0_discrete").to_json()
+    continuous = best_wall(Case(loop), "energy_step_w0").to_json()
     assert continuous["cost"] == pytest.approx(8.21, abs=5e-3)
     assert by_signal["cost"] == pytest.approx(8.690, abs=5e-4)
 
@@ -200,7 +200,7 @@ def test_signal_and_suffix_mean_the_same():
 )
 def test_unsupported_optima_are_refused(criterion, signal, message):
     with pytest.raises(ParameterError, match=message):
-        optimum_document(Case(NormalisedLoop.ideal(0, 0, 0)), criterion, signal)
+        best_wall(Case(NormalisedLoop.ideal(0, 0, 0)), criterion, signal).to_json()
 
 
 @pytest.mark.slow
@@ -224,18 +224,18 @@ def cases(*rows):
 @pytest.mark.parametrize(("alpha", "beta", "column"), [(1e308, 0.1, "alpha"), (0.1, -1e308, "beta")])
 def test_points_that_overflow_are_refused_by_name(alpha, beta, column):
     with pytest.raises(ParameterError, match=f"row 2, column {column}"):
-        case_documents(cases((0.1, 0.1, 0.0, 0.0, 1.0), (alpha, beta, 0.0, 0.0, 1.0)))
+        costs_of_cases(cases((0.1, 0.1, 0.0, 0.0, 1.0), (alpha, beta, 0.0, 0.0, 1.0))).to_json()
 
 
 def test_points_far_outside_are_unstable():
     signs = [(a, b, delta, d) for a in (-1, 1) for b in (-1, 1) for delta in (0.0, 1.0) for d in (0.0, 3.5)]
     rows = [(a * LARGEST, b * LARGEST, 0.0, delta, d) for a, b, delta, d in signs]
-    assert {point["stable"] for point in case_documents(cases(*rows))} == {False}
+    assert {point["stable"] for point in costs_of_cases(cases(*rows)).to_json()} == {False}
 
 
 def test_optima_say_that_islands_were_not_searched():
     # on an island at (0.2581, -0.2340) this energy is 106.1
-    found = optimum_document(Case(NormalisedLoop.ideal(1.98, 0.0, 6.42)), "energy_step_w1")
+    found = best_wall(Case(NormalisedLoop.ideal(1.98, 0.0, 6.42)), "energy_step_w1").to_json()
     assert found["cost"] > 122
     assert "not searched" in found["note"]
-    assert "note" not in optimum_document(Case(NormalisedLoop.ideal(0.001, 0.02, 1.0)), "energy_step_w1")
+    assert "note" not in best_wall(Case(NormalisedLoop.ideal(0.001, 0.02, 1.0)), "energy_step_w1").to_json()

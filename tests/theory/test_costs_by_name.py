@@ -137,7 +137,7 @@ def test_map_holds_the_costs_of_its_points():
     assert 100 < stable.sum() < 350
     some = np.flatnonzero(stable & clear)[::17]
     rows = np.array([(alpha[i], beta[i], 0, 0.02, 1) for i in some])
-    found = theory.case_documents(theory.Cases(Path("cases.csv"), rows, tuple(range(len(rows)))))
+    found = theory.costs_of_cases(theory.Cases(Path("cases.csv"), rows, tuple(range(len(rows))))).to_json()
     for name in names[:-1]:
         values = table.column(name).to_pylist()
         assert [values[i] for i in some] == pytest.approx([f[name] for f in found], rel=1e-12, abs=1e-12)

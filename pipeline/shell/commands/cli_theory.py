@@ -14,12 +14,14 @@ from pipeline.shell.commands.options import PROCESSED, Criteria, One, Signal, St
 from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
-    from pipeline.theory.cases import Case
+    from pipeline.theory.cases import Boundary, Case
 
 Delay = Annotated[float | None, option("--delay", "Delay d in samples, at most 256.", show_default=False)]
 OfDevice = Annotated[str | None, option("--device", "Device (name or file) in SI; replaces the above.")]
 Gamma = Annotated[float, option("--gamma", "Normalised stiffness of the device itself.")]
 Delta = Annotated[float, option("--delta", "Normalised viscous damping of the device itself.")]
+Rows = Annotated[Path | None, option("--out", "File of rows to write: .csv or .parquet.", show_default=False)]
+Picture = Annotated[Path | None, option("--picture", "Picture to draw: .svg, .pdf or .png.", show_default=False)]
 
 
 def points(
@@ -27,26 +29,38 @@ def points(
     criteria: Criteria = None,
     device: OfDevice = None,
     experiment: One = None,
+    out: Rows = None,
+    picture: Picture = None,
 ) -> None:
     """Compute stability and costs of the points in a CSV file.
 
-    With --device, columns are stiffness and damping.
+    With --device, columns are stiffness and damping. The picture shows points of one loop beside its limit.
 
-    Example: pipeline theory points cases.csv --json
+    Example: pipeline theory points cases.csv --out costs.csv --picture points.svg
     """
     from pipeline.theory import cases as theory
 
+    _check_files(out, picture)
     names = tuple(criteria or theory.POINT_COSTS)
     columns = theory.CASE_COLUMNS if device is None else theory.WALL_COLUMNS
-    found, said = theory.read_cases(cases, columns), {}
+    rows = theory.read_cases(cases, columns)
     if device is None:
-        documents = theory.case_documents(found, names)
+        answer, case = theory.costs_of_cases(rows, names), theory.one_case(rows) if picture else None
     else:
         case = _case(None, 0.0, 0.0, device, experiment)
-        documents, said = theory.point_documents(case, found.values, names), case.said
+        answer = theory.costs_of_walls(case, rows.values, names)
+    files = []
+    if out is not None:
+        files += _rows_file(out, answer.columns(), case)
+    if picture is not None and case is not None:
+        from pipeline.rendering.theory_files import draw_walls, limit_series, point_series
+
+        draw_walls(picture, "Stability of walls", case, [limit_series(case), *point_series(answer)])
+        files += _written(picture, "picture")
     shown = names if criteria else ("settle_2pct", "overshoot", "energy_step_w0")
-    lines = console.table(documents, (*columns, "stable", "spectral_radius", *shown, "reason"))
-    console.tell(documents, [*lines, *_beside(said)])
+    document = answer.to_json()
+    lines = console.table(document, (*columns, "stable", "spectral_radius", *shown, "reason"))
+    console.tell(document, [*lines, *_beside({} if device is None or case is None else case.said), *files])
 
 
 def boundary(
@@ -55,37 +69,61 @@ def boundary(
     delta: Delta = 0.0,
     device: OfDevice = None,
     experiment: One = None,
+    out: Rows = None,
+    picture: Picture = None,
 ) -> None:
     """Compute the stability boundary and its extreme points.
 
-    Example: pipeline theory boundary --delay 2 --gamma 0.001 --delta 0.02 --json
+    Examples: pipeline theory boundary --delay 2 --gamma 0.001 --delta 0.02 --json
+              pipeline theory boundary --device falcon --out limit.csv --picture limit.svg
     """
-    from pipeline.theory.cases import boundary_document
+    from pipeline.theory.cases import limits_of_walls
 
+    _check_files(out, picture)
     case = _case(delay, gamma, delta, device, experiment)
-    document = boundary_document(case)
-    console.tell(document, _boundary_lines(document, case.axes))
+    answer = limits_of_walls(case)
+    files = [] if out is None else _rows_file(out, answer.columns(), case)
+    if picture is not None:
+        from pipeline.rendering.theory_files import draw_walls, limit_series
+
+        draw_walls(picture, "Limit of stability", case, [limit_series(case)])
+        files += _written(picture, "picture")
+    console.tell(answer.to_json(), [*_boundary_lines(answer), *files])
 
 
-def _boundary_lines(document: dict[str, Any], axes: tuple[str, str]) -> Iterator[str]:
-    if "device" in document:
-        yield f"device {document['device']}, experiment {document['experiment']}"
-    for first, second in (axes, axes[::-1]):
-        if (most := document.get(f"{first}_max")) is not None:
-            yield f"largest {first} {most:.6g} at {second} {document[f'{second}_at_{first}_max']:.6g}"
-    if document.get("islands"):
-        yield f"stable stretches beyond the limit: {len(document['islands'])}"
-    yield from _beside(document)
-    yield f"({len(document[axes[0]])} points along the boundary: --json)"
+_SHOWN_POINTS = 9
+"""Points of a boundary that are printed."""
+
+_ROUNDING = 1e-12
+"""Share of the largest number of a column that is printed as 0."""
 
 
-def _beside(document: dict[str, Any]) -> Iterator[str]:
-    """Yield what a document of a device says beside its numbers: a delay that jitters, and what is left out."""
-    if document.get("delay_samples_low") != document.get("delay_samples_high"):
-        low, high = document["delay_samples_low"], document["delay_samples_high"]
-        yield f"delay {document['delay_samples']:.4g} samples, the mean of one that jitters from {low:g} to {high:g}"
-    if document.get("left_out"):
-        yield f"left out of linear theory: {', '.join(document['left_out'])}"
+def _boundary_lines(answer: Boundary) -> Iterator[str]:
+    said, axes = answer.case.said, answer.case.axes
+    if "device" in said:
+        yield f"device {said['device']}, experiment {said['experiment']}"
+    columns = answer.columns()
+    count = len(columns[axes[0]])
+    some = sorted({round(i * (count - 1) / (_SHOWN_POINTS - 1)) for i in range(_SHOWN_POINTS)}) if count else []
+    extremes = ((f"largest {axes[0]}", answer.stiffest), (f"largest {axes[1]}", answer.most_damped))
+    rows = [(name, *wall) for name, wall in extremes if wall is not None]
+    rows += [("limit", columns[axes[0]][i], columns[axes[1]][i]) for i in some]
+    tops = [max((abs(row[place]) for row in rows), default=0.0) for place in (1, 2)]
+    shown = [(name, *(v if abs(v) > _ROUNDING * t else 0.0 for v, t in zip(w, tops, strict=True))) for name, *w in rows]
+    yield from console.table([dict(zip(("point", *axes), row, strict=True)) for row in shown], ("point", *axes))
+    if answer.case.units is not None and len(answer.islands):
+        yield f"stable stretches beyond the limit: {len(answer.islands)}"
+    yield from _beside(said)
+    yield f"({count} points along the boundary: --out FILE, --json)"
+
+
+def _beside(said: dict[str, Any]) -> Iterator[str]:
+    """Yield what is said of a device beside its numbers: a delay that jitters, and what is left out."""
+    if said.get("delay_samples_low") != said.get("delay_samples_high"):
+        low, high = said["delay_samples_low"], said["delay_samples_high"]
+        yield f"delay {said['delay_samples']:.4g} samples, the mean of one that jitters from {low:g} to {high:g}"
+    if said.get("left_out"):
+        yield f"left out of linear theory: {', '.join(said['left_out'])}"
 
 
 def optimum(
@@ -96,19 +134,48 @@ def optimum(
     device: OfDevice = None,
     experiment: One = None,
     signal: Annotated[Signal | None, option("--signal", "Response (default: the criterion's).")] = None,
+    out: Rows = None,
+    picture: Picture = None,
 ) -> None:
     """Compute the optimal stiffness and damping for a criterion.
 
-    Example: pipeline theory optimum --criterion settle_2pct --delay 1 --signal discrete --json
+    Examples: pipeline theory optimum --criterion settle_2pct --delay 1 --signal discrete --json
+              pipeline theory optimum --criterion overshoot --device falcon --picture optimum.png
     """
-    from pipeline.theory.cases import optimum_document
+    from pipeline.theory.cases import best_wall
 
+    _check_files(out, picture)
     case = _case(delay, gamma, delta, device, experiment)
-    document = optimum_document(case, criterion, signal)
-    cost = "" if document["cost"] is None else f", cost {document['cost']:.6g}"
-    wall = ", ".join(f"{name} {document[name]:.6g}" for name in case.axes)
-    words = [document[name] for name in ("reason", "note") if document.get(name)]
-    console.tell(document, [f"{document['criterion']}: {wall}{cost}", *words, *_beside(document)])
+    answer = best_wall(case, criterion, signal)
+    files = [] if out is None else _rows_file(out, answer.columns(), case)
+    if picture is not None:
+        from pipeline.rendering.theory_files import draw_walls, limit_series, optimum_series
+
+        draw_walls(picture, f"Optimum of {answer.criterion}", case, [limit_series(case), optimum_series(answer)])
+        files += _written(picture, "picture")
+    document = answer.to_json()
+    lines = console.table([document], ("criterion", *case.axes, "cost"))
+    words = [text for text in (answer.reason, answer.note) if text]
+    console.tell(document, [*lines, *words, *_beside(case.said), *files])
+
+
+def _check_files(out: Path | None, picture: Path | None) -> None:
+    if out is not None or picture is not None:
+        from pipeline.rendering.theory_files import check_files
+
+        check_files(out, picture)
+
+
+def _rows_file(out: Path, columns: dict[str, list[Any]], case: Case | None) -> list[str]:
+    """Write columns; return what is said of it."""
+    from pipeline.rendering.theory_files import write_rows
+
+    write_rows(out, columns, case)
+    return _written(out, f"{len(next(iter(columns.values())))} rows")
+
+
+def _written(path: Path, what: str) -> list[str]:
+    return [f"{path}: {what}"]
 
 
 def cost_map(

@@ -166,12 +166,13 @@ def test_an_experiment_is_as_in_compare(served, falcon_outcome):
 
 def test_theory_is_that_of_the_commands(served):
     from pipeline.loop.normalised_loop import NormalisedLoop
-    from pipeline.theory.cases import Case, boundary_document, optimum_document
+    from pipeline.theory.cases import Case, best_wall, limits_of_walls
 
-    assert served.get("theory/boundary?delay=2&delta=0.01").content == boundary_document(
-        Case(NormalisedLoop.ideal(0.0, 0.01, 2.0))
+    assert (
+        served.get("theory/boundary?delay=2&delta=0.01").content
+        == limits_of_walls(Case(NormalisedLoop.ideal(0.0, 0.01, 2.0))).to_json()
     )
-    optimum = optimum_document(Case(NormalisedLoop.ideal(0.0, 0.0, 1.0)), "settle_2pct", "discrete")
+    optimum = best_wall(Case(NormalisedLoop.ideal(0.0, 0.0, 1.0)), "settle_2pct", "discrete").to_json()
     assert served.get("theory/optimum?criterion=settle_2pct&delay=1&signal=discrete").content == optimum
     (point,) = served.get("theory/points?delay=1&alpha=0.1&beta=0.4").content
     assert point["stable"] is True

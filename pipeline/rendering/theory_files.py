@@ -1,0 +1,118 @@
+"""Answers of theory as files: rows as CSV or Parquet, and walls in the plane of stiffness and damping as a picture."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.base.disk import replacing
+from pipeline.base.errors import UsageError
+from pipeline.base.paths import check_output
+from pipeline.base.provenance import stamp
+from pipeline.rendering.figures.drawing import PICTURES, Figure, Panel, Series, write_picture
+from pipeline.rendering.labels import UNITS
+from pipeline.theory.cases import Case, Optimum, PointCosts, limits_of_walls
+
+TABLES = ("csv", "parquet")
+"""Endings of a file of rows."""
+
+
+def check_files(out: Path | None, picture: Path | None) -> None:
+    """See that files can be written and end as their kinds do, before anything is computed.
+
+    Raises
+    ------
+    UsageError
+        For another ending, or a folder.
+    PipelineError
+        If a folder takes no files.
+    """
+    for path, option, endings in ((out, "--out", TABLES), (picture, "--picture", PICTURES)):
+        if path is None:
+            continue
+        if path.suffix.lower().removeprefix(".") not in endings:
+            known = f".{', .'.join(endings[:-1])} or .{endings[-1]}"
+            raise UsageError(f"{option} {path}: expected a name that ends with {known}.")
+        check_output(path, option)
+
+
+def unit_of(case: Case | None, name: str) -> str:
+    """Return the unit of a column of an answer; 1 where it has none."""
+    if case is not None and case.motion is not None and name.startswith(case.axes):
+        return str(getattr(UNITS[case.motion], name.split("_")[0]))
+    return "samples" if name.startswith(("settle", "rise_time")) else "1"
+
+
+def write_rows(path: Path, columns: Mapping[str, Sequence[Any]], case: Case | None = None) -> None:
+    """Write columns as CSV, or as Parquet with their units; a missing number is an empty cell, or null.
+
+    Parameters
+    ----------
+    path : Path
+        Ends with .csv or .parquet.
+    columns : mapping of sequence
+        By name, all of one length.
+    case : Case, optional
+        Decides the units of walls; normalised ones have none.
+    """
+    if path.suffix.lower() == ".csv":
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerows([list(columns), *zip(*columns.values(), strict=True)])
+        content = text.getvalue().encode()
+    else:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        from pipeline.records.table_files import WRITING
+
+        arrays = [pa.array(list(values)) for values in columns.values()]
+        fields = [
+            pa.field(
+                name,
+                pa.string() if pa.types.is_null(array.type) else array.type,
+                metadata={"unit": unit_of(case, name)},
+            )
+            for name, array in zip(columns, arrays, strict=True)
+        ]
+        schema = pa.schema(fields, metadata=dict(stamp()))
+        sink = io.BytesIO()
+        pq.write_table(pa.table([a.cast(f.type) for a, f in zip(arrays, fields, strict=True)], schema), sink, **WRITING)
+        content = sink.getvalue()
+    with replacing(path) as stream:
+        stream.write(content)
+
+
+def limit_series(case: Case, points: int = 400) -> Series:
+    """Return the limit of walls as it is drawn."""
+    limits = limits_of_walls(case, points)
+    return Series("limit of stability", "edge", limits.damping, limits.stiffness)
+
+
+def point_series(answer: PointCosts) -> Iterator[Series]:
+    """Yield stable and unstable walls as they are drawn."""
+    for kind, some in (("stable", answer.stable), ("unstable", ~answer.stable)):
+        if some.any():
+            yield Series(kind, kind, answer.walls[some, 1], answer.walls[some, 0])
+
+
+def optimum_series(answer: Optimum) -> Series:
+    """Return the best wall as it is drawn."""
+    return Series(answer.criterion, "optimum", np.array([answer.damping]), np.array([answer.stiffness]))
+
+
+def draw_walls(path: Path, title: str, case: Case, series: Sequence[Series]) -> None:
+    """Draw walls over damping, as SVG, PDF or PNG."""
+    units = [unit_of(case, name) for name in case.axes]
+    names = [name if unit == "1" else f"{name} [{unit}]" for name, unit in zip(case.axes, units, strict=True)]
+    words = [f"{each.label}: {len(each.x)} points" for each in series]
+    top = max((float(np.nanmax(each.y)) for each in series if len(each.y)), default=1.0)
+    floor = min((float(np.nanmin(each.y)) for each in series if len(each.y)), default=0.0)
+    limits = None, (min(0.0, floor), 1.05 * top if top > 0 else 1.0)
+    panel = Panel("", (names[1], names[0]), tuple(series), f"{title}. {'; '.join(words)}.", limits)
+    write_picture(Figure("boundaries", "walls", title, "", (panel,)), path)
