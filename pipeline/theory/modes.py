@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pipeline.loop.many_digits import as_exact, as_floats, many_digits, resolvent
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.trials import Floats
-from pipeline.theory.motion import courses, own_basis
+from pipeline.theory.motion import DEGREE, courses, own_basis
 
 Complexes = NDArray[np.complex128]
 
@@ -65,8 +65,9 @@ def polynomials(loop: NormalisedLoop) -> tuple[Floats, ...]:
     """
     steps, n = loop.own, len(loop.own.free)
     curves = courses(loop, True)[2]
-    powers = range(curves.shape[1])
-    change = np.array([[math.comb(j, i) / math.comb(powers[-1], i) for i in powers] for j in powers])
+    # of a higher degree, whose coefficients lie nearer to the curve
+    rows, powers = range(DEGREE + 1), range(curves.shape[1])
+    change = np.array([[math.comb(j, i) / math.comb(DEGREE, i) for i in powers] for j in rows])
     hull = np.ascontiguousarray((change @ curves).reshape(-1, curves.shape[2]))
     if n > _LONGEST:
         return np.zeros(0), np.zeros((2, n, n)), *(np.zeros((1, 1)) for _ in range(3)), hull

@@ -411,7 +411,10 @@ def test_theory_boundary(call):
     assert damped["alpha_max"] == pytest.approx(0.15433, abs=5e-6)  # Table B.4
     status, out, _ = call("theory", "boundary", "--delay", "1", "--delta", "0.02")
     assert status == 0
-    assert "largest alpha 0.1548" in out
+    assert [line.split()[:3] for line in out.splitlines()[1:3]] == [
+        ["largest", "alpha", f"{found['alpha_max']:.6g}"],
+        ["largest", "beta", "0"],
+    ]
 
 
 def test_theory_optimum(call):
@@ -421,7 +424,9 @@ def test_theory_optimum(call):
     assert (discrete["criterion"], discrete["cost"]) == ("energy_step_w0_discrete", pytest.approx(8.690, abs=5e-4))
     status, out, _ = call(*arguments)
     assert status == 0
-    assert out.startswith("energy_step_w0: alpha 0.0305")  # 5796 Nm/rad on 0.19 kg m^2
+    header, row = (line.split() for line in out.splitlines())
+    assert header == ["criterion", "alpha", "beta", "cost"]
+    assert (row[0], row[1][:6]) == ("energy_step_w0", "0.0305")  # 5796 Nm/rad on 0.19 kg m^2
 
 
 def test_theory_map(call, tmp_path):

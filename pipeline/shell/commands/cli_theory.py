@@ -74,8 +74,9 @@ def boundary(
 ) -> None:
     """Compute the stability boundary and its extreme points.
 
-    Examples: pipeline theory boundary --delay 2 --gamma 0.001 --delta 0.02 --json
-              pipeline theory boundary --device falcon --out limit.csv --picture limit.svg
+    Example: pipeline theory boundary --delay 2 --gamma 0.001 --delta 0.02 --json
+
+    Example: pipeline theory boundary --device falcon --out limit.csv --picture limit.svg
     """
     from pipeline.theory.cases import limits_of_walls
 
@@ -106,11 +107,15 @@ def _boundary_lines(answer: Boundary) -> Iterator[str]:
     count = len(columns[axes[0]])
     some = sorted({round(i * (count - 1) / (_SHOWN_POINTS - 1)) for i in range(_SHOWN_POINTS)}) if count else []
     extremes = ((f"largest {axes[0]}", answer.stiffest), (f"largest {axes[1]}", answer.most_damped))
-    rows = [(name, *wall) for name, wall in extremes if wall is not None]
-    rows += [("limit", columns[axes[0]][i], columns[axes[1]][i]) for i in some]
-    tops = [max((abs(row[place]) for row in rows), default=0.0) for place in (1, 2)]
-    shown = [(name, *(v if abs(v) > _ROUNDING * t else 0.0 for v, t in zip(w, tops, strict=True))) for name, *w in rows]
-    yield from console.table([dict(zip(("point", *axes), row, strict=True)) for row in shown], ("point", *axes))
+    walls = [(name, wall) for name, wall in extremes if wall is not None]
+    walls += [("limit", (columns[axes[0]][i], columns[axes[1]][i])) for i in some]
+    tops = [max(abs(wall[place]) for _, wall in walls) for place in (0, 1)] if walls else []
+    rows = [
+        {"point": name}
+        | {k: v if abs(v) > _ROUNDING * top else 0.0 for k, v, top in zip(axes, wall, tops, strict=True)}
+        for name, wall in walls
+    ]
+    yield from console.table(rows, ("point", *axes))
     if answer.case.units is not None and len(answer.islands):
         yield f"stable stretches beyond the limit: {len(answer.islands)}"
     yield from _beside(said)
@@ -139,8 +144,9 @@ def optimum(
 ) -> None:
     """Compute the optimal stiffness and damping for a criterion.
 
-    Examples: pipeline theory optimum --criterion settle_2pct --delay 1 --signal discrete --json
-              pipeline theory optimum --criterion overshoot --device falcon --picture optimum.png
+    Example: pipeline theory optimum --criterion settle_2pct --delay 1 --signal discrete --json
+
+    Example: pipeline theory optimum --criterion overshoot --device falcon --picture optimum.png
     """
     from pipeline.theory.cases import best_wall
 
