@@ -44,13 +44,13 @@ _listeners: list[tuple[Callable[[str], None], float]] = []
 """Who hears that something is compiled, the first time that it takes longer than some seconds."""
 
 
-def compiled(*signatures: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+def compiled(*signatures: str, allocates: bool = False) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Return a decorator that compiles a function to some signatures, such as ``"f8(f8[::1])"``, when it is called.
 
     The function itself stays as ``__wrapped__``. It takes arrays of the signatures' types only, and calls no other
     compiled one; it may call those that are `inlined`. Divisions by zero give infinity or NaN, as those of numpy. One
-    that returns nothing (one signature, ``"void(...)"``) allocates nothing either: it is loaded without numba
-    (`pipeline.base.machine_code`).
+    that returns nothing (one signature, ``"void(...)"``) is loaded without numba (`pipeline.base.machine_code`), unless it
+    ``allocates`` arrays.
 
     Examples
     --------
@@ -68,7 +68,7 @@ def compiled(*signatures: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     def decorated(function: Callable[P, R]) -> Callable[P, R]:
         @cache
         def machine_code() -> Callable[P, R]:
-            return _machine_code(function, signatures)
+            return _machine_code(function, signatures, allocates)
 
         _loaders.setdefault(function.__module__, []).append(machine_code)
 
@@ -134,7 +134,7 @@ def _noticed() -> Iterator[None]:
         timer.cancel()
 
 
-def _machine_code(function: Callable[P, R], signatures: tuple[str, ...]) -> Callable[P, R]:
+def _machine_code(function: Callable[P, R], signatures: tuple[str, ...], allocates: bool) -> Callable[P, R]:
     """Return a function as machine code, from disk where another process left it there."""
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         import numpy
@@ -142,7 +142,7 @@ def _machine_code(function: Callable[P, R], signatures: tuple[str, ...]) -> Call
         plain: Callable[P, R] = numpy.errstate(all="ignore")(function)
         return plain
     with _ONE_THREAD, _noticed():
-        if signatures[0].startswith("void("):
+        if signatures[0].startswith("void(") and not allocates:
             return _kept_object(function, signatures[0])
         import numba
 

@@ -281,7 +281,7 @@ def velocity(kind: int, numbers: Floats, period: float, memory: Floats, position
     return result
 
 
-@compiled(f"void(f8[:,::1],{_INTERVAL})")
+@compiled(f"void(f8[:,::1],{_INTERVAL})", allocates=True)
 def advance_states(z: Floats, interval: Interval) -> None:
     """Advance states, each a row of z (see `advance`), over an interval."""
     for i in range(len(z)):
