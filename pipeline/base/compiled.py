@@ -48,9 +48,9 @@ def compiled(*signatures: str, allocates: bool = False) -> Callable[[Callable[P,
     """Return a decorator that compiles a function to some signatures, such as ``"f8(f8[::1])"``, when it is called.
 
     The function itself stays as ``__wrapped__``. It takes arrays of the signatures' types only, and calls no other
-    compiled one; it may call those that are `inlined`. Divisions by zero give infinity or NaN, as those of numpy. One
-    that returns nothing (one signature, ``"void(...)"``) is loaded without numba (`pipeline.base.machine_code`), unless it
-    ``allocates`` arrays.
+    compiled one; it may call those that are `inlined`. Divisions by zero give infinity or NaN, as those of numpy.
+    One that returns nothing (one signature, ``"void(...)"``) is loaded without numba (`pipeline.base.machine_code`),
+    unless it ``allocates`` arrays.
 
     Examples
     --------
