@@ -9,26 +9,32 @@ Source: Hulin 2017, eqs. 3.9 to 3.11 on |z| = 1, in another form.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import Decimal
 from functools import cached_property, lru_cache, partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.base.compiled import compiled, inlined
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, many_digits, power, product, total
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.trials import Booleans, Floats, Integers
 
-_ITERATIONS = 120
+Arrays = tuple[Any, ...]
+Complexes = NDArray[np.complex128]
+
+ITERATIONS = 120
 """More than any bracketed Newton iteration needs: halving the widest cell to rounding takes 60."""
 
-_CONVERGED = 1e-8
+CONVERGED = 1e-8
 """Newton step in ln s after which the next one is below rounding."""
 
-_NARROW = 1e-15
+NARROW = 1e-15
 """Width of a bracket relative to the place, below which it is rounding."""
 
 
@@ -62,24 +68,80 @@ def angle_of(place: Floats) -> Floats:
     return np.asarray(2 * np.arctan(np.exp(0.5 * place)))
 
 
-def inverse_and_rate(loop: NormalisedLoop, place: Floats) -> NDArray[np.complex128]:
-    """Return -1/G and N on the unit circle, and their slopes over the place, shape (2, 2, n): [value, slope]."""
-    w = 1j * np.exp(0.5 * place)
-    far = place > 0
+@inlined
+def value_of(polynomials: Floats, row: int, x: complex) -> complex:
+    """Return a polynomial, lowest power first."""
+    value = 0j
+    for k in range(polynomials.shape[1] - 1, -1, -1):
+        value = value * x + polynomials[row, k]
+    return value
+
+
+@inlined
+def on_circle_at(polynomials: Floats, delay: int, place: float) -> tuple[complex, complex, complex, complex]:
+    """Return -1/G and N at a place of the unit circle, and their slopes over it."""
+    size, far = math.exp(0.5 * place), place > 0
     # ratios of polynomials of one degree; above |w| = 1 in powers of 1/w
-    powers = np.vander(np.where(far, 1 / w, w), _rounded(loop).shape[2], increasing=True).T
-    rising, falling = _rounded(loop) @ powers
-    (motion, force, velocity, bottom), change = np.where(far, falling, rising).reshape(2, 4, -1)
-    delay = loop.oldest_force
+    w, x, side = complex(0.0, size), complex(0.0, -1 / size if far else size), polynomials[1 if far else 0]
+    motion, force, velocity, bottom = (
+        value_of(side, 0, x),
+        value_of(side, 1, x),
+        value_of(side, 2, x),
+        value_of(side, 3, x),
+    )
+    motion_slope, force_slope, velocity_slope = value_of(side, 4, x), value_of(side, 5, x), value_of(side, 6, x)
     # beyond |w| = 1 counted from theta = pi, where whole turns would take the digits
-    half = np.where(far, -np.arctan(1 / w.imag), np.arctan(w.imag))
-    turned = np.where(far & (delay % 2 == 1), -1.0, 1.0) * np.exp(2j * delay * half)
-    lever = -turned / force
-    turn = 2 * delay * w / (1 - w * w)
-    inverse_slope = lever * (motion * (turn - change[1] / force) + change[0])
-    share = 2 * w / (1 + w) / bottom
-    rate_slope = share * (velocity * (1 / (1 + w) - change[3] / bottom) + change[2])
-    return np.array([[lever * motion, share * velocity], [0.5 * inverse_slope, 0.5 * rate_slope]])
+    half = -math.atan(1 / size) if far else math.atan(size)
+    sign = -1.0 if far and delay % 2 == 1 else 1.0
+    lever = -sign * complex(math.cos(2 * delay * half), math.sin(2 * delay * half)) / force
+    turn, share = 2 * delay * w / (1 - w * w), 2 * w / (1 + w) / bottom
+    inverse_slope = lever * (motion * (turn - force_slope / force) + motion_slope)
+    rate_slope = share * (velocity * (1 / (1 + w) - value_of(side, 7, x) / bottom) + velocity_slope)
+    return lever * motion, share * velocity, 0.5 * inverse_slope, 0.5 * rate_slope
+
+
+@compiled("void(f8[:,:,::1],i8,f8[::1],c16[:,::1])")
+def values_on_circle(polynomials: Floats, delay: int, place: Floats, values: Complexes) -> None:
+    """Set what `on_circle_at` returns, shape (4, n)."""
+    for n in range(len(place)):
+        values[0, n], values[1, n], values[2, n], values[3, n] = on_circle_at(polynomials, delay, place[n])
+
+
+@compiled("void(f8[:,:,::1],i8,UniTuple(f8[::1],4),Tuple((i8[::1],f8[::1])),UniTuple(f8[::1],2))")
+def solve_on_circle(polynomials: Floats, delay: int, cells: Arrays, asked: Arrays, found: Arrays) -> None:
+    """Set place and alpha at which beta has values within cells.
+
+    Newton's method from an interpolation in s; a step that leaves the bracket is replaced by halving.
+    """
+    (lows, highs, firsts, lasts), (cell, betas), (places, alphas) = cells, asked, found
+    for n in range(len(betas)):
+        beta, low, high = betas[n], lows[cell[n]], highs[cell[n]]
+        first, last = firsts[cell[n]], lasts[cell[n]]
+        share = (beta - first) / (last - first)
+        place = high + math.log(math.exp(low - high) - share * math.expm1(low - high))
+        if not low < place < high:  # at an infinite end halves
+            place = 0.5 * (low + high)
+        for _ in range(ITERATIONS):
+            inverse, rate, inverse_slope, rate_slope = on_circle_at(polynomials, delay, place)
+            there = inverse.imag / rate.imag
+            slope = (inverse_slope.imag - there * rate_slope.imag) / rate.imag
+            miss, before = there - beta, place
+            low, high = (low, before) if (miss > 0) == (last > first) else (before, high)
+            place = before - miss / slope
+            newton = low <= place <= high
+            if not newton:
+                place = 0.5 * (low + high)
+            if miss == 0 or (newton and abs(place - before) <= CONVERGED) or high - low <= NARROW * abs(high):
+                break
+        inverse, rate, _, _ = on_circle_at(polynomials, delay, place)
+        places[n], alphas[n] = place, inverse.real - beta * rate.real
+
+
+def inverse_and_rate(loop: NormalisedLoop, place: Floats) -> Complexes:
+    """Return -1/G and N on the unit circle, and their slopes over the place, shape (2, 2, n): [value, slope]."""
+    values = np.empty((4, len(place)), np.complex128)
+    values_on_circle(_rounded(loop), loop.oldest_force, np.ascontiguousarray(place), values)
+    return values.reshape(2, 2, len(place))
 
 
 def circle_points(loop: NormalisedLoop, place: Floats) -> CirclePoints:
@@ -92,34 +154,13 @@ def circle_points(loop: NormalisedLoop, place: Floats) -> CirclePoints:
         return CirclePoints(inverse.real - beta * rate.real, beta, alpha_slope, slope)
 
 
-def solved(loop: NormalisedLoop, cells: Cells, cell: Integers, beta: Floats) -> Floats:
-    """Return the places at which beta has values within cells.
-
-    Newton's method from an interpolation in s; a step that leaves the bracket is replaced by halving.
-    """
-    low, high = cells.low[cell], cells.high[cell]
-    first, last = cells.beta_low[cell], cells.beta_high[cell]
-    rises, active = last > first, np.arange(len(beta))
-    with np.errstate(invalid="ignore"):
-        place = high + np.log(np.exp(low - high) + (beta - first) / (last - first) * -np.expm1(low - high))
-    place = np.where((place > low) & (place < high), place, 0.5 * (low + high))  # at an infinite end halves
-    for _ in range(_ITERATIONS):
-        if not len(active):
-            break
-        x = place[active]
-        found = circle_points(loop, x)
-        miss = found.beta - beta[active]
-        above = (miss > 0) == rises[active]
-        high[active] = np.where(above, x, high[active])
-        low[active] = np.where(above, low[active], x)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            new = x - miss / found.beta_slope
-        newton = (new >= low[active]) & (new <= high[active])
-        place[active] = np.where(newton, new, 0.5 * (low[active] + high[active]))
-        done = (newton & (np.abs(new - x) <= _CONVERGED)) | (miss == 0)
-        done |= high[active] - low[active] <= _NARROW * np.abs(high[active])
-        active = active[~done]
-    return place
+def solved(loop: NormalisedLoop, cells: Cells, cell: Integers, beta: Floats) -> tuple[Floats, Floats]:
+    """Return the places at which beta has values within cells, and alpha there."""
+    places, alphas = np.empty((2, len(beta)))
+    ends = tuple(map(np.ascontiguousarray, (cells.low, cells.high, cells.beta_low, cells.beta_high)))
+    asked = np.ascontiguousarray(cell), np.ascontiguousarray(beta)
+    solve_on_circle(_rounded(loop), loop.oldest_force, ends, asked, (places, alphas))
+    return places, alphas
 
 
 def bisect(holds: Callable[[Floats], Booleans], good: Floats, bad: Floats, halvings: int = 60) -> tuple[Floats, Floats]:
@@ -293,11 +334,11 @@ class FirstBranch:
         """Place of its end."""
         return self._within(-1, lambda p: p.alpha + self.loop.gamma)
 
-    def met(self, beta: Floats) -> tuple[Integers, Floats]:
-        """Return the indices of the beta that are met, and the places."""
+    def met(self, beta: Floats) -> tuple[Integers, Floats, Floats]:
+        """Return the indices of the beta that are met, the places and alpha there."""
         inside = np.flatnonzero((beta > self.cells.beta_low[0]) & (beta < self.cells.beta_high[-1]))
         cell = np.searchsorted(self.cells.beta_high, beta[inside])
-        return inside, solved(self.loop, self.cells, cell, beta[inside])
+        return inside, *solved(self.loop, self.cells, cell, beta[inside])
 
     def _within(self, cell: int, of: Callable[[CirclePoints], Floats]) -> float:
         low, high = self.cells.low[[cell]], self.cells.high[[cell]]

@@ -31,7 +31,6 @@ from pipeline.theory.circle import (
     Cells,
     ends,
     first_branch,
-    inverse_and_rate,
     is_sampled,
     sampled_cells,
     sampled_turns,
@@ -374,8 +373,7 @@ def stretches(loop: NormalisedLoop, beta: Floats) -> Stretches:
     """
     first = first_branch(loop)
     if first is not None:
-        index, place = first.met(beta)
-        high = _alpha(loop, place, beta[index])
+        index, place, high = first.met(beta)
         on = np.flatnonzero(high > -loop.gamma)
         low, unknown = np.full(len(on), -loop.gamma), np.full(len(on), np.nan)
         return Stretches(index[on], low, high[on], unknown, place[on], np.zeros(len(on), np.intp))
@@ -387,13 +385,13 @@ def counted_stretches(loop: NormalisedLoop, b: Branches, beta: Floats) -> Stretc
     lines, everyone = _lines(loop), np.arange(len(beta))
     below_low, below_high = (side[None, :] < beta[:, None] for side in (b.cells.beta_low, b.cells.beta_high))
     which, cell = np.nonzero(below_low != below_high)
-    place = solved(loop, b.cells, cell, beta[which])
+    place, crossed = solved(loop, b.cells, cell, beta[which])
     on, line = (grid.ravel() for grid in np.meshgrid(everyone, np.arange(len(lines.alpha)), indexing="ij"))
     outward = np.where(lines.bend[0, line] + beta[on] * lines.bend[1, line] > 0, 1, -1)
     none = np.zeros(len(beta), np.intp)
     i = np.concatenate([which, on, everyone])
     level = lines.alpha[line] - beta[on] * lines.slope[line]
-    a = np.concatenate([_alpha(loop, place, beta[which]), level, np.full(len(beta), -loop.gamma)])
+    a = np.concatenate([crossed, level, np.full(len(beta), -loop.gamma)])
     jump = np.concatenate([b.turn[cell], lines.turn[line] * outward, none])
     at = np.concatenate([place, lines.place[line], np.full(len(beta), np.nan)])
     source = np.concatenate([cell + 1 + len(lines.alpha), line + 1, none])
@@ -431,11 +429,6 @@ def polished(loop: NormalisedLoop, beta: Floats, place: Floats) -> Floats:
             touches = abs(s - first) > _FARTHEST * first
             result.append(_exact_alpha(c, first if touches else s, b))
     return np.array([float(a) for a in result])
-
-
-def _alpha(loop: NormalisedLoop, place: Floats, beta: Floats) -> Floats:
-    inverse, rate = inverse_and_rate(loop, place)[0]
-    return np.asarray(inverse.real - beta * rate.real)
 
 
 def _bend(c: OnCircle, over: Digits) -> Digits:
