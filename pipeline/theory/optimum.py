@@ -179,7 +179,7 @@ def settling(loop: NormalisedLoop, criterion: str, longest: int) -> Cost:
 
 def _smallest_radius(loop: NormalisedLoop) -> OptimalPoint:
     """Smallest pole modulus; where three real poles meet there, their place in closed form."""
-    (low, high), place = region(inset=0.0), chart(loop)
+    (low, high), place = region(inset=0.0), chart(loop).wall
     radius = where_stable(loop, lambda alpha, beta, _: spectral_radius(loop, alpha, beta))
     *at, cost = search_plane(lambda a, b, best: radius(*place(a, b), best), low, high, levels=_KINK_LEVELS)
     alpha, beta = (float(values[0]) for values in place(*(np.array([value]) for value in at)))
@@ -283,7 +283,7 @@ def _settling_region(loop: NormalisedLoop, band: float, criterion: str) -> Optim
         return late_deviation(loop, alpha, beta, first, longest)
 
     # a first number that can surely be had; below it, each number is tried in turn
-    alpha, beta = chart(loop)(*grid(*region(), JUMPING.coarse))
+    alpha, beta = chart(loop).wall(*grid(*region(), JUMPING.coarse))
     tried = where_stable(loop, settling(loop, criterion, longest))(alpha, beta, longest)
     index = int(np.argmin(tried))
     if not np.isfinite(tried[index]):

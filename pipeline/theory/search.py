@@ -17,9 +17,6 @@ from pipeline.theory.circle import bisect
 Cost = Callable[[Floats, Floats, float], Floats]
 """Cost of points; the last argument is the best cost known, points that are worse may be given infinity."""
 
-Chart = Callable[[Floats, Floats], tuple[Floats, Floats]]
-"""From the coordinates of a search to alpha and beta, shape (n,) each."""
-
 
 @dataclass(frozen=True)
 class OptimalPoint:
@@ -121,28 +118,68 @@ def region(inset: float = _INSET) -> tuple[Floats, Floats]:
     return np.array([np.sqrt(inset), 0.0]), np.ones(2)
 
 
-def chart(loop: NormalisedLoop) -> Chart:
-    """Return the coordinates of a loop's searches.
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """Coordinates of a loop's searches, both from 0 to 1.
 
     The root of the share of alpha's stable interval, from alpha = -gamma on where it begins there, which is even in the
     frequency that the wall swings at, since a mode's limit may be many times the stiffness that settles soonest; and
     the way along the outline as a share of its length, with the region's height and width as units.
+
+    Parameters
+    ----------
+    loop : NormalisedLoop
+    beta, way : float64, shape (n,)
+        Dampings of the outline, in order, and the way to each.
     """
+
+    loop: NormalisedLoop
+    beta: Floats
+    way: Floats
+
+    def wall(self, root: Floats, way: Floats) -> tuple[Floats, Floats]:
+        """Return alpha and beta of coordinates, shape (n,) each."""
+        rows, of = np.unique(way, return_inverse=True)
+        beta = np.interp(rows, self.way, self.beta)
+        edge = limits(self.loop, beta, exact=False)
+        return edge.low[of] + np.square(root) * (edge.alpha - edge.low)[of], beta[of]
+
+
+def chart(loop: NormalisedLoop) -> Chart:
+    """Return the coordinates of a loop's searches."""
     beta = np.sort(boundary(loop).beta)
     beta = beta[np.isfinite(beta)]
     alpha = limits(loop, beta, exact=False).alpha
     kept = np.isfinite(alpha) & np.append(True, np.diff(beta) > 0)
     beta, alpha = beta[kept], alpha[kept]
     way = np.abs(np.diff(beta)) / (beta[-1] - beta[0]) + np.abs(np.diff(alpha)) / (alpha.max() + loop.gamma)
-    along = np.append(0.0, np.cumsum(way) / way.sum())
+    return Chart(loop, beta, np.append(0.0, np.cumsum(way) / way.sum()))
 
-    def place(root: Floats, way: Floats) -> tuple[Floats, Floats]:
-        rows, of = np.unique(way, return_inverse=True)
-        at = np.interp(rows, along, beta)
-        found = limits(loop, at, exact=False)
-        return found.low[of] + np.square(root) * (found.alpha - found.low)[of], at[of]
 
-    return place
+@dataclass(frozen=True, eq=False)
+class Landscape:
+    """Cost over the coordinates of a chart; infinity off it, and where the loop is not stable."""
+
+    chart: Chart
+    cost: Callable[..., Floats]
+
+    def __call__(self, root: Floats, way: Floats, best: float) -> Floats:
+        """Return the cost of places."""
+        return np.where((way >= 0) & (way <= 1), self.cost(*self.chart.wall(root, way), best), np.inf)
+
+    def along(self, way: Floats, line: Integers, root: Floats, best: float) -> Floats:
+        """Return the cost along lines, each at one way along the outline."""
+        return self(root, way[line], best)
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """Places that a search begins at: coordinates, costs, and half the size of what is looked at around each."""
+
+    root: Floats
+    way: Floats
+    cost: Floats
+    half: Floats
 
 
 def search(
@@ -164,66 +201,82 @@ def search(
     ParameterError
         If no point of the first grid is stable and has this cost.
     """
-    plain, place = where_stable(loop, cost), chart(loop)
-
-    def guarded(first: Floats, second: Floats, best: float) -> Floats:
-        return np.where((second >= 0) & (second <= 1), plain(*place(first, second), best), np.inf)
-
-    low, high = bounds or region(_SOFTEST)
-    cell, least = (high - low) / (grids.coarse - 1), np.inf
-
-    def floors(second: Floats, begin: Floats, end: Floats, coarse: int) -> LineOptima:
-        """Return the lowest place of lines at so many ways along the outline."""
-
-        def along(line: Integers, place: Floats, best: float) -> Floats:
-            nonlocal least
-            values = guarded(place, second[line], min(best, _DEAR * least))
-            least = min(least, float(values.min(initial=np.inf)))
-            return values
-
-        return search_lines(along, begin, end, coarse=coarse, starts=2, levels=grids.looks)
-
-    second, one = np.linspace(low[1], high[1], grids.coarse), np.ones(grids.coarse)
-    found = floors(second, low[0] * one, high[0] * one, grids.coarse)
-    beside = np.pad(found.cost, 1, constant_values=np.inf)
-    left, begun = np.isfinite(found.cost) & (found.cost <= np.minimum(beside[:-2], beside[2:])), []
-    for _ in range(grids.starts):
-        if left.any():
-            index = int(np.flatnonzero(left)[np.argmin(found.cost[left])])
-            begun.append(index)
-            left &= (np.abs(found.place - found.place[index]) > 3 * cell[0]) | (
-                np.abs(second - second[index]) > 3 * cell[1]
-            )
-    if not begun:
-        raise ParameterError("no point of the stable region has this cost.")
-    first, value = found.place[begun], found.cost[begun]
-    way, half, each = second[begun], np.tile(cell, (len(begun), 1)), np.arange(len(begun))
-    for _ in range(grids.closer):  # of all places together
-        ways = way[:, None] + half[:, 1:] * np.linspace(-1, 1, _LINES)
-        begin, end = (np.clip(first + side * _REACH * cell[0], low[0], high[0]) for side in (-1, 1))
-        near = floors(ways.ravel(), np.repeat(begin, _LINES), np.repeat(end, _LINES), 2 * _LINES)
-        place_there, cost_there = near.place.reshape(ways.shape), near.cost.reshape(ways.shape)
-        at = cost_there.argmin(axis=1)
-        better = cost_there[each, at] < value
-        first, way = np.where(better, place_there[each, at], first), np.where(better, ways[each, at], way)
-        value = np.where(better, cost_there[each, at], value)
-        half *= np.where(better & np.isin(at, (0, _LINES - 1)), 1.0, _NARROWER)[:, None]
+    landscape, corners = Landscape(chart(loop), where_stable(loop, cost)), bounds or region(_SOFTEST)
+    cell = (corners[1] - corners[0]) / (grids.coarse - 1)
+    starts = _first_look(landscape, grids, corners, cell)
+    for _ in range(grids.closer):
+        starts = _closer_look(landscape, grids, corners, cell[0], starts)
+    near = np.flatnonzero(starts.cost <= max(_NEAR_BEST * starts.cost.min(), starts.cost.min()))
+    done = (np.log(starts.half[:, 0] / cell[0]) / np.log(SHRINK)).astype(int)
     best = min(
         (
             refine(
-                guarded,
-                np.array([first[i], way[i]]),
-                float(value[i]),
-                2 * half[i],
+                landscape,
+                np.array([starts.root[i], starts.way[i]]),
+                float(starts.cost[i]),
+                2 * starts.half[i],
                 grids.fine,
-                LEVELS_IN_PLANE - int(np.log(half[i, 0] / cell[0]) / np.log(SHRINK)),
+                LEVELS_IN_PLANE - int(done[i]),
             )
-            for i in each[value <= max(_NEAR_BEST * value.min(), value.min())]
+            for i in near
         ),
         key=lambda point: point.cost,
     )
-    alpha, beta = place(np.array([best.alpha]), np.array([best.beta]))
+    alpha, beta = landscape.chart.wall(np.array([best.alpha]), np.array([best.beta]))
     return OptimalPoint(float(alpha[0]), float(beta[0]), best.cost)
+
+
+def _first_look(landscape: Landscape, grids: Grids, corners: tuple[Floats, Floats], cell: Floats) -> Starts:
+    """Return the lowest dips of the floors of lines all over the region."""
+    (low, start), (high, end) = corners
+    way, one = np.linspace(start, end, grids.coarse), np.ones(grids.coarse)
+    floors = search_lines(
+        partial(landscape.along, way),
+        low * one,
+        high * one,
+        coarse=grids.coarse,
+        starts=2,
+        levels=grids.looks,
+        dear=_DEAR,
+    )
+    beside = np.pad(floors.cost, 1, constant_values=np.inf)
+    left = np.isfinite(floors.cost) & (floors.cost <= np.minimum(beside[:-2], beside[2:]))
+    chosen: list[int] = []
+    while left.any() and len(chosen) < grids.starts:
+        index = int(np.flatnonzero(left)[np.argmin(floors.cost[left])])
+        chosen.append(index)
+        left &= (np.abs(floors.place - floors.place[index]) > 3 * cell[0]) | (np.abs(way - way[index]) > 3 * cell[1])
+    if not chosen:
+        raise ParameterError("no point of the stable region has this cost.")
+    return Starts(floors.place[chosen], way[chosen], floors.cost[chosen], np.tile(cell, (len(chosen), 1)))
+
+
+def _closer_look(
+    landscape: Landscape, grids: Grids, corners: tuple[Floats, Floats], cell: float, starts: Starts
+) -> Starts:
+    """Return the lowest floors of lines beside each start, of all together, and look at less around them."""
+    ways = starts.way[:, None] + starts.half[:, 1:] * np.linspace(-1, 1, _LINES)
+    begin, end = (np.clip(starts.root + side * _REACH * cell, corners[0][0], corners[1][0]) for side in (-1, 1))
+    floors = search_lines(
+        partial(landscape.along, ways.ravel()),
+        np.repeat(begin, _LINES),
+        np.repeat(end, _LINES),
+        coarse=2 * _LINES,
+        starts=2,
+        levels=grids.looks,
+        dear=_DEAR,
+        known=float(starts.cost.min()),
+    )
+    place, cost, each = floors.place.reshape(ways.shape), floors.cost.reshape(ways.shape), np.arange(len(ways))
+    at = cost.argmin(axis=1)
+    better = cost[each, at] < starts.cost
+    smaller = np.where(better & np.isin(at, (0, _LINES - 1)), 1.0, _NARROWER)[:, None]
+    return Starts(
+        np.where(better, place[each, at], starts.root),
+        np.where(better, ways[each, at], starts.way),
+        np.where(better, cost[each, at], starts.cost),
+        starts.half * smaller,
+    )
 
 
 def refine(
@@ -332,6 +385,8 @@ def search_lines(
     coarse: int = COARSE,
     starts: int = _STARTS,
     levels: int = LEVELS,
+    dear: float | None = None,
+    known: float = np.inf,
 ) -> LineOptima:
     """Return the smallest cost of each line.
 
@@ -342,11 +397,15 @@ def search_lines(
         Ends of each line.
     coarse, starts, levels : int
         Points of the first look, dips that are followed, and looks at each.
+    dear : float, optional
+        Cost, beside the least of all lines and the one that is known, from which on that of a line need not be known.
+    known : float
     """
     lines = len(low)
     share = np.linspace(0.0, 1.0, coarse)
     places = low[:, None] + share * (high - low)[:, None]
-    values = cost(np.repeat(np.arange(lines), coarse), places.ravel(), np.inf).reshape(lines, coarse)
+    first = np.inf if dear is None else dear * known
+    values = cost(np.repeat(np.arange(lines), coarse), places.ravel(), first).reshape(lines, coarse)
     hopes = _hopes(values) if levels else values
     padded = np.pad(hopes, ((0, 0), (1, 1)), constant_values=np.inf)
     dips = np.where((hopes <= padded[:, :-2]) & (hopes <= padded[:, 2:]), hopes, np.inf)
@@ -363,7 +422,8 @@ def search_lines(
         if not len(line):
             break
         around = centre[:, None] + half[:, None] * offsets
-        found = cost(np.repeat(line, _FINE), around.ravel(), float(best.max())).reshape(around.shape)
+        enough = np.inf if dear is None else dear * min(known, best.min())
+        found = cost(np.repeat(line, _FINE), around.ravel(), float(min(best.max(), enough))).reshape(around.shape)
         index = found.argmin(axis=1)
         better = found[row, index] < best
         centre = np.where(better, around[row, index], centre)
@@ -372,8 +432,8 @@ def search_lines(
         half = np.where(at_rim, half, half * _SHRINK)
     place, cheapest = np.full(lines, np.nan), np.full(lines, np.inf)
     order = np.lexsort((best, line))
-    first = order[np.unique(line[order], return_index=True)[1]] if len(line) else order
-    place[line[first]], cheapest[line[first]] = centre[first], best[first]
+    lowest = order[np.unique(line[order], return_index=True)[1]] if len(line) else order
+    place[line[lowest]], cheapest[line[lowest]] = centre[lowest], best[lowest]
     return LineOptima(place, cheapest)
 
 
