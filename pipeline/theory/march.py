@@ -77,8 +77,8 @@ OUTWEIGHED = 0.99
 """Share of a leading negative mode that all others together may have for it to keep its sign."""
 
 WINDOW_SAMPLES, MAX_WINDOW_SAMPLES = 24, 1 << 22
-"""Samples in front of the end of an envelope that are followed first, and at most (the square of the limit of samples,
-if that is less): it may lie far above the motion."""
+"""Samples in front of the end of an envelope that are followed first, and at most (an eighth of the square of the limit
+of samples, if that is less): it may lie far above the motion."""
 
 CLIMB_SAMPLES, MIN_JUMP_SAMPLES = 32, 2.0
 """Samples before it is looked again whether a response may exceed its peak, and the fewest that are left out."""
@@ -559,7 +559,7 @@ def settle(course: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Ar
         moved_to(math.ceil(cutoff), state, view, body)
         if abs(z[0]) > asked[0][b]:
             return False
-    while window < min(MAX_WINDOW_SAMPLES, longest * longest):
+    while window < min(MAX_WINDOW_SAMPLES, longest * longest // 8):
         first = max(last - window, since)
         if first > since:
             moved_to(first, state, view, body)
