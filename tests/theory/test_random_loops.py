@@ -1,0 +1,173 @@
+"""Settling time, overshoot and energies of random loops with parts against a fine simulation in SI.
+
+The motion is followed by matrix exponentials from sample to sample; turning points and the last passing into the band
+are roots of the exact motion between them, and energies are integrals by Gauss's rule. `RANDOM_LOOPS=2000` in the
+environment follows as many loops.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from plain_loops import Plain, drawn
+from scipy.linalg import expm
+from scipy.optimize import brentq
+
+import pipeline
+from pipeline.theory.cases import POINT_COSTS
+
+CHUNK, CHUNKS = 50, int(os.environ.get("RANDOM_LOOPS", "2000")) // 50
+FEW = 12
+"""Loops of the fast test."""
+
+SLOWEST = 0.98
+"""Largest pole radius of a wall: its motion has ended after some 2,000 samples."""
+
+BAND = 0.02
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
+SHARES = 0.5 * (NODES + 1)
+LOOKS = 4
+"""Parts of a stretch with constant force in which turning points are looked for, and over which is integrated."""
+
+COSTS = tuple(name for name in POINT_COSTS if not name.startswith("energy_impulse"))
+TOLERANCE = {"settle": 1e-8, "overshoot": 1e-9, "energy": 1e-9}
+"""Largest differences: of a settling time in samples, and of other costs relative to 1 or their own size."""
+
+
+@dataclass
+class Stretch:
+    """Motion from a device state (with its force) under a constant force, in samples: position and velocity."""
+
+    plain: Plain
+    state: np.ndarray
+    begin: float
+    duration: float
+
+    def at(self, time: float) -> np.ndarray:
+        return expm(self.plain.rates * (time * self.plain.period)) @ self.state
+
+    def away(self, time: float) -> float:
+        return float(self.at(time)[self.plain.sensed] - 1)
+
+    def speed(self, time: float) -> float:
+        return float(self.at(time)[self.plain.sensed + 1]) * self.plain.period
+
+
+class Simulation:
+    """A step response behind a wall, followed to its end."""
+
+    def __init__(self, plain: Plain, K: float, B: float, samples: int):
+        self.plain, self.K, self.period = plain, K, plain.period
+        walls, state = (np.array([K]), np.array([B])), np.zeros((1, plain.size))
+        self.stretches, sampled = [], []
+        for k in range(samples):
+            sampled.append(state[0, plain.sensed] - 1)
+            *starts, state = plain.sample(state, *walls, K + plain.stiffness)
+            begin = float(k)
+            for start, (duration, _) in zip(starts, plain.holds, strict=True):
+                for _ in range(LOOKS):
+                    length = duration / LOOKS
+                    move = self.moves(length)
+                    self.stretches.append(Stretch(plain, start[0], begin, length))
+                    start, begin = start @ move.T, begin + length
+        self.sampled = np.array(sampled)
+        self.states = np.array([stretch.state for stretch in self.stretches])
+
+    def moves(self, length: float) -> np.ndarray:
+        known = self.__dict__.setdefault("known", {})
+        if length not in known:
+            known[length] = expm(self.plain.rates * (length * self.period))
+        return known[length]
+
+    def costs(self) -> dict[str, float]:
+        place = self.states[:, self.plain.sensed] - 1
+        speed = self.states[:, self.plain.sensed + 1]
+        turns = np.flatnonzero(speed[:-1] * speed[1:] < 0)
+        times, values = [stretch.begin for stretch in self.stretches], list(place)
+        near = max(0.5 * BAND, 0.9 * place.max()) if place.max() > 0 else 0.5 * BAND
+        for i in turns:
+            stretch = self.stretches[i]
+            if max(abs(place[i]), abs(place[i + 1])) < 1e-13 or abs(place[i]) < 0.5 * min(near, BAND):
+                continue
+            turn = brentq(stretch.speed, 0, stretch.duration, xtol=1e-14)
+            times.append(stretch.begin + turn)
+            values.append(stretch.away(turn))
+        order = np.argsort(times)
+        times, values = np.array(times)[order], np.array(values)[order]
+        last = np.flatnonzero(np.abs(values) > BAND)[-1]
+        index = int(np.searchsorted([stretch.begin for stretch in self.stretches], times[last], side="right")) - 1
+        stretch = self.stretches[index]
+        level = np.sign(values[last]) * BAND
+        low, high = times[last] - stretch.begin, times[last + 1] - stretch.begin
+        settle = stretch.begin + brentq(lambda t: stretch.away(t) - level, low, min(high, stretch.duration), xtol=1e-13)
+        out = np.flatnonzero(np.abs(self.sampled) > BAND)[-1] + 1
+        found = {"settle_2pct": settle, "settle_2pct_discrete": float(out)}
+        found |= {"overshoot": max(values.max(), 0.0), "overshoot_discrete": max(self.sampled.max(), 0.0)}
+        return found | self.energies()
+
+    def energies(self) -> dict[str, float]:
+        stiff = (self.K + self.plain.stiffness) * self.period**2 / self.plain.mass
+        k, step = np.arange(len(self.sampled)), np.diff(self.sampled, prepend=self.sampled[0])
+        discrete, sums = self.sampled**2 + step**2 / stiff, np.zeros(3)
+        lengths = np.array([stretch.duration for stretch in self.stretches])
+        begins = np.array([stretch.begin for stretch in self.stretches])
+        for length in np.unique(lengths):
+            some = lengths == length
+            for share, weight in zip(SHARES, 0.5 * WEIGHTS, strict=True):
+                states = self.states[some] @ self.moves(length * share).T
+                away = states[:, self.plain.sensed] - 1
+                energy = away**2 + (states[:, self.plain.sensed + 1] * self.period) ** 2 / stiff
+                sums += [np.sum(weight * length * (begins[some] + length * share) ** w * energy) for w in range(3)]
+        found = {f"energy_step_w{w}": float(sums[w]) for w in range(3)}
+        return found | {f"energy_step_w{w}_discrete": float(k.astype(float) ** w @ discrete) for w in range(3)}
+
+
+def a_wall(plain: Plain, loop: pipeline.Loop, rng: np.random.Generator) -> tuple[float, float, float] | None:
+    """Return a stable wall whose motion ends soon, and its pole radius; None where tries find none."""
+    try:
+        border = loop.boundary(24)
+    except pipeline.ParameterError:
+        return None
+    B = rng.uniform(0, border.attrs["damping_max"], 40)
+    K = rng.uniform(0.02, 0.98, 40) * loop.limits(B)["stiffness"].fillna(0.0).to_numpy()
+    radius = np.where(K > 0, plain.radius(K, B), 1.0)
+    good = np.flatnonzero(radius < SLOWEST)
+    return (float(K[good[0]]), float(B[good[0]]), float(radius[good[0]])) if len(good) else None
+
+
+def deviations(seed: int) -> dict[str, float]:
+    """Return the differences of the costs of a random loop and its simulation."""
+    plain, loop = drawn("several", seed)
+    wall = a_wall(plain, loop, np.random.default_rng([seed, 3]))
+    if wall is None:
+        return {}
+    K, B, radius = wall
+    samples = int(60 + 3 * plain.delay + 34 / -np.log(radius))
+    truth, answer = Simulation(plain, K, B, samples).costs(), loop.points(K, B, COSTS).iloc[0]
+    return {
+        name: abs(answer[name] - value) / (1.0 if name.startswith("settle") else max(1.0, abs(value)))
+        for name, value in truth.items()
+    }
+
+
+def check(seeds: range) -> None:
+    largest: dict[str, float] = {}
+    for seed in seeds:
+        for name, off in deviations(seed).items():
+            largest[name] = max(largest.get(name, 0.0), off)
+            assert off <= TOLERANCE[name.split("_")[0]], (seed, name, off)
+    print({name: f"{off:.1e}" for name, off in largest.items()})
+    assert len(largest) == len(COSTS)
+
+
+def test_costs_of_random_loops_equal_a_fine_simulation():
+    check(range(FEW))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("chunk", range(CHUNKS))
+def test_costs_of_many_random_loops_equal_a_fine_simulation(chunk):
+    check(range(FEW + chunk * CHUNK, FEW + (chunk + 1) * CHUNK))
