@@ -8,7 +8,7 @@ search finds the global optimum stands in `search` and `curves`.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 import numpy as np
@@ -398,21 +398,41 @@ def _stiffest(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
 
     Source: Hulin 2017, sec. 5.2.2 with footnote 4.
     """
-    base = criterion_of(criterion)
-    continuous, at_all = criterion == base.name, base.optimum_only
-    low, high = box(loop)
-    name = "overshoot" if continuous else "overshoot_discrete"
+    base, (low, high) = criterion_of(criterion), box(loop)
+    clean = CleanRegion(loop, criterion == base.name, base.optimum_only, float(high[0]))
+    # the spring of a device may be damped best by a negative damping
+    sides = [np.linspace(0.0, high[1], 61)[1:]]
+    sides += [np.linspace(low[1], 0.0, 61)] if loop.gamma > 0 else []
+    tips = [point for point in map(clean.stiffest, sides) if point is not None]
+    if not tips:
+        raise ParameterError("no point without overshoot was found.")
+    return max(tips, key=lambda point: point.alpha)
 
-    def clean(alpha: Floats, beta: Floats, _: float) -> Floats:
-        if at_all:
-            return np.where(never_overshoots(loop, alpha, beta, continuous=continuous), 0.0, np.inf)
-        costs = transient_costs(loop, alpha, beta, (), continuous=continuous)
-        return np.where(costs[name] <= NO_OVERSHOOT, 0.0, np.inf)
 
-    guarded = where_stable(loop, clean)
+@dataclass(frozen=True, eq=False)
+class CleanRegion:
+    """Walls of a loop without overshoot: of the motion or of samples, of any size or of what counts; up to an alpha."""
 
-    def edge(beta: Floats, floor: Floats, top: Floats, passes: int) -> Floats:
-        """Largest alpha without overshoot at each beta in [floor, top] (floor if none), by 24 sections a pass.
+    loop: NormalisedLoop
+    continuous: bool
+    at_all: bool
+    alpha_max: float
+
+    def cost(self, alpha: Floats, beta: Floats, _: float) -> Floats:
+        """Return 0 without overshoot, else infinity."""
+        if self.at_all:
+            none = never_overshoots(self.loop, alpha, beta, continuous=self.continuous)
+        else:
+            costs = transient_costs(self.loop, alpha, beta, (), continuous=self.continuous)
+            none = costs["overshoot" if self.continuous else "overshoot_discrete"] <= NO_OVERSHOOT
+        return np.where(none, 0.0, np.inf)
+
+    def contains(self, alpha: Floats, beta: Floats) -> Booleans:
+        """Return which stable walls are without overshoot."""
+        return np.isfinite(where_stable(self.loop, self.cost)(alpha, beta, np.inf))
+
+    def edge(self, beta: Floats, floor: Floats, top: Floats, passes: int) -> Floats:
+        """Return the largest alpha at each beta in [floor, top] (floor if none), by 24 sections a pass.
 
         Seen from small alpha, the region is left once: its lower part is clean throughout (checked by test).
         """
@@ -420,20 +440,18 @@ def _stiffest(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
         share, row = np.linspace(0, 1, 25), np.arange(len(beta))
         for _ in range(passes):
             alpha = lower[:, None] + share * (upper - lower)[:, None]
-            good = np.isfinite(guarded(alpha.ravel(), np.repeat(beta, 25), np.inf)).reshape(alpha.shape)
+            good = self.contains(alpha.ravel(), np.repeat(beta, 25)).reshape(alpha.shape)
             last = np.where(good.all(axis=1), 24, good.argmin(axis=1) - 1)
             lower = alpha[row, np.maximum(last, 0)]
             upper = np.where(last < 0, lower, alpha[row, np.minimum(last + 1, 24)])
         return lower
 
-    soft, stiff = -loop.gamma, float(high[0]) + loop.gamma
-
-    def top(betas: Floats) -> OptimalPoint | None:
-        """Stiffest point between dampings, in order; None where none is without overshoot."""
-        count = len(betas)
+    def stiffest(self, betas: Floats) -> OptimalPoint | None:
+        """Return the stiffest point between dampings, in order; None where none is without overshoot."""
+        count, soft = len(betas), -self.loop.gamma
+        stiff = self.alpha_max - soft
         for share in _FLOORS:
-            lowest = share * stiff + soft
-            edges = edge(betas, np.full(count, lowest), np.full(count, high[0]), 2)
+            edges = self.edge(betas, np.full(count, share * stiff + soft), np.full(count, self.alpha_max), 2)
             highest = float(edges.max()) - soft
             if highest > share * stiff:
                 break
@@ -441,21 +459,11 @@ def _stiffest(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
             return None
         ridge = betas[np.argmax(edges)] + np.linspace(-3, 3, _RIDGE) * (betas[1] - betas[0])
         floor, ceiling = 0.8 * highest + soft, min(1.1 * highest, stiff) + soft
-        edges = edge(ridge, np.full(_RIDGE, floor), np.full(_RIDGE, ceiling), 3)
+        edges = self.edge(ridge, np.full(_RIDGE, floor), np.full(_RIDGE, ceiling), 3)
         tips = _local_maxima(edges)[:_TIPS]
-        alpha, beta = edges[tips], ridge[tips]
-        half, width = 1.5 * (ridge[1] - ridge[0]), 0.01 * highest
-        for _ in range(_CLIMBS):
-            window = beta[:, None] + half * np.linspace(-1, 1, 19)
-            middle = np.repeat(alpha, 19)
-            values = edge(window.ravel(), middle - width, middle + width, 2).reshape(window.shape)
-            peak, tip = values.argmax(axis=1), np.arange(len(alpha))
-            better = values[tip, peak] > alpha
-            alpha = np.where(better, values[tip, peak], alpha)
-            beta = np.where(better, window[tip, peak], beta)
-            half, width = half * 0.4, width * 0.35
+        alpha, beta = self._climbed(edges[tips], ridge[tips], 1.5 * (ridge[1] - ridge[0]), 0.01 * highest)
         # tips of practically equal stiffness: the least damping is reported, so that rounding cannot decide
-        known = np.isfinite(guarded(alpha, beta, np.inf))  # a floor stands for no edge
+        known = self.contains(alpha, beta)  # a floor stands for no edge
         if not known.any():
             return None
         alpha, beta = alpha[known], beta[known]
@@ -463,13 +471,17 @@ def _stiffest(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
         best = equal[np.argmin(beta[equal])]
         return OptimalPoint(float(alpha[best]), float(beta[best]), 0.0)
 
-    # the spring of a device may be damped best by a negative damping
-    sides = [np.linspace(0.0, high[1], 61)[1:]]
-    sides += [np.linspace(low[1], 0.0, 61)] if loop.gamma > 0 else []
-    found = [point for point in map(top, sides) if point is not None]
-    if not found:
-        raise ParameterError("no point without overshoot was found.")
-    return max(found, key=lambda point: point.alpha)
+    def _climbed(self, alpha: Floats, beta: Floats, half: float, width: float) -> tuple[Floats, Floats]:
+        """Return tips of the edge, looked at ever closer."""
+        for _ in range(_CLIMBS):
+            window, middle = beta[:, None] + half * np.linspace(-1, 1, 19), np.repeat(alpha, 19)
+            values = self.edge(window.ravel(), middle - width, middle + width, 2).reshape(window.shape)
+            peak, tip = values.argmax(axis=1), np.arange(len(alpha))
+            better = values[tip, peak] > alpha
+            alpha = np.where(better, values[tip, peak], alpha)
+            beta = np.where(better, window[tip, peak], beta)
+            half, width = half * 0.4, width * 0.35
+        return alpha, beta
 
 
 def _local_maxima(values: Floats) -> list[int]:
