@@ -87,11 +87,11 @@ class Simulation:
         speed = self.states[:, self.plain.sensed + 1]
         turns = np.flatnonzero(speed[:-1] * speed[1:] < 0)
         times, values = [stretch.begin for stretch in self.stretches], list(place)
-        near = max(0.5 * BAND, 0.9 * place.max()) if place.max() > 0 else 0.5 * BAND
         for i in turns:
             stretch = self.stretches[i]
-            if max(abs(place[i]), abs(place[i + 1])) < 1e-13 or abs(place[i]) < 0.5 * min(near, BAND):
-                continue
+            nearer = max(place[i], place[i + 1]) >= 0.5 * max(place.max(), 1e-13)
+            if not nearer and max(abs(place[i]), abs(place[i + 1])) < 0.5 * BAND:
+                continue  # decides neither
             turn = brentq(stretch.speed, 0, stretch.duration, xtol=1e-14)
             times.append(stretch.begin + turn)
             values.append(stretch.away(turn))
