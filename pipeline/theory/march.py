@@ -415,15 +415,15 @@ def told(state: Floats, start: Floats) -> bool:
 def outlook(law: Floats, n: int, hull: Floats, pole: Floats, state: Floats, view: Floats) -> bool:
     """Set what modes have of the motion in the interval behind sample 0; return whether all fade.
 
-    Columns of ``view``: decay and angle per sample, largest size, how far below zero it
-    stays, of a real positive pole, and a power of the pole (two).
+    Columns of ``view``: decay per sample, real part of the pole, largest size, how far below zero it stays, of a real
+    positive pole, a power of the pole (two), and its imaginary part.
     """
     own, delay = law.shape[1], state.shape[1] - law.shape[1]
     for m in range(len(state)):
         if abs(pole[m].imag) < ROUNDED:
             pole[m] = complex(pole[m].real, 0.0)
         view[m, 0] = -0.5 * math.log(max(square(pole[m]), GONE**2))
-        view[m, 1] = math.atan2(pole[m].imag, pole[m].real)
+        view[m, 1], view[m, 6] = pole[m].real, pole[m].imag
         force, size, least = 0j, 0.0, math.inf
         for i in range(own):
             force += law[n, i] * state[m, i]
@@ -442,13 +442,11 @@ def outlook(law: Floats, n: int, hull: Floats, pole: Floats, state: Floats, view
 
 
 @inlined
-def grow(view: Floats, sample: float) -> None:
+def grow(view: Floats, sample: int) -> None:
     """Set the powers of the poles."""
     for m in range(len(view)):
-        size, turn = math.exp(-sample * view[m, 0]), sample * view[m, 1]
-        view[m, 4], view[m, 5] = size, 0.0
-        if turn:
-            view[m, 4], view[m, 5] = size * math.cos(turn), size * math.sin(turn)
+        power = power_of(complex(view[m, 1], view[m, 6]), sample)
+        view[m, 4], view[m, 5] = power.real, power.imag
 
 
 @inlined

@@ -179,7 +179,7 @@ def _work(loop: NormalisedLoop, course: Arrays, count: int) -> Arrays:
     marched = tuple(np.zeros(size) for size in (own, delay, own, course[2].shape[1], own, delay))
     notes = np.zeros(count), np.zeros((count, 5 + own)), np.zeros(2), np.zeros(2)
     complexes = *np.zeros((2, n), np.complex128), np.zeros((n, n), np.complex128)
-    return marched, notes, (np.zeros(n), np.zeros(own + 1), *complexes, np.zeros((n, 6)))
+    return marched, notes, (np.zeros(n), np.zeros(own + 1), *complexes, np.zeros((n, 7)))
 
 
 def _memory(loop: NormalisedLoop) -> int:
