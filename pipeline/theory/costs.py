@@ -250,7 +250,10 @@ def write_map(
     schema = map_schema(cost_map)
     stable = done = 0
     try:
-        with replacing(path) as stream, pq.ParquetWriter(stream, schema, use_dictionary=list(AXES), **WRITING) as writer:
+        with (
+            replacing(path) as stream,
+            pq.ParquetWriter(stream, schema, use_dictionary=list(AXES), **WRITING) as writer,
+        ):
             for block in cost_map.blocks(points):
                 writer.write_table(block_table(block, schema))
                 stable += int(block.stable.sum())

@@ -315,7 +315,7 @@ def roots(modal: Arrays, wall: tuple[float, float], zeta: Floats, forces: Floats
     for k in range(len(forces)):
         forces[k] = walls[0, k] * wall[0] + walls[1, k] * wall[1]
     for i in range(len(zeta)):
-        zeta[i] *= 1 + FIRST_TURN * complex(math.cos(i + 1), math.sin(i + 1))
+        zeta[i] *= 1 + FIRST_TURN * complex(i % 3 - 1.0, 1.0 + i % 2)
     for _ in range(ROOT_STEPS):
         moves = False
         for i in range(len(zeta)):

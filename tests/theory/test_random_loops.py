@@ -61,20 +61,26 @@ class Simulation:
 
     def __init__(self, plain: Plain, K: float, B: float, samples: int):
         self.plain, self.K, self.period = plain, K, plain.period
-        walls, state = (np.array([K]), np.array([B])), np.zeros((1, plain.size))
-        self.stretches, sampled = [], []
-        for k in range(samples):
-            sampled.append(state[0, plain.sensed] - 1)
-            *starts, state = plain.sample(state, *walls, K + plain.stiffness)
-            begin = float(k)
-            for start, (duration, _) in zip(starts, plain.holds, strict=True):
-                for _ in range(LOOKS):
-                    length = duration / LOOKS
-                    move = self.moves(length)
-                    self.stretches.append(Stretch(plain, start[0], begin, length))
-                    start, begin = start @ move.T, begin + length
-        self.sampled = np.array(sampled)
-        self.states = np.array([stretch.state for stretch in self.stretches])
+        wall, nothing, unit = (np.array([K]), np.array([B])), np.zeros((1, plain.size)), np.eye(plain.size)
+        *pushes, push = plain.sample(nothing, *wall, K + plain.stiffness)
+        *maps, step = plain.sample(unit, *wall, 0.0)
+        states = np.zeros((samples, plain.size))
+        for k in range(samples - 1):
+            states[k + 1] = states[k] @ step + push[0]
+        self.sampled = states[:, plain.sensed] - 1
+        parts, begins, lengths, begin = [], [], [], np.arange(float(samples))
+        for linear, constant, (duration, _) in zip(maps, pushes, plain.holds, strict=True):
+            start, length = states @ linear + constant, duration / LOOKS
+            for _ in range(LOOKS):
+                parts.append(start)
+                begins.append(begin)
+                lengths.append(np.full(samples, length))
+                start, begin = start @ self.moves(length).T, begin + length
+        self.states = np.stack(parts, axis=1).reshape(-1, 6)
+        self.begins, self.lengths = (np.stack(each, axis=1).ravel() for each in (begins, lengths))
+
+    def stretch(self, index: int) -> Stretch:
+        return Stretch(self.plain, self.states[index], self.begins[index], self.lengths[index])
 
     def moves(self, length: float) -> np.ndarray:
         known = self.__dict__.setdefault("known", {})
@@ -86,9 +92,9 @@ class Simulation:
         place = self.states[:, self.plain.sensed] - 1
         speed = self.states[:, self.plain.sensed + 1]
         turns = np.flatnonzero(speed[:-1] * speed[1:] < 0)
-        times, values = [stretch.begin for stretch in self.stretches], list(place)
+        times, values = list(self.begins), list(place)
         for i in turns:
-            stretch = self.stretches[i]
+            stretch = self.stretch(i)
             nearer = max(place[i], place[i + 1]) >= 0.5 * max(place.max(), 1e-13)
             if not nearer and max(abs(place[i]), abs(place[i + 1])) < 0.5 * BAND:
                 continue  # decides neither
@@ -98,8 +104,7 @@ class Simulation:
         order = np.argsort(times)
         times, values = np.array(times)[order], np.array(values)[order]
         last = np.flatnonzero(np.abs(values) > BAND)[-1]
-        index = int(np.searchsorted([stretch.begin for stretch in self.stretches], times[last], side="right")) - 1
-        stretch = self.stretches[index]
+        stretch = self.stretch(int(np.searchsorted(self.begins, times[last], side="right")) - 1)
         level = np.sign(values[last]) * BAND
         low, high = times[last] - stretch.begin, times[last + 1] - stretch.begin
         settle = stretch.begin + brentq(lambda t: stretch.away(t) - level, low, min(high, stretch.duration), xtol=1e-13)
@@ -112,15 +117,13 @@ class Simulation:
         stiff = (self.K + self.plain.stiffness) * self.period**2 / self.plain.mass
         k, step = np.arange(len(self.sampled)), np.diff(self.sampled, prepend=self.sampled[0])
         discrete, sums = self.sampled**2 + step**2 / stiff, np.zeros(3)
-        lengths = np.array([stretch.duration for stretch in self.stretches])
-        begins = np.array([stretch.begin for stretch in self.stretches])
-        for length in np.unique(lengths):
-            some = lengths == length
+        for length in np.unique(self.lengths):
+            some = self.lengths == length
             for share, weight in zip(SHARES, 0.5 * WEIGHTS, strict=True):
                 states = self.states[some] @ self.moves(length * share).T
                 away = states[:, self.plain.sensed] - 1
                 energy = away**2 + (states[:, self.plain.sensed + 1] * self.period) ** 2 / stiff
-                sums += [np.sum(weight * length * (begins[some] + length * share) ** w * energy) for w in range(3)]
+                sums += [np.sum(weight * length * (self.begins[some] + length * share) ** w * energy) for w in range(3)]
         found = {f"energy_step_w{w}": float(sums[w]) for w in range(3)}
         return found | {f"energy_step_w{w}_discrete": float(k.astype(float) ** w @ discrete) for w in range(3)}
 
