@@ -1,8 +1,8 @@
 """Settling time, overshoot and energies of random loops with parts against a fine simulation in SI.
 
 The motion is followed by matrix exponentials from sample to sample; turning points and the last passing into the band
-are roots of the exact motion between them, and energies are integrals by Gauss's rule. `RANDOM_LOOPS=2000` in the
-environment follows as many loops.
+are roots of the exact motion between them, and energies are integrals by Gauss's rule. Of the 2,600 loops
+that are drawn some 2,000 have a wall whose motion ends soon; `RANDOM_LOOPS` in the environment draws as many.
 """
 
 from __future__ import annotations
@@ -16,15 +16,17 @@ from plain_loops import Plain, drawn
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-import pipeline
 from pipeline.theory.cases import POINT_COSTS
 
-CHUNK, CHUNKS = 50, int(os.environ.get("RANDOM_LOOPS", "2000")) // 50
+CHUNK, CHUNKS = 50, int(os.environ.get("RANDOM_LOOPS", "2600")) // 50
 FEW = 12
 """Loops of the fast test."""
 
-SLOWEST = 0.98
-"""Largest pole radius of a wall: its motion has ended after some 2,000 samples."""
+SLOWEST = 0.998
+"""Largest pole radius of a wall: its motion has ended after some 20,000 samples."""
+
+TRIES = 240
+"""Walls of a loop among which one is chosen."""
 
 BAND = 0.02
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
@@ -91,12 +93,12 @@ class Simulation:
     def costs(self) -> dict[str, float]:
         place = self.states[:, self.plain.sensed] - 1
         speed = self.states[:, self.plain.sensed + 1]
-        turns = np.flatnonzero(speed[:-1] * speed[1:] < 0)
+        turns, outside = np.flatnonzero(speed[:-1] * speed[1:] < 0), np.flatnonzero(np.abs(place) > BAND)[-1]
         times, values = list(self.begins), list(place)
         for i in turns:
             stretch = self.stretch(i)
-            nearer = max(place[i], place[i + 1]) >= 0.5 * max(place.max(), 1e-13)
-            if not nearer and max(abs(place[i]), abs(place[i + 1])) < 0.5 * BAND:
+            nearer = max(place[i], place[i + 1]) >= 0.5 * max(place.max(), 1e-11)
+            if not nearer and (i < outside or max(abs(place[i]), abs(place[i + 1])) < 0.5 * BAND):
                 continue  # decides neither
             turn = brentq(stretch.speed, 0, stretch.duration, xtol=1e-14)
             times.append(stretch.begin + turn)
@@ -128,15 +130,11 @@ class Simulation:
         return found | {f"energy_step_w{w}_discrete": float(k.astype(float) ** w @ discrete) for w in range(3)}
 
 
-def a_wall(plain: Plain, loop: pipeline.Loop, rng: np.random.Generator) -> tuple[float, float, float] | None:
-    """Return a stable wall whose motion ends soon, and its pole radius; None where tries find none."""
-    try:
-        border = loop.boundary(24)
-    except pipeline.ParameterError:
-        return None
-    B = rng.uniform(0, border.attrs["damping_max"], 40)
-    K = rng.uniform(0.02, 0.98, 40) * loop.limits(B)["stiffness"].fillna(0.0).to_numpy()
-    radius = np.where(K > 0, plain.radius(K, B), 1.0)
+def a_wall(plain: Plain, rng: np.random.Generator) -> tuple[float, float, float] | None:
+    """Return a wall whose motion ends soon, and its pole radius; None where no try finds one."""
+    K = 10 ** rng.uniform(-4, 0, TRIES) * plain.mass / plain.period**2
+    B = 10 ** rng.uniform(-2, 0.3, TRIES) * plain.mass / plain.period
+    radius = plain.radius(K, B)
     good = np.flatnonzero(radius < SLOWEST)
     return (float(K[good[0]]), float(B[good[0]]), float(radius[good[0]])) if len(good) else None
 
@@ -144,7 +142,7 @@ def a_wall(plain: Plain, loop: pipeline.Loop, rng: np.random.Generator) -> tuple
 def deviations(seed: int) -> dict[str, float]:
     """Return the differences of the costs of a random loop and its simulation."""
     plain, loop = drawn("several", seed)
-    wall = a_wall(plain, loop, np.random.default_rng([seed, 3]))
+    wall = a_wall(plain, np.random.default_rng([seed, 3]))
     if wall is None:
         return {}
     K, B, radius = wall
@@ -158,11 +156,15 @@ def deviations(seed: int) -> dict[str, float]:
 
 def check(seeds: range) -> None:
     largest: dict[str, float] = {}
+    count = 0
     for seed in seeds:
-        for name, off in deviations(seed).items():
+        off_by = deviations(seed)
+        count += bool(off_by)
+        for name, off in off_by.items():
             largest[name] = max(largest.get(name, 0.0), off)
             assert off <= TOLERANCE[name.split("_")[0]], (seed, name, off)
-    print({name: f"{off:.1e}" for name, off in largest.items()})
+    print(count, {name: f"{off:.1e}" for name, off in largest.items()})
+    assert count > 0.5 * len(seeds)
     assert len(largest) == len(COSTS)
 
 
