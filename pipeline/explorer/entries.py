@@ -7,6 +7,7 @@ from dataclasses import fields
 from typing import Any
 
 from pipeline.device.loop import Loop
+from pipeline.device.parameters import drive_of
 from pipeline.device.parts import Part, named
 from pipeline.records.models import Device
 from pipeline.records.results import ComparisonResult, ExperimentResult, LoopResult
@@ -45,7 +46,12 @@ def device_entries(devices: Iterable[Device], by: str = "") -> list[Entry]:
 
 
 def measured_entries(result: ComparisonResult) -> list[Entry]:
-    """Return an entry for each experiment of a comparison that has a loop: identified, or of the device file."""
+    """Return an entry for each experiment of a comparison that has a loop: identified, or of the device file.
+
+    There is none for a drive whose commands are in volts or counts: the page's numbers are in N or Nm.
+    """
+    if drive_of(result.motion):
+        return []
     told = result.answer.wall if result.answer else None
     found = []
     for experiment in result.experiments:

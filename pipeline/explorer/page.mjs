@@ -112,6 +112,10 @@ export function python(loop, wall) {
 
 explore.panels = 0;
 
+/** Marks of the legend, as the plane draws them; others are lines. @type {Record<string, string>} */
+const MARKS = { passive: "M6 2H18V10H6Z", good: "M10 4h4v4h-4z", bad: "M10 4l4 4m0-4l-4 4", limit: "M9 6a3 3 0 1 0 6 0a3 3 0 1 0-6 0",
+  best: "M12 0l2 4 4 0-3 3 1 4-4-2-4 2 1-4-3-3 4 0z", wall: "M8 6a4 4 0 1 0 8 0a4 4 0 1 0-8 0" };
+
 /**
  * Show a panel in an element: the first entry, with those parts of the state that the address has.
  * @param {HTMLElement} root @param {Entry[]} entries
@@ -286,14 +290,13 @@ export function explore(root, entries) {
     put("grid", grid.join(""));
     layers.axis.replaceChildren(make("path", { class: "axis", d: `M${left} 12V${height - bottom}H${width - 12}` }), ...frame,
       make("text", { x: width - 12, y: height - 6, "text-anchor": "end" }, `stiffness K [${of().K}]`), make("text", { x: left + 8, y: 24 }, `damping B [${of().B}]`));
-    const shown = [["edge", "stable"], ["passive", "passive: stable with every hand"], ["linear", "linear condition (3.25)"],
-      ...(ghost?.same ? [] : [["ghost", "device as identified"]]),
-      ...((entry.friction ?? []).length ? [["friction", "limit with friction"]] : []),
+    const shown = [["edge", "stable"], ["passive", "passive: stable with every hand"], ["linear", "linear condition: slow motion"], ["wall", "this wall: drag it"],
+      ...(ghost?.same ? [] : [["ghost", "device as identified"]]), ...((entry.friction ?? []).length ? [["friction", "limit with friction"]] : []),
       ...((entry.trials ?? []).length ? [["good", "stable trial"], ["bad", "unstable trial"]] : []),
       ...((entry.limits ?? []).length ? [["limit", "measured limit"]] : []), ...(entry.wall || best ? [["best", entry.wall ? "recommended wall" : "optimum"]] : [])];
     if (legend.dataset.shown === String(shown)) return;
     legend.dataset.shown = String(shown), legend.replaceChildren(...shown.map(([name, words]) => make("li", {}, make("svg", { viewBox: "0 0 24 12", "aria-hidden": true },
-        make("path", { class: name, d: name === "limit" || name === "best" || name === "passive" ? "M6 2H18V10H6Z" : "M2 6H22" })), words)));
+        make("path", { class: name, d: MARKS[name] ?? "M2 6H22" })), words)));
   }
 
   /** Draw lines over one abscissa. @param {any} svg @param {any[]} series @param {string} xname @param {number[]} marks @param {boolean} log */

@@ -235,7 +235,9 @@ def _spare(rig: Loop, wish: Wish, alpha: Floats, beta: Floats, above: float) -> 
     )
     spare = np.full(len(alpha), np.inf)
     if wish.settling_s is not None:
-        spare = np.asarray(math.log(wish.settling_s) - np.log(found["settle_2pct"] * rig.sampling_period_s))
+        # one that is given up settles too late
+        settled = np.nan_to_num(found["settle_2pct"], nan=math.inf) * rig.sampling_period_s
+        spare = np.maximum(math.log(wish.settling_s) - np.log(settled), _NOTHING)
     if wish.overshoot is not None:
         spare = np.fmin(spare, wish.overshoot + OVERSHOOT_SEEN - found["overshoot"])
     return np.asarray(np.nan_to_num(spare, nan=_NOTHING))

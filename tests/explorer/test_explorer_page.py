@@ -110,3 +110,12 @@ def test_explore_refuses_what_is_not_known(call, tmp_path):
     status, _, error = call("explore", "--device", "falcon", "--experiment", "9")
     assert status == 1
     assert "it has 1, 2" in error
+
+
+def test_explore_refuses_a_drive_whose_commands_are_no_forces(call, tmp_path):
+    text = 'name = "bench"\nmotion = "translation in V"\nsampling_period_s = 0.001\nmass = 0.5\ndamping = 3.0\n'
+    (tmp_path / "bench.toml").write_text(text + "delay_samples = 2\n", encoding="utf-8")
+    status, _, error = call("explore", "--device", "bench.toml")
+    assert status == 1
+    assert "its commands are in V" in error
+    assert "gain" in error

@@ -39,7 +39,7 @@ def test_commands_lead_from_simulation_to_the_report(call, tmp_path):
     logs = write_course(run_course(load_device("lwr"), "delay-8", ideal=True, coarsen=4), tmp_path / "raw")
     stored = document(call("ingest", "raw", "--json"))
     nothing: dict[str, list] = {
-        key: [] for key in ("quarantined", "warnings", "removed", "changed", "waiting", "damaged")
+        key: [] for key in ("quarantined", "ignored", "warnings", "removed", "changed", "waiting", "damaged")
     }
     assert stored == {"found": logs, "ingested": logs, "skipped": 0, **nothing}
     again = document(call("ingest", "raw", "--json"))

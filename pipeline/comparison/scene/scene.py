@@ -153,6 +153,7 @@ def needed_stages(data: SceneData) -> set[str]:
 
 _LEFT_OUT = {  # but for what a report holds only by name
     "outcome": "neither the table of outcomes nor the trials are shown",
+    "parts": "neither the measured boundary nor a cost that is asked for needs a device",
     "device": "neither the measured boundary nor a cost that is asked for needs delay or mass",
     "model": "neither delay nor mass is asked for",
     "delay": "neither the measured boundary nor a cost that is asked for needs the delay",

@@ -248,6 +248,7 @@ def explore(
 
 def _entries(device: str | None, experiment: str | None, processed: str) -> list[dict[str, Any]]:
     """Return what the page of `explore` begins with: what was measured first, then the device file, then others."""
+    from pipeline.device.parameters import drive_of
     from pipeline.device_data.devices import find_experiment, known_devices
     from pipeline.explorer.entries import device_entries
 
@@ -260,6 +261,11 @@ def _entries(device: str | None, experiment: str | None, processed: str) -> list
         if not measured:
             raise
         return measured
+    if drive := drive_of(known.motion):
+        raise DeviceError(
+            f"device {known.name!r}: its commands are in {drive}, and the page computes with forces or torques. Give "
+            "the gain of the drive (--gain '2.3 N/V', or [units] gain in a profile) where the logs are read."
+        )
     chosen = (
         known if experiment is None else known.model_copy(update={"experiments": (find_experiment(known, experiment),)})
     )

@@ -16,9 +16,9 @@ from pipeline.store.storage import stage_file
 ALWAYS = {"response", "wall_law", "outcome", "boundary"}
 NEEDED = {
     ("overshoot",): ALWAYS | {"overshoot"},
-    ("settle_2pct",): ALWAYS | {"wall_law", "device", "model", "delay", "settling"},
-    ("settle_1pct", "overshoot"): ALWAYS | {"wall_law", "device", "model", "delay", "settling", "overshoot"},
-    ("energy_step_w1",): ALWAYS | {"wall_law", "device", "model", "delay", "energy", "mass"},
+    ("settle_2pct",): ALWAYS | {"wall_law", "parts", "device", "model", "delay", "settling"},
+    ("settle_1pct", "overshoot"): ALWAYS | {"wall_law", "parts", "device", "model", "delay", "settling", "overshoot"},
+    ("energy_step_w1",): ALWAYS | {"wall_law", "parts", "device", "model", "delay", "energy", "mass"},
 }
 
 
@@ -36,12 +36,12 @@ def test_unknown_device_needs_its_estimates_for_any_theory(unknown):
     data = open_scene("mydevice", unknown.processed, None, ("overshoot",))
     assert data.device is None
     assert data.overlay
-    assert needed_stages(data) == ALWAYS | {"wall_law", "overshoot", "device", "model", "delay", "mass"}
+    assert needed_stages(data) == ALWAYS | {"wall_law", "overshoot", "parts", "device", "model", "delay", "mass"}
 
 
 def test_all_criteria_need_all_stages(falcon):
     data = open_scene("falcon", falcon.processed, None, None)
-    assert len(needed_stages(data)) == 11
+    assert len(needed_stages(data)) == 12
     assert data.overlay
     assert len(data.scene.criteria) == 7
 
