@@ -36,7 +36,7 @@ def test_reachable_energies_are_those_of_the_optima_at_40_delays():
     "criterion", ["settle_2pct", "settle_5pct", "pole_radius", "energy_step_w2", "energy_impulse_w1"]
 )
 def test_reachable_costs_are_those_of_the_optima(criterion):
-    for error, within in errors_of(criterion, DELAYS):
+    for error, within in errors_of(criterion, DELAYS[DELAYS < 24]):
         assert abs(error) < within
 
 
