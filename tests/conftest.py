@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import shutil
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +27,20 @@ def pytest_collection_modifyitems(items):
         if item.get_closest_marker("sampled") and item.function in seen:
             item.add_marker(pytest.mark.slow)
         seen.add(getattr(item, "function", None))
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """The Chromium of the system, without a window."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright: pip install -e '.[dev]'")
+    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if program is None:
+        pytest.skip("no Chromium: apt-get install chromium")
+    with playwright.sync_playwright() as driver:
+        # in a container tests run as root, where Chromium has no sandbox
+        started = driver.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield started
+        started.close()
 
 
 @pytest.fixture

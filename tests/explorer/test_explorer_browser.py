@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,8 +22,6 @@ from pipeline.explorer.entries import device_entries, with_trials
 from pipeline.explorer.page import page as page_of
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
-playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright: pip install -e '.[dev]'")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 WORST = {
     "mass": 0.58, "damping": 4.0, "sampling_period_s": 0.001, "delay_samples": 9.5, "actuator_lag_s": 0.003,
@@ -44,16 +41,6 @@ DRAG = """async () => {
   }
 }"""
 """Moves a slider, a step every second frame."""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    if CHROMIUM is None:
-        pytest.skip("no Chromium: apt-get install chromium")
-    with playwright.sync_playwright() as driver:
-        started = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield started
-        started.close()
 
 
 @pytest.fixture(scope="module")

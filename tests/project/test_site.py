@@ -22,7 +22,6 @@ from pipeline.shell.cli import run
 pytestmark = pytest.mark.slow
 
 DOCS = ROOT / "docs"
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
 @pytest.fixture(scope="module")
@@ -53,19 +52,12 @@ def test_every_public_name_is_in_the_reference(site: Path) -> None:
 
 @pytest.mark.browser
 @pytest.mark.slow
-def test_it_is_searched_without_a_server(site: Path) -> None:
-    playwright: Any = pytest.importorskip("playwright.sync_api")
-    if CHROMIUM is None:
-        pytest.skip("no Chromium: apt-get install chromium")
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page = browser.new_page()
-        page.goto(f"{(site / 'search.html').as_uri()}?q=quarantine")
-        page.wait_for_selector("#search-results li a", timeout=30_000)
-        assert "storage" in " ".join(
-            link.get_attribute("href") for link in page.query_selector_all("#search-results a")
-        )
-        browser.close()
+def test_it_is_searched_without_a_server(site: Path, browser: Any) -> None:
+    page = browser.new_page()
+    page.goto(f"{(site / 'search.html').as_uri()}?q=quarantine")
+    page.wait_for_selector("#search-results li a", timeout=30_000)
+    assert "storage" in " ".join(link.get_attribute("href") for link in page.query_selector_all("#search-results a"))
+    page.close()
 
 
 def blocks(page: str, language: str) -> list[str]:

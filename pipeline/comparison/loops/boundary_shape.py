@@ -1,4 +1,4 @@
-"""What the course of a measured boundary says: the delay that it stands for, and whether its upper part is straight.
+"""The shape of a measured boundary: the delay that explains it, and whether its upper part is straight.
 
 Source: Hulin 2017, eq. 3.25 and secs. 6.1.3 and 6.5 (delay near the origin and as a whole; the straight upper part).
 """
@@ -24,7 +24,7 @@ NEAR = 0.5
 """Dampings near the origin, up to this share of that of the stiffest wall: the thesis speaks of 50 of 94 Ns/m."""
 
 FEWEST = 3
-"""Limits that tell a delay or a line, with one more than a line has numbers."""
+"""Fewest limits by which a delay is found; a line, which has one number more, needs one limit more."""
 
 DELAYS = np.concatenate([np.linspace(0, 4, 17), np.geomspace(4.5, LARGEST_DELAY, 24)])
 """Delays [samples] between which the likeliest one is looked for."""
@@ -195,14 +195,10 @@ def straight_bound(result: ExperimentResult, basis: LoopBasis | None) -> Straigh
 
 
 def _polynomial(limits: _Limits, stiffness: Floats, degree: int) -> tuple[Floats, Floats]:
-    """Return the coefficients of a polynomial over damping, and the half widths of their 95 % intervals."""
-    powers = limits.damping[:, None] ** np.arange(degree + 1)
-    scale = np.abs(powers).max(axis=0)
-    weighed = powers / scale / limits.error[:, None]
-    found = np.linalg.lstsq(weighed, stiffness / limits.error)[0]
-    rest = stiffness / limits.error - weighed @ found
+    """Return the coefficients of a polynomial over damping, the constant first, and their half widths, 95 %."""
+    found, known = np.polyfit(limits.damping, stiffness, degree, w=1 / limits.error, cov="unscaled")
+    rest = (stiffness - np.polyval(found, limits.damping)) / limits.error
     freedom = len(limits) - degree - 1
     scatter = float(rest @ rest) / freedom
     factor = NORMAL_95 if scatter <= 1 else float(student_95(freedom)) * np.sqrt(scatter)
-    known = np.linalg.pinv(weighed.T @ weighed)
-    return found / scale, factor * np.sqrt(np.maximum(known.diagonal(), 0.0)) / scale
+    return found[::-1], factor * np.sqrt(known.diagonal()[::-1])
