@@ -18,6 +18,7 @@ from pydantic import ValidationError
 
 from pipeline.base.errors import LogError, ParameterError, ProfileError
 from pipeline.base.units import find_unit, unit_in_heading
+from pipeline.base.wording import counted
 from pipeline.profiles.profile_files import find_mistakes
 from pipeline.profiles.profile_model import (
     CONDITIONS,
@@ -117,11 +118,10 @@ def _missing(path: Path, rows: dict[str, tuple[int, str]], present: Sequence[str
     lost = [f"{text} (row {number})" for name, (number, text) in rows.items() if name.lower() not in here]
     alone = [name for name in present if name.lower() not in {row.lower() for row in rows}]
     told = []
-    for listed, what in ((lost, "name no log that is here"), (alone, "have no row in it")):
+    for listed, kind, what in ((lost, "row", "without a log"), (alone, "log", "without a row")):
         if listed:
             more = f" and {len(listed) - LISTED_FILES} more" if len(listed) > LISTED_FILES else ""
-            kind = "rows of the sheet" if listed is lost else "logs"
-            told.append(f"{len(listed)} {kind} {what}: {', '.join(listed[:LISTED_FILES])}{more}.")
+            told.append(f"{counted(len(listed), kind)} {what}: {', '.join(listed[:LISTED_FILES])}{more}.")
     return told
 
 

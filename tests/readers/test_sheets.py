@@ -169,8 +169,8 @@ def test_rows_without_a_log_and_logs_without_a_row_are_listed(call, lab):
     assert "no entry [[file]] and no row of its sheet names it" in found["quarantined"][0]["reason"]
     told = [warning["warning"] for warning in found["warnings"]]
     assert told == [
-        "1 rows of the sheet name no log that is here: run_z (row 4).",
-        "1 logs have no row in it: run_c.txt.",
+        "1 row without a log: run_z (row 4).",
+        "1 log without a row: run_c.txt.",
     ]
 
 
