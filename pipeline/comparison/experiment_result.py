@@ -18,6 +18,7 @@ from pipeline.comparison.scene.origin import header_lines
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.comparison.summary.advice import region_to_use
 from pipeline.device.loop import Loop
+from pipeline.device.parameters import ESTIMATE_PARAMETERS
 from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.experiment.boundary import boundary_area
 from pipeline.measured.experiment.estimates import (
@@ -185,8 +186,7 @@ def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) 
         "mass": stages.once(mass_estimate) if "mass" in needed else by_model(stages, "mass"),
         "damping": stages.once(damping_estimate),
         "boundary_area": area,
-        "friction": by_model(stages, "friction.coulomb"),
-        "device_stiffness": by_model(stages, "stiffness"),
+        **{name: by_model(stages, parameter) for name, parameter in ESTIMATE_PARAMETERS.items()},
         "constant_force": by_model(stages, "constant_force"),
         "jitter_samples": jitter_estimate(stages),
     }

@@ -245,3 +245,6 @@ def _rows() -> tuple[Parameter, ...]:
 
 PARAMETERS: dict[str, Parameter] = {parameter.name: parameter for parameter in _rows()}
 """All numbers of a loop by name, in the order of files, tables and covariances."""
+
+ESTIMATE_PARAMETERS = {"friction": "friction.coulomb", "device_stiffness": "stiffness"}
+"""Parameter behind each name in ``estimates`` of a comparison's document that is not the parameter's own."""

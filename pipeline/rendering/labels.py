@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from pipeline.base.wording import true_minus
-from pipeline.device.parameters import MOTIONS, Dimension, Motion, unit_of
+from pipeline.device.parameters import ESTIMATE_PARAMETERS, MOTIONS, PARAMETERS, Dimension, Motion, unit_of
 from pipeline.records.criteria import CRITERIA, criterion_of
 from pipeline.records.findings import Estimate
 from pipeline.records.results import AnswerEstimate
@@ -50,21 +50,16 @@ UNITS: dict[Motion, Units] = {
 }
 
 
-QUANTITIES = {
-    "delay_samples": "delay d",
-    "mass": "mass m",
-    "damping": "damping b",
-    "jitter_samples": "jitter of the delay within a trial",
-    "friction": "Coulomb friction",
-    "device_stiffness": "stiffness of the device",
-    "constant_force": "constant force on the device",
-    "boundary_area": "area under the boundary",
-}
-
-
 def quantity_name(quantity: str) -> str:
-    """Return what a quantity is called in heads of tables."""
-    return QUANTITIES.get(quantity, quantity.replace("_", " "))
+    """Return what an estimate is called in heads of tables: the label and the symbol of its parameter.
+
+    >>> quantity_name("device_stiffness"), quantity_name("friction"), quantity_name("boundary_area")
+    ('stiffness k', 'Coulomb friction', 'area under the boundary')
+    """
+    parameter = PARAMETERS.get(ESTIMATE_PARAMETERS.get(quantity, quantity))
+    if parameter is None:
+        return "area under the boundary" if quantity == "boundary_area" else quantity.replace("_", " ")
+    return f"{parameter.label} {parameter.symbol}" if len(parameter.symbol) == 1 else parameter.label
 
 
 def criterion_name(name: str) -> str:

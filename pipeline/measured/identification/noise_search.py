@@ -26,8 +26,8 @@ FIRST_JITTERS, FIRST_FORCES = (0.08, 0.25, 0.6, 1.2), (1.0, 0.1, 1e-2, 1e-4)
 """Jitters [samples], and random forces relative to that without a jitter, from which the likeliest are looked for."""
 
 READINGS = (1e-6, 10.0)
-"""Least and largest variance of a reading that is looked for with a jitter, in that by third differences: where readings
-are exact, these are the kicks of the jitter, 1e3 times as large."""
+"""Least and largest variance of a reading that is looked for with a jitter, in that by third differences: where
+readings are exact, these are the kicks of the jitter, 1e3 times as large."""
 
 ROUGH = 0.7
 """Change of the logarithm of a variance that is near enough for a start: intervals grow with its root."""
