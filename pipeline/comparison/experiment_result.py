@@ -80,7 +80,8 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
     units = data.units
     named: dict[str, Experiment] = {e.name: e for e in data.device.experiments} if data.device else {}
     entry = named.get(stages.experiment)
-    best = {criterion: stages.optimum(criterion) for criterion in data.scene.criteria}
+    limits = _known_points(stages)
+    best = {criterion: stages.optimum(criterion, limits) for criterion in data.scene.criteria}
     optimum = {criterion: found for criterion, found in best.items() if found is not None}
     missing = {c: stages.cost(c)[1] or "no stable trial has this cost" for c in best if c not in optimum}
     periods = set(stages.trials.column("sampling_period_s").to_pylist())
@@ -96,7 +97,7 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
         outcomes=dict(Counter(stages.texts("outcome", "outcome"))) if "outcome" in needed else {},
         model_check=model_check(stages) if "model" in needed else None,
         estimates=_estimates(stages, needed, units),
-        boundary=_known_points(stages),
+        boundary=limits,
         optimum=optimum,
         missing=missing,
         theory=theory.described if theory else None,

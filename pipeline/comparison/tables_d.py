@@ -10,7 +10,7 @@ from typing import Any
 
 from pipeline.comparison.scene.scene import SceneData, layouts
 from pipeline.comparison.scores.deviation import deviation_of
-from pipeline.device_data.published import find
+from pipeline.device_data.published import find, published_deviation
 from pipeline.records.criteria import DISCRETE, criterion_of
 from pipeline.records.findings import Optimum
 from pipeline.records.models import ComparisonRow, Deviation, TableLayout
@@ -107,8 +107,11 @@ class TableBuilder:
         if best is None:
             return self._row(table, criterion, condition, delay, None, result.missing.get(criterion), **about)
         # none where theory is zero
-        off = 100 * (best.cost - discrete.cost) / discrete.cost if discrete and discrete.cost else None
-        about |= {"deviation_percent": off, "censored": best.censored, "trial_id": best.trial_id}
+        for name in _NUMBERS if discrete else ():
+            measured, theoretical = getattr(best, name), getattr(discrete, name)
+            key = "deviation_percent" if name == "cost" else f"{name}_deviation_percent"
+            about[key] = 100 * (measured - theoretical) / theoretical if theoretical else None
+        about |= {"censored": best.censored, "trial_id": best.trial_id}
         return self._row(table, criterion, condition, delay, best, _optimum_note(criterion, best), **about)
 
     def _published_size(self, table: TableLayout) -> int:
@@ -131,6 +134,7 @@ class TableBuilder:
             published = None  # a table of another device may bear the same name
         values = {name: getattr(point, name) if point else None for name in _NUMBERS}
         stated = {f"published_{name}": getattr(published, name) if published else None for name in _NUMBERS}
+        stated["published_deviation_percent"] = published_deviation(published) if published else None
         notes = (note, published.erratum if published else None)
         return ComparisonRow(
             table=table.name,

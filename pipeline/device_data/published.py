@@ -28,6 +28,9 @@ _FILE, _THEORY, _ARMS = "hulin-2017.csv", "hulin-2017-theory.csv", "hulin-2017-h
 THEORY_TABLES = ("B.1", "B.2", "B.3", "B.4", "C.1", "C.2", "C.3", "5.1(a)", "5.1(b)")
 """Tables of theory alone. Their numbers stay text, because their printed digits matter."""
 
+MEASURED_TABLES = ("D.1", "D.2", "D.3", "D.4", "D.5", "D.6")
+"""Tables of optima by theory and by experiments."""
+
 QUANTITIES = ("alpha", "beta", "cost", "percent", "scaling")
 """Numbers that a row of these may have."""
 
@@ -71,6 +74,11 @@ class PublishedRow(Record):
     damping_low: Positive | None = None
     damping_high: Positive | None = None
     erratum: str | None = None
+
+    @property
+    def is_theory(self) -> bool:
+        """Whether theory gave the row and no experiment."""
+        return self.condition.startswith("theory")
 
 
 def shipped_rows(file: str, row: type[RowT]) -> tuple[RowT, ...]:
@@ -140,6 +148,19 @@ def find(table: str, criterion: str, condition: str, delay_samples: float | None
     """
     rows = (r for r in published_rows() if (r.table, r.criterion, r.condition) == (table, criterion, condition))
     return next((row for row in rows if row.delay_samples in (None, delay_samples)), None)
+
+
+def published_deviation(row: PublishedRow) -> float | None:
+    """Return how far a printed measurement is from the printed discrete theory of its table, in percent.
+
+    None for a row of theory, and where the printed cost of theory is 0.
+
+    Source: Hulin 2017, Table D.6, which prints it for delays; by the same definition for D.1 to D.5.
+    """
+    theory = find(row.table, row.criterion, "theory_discrete", row.delay_samples)
+    if row.is_theory or theory is None or not theory.cost:
+        return None
+    return 100 * (row.cost - theory.cost) / theory.cost
 
 
 @dataclass(frozen=True)

@@ -165,11 +165,23 @@ class BoundaryPoint(Record):
         return Limit(damping=self.damping, stiffness=value, low=low, high=high, censored=self.censored)
 
 
+class NearOptimum(Record):
+    """Box of the ``trials`` that are nearly as good as the best: at most 5 % more cost, or 5 % less stiffness."""
+
+    stiffness_low: float
+    stiffness_high: float
+    damping_low: float
+    damping_high: float
+    trials: int
+
+
 class Optimum(Record):
     """Trial (or theoretical point) with the smallest cost; censored where it lies at the edge of the tested range.
 
     ``trials`` is the number of trials that have this cost; ``passive`` says whether the wall is passive for the whole
-    range of an adequate loop, None where that is not known.
+    range of an adequate loop, None where that is not known. ``near`` holds the walls that are nearly as good: it is
+    small where the optimum is sharp. ``margin`` is the lower end of the measured limit at that damping over the
+    stiffness, None without a limit. ``scatter_percent`` is that of single trials in the map of this cost.
     """
 
     stiffness: float
@@ -182,6 +194,9 @@ class Optimum(Record):
     censored: bool = False
     trials: int | None = None
     passive: bool | None = None
+    near: NearOptimum | None = None
+    margin: float | None = None
+    scatter_percent: float | None = None
 
 
 FindingCode = Literal[

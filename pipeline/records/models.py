@@ -194,7 +194,9 @@ class Deviation(Record):
 class ComparisonRow(Record):
     """One row of Tables D.1 to D.6: computed or measured beside the published value.
 
-    ``experiment`` and ``trial_id`` name the trial that a measured row stands for; both are null on theory rows.
+    ``experiment`` and ``trial_id`` name the trial that a measured row stands for; both are null on theory rows, and so
+    are the deviations of cost, stiffness and damping from the discrete theory. ``published_deviation_percent`` is that
+    of a printed measurement from the printed theory.
     """
 
     table: str
@@ -207,7 +209,10 @@ class ComparisonRow(Record):
     published_stiffness: float | None = None
     published_damping: float | None = None
     published_cost: float | None = None
+    published_deviation_percent: float | None = None
     deviation_percent: float | None = None
+    stiffness_deviation_percent: float | None = None
+    damping_deviation_percent: float | None = None
     deviation: Deviation | None = None
     censored: bool = False
     note: str | None = None

@@ -450,18 +450,45 @@ class AnswerEstimate(Quantity):
     at_last_damping: bool = False
 
 
+class ReachableCost(Record):
+    """The best settling time (2 %) that the delay alone allows, and the best one of the tested walls [samples].
+
+    ``delay_samples`` is the whole delay from command to force, an actuator's lag included. ``per_sample`` is what a
+    sample less of it saves; ``within`` is the largest error of the rule relative to the optimum of a device without
+    damping, which only lowers it. ``reached`` is null where no tested wall has a settling time.
+
+    Source: Hulin 2017, eqs. 5.19 and 5.20, Table 5.1.
+    """
+
+    delay_samples: float
+    best: float
+    reached: float | None
+    per_sample: float
+    within: float
+
+
 class Prediction(Record):
     """Whether theory predicts the device: distance of the measured limits from it, and of the costs on tested walls.
 
     ``percent`` is the median distance of ``limits`` limits, null where it is no headline (`scores.agreement`);
-    ``percent_with_friction`` that from the device with its friction, null where they lie on both sides of it.
+    ``percent_with_friction`` that from the device with its friction, null where they lie on both sides of it. Of
+    ``bounded`` limits with an interval, ``above`` and ``below`` lie outside of theory by more than that.
     ``safe`` where all walls that theory calls stable are. ``reason`` says why it is unknown.
+
+    ``boundary`` and ``optimal_costs`` are judged apart (6.3): the course of the boundary is predicted where at most one
+    limit in twenty lies outside, and partly where the regions overlap well all the same; costs where their median
+    deviation is at most 10 %, and partly up to 30 %.
     """
 
     code: Literal["yes", "with_friction", "no", "unknown"]
+    boundary: Literal["yes", "partly", "no"] | None = None
+    optimal_costs: Literal["yes", "partly", "no"] | None = None
     percent: float | None = None
     percent_with_friction: float | None = None
     limits: int = 0
+    bounded: int = 0
+    above: int = 0
+    below: int = 0
     overlap_percent: float | None = None
     safe: bool = False
     costs: int = 0
@@ -493,6 +520,7 @@ class Answer(Record):
     estimates: tuple[AnswerEstimate, ...] = ()
     estimates_reason: str = ""
     predicts: Prediction
+    reachable: ReachableCost | None = None
     causes: tuple[Cause, ...] = ()
     next: NextWall | None = None
     next_reason: str = ""

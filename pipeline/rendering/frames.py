@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.device.parameters import MOTIONS
 from pipeline.records.criteria import criterion_of
-from pipeline.records.findings import BoundaryPoint, Optimum, Quantity, Record
+from pipeline.records.findings import BoundaryPoint, NearOptimum, Optimum, Quantity, Record
 from pipeline.records.models import ComparisonRow, Deviation, Motion
 from pipeline.records.results import ComparisonResult, ExperimentResult
 from pipeline.records.tables import COLUMNS, unit_of_column
@@ -37,7 +37,8 @@ _ESTIMATES = """
 _BOUNDARY = """
     experiment damping stable unstable censored stiffness low high trials undecided stiffness_large_motion truth
 """
-_OPTIMA = f"experiment criterion {' '.join(Optimum.model_fields)} cost_s reason"
+_NEAR = " ".join(f"near_{name}" for name in NearOptimum.model_fields)
+_OPTIMA = f"experiment criterion {' '.join(Optimum.model_fields).replace('near', _NEAR)} cost_s reason"
 _SCORES = "experiment basis score quantity value low high reason"
 _PARTS = tuple(Deviation.model_fields)
 _TABLES = [n for name in ComparisonRow.model_fields for n in (_PARTS if name == "deviation" else (name,))] + ["cost_s"]
@@ -101,7 +102,8 @@ def units_of(columns: Iterable[str], motions: Collection[str] = FORCED) -> dict[
 def units_of_tables(motion: Motion) -> dict[str, str]:
     """Return the units of Tables D.1 to D.6."""
     wall = units_of(("stiffness", "damping"), {motion})
-    percent = dict.fromkeys(("deviation_percent", *_PARTS[:-1]), "%")
+    deviations = ("", "stiffness_", "damping_", "published_")
+    percent = dict.fromkeys((*(f"{name}deviation_percent" for name in deviations), *_PARTS[:-1]), "%")
     return {
         **wall,
         **{f"published_{name}": u for name, u in wall.items()},
@@ -137,9 +139,11 @@ def optima_frame(results: Iterable[ExperimentResult], motion: Motion) -> pd.Data
     for e in results:
         for criterion, best in e.optimum.items():
             seconds = in_seconds(criterion, best.cost, e.sampling_period_s)
-            rows.append({"experiment": e.experiment, "criterion": criterion, **dict(best), "cost_s": seconds})
+            rows.append({"experiment": e.experiment, "criterion": criterion, **flat(best), "cost_s": seconds})
         rows += [{"experiment": e.experiment, "criterion": name, "reason": why} for name, why in e.missing.items()]
-    return frame_of(_OPTIMA, rows, units_of(("stiffness", "damping"), {motion}) | {"cost_s": "s"})
+    wall = units_of(("stiffness", "damping"), {motion})
+    near = {f"near_{name}_{end}": unit for name, unit in wall.items() for end in ("low", "high")}
+    return frame_of(_OPTIMA, rows, wall | near | {"cost_s": "s", "scatter_percent": "%"})
 
 
 def in_seconds(criterion: str, cost: float | None, period: float | None) -> float | None:

@@ -16,7 +16,7 @@ from pipeline.base.paths import check_output
 from pipeline.base.provenance import stamp
 from pipeline.rendering.figures.drawing import PICTURES, Figure, Panel, Series, write_picture
 from pipeline.rendering.labels import UNITS
-from pipeline.theory.cases import Case, Optimum, PointCosts, limits_of_walls
+from pipeline.theory.cases import Boundary, Case, Optimum, PointCosts, limits_of_walls
 
 TABLES = ("csv", "parquet")
 """Endings of a file of rows."""
@@ -91,28 +91,33 @@ def write_rows(path: Path, columns: Mapping[str, Sequence[Any]], case: Case | No
 def limit_series(case: Case, points: int = 400) -> Series:
     """Return the limit of walls as it is drawn."""
     limits = limits_of_walls(case, points)
-    return Series("limit of stability", "edge", limits.damping, limits.stiffness)
+    return Series("limit of stability", "edge", limits.stiffness, limits.damping)
+
+
+def robust_series(answer: Boundary) -> Series:
+    """Return the limit of the walls that are stable with every spring as it is drawn."""
+    return Series("stable with every spring", "robust", answer.stiffness, answer.damping)
 
 
 def point_series(answer: PointCosts) -> Iterator[Series]:
     """Yield stable and unstable walls as they are drawn."""
     for kind, some in (("stable", answer.stable), ("unstable", ~answer.stable)):
         if some.any():
-            yield Series(kind, kind, answer.walls[some, 1], answer.walls[some, 0])
+            yield Series(kind, kind, answer.walls[some, 0], answer.walls[some, 1])
 
 
 def optimum_series(answer: Optimum) -> Series:
     """Return the best wall as it is drawn."""
-    return Series(answer.criterion, "optimum", np.array([answer.damping]), np.array([answer.stiffness]))
+    return Series(answer.criterion, "optimum", np.array([answer.stiffness]), np.array([answer.damping]))
 
 
 def draw_walls(path: Path, title: str, case: Case, series: Sequence[Series]) -> None:
-    """Draw walls over damping, as SVG, PDF or PNG."""
+    """Draw walls with the stiffness on the abscissa, as in the thesis, as SVG, PDF or PNG."""
     units = [unit_of(case, name) for name in case.axes]
     names = [name if unit == "1" else f"{name} [{unit}]" for name, unit in zip(case.axes, units, strict=True)]
     words = [f"{each.label}: {len(each.x)} points" for each in series]
-    top = max((float(np.nanmax(each.y)) for each in series if len(each.y)), default=1.0)
-    floor = min((float(np.nanmin(each.y)) for each in series if len(each.y)), default=0.0)
-    limits = None, (min(0.0, floor), 1.05 * top if top > 0 else 1.0)
-    panel = Panel("", (names[1], names[0]), tuple(series), f"{title}. {'; '.join(words)}.", limits)
+    top = max((float(np.nanmax(each.x)) for each in series if len(each.x)), default=1.0)
+    floor = min((float(np.nanmin(each.x)) for each in series if len(each.x)), default=0.0)
+    limits = (min(0.0, floor), 1.05 * top if top > 0 else 1.0), None
+    panel = Panel("", (names[0], names[1]), tuple(series), f"{title}. {'; '.join(words)}.", limits)
     write_picture(Figure("boundaries", "walls", title, "", (panel,)), path)

@@ -141,11 +141,9 @@ def _entry(point: PublishedPoint, name: str, printed: PrintedNumber, values: dic
     def marked(mark: Mark, tolerance: str | None = None, reason: str | None = None) -> Entry:
         return Entry(name, printed.text, computed, mark, tolerance, reason)
 
-    units = abs(computed - printed.value) / printed.unit
-    if units <= 0.5 + _SLACK:
-        return marked("equal")
-    if units <= 1 + _SLACK:
-        return marked("within", ROUNDING)
+    mark, tolerance = mark_of(computed, printed)
+    if mark != "unexplained":
+        return marked(mark, tolerance)
     if name in point.erratum_of:
         return marked("erratum", reason=point.erratum)
     if name in ("alpha", "beta"):
@@ -153,6 +151,18 @@ def _entry(point: PublishedPoint, name: str, printed: PrintedNumber, values: dic
         return marked("within", FLAT, reason) if reason else marked("unexplained")
     reason = None if attained else _distance(point, printed, values, values["cost"] / computed)
     return marked("within", LIMIT, reason) if reason else marked("unexplained")
+
+
+def mark_of(computed: float, printed: PrintedNumber) -> tuple[Mark, str | None]:
+    """Return the mark of a computed number by its distance from the printed one, and the tolerance that it needs.
+
+    >>> mark_of(13.844, PrintedNumber("13.84")), mark_of(13.848, PrintedNumber("13.84"))
+    (('equal', None), ('within', 'rounding'))
+    """
+    units = abs(computed - printed.value) / printed.unit
+    if units <= 0.5 + _SLACK:
+        return "equal", None
+    return ("within", ROUNDING) if units <= 1 + _SLACK else ("unexplained", None)
 
 
 def _flatness(point: PublishedPoint, optimal: float) -> str | None:

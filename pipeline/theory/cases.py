@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,10 +19,11 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, with_discrete
 from pipeline.records.trials import Booleans, Floats
-from pipeline.theory.boundary import boundary, has_islands, is_well_inside, outline
+from pipeline.theory.boundary import boundary, has_islands, is_well_inside, outline, robust_outline
 from pipeline.theory.costs import check_criteria, point_costs_by_name
 from pipeline.theory.optimum import POINT_CRITERIA, marked_point, optimal_point
 from pipeline.theory.poles import spectral_radius, stable_by_radius
+from pipeline.theory.reachable import REACHABLE, Reachable, reachable
 from pipeline.theory.settling_overshoot import LONGEST
 
 if TYPE_CHECKING:  # its classes take longer to load than a short command to run
@@ -458,6 +459,33 @@ def named_islands(islands: Floats) -> list[dict[str, float]]:
     return [dict(zip(("damping", "stiffness_low", "stiffness_high"), row, strict=True)) for row in islands.tolist()]
 
 
+def robust_boundary(case: Case) -> Boundary:
+    """Return the limit of the walls that are stable with every spring in parallel to the device.
+
+    Raises
+    ------
+    ParameterError
+        If the loop has more than mass, damper, spring and delay, or no damping: then there is no such region.
+
+    Source: Hulin 2017, sec. 4.3.3, eq. 4.15, Fig. 4.5.
+    """
+    loop, (k, b) = case.loop, case.scale
+    if not loop.is_ideal or case.names.get("parts"):
+        raise ParameterError(
+            "walls that are stable with every spring are known for mass, damper, spring and delay alone, and this loop "
+            "has more parts (4.3.3). Leave these out of the device file, or ask for the passive walls (Loop.passive)."
+        )
+    alpha, beta, _ = robust_outline(loop.delta, loop.delay)
+    if not len(alpha):
+        raise ParameterError(
+            "no wall is stable with every spring where the device has no damping of its own (delta = 0, 4.3.3). State "
+            "the damping of the device."
+        )
+    best, last = int(np.argmax(alpha)), int(np.argmax(beta))
+    extremes = [(float(alpha[i] * k), float(beta[i] * b)) for i in (best, last)]
+    return Boundary(case, alpha * k, beta * b, extremes[0], extremes[1], np.empty((0, 3)))
+
+
 def _unstable_rule(loop: NormalisedLoop, alpha: float, beta: float) -> str | None:
     """Return what is wrong with the wall of a tuning rule; None where it and all softer ones are stable."""
     radius = float(spectral_radius(loop, alpha, beta)[0])
@@ -497,6 +525,12 @@ class Optimum:
     note: str | None = None
     box: tuple[float, float, float, float] | None = None
 
+    @property
+    def reachable(self) -> Reachable | None:
+        """What the delay alone allows (5.19); None for criteria whose cost does not grow with delay."""
+        whole = self.case.names.get("delay_samples", self.case.loop.delay)
+        return reachable(self.criterion, whole) if self.criterion in with_discrete(REACHABLE) else None
+
     def columns(self) -> dict[str, list[Any]]:
         """Return the one row of a table."""
         wall = dict(zip(self.case.axes, (self.stiffness, self.damping), strict=True))
@@ -514,12 +548,119 @@ class Optimum:
             "cost": self.cost,
         }
         document |= {name: text for name, text in (("reason", self.reason), ("note", self.note)) if text}
+        if self.reachable is not None:
+            about = asdict(self.reachable)
+            document["reachable"] = {name: about[name] for name in ("cost", "per_sample", "within")}
         return document | ({"box": self._ends} if self.box is not None else {})
 
     @property
     def _ends(self) -> dict[str, float]:
         names = [f"{axis}_{end}" for axis in self.case.axes for end in ("low", "high")]
         return dict(zip(names, self.box, strict=True)) if self.box is not None else {}
+
+
+@dataclass(frozen=True)
+class BestDamping:
+    """The best damping for a stiffness that the scene gives, in the units of a case.
+
+    Parameters
+    ----------
+    case : Case
+    criterion : str
+    stiffness : float
+    damping, cost : float, optional
+        None where no damping makes the wall stable, or none has a cost; `reason` says why.
+    low, high : float, optional
+        Ends of the equally good dampings, of which `damping` is the middle.
+    critical, amplitude : float
+        Damping by the rules for continuous time (5.17): critical, and optimal for the amplitude (ratio 1/sqrt 2).
+    reason : str, optional
+    """
+
+    case: Case
+    criterion: str
+    stiffness: float
+    damping: float | None
+    cost: float | None
+    low: float | None
+    high: float | None
+    critical: float
+    amplitude: float
+    reason: str | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the document of ``theory optimum --stiffness``."""
+        k, b = self.case.axes
+        document = {"criterion": self.criterion, **self.case.said, k: self.stiffness, b: self.damping}
+        document |= {"cost": self.cost, f"{b}_low": self.low, f"{b}_high": self.high}
+        document |= {f"critical_{b}": self.critical, f"amplitude_optimal_{b}": self.amplitude}
+        return document | ({"reason": self.reason} if self.reason else {})
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return the one row of a table."""
+        said = {*self.case.said}
+        return {name: [value] for name, value in ({"reason": None} | self.to_json()).items() if name not in said}
+
+
+def best_damping_for(case: Case, criterion: str, stiffness: float) -> BestDamping:
+    """Return the best damping for a stiffness, and that of the rules for continuous time.
+
+    Raises
+    ------
+    ParameterError
+        For a criterion without optimal curve, or a stiffness that is not positive with the device's own.
+
+    Source: Hulin 2017, secs. 5.1 and 5.2, eq. 5.17.
+    """
+    from pipeline.theory.curves import best_damping
+
+    loop, (k, b) = case.loop, case.scale
+    alpha = stiffness / k
+    if not alpha + loop.gamma > 0:
+        raise ParameterError(f"stiffness {stiffness:g}: expected one that is positive together with the device's own.")
+    found = best_damping(loop, criterion, alpha)
+    best, cost, low, high = (float(each[0]) for each in (found.best, found.cost, found.low, found.high))
+    known = bool(found.found[0])
+    top = limits_of_walls(case).stiffness_max
+    reason = f"no damping makes it stable: the largest stable stiffness is {top:.6g}"
+    if alpha * k < top:
+        reason = "no response settles in the samples that a search follows"
+    root = math.sqrt(alpha + loop.gamma)
+    rules = [(factor * root - loop.delta) * b for factor in (2.0, math.sqrt(2.0))]
+    return BestDamping(
+        case,
+        criterion,
+        stiffness,
+        damping=best * b if known else None,
+        cost=cost if known else None,
+        low=low * b if known else None,
+        high=high * b if known else None,
+        critical=rules[0],
+        amplitude=rules[1],
+        reason=None if known else reason,
+    )
+
+
+def criterion_for(criterion: str, signal: str | None) -> str:
+    """Return the name of a criterion for the response that `signal` names; criteria of the poles have no sampled one.
+
+    Raises
+    ------
+    ParameterError
+        As of `best_wall`.
+    """
+    known = with_discrete(CRITERIA)
+    if criterion not in (*POINT_CRITERIA, *known):
+        raise ParameterError(
+            f"no optimum for criterion {criterion!r}; supported are {', '.join((*POINT_CRITERIA, *CRITERIA))}, "
+            "those of a response also with _discrete appended."
+        )
+    if signal not in (None, "continuous", "discrete"):
+        raise ParameterError(f"signal {signal!r}: expected continuous or discrete.")
+    if signal == "continuous" and criterion.endswith(DISCRETE):
+        raise ParameterError(f"criterion {criterion!r} is a discrete one, but the signal is continuous.")
+    sampled = f"{criterion}{DISCRETE}"
+    return sampled if signal == "discrete" and sampled in known else criterion
 
 
 def best_wall(case: Case, criterion: str, signal: str | None = None) -> Optimum:
@@ -538,16 +679,7 @@ def best_wall(case: Case, criterion: str, signal: str | None = None) -> Optimum:
     ParameterError
         For a criterion or signal that is not supported, or where both contradict each other.
     """
-    known = with_discrete(CRITERIA)
-    if criterion not in (*POINT_CRITERIA, *known):
-        raise ParameterError(
-            f"no optimum for criterion {criterion!r}; supported are {', '.join((*POINT_CRITERIA, *CRITERIA))}, "
-            "those of a response also with _discrete appended."
-        )
-    if signal not in (None, "continuous", "discrete"):
-        raise ParameterError(f"signal {signal!r}: expected continuous or discrete.")
-    if signal == "continuous" and criterion.endswith(DISCRETE):
-        raise ParameterError(f"criterion {criterion!r} is a discrete one, but the signal is continuous.")
+    name = criterion_for(criterion, signal)
     loop, (k, b) = case.loop, case.scale
     if criterion in POINT_CRITERIA:
         mark = marked_point(loop, criterion)
@@ -555,8 +687,6 @@ def best_wall(case: Case, criterion: str, signal: str | None = None) -> Optimum:
         reason = "a tuning rule has no cost" if rule else "a point of the stability boundary has no cost"
         note = _unstable_rule(loop, mark.alpha, mark.beta) if rule else None
         return Optimum(case, criterion, mark.alpha * k, mark.beta * b, None, reason, note)
-    # criteria of the poles have no sampled response
-    name = sampled if signal == "discrete" and (sampled := f"{criterion}{DISCRETE}") in known else criterion
     point = optimal_point(loop, name)
     cost, why = point.cost, None
     if not point.attained:

@@ -266,6 +266,7 @@ def test_command_prints_one_json_document_and_nothing_else(capsys: pytest.Captur
 
 
 def test_command_refuses_an_unknown_table(capsys: pytest.CaptureFixture[str]) -> None:
-    status, out, err = call(capsys, "D.1")
+    status, out, err = call(capsys, "D.9")
     assert (status, out) == (1, "")
     assert "B.1" in err
+    assert "D.6" in err

@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from statistics import median
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from pipeline.comparison.loops.recording_faults import unsafe_recording
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import FEWEST_COMPARISONS, boundary_distance
 from pipeline.comparison.summary.summary_warnings import NEEDED
+from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.experiment.boundary import spread_over_plane
 from pipeline.measured.identification.identifiability import Recorded
 from pipeline.measured.stages.stage_device import recording
@@ -35,9 +36,11 @@ from pipeline.records.results import (
     ExperimentResult,
     NextWall,
     Prediction,
+    ReachableCost,
 )
 from pipeline.rendering.labels import Units, estimate_texts, quantity_name, share_text, significant
 from pipeline.simulation.simulate import age_in_force
+from pipeline.theory.reachable import reachable
 
 COARSE = 5.0
 """Percent that the grid of the trials adds to a best cost from which on the reader is told how coarse it is."""
@@ -57,6 +60,12 @@ OTHER_GAINS = "the command obeys another wall than the headers state"
 
 WELL = 0.9
 """Overlap of the regions from which on theory predicts a boundary: an error of 5 % in both K and B."""
+
+BY_CHANCE = 0.05
+"""Share of the limits that lie outside of their 95 % intervals by chance."""
+
+COSTS_WITHIN = (10.0, 30.0)
+"""Median deviation of costs [%] up to which theory predicts them, and up to which it does so partly."""
 
 CLOSE = 0.05
 """Median distance of limits from those of the found device with its friction up to which it predicts them."""
@@ -91,6 +100,7 @@ def answer(data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[
         estimates=_estimates(result, data.units, limit=not misled),
         estimates_reason=_doubt(result),
         predicts=_prediction(result, rows, "" if not misled else WRONG_RECORDING if fault else OTHER_GAINS),
+        reachable=None if misled else _reachable(result),
         causes=tuple(told[:MOST_CAUSES]),
         **({"next_reason": first} if misled else _next(data, result, of_file, stages)),
     )
@@ -226,16 +236,47 @@ def _prediction(result: ExperimentResult, rows: Sequence[ComparisonRow], misled:
     if distance.dampings < FEWEST_COMPARISONS:
         return Prediction(code="unknown", reason=f"only {counted(distance.dampings, 'limit')} to compare")
     costs = [abs(row.deviation.model) for row in rows if row.deviation and row.deviation.steady]
+    costs_percent = median(costs) if len(costs) >= FEWEST_COMPARISONS else None
+    outside = distance.bounded - distance.agreeing
     rubbed = None if region.overlap >= WELL else _with_friction(result)
     return Prediction(
         code="yes" if region.overlap >= WELL else "with_friction" if rubbed is not None else "no",
         percent=_percent(distance),
         percent_with_friction=_percent(rubbed),
         limits=distance.dampings,
+        bounded=distance.bounded,
+        above=distance.above,
+        below=distance.bounded - distance.agreeing - distance.above,
         overlap_percent=100 * region.overlap,
         safe=distance.above > 0 and distance.agreeing + distance.above == distance.bounded,
         costs=len(costs),
-        costs_percent=median(costs) if len(costs) >= FEWEST_COMPARISONS else None,
+        costs_percent=costs_percent,
+        boundary=_graded(outside <= max(BY_CHANCE * distance.bounded, 1), region.overlap >= WELL),
+        optimal_costs=None if costs_percent is None else _graded(*(costs_percent <= most for most in COSTS_WITHIN)),
+    )
+
+
+def _graded(well: bool, partly: bool) -> Literal["yes", "partly", "no"]:
+    return "yes" if well else "partly" if partly else "no"
+
+
+def _reachable(result: ExperimentResult) -> ReachableCost | None:
+    """Return what the delay of an experiment alone allows; None where its delay or sampling period is not known."""
+    period, loop = result.sampling_period_s, result.loop
+    delay = loop.delay_samples.value if loop is not None and loop.delay_samples is not None else result.delay.value
+    if delay is None or period is None:
+        return None
+    lag = loop.actuator_lag_s.value if loop is not None and loop.actuator_lag_s is not None else None
+    whole = delay + (lag or 0.0) / period
+    if not 0 <= whole <= LARGEST_DELAY:
+        return None
+    rule, best = reachable("settle_2pct", whole), result.optimum.get("settle_2pct")
+    return ReachableCost(
+        delay_samples=whole,
+        best=rule.cost,
+        reached=None if best is None else best.cost,
+        per_sample=rule.per_sample,
+        within=rule.within,
     )
 
 

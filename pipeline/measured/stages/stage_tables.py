@@ -24,6 +24,7 @@ from pipeline.base.provenance import code_digest, digest, stamp
 from pipeline.base.wording import commonest
 from pipeline.device.parameters import Motion
 from pipeline.measured.experiment.best_trial import choose_optimum, without_overshoot
+from pipeline.measured.experiment.optimum_place import cost_scatter, near_optimum, nearly_as_good
 from pipeline.measured.experiment.stored import Verdicts
 from pipeline.measured.stages.stage_needs import NEEDS, SPRUNG, cost_column
 from pipeline.records.criteria import criterion_of
@@ -362,23 +363,28 @@ class ExperimentStages:
         stage, column = cost_column(criterion)
         return self.column(stage, f"{column}_low"), self.column(stage, f"{column}_high")
 
-    def optimum(self, criterion: str) -> Optimum | None:
-        """Return the best trial by a criterion, or None where no trial has that cost."""
+    def optimum(self, criterion: str, limits: Sequence[BoundaryPoint] = ()) -> Optimum | None:
+        """Return the best trial by a criterion, or None where no trial has that cost; its margin to measured limits."""
         cost, _ = self.cost(criterion)
         trials, floor = self.texts("response", "trial_id"), self.floor(criterion)
         # what obeys another wall than stated was not tested there
         stated = np.flatnonzero(np.isnan(self.column("wall_law", "obeyed_stiffness")))
-        best = choose_optimum(
-            cost[stated],
-            self.column("response", "stiffness")[stated],
-            self.column("response", "damping")[stated],
-            tuple(trials[i] for i in stated),
-            unstable=self.verdicts.verdict[stated] == "unstable",
-            floor=None if floor is None else floor[stated],
-        )
+        K, B = (self.column("response", name)[stated] for name in ("stiffness", "damping"))
+        unstable, cost = self.verdicts.verdict[stated] == "unstable", cost[stated]
+        floor = None if floor is None else floor[stated]
+        best = choose_optimum(cost, K, B, tuple(trials[i] for i in stated), unstable=unstable, floor=floor)
         if best is None:
             return None
+        free = np.zeros(len(cost), np.bool_) if floor is None else without_overshoot(cost, floor) & ~unstable
+        decided = np.where(unstable, np.nan, cost)
+        near = nearly_as_good(decided, K, best.cost, best.stiffness, free)
+        point = next((each for each in limits if each.damping == best.damping), None)
+        place = {
+            "near": near_optimum(near, K, B),
+            "margin": None if point is None or point.low is None else point.low / best.stiffness,
+            "scatter_percent": cost_scatter(decided, K, B),
+        }
         trial = trials.index(str(best.trial_id))
         low, high = (float(ends[trial]) for ends in self.cost_interval(criterion))
         interval = {"cost_low": None if np.isnan(low) else low, "cost_high": None if np.isnan(high) else high}
-        return Optimum(**{**dict(best), **interval, "trials": int(np.isfinite(cost[stated]).sum())})
+        return Optimum(**{**dict(best), **interval, **place, "trials": int(np.isfinite(cost).sum())})

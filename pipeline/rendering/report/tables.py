@@ -14,6 +14,7 @@ from pipeline.rendering.frames import flat, frames
 from pipeline.rendering.labels import (
     UNITS,
     Units,
+    at_least,
     condition_label,
     cost_text,
     criterion_label,
@@ -172,12 +173,20 @@ def _measured_optima(rows: Sequence[dict[str, Any]], units: Units, place: Callab
             Column("cost", "cost, 95 %", show=_cost, ends=("cost_low", "cost_high"), linked=True),
             Column("ties", "equal trials", show=_number),
             Column("trials", "trials with this cost", show=_number),
+            Column("near_stiffness", "stiffness", units.stiffness, "within 5 %", show=_text),
+            Column("near_damping", "damping", units.damping, "within 5 %", show=_text),
+            Column(
+                "margin", "limit over K", show=lambda value, _: f"≥ {at_least(value)}", why="no limit is known there"
+            ),
+            Column("scatter_percent", "scatter of one trial", "%", show=digits(2), why="too few trials", optional=True),
             Column(
                 "passive", show=lambda value, _: "yes" if value else "no", why="needs an adequate loop", optional=True
             ),
         ),
         [
-            row | {"criterion_label": criterion_label(row["criterion"]), "is_passive": YES_OR_NO.get(row["passive"])}
+            row
+            | {"criterion_label": criterion_label(row["criterion"]), "is_passive": YES_OR_NO.get(row["passive"])}
+            | {f"near_{axis}": _near(row, axis, show) for axis, show in _NEAR_TEXTS.items()}
             for row in rows
             if row["cost"] is not None
         ],
@@ -185,6 +194,16 @@ def _measured_optima(rows: Sequence[dict[str, Any]], units: Units, place: Callab
         _of_experiment,
         place,
     )
+
+
+_NEAR_TEXTS = {"stiffness": stiffness_text, "damping": damping_text}
+
+
+def _near(row: Row, axis: str, show: Callable[[float], str]) -> str:
+    """Return the range of walls that are nearly as good as an optimum; empty in documents of former versions."""
+    if row[f"near_{axis}_low"] is None:
+        return ""
+    return range_text(show, row[f"near_{axis}_low"], row[f"near_{axis}_high"])
 
 
 def _of_logs(f: Mapping[str, list[dict[str, Any]]]) -> dict[str, Table | None]:
@@ -394,6 +413,7 @@ def _optima(rows: Sequence[Row], units: Any, place: Callable[[Row], str]) -> dic
             Column("published_stiffness", "K", "", "published", _published, why="not published", optional=True),
             Column("published_damping", "B", "", "published", _published, why="not published", optional=True),
             Column("published_cost", "cost", "", "published", _published_cost, why="not published", optional=True),
+            Column("published_deviation_percent", "deviation", "%", "published", _percent, why="-", optional=True),
         )
         criteria = "; ".join(dict.fromkeys(criterion_name(row["criterion"]) for row in own))
         label = table_label(name)

@@ -26,6 +26,7 @@ from pipeline.shell.commands.options import (
     device_of,
     listed,
     quantity,
+    stiffness_of,
 )
 from pipeline.shell.console import argument, option
 
@@ -235,7 +236,7 @@ def design(
     known = device_of(device)
     conditions = find_experiment(known, experiment) if experiment else known.experiments[0]
     loop = _held(known, conditions, hand)
-    wanted = None if stiffness is None else _stiffness(stiffness, loop)
+    wanted = None if stiffness is None else stiffness_of(stiffness, loop.motion)
     wish = {
         "settling_s": None if settling is None else quantity("--settling", settling, "time"),
         "overshoot": None if overshoot is None else _share("--overshoot", overshoot),
@@ -254,23 +255,6 @@ def design(
     document["quantum"] = _quantum(coulomb / loop.force_gain, quantum, wanted)
     document["published"] = rows.astype(object).where(rows.notna(), None).to_dict("records")
     console.tell(document, _design_lines(document, loop))
-
-
-def _stiffness(text: str, loop: Loop) -> float:
-    """Return a stiffness in SI; a number alone is in SI, a unit has to be that of the device's motion."""
-    from pipeline.base.units import UNITS, find_unit, split_quantity
-    from pipeline.device.parameters import is_rotation, unit_of
-
-    si = unit_of("stiffness", loop.motion)
-    found = split_quantity(text)
-    if found is None:
-        raise UsageError(f"--stiffness {text}: expected a number, with or without its unit, as '5 {si}'.")
-    value, symbol = found
-    unit = find_unit(symbol or si)
-    if unit is None or unit.quantity != UNITS[si].quantity:
-        lever = " One of N/m at a lever of r m is r^2 times as many Nm/rad." if is_rotation(loop.motion) else ""
-        raise UsageError(f"--stiffness {text}: the device's motion is a {loop.motion}; expected {si}.{lever}")
-    return value * unit.factor
 
 
 def _held(device: Device, conditions: Any, hand: str | None) -> Loop:

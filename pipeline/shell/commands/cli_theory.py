@@ -5,16 +5,27 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
-from pipeline.base.errors import DeviceError, ParameterError
+from pipeline.base.errors import DeviceError, ParameterError, UsageError
 from pipeline.base.paths import check_output
 from pipeline.shell import console
-from pipeline.shell.commands.options import PROCESSED, Criteria, One, Signal, Store, device_of, reports_folder
+from pipeline.shell.commands.options import (
+    PROCESSED,
+    Criteria,
+    One,
+    Signal,
+    Store,
+    device_of,
+    reports_folder,
+    stiffness_of,
+)
 from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
-    from pipeline.theory.cases import Boundary, Case
+    from pipeline.theory.cases import Boundary, Case, Optimum
+
+Row = TypeVar("Row")
 
 Delay = Annotated[float | None, option("--delay", "Delay d in samples, at most 256.", show_default=False)]
 OfDevice = Annotated[str | None, option("--device", "Device (name or file) in SI; replaces the above.")]
@@ -69,25 +80,29 @@ def boundary(
     delta: Delta = 0.0,
     device: OfDevice = None,
     experiment: One = None,
+    robust: Annotated[bool, option("--robust", "Walls that are stable with every spring at the device.")] = False,
     out: Rows = None,
     picture: Picture = None,
 ) -> None:
     """Compute the stability boundary and its extreme points.
 
+    With --robust, that of the walls that stay stable whatever spring is attached to the device.
+
     Example: pipeline theory boundary --delay 2 --gamma 0.001 --delta 0.02 --json
 
     Example: pipeline theory boundary --device falcon --out limit.csv --picture limit.svg
     """
-    from pipeline.theory.cases import limits_of_walls
+    from pipeline.theory.cases import limits_of_walls, robust_boundary
 
     _check_files(out, picture)
     case = _case(delay, gamma, delta, device, experiment)
-    answer = limits_of_walls(case)
+    answer = robust_boundary(case) if robust else limits_of_walls(case)
     files = [] if out is None else _rows_file(out, answer.columns(), case)
     if picture is not None:
-        from pipeline.rendering.theory_files import draw_walls, limit_series
+        from pipeline.rendering.theory_files import draw_walls, limit_series, robust_series
 
-        draw_walls(picture, "Limit of stability", case, [limit_series(case)])
+        series = [limit_series(case), *([robust_series(answer)] if robust else [])]
+        draw_walls(picture, "Walls that are stable with every spring" if robust else "Limit of stability", case, series)
         files += _written(picture, "picture")
     console.tell(answer.to_json(), [*_boundary_lines(answer), *files])
 
@@ -139,19 +154,37 @@ def optimum(
     device: OfDevice = None,
     experiment: One = None,
     signal: Annotated[Signal | None, option("--signal", "Response (default: the criterion's).")] = None,
+    stiffness: Annotated[
+        str | None, option("--stiffness", "Stiffness of the scene, '5 N/mm' (alpha without --device).")
+    ] = None,
     out: Rows = None,
     picture: Picture = None,
 ) -> None:
     """Compute the optimal stiffness and damping for a criterion.
 
+    With --stiffness, the best damping for that stiffness, beside the rules for continuous time (5.17).
+
     Example: pipeline theory optimum --criterion settle_2pct --delay 1 --signal discrete --json
 
     Example: pipeline theory optimum --criterion overshoot --device falcon --picture optimum.png
+
+    Example: pipeline theory optimum --criterion settle_2pct --device falcon --stiffness '3 N/mm'
     """
-    from pipeline.theory.cases import best_wall
+    from pipeline.theory.cases import best_damping_for, best_wall, criterion_for
 
     _check_files(out, picture)
     case = _case(delay, gamma, delta, device, experiment)
+    if stiffness is not None:
+        if picture is not None:
+            raise UsageError("--picture draws the optimal wall, and not that for one stiffness. Leave one of them out.")
+        given = stiffness_of(stiffness, case.motion)
+        best = best_damping_for(case, criterion_for(criterion, signal), given)
+        document, files = best.to_json(), [] if out is None else _rows_file(out, best.columns(), case)
+        k, b = case.axes
+        columns = ("criterion", k, b, "cost", f"critical_{b}", f"amplitude_optimal_{b}")
+        words = [best.reason] if best.reason else []
+        console.tell(document, [*console.table([document], columns), *words, *_beside(case.said), *files])
+        return
     answer = best_wall(case, criterion, signal)
     files = [] if out is None else _rows_file(out, answer.columns(), case)
     if picture is not None:
@@ -161,8 +194,22 @@ def optimum(
         files += _written(picture, "picture")
     document = answer.to_json()
     lines = console.table([document], ("criterion", *case.axes, "cost"))
-    words = [text for text in (answer.reason, answer.note) if text]
+    words = [text for text in (answer.reason, answer.note, _reachable_line(answer)) if text]
     console.tell(document, [*lines, *words, *_beside(case.said), *files])
+
+
+def _reachable_line(answer: Optimum) -> str:
+    """Return what the delay alone allows, and what a sample less of it would save."""
+    from pipeline.records.criteria import criterion_of
+
+    best = answer.reachable
+    if best is None:
+        return ""
+    unit = " samples" if criterion_of(best.criterion).family.unit == "samples" else ""
+    return (
+        f"with this delay no wall costs less than about {best.cost:.4g}{unit} without damping of the device (5.19, "
+        f"within {100 * best.within:.2g} %); a sample less of delay saves {best.per_sample:.3g}{unit}"
+    )
 
 
 def _check_files(out: Path | None, picture: Path | None) -> None:
@@ -298,26 +345,47 @@ def _measured_entries(device: str, experiment: str | None, processed: str) -> li
 
 
 def tables(
-    table: Annotated[list[str] | None, argument("Such as B.1, C.3, 5.1(a) (default: all).")] = None,
+    table: Annotated[list[str] | None, argument("Such as B.1, C.3, 5.1(a), D.2 (default: all).")] = None,
 ) -> None:
-    """Compute Tables B.1 to B.4, C.1 to C.3 and 5.1 of the thesis anew.
+    """Compute Tables B.1 to B.4, C.1 to C.3, 5.1 and D.1 to D.6 of the thesis anew.
 
-    Example: pipeline theory tables C.1 C.2
+    Of Tables D these are the rows of theory; the printed measurements stand beside with their deviation from it.
+
+    Example: pipeline theory tables C.1 D.6
     """
-    from pipeline.device_data.published import THEORY_TABLES
+    from dataclasses import asdict
+
+    from pipeline.device_data.published import MEASURED_TABLES, THEORY_TABLES
     from pipeline.studies import thesis_tables as theory
+    from pipeline.studies.printed_optima import optima_lines, printed_optima
 
     rows: list[theory.TheoryRow] = []
+    optima: list[dict[str, Any]] = []
     lines: list[str] = []
-    for name, count, of_table in theory.recomputed_tables(table or THEORY_TABLES):
-        found = []
-        with console.progress(f"Table {name}", "rows") as advance:
-            for row in of_table:
-                found.append(row)
-                advance(len(found), count)
-        rows += found
-        lines += theory.table_lines(name, found, console.table)
-    console.tell(theory.document(rows), [*lines, theory.summary_line(rows)])
+    known = (*THEORY_TABLES, *MEASURED_TABLES)
+    if unknown := [name for name in table or () if name not in known]:
+        raise ParameterError(f"table {unknown[0]!r} is unknown; expected one of {', '.join(known)}.")
+    for name in table or known:
+        if name in MEASURED_TABLES:
+            found = list(_shown(name, *printed_optima(name)))
+            lines += optima_lines(name, found, console.table)
+            optima += [asdict(row) for row in found]
+            continue
+        for _, count, of_table in theory.recomputed_tables([name]):
+            of_theory = list(_shown(name, count, of_table))
+            lines += theory.table_lines(name, of_theory, console.table)
+            rows += of_theory
+    document = theory.document(rows)
+    document["rows"] += optima
+    console.tell(document, [*lines, *([theory.summary_line(rows)] if rows else [])])
+
+
+def _shown(table: str, count: int, rows: Iterator[Row]) -> Iterator[Row]:
+    """Yield the rows of a table and show how far it is."""
+    with console.progress(f"Table {table}", "rows") as advance:
+        for number, row in enumerate(rows, start=1):
+            yield row
+            advance(number, count)
 
 
 def accuracy(

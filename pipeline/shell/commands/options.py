@@ -13,6 +13,7 @@ from pipeline.base.errors import ParameterError, UsageError
 from pipeline.shell.console import option
 
 if TYPE_CHECKING:
+    from pipeline.device.parameters import Motion
     from pipeline.records.models import Device
 
 
@@ -61,6 +62,28 @@ def quantity(option: str, text: str, *names: str) -> float:
         return quantity_in_si(text, names, option)
     except ParameterError as error:
         raise UsageError(str(error)) from error
+
+
+def stiffness_of(text: str, motion: Motion | None) -> float:
+    """Return what ``--stiffness`` says in SI: a number alone is in SI, a unit has to be that of the device's motion.
+
+    Without a motion it is the normalised alpha, a number.
+    """
+    from pipeline.base.units import UNITS, find_unit, split_quantity
+    from pipeline.device.parameters import is_rotation, unit_of
+
+    found, si = split_quantity(text), unit_of("stiffness", motion) if motion is not None else ""
+    if found is None or (motion is None and found[1]):
+        expected = f"with or without its unit, as '5 {si}'" if si else "the normalised stiffness, as 0.05"
+        raise UsageError(f"--stiffness {text}: expected a number, {expected}.")
+    value, symbol = found
+    if motion is None:
+        return value
+    unit = find_unit(symbol or si)
+    if unit is None or unit.quantity != UNITS[si].quantity:
+        lever = " One of N/m at a lever of r m is r^2 times as many Nm/rad." if is_rotation(motion) else ""
+        raise UsageError(f"--stiffness {text}: the device's motion is a {motion}; expected {si}.{lever}")
+    return value * unit.factor
 
 
 def device_of(text: str) -> Device:

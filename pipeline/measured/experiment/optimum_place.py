@@ -1,0 +1,93 @@
+"""How surely trials tell the place of an optimum: walls that are nearly as good, and the scatter of the cost map."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.records.findings import NearOptimum
+from pipeline.records.trials import Booleans, Floats
+
+NEAR = 0.05
+"""Part of the cost, or of the stiffness without overshoot, within which a wall is nearly as good as the best."""
+
+NEIGHBOURS = 20
+"""Trials to which a parabola is fitted: a wall and those around it on a grid, three times as many as it has terms."""
+
+_TO_DEVIATION = 1.482602218505602
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
+
+def nearly_as_good(cost: Floats, stiffness: Floats, best: float, stiffest: float, free: Booleans) -> Booleans:
+    """Return which trials are nearly as good as the best one.
+
+    Parameters
+    ----------
+    cost, stiffness : float64, shape (n,)
+        NaN where a trial has no cost.
+    best : float
+        Cost of the best trial.
+    stiffest : float
+        Its stiffness [N/m, Nm/rad].
+    free : bool, shape (n,)
+        Trials without overshoot; where there are any, the stiffest of them is best.
+    """
+    if free.any():
+        return free & (stiffness >= (1 - NEAR) * stiffest)
+    return np.isfinite(cost) & (cost <= (1 + NEAR) * best)
+
+
+def near_optimum(near: Booleans, stiffness: Floats, damping: Floats) -> NearOptimum:
+    """Return the box of the walls that are nearly as good as the best; at least one is."""
+    K, B = stiffness[near], damping[near]
+    return NearOptimum(
+        stiffness_low=float(K.min()),
+        stiffness_high=float(K.max()),
+        damping_low=float(B.min()),
+        damping_high=float(B.max()),
+        trials=int(near.sum()),
+    )
+
+
+def cost_scatter(cost: Floats, stiffness: Floats, damping: Floats) -> float | None:
+    """Return the scatter of a cost map in percent of the cost: what one trial differs from those around it.
+
+    Parameters
+    ----------
+    cost : float64, shape (n,)
+        NaN where a trial has none; zeros are left out.
+    stiffness, damping : float64, shape (n,)
+
+    Returns
+    -------
+    float or None
+        Robust standard deviation (1.48 times the median) of the relative residual, freed of the part that the fit
+        takes; None for fewer trials than `NEIGHBOURS`.
+
+    Notes
+    -----
+    To each trial and the nearest ones (distances in units of the tested steps) a parabola in K and B is fitted to the
+    logarithm of the cost. A smooth map leaves little, a noisy one (6.1.4) the noise of single trials.
+    """
+    some = np.isfinite(cost) & (cost > 0)
+    if some.sum() < NEIGHBOURS:
+        return None
+    K, B, value = stiffness[some], damping[some], np.log(cost[some])
+    x, y = K / _step_of(K), B / _step_of(B)
+    residual = np.empty(len(value))
+    for i in range(len(value)):
+        away = np.hypot(x - x[i], y - y[i])
+        around = np.argpartition(away, NEIGHBOURS - 1)[:NEIGHBOURS]
+        u, v = x[around] - x[i], y[around] - y[i]
+        parabola = np.stack([np.ones(NEIGHBOURS), u, v, u * u, u * v, v * v], axis=1)
+        fit = parabola @ np.linalg.pinv(parabola)
+        own = int(np.flatnonzero(around == i)[0])
+        free = 1 - fit[own, own]
+        residual[i] = (value[i] - fit[own] @ value[around]) / np.sqrt(free) if free > 1e-6 else np.nan
+    known = np.abs(residual[np.isfinite(residual)])
+    return float(100 * _TO_DEVIATION * np.median(known)) if len(known) else None
+
+
+def _step_of(values: Floats) -> float:
+    """Return the usual distance between neighbouring tested values; 1 where there is only one value."""
+    levels = np.unique(values)
+    return float(np.median(np.diff(levels))) if len(levels) > 1 else 1.0
