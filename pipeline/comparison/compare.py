@@ -30,7 +30,7 @@ from pipeline.comparison.scene.scene import (
 from pipeline.comparison.scene.scene_file import plan_parts
 from pipeline.comparison.scores.scores import add_scores
 from pipeline.comparison.stage_pool import compute_stages
-from pipeline.comparison.summary.answer import answer
+from pipeline.comparison.summary.answer import answer, told_most
 from pipeline.comparison.summary.summary_warnings import warnings_of
 from pipeline.comparison.tables_d import TableBuilder
 from pipeline.comparison.truths import truths, with_truth
@@ -229,7 +229,9 @@ def _compute(
 
 def _result(data: SceneData, found: _Found, lost: Sequence[str], more: dict[str, Any]) -> ComparisonResult:
     """Return the document; ``more`` is what it has beside the numbers, ``lost`` what is damaged in the store."""
-    told = answer(data, found.results, found.rows)
+    both = zip(data.experiments, found.results, strict=True)
+    answers = [answer(data, stages, result, found.rows) for stages, result in both]
+    results = [r.model_copy(update={"answer": told}) for r, told in zip(found.results, answers, strict=True)]
     result = ComparisonResult(
         device=data.scene.device,
         title=data.device.title if data.device else data.scene.device,
@@ -237,9 +239,9 @@ def _result(data: SceneData, found: _Found, lost: Sequence[str], more: dict[str,
         known_device=data.device is not None,
         simulated=data.simulated,
         criteria=data.scene.criteria,
-        experiments=tuple(found.results),
+        experiments=tuple(results),
         tables=found.rows,
-        answer=told,
+        answer=answers[told_most(results)],
         summary=(),
         warnings=(*lost, *warnings_of(data, found.results)),
         excluded=excluded_trials(data),

@@ -505,10 +505,19 @@ class NextWall(Record):
     command: str
 
 
+class TestedWall(Record):
+    """A tested wall, and how fast the motion behind it decayed."""
+
+    stiffness: float
+    damping: float
+    decay_per_s: float
+
+
 class Answer(Record):
     """What a reader of one screen is told: which wall, how sure, whether theory predicts it, why not, what is next.
 
-    ``experiment`` is the one that is spoken of, and drawn beside. ``spacing_percent`` is the distance of the tested
+    ``experiment`` is the one that is spoken of. Where no wall is recommended, ``safest`` is the stable tested one whose
+    motion decays fastest. ``spacing_percent`` is the distance of the tested
     walls where theory's optimum lies between them. Where ``next`` is null without ``next_reason``, verdicts tell the
     limits at ``limits_told`` of the ``limits_wanted`` dampings, and would at none of the others.
     """
@@ -516,6 +525,7 @@ class Answer(Record):
     experiment: str
     wall: UsePoint | None
     wall_reason: str = ""
+    safest: TestedWall | None = None
     spacing_percent: float | None = None
     estimates: tuple[AnswerEstimate, ...] = ()
     estimates_reason: str = ""
@@ -576,6 +586,7 @@ class ExperimentResult(Record):
     use_reason: str | None = None
     truth: Truth | None = None
     truth_held: TruthHeld | None = None
+    answer: Answer | None = None
 
     @property
     def stiffest(self) -> BoundaryPoint | None:
@@ -631,7 +642,7 @@ class ComparisonResult(Record):
 
     @property
     def told(self) -> ExperimentResult | None:
-        """The experiment that the answer is about."""
+        """The experiment that the document's own answer is about, which a report unfolds."""
         name = self.answer.experiment if self.answer else None
         return next((each for each in self.experiments if each.experiment == name), None)
 

@@ -37,6 +37,7 @@ from pipeline.records.results import (
     NextWall,
     Prediction,
     ReachableCost,
+    TestedWall,
 )
 from pipeline.rendering.labels import Units, estimate_texts, quantity_name, share_text, significant
 from pipeline.simulation.simulate import age_in_force
@@ -71,19 +72,25 @@ CLOSE = 0.05
 """Median distance of limits from those of the found device with its friction up to which it predicts them."""
 
 
-def answer(data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[ComparisonRow]) -> Answer:
-    """Return the answers of a comparison, about the first experiment that has most of them.
+def told_most(results: Sequence[ExperimentResult]) -> int:
+    """Return the place of the first experiment that has most answers: the one that is unfolded."""
+    return max(range(len(results)), key=lambda i: (_worth(results[i]), -i))
+
+
+def answer(
+    data: SceneData, stages: ExperimentStages, result: ExperimentResult, rows: Sequence[ComparisonRow]
+) -> Answer:
+    """Return the answers about an experiment.
 
     Parameters
     ----------
     data : SceneData
-        Its experiments in the order of ``results``.
-    results : sequence of ExperimentResult
-        With their scores and walls to use.
+    stages : ExperimentStages
+    result : ExperimentResult
+        Of these stages, with its scores and walls to use.
     rows : sequence of ComparisonRow
+        Of all experiments, whose costs are judged together: one has too few.
     """
-    lead = max(range(len(results)), key=lambda i: (_worth(results[i]), -i))
-    result, stages = results[lead], data.experiments[lead]
     known = data.device.experiments if data.device else ()
     of_file = next((each for each in known if each.name == result.experiment), None)
     gains = stages.once(other_gains)
@@ -96,6 +103,7 @@ def answer(data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[
         experiment=result.experiment,
         wall=wall,
         wall_reason=result.use_reason or "",
+        safest=None if wall is not None or misled else _safest(stages),
         spacing_percent=_spacing(result, rows, stages),
         estimates=_estimates(result, data.units, limit=not misled),
         estimates_reason=_doubt(result),
@@ -104,6 +112,17 @@ def answer(data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[
         causes=tuple(told[:MOST_CAUSES]),
         **({"next_reason": first} if misled else _next(data, result, of_file, stages)),
     )
+
+
+def _safest(stages: ExperimentStages) -> TestedWall | None:
+    """Return the stable tested wall whose motion decays fastest; None where no trial with K > 0 is stable."""
+    K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
+    growth = stages.verdicts.growth_per_s
+    calm = np.flatnonzero((stages.verdicts.verdict == "stable") & (K > 0) & np.isfinite(growth))
+    if not len(calm):
+        return None
+    best = int(calm[np.argmin(growth[calm])])
+    return TestedWall(stiffness=float(K[best]), damping=float(B[best]), decay_per_s=-float(growth[best]))
 
 
 def _worth(result: ExperimentResult) -> tuple[bool, bool, bool]:
@@ -216,7 +235,7 @@ def _other_parameters(result: ExperimentResult, of_file: Experiment | None, unit
 
 
 def _prediction(result: ExperimentResult, rows: Sequence[ComparisonRow], misled: str) -> Prediction:
-    """Does theory predict the device: limits of the leading experiment, costs of all.
+    """Does theory predict the device: limits of an experiment, costs of all.
 
     ``misled`` is why the logs tell no limit, empty where they do.
     """
@@ -234,7 +253,7 @@ def _prediction(result: ExperimentResult, rows: Sequence[ComparisonRow], misled:
         )
         return Prediction(code="unknown", reason=why)
     if distance.dampings < FEWEST_COMPARISONS:
-        return Prediction(code="unknown", reason=f"only {counted(distance.dampings, 'limit')} to compare")
+        return Prediction(code="unknown", reason=_too_few_limits(result, distance.dampings))
     costs = [abs(row.deviation.model) for row in rows if row.deviation and row.deviation.steady]
     costs_percent = median(costs) if len(costs) >= FEWEST_COMPARISONS else None
     outside = distance.bounded - distance.agreeing
@@ -254,6 +273,17 @@ def _prediction(result: ExperimentResult, rows: Sequence[ComparisonRow], misled:
         boundary=_graded(outside <= max(BY_CHANCE * distance.bounded, 1), region.overlap >= WELL),
         optimal_costs=None if costs_percent is None else _graded(*(costs_percent <= most for most in COSTS_WITHIN)),
     )
+
+
+def _too_few_limits(result: ExperimentResult, known: int) -> str:
+    """Return how many limits are missing to judge theory, at which dampings, and what the found loop predicts there."""
+    unknown = [point.damping for point in result.boundary if point.limit is None or point.censored]
+    at = f", for example at B = {listed([f'{B:g}' for B in unknown[:3]])}" if unknown else ""
+    text = f"only {counted(known, 'limit')} to compare; {FEWEST_COMPARISONS} are needed{at}"
+    best = max(result.loop_boundary or (), key=lambda limit: limit.stiffness, default=None)
+    if best is None:
+        return text
+    return f"{text}. The loop found in the logs predicts K = {significant(best.stiffness, 3)} at B = {best.damping:g}"
 
 
 def _graded(well: bool, partly: bool) -> Literal["yes", "partly", "no"]:

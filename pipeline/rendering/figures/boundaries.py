@@ -46,14 +46,16 @@ def measured(
 ) -> Iterator[Series]:
     """Yield the last stable stiffness at each damping, 0 where none was stable, and apart from it lower bounds.
 
-    With ``intervals``: those of 95 % by the growth rates, else from the last stable to the first unstable trial.
+    With ``intervals`` the limits themselves: by the growth rates with their 95 % intervals, else in the middle of the
+    last stable and the first unstable trial, with these as ends.
     """
     stable = [p.stable is not None for p in limits]
     # dampings without a stable trial beside those with one close the curve; further ones tell nothing
     points = [p for i, p in enumerate(limits) if any(stable[max(i - 1, 0) : i + 2])]
     ends = [(p.low, p.high) if None not in (p.low, p.high) else (p.stable, p.unstable) for p in points]
     low, high = (np.array([pair[side] for pair in ends], dtype=np.float64) for side in (0, 1))
-    K, B = np.array([p.stable or 0.0 for p in points]), np.array([p.damping for p in points])
+    K = np.array([p.limit.stiffness if intervals and p.limit else p.stable or 0.0 for p in points])
+    B = np.array([p.damping for p in points])
     bound = np.array([p.censored for p in points], dtype=np.bool_)
     line = np.where(bound, np.nan, K)  # a lower bound is no limit: a line through it would claim one
     yield Series(label, "measured", line, B, low if intervals else None, high if intervals else None, number)
@@ -126,9 +128,9 @@ def answer_figure(
     for kind in ("stable", "unstable"):
         at = (K > 0) & (verdict == kind)
         series += [Series(f"{kind} trial", kind, K[at], B[at])] if at.any() else []
-    bars = "; pale bars: 95 % intervals" if any(point.low for point in result.boundary) else ""
+    bars = ", pale bars its 95 % interval" if any(point.low for point in result.boundary) else ""
     title = f"Where experiment {result.experiment} is stable"
-    caption = f"Every trial, and the largest stable stiffness at each damping{bars}."
+    caption = f"Every trial, and the limit of stability at each damping by the growth rates of the trials{bars}."
     return limits_figure(title, caption, [limits_panel("", series, motion)], ANSWER)
 
 

@@ -19,7 +19,7 @@ from pipeline.rendering.report.report import answer_lines
 def told(data, result, rows=None, **changes):
     """Answer where something of the only experiment is changed."""
     experiment = result.experiments[0].model_copy(update=changes)
-    return answer(data, [experiment], result.tables if rows is None else rows)
+    return answer(data, data.experiments[0], experiment, result.tables if rows is None else rows)
 
 
 def scored(result, **changes):
@@ -145,7 +145,10 @@ def test_a_headline_rests_on_five_comparisons_and_on_no_single_one(data, result)
     assert not is_steady(np.array([0.1, 0.1, 0.1, 0.6, 0.6, 0.6]))  # the size
     few = result.experiments[0].scores[0].distance.model_copy(update={"dampings": 4})
     found = told(data, result, scores=scored(result, distance=few)).predicts
-    assert (found.code, found.reason) == ("unknown", "only 4 limits to compare")
+    assert found.code == "unknown"
+    assert found.reason.startswith("only 4 limits to compare; 5 are needed")
+    best = max(result.experiments[0].loop_boundary, key=lambda limit: limit.stiffness)
+    assert f"at B = {best.damping:g}" in found.reason, "what the loop found in the logs predicts"
     unsteady = result.experiments[0].scores[0].distance.model_copy(update={"steady": False})
     assert told(data, result, scores=scored(result, distance=unsteady)).predicts.percent is None
 
@@ -198,7 +201,51 @@ def test_without_limits_the_answers_say_why(data, result):
     found = told(data, result, (), scores=(), boundary=(), use=None, use_reason="no stability limit is known")
     assert (found.wall, found.predicts.code) == (None, "unknown")
     lines = answer_lines(result.model_copy(update={"answer": found}))
-    assert lines[0] == "Wall: None recommended: no stability limit is known."
+    safest = found.safest
+    assert lines[0].startswith("Wall: None recommended: no stability limit is known. The stable tested wall")
+    assert lines[0].endswith(f"K = {safest.stiffness:g}, B = {safest.damping:g}.")
+    trial = next(t for t in walls_of(data) if (t[0], t[1]) == (safest.stiffness, safest.damping))
+    assert trial[2] == "stable"
+    assert safest.decay_per_s == pytest.approx(
+        max(-growth for *_, verdict, growth in walls_of(data) if verdict == "stable")
+    )
+
+
+def walls_of(data):
+    """Stiffness, damping, verdict and growth rate of the trials of the only experiment."""
+    stages = data.experiments[0]
+    columns = [stages.column("response", name) for name in ("stiffness", "damping", "growth_per_s")]
+    K, B, growth = (values.tolist() for values in columns)
+    return list(zip(K, B, stages.texts("response", "verdict"), growth, strict=True))
+
+
+def test_boundary_and_costs_are_judged_apart(data, result):
+    distance = result.experiments[0].scores[0].distance
+    bent = distance.model_copy(update={"bounded": 20, "agreeing": 11, "above": 9})
+    found = told(data, result, [row(4.0)] * 5, scores=scored(result, distance=bent)).predicts
+    assert (found.code, found.boundary, found.optimal_costs) == ("yes", "partly", "yes")
+    assert (found.above, found.below, found.bounded) == (9, 0, 20)
+    straight = distance.model_copy(update={"bounded": 20, "agreeing": 19, "above": 0})
+    found = told(data, result, [row(40.0)] * 5, scores=scored(result, distance=straight)).predicts
+    assert (found.boundary, found.optimal_costs, found.below) == ("yes", "no", 1)
+    region = result.experiments[0].scores[0].region.model_copy(update={"overlap": 0.7})
+    scores = (result.experiments[0].scores[0].model_copy(update={"region": region, "distance": bent}),)
+    assert told(data, result, scores=scores).predicts.boundary == "no"
+
+
+def test_the_best_settling_time_is_that_of_the_delay(data, result):
+    found = result.answer.reachable
+    assert found.delay_samples == pytest.approx(4.0, abs=1e-6)
+    # five samples for each sample of delay and one (5.19, Table 5.1)
+    assert found.best == pytest.approx(4.9 * 5, abs=0.05)
+    assert found.reached == result.experiments[0].optimum["settle_2pct"].cost
+    assert "24.5 samples = 24.5 ms at best" in answer_lines(result)[2]
+    assert told(data, result, sampling_period_s=None).reachable is None
+
+
+def test_every_experiment_has_its_own_answer(result):
+    assert [each.answer.experiment for each in result.experiments] == ["1"]
+    assert result.experiments[0].answer == result.answer
 
 
 def test_the_first_screen_has_at_most_190_words(falcon_outcome):

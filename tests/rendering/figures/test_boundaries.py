@@ -72,7 +72,11 @@ def test_measured_limits_have_the_interval_of_their_estimate_or_their_trials() -
     assert line.low.tolist() == [100, 560, 900]
     assert line.high[:2].tolist() == [300, 640]
     assert np.isnan(line.high[2])
-    assert (line.x[:2].tolist(), bound.x.tolist(), bound.number) == ([100, 500], [900], 3)
+    assert (line.x[:2].tolist(), bound.x.tolist(), bound.number) == ([200, 590], [900], 3)
+    assert (line.low[:2] <= line.x[:2]).all(), "line and bar are of one quantity"
+    assert (line.x[:2] <= line.high[:2]).all()
+    plain, _ = measured(points, "limit", 3)
+    assert plain.x[:2].tolist() == [100, 500], "without intervals: the largest stable stiffness of Fig. 6.3"
     assert np.isnan(line.x[2]), "a lower bound is no limit: a line through it would claim one"
 
 
