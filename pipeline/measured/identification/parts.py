@@ -465,6 +465,11 @@ def _searched(segments: Segments, begin: list[Device]) -> Fit:
     before the search ends may replace friction, a delay, or a fast motion.
     """
     fit = refined(segments, begin[0])
+    if not fit.solved.information.any():
+        raise ParameterError(
+            "nothing in the logs follows the edge of its command, so that they say nothing of the device; record for "
+            "longer behind the edge, and begin at rest"
+        )
     if segments.trials < FEWEST and len(begin) > 1:
         fit = max(fit, refined(segments, begin[1]), key=lambda each: each.likelihood)
     if fit.device.noise == WHITE or (len(begin) <= STARTS and segments.trials >= FEWEST):

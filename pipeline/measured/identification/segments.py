@@ -233,6 +233,8 @@ def _moving(trial: int, each: Recording, seen: Motion, rows: tuple[int, int], le
         if not sign[a] or stop <= a:
             continue
         edge = _edge(each, seen, first, first + a, lead)
+        if edge is not None and first + stop <= edge + 1:  # nothing follows the edge: all of it is rest
+            continue
         begin = max(first, edge - EARLIER) if edge is not None else first + a + seen.half * (a > 0)
         bounds = [*range(begin, first + stop, LONGEST), first + stop]
         found += [
