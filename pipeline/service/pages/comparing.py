@@ -1,9 +1,9 @@
-"""The page that lays experiments beside each other, its file for other computers, and the form for a report."""
+"""Pages that lay experiments beside each other and plan the next walls, and the form for a report."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Query, Request
@@ -11,8 +11,11 @@ from fastapi.responses import HTMLResponse, Response
 
 from pipeline.comparison.against import compare_pair
 from pipeline.records.criteria import REPORTED
+from pipeline.records.models import Motion
 from pipeline.records.results import PairDifference, Side, SourcedLoop
-from pipeline.service.pages.frame import busy, page_of
+from pipeline.rendering.labels import UNITS
+from pipeline.service.catalogue import Selection
+from pipeline.service.pages.frame import busy, kept, page_of
 from pipeline.service.problems import Problem
 from pipeline.service.shared import Service, Shared, run_of
 from pipeline.store.names import name_of_folder
@@ -33,6 +36,28 @@ Plane = Annotated[Literal["", "physical", "normalised"], Query()]
 def compare(service: Shared, request: Request, runs: Runs = [], plane: Plane = "") -> Response:  # noqa: B006
     """Show up to six experiments beside each other."""
     return page_of(service, request, "compare.html.j2", **_content(service, runs, plane))
+
+
+@comparing.get("/plan")
+def plan(
+    service: Shared, request: Request, run: str = "", goal: Literal["boundary", "optimum"] = "boundary"
+) -> Response:
+    """Show which walls of an experiment to try next, what each decides, and how far its limits are known."""
+    known = [run_of(e["device"], e["experiment"]) for e in service.catalogue.experiments]
+    chosen = run or next(iter(known), "")
+    if run and run not in known:
+        raise Problem(404, "There are no trials of this experiment.", where="run", expected=known, found=run)
+    shown: dict[str, Any] = {"drawn": None, "job": None, "problem": None}
+    device, experiment, motion = "", "", "translation"
+    if chosen:
+        device, experiment = map(name_of_folder, chosen.split("/"))
+        shown = kept(service, lambda: service.plan(device, experiment, goal))
+        own = Selection({"device": device, "experiment": experiment}, {})
+        trials, _ = service.catalogue.page(own, "stiffness", 1, None)
+        motion = trials[0]["motion"] if trials else motion
+    about: dict[str, Any] = {"known": known, "chosen": chosen, "goal": goal, "units": UNITS[cast(Motion, motion)]}
+    about |= {"device": device, "experiment": experiment, "plan": shown["drawn"]}
+    return page_of(service, request, "plan.html.j2", **about, job=shown["job"], problem=shown["problem"])
 
 
 def _content(service: Service, asked: list[str], plane: str) -> dict[str, Any]:
