@@ -140,6 +140,18 @@ class StiffnessScore(Record):
     deviation_percent: float
 
 
+class DampingScore(Record):
+    """Largest damping [Ns/m, Nms/rad] with a stable trial, and that of theory with any stiffness (6.2.3).
+
+    ``lower_bound`` says that the tested dampings ended there.
+    """
+
+    measured: float
+    lower_bound: bool
+    theory: float
+    deviation_percent: float
+
+
 class Scores(Record):
     """Scores of one experiment against one theory; what could not be had is None, with its reason in ``missing``."""
 
@@ -149,6 +161,7 @@ class Scores(Record):
     distance: DistanceScore | None = None
     verdicts: VerdictScore | None = None
     stiffness: StiffnessScore | None = None
+    damping: DampingScore | None = None
     missing: dict[str, str] = Field(default_factory=dict)
 
 

@@ -12,7 +12,7 @@ from pipeline.comparison.loops.departures import other_gains
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import boundary_distance, verdict_agreement
 from pipeline.measured.stages.stage_tables import ExperimentStages
-from pipeline.records.results import ExperimentResult, RegionScore, Scores, StiffnessScore
+from pipeline.records.results import DampingScore, ExperimentResult, RegionScore, Scores, StiffnessScore
 from pipeline.records.trials import Floats
 from pipeline.theory.boundary import is_inside
 from pipeline.theory.crossings import stretches
@@ -55,6 +55,7 @@ def _scores(result: ExperimentResult, stages: ExperimentStages, theory: Theory, 
         "distance": boundary_distance(limits, predicted),
         "verdicts": verdict_agreement(K, stages.verdicts.verdict, inside),
         "stiffness": _stiffness(limits, predicted, theory, result),
+        "damping": _damping(theory, result),
     }
     few = f"{counted(len(limits.damping), 'tested damping')}; a region needs two"
     unstable = "theory has no stable wall at the tested dampings"
@@ -63,6 +64,7 @@ def _scores(result: ExperimentResult, stages: ExperimentStages, theory: Theory, 
         "distance": "no damping with a measured limit and a stable wall in theory",
         "verdicts": "no trial at K > 0 with a verdict",
         "stiffness": "no stable trial at K > 0, or none in theory at the tested dampings",
+        "damping": "no stable trial at K > 0",
     }
     missing = {name: reason for name, reason in why.items() if found[name] is None}
     return Scores.model_validate({"parameters": theory.described, "basis": basis, "missing": missing, **found})
@@ -125,4 +127,17 @@ def _stiffness(
         anywhere=theory.boundary.alpha_max * theory.units.stiffness,
         anywhere_damping=theory.boundary.beta_at_alpha_max * theory.units.damping,
         deviation_percent=100 * (measured / float(predicted[best]) - 1),
+    )
+
+
+def _damping(theory: Theory, result: ExperimentResult) -> DampingScore | None:
+    stable = [point.damping for point in result.boundary if point.stable is not None]
+    if not stable:
+        return None
+    measured, known = max(stable), theory.boundary.beta_max * theory.units.damping
+    return DampingScore(
+        measured=measured,
+        lower_bound=measured == max(point.damping for point in result.boundary),
+        theory=known,
+        deviation_percent=100 * (measured / known - 1),
     )

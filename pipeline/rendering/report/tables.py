@@ -277,7 +277,7 @@ def _scores(result: ComparisonResult, stiffness: str) -> Table | None:
     for e in result.experiments:
         for scores in e.scores:
             row = {"experiment": e.experiment, "reason": "; ".join(dict.fromkeys(scores.missing.values()))}
-            for name in ("region", "distance", "verdicts", "stiffness"):
+            for name in ("region", "distance", "verdicts", "stiffness", "damping"):
                 found = getattr(scores, name)
                 row |= {f"{name}_{key}": value for key, value in flat(found).items()} if found else {}
             rows.append(row)
@@ -297,6 +297,13 @@ def _scores(result: ComparisonResult, stiffness: str) -> Table | None:
             "%",
             show=lambda value, row: ("≥ " if row["stiffness_lower_bound"] else "") + percent_text(value),
             aside=lambda row: _ratio(row, "stiffness_measured", "stiffness_theory"),
+        ),
+        Column(
+            "damping_deviation_percent",
+            "largest stable B",
+            "%",
+            show=lambda value, row: ("≥ " if row["damping_lower_bound"] else "") + percent_text(value),
+            aside=lambda row: _ratio(row, "damping_measured", "damping_theory"),
         ),
         Column("distance_median", "distance of limits, median", "%", show=_of_share),
         Column("distance_largest", "largest", "%", show=_of_share, aside=at_largest),

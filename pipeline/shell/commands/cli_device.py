@@ -224,10 +224,14 @@ def design(
 
     Example: pipeline design --device arm.toml --stiffness 20000 --margin 1.5 --keep mass --picture arm.svg
     """
+    from dataclasses import asdict
+
     from pipeline.device_data.devices import find_experiment
     from pipeline.rig.design import design as answer_of
+    from pipeline.rig.guidelines import guidelines
     from pipeline.rig.picture import picture as draw
     from pipeline.rig.published import published_limits
+    from pipeline.theory.reachable import reachable
 
     if picture is not None:
         check_output(picture, "--picture")
@@ -253,6 +257,8 @@ def design(
     replaced = None if hand is None else known.loop_for(conditions).operator
     document["operator_replaced"] = None if replaced is None else replaced.model_dump()
     document["quantum"] = _quantum(coulomb / loop.force_gain, quantum, wanted)
+    document["guidelines"] = guidelines(loop).document()
+    document["reachable"] = asdict(reachable("settle_2pct", loop.delay_samples))
     document["published"] = rows.astype(object).where(rows.notna(), None).to_dict("records")
     console.tell(document, _design_lines(document, loop))
 
@@ -323,6 +329,13 @@ def _design_lines(document: dict[str, Any], loop: Loop) -> Iterator[str]:
     yield from ("", f"Published limits of K [{k}] at B = {document['wall']['damping']:.4g} {b}:")
     told = [row for row in document["published"] if row["stiffness"] is not None]
     yield from console.table(told, ("stiffness", "promises", "condition", "assumes"))
+    yield from ("", "Guidelines (Hulin 2017, 3.6), with the numbers of this rig:")
+    yield from (f"  {sentence}" for sentence in document["guidelines"]["sentences"])
+    best = document["reachable"]
+    yield (
+        f"  No wall settles (2 %) in less than about {best['cost']:.3g} samples at this delay; a sample less saves "
+        f"{best['per_sample']:.2g}. All delays and T must stay below 20 % of a wanted settling time."
+    )
     if (low := document["delay_samples_low"]) < (high := document["delay_samples_high"]):
         yield f"Delay {document['delay_samples']:.4g} samples, the mean of one that jitters from {low:g} to {high:g}."
     if document["left_out"]:

@@ -82,3 +82,11 @@ def test_missing_scores_have_a_reason(ideal):
         assert getattr(found, name) is None
         assert found.missing[name]
     assert found.verdicts is not None
+
+
+def test_the_largest_stable_damping_is_scored_against_that_of_theory(ideal):
+    score = ideal[0].scores[0].damping
+    # the ideal course was tested up to its own largest damping, where some wall is stable
+    assert score.lower_bound
+    assert score.theory > score.measured
+    assert score.deviation_percent == pytest.approx(100 * (score.measured / score.theory - 1), abs=1e-9)

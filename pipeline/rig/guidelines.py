@@ -1,0 +1,160 @@
+"""Guidelines for a rig in words and numbers: what delay, sampling, damping, mass and a hand do to its largest wall.
+
+Source: Hulin 2017, secs. 3.3 and 3.6, Table 3.2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from pipeline.base.errors import ParameterError
+from pipeline.device.parameters import is_rotation
+from pipeline.device.parts import Operator
+from pipeline.device_data.published import HumanArm, human_arms
+from pipeline.surface.physical_loop import Loop
+
+RANGES = {"gamma": 1e-3, "delta": 20e-3}
+"""Largest normalised stiffness and damping of arm and device at sampling periods up to 1 ms (3.17)."""
+
+_NO_MASS = 1e-9
+"""Mass of an operator of whom only damping or stiffness counts [kg]: one of 0 is no operator."""
+
+USUAL_ARM = "Tsuji et al."
+"""The arm that stands for a usual one: its mass of 1.8 kg is the median of Table 3.2."""
+
+
+@dataclass(frozen=True)
+class Influence:
+    """What one number of a hand alone changes: its value [SI], and the change of the largest stable K in percent."""
+
+    name: str
+    value: float
+    percent: float
+
+
+@dataclass(frozen=True)
+class Guidelines:
+    """What limits a rig and what does not.
+
+    Parameters
+    ----------
+    delay_percent : float or None
+        Change of the largest stable K with a sample less of delay; None where there is less than one.
+    sampling_percent : float
+        With half the sampling period and the same delay in time.
+    damping_percent : float
+        Without any damping of the device.
+    hand : tuple of Influence
+        Mass, damping and stiffness of a hand, each added alone; empty for a rotation, whose arms are not tabled.
+    arm : str
+        Whose hand.
+    gamma, delta : float
+        Normalised stiffness and damping of the rig with this hand (3.13).
+    """
+
+    delay_percent: float | None
+    sampling_percent: float
+    damping_percent: float
+    hand: tuple[Influence, ...]
+    arm: str
+    gamma: float
+    delta: float
+
+    @property
+    def within(self) -> dict[str, bool]:
+        """Whether gamma and delta lie in the ranges that the thesis considers (3.17)."""
+        return {name: getattr(self, name) <= most for name, most in RANGES.items()}
+
+    def document(self) -> dict[str, Any]:
+        """Return all as a JSON document, with the sentences."""
+        return asdict(self) | {"within": self.within, "sentences": self.sentences()}
+
+    def sentences(self) -> list[str]:
+        """Return the guidelines of 3.6 with the numbers of this rig."""
+        told = []
+        if self.delay_percent is not None:
+            told.append(f"A sample less of delay changes the largest stable K by {_signed(self.delay_percent)}.")
+        told.append(
+            f"Sampling twice as fast with the same delay in time changes it by {_signed(self.sampling_percent)}: it "
+            "pays where sampling, and not the delay, is the larger part."
+        )
+        told.append(
+            f"Without its own damping it would change by {_signed(self.damping_percent)}: damping of the device is "
+            f"{'no way to stability' if abs(self.damping_percent) < 20 else 'a part of its stability'}."
+        )
+        if self.hand:
+            parts = ", ".join(f"{each.name} {each.value:g} {_signed(each.percent)}" for each in self.hand)
+            told.append(f"A hand ({self.arm}), one number at a time: {parts}.")
+        outside = [name for name, inside in self.within.items() if not inside]
+        values = f"gamma = {self.gamma:.3g}, delta = {self.delta:.3g}"
+        told.append(
+            f"With it, {values} {'lie in' if not outside else 'lie outside'} the ranges of (3.17)"
+            + ("." if not outside else f" ({', '.join(f'{name} at most {RANGES[name]:g}' for name in outside)}).")
+        )
+        return told
+
+
+def guidelines(loop: Loop, arms: Mapping[str, HumanArm] | None = None) -> Guidelines:
+    """Return the guidelines for a rig.
+
+    Parameters
+    ----------
+    loop : Loop
+        The rig; an operator that it states stands for the hand, and is taken off for what a hand changes.
+    arms : mapping of HumanArm, optional
+        By name; Table 3.2 where not given.
+
+    Raises
+    ------
+    ParameterError
+        If no wall is stable.
+    """
+    known = {arm.source: arm for arm in human_arms()} if arms is None else arms
+    free = replace(loop, operator=None)
+    most = _largest(free)
+    given = loop.operator or Operator(**known[USUAL_ARM].model_dump(include={"mass", "damping", "stiffness"}))
+    usual = loop.operator is None
+    hand = () if usual and is_rotation(loop.motion) else _hand(free, given, most)
+    held = replace(free, operator=given).normalised_loop if hand else loop.normalised_loop
+    samples = loop.delay_samples
+    shorter = replace(free, jitter_samples=(), delay_samples=samples - 1) if samples >= 1 else None
+    faster = replace(free, jitter_samples=(), delay_samples=2 * samples, sampling_period_s=0.5 * free.sampling_period_s)
+    undamped = replace(free, damping=free.mode.load_damping if free.mode is not None else 0.0)
+    return Guidelines(
+        delay_percent=None if shorter is None else _percent(_largest(shorter), most),
+        sampling_percent=_percent(_largest(faster), most),
+        damping_percent=_percent(_largest(undamped), most),
+        hand=hand,
+        arm=USUAL_ARM if usual else "the operator of the device file",
+        gamma=held.gamma,
+        delta=held.delta,
+    )
+
+
+def _hand(free: Loop, given: Operator, most: float) -> tuple[Influence, ...]:
+    """Return what each number of a hand alone does to the largest stable stiffness."""
+    found = []
+    for name in ("mass", "damping", "stiffness"):
+        value = float(getattr(given, name))
+        numbers = {"mass": _NO_MASS, "damping": 0.0, "stiffness": 0.0} | {name: value}
+        try:
+            largest = _largest(replace(free, operator=Operator(**numbers)))
+        except ParameterError:
+            largest = math.nan
+        found.append(Influence(name, value, _percent(largest, most)))
+    return tuple(found)
+
+
+def _largest(loop: Loop) -> float:
+    return float(loop.boundary(100).attrs["stiffness_max"])
+
+
+def _percent(value: float, of: float) -> float:
+    return 100 * (value / of - 1)
+
+
+def _signed(percent: float) -> str:
+    return f"{percent:+.3g} %".replace("-", "\N{MINUS SIGN}")
