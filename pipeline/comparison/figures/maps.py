@@ -53,6 +53,15 @@ LINES_PER_DOUBLING, DOUBLINGS = 2, 5
 """Contour lines of costs without levels of their own, from the least cost to 32 times as much: beyond, they merge with
 the stability boundary."""
 
+OFTEN = 0.5
+"""Share of the most tested value's trials from which on a stiffness, or a damping, counts as tested at many places."""
+
+FEWEST_OFTEN = 5
+"""Trials of such a row at least: the best of fewer is where they happen to lie."""
+
+_FROM_OPTIMUM = 2 * LINES_PER_DOUBLING
+"""Place of the level at theory's optimum; those before it are down to a quarter of its cost."""
+
 FRONT_RANGE = 4.0
 """The front view reaches to this multiple of the highest optimum: all that matters for a choice."""
 
@@ -89,17 +98,60 @@ class CostMap:
 
     @property
     def least(self) -> tuple[Floats, Floats]:
-        """Least cost for each stiffness, nowhere above a single trial."""
+        """Least cost for each stiffness that was tested at many dampings; there nowhere above a single trial."""
         if self.cost.ndim == 2:
             found = np.where(np.isfinite(self.cost), self.cost, np.inf).min(axis=0)
             return self.stiffness, np.where(np.isfinite(found), found, np.nan)
+        known = np.isfinite(self.trials[2])
+        every = _often(self.trials[0][known], self.trials[1][known])
         K = np.concatenate([self.stiffness, self.trials[0]])
         cost = np.concatenate([self.cost, self.trials[2]])
-        known = np.isfinite(cost)
+        known = np.isfinite(cost) & np.isin(K, every)
         every, place = np.unique(K[known], return_inverse=True)
         found = np.full(len(every), np.inf)
         np.minimum.at(found, place, cost[known])
         return every, found
+
+    def best(self, along_stiffness: bool) -> tuple[Floats, Floats]:
+        """Return stiffness and damping of an optimal curve: best damping for each stiffness, or the other way round.
+
+        Of costs that are equal over a stretch its middle is taken; on a grid a parabola finds the place between points.
+        """
+        if self.cost.ndim == 2:
+            cost, given, other = self.cost, self.stiffness, self.damping
+            if not along_stiffness:
+                cost, given, other = cost.T, self.damping, self.stiffness
+            best = np.array([_lowest(column, other) for column in cost.T])
+        else:
+            given_of, other_of = (self.stiffness, self.damping) if along_stiffness else (self.damping, self.stiffness)
+            given = _often(given_of, other_of)
+            rows = [(self.cost[given_of == g], other_of[given_of == g]) for g in given]
+            orders = [np.argsort(places) for _, places in rows]
+            best = np.array([_lowest(c[o], p[o], refine=False) for (c, p), o in zip(rows, orders, strict=True)])
+        known = np.isfinite(best) if len(best) else np.zeros(0, np.bool_)
+        return (given[known], best[known]) if along_stiffness else (best[known], given[known])
+
+
+def _often(given: Floats, other: Floats) -> Floats:
+    """Return the values of one parameter that were tested at many of the other: half as many as the one with most."""
+    pairs = np.unique(np.stack([given, other]), axis=1)
+    values, counts = np.unique(pairs[0], return_counts=True)
+    return np.asarray(values[counts >= max(OFTEN * counts.max(initial=0), FEWEST_OFTEN)])
+
+
+def _lowest(cost: Floats, place: Floats, *, refine: bool = True) -> float:
+    """Return where a row of costs is least; NaN where it has none, or its least one lies at an end."""
+    known = np.flatnonzero(np.isfinite(cost))
+    if len(known) < 3:
+        return np.nan
+    equal = known[cost[known] <= cost[known].min() * (1 + 1e-9) + 1e-12]
+    i = int(equal[len(equal) // 2])
+    if i in (known[0], known[-1]):
+        return np.nan
+    if len(equal) > 1 or not refine or not np.isfinite(cost[[i - 1, i + 1]]).all():
+        return float(0.5 * (place[equal[0]] + place[equal[-1]]))
+    below, above = cost[i] - cost[i - 1], cost[i + 1] - cost[i]
+    return float(place[i] - 0.5 * (place[i + 1] - place[i]) * (above + below) / (above - below))
 
 
 def map_figures(
@@ -174,27 +226,31 @@ def map_figure(table: str, criterion: str, maps: Sequence[CostMap], units: Units
     limits = (0.0, reach(*(s.x for s in edges), *(m.trials[0] for m in maps))[1]), reach(*(s.y for s in edges))
     lowest = [float(np.nanmin(m.least[1])) for m in maps if np.isfinite(m.least[1]).any()]
     top = family.levels[-1] if family.levels else FRONT_RANGE * max(lowest, default=1.0)
+    levels = _levels(criterion, maps)
     lines = (
-        "every 10 percentage points, the heavy one at 0.1 % around the region without"
+        "every 10 percentage points, the heavy one around the region without (theory: at 0.1 %)"
         if family is OVERSHOOT
-        else "two for each doubling, starting at the optimum"
+        else f"the same in all panels, two for each doubling of {cost_text(criterion, levels[_FROM_OPTIMUM])}"
+        if levels.size
+        else "none"
     )
     tried = any(m.trials.size for m in maps)
     caption = (
         f"{'Theory left. ' if maps[0].cost.ndim == 2 else ''}Black: stability limit. Green: lines of equal cost, "
         f"{lines}"
         f"{'; measured costs are smoothed over the trials around' if tried else ''}. Plus: optimum as in {label}"
-        f"{', of experiments the best single trial' if tried else ''}. Below: least cost for each stiffness"
-        f"{' and all trials' if tried else ''}."
+        f"{', of experiments the best single trial' if tried else ''}. Blue: best damping for each stiffness, dashed: "
+        f"best stiffness for each damping. Below: least cost for each stiffness"
+        f"{' that was tested at many dampings, and all trials' if tried else ''}."
     )
-    panels = tuple(_map_panel(each, criterion, limits, top, units) for each in maps)
+    panels = tuple(_map_panel(each, criterion, limits, top, units, levels) for each in maps)
     size = (350.0, 430.0) if len(maps) > 2 else (440.0, 500.0)
     identifier = re.sub(r"[^A-Za-z0-9_-]", "-", f"{table}-{criterion}")
     title = f"Cost maps, {criterion_label(criterion)}"
     return Figure("maps", identifier, title, caption, panels, criterion_name(criterion), f"costs, {label}", size)
 
 
-def _map_panel(shown: CostMap, criterion: str, limits: Any, top: float, units: Units) -> Panel:
+def _map_panel(shown: CostMap, criterion: str, limits: Any, top: float, units: Units, levels: Floats) -> Panel:
     factor, family = printed_scale(criterion), criterion_of(criterion).family
     K, B, cost = shown.trials
     inside, best, least = cost <= top, shown.optimum, shown.least
@@ -202,6 +258,12 @@ def _map_panel(shown: CostMap, criterion: str, limits: Any, top: float, units: U
     front = [Series("_trials", "dots", K[inside], cost[inside] * factor, **third)]
     front.append(Series("_least cost", "line", least[0], least[1] * factor))
     map_series, told = list(shown.boundary), "No optimum is known."
+    for kind, along in (("best", True), ("best other", False)):
+        x, y = shown.best(along)
+        map_series += [Series(f"_{kind}", kind, x, y)] if len(x) > 2 else []
+    if family is OVERSHOOT and shown.trials.size:
+        free = cost <= 0
+        map_series.append(Series("_without overshoot", "dots", K[free], B[free]))
     if best is not None:
         place = np.array([best.stiffness])
         map_series.append(Series("_optimum", "optimum", place, np.array([best.damping])))
@@ -212,7 +274,7 @@ def _map_panel(shown: CostMap, criterion: str, limits: Any, top: float, units: U
     names = (f"stiffness K [{units.stiffness}]", f"damping B [{units.damping}]")
     value, axes = partial(_tell_optimum, shown, criterion), (names[0], with_unit(family.title, family.printed_unit))
     below = Panel("", axes, tuple(front), "", (limits[0], (0.0, top * factor)), value)
-    contours = partial(_contours, shown, criterion)
+    contours = partial(_contours, shown, criterion, levels)
     return Panel(shown.label, ("", names[1]), tuple(map_series), words, limits, contours, below)
 
 
@@ -227,39 +289,76 @@ def _tell_optimum(shown: CostMap, criterion: str, axes: Axes) -> None:
     axes.annotate(text, (best.stiffness, best.cost * factor), offset, "data", textcoords="offset points", **look)
 
 
-def _contours(shown: CostMap, criterion: str, axes: Axes) -> None:
-    """Draw lines of equal cost, heavier at whole doublings, which can be counted also in grey; theory has numbers."""
+def _contours(shown: CostMap, criterion: str, levels: Floats, axes: Axes) -> None:
+    """Draw lines of equal cost with their numbers, heavier at whole doublings, which can be counted also in grey.
+
+    A level below the cost of the map at its optimum would leave the plus outside: single trials may be luckier than the
+    costs around them.
+    """
     from matplotlib.colors import to_rgb
 
     known = np.isfinite(shown.cost)
-    levels = _levels(criterion, shown.cost[known]) if known.any() else np.empty(0)
-    if not levels.size:
+    if not known.any():
         few = "too few trials" if np.isfinite(shown.trials[2]).any() else "no trial"
-        if not known.any():
-            axes.text(0.5, 0.94, f"{few} with this cost", transform=axes.transAxes, ha="center")
+        axes.text(0.5, 0.94, f"{few} with this cost", transform=axes.transAxes, ha="center")
         return
+    opacity = dict(zip(levels.tolist(), np.linspace(1.0, 0.45, max(levels.size, 1)), strict=False))
     edge = criterion_of(criterion).family.levels[:1]
-    whole = levels <= edge[0] if edge else np.arange(levels.size) % LINES_PER_DOUBLING == LINES_PER_DOUBLING - 1
-    look: dict[str, Any] = {"levels": levels, "linewidths": np.where(whole, 1.5, 0.9)}
-    look["colors"] = [(*to_rgb(GREEN), alpha) for alpha in np.linspace(1.0, 0.45, levels.size)]
+    heavy = dict(zip(levels.tolist(), np.arange(levels.size) % LINES_PER_DOUBLING == 0, strict=True))
+    least, most = _at_optimum(shown), float(shown.cost[known].max())
+    measured_overshoot = bool(edge) and shown.cost.ndim == 1
+    drawn = [x for x in levels.tolist() if least * (1 + 1e-3) < x < most and not (measured_overshoot and x <= edge[0])]
+    factor = printed_scale(criterion)
+    look: dict[str, Any] = {
+        "levels": drawn,
+        "linewidths": [1.5 if (x <= edge[0] if edge else heavy[x]) else 0.9 for x in drawn],
+        "colors": [(*to_rgb(GREEN), opacity[x]) for x in drawn],
+    }
+    lines: Any = None
     if shown.cost.ndim == 2:
-        lines = axes.contour(shown.stiffness, shown.damping, _without_steps(shown.cost, criterion), **look)
-        factor = printed_scale(criterion)
-        numbered = levels[levels > edge[0]][::2] if edge else levels[1::LINES_PER_DOUBLING]
-        axes.clabel(lines, numbered[:2], fmt=lambda level: significant(level * factor, 3), fontsize=10.5, colors=INK)
+        lines = (
+            axes.contour(shown.stiffness, shown.damping, _without_steps(shown.cost, criterion), **look)
+            if drawn
+            else None
+        )
     elif (triangles := _triangles(shown.stiffness, shown.damping)) is not None:
-        axes.tricontour(triangles, shown.cost, **look)
+        lines = axes.tricontour(triangles, shown.cost, **look) if drawn else None
+        if measured_overshoot:
+            # around the trials without, not around what their neighbours smooth to
+            own = {(k, b): cost for k, b, cost in shown.trials.T.tolist()}
+            walls = zip(shown.stiffness.tolist(), shown.damping.tolist(), strict=True)
+            free = np.array([float(own.get(wall, 1.0) <= 0) for wall in walls])
+            if 0 < free.sum() < len(free):
+                axes.tricontour(triangles, free, levels=[0.5], linewidths=[1.5], colors=[GREEN])
+    if lines is not None:
+        numbered = [x for x in drawn if not edge or x > edge[0]][:: 2 if edge else 1][:3]
+        axes.clabel(lines, numbered, fmt=lambda level: significant(level * factor, 3), fontsize=10.5, colors=INK)
 
 
-def _levels(criterion: str, cost: Floats) -> Floats:
-    """Return the contour levels inside the range of the costs: those of its family, else two a doubling."""
-    low, high = float(cost.min()), float(cost.max())
+def _at_optimum(shown: CostMap) -> float:
+    """Return the cost of a map at its optimum: that of trials is smoothed, and above that of the best one."""
+    least, best = float(np.nanmin(shown.cost)), shown.optimum
+    if shown.cost.ndim == 2 or best is None:
+        return least
+    at = (shown.stiffness == best.stiffness) & (shown.damping == best.damping)
+    return float(shown.cost[at].max()) if at.any() else least
+
+
+def _levels(criterion: str, maps: Sequence[CostMap]) -> Floats:
+    """Return the contour levels of all panels: those of the family, else two a doubling from theory's optimum on.
+
+    Without theory they are counted from the least optimum. Some lie below: experiments may be better than theory.
+    """
     levels = np.array(criterion_of(criterion).family.levels)
-    if not levels.size:
-        # a level that equals many costs exactly (settling times are whole numbers) would fray into plateaus
-        exponents = np.arange(1, DOUBLINGS * LINES_PER_DOUBLING + 1) / LINES_PER_DOUBLING
-        levels = low * 2.0**exponents * (1 + 1e-6)
-    return np.asarray(levels[(levels > low) & (levels < high)])
+    if levels.size:
+        return levels
+    known = [each.optimum.cost for each in maps if each.optimum is not None and each.optimum.cost > 0]
+    if not known:
+        return np.empty(0)
+    first = known[0] if maps[0].cost.ndim == 2 and maps[0].optimum is not None else min(known)
+    # a level that equals many costs exactly (settling times are whole numbers) would fray into plateaus
+    exponents = np.arange(-_FROM_OPTIMUM, DOUBLINGS * LINES_PER_DOUBLING + 1) / LINES_PER_DOUBLING
+    return np.asarray(first * 2.0**exponents * (1 + 1e-6))
 
 
 def _without_steps(cost: Floats, criterion: str) -> Floats:

@@ -97,6 +97,8 @@ LOOKS: dict[str, dict[str, Any]] = {
     "told": {"color": INK},
     "course": {"lw": 1.6},
     "line": {"color": INK, "lw": 1.3},
+    "best": {"color": BLUE, "lw": 1.1},
+    "best other": {"color": BLUE, "lw": 1.1, "ls": _DASHED},
     "optimum": {"color": BLUE, "ls": "none", "marker": "+", "ms": 12, "mew": 2.3},
     "log": {"color": BLUE, "lw": 1.2},
     "wide log": {"color": BLUE, "lw": 3.4, "alpha": 0.45},

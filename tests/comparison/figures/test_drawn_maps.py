@@ -42,8 +42,11 @@ def test_front_view_holds_the_trials_and_the_optimum_of_the_document(of_falcon):
     cost = data.experiments[0].sure_cost("settle_2pct")
     assert set(front["_trials"].y.tolist()) <= set(cost[np.isfinite(cost)].tolist())
     line = front["_least cost"]
-    # the line of least cost lies nowhere above a single trial
-    assert (np.interp(front["_trials"].x, line.x, line.y) <= front["_trials"].y + 1e-9).all()
+    # where a stiffness was tested at many dampings, the line of least cost lies nowhere above a single trial
+    least = dict(zip(line.x.tolist(), line.y.tolist(), strict=True))
+    trials = [(x, y) for x, y in zip(front["_trials"].x, front["_trials"].y, strict=True) if x in least]
+    assert len(trials) > 50
+    assert all(least[x] <= y + 1e-9 for x, y in trials)
     svg, *_ = draw(figure).panels
     assert "settling time" in svg
 
