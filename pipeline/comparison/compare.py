@@ -34,7 +34,7 @@ from pipeline.comparison.summary.answer import answer, told_most
 from pipeline.comparison.summary.summary_warnings import warnings_of
 from pipeline.comparison.tables_d import TableBuilder
 from pipeline.comparison.truths import truths, with_truth
-from pipeline.device_data.published import published_files
+from pipeline.device_data.published import published_bound, published_files
 from pipeline.records import accuracy as measured_accuracy
 from pipeline.records.findings import Note
 from pipeline.records.models import ComparisonRow, Device, Shown
@@ -173,7 +173,10 @@ def _figures(data: SceneData, result: ComparisonResult, found: _Found, predictio
         number = data.scene.experiments.index(told.experiment)
         theory = found.theories.get(told.experiment) if shown.has_overlay("theory") else None
         yield answer_figure(told, theory, motion, number, trials_of(data.experiments[number]))
-    yield from boundary_figures(result.experiments, found.theories, motion, shown, sweep=data.scene.delay_sweep)
+    printed = published_bound(data.scene.device) if shown.has_overlay("linear") else None
+    yield from boundary_figures(
+        result.experiments, found.theories, motion, shown, sweep=data.scene.delay_sweep, printed=printed
+    )
     if shown.has_figure("maps"):
         yield from map_figures(data, result.experiments, found.theories, predictions)
     if shown.has_figure("delay"):

@@ -24,6 +24,7 @@ from pipeline.records.findings import NonNegative, Record
 from pipeline.records.models import Name
 
 _FILE, _THEORY, _ARMS = "hulin-2017.csv", "hulin-2017-theory.csv", "hulin-2017-human-arm.csv"
+_BOUNDS = "hulin-2017-bounds.csv"
 
 THEORY_TABLES = ("B.1", "B.2", "B.3", "B.4", "C.1", "C.2", "C.3", "5.1(a)", "5.1(b)")
 """Tables of theory alone. Their numbers stay text, because their printed digits matter."""
@@ -297,3 +298,26 @@ def human_arms() -> tuple[HumanArm, ...]:
         If the file that ships with the package is missing or damaged.
     """
     return shipped_rows(_ARMS, HumanArm)
+
+
+class PublishedBound(Record):
+    """A straight bound of measured limits, K <= stiffness + slope B [N/m, N/m per Ns/m], by its equation's number.
+
+    Source: Hulin 2017, eq. 6.5.
+    """
+
+    device: Name
+    equation: Name
+    stiffness: float
+    slope: float
+
+
+def published_bound(device: str) -> PublishedBound | None:
+    """Return the printed straight bound of a device's limits; None where there is none.
+
+    Raises
+    ------
+    StoreError
+        If the file that ships with the package is missing or damaged.
+    """
+    return next((row for row in shipped_rows(_BOUNDS, PublishedBound) if row.device == device), None)

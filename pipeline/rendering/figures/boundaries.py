@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.device_data.published import PublishedBound
 from pipeline.records.findings import BoundaryPoint
 from pipeline.records.models import FigureKind, Motion, Overlay, Shown
 from pipeline.records.results import ExperimentResult, SourcedLoop
@@ -32,6 +33,16 @@ OVERLAYS: dict[str, Overlay] = {
     "robust": "robust",
 }
 """Overlay that a kind of series belongs to; measured ones are always drawn."""
+
+NOT_DRAWN: dict[Overlay, str] = {
+    "estimates": "no loop was identified",
+    "band": "no loop was identified",
+    "linear": "no theory",
+    "passive": "no theory, or the device has too little damping of its own for a region that can be seen",
+    "friction": "no friction was found",
+    "robust": "known for a damped mass with a delay alone, and there are other parts or no damping",
+}
+"""Why an overlay that was asked for is missing beside the limits of single experiments."""
 
 ANSWER = "boundaries-answer"
 """Identifier of the figure beside the answer."""
@@ -168,32 +179,50 @@ def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory, int]], *
 
 
 def boundary_figures(
-    results: Sequence[ExperimentResult], theories: Mapping[str, Theory], motion: Motion, shown: Shown, *, sweep: bool
+    results: Sequence[ExperimentResult],
+    theories: Mapping[str, Theory],
+    motion: Motion,
+    shown: Shown,
+    *,
+    sweep: bool,
+    printed: PublishedBound | None = None,
 ) -> list[Figure]:
-    """Return limits of all experiments over each other, each with its loop, and normalised, as far as asked for."""
+    """Return limits of all experiments over each other, each with its loop, and normalised, as far as asked for.
+
+    ``printed`` is the straight bound that is published of the device. Where the delay of a device file jitters, theory
+    is also drawn at the ends of its range: limits lie between these (6.1.3).
+    """
     figures = []
     # one panel a configuration (Fig. 6.4); delays belong together (Fig. 6.9)
     groups: dict[str, list[tuple[int, ExperimentResult]]] = {}
     for number, result in enumerate(results):
         groups.setdefault("" if sweep else result.configuration, []).append((number, result))
     panels = [
-        limits_panel(title if len(groups) > 1 else "", _over_each_other(group, theories, shown), motion)
+        limits_panel(title if len(groups) > 1 else "", _over_each_other(group, theories, shown, len(results)), motion)
         for title, group in groups.items()
     ]
+    if printed is not None:
+        panels = [replace(panel, series=(*panel.series, _straight(printed, panel.series))) for panel in panels]
     dashed = " Dashed, in the same colour: theory." if theories and shown.has_overlay("theory") else ""
-    if len(results) > 1 or shown.delays:
+    if len(results) > 1 or shown.delays or printed is not None:
         title = "Stability limits of all experiments"
         figures.append(limits_figure(title, f"{MEASURED}{dashed}", panels, "boundaries-all"))
-    if shown.has_overlay("estimates"):
+    if any(shown.has_overlay(overlay) for overlay in NOT_DRAWN):
+        drawn = [_with_loop(r, theories.get(r.experiment), number, shown) for number, r in enumerate(results)]
         each = [
             limits_panel(f"experiment {r.experiment}", series, motion)
-            for number, r in enumerate(results)
-            if len(series := _with_loop(r, theories.get(r.experiment), number, shown)) > 2
+            for r, series in zip(results, drawn, strict=True)
+            if len(series) > 2
         ]
-        caption = (
-            "Pale bars: 95 % intervals of the measured limits. Identified loop, shaded its 95 % interval: the limit "
-            "that the loop found in the logs predicts at each damping, friction included."
-        )
+        caption = "Pale bars: 95 % intervals of the measured limits."
+        if shown.has_overlay("estimates"):
+            caption += (
+                " Identified loop, shaded its 95 % interval: the limit that the loop found in the logs predicts at "
+                "each damping, friction included."
+            )
+        there = {OVERLAYS[s.kind] for series in drawn for s in series if s.kind in OVERLAYS}
+        missing = [f"{name} ({NOT_DRAWN[name]})" for name in shown.overlays or () if name in NOT_DRAWN.keys() - there]
+        caption += f" Not drawn: {'; '.join(missing)}." if missing else ""
         figures += [limits_figure("Limits by the identified loop", caption, each, "boundaries-loop")] if each else []
     known = [
         (f"experiment {r.experiment}", r, theories[r.experiment], n)
@@ -205,9 +234,19 @@ def boundary_figures(
     return [figure for figure in figures if shown.has_figure(figure.kind)]
 
 
+def _straight(bound: PublishedBound, beside: Sequence[Series]) -> Series:
+    """Return a printed bound from the stiffest of some limits to the largest damping."""
+    stiffest = max((float(np.nanmax(s.x)) for s in beside if np.isfinite(s.x).any()), default=bound.stiffness)
+    last = max((float(np.nanmax(s.y)) for s in beside if np.isfinite(s.y).any()), default=0.0)
+    damping = np.array([max((stiffest - bound.stiffness) / bound.slope, 0.0), last])
+    label = f"K \u2264 {bound.stiffness:g} \N{MINUS SIGN} {-bound.slope:g} B ({bound.equation})"
+    return Series(label, "linear", np.maximum(bound.stiffness + bound.slope * damping, 0.0), damping)
+
+
 def _over_each_other(
-    group: Sequence[tuple[int, ExperimentResult]], theories: Mapping[str, Theory], shown: Shown
+    group: Sequence[tuple[int, ExperimentResult]], theories: Mapping[str, Theory], shown: Shown, others: int
 ) -> list[Series]:
+    """Return limits of experiments with theory; the colours of delays are behind those of all experiments."""
     series: list[Series] = []
     for number, result in group:
         grip = "" if result.grip == "none" else f", {result.grip} grip"
@@ -216,12 +255,12 @@ def _over_each_other(
         if theory is not None and shown.has_overlay("theory") and not shown.delays:
             series.append(by_theory(theory, "_theory", number))
     first = next((theories[r.experiment] for _, r in group if r.experiment in theories), None)
-    for number, delay in enumerate(shown.delays or () if first is not None else ()):
-        assert first is not None, "else there is no delay to draw"
-        changed = first.loop.replace({"delay_samples": float(delay)})
-        series.append(
-            by_theory(Theory(SourcedLoop(loop=changed, source=first.source)), f"theory, d = {delay:g}", number)
-        )
+    if first is None or not (shown.delays or shown.has_overlay("theory")):
+        return series
+    low, high = first.loop.delay_range
+    for number, delay in enumerate(shown.delays or ((low, high) if low < high else ()), start=others):
+        loop = replace(first.loop, jitter_samples=(), delay_samples=float(delay))
+        series.append(by_theory(Theory(SourcedLoop(loop=loop, source=first.source)), f"theory, d = {delay:g}", number))
     return series
 
 
@@ -235,6 +274,9 @@ def _with_loop(result: ExperimentResult, theory: Theory | None, number: int, sho
         harder = np.array([limit.stiffness_large_motion for limit in result.loop_boundary], dtype=np.float64)
         series.append(_identified(result, "identified loop"))
         series.append(Series("loop, 95 % interval", "envelope", high, B, low, high))
+        if (line := result.straight_bound) is not None:
+            ends = np.array([line.damping_first, line.damping_last])
+            series.append(Series("line through the limits", "straight", line.stiffness + line.slope * ends, ends))
         series += [Series("for a harder push", "friction", harder, B)] if np.isfinite(harder).any() else []
     if theory is not None:
         series += [by_theory(theory, "theory"), *conditions(theory, shown.has_overlay("robust"))]

@@ -5,7 +5,7 @@ Source: Hulin 2017, Fig. 6.12 (costs over delay).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,10 +56,9 @@ def delay_figure(rows: Sequence[ComparisonRow]) -> list[Figure]:
         for criterion in dict.fromkeys(row.criterion for row in own):
             of = sorted((row for row in own if row.criterion == criterion), key=lambda row: row.delay_samples or 0.0)
             scale, series = printed_scale(criterion), []
-            for label, kind, theory in (("theory", "line", True), ("experiment", "optimum", False)):
-                those = [r for r in of if (r.condition == "theory_discrete") == theory]
-                points = [(r.delay_samples, (r.cost or 0.0) * scale) for r in those]
-                series += [Series(label, kind, *np.array(points, dtype=np.float64).T)] if points else []
+            for label, kind, points in _over_delay(of):
+                x, y = np.array(points, dtype=np.float64).T if points else (np.empty(0), np.empty(0))
+                series += [Series(label, kind, x, y * scale)] if points else []
             told = "; ".join(
                 f"{s.label} {', '.join(f'd = {x:g}: {y:.3g}' for x, y in zip(s.x, s.y, strict=True))}" for s in series
             )
@@ -67,10 +66,30 @@ def delay_figure(rows: Sequence[ComparisonRow]) -> list[Figure]:
             name, words = criterion_label(criterion), f"Optimal cost over delay: {told}."
             limits = None, (0.0, top or 1.0)
             panels.append(Panel(name, ("total delay d [samples]", name), tuple(series), words, limits))
-        caption = "Costs of the sampled response at the optimum, theory and experiment. In the manner of Fig. 6.12."
+        caption = (
+            "Costs of the sampled response at the optimum, theory and experiment. What theory costs on the walls that "
+            "were tested is no error of theory: the optimum lies between them. In the manner of Fig. 6.12."
+        )
         name, title = f"delay{len(figures) or ''}", "Optimal costs over delay"
         figures.append(Figure("delay", name, title, caption, tuple(panels), size=(440.0, 300.0)))
     return figures
+
+
+def _over_delay(rows: Sequence[ComparisonRow]) -> Iterator[tuple[str, str, list[tuple[float, float]]]]:
+    """Yield label, kind and points (delay, cost) of theory, theory on the tested walls, experiment, and the printed."""
+    theory = {row.delay_samples or 0.0: row.cost or 0.0 for row in rows if row.condition == "theory_discrete"}
+    measured = [row for row in rows if row.condition != "theory_discrete"]
+    tested, printed = [], []
+    for row in measured:
+        delay, parts = row.delay_samples or 0.0, row.deviation
+        if parts is not None and delay in theory:
+            tested.append((delay, theory[delay] * (1 + parts.range / 100) * (1 + parts.grid / 100)))
+        if row.published_cost is not None:
+            printed.append((delay, row.published_cost))
+    yield "theory", "line", list(theory.items())
+    yield "theory on the tested walls", "linear", tested
+    yield "experiment", "optimum", [(row.delay_samples or 0.0, row.cost or 0.0) for row in measured]
+    yield "printed measurement", "mark", printed
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,9 +7,11 @@ import pytest
 import simulated
 from report_data import experiment
 
+from pipeline.device.loop import Loop
+from pipeline.device_data.published import published_bound
 from pipeline.records.findings import BoundaryPoint, Limit
 from pipeline.records.models import Shown
-from pipeline.records.results import Cause, SourcedLoop
+from pipeline.records.results import Cause, SourcedLoop, StraightBound
 from pipeline.rendering.figures.boundaries import (
     answer_figure,
     boundary_figures,
@@ -142,3 +144,42 @@ def test_normalised_plane_holds_several_devices_each_with_its_theory() -> None:
     # alpha = K T^2/m, beta = B T/m (Table 3.1)
     assert lines[2].x == pytest.approx(physical.x * 4e-6 / 0.2, nan_ok=True)
     assert lines[2].y == pytest.approx(physical.y * 2e-3 / 0.2)
+
+
+def test_a_printed_bound_is_a_line_from_the_stiffest_wall_on() -> None:
+    printed = published_bound("falcon")
+    assert (printed.stiffness, printed.slope) == (38000.0, -230.0)  # (6.5)
+    assert published_bound("lwr") is None
+    (all_, *_) = boundary_figures([experiment("1")], {}, "translation", Shown(), sweep=False, printed=printed)
+    (line,) = (s for s in all_.panels[0].series if s.kind == "linear")
+    np.testing.assert_allclose(line.x, 38000 - 230 * line.y)
+    assert "(6.5)" in line.label
+
+
+def test_theory_is_drawn_at_the_ends_of_a_jittering_delay_in_colours_of_no_experiment() -> None:
+    loop = Loop(0.58, 4.0, 0.001, 4.0, jitter_samples=(3, 4, 5))
+    theories = {"1": Theory(SourcedLoop(loop=loop, source="device file falcon"))}
+    results = [experiment("1"), experiment("2")]
+    panel = boundary_figures(results, theories, "translation", Shown(), sweep=False)[0].panels[0]
+    ends = {s.label: s for s in panel.series if s.label.startswith("theory, d")}
+    assert list(ends) == ["theory, d = 3", "theory, d = 5"]
+    assert {s.number for s in ends.values()}.isdisjoint({0, 1})
+    assert np.nanmax(ends["theory, d = 3"].x) > np.nanmax(ends["theory, d = 5"].x)
+
+
+def test_overlays_that_were_asked_for_are_drawn_or_the_caption_says_why_not() -> None:
+    asked = Shown(overlays=("linear", "passive", "friction"))
+    figures = boundary_figures([experiment("1")], {"1": theory()}, "translation", asked, sweep=False)
+    (figure,) = (f for f in figures if f.identifier == "boundaries-loop")
+    assert {"linear", "passive"} <= {s.kind for s in figure.panels[0].series}
+    assert figure.caption.endswith("Not drawn: friction (no friction was found).")
+
+
+def test_the_line_through_the_limits_is_drawn_between_its_dampings() -> None:
+    line = StraightBound(stiffness=900.0, slope=-10.0, slope_low=-12.0, slope_high=-8.0, damping_first=4.0,
+                         damping_last=8.0, limits=4)  # fmt: skip
+    limits = tuple(Limit(damping=b, stiffness=900, low=800, high=1000) for b in (0, 4))
+    result = experiment("1").model_copy(update={"loop_boundary": limits, "straight_bound": line})
+    (figure,) = boundary_figures([result], {}, "translation", Shown(), sweep=False)
+    (drawn,) = (s for s in figure.panels[0].series if s.kind == "straight")
+    assert (drawn.x.tolist(), drawn.y.tolist()) == ([860, 820], [4, 8])

@@ -71,9 +71,11 @@ def test_costs_over_delay_are_drawn_of_sweeps_alone(result: ComparisonResult) ->
     (figure,) = delay_figure(result.tables)
     panel = figure.panels[0]
     rows = [r for r in result.tables if r.table == "D.6" and r.criterion == "settle_2pct"]
-    assert panel.series[0].y.tolist() == [r.cost for r in rows if r.condition == "theory_discrete"]
-    assert panel.series[1].x.tolist() == list(range(2, 9))
-    assert len(figure.panels[-1].series[1].x) == 6, "one has no cost"
+    of = {s.label: s for s in panel.series}
+    assert of["theory"].y.tolist() == [r.cost for r in rows if r.condition == "theory_discrete"]
+    assert of["experiment"].x.tolist() == list(range(2, 9))
+    of = {s.label: s for s in figure.panels[-1].series}
+    assert len(of["experiment"].x) == 6, "one has no cost"
 
 
 def known(reason=None):
