@@ -23,7 +23,7 @@ from pipeline.theory.boundary import boundary, has_islands, is_well_inside, outl
 from pipeline.theory.costs import check_criteria, point_costs_by_name
 from pipeline.theory.optimum import POINT_CRITERIA, marked_point, optimal_point
 from pipeline.theory.poles import spectral_radius, stable_by_radius
-from pipeline.theory.reachable import REACHABLE, Reachable, reachable
+from pipeline.theory.reachable import COST_OF_DELAY, Reachable, reachable
 from pipeline.theory.settling_overshoot import LONGEST
 
 if TYPE_CHECKING:  # its classes take longer to load than a short command to run
@@ -529,7 +529,7 @@ class Optimum:
     def reachable(self) -> Reachable | None:
         """What the delay alone allows (5.19); None for criteria whose cost does not grow with delay."""
         whole = self.case.names.get("delay_samples", self.case.loop.delay)
-        return reachable(self.criterion, whole) if self.criterion in with_discrete(REACHABLE) else None
+        return reachable(self.criterion, whole) if self.criterion in with_discrete(COST_OF_DELAY) else None
 
     def columns(self) -> dict[str, list[Any]]:
         """Return the one row of a table."""

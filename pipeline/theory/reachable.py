@@ -13,8 +13,8 @@ from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, SETTLING, criterion_of
 from pipeline.theory.optimum import scaling_factor
 
-REACHABLE = tuple(c.name for c in CRITERIA.values() if c.family in (SETTLING, ENERGY) or c.name == "pole_radius")
-"""Criteria whose optimal cost is a power of the delay (Table 5.1)."""
+COST_OF_DELAY = tuple(c.name for c in CRITERIA.values() if c.family in (SETTLING, ENERGY))
+"""Criteria whose optimal cost is a power of the delay (Table 5.1); of poles it is the settling time that they tell."""
 
 WITHIN = ((2.0, 0.012), (1.0, 0.026), (0.0, 0.091))
 """Delays from which on the polynomial is off by at most so much of the optimal cost (5.20); a test recomputes them.
