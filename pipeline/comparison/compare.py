@@ -173,7 +173,8 @@ def _figures(data: SceneData, result: ComparisonResult, found: _Found, predictio
         number = data.scene.experiments.index(told.experiment)
         theory = found.theories.get(told.experiment) if shown.has_overlay("theory") else None
         yield answer_figure(told, theory, motion, number, trials_of(data.experiments[number]))
-    printed = published_bound(data.scene.device) if shown.has_overlay("linear") else None
+    known = data.device.published_as if data.device is not None else ""
+    printed = published_bound(known or data.scene.device) if shown.has_overlay("linear") else None
     yield from boundary_figures(
         result.experiments, found.theories, motion, shown, sweep=data.scene.delay_sweep, printed=printed
     )

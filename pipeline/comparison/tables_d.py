@@ -130,7 +130,9 @@ class TableBuilder:
         **others: Any,
     ) -> ComparisonRow:
         published = find(table.name, criterion, condition, delay if table.kind == "delay" else None)
-        if published is not None and published.device != self.data.scene.device:
+        device = self.data.device
+        own = device.published_as if device is not None and device.published_as else self.data.scene.device
+        if published is not None and published.device != own:
             published = None  # a table of another device may bear the same name
         values = {name: getattr(point, name) if point else None for name in _NUMBERS}
         stated = {f"published_{name}": getattr(published, name) if published else None for name in _NUMBERS}

@@ -95,12 +95,14 @@ class TableLayout(Record):
 class Device(Record):
     """A haptic device as data: everything that simulation, theory and reports need to know of it.
 
-    A device file may leave out more (`device_data.devices.read_device`).
+    A device file may leave out more (`device_data.devices.read_device`). ``published_as`` is the device whose printed
+    values stand beside this one's in tables; its own name where it is not given.
     """
 
     name: Name
     title: str
     source: str = ""
+    published_as: str = ""
     motion: Motion = "translation"
     sampling_period_s: Positive
     step: Positive = 1.0

@@ -3,13 +3,18 @@
 import re
 import shlex
 
+import numpy as np
 import pytest
 from places import ROOT
 
+from pipeline.device_data.published import find, published_deviation
+from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.findings import Optimum
 from pipeline.records.models import ComparisonRow
 from pipeline.records.results import Answer, ExperimentResult, Prediction, Scores
 from pipeline.shell.cli import run
+from pipeline.theory.curves import best_damping
+from pipeline.theory.optimum import optimal_point, scaling_factor
 
 PAGE = (ROOT / "docs" / "thesis.md").read_text(encoding="utf-8")
 PAIRS = re.findall(r"```sh\n(.*?)```\n+```text\n(.*?)```", PAGE, re.DOTALL)
@@ -64,3 +69,39 @@ def test_the_sections_that_the_table_names_are_those_of_a_report(falcon_outcome)
     for name in ("Does theory predict it?", "within 5 %", "limit over K", "largest stable B", "How sure?"):
         assert name in PAGE
         assert name in page.replace("&nbsp;", " ").replace("\N{NO-BREAK SPACE}", " "), name
+
+
+def jump(criterion, low, high):
+    """Stiffness at which the best damping jumps most."""
+    while high - low > 1e-6:
+        alpha = np.linspace(low, high, 9)
+        best = best_damping(NormalisedLoop.ideal(0.0, 0.0, 0.0), criterion, alpha).best
+        i = int(np.argmax(np.abs(np.diff(best))))
+        low, high = alpha[i], alpha[i + 1]
+    return low
+
+
+def test_errata_of_theory_are_as_computed():
+    table = PAGE.split("## Errata")[1]
+    assert f"α = {jump('settle_2pct', 0.300, 0.308):.5f}" in table
+    assert f"α = {jump('overshoot', 0.300, 0.308):.5f}" in table
+    loop = NormalisedLoop.ideal(0.0, 0.0, 0.0)
+    for w in range(3):
+        points = [optimal_point(loop, f"energy_step_w{w}{end}") for end in ("_discrete", "")]
+        assert f"{100 * (points[0].alpha / points[1].alpha - 1):.2f} %" in table
+    changes = [
+        100 * abs(scaling_factor(name, 10.0) / scaling_factor(name, 8.0) - 1)
+        for name in ("pole_radius", "energy_step_w0", "energy_step_w1", "energy_step_w2")
+    ]
+    assert f"up to {changes[0]:.3f} % (poles), {max(changes[1:]):.3f} % (energies)" in table
+
+
+def test_errata_of_experiments_are_those_of_the_printed_tables():
+    table = PAGE.split("## Errata")[1]
+    assert f"{find('D.1', 'overshoot', 'experiment_2').stiffness:,.0f} N/m for experiment 2" in table
+    off = published_deviation(find("D.2", "energy_step_w2", "experiment_1"))
+    assert f"{-off:.1f} % below (D.2" in table
+    theory, measured = (find("D.4", "overshoot", name) for name in ("theory_discrete", "experiment"))
+    wrong = [100 * (getattr(theory, name) / getattr(measured, name) - 1) for name in ("damping", "stiffness")]
+    assert wrong == [pytest.approx(129.6, abs=0.1), pytest.approx(121.5, abs=0.1)]
+    assert f"−{-published_deviation(find('D.6', 'settle_2pct', 'experiment', 6)):.1f} % (32 for 35" in table

@@ -328,6 +328,16 @@ def _ratio(row: Row, first: str, second: str) -> str:
     return "" if row.get(first) is None else f"{row[first]:.0f} : {row[second]:.0f}"
 
 
+THESIS = {"delay_samples": "first_change", "mass": "thesis_momentum_balance"}
+"""Methods of the thesis whose estimates stand beside those of the model."""
+
+
+def _thesis_value(estimate: Estimate | None, method: str) -> float | None:
+    """Return an estimate by a method of the thesis; None where there is none."""
+    found = None if estimate is None else estimate.by_method.get(method)
+    return None if found is None else found.value
+
+
 def _experiments(result: ComparisonResult) -> Table | None:
     verdicts = list(dict.fromkeys(v for e in result.experiments for v in e.verdicts))
     quantities = [q for q in MAIN if any(q in e.estimates for e in result.experiments)]
@@ -339,10 +349,24 @@ def _experiments(result: ComparisonResult) -> Table | None:
         row |= {"experiment": e.experiment, "trials": e.trials}
         row |= {"set-up": ", ".join(filter(None, [e.configuration, grip]))}
         row |= {"theory": _theory(e.theory, result), "source": e.theory.source if e.theory else ""}
+        row |= {f"thesis_{name}": _thesis_value(e.estimates.get(name), method) for name, method in THESIS.items()}
         rows.append(row | e.estimates | {"delay_samples": e.delay})
     columns = [Column("experiment"), Column("set-up"), Column("trials", "all", group="trials", show=_number)]
     columns += [Column(v, group="trials", show=_number) for v in verdicts]
     columns += [estimate_column(q, unit_of[q], "estimated, with 95 % interval") for q in quantities]
+    columns += [
+        Column(
+            f"thesis_{name}",
+            quantity_name(name),
+            unit_text(unit_of[name]),
+            "by the thesis's methods (6.2 to 6.4)",
+            show=digits(3),
+            why="no trial allows it",
+            optional=True,
+        )
+        for name in THESIS
+        if name in quantities
+    ]
     columns += [
         Column("theory", "theory uses", aside=lambda row: row["source"], optional=True, why="no parameters for theory")
     ]
