@@ -161,6 +161,7 @@ def _tables(data: ReportData) -> dict[str, Any]:
     }
     found |= {name: [table] if table else [] for name, table in rest.items()}
     asked = {name: [t for t in tables if _is_asked(name, t.name, data.tables)] for name, tables in found.items()}
+    asked["delay_form"] = found["delay_form"] if asked["delay_tables"] else []  # the same costs in another form
     return {name: tables if name in SEVERAL else next(iter(tables), None) for name, tables in asked.items()}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from pipeline.base.wording import counted, true_minus
@@ -158,6 +159,7 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
             lambda row: f"{quantity_name(row['quantity'])} [{unit_text(row['unit'])}]",
         ),
     }
+    made["delay_form"] = _delay_form(f["tables"])
     tables = {name: [table] if table else [] for name, table in made.items()}
     return tables | _optima(f["tables"], units, place)
 
@@ -463,6 +465,34 @@ def _optima(rows: Sequence[Row], units: Any, place: Callable[[Row], str]) -> dic
         )
         found["delay_tables" if swept else "optima"] += [table] if table else []
     return found
+
+
+def _delay_form(rows: Sequence[Row]) -> Table | None:
+    """Costs over delay in the form of Table D.6: a row a delay; theory, experiment and deviation side by side."""
+    swept = next(
+        (n for n in dict.fromkeys(r["table"] for r in rows) if is_sweep([r for r in rows if r["table"] == n])), None
+    )
+    own = [row for row in rows if row["table"] == swept and row["delay_samples"] is not None]
+    if swept is None or not own:
+        return None
+    criteria = list(dict.fromkeys(row["criterion"] for row in own))
+    lines: dict[float, dict[str, Any]] = {}
+    for row in own:
+        line = lines.setdefault(row["delay_samples"], {"delay": row["delay_samples"]})
+        side = "theory" if row["condition"] == "theory_discrete" else "experiment"
+        line[f"{row['criterion']}/{side}"] = row["cost"]
+        if side == "experiment":
+            line[f"{row['criterion']}/deviation"] = row["deviation_percent"]
+    columns = [Column("delay", "d", "samples", show=digits(3))]
+    for name in criteria:
+        show, group = _by(partial(cost_text, name)), criterion_label(name)
+        columns += [Column(f"{name}/{side}", side, "", group, show, why="no cost") for side in ("theory", "experiment")]
+        columns.append(Column(f"{name}/deviation", "deviation", "%", group, _percent, why="no theory or no cost"))
+    caption = f"{table_label(swept)}: optimal costs of the sampled response over total delay"
+    ordered = [lines[delay] for delay in sorted(lines)]
+    return table_of(
+        "delay_form", caption[:1].upper() + caption[1:], columns, ordered, lambda row: f"d={row['delay']:g}"
+    )
 
 
 def _named(rows: Sequence[Row]) -> Callable[[Row], str]:

@@ -13,6 +13,7 @@ from pipeline.records.results import ComparisonResult, HeaderLine, SourcedLoop, 
 from pipeline.rendering.figures.drawing import draw
 from pipeline.rendering.figures.overview import delay_figure, trend_figure
 from pipeline.rendering.frames import differing_lines, frames, in_order, limit_of
+from pipeline.rendering.labels import cost_text, percent_text
 from pipeline.rendering.report import report
 from pipeline.rendering.report.tables import MISSED, tables_of
 
@@ -76,6 +77,18 @@ def test_costs_over_delay_are_drawn_of_sweeps_alone(result: ComparisonResult) ->
     assert of["experiment"].x.tolist() == list(range(2, 9))
     of = {s.label: s for s in figure.panels[-1].series}
     assert len(of["experiment"].x) == 6, "one has no cost"
+
+
+def test_costs_over_delay_stand_in_the_form_of_table_d6(result: ComparisonResult) -> None:
+    (table,) = tables_of(result)["delay_form"]
+    rows = {name: {cell.name: cell.text for cell in row} for _, block in table.blocks for name, row in block}
+    assert list(rows) == [f"delay_form/d={delay}" for delay in range(2, 9)]
+    of = [r for r in result.tables if r.table == "D.6" and r.criterion == "settle_2pct" and r.delay_samples == 3]
+    theory, measured = (next(r for r in of if (r.condition == "theory_discrete") == side) for side in (True, False))
+    cells = rows["delay_form/d=3"]
+    assert cells["settle_2pct/theory"] == cost_text("settle_2pct", theory.cost)
+    assert cells["settle_2pct/experiment"] == cost_text("settle_2pct", measured.cost)
+    assert cells["settle_2pct/deviation"] == percent_text(measured.deviation_percent)
 
 
 def known(reason=None):
