@@ -7,8 +7,10 @@ Light to import: no command waits for it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 
 DISCRETE = "_discrete"
 """What the name of a criterion ends in where its cost is that of the sampled response."""
@@ -205,13 +207,56 @@ REPORTED = tuple(c.name for c in _ALL if c.reported)
 FAMILIES = {family.name: family for family in (OVERSHOOT, SETTLING, ENERGY, RISE)}
 """Families of `MEASURED` by name, which is that of their stage, in the order in which they are computed."""
 
+_BAND = re.compile(r"settle_(\d+(?:\.\d+)?)pct")
+
 SETTLING_BANDS = {c.name: c.band for c in _ALL if c.band is not None}
 """Half width of the settling band relative to the final displacement, by criterion."""
 
 
+WIDEST = 50.0
+"""Half width of the widest settling band [%]: a wider one begins inside."""
+
+
 def criterion_of(name: str) -> Criterion:
-    """Return the criterion of a name, also with `DISCRETE` appended; KeyError for an unknown one."""
-    return CRITERIA[name.removesuffix(DISCRETE)]
+    """Return the criterion of a name, also with `DISCRETE` appended, or of a settling time for a band of its own.
+
+    Raises
+    ------
+    KeyError
+        For an unknown one.
+
+    Examples
+    --------
+    >>> criterion_of("settle_3pct").band, criterion_of("energy_step_w1_discrete").weight
+    (0.03, 1)
+    """
+    base = name.removesuffix(DISCRETE)
+    return CRITERIA[base] if base in CRITERIA else _of_band(base)
+
+
+@cache
+def _of_band(name: str) -> Criterion:
+    """Return the settling time for a band of any width, which theory knows and no log is judged by."""
+    found = _BAND.fullmatch(name)
+    percent = float(found[1]) if found else 0.0
+    if not 0 < percent <= WIDEST or name != f"settle_{percent:g}pct":
+        raise KeyError(name)
+    return Criterion(name, f"settling time, {percent:g} % band", SETTLING, band=percent / 100)
+
+
+def is_criterion(name: str, names: Iterable[str]) -> bool:
+    """Tell whether a name is one of some criteria, with `DISCRETE` appended or not; among settling times any band is.
+
+    >>> is_criterion("settle_0.5pct_discrete", MEASURED), is_criterion("settle_60pct", MEASURED)
+    (True, False)
+    """
+    names = tuple(names)
+    if name in with_discrete(names):
+        return True
+    try:
+        return criterion_of(name).family is SETTLING and any(CRITERIA[each].family is SETTLING for each in names)
+    except KeyError:
+        return False
 
 
 def members(family: Family, names: Iterable[str] = MEASURED) -> list[Criterion]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from pipeline.base.wording import true_minus
 from pipeline.device.parameters import ESTIMATE_PARAMETERS, MOTIONS, PARAMETERS, Dimension, Motion, unit_of
-from pipeline.records.criteria import CRITERIA, criterion_of
+from pipeline.records.criteria import CRITERIA, criterion_of, is_criterion
 from pipeline.records.findings import Estimate
 from pipeline.records.results import AnswerEstimate
 
@@ -64,7 +64,7 @@ def quantity_name(quantity: str) -> str:
 
 def criterion_name(name: str) -> str:
     """Return what a criterion, or another result, is called in print."""
-    return CRITERIA[name].label if name in CRITERIA else name.replace("_", " ")
+    return criterion_of(name).label if is_criterion(name, CRITERIA) else name.replace("_", " ")
 
 
 def with_unit(name: str, unit: str) -> str:

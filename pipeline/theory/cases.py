@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
-from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, with_discrete
+from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, is_criterion
 from pipeline.records.trials import Booleans, Floats
 from pipeline.theory.boundary import boundary, has_islands, is_well_inside, outline, robust_outline
 from pipeline.theory.costs import check_criteria, point_costs_by_name
@@ -529,7 +529,7 @@ class Optimum:
     def reachable(self) -> Reachable | None:
         """What the delay alone allows (5.19); None for criteria whose cost does not grow with delay."""
         whole = self.case.names.get("delay_samples", self.case.loop.delay)
-        return reachable(self.criterion, whole) if self.criterion in with_discrete(COST_OF_DELAY) else None
+        return reachable(self.criterion, whole) if is_criterion(self.criterion, COST_OF_DELAY) else None
 
     def columns(self) -> dict[str, list[Any]]:
         """Return the one row of a table."""
@@ -649,18 +649,17 @@ def criterion_for(criterion: str, signal: str | None) -> str:
     ParameterError
         As of `best_wall`.
     """
-    known = with_discrete(CRITERIA)
-    if criterion not in (*POINT_CRITERIA, *known):
+    if criterion not in POINT_CRITERIA and not is_criterion(criterion, CRITERIA):
         raise ParameterError(
             f"no optimum for criterion {criterion!r}; supported are {', '.join((*POINT_CRITERIA, *CRITERIA))}, "
-            "those of a response also with _discrete appended."
+            "those of a response also with _discrete appended, and settling times for any band, such as settle_3pct."
         )
     if signal not in (None, "continuous", "discrete"):
         raise ParameterError(f"signal {signal!r}: expected continuous or discrete.")
     if signal == "continuous" and criterion.endswith(DISCRETE):
         raise ParameterError(f"criterion {criterion!r} is a discrete one, but the signal is continuous.")
     sampled = f"{criterion}{DISCRETE}"
-    return sampled if signal == "discrete" and sampled in known else criterion
+    return sampled if signal == "discrete" and is_criterion(sampled, CRITERIA) else criterion
 
 
 def best_wall(case: Case, criterion: str, signal: str | None = None) -> Optimum:

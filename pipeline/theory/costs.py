@@ -23,7 +23,7 @@ from pipeline.records.criteria import (
     RISE_LEVELS,
     SETTLING,
     criterion_of,
-    with_discrete,
+    is_criterion,
 )
 from pipeline.records.trials import Booleans, Floats
 from pipeline.theory.boundary import boundary, is_inside, is_well_inside
@@ -94,11 +94,11 @@ def point_costs_by_name(
 
 def check_criteria(names: Sequence[str]) -> None:
     """Raise ParameterError if a name is none of `MAP_CRITERIA`, nor of those of a response with ``_discrete``."""
-    unknown = [name for name in names if name not in with_discrete(MAP_CRITERIA)]
+    unknown = [name for name in names if not is_criterion(name, MAP_CRITERIA)]
     if unknown:
         raise ParameterError(
             f"criterion {unknown[0]!r} is unknown; expected some of {', '.join(MAP_CRITERIA)}, "
-            "those of a response also with _discrete appended."
+            "those of a response also with _discrete appended, and settling times for any band, such as settle_3pct."
         )
 
 

@@ -13,10 +13,10 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.records.criteria import CRITERIA, DISCRETE, SETTLING_BANDS, criterion_of, with_discrete
+from pipeline.records.criteria import CRITERIA, DISCRETE, criterion_of, is_criterion
 from pipeline.records.trials import Booleans, Floats, Integers
 from pipeline.theory.boundary import boundary, stiffness_limit
-from pipeline.theory.optimum import UNDAMPED_LOSS, energy, impulse_energy_limit, nearest_to_line, settling
+from pipeline.theory.optimum import UNDAMPED_LOSS, band_of, energy, impulse_energy_limit, nearest_to_line, settling
 from pipeline.theory.poles import damping_ratio, spectral_radius
 from pipeline.theory.search import LEVELS, Cost, LineCost, LineOptima, extents, search_lines, where_stable
 from pipeline.theory.settling_overshoot import NO_OVERSHOOT, late_deviation, transient_costs
@@ -109,7 +109,7 @@ def _curve(loop: NormalisedLoop, criterion: str, values: object, *, stiffness_gi
     given = np.atleast_1d(np.asarray(values, dtype=np.float64))
     if given.ndim != 1 or not np.isfinite(given).all():
         raise ParameterError("given values of a curve: expected a list of finite numbers.")
-    if criterion not in with_discrete(CURVE_CRITERIA):
+    if not is_criterion(criterion, CURVE_CRITERIA):
         raise ParameterError(
             f"criterion {criterion!r} has no optimal curve; expected one of {list(CURVE_CRITERIA)}, those of a "
             "response also with _discrete appended."
@@ -262,7 +262,7 @@ def _steps(lines: _Lines, criterion: str) -> Floats:
     A number of samples n can be had on a line where the largest deviation from sample n on, a continuous function of
     the place, can be brought into the band.
     """
-    band = SETTLING_BANDS[criterion_of(criterion).name]
+    band = band_of(criterion)
     first_look = lines.search(settling(lines.loop, criterion, _LONGEST), levels=0)
     place, count = first_look.place.copy(), first_look.cost.copy()
     open_lines = np.flatnonzero(np.isfinite(count) & (count > 1))

@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop, as_points
-from pipeline.records.criteria import CRITERIA, DISCRETE, OVERSHOOT, SETTLING_BANDS, criterion_of, with_discrete
+from pipeline.records.criteria import CRITERIA, DISCRETE, OVERSHOOT, criterion_of, is_criterion
 from pipeline.records.trials import Booleans, Floats, Integers
 from pipeline.theory.boundary import boundary, is_well_inside, stiffness_limit
 from pipeline.theory.costs import point_costs_by_name
@@ -97,7 +97,7 @@ def optimal_point(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
 
     Source: Hulin 2017, secs. 5.1 and 5.2; reproduces C.1 to C.3 and the theory rows of D.1 to D.6.
     """
-    if criterion not in with_discrete(CRITERIA):
+    if not is_criterion(criterion, CRITERIA):
         raise ParameterError(
             f"criterion {criterion!r} is unknown; expected one of {[*CRITERIA]}, those of a response also with "
             "_discrete appended."
@@ -154,7 +154,7 @@ def energy(loop: NormalisedLoop, criterion: str, lowest: float = -np.inf) -> Cos
 
 def _soonest_settled(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
     if criterion.endswith(DISCRETE):
-        return _settling_region(loop, SETTLING_BANDS[criterion_of(criterion).name], criterion)
+        return _settling_region(loop, band_of(criterion), criterion)
     try:
         return search(loop, settling(loop, criterion, int(_ENDLESS * (loop.delay + 1))))
     except ParameterError:  # no response of a first grid settles
@@ -164,9 +164,16 @@ def _soonest_settled(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
         return replace(slowest, cost=np.nan)
 
 
+def band_of(criterion: str) -> float:
+    """Return the half width of the band of a settling time, relative to the final displacement."""
+    band = criterion_of(criterion).band
+    assert band is not None, "only settling times are searched here"
+    return band
+
+
 def settling(loop: NormalisedLoop, criterion: str, longest: int) -> Cost:
     """Return the settling time of a search, by responses that are followed for so many samples."""
-    band, continuous = SETTLING_BANDS[criterion_of(criterion).name], not criterion.endswith(DISCRETE)
+    band, continuous = band_of(criterion), not criterion.endswith(DISCRETE)
 
     def cost(a: Floats, b: Floats, best: float) -> Floats:
         found = transient_costs(

@@ -10,16 +10,17 @@ from functools import lru_cache
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import LARGEST_DELAY
-from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, SETTLING, criterion_of
+from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, SETTLING, criterion_of, is_criterion
 from pipeline.theory.optimum import scaling_factor
 
 COST_OF_DELAY = tuple(c.name for c in CRITERIA.values() if c.family in (SETTLING, ENERGY))
 """Criteria whose optimal cost is a power of the delay (Table 5.1); of poles it is the settling time that they tell."""
 
 WITHIN = ((2.0, 0.012), (1.0, 0.026), (0.0, 0.091))
-"""Delays from which on the polynomial is off by at most so much of the optimal cost (5.20); a test recomputes them.
+"""Delays from which on the polynomial is off by at most so much of the optimal cost (5.20); a test recomputes them."""
 
-Motion between samples; costs of samples alone differ by up to three times as much."""
+SAMPLED = 3.0
+"""Factor of these errors for costs of samples alone."""
 
 
 @dataclass(frozen=True)
@@ -77,13 +78,16 @@ def reachable(criterion: str, delay_samples: float) -> Reachable:
     """
     if not 0 <= delay_samples <= LARGEST_DELAY:
         raise ParameterError(f"delay_samples = {delay_samples}: expected a delay from 0 to {LARGEST_DELAY:g} samples.")
-    if criterion.removesuffix(DISCRETE) not in CRITERIA:
+    if not is_criterion(criterion, CRITERIA):
         raise ParameterError(f"criterion {criterion!r} is unknown; expected a settling time, an energy or pole_radius.")
     factor, power = _factor(criterion), criterion_of(criterion).weight + 1
     cost = factor * (delay_samples + 1) ** power
     # with less than a sample of delay, what is left of it
     saved = cost - factor * max(delay_samples, 1.0) ** power
     within = next(error for delay, error in WITHIN if delay_samples >= delay)
+    if criterion.endswith(DISCRETE):
+        # settling times of samples are whole numbers
+        within = max(SAMPLED * within, 1 / cost if criterion_of(criterion).family is SETTLING else 0.0)
     return Reachable(criterion, delay_samples, cost, saved, within)
 
 
