@@ -21,7 +21,7 @@ from pipeline.base.errors import ParameterError, StoreError
 from pipeline.base.provenance import schema_folder
 from pipeline.device.parts import Positive
 from pipeline.records.findings import NonNegative, Record
-from pipeline.records.models import Name
+from pipeline.records.models import Name, PublishedBound
 
 _FILE, _THEORY, _ARMS = "hulin-2017.csv", "hulin-2017-theory.csv", "hulin-2017-human-arm.csv"
 _BOUNDS = "hulin-2017-bounds.csv"
@@ -298,18 +298,6 @@ def human_arms() -> tuple[HumanArm, ...]:
         If the file that ships with the package is missing or damaged.
     """
     return shipped_rows(_ARMS, HumanArm)
-
-
-class PublishedBound(Record):
-    """A straight bound of measured limits, K <= stiffness + slope B [N/m, N/m per Ns/m], by its equation's number.
-
-    Source: Hulin 2017, eq. 6.5.
-    """
-
-    device: Name
-    equation: Name
-    stiffness: float
-    slope: float
 
 
 def published_bound(device: str) -> PublishedBound | None:

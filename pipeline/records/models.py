@@ -75,6 +75,18 @@ class Experiment(Record):
         return self
 
 
+class PublishedBound(Record):
+    """A straight bound of measured limits, K <= stiffness + slope B [N/m, N/m per Ns/m], by its equation's number.
+
+    Source: Hulin 2017, eq. 6.5.
+    """
+
+    device: Name
+    equation: Name
+    stiffness: float
+    slope: float
+
+
 class TableLayout(Record):
     """One published table: which criteria, which experiments, and whose parameters theory uses."""
 

@@ -10,9 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.device_data.published import PublishedBound
 from pipeline.records.findings import BoundaryPoint
-from pipeline.records.models import FigureKind, Motion, Overlay, Shown
+from pipeline.records.models import FigureKind, Motion, Overlay, PublishedBound, Shown
 from pipeline.records.results import ExperimentResult, SourcedLoop
 from pipeline.records.trials import Floats
 from pipeline.rendering.figures.drawing import Figure, Panel, Series, reach
